@@ -1,0 +1,56 @@
+"""The errors of gnc_opt: each message is one sentence that says what, where and how to mend it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gnc_opt.solution.solution import Solution
+
+
+class GncOptError(Exception):
+    """Base class of every error that gnc_opt raises on purpose."""
+
+
+class ModelError(GncOptError, ValueError):
+    """The dynamics are wrong: missing, duplicate, of the wrong size or with a foreign symbol."""
+
+
+class ProblemError(GncOptError, ValueError):
+    """The optimal control problem is wrong: names, sizes, bounds, values or functions."""
+
+
+class UnknownNameError(ModelError, ProblemError, KeyError):
+    """A name that nobody declared; the message offers the nearest declared one."""
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
+class SolveError(GncOptError, RuntimeError):
+    """The solver did not reach a solution; `solution` holds the last iterate and its status."""
+
+    def __init__(self, message: str, solution: Solution) -> None:
+        super().__init__(message)
+        self.solution = solution
+
+
+class ProblemWarning(UserWarning):
+    """Something in a problem that is legal and probably not meant."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return "did you mean 'x'?" if a known name is near, else the list of the known names."""
+    names = list(known)
+    lowered = {candidate.lower(): candidate for candidate in names}
+    near = difflib.get_close_matches(str(name).lower(), lowered, n=1, cutoff=0.6)
+    if near:
+        return f"did you mean '{lowered[near[0]]}'?"
+    return f"known: {', '.join(names)}." if names else "none is declared."
+
+
+def unknown_name(what: str, name: str, where: str, known: Iterable[str]) -> UnknownNameError:
+    """Return the error for an undeclared name, e.g. ``unknown_name("state", "vv", "model 'cart'", ...)``."""
+    return UnknownNameError(f"{where} has no {what} '{name}': {did_you_mean(name, known)}")

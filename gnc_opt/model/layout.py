@@ -1,0 +1,115 @@
+"""Named variables and their places in a stacked vector."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gnc_opt.errors import ProblemError, unknown_name
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A named, possibly vector-valued quantity.
+
+    Attributes
+    ----------
+    name : str
+    size : int
+        Number of components.
+    unit : str
+        For printing and plotting; gnc_opt computes in the units it is given (SI by convention).
+    nominal : tuple of float or None
+        Typical magnitude of each component, used for scaling; ``None`` lets gnc_opt choose.
+    """
+
+    name: str
+    size: int = 1
+    unit: str = ""
+    nominal: tuple[float, ...] | None = None
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Component names: ``("q",)`` for a scalar, ``("r[0]", "r[1]", ...)`` for a vector."""
+        return (self.name,) if self.size == 1 else tuple(f"{self.name}[{i}]" for i in range(self.size))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Ordered variables of one kind ("state", "control", ...) stacked into one vector."""
+
+    kind: str
+    variables: tuple[Variable, ...] = ()
+    owner: str = ""
+
+    @cached_property
+    def size(self) -> int:
+        """Length of the stacked vector."""
+        return sum(v.size for v in self.variables)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Variable names in order."""
+        return tuple(v.name for v in self.variables)
+
+    @cached_property
+    def labels(self) -> tuple[str, ...]:
+        """Component names in order, one per entry of the stacked vector."""
+        return tuple(label for v in self.variables for label in v.labels)
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """Units, one per entry of the stacked vector."""
+        return tuple(v.unit for v in self.variables for _ in range(v.size))
+
+    @cached_property
+    def _slices(self) -> dict[str, slice]:
+        ends = np.cumsum([v.size for v in self.variables])
+        return {
+            v.name: slice(int(end) - v.size, int(end)) for v, end in zip(self.variables, ends, strict=True)
+        }
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._slices
+
+    def __getitem__(self, name: str) -> Variable:
+        self.slice(name)
+        return next(v for v in self.variables if v.name == name)
+
+    def slice(self, name: str) -> slice:
+        """Return the place of a variable in the stacked vector; raise `UnknownNameError` for others."""
+        if name not in self._slices:
+            raise unknown_name(self.kind, name, self.owner or "it", self.names)
+        return self._slices[name]
+
+    def stack(self, values: Mapping[str, ArrayLike], default: float = np.nan) -> Array:
+        """Stack values by name into one vector of shape (size,); absent names get ``default``."""
+        out = np.full(self.size, default)
+        for name, value in values.items():
+            out[self.slice(name)] = as_vector(value, self[name].size, f"{self.kind} '{name}'")
+        return out
+
+
+def as_vector(value: ArrayLike, size: int, what: str) -> Array:
+    """Return ``value`` as a float vector of ``size`` entries; scalars are repeated.
+
+    Raises
+    ------
+    ProblemError
+        If the value is not numeric or has another number of entries.
+    """
+    try:
+        array = np.asarray(value, dtype=float).reshape(-1)
+    except (TypeError, ValueError, NotImplementedError) as error:
+        raise ProblemError(f"{what}: {value!r} is not a number or an array of numbers.") from error
+    if array.size == 1:
+        return np.full(size, array[0])
+    if array.size != size:
+        raise ProblemError(f"{what} has {size} component{'s' * (size > 1)}, but {array.size} values are given.")
+    return array.copy()

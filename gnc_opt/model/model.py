@@ -1,0 +1,313 @@
+"""Model: the dynamics of a vehicle, written once."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.errors import ModelError, UnknownNameError, did_you_mean
+from gnc_opt.model.layout import Array, Layout, Variable, as_vector
+from gnc_opt.model.symbol import Symbol, as_expression, foreign_symbols
+
+_KINDS = ("state", "control", "parameter")
+
+
+class Model:
+    """Dynamics ``dx/dt = f(t, x, u, p)`` with named, vector-valued variables.
+
+    Parameters
+    ----------
+    name : str
+        For messages and reports.
+
+    Examples
+    --------
+    >>> cart = Model("double integrator")
+    >>> q = cart.state("q", unit="m")
+    >>> v = cart.state("v", unit="m/s")
+    >>> a = cart.control("a", unit="m/s^2")
+    >>> cart.ode({q: v, v: a})
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._symbols: dict[str, dict[str, Symbol]] = {kind: {} for kind in _KINDS}
+        self._parameter_values: dict[str, Array] = {}
+        self._equations: dict[str, Any] = {}
+        self._outputs: dict[str, tuple[Variable, Any]] = {}
+        self._time = ca.SX.sym("t")
+        self._in_use_by: str | None = None
+        self._functions: dict[str, Any] = {}
+
+    def __repr__(self) -> str:
+        return (
+            f"Model({self.name!r}: {self.states.size} states, {self.controls.size} controls, "
+            f"{self.parameters.size} parameters)"
+        )
+
+    # --- declarations -----------------------------------------------------------------------------
+
+    def state(
+        self, name: str, size: int = 1, *, unit: str = "", nominal: ArrayLike | None = None
+    ) -> Symbol:
+        """Declare a state of ``size`` components and return its symbol.
+
+        Parameters
+        ----------
+        name : str
+            A Python identifier, unique in the model.
+        size : int
+            Number of components.
+        unit : str
+            For printing, e.g. ``"m/s"``.
+        nominal : array-like, optional
+            Typical magnitude, scalar or one per component, > 0; overrides the automatic scaling.
+
+        Raises
+        ------
+        ModelError
+            Name taken or not an identifier, size < 1, nominal not positive, model already in use.
+        """
+        return self._declare("state", name, size, unit, nominal)
+
+    def control(
+        self, name: str, size: int = 1, *, unit: str = "", nominal: ArrayLike | None = None
+    ) -> Symbol:
+        """Declare a control; arguments and errors as in `state`."""
+        return self._declare("control", name, size, unit, nominal)
+
+    def parameter(self, name: str, value: ArrayLike, *, unit: str = "") -> Symbol:
+        """Declare a constant with its value (scalar or vector); change it with `with_parameters`.
+
+        ``Problem.parameter`` of the same name turns it into a quantity to optimise.
+        """
+        size = int(np.size(np.asarray(value, dtype=float)))
+        symbol = self._declare("parameter", name, size, unit, None)
+        vector = as_vector(value, size, f"parameter '{name}'")
+        if not np.all(np.isfinite(vector)):
+            raise ModelError(f"parameter '{name}' of model '{self.name}' is {vector}: give finite numbers.")
+        self._parameter_values[name] = vector
+        return symbol
+
+    def ode(self, equations: Mapping[Symbol | str, Any]) -> None:
+        """State the dynamics: a mapping from state (symbol or name) to its time derivative.
+
+        Raises
+        ------
+        ModelError
+            A state has two equations, a wrong size, or the expression uses a symbol of another model.
+        """
+        self._refuse_if_in_use("ode")
+        for key, value in equations.items():
+            name = self._state_name(key)
+            if name in self._equations:
+                raise ModelError(f"model '{self.name}' states the dynamics of state '{name}' twice: keep one.")
+            size = self.states[name].size
+            what = f"the time derivative of state '{name}' in model '{self.name}'"
+            self._equations[name] = self._own_expression(value, what, size)
+
+    def output(self, name: str, expression: Any, *, unit: str = "") -> Any:
+        """Declare an algebraic output y(t, x, u, p), evaluated later by name; returns the expression."""
+        self._refuse_if_in_use("output")
+        self._check_new_name(name)
+        value = self._own_expression(expression, f"output '{name}' of model '{self.name}'", None)
+        self._outputs[name] = (Variable(name, value.shape[0], unit), value)
+        return value
+
+    def with_parameters(self, **values: ArrayLike) -> Model:
+        """Return a copy of the model with other parameter values (same symbols, same equations)."""
+        changed = copy.copy(self)
+        changed._parameter_values = dict(self._parameter_values)
+        for name, value in values.items():
+            vector = as_vector(value, self.parameters[name].size, f"parameter '{name}' of model '{self.name}'")
+            if not np.all(np.isfinite(vector)):
+                raise ModelError(f"parameter '{name}' of model '{self.name}' is {vector}: give finite numbers.")
+            changed._parameter_values[name] = vector
+        return changed
+
+    # --- what it is -------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> Any:
+        """The symbol of time t (s), for dynamics that depend on it."""
+        return self._time
+
+    @property
+    def states(self) -> Layout:
+        """Names, sizes and units of the states."""
+        return self._layout("state")
+
+    @property
+    def controls(self) -> Layout:
+        """Names, sizes and units of the controls."""
+        return self._layout("control")
+
+    @property
+    def parameters(self) -> Layout:
+        """Names, sizes and units of the parameters."""
+        return self._layout("parameter")
+
+    @property
+    def outputs(self) -> Layout:
+        """Names, sizes and units of the outputs."""
+        return Layout("output", tuple(v for v, _ in self._outputs.values()), f"model '{self.name}'")
+
+    @property
+    def parameter_values(self) -> Array:
+        """Stacked parameter values, shape (n_parameters,)."""
+        return self.parameters.stack(self._parameter_values)
+
+    def symbols(self, kind: str) -> Any:
+        """Return the stacked SX vector of "state", "control" or "parameter" symbols."""
+        return ca.vertcat(*self._symbols[kind].values()) if self._symbols[kind] else ca.SX(0, 1)
+
+    def symbol(self, name: str) -> Symbol:
+        """Return the symbol of a declared state, control or parameter."""
+        for kind in _KINDS:
+            if name in self._symbols[kind]:
+                return self._symbols[kind][name]
+        known = [n for kind in _KINDS for n in self._symbols[kind]]
+        raise UnknownNameError(f"model '{self.name}' has no variable '{name}': {did_you_mean(name, known)}")
+
+    def derivative(self) -> Any:
+        """Return the stacked SX expression of dx/dt; raise `ModelError` if an equation is missing."""
+        missing = [name for name in self.states.names if name not in self._equations]
+        if missing:
+            raise ModelError(
+                f"model '{self.name}' has no dynamics for state{'s' * (len(missing) > 1)} "
+                f"{', '.join(repr(m) for m in missing)}: add {'them' if len(missing) > 1 else 'it'} to ode()."
+            )
+        if not self._equations:
+            raise ModelError(f"model '{self.name}' has no states: declare some with state() and state their ode().")
+        return ca.vertcat(*[self._equations[name] for name in self.states.names])
+
+    def output_expression(self, name: str) -> Any:
+        """Return the SX expression of a declared output."""
+        self.outputs.slice(name)
+        return self._outputs[name][1]
+
+    def arguments(self) -> tuple[Any, Any, Any, Any]:
+        """Return the symbols (t, x, u, p), in the argument order of every function of a model."""
+        return self._time, self.symbols("state"), self.symbols("control"), self.symbols("parameter")
+
+    # --- numeric calls ----------------------------------------------------------------------------
+
+    @property
+    def function(self) -> Any:
+        """The CasADi Function ``f(t, x, u, p) -> dx/dt``."""
+        return self._function("f", lambda: [self.derivative()])
+
+    def f(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, p: ArrayLike | None = None) -> Array:
+        """Evaluate dx/dt.
+
+        Parameters
+        ----------
+        t : float or array (n_times,)
+        x : array (n_states,) or (n_states, n_times)
+        u : array (n_controls,) or (n_controls, n_times)
+        p : array (n_parameters,), optional
+            Defaults to the model's own values.
+
+        Returns
+        -------
+        array
+            Shape of ``x``.
+        """
+        return evaluate(self.function, t, x, u, self.parameter_values if p is None else p)
+
+    def linearize(
+        self, t: float, x: ArrayLike, u: ArrayLike, p: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """Return A = df/dx (n, n) and B = df/du (n, m) at one point."""
+        _, xs, us, _ = self.arguments()
+        jacobians = self._function(
+            "AB", lambda: [ca.jacobian(self.derivative(), xs), ca.jacobian(self.derivative(), us)]
+        )
+        a, b = jacobians(t, x, u, self.parameter_values if p is None else p)
+        return np.asarray(a.full()), np.asarray(b.full())
+
+    # --- internals --------------------------------------------------------------------------------
+
+    def mark_in_use(self, user: str) -> None:
+        """Freeze the declarations: a problem now rests on them."""
+        self._in_use_by = self._in_use_by or user
+
+    def _function(self, name: str, expressions: Any) -> Any:
+        if name not in self._functions:
+            self._functions[name] = ca.Function(name, list(self.arguments()), expressions())
+        return self._functions[name]
+
+    def _layout(self, kind: str) -> Layout:
+        variables = tuple(symbol.variable for symbol in self._symbols[kind].values())
+        return Layout(kind, variables, f"model '{self.name}'")
+
+    def _declare(self, kind: str, name: str, size: int, unit: str, nominal: ArrayLike | None) -> Symbol:
+        self._refuse_if_in_use(kind)
+        self._check_new_name(name)
+        if not isinstance(size, (int, np.integer)) or size < 1:
+            raise ModelError(f"{kind} '{name}' of model '{self.name}' has size {size!r}: give an integer >= 1.")
+        scale = None
+        if nominal is not None:
+            vector = as_vector(nominal, int(size), f"nominal value of {kind} '{name}'")
+            if not np.all(np.isfinite(vector) & (vector > 0)):
+                raise ModelError(f"nominal value of {kind} '{name}' is {nominal!r}: give positive finite numbers.")
+            scale = tuple(float(v) for v in vector)
+        symbol = Symbol(Variable(name, int(size), unit, scale))
+        self._symbols[kind][name] = symbol
+        return symbol
+
+    def _check_new_name(self, name: str) -> None:
+        if not isinstance(name, str) or not name.isidentifier():
+            raise ModelError(f"{name!r} in model '{self.name}' is not a name: use letters, digits and underscores.")
+        taken = {n for kind in _KINDS for n in self._symbols[kind]} | set(self._outputs)
+        if name in taken:
+            raise ModelError(f"model '{self.name}' declares '{name}' twice: rename one of the two.")
+
+    def _refuse_if_in_use(self, what: str) -> None:
+        if self._in_use_by is not None:
+            raise ModelError(
+                f"model '{self.name}' is already used by {self._in_use_by}: "
+                f"call {what}() before the model is given to a problem."
+            )
+
+    def _state_name(self, key: Symbol | str) -> str:
+        name = key if isinstance(key, str) else getattr(getattr(key, "variable", None), "name", None)
+        if name is None:
+            raise ModelError(
+                f"ode() of model '{self.name}' got the key {key}: use the symbol that state() returned, or its name."
+            )
+        if not isinstance(key, str) and self._symbols["state"].get(name) is not key:
+            kind = next((k for k in _KINDS if name in self._symbols[k]), "symbol of another model")
+            if kind != "state":
+                raise ModelError(f"ode() of model '{self.name}': '{name}' is a {kind}, not a state.")
+        self.states.slice(name)
+        return name
+
+    def _own_expression(self, value: Any, what: str, size: int | None) -> Any:
+        expression = as_expression(value, what, size)
+        foreign = foreign_symbols(expression, list(self.arguments()))
+        if foreign:
+            known = [n for kind in _KINDS for n in self._symbols[kind]]
+            raise ModelError(
+                f"{what} uses '{foreign[0]}', which is not a symbol of this model: {did_you_mean(foreign[0], known)}"
+            )
+        return expression
+
+
+def evaluate(function: Any, t: ArrayLike, x: ArrayLike, *others: ArrayLike) -> Array:
+    """Evaluate a CasADi function of (t, x, ...) at one time or many.
+
+    One-dimensional arguments are constant in time; two-dimensional ones have time as the last axis.
+    """
+    times = np.asarray(t, dtype=float)
+    columns = [np.asarray(a, dtype=float) for a in (x, *others)]
+    if times.ndim == 0:
+        return np.asarray(function(times, *columns).full()[:, 0])
+    n = times.size
+    wide = [c if c.ndim == 2 else np.tile(c.reshape(-1, 1), (1, n)) for c in columns]
+    return np.asarray(function(times.reshape(1, n), *wide).full())

@@ -1,0 +1,63 @@
+"""The symbol that a declaration returns: a CasADi SX vector that knows its name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from gnc_opt.errors import ModelError
+from gnc_opt.model.layout import Variable
+
+
+class Symbol(ca.SX):  # type: ignore[misc]
+    """A named CasADi SX column vector.
+
+    Use it in CasADi expressions (``ca.sin(q)``, ``q[0]``, ``a / m``) and as a dictionary key.
+    """
+
+    def __init__(self, variable: Variable) -> None:
+        super().__init__(ca.SX.sym(variable.name, variable.size))
+        self.variable = variable
+
+    # Keys are compared by identity: CasADi's == builds an expression instead of answering.
+    __hash__ = object.__hash__
+
+    def __repr__(self) -> str:
+        return f"<{self.variable.name}[{self.variable.size}]>"
+
+
+def as_expression(value: Any, what: str, size: int | None = None) -> Any:
+    """Return ``value`` (SX, number, list of both) as an SX column vector.
+
+    Parameters
+    ----------
+    value : casadi.SX, float, array-like or list of these
+    what : str
+        Names the expression in error messages.
+    size : int, optional
+        Required number of rows; a wrong size raises `ModelError`.
+    """
+    try:
+        if isinstance(value, (list, tuple)):
+            expression = ca.vertcat(*[ca.SX(v) for v in value])
+        else:
+            expression = ca.SX(value)
+    except NotImplementedError as error:
+        raise ModelError(
+            f"{what}: {value!r} is neither a number nor a CasADi SX expression; "
+            "build it from the symbols that state(), control() and parameter() return."
+        ) from error
+    if expression.shape[1] != 1 and expression.shape[0] == 1:
+        expression = expression.T
+    if expression.shape[1] != 1:
+        raise ModelError(f"{what} must be a column vector, but its shape is {expression.shape}.")
+    if size is not None and expression.shape[0] != size:
+        raise ModelError(f"{what} has {expression.shape[0]} components where {size} are needed.")
+    return ca.densify(expression)
+
+
+def foreign_symbols(expression: Any, known: list[Any]) -> list[str]:
+    """Return the names of the scalar symbols in ``expression`` that are not among ``known``."""
+    allowed = {element.element_hash() for symbol in known for element in ca.vertsplit(ca.vec(symbol))}
+    return [s.name() for s in ca.symvar(expression) if s.element_hash() not in allowed]

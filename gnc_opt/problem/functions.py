@@ -1,0 +1,228 @@
+r"""Numeric functions of a stated problem: dynamics, Hamiltonian and its derivatives, end-point functions.
+
+This module owns the sign of the Hamiltonian. For the minimised functional J,
+
+.. math:: H = \sum_i w_i L_i + \lambda^T f, \qquad H_a = H + \mu^T c,
+
+with integrands L_i and their weights w_i = dJ/dI_i (1 for a plain Lagrange cost), path constraints c and
+multipliers mu. Along a minimum: :math:`\dot\lambda = -\partial H_a / \partial x`, the control minimises H, and
+:math:`\lambda(t_0) = \partial J^* / \partial x_0`. The transcription does not use these functions, so they can judge it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.model.layout import Array
+from gnc_opt.model.model import evaluate
+from gnc_opt.problem.phase import Phase
+from gnc_opt.problem.problem import Problem
+
+_ARGUMENTS = ("t", "x", "u", "lam", "mu", "weights", "p", "q")
+
+
+@dataclass(frozen=True)
+class PhaseFunctions:
+    """Functions of one phase; every method takes one time or many (time as the last axis).
+
+    Attributes
+    ----------
+    p : array (n_model_parameters,)
+        Values of the model's parameters.
+    q : array (n_free_parameters,)
+        Values of the problem's free parameters.
+    weights : array (n_integrals,)
+        dJ/dI of each integral.
+    """
+
+    functions: dict[str, Any]
+    p: Array
+    q: Array
+    weights: Array
+
+    def rates(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+        """dx/dt, shape of x."""
+        return self._call("rates", t, x, u)
+
+    def paths(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+        """Path constraint values, shape (n_paths, ...)."""
+        return self._call("paths", t, x, u)
+
+    def integrands(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+        """Integrand values, shape (n_integrals, ...)."""
+        return self._call("integrands", t, x, u)
+
+    def hamiltonian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike) -> Array:
+        """H = w.L + lam.f, shape (...)."""
+        return np.asarray(self._call("hamiltonian", t, x, u, lam)[0])
+
+    def switching(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike) -> Array:
+        """dH/du without path multipliers: the switching functions, shape of u."""
+        return self._call("switching", t, x, u, lam)
+
+    def control_gradient(
+        self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
+    ) -> Array:
+        """d(H + mu.c)/du, shape of u."""
+        return self._call("control_gradient", t, x, u, lam, mu)
+
+    def state_gradient(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike) -> Array:
+        """d(H + mu.c)/dx, shape of x."""
+        return self._call("state_gradient", t, x, u, lam, mu)
+
+    def time_gradient(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike) -> Array:
+        """Partial derivative of H + mu.c with respect to time, shape (...)."""
+        return np.asarray(self._call("time_gradient", t, x, u, lam, mu)[0])
+
+    def parameter_gradient(
+        self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
+    ) -> Array:
+        """d(H + mu.c)/dq, shape (n_free_parameters, ...)."""
+        return self._call("parameter_gradient", t, x, u, lam, mu)
+
+    def control_hessian(
+        self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
+    ) -> Array:
+        """d2(H + mu.c)/du2, shape (n_controls, n_controls, ...)."""
+        flat = self._call("control_hessian", t, x, u, lam, mu)
+        m = np.shape(u)[0]
+        return flat.reshape(m, m, *flat.shape[1:])
+
+    def path_control_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+        """dc/du, shape (n_paths, n_controls, ...)."""
+        flat = self._call("path_control_jacobian", t, x, u)
+        m = np.shape(u)[0]
+        return flat.reshape(-1, m, *flat.shape[1:])
+
+    def _call(
+        self,
+        name: str,
+        t: ArrayLike,
+        x: ArrayLike,
+        u: ArrayLike,
+        lam: ArrayLike | None = None,
+        mu: ArrayLike | None = None,
+    ) -> Array:
+        function = self.functions[name]
+        costate = np.zeros(function.size1_in(3)) if lam is None else lam
+        multiplier = np.zeros(function.size1_in(4)) if mu is None else mu
+        return evaluate(function, t, x, u, costate, multiplier, self.weights, self.p, self.q)
+
+
+def phase_functions(problem: Problem, phase: str, p: Array, q: Array, weights: Array) -> PhaseFunctions:
+    """Return the functions of a phase for given parameter values and integral weights."""
+    leg = problem.get_phase(phase)
+    key = ("functions", phase)
+    if key not in problem.builds:
+        problem.builds[key] = _build_phase_functions(problem, leg)
+    return PhaseFunctions(problem.builds[key], p, q, weights)
+
+
+def _build_phase_functions(problem: Problem, leg: Phase) -> dict[str, Any]:
+    t, x, u, p = leg.model.arguments()
+    q = problem.parameter_symbols()
+    lam = ca.SX.sym("lam", x.shape[0])
+    mu = ca.SX.sym("mu", len(leg.path_labels))
+    weights = ca.SX.sym("weights", len(leg.integrands))
+    f, c, integrands = (
+        problem.bind(leg, e) for e in (leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
+    )
+    hamiltonian = ca.dot(lam, f) + ca.dot(weights, integrands)
+    augmented = hamiltonian + ca.dot(mu, c)
+    expressions = {
+        "rates": f,
+        "paths": c,
+        "integrands": integrands,
+        "hamiltonian": hamiltonian,
+        "switching": ca.gradient(hamiltonian, u),
+        "control_gradient": ca.gradient(augmented, u),
+        "state_gradient": ca.gradient(augmented, x),
+        "time_gradient": ca.gradient(augmented, t),
+        "parameter_gradient": ca.gradient(augmented, q),
+        "control_hessian": ca.vec(ca.hessian(augmented, u)[0].T),
+        "path_control_jacobian": ca.vec(ca.jacobian(c, u).T),
+    }
+    arguments = [t, x, u, lam, mu, weights, p, q]
+    return {
+        name: ca.Function(name, arguments, [ca.densify(e)], list(_ARGUMENTS), [name])
+        for name, e in expressions.items()
+    }
+
+
+@dataclass(frozen=True)
+class EndGradients:
+    r"""Gradients of :math:`\Phi + \nu^T \psi` (minimised cost and boundary constraints) at the end points.
+
+    Attributes
+    ----------
+    initial_state, final_state : dict of array (n_states,)
+        By phase.
+    initial_time, final_time : dict of float
+        By phase.
+    integrals : dict of array (n_integrals,)
+        By phase: the weights of the integrals in the Hamiltonian.
+    parameters : array (n_free_parameters,)
+    cost : float
+        The cost as the user stated it.
+    constraints : array (n_constraints,)
+        Values of the boundary constraints psi.
+    """
+
+    initial_state: dict[str, Array]
+    final_state: dict[str, Array]
+    initial_time: dict[str, float]
+    final_time: dict[str, float]
+    integrals: dict[str, Array]
+    parameters: Array
+    cost: float
+    constraints: Array
+
+
+def end_gradients(problem: Problem, ends: dict[str, list[Any]], q: Array, nu: Array) -> EndGradients:
+    """Evaluate cost, boundary constraints and their gradients.
+
+    Parameters
+    ----------
+    ends : mapping from phase to [x_initial, x_final, t_initial, t_final, integrals, model parameters]
+    q : array (n_free_parameters,)
+    nu : array (n_constraints,)
+        Multipliers of the boundary constraints.
+    """
+    if "ends" not in problem.builds:
+        problem.builds["ends"] = _build_end_function(problem)
+    arguments = [value for leg in problem.phases for value in ends[leg]]
+    outputs = [np.asarray(v.full()).ravel() for v in problem.builds["ends"](*arguments, q, nu)]
+    cost, constraints, gradients = outputs[0], outputs[1], outputs[2:]
+    per_phase = {name: gradients[5 * k : 5 * k + 5] for k, name in enumerate(problem.phases)}
+    return EndGradients(
+        {name: g[0] for name, g in per_phase.items()},
+        {name: g[1] for name, g in per_phase.items()},
+        {name: float(g[2][0]) for name, g in per_phase.items()},
+        {name: float(g[3][0]) for name, g in per_phase.items()},
+        {name: g[4] for name, g in per_phase.items()},
+        gradients[-1],
+        float(cost[0]),
+        constraints,
+    )
+
+
+def _build_end_function(problem: Problem) -> Any:
+    constraints = problem.constraint_expression()
+    nu = ca.SX.sym("nu", constraints.shape[0])
+    cost = problem.cost
+    for leg in problem.phases.values():
+        cost, constraints = problem.bind(leg, cost), problem.bind(leg, constraints)
+    lagrangian = problem.sense * cost + ca.dot(nu, constraints)
+    differentiated, arguments = [], []
+    for leg in problem.phases.values():
+        own = [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time, leg.integral_symbols()]
+        differentiated += own
+        arguments += [*own, leg.model.symbols("parameter")]
+    q = problem.parameter_symbols()
+    gradients = [ca.densify(ca.gradient(lagrangian, s)) for s in (*differentiated, q)]
+    return ca.Function("ends", [*arguments, q, nu], [cost, ca.densify(constraints), *gradients])

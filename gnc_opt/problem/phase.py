@@ -1,0 +1,308 @@
+"""Phase: one model over one span of time, with its boundary values, bounds and constraints."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.model.layout import Array, Layout, Variable, as_vector
+from gnc_opt.model.model import Model
+from gnc_opt.model.symbol import Symbol, as_expression
+from gnc_opt.problem.interval import Interval, free, read_interval
+
+GuessValue: TypeAlias = Callable[[Array], ArrayLike] | tuple[ArrayLike, ArrayLike] | ArrayLike
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """``lower <= expression <= upper``, the expression an SX column vector of ``size`` rows."""
+
+    name: str
+    expression: Any
+    interval: Interval
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+        return int(self.interval.lower.size)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Row names."""
+        return Variable(self.name, self.size).labels
+
+
+@dataclass(frozen=True)
+class PhaseGuess:
+    """What the user knows about the trajectory beforehand: values by name and their times."""
+
+    time: Array | None = None
+    values: Mapping[str, GuessValue] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PhaseNumbers:
+    """The numbers of a phase; they may change without a new transcription."""
+
+    initial_time: Interval | None
+    final_time: Interval | None
+    duration: Interval
+    initial: Interval
+    final: Interval
+    states: Interval
+    controls: Interval
+    guess: PhaseGuess = PhaseGuess()
+    scales: Mapping[str, Array] = field(default_factory=dict)
+
+
+class Phase:
+    """One span of time of a problem; made by ``Problem.phase``.
+
+    In every call a number, list or array is a fixed value, a tuple ``(lower, upper)`` is a range and
+    ``None`` is free. Names are those of the model's variables.
+    """
+
+    def __init__(self, name: str, model: Model, owner: str, on_change: Callable[[], None]) -> None:
+        self.name = name
+        self.model = model
+        self._where = f"phase '{name}' of problem '{owner}'"
+        self._on_change = on_change
+        n, m = model.states.size, model.controls.size
+        self.numbers = PhaseNumbers(
+            None, None, Interval(np.zeros(1), np.full(1, np.inf)), free(n), free(n), free(n), free(m)
+        )
+        self.paths: dict[str, Constraint] = {}
+        self.integrands: dict[str, tuple[Any, Any]] = {}
+        self.initial_time: Any = ca.SX.sym(f"{name}_initial_time")
+        self.final_time: Any = ca.SX.sym(f"{name}_final_time")
+        self._ends = {
+            end: {v.name: ca.SX.sym(f"{name}_{end}_{v.name}", v.size) for v in model.states.variables}
+            for end in ("initial", "final")
+        }
+
+    def __repr__(self) -> str:
+        return f"Phase({self.name!r} on {self.model!r})"
+
+    # --- end-point symbols ------------------------------------------------------------------------
+
+    @property
+    def duration(self) -> Any:
+        """The expression final_time - initial_time (s)."""
+        return self.final_time - self.initial_time
+
+    def initial_state(self, name: str | Symbol) -> Any:
+        """Return the symbol of a state at the phase's start, for costs and boundary constraints."""
+        return self._end("initial", name)
+
+    def final_state(self, name: str | Symbol) -> Any:
+        """Return the symbol of a state at the phase's end, for costs and boundary constraints."""
+        return self._end("final", name)
+
+    def ends(self, end: str) -> Any:
+        """Return the stacked end-point states, ``end`` being "initial" or "final"."""
+        return ca.vertcat(*self._ends[end].values())
+
+    # --- declarations -----------------------------------------------------------------------------
+
+    def time(self, initial: Any = 0.0, final: Any = None, *, duration: Any = None) -> None:
+        """State when the phase starts and ends (s): values, ranges or ``None`` (free).
+
+        Parameters
+        ----------
+        initial, final : float, tuple or None
+        duration : tuple (lower, upper), optional
+            Range of ``final - initial``; its lower end defaults to 0.
+        """
+        numbers = self.numbers
+        self.numbers = replace(
+            numbers,
+            initial_time=read_interval(initial, 1, f"initial time of {self._where}"),
+            final_time=read_interval(final, 1, f"final time of {self._where}"),
+            duration=numbers.duration
+            if duration is None
+            else read_interval(duration, 1, f"duration of {self._where}"),
+        )
+        self._on_change()
+
+    def initial(self, **values: Any) -> None:
+        """State the initial values of states by name; states left out are free."""
+        self.numbers = replace(self.numbers, initial=self._merge(self.numbers.initial, values, "initial value"))
+
+    def final(self, **values: Any) -> None:
+        """State the final values of states by name; states left out are free."""
+        self.numbers = replace(self.numbers, final=self._merge(self.numbers.final, values, "final value"))
+
+    def bounds(self, **ranges: Any) -> None:
+        """State bounds of states and controls over the whole phase: ``bounds(a=(-1, 1), v=(None, 3))``."""
+        states, controls = self._split(ranges, "bounds")
+        self.numbers = replace(
+            self.numbers,
+            states=self._merge(self.numbers.states, states, "bounds"),
+            controls=self._merge(self.numbers.controls, controls, "bounds", self.model.controls),
+        )
+
+    def path(
+        self, name: str, expression: Any, *, lower: Any = None, upper: Any = None, equals: Any = None
+    ) -> None:
+        """Add a path constraint ``lower <= expression(t, x, u, p) <= upper`` at all times.
+
+        Parameters
+        ----------
+        name : str
+            Unique in the phase; appears in reports and multipliers.
+        expression : casadi.SX or list
+            In the symbols of the phase's model.
+        lower, upper : float or array, optional
+            At least one of them, unless ``equals`` is given.
+        equals : float or array, optional
+            For an equality.
+        """
+        if name in self.paths:
+            raise ProblemError(f"{self._where} has two path constraints '{name}': rename one.")
+        what = f"path constraint '{name}' of {self._where}"
+        self.paths[name] = make_constraint(name, expression, lower, upper, equals, what)
+        self._on_change()
+
+    def integral(self, integrand: Any, name: str | None = None) -> Any:
+        """Return the symbol of the integral of ``integrand(t, x, u, p)`` over the phase.
+
+        Use it in the cost (a Lagrange term) or in constraints.
+        """
+        label = name or f"integral_{len(self.integrands) + 1}"
+        if label in self.integrands:
+            raise ProblemError(f"{self._where} has two integrals '{label}': rename one.")
+        value = as_expression(integrand, f"integral '{label}' of {self._where}", 1)
+        symbol = ca.SX.sym(f"{self.name}_{label}")
+        self.integrands[label] = (symbol, value)
+        self._on_change()
+        return symbol
+
+    def guess(self, time: ArrayLike | None = None, **values: GuessValue) -> None:
+        """Give a starting trajectory; whatever is left out is guessed.
+
+        Parameters
+        ----------
+        time : array (n_times,), optional
+            Times of array-valued guesses; its ends are also the guess of initial and final time.
+        **values
+            By name of state or control: a constant, a tuple ``(start, end)`` (straight line), an array
+            (n, n_times), or a function of time that returns the value.
+        """
+        for name in values:
+            self._owner_layout(name, "guess")
+        times = None if time is None else np.asarray(time, dtype=float).reshape(-1)
+        if times is not None and (times.size < 2 or not np.all(np.diff(times) > 0)):
+            raise ProblemError(f"guess of {self._where}: times must be at least two and increase.")
+        old = self.numbers.guess
+        merged = PhaseGuess(old.time if times is None else times, {**old.values, **values})
+        self.numbers = replace(self.numbers, guess=merged)
+
+    def scale(self, **magnitudes: ArrayLike) -> None:
+        """Override the automatic scaling: typical magnitudes > 0 of states or controls by name.
+
+        Answers and costates do not depend on scales; convergence may.
+        """
+        scales = dict(self.numbers.scales)
+        for name, magnitude in magnitudes.items():
+            layout = self._owner_layout(name, "scale")
+            vector = as_vector(magnitude, layout[name].size, f"scale of '{name}' in {self._where}")
+            if not np.all(np.isfinite(vector) & (vector > 0)):
+                raise ProblemError(f"scale of '{name}' in {self._where} is {vector}: give positive finite numbers.")
+            scales[name] = vector
+        self.numbers = replace(self.numbers, scales=scales)
+
+    # --- internals --------------------------------------------------------------------------------
+
+    @property
+    def where(self) -> str:
+        """"phase 'leg' of problem '...'", for messages."""
+        return self._where
+
+    @property
+    def path_labels(self) -> tuple[str, ...]:
+        """Names of the rows of all path constraints, in order."""
+        return tuple(label for c in self.paths.values() for label in c.labels)
+
+    def path_interval(self) -> Interval:
+        """Bounds of all path constraint rows, in order."""
+        cs = [c.interval for c in self.paths.values()]
+        if not cs:
+            return free(0)
+        return Interval(np.concatenate([c.lower for c in cs]), np.concatenate([c.upper for c in cs]))
+
+    def path_expression(self) -> Any:
+        """Stacked SX expression of all path constraints."""
+        return ca.vertcat(*[c.expression for c in self.paths.values()]) if self.paths else ca.SX(0, 1)
+
+    def integrand_expression(self) -> Any:
+        """Stacked SX expression of all integrands."""
+        return ca.vertcat(*[e for _, e in self.integrands.values()]) if self.integrands else ca.SX(0, 1)
+
+    def integral_symbols(self) -> Any:
+        """Stacked SX symbols of all integrals."""
+        return ca.vertcat(*[s for s, _ in self.integrands.values()]) if self.integrands else ca.SX(0, 1)
+
+    def clone(self, on_change: Callable[[], None]) -> Phase:
+        """Return a copy that shares the symbols and owns its numbers."""
+        twin = copy.copy(self)
+        twin.paths, twin.integrands = dict(self.paths), dict(self.integrands)
+        twin._on_change = on_change
+        return twin
+
+    def _end(self, end: str, name: str | Symbol) -> Any:
+        key = name if isinstance(name, str) else name.variable.name
+        if key not in self._ends[end]:
+            raise unknown_name("state", key, self._where, self._ends[end])
+        return self._ends[end][key]
+
+    def _merge(
+        self, old: Interval, values: Mapping[str, Any], what: str, layout: Layout | None = None
+    ) -> Interval:
+        layout = layout or self.model.states
+        lower, upper = old.lower.copy(), old.upper.copy()
+        for name, value in values.items():
+            if name not in layout:
+                raise unknown_name(layout.kind, name, self._where, layout.names)
+            place = layout.slice(name)
+            interval = read_interval(value, layout[name].size, f"{what} of '{name}' in {self._where}")
+            lower[place], upper[place] = interval.lower, interval.upper
+        return Interval(lower, upper)
+
+    def _split(self, values: Mapping[str, Any], what: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        states: dict[str, Any] = {}
+        controls: dict[str, Any] = {}
+        for name, value in values.items():
+            (states if self._owner_layout(name, what).kind == "state" else controls)[name] = value
+        return states, controls
+
+    def _owner_layout(self, name: str, what: str) -> Layout:
+        for layout in (self.model.states, self.model.controls):
+            if name in layout:
+                return layout
+        known = [*self.model.states.names, *self.model.controls.names]
+        if name in self.model.parameters:
+            raise unknown_name("state or control", name, f"{what}() of {self._where} ('{name}' is a parameter)", known)
+        raise unknown_name("state or control", name, f"{what}() of {self._where}", known)
+
+
+def make_constraint(
+    name: str, expression: Any, lower: Any, upper: Any, equals: Any, what: str
+) -> Constraint:
+    """Build a `Constraint`, refusing contradictory or missing limits."""
+    value = as_expression(expression, what)
+    if equals is not None and (lower is not None or upper is not None):
+        raise ProblemError(f"{what} has both equals and lower/upper: give one or the other.")
+    if equals is None and lower is None and upper is None:
+        raise ProblemError(f"{what} has no limit: give lower, upper or equals.")
+    interval = read_interval((lower, upper) if equals is None else list(np.ravel(equals)), value.shape[0], what)
+    return Constraint(name, value, interval)
+
+
+__all__ = ["Constraint", "GuessValue", "Phase", "PhaseGuess", "PhaseNumbers", "make_constraint"]

@@ -1,0 +1,152 @@
+"""Piecewise polynomials in time: what a collocation solution is between its points."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gnc_opt.transcription.quadrature import (
+    MAX_POINTS,
+    Array,
+    collocation_rule,
+    differentiation_matrix,
+    interpolation_matrix,
+)
+
+Side: TypeAlias = Literal["left", "right"]
+
+END_TOLERANCE = 1e-12
+MAX_NODES = 2 * MAX_POINTS
+
+
+@dataclass(frozen=True, eq=False)
+class PiecewisePolynomial:
+    """A vector of functions of time, one polynomial per segment; it may jump at the breaks.
+
+    Parameters
+    ----------
+    breaks : Array, shape (K + 1,)
+        Ends of the K segments, strictly increasing, s.
+    nodes : tuple of K arrays, shape (m_k,)
+        Interpolation nodes of each segment on [-1, 1], distinct, at most 128.
+    values : tuple of K arrays, shape (n, m_k)
+        Values at the nodes. The arrays are copied and made read-only.
+
+    Raises
+    ------
+    ValueError
+        Breaks that do not increase, or shapes that do not fit together.
+    """
+
+    breaks: Array
+    nodes: tuple[Array, ...]
+    values: tuple[Array, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "breaks", _frozen(self.breaks))
+        object.__setattr__(self, "nodes", tuple(_frozen(x) for x in self.nodes))
+        object.__setattr__(self, "values", tuple(_frozen(v) for v in self.values))
+        _check_breaks(self.breaks)
+        _check_segments(self.breaks.size - 1, self.nodes, self.values)
+
+    def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
+        """Evaluate at times ``t`` [s].
+
+        Parameters
+        ----------
+        t : scalar or array, shape (m,)
+            Times within the span; up to 1e-12 (relative) outside is rounding and is clamped.
+        side : {"right", "left"}
+            Which segment answers exactly at an interior break: the one that starts, or ends, there.
+
+        Returns
+        -------
+        Array, shape (n,) for a scalar, (n, m) for an array
+
+        Raises
+        ------
+        ValueError
+            A time outside the span or not a number, or an unknown side.
+        """
+        if side not in ("left", "right"):
+            raise ValueError(f"side must be 'left' or 'right', got {side!r}")
+        times = self._clamped(np.atleast_1d(np.asarray(t, dtype=float)))
+        segment = np.clip(np.searchsorted(self.breaks, times, side) - 1, 0, len(self.nodes) - 1)
+        result = np.empty((self.values[0].shape[0], times.size))
+        for k in np.unique(segment):
+            here = segment == k
+            basis = interpolation_matrix(self.nodes[k], self._tau(int(k), times[here]))
+            result[:, here] = self.values[k] @ basis.T
+        return result if np.ndim(t) else result[:, 0]
+
+    def derivative(self) -> "PiecewisePolynomial":
+        """The time derivative, on the same nodes; per second."""
+        rates = 2.0 / np.diff(self.breaks)
+        pieces = zip(self.nodes, self.values, rates, strict=True)
+        values = tuple(rate * v @ differentiation_matrix(x, x).T for x, v, rate in pieces)
+        return PiecewisePolynomial(self.breaks, self.nodes, values)
+
+    def integral(self) -> Array:
+        """Integral over the whole span, exact for the polynomials, shape (n,); times seconds."""
+        halves = np.diff(self.breaks) / 2.0
+        pieces = zip(self.nodes, self.values, halves, strict=True)
+        return np.asarray(sum(half * v @ _node_integrals(x) for x, v, half in pieces))
+
+    def sample_times(self, per_segment: int) -> Array:
+        """Times cutting each segment in ``per_segment`` equal parts, breaks once: (K·per_segment + 1,)."""
+        if per_segment < 1:
+            raise ValueError(f"per_segment must be at least 1, got {per_segment}")
+        parts = np.linspace(self.breaks[:-1], self.breaks[1:], per_segment, endpoint=False, axis=1)
+        return np.append(parts.ravel(), self.breaks[-1])
+
+    def rows(self, index: int | slice | Sequence[int] | NDArray[np.integer]) -> "PiecewisePolynomial":
+        """Only some of the components; an integer selects one and keeps the vector shape, (1,)."""
+        chosen = [index] if isinstance(index, (int, np.integer)) else index
+        return PiecewisePolynomial(self.breaks, self.nodes, tuple(v[chosen, :] for v in self.values))
+
+    def _clamped(self, times: Array) -> Array:
+        if times.ndim != 1:
+            raise ValueError(f"times must be a scalar or a vector, got an array of shape {times.shape}")
+        first, last = self.breaks[0], self.breaks[-1]
+        slack = END_TOLERANCE * max(abs(first), abs(last), last - first)
+        outside = ~((times >= first - slack) & (times <= last + slack))  # true for NaN as well
+        if outside.any():
+            raise ValueError(f"time {times[outside][0]} s is outside the span [{first}, {last}] s")
+        return np.clip(times, first, last)
+
+    def _tau(self, k: int, times: Array) -> Array:
+        initial, final = self.breaks[k], self.breaks[k + 1]
+        return np.asarray(((times - initial) - (final - times)) / (final - initial))
+
+
+def _node_integrals(nodes: Array) -> Array:
+    """Integrals over [-1, 1] of the Lagrange basis on ``nodes``, shape (len(nodes),)."""
+    gauss = collocation_rule("LG", (nodes.size + 1) // 2)
+    return np.asarray(gauss.weights @ interpolation_matrix(nodes, gauss.points))
+
+
+def _check_breaks(breaks: Array) -> None:
+    vector = breaks.ndim == 1 and breaks.size > 1
+    if not (vector and np.isfinite(breaks).all() and (np.diff(breaks) > 0).all()):
+        raise ValueError(f"breaks must be at least two finite, strictly increasing times, got {breaks}")
+
+
+def _check_segments(count: int, nodes: tuple[Array, ...], values: tuple[Array, ...]) -> None:
+    if not count == len(nodes) == len(values):
+        raise ValueError(f"{count} segments, but {len(nodes)} sets of nodes and {len(values)} of values")
+    for k, (x, v) in enumerate(zip(nodes, values, strict=True)):
+        vector = x.ndim == 1 and 1 <= x.size <= MAX_NODES
+        if not (vector and (abs(x) <= 1).all() and np.unique(x).size == x.size):
+            raise ValueError(f"segment {k}: need 1 to {MAX_NODES} distinct nodes in [-1, 1], got {x}")
+        if v.ndim != 2 or v.shape != (len(values[0]), x.size):
+            raise ValueError(
+                f"segment {k}: values have shape {v.shape}, need (components, {x.size}) throughout"
+            )
+
+
+def _frozen(values: ArrayLike) -> Array:
+    array = np.array(values, dtype=float)
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,265 @@
+r"""Collocation of one phase: variables, constraint rows, and the constant matrices that join them.
+
+With :math:`\Delta = t_f - t_0`, segment k of width :math:`w_k` (a fraction of the phase) and the point values
+:math:`F_j = \Delta f(t_j, X_j, U_j)`, the rows of a segment are
+
+* LG: :math:`\sum_j D_{ij} X_j - \tfrac{w_k}{2} F_i = 0` at its n points, and for the end state
+  :math:`X_e - \sum_j e_j X_j = 0`, e_j being the state polynomial's basis at the segment's end. Given the
+  former this is Gauss quadrature of the dynamics, but its coefficients are constant.
+* LGR: :math:`\sum_j D_{ij} X_j - \tfrac{w_k}{2} F_i = 0` at its n points, the end state being a node of D.
+* LGL: :math:`X_i - X_1 - \tfrac{w_k}{2} \sum_j A_{ij} F_j = 0` for i = 2...n (Lobatto IIIA; n = 2 is the
+  trapezoidal rule, n = 3 Hermite-Simpson). The square D of LGL is singular, which leaves the costates of
+  the differential form undetermined; this integral form has none of that.
+
+Neighbouring segments share the state at their boundary.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from gnc_opt.model.layout import Array
+from gnc_opt.transcription.mesh import Mesh
+from gnc_opt.transcription.quadrature import CollocationRule, Scheme, collocation_rule
+
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class PhaseCollocation:
+    """Places of one phase's variables and rows in the program, and its constant matrices.
+
+    Attributes
+    ----------
+    scheme : {"LG", "LGR", "LGL"}
+    mesh : Mesh
+    n_states, n_controls, n_paths : int
+    first_variable, first_row : int
+        Where the phase starts in the vector of variables and of constraint rows.
+    """
+
+    scheme: Scheme
+    mesh: Mesh
+    n_states: int
+    n_controls: int
+    n_paths: int
+    first_variable: int
+    first_row: int
+
+    @cached_property
+    def rules(self) -> tuple[CollocationRule, ...]:
+        """The collocation rule of each segment."""
+        return tuple(collocation_rule(self.scheme, n) for n in self.mesh.degrees)
+
+    @cached_property
+    def fractions(self) -> Array:
+        """Collocation times as fractions of the phase, shape (N,)."""
+        starts, widths = np.asarray(self.mesh.breaks), self.mesh.widths
+        pieces = [starts[k] + 0.5 * widths[k] * (1 + r.points) for k, r in enumerate(self.rules)]
+        return np.concatenate(pieces)
+
+    @cached_property
+    def quadrature(self) -> Array:
+        """Quadrature weights as fractions of the phase, shape (N,); they sum to 1."""
+        widths = self.mesh.widths
+        return np.concatenate([0.5 * widths[k] * r.weights for k, r in enumerate(self.rules)])
+
+    # --- variables --------------------------------------------------------------------------------
+
+    @cached_property
+    def _numbering(self) -> tuple[Indices, Indices, Indices, int]:
+        n, m = self.n_states, self.n_controls
+        boundary, points, controls = [], [], []
+        place = self.first_variable
+        boundary.append(place + np.arange(n))
+        place += n
+        for rule in self.rules:
+            segment_end: Indices | None = None
+            for j in range(rule.n):
+                at_start = j == 0 and self.scheme in ("LGR", "LGL")
+                state = boundary[-1] if at_start else place + np.arange(n)
+                place += 0 if at_start else n
+                points.append(state)
+                controls.append(place + np.arange(m))
+                place += m
+                if self.scheme == "LGL" and j == rule.n - 1:
+                    segment_end = state
+            if segment_end is None:
+                segment_end = place + np.arange(n)
+                place += n
+            boundary.append(segment_end)
+        stacked = [np.asarray(a, dtype=np.int64).T for a in (boundary, points, controls)]
+        return stacked[0], stacked[1], stacked[2].reshape(m, -1), place - self.first_variable
+
+    @property
+    def boundary_states(self) -> Indices:
+        """Variables of the states at the segment boundaries, shape (n_states, K + 1)."""
+        return self._numbering[0]
+
+    @property
+    def point_states(self) -> Indices:
+        """Variables of the states at the collocation points, shape (n_states, N)."""
+        return self._numbering[1]
+
+    @property
+    def point_controls(self) -> Indices:
+        """Variables of the controls at the collocation points, shape (n_controls, N)."""
+        return self._numbering[2]
+
+    @property
+    def n_variables(self) -> int:
+        """Number of state and control variables of the phase."""
+        return self._numbering[3]
+
+    # --- rows -------------------------------------------------------------------------------------
+
+    @cached_property
+    def row_segments(self) -> Indices:
+        """Segment of each dynamics row, shape (n_dynamics_rows,)."""
+        return np.repeat(np.arange(self.mesh.segments), [self.n_states * c for c in self._row_counts])
+
+    @property
+    def _row_counts(self) -> list[int]:
+        """Vector-valued dynamics rows of each segment."""
+        extra = {"LG": 1, "LGR": 0, "LGL": -1}[self.scheme]
+        return [n + extra for n in self.mesh.degrees]
+
+    @property
+    def n_dynamics_rows(self) -> int:
+        """Number of scalar dynamics rows."""
+        return self.n_states * sum(self._row_counts)
+
+    @property
+    def n_rows(self) -> int:
+        """Number of constraint rows of the phase: dynamics, then path constraints."""
+        return self.n_dynamics_rows + self.n_paths * self.mesh.size
+
+    @cached_property
+    def dynamics_rows(self) -> tuple[Indices, ...]:
+        """For each segment the rows of its dynamics, shape (n_states, rows of the segment)."""
+        starts = self.first_row + self.n_states * np.concatenate([[0], np.cumsum(self._row_counts)])
+        return tuple(
+            (starts[k] + np.arange(self.n_states * count)).reshape(count, self.n_states).T
+            for k, count in enumerate(self._row_counts)
+        )
+
+    @cached_property
+    def path_rows(self) -> Indices:
+        """Rows of the path constraints, shape (n_paths, N)."""
+        start = self.first_row + self.n_dynamics_rows
+        return (start + np.arange(self.n_paths * self.mesh.size)).reshape(self.mesh.size, self.n_paths).T
+
+    def row_labels(self, phase: str, states: tuple[str, ...], paths: tuple[str, ...]) -> list[str]:
+        """Return the name of every row, in order."""
+        labels = []
+        for k, count in enumerate(self._row_counts):
+            for i in range(count):
+                end = self.scheme == "LG" and i == count - 1
+                point = i + 2 if self.scheme == "LGL" else i + 1
+                place = f"phase {phase}, segment {k + 1}, {'end' if end else f'point {point}'}"
+                labels += [f"{s} defect, {place}" for s in states]
+        for k, j in self._segment_points():
+            labels += [f"path {c}, phase {phase}, segment {k + 1}, point {j + 1}" for c in paths]
+        return labels
+
+    def variable_labels(self, phase: str, states: tuple[str, ...], controls: tuple[str, ...]) -> list[str]:
+        """Return the name of every variable of the phase, in order."""
+        labels = [""] * self.n_variables
+        for k, column in enumerate(self.boundary_states.T):
+            place = "start" if k == 0 else f"end of segment {k}"
+            for name, index in zip(states, column, strict=True):
+                labels[index - self.first_variable] = f"{name}, phase {phase}, {place}"
+        for (k, j), xs, us in zip(self._segment_points(), self.point_states.T, self.point_controls.T, strict=True):
+            place = f"segment {k + 1}, point {j + 1}"
+            for name, index in zip((*states, *controls), (*xs, *us), strict=True):
+                labels[index - self.first_variable] = (
+                    labels[index - self.first_variable] or f"{name}, phase {phase}, {place}"
+                )
+        return labels
+
+    def _segment_points(self) -> list[tuple[int, int]]:
+        return [(k, j) for k, n in enumerate(self.mesh.degrees) for j in range(n)]
+
+    # --- constant matrices --------------------------------------------------------------------------
+
+    @cached_property
+    def linear(self) -> tuple[Indices, Indices, Array]:
+        """Entries (rows, variables, values) of the constant part of the dynamics rows."""
+        rows, columns, values = [], [], []
+        for k, rule in enumerate(self.rules):
+            nodes, matrix = self.segment_nodes(k), _state_matrix(rule)
+            i, j = np.nonzero(matrix)
+            rows.append(self.dynamics_rows[k][:, i].ravel())
+            columns.append(nodes[:, j].ravel())
+            values.append(np.tile(matrix[i, j], self.n_states))
+        return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
+
+    def segment_nodes(self, k: int) -> Indices:
+        """Variables of the states that the rows of segment k join, shape (n_states, nodes)."""
+        points = self.point_states[:, self.mesh.offsets[k] : self.mesh.offsets[k + 1]]
+        if self.scheme == "LG":
+            return np.hstack([self.boundary_states[:, [k]], points, self.boundary_states[:, [k + 1]]])
+        if self.scheme == "LGR":
+            return np.hstack([points, self.boundary_states[:, [k + 1]]])
+        return points
+
+    def weights(self, n_outputs: int, dynamics: Indices, paths: Indices) -> tuple[Indices, Indices, Array]:
+        """Entries (rows, point outputs, values) by which point values enter the rows.
+
+        Parameters
+        ----------
+        n_outputs : int
+            Rows of the point function.
+        dynamics, paths : int arrays
+            Places of Delta f and of the path constraints among those rows.
+        """
+        rows, columns, values = [], [], []
+        for k, rule in enumerate(self.rules):
+            matrix = -0.5 * self.mesh.widths[k] * _dynamics_matrix(rule)
+            i, j = np.nonzero(matrix)
+            rows.append(self.dynamics_rows[k][:, i].ravel())
+            point = self.mesh.offsets[k] + j
+            columns.append((dynamics[:, None] + n_outputs * point[None, :]).ravel())
+            values.append(np.tile(matrix[i, j], self.n_states))
+        rows.append(self.path_rows.ravel())
+        columns.append((paths[:, None] + n_outputs * np.arange(self.mesh.size)[None, :]).ravel())
+        values.append(np.ones(self.path_rows.size))
+        return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
+
+
+def _state_matrix(rule: CollocationRule) -> Array:
+    """Coefficients of the states in the dynamics rows of a segment: (rows, nodes)."""
+    n = rule.n
+    if rule.scheme == "LG":
+        matrix = np.zeros((n + 1, n + 2))
+        matrix[:n, : n + 1] = rule.differentiation
+        matrix[n, : n + 1] = -rule.end_values
+        matrix[n, n + 1] = 1.0
+        return matrix
+    if rule.scheme == "LGR":
+        return np.asarray(rule.differentiation)
+    return np.hstack([-np.ones((n - 1, 1)), np.eye(n - 1)])
+
+
+def _dynamics_matrix(rule: CollocationRule) -> Array:
+    """Coefficients of the point values F_j in the dynamics rows of a segment, before -w_k/2: (rows, n)."""
+    n = rule.n
+    if rule.scheme == "LG":
+        return np.vstack([np.eye(n), np.zeros((1, n))])
+    if rule.scheme == "LGR":
+        return np.eye(n)
+    return np.asarray(rule.integration[1:, :])
+
+
+def weight_matrix(n_rows: int, n_columns: int, *entries: tuple[Any, Any, Any]) -> Any:
+    """Assemble sparse entries (rows, columns, values) into a csc matrix."""
+    rows, columns, values = (np.concatenate([np.asarray(e[i]) for e in entries]) for i in range(3))
+    matrix = sp.csc_array((values, (rows, columns)), shape=(n_rows, n_columns))
+    matrix.sum_duplicates()
+    return matrix

@@ -1,0 +1,126 @@
+"""Automatic scaling from bounds, guess and the size of the dynamics.
+
+Variables are divided by typical magnitudes; dynamics rows by those of their state; other rows and the
+objective by the norm of their scaled gradient at the guess. Answers are returned in physical units and do
+not depend on any of this; the conditioning of the program does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gnc_opt.model.layout import Array, Layout
+from gnc_opt.model.model import evaluate
+from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.phase import Phase
+from gnc_opt.problem.problem import Problem
+from gnc_opt.transcription.guess import PhaseStart, start_phase
+from gnc_opt.transcription.transcription import Transcription
+
+_SAMPLES = np.linspace(0.0, 1.0, 9)
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Magnitudes by which the program is divided.
+
+    Attributes
+    ----------
+    variables : array (n_variables,)
+        scaled variable = physical variable / variables.
+    rows : array (n_constraints,)
+        scaled row = physical row * rows.
+    objective : float
+        scaled objective = physical objective * objective.
+    """
+
+    variables: Array
+    rows: Array
+    objective: float
+
+
+def scale_variables(transcription: Transcription, problem: Problem, start: Array) -> Array:
+    """Return the typical magnitude of every variable, shape (n_variables,)."""
+    scales = np.ones(transcription.n_variables)
+    for name, part in transcription.parts.items():
+        states, controls = phase_magnitudes(problem.phases[name])
+        collocation = part.collocation
+        scales[collocation.boundary_states] = states[:, None]
+        scales[collocation.point_states] = states[:, None]
+        scales[collocation.point_controls] = controls[:, None]
+        span = max(abs(start_phase(problem.phases[name], _SAMPLES).times[1]), 1e-3)
+        free_times = part.times[part.times < transcription.n_variables]
+        scales[free_times] = span
+    for places, interval in ((transcription.parameter_places, problem.parameter_interval()),):
+        scales[places] = _from_bounds(interval, np.abs(start[places]))
+    return scales
+
+
+def phase_magnitudes(leg: Phase) -> tuple[Array, Array]:
+    """Return typical magnitudes of states (n,) and controls (m,) of a phase.
+
+    In this order: the user's scale, the model's nominal value, finite bounds, the guess and, for states
+    that the guess leaves at zero, what the dynamics do to them over the phase.
+    """
+    start = start_phase(leg, _SAMPLES)
+    numbers = leg.numbers
+    controls = _from_bounds(numbers.controls, np.max(np.abs(start.controls), axis=1, initial=0.0))
+    reach = np.max(np.abs(start.states), axis=1, initial=0.0)
+    states = _from_bounds(numbers.states, np.where(reach > 0, reach, _drift(leg, start)))
+    _override(states, leg.model.states, numbers.scales)
+    _override(controls, leg.model.controls, numbers.scales)
+    return states, controls
+
+
+def _drift(leg: Phase, start: PhaseStart) -> Array:
+    """Return how far the dynamics move each state over the phase, controls at their bounds or as guessed."""
+    bounds = leg.numbers.controls
+    times = start.times[0] + _SAMPLES * (start.times[1] - start.times[0])
+    rates = [np.zeros(leg.model.states.size)]
+    for limit in (bounds.lower, bounds.upper):
+        controls = np.where(np.isfinite(limit)[:, None], limit[:, None], start.controls)
+        f = evaluate(leg.model.function, times, start.states, controls, leg.model.parameter_values)
+        rates.append(np.max(np.abs(np.where(np.isfinite(f), f, 0.0)), axis=1))
+    return np.asarray(0.5 * np.max(rates, axis=0) * (start.times[1] - start.times[0]))
+
+
+def _from_bounds(interval: Interval, reach: Array) -> Array:
+    """Return the larger finite bound, else the reach, else 1."""
+    bounded = np.isfinite(interval.lower) & np.isfinite(interval.upper)
+    limits = np.maximum(
+        np.abs(np.where(bounded, interval.lower, 0.0)), np.abs(np.where(bounded, interval.upper, 0.0))
+    )
+    scales = np.where(bounded & (limits > 0), limits, reach)
+    return np.where(scales > 0, scales, 1.0)
+
+
+def _override(scales: Array, layout: Layout, user: Mapping[str, Array]) -> None:
+    for variable in layout.variables:
+        if variable.name in user:
+            scales[layout.slice(variable.name)] = user[variable.name]
+        elif variable.nominal is not None:
+            scales[layout.slice(variable.name)] = variable.nominal
+
+
+def scale_rows(transcription: Transcription, scales: Array, nonzeros: Array) -> tuple[Array, float]:
+    """Return row scales (n_constraints,) and the objective's scale.
+
+    Parameters
+    ----------
+    scales : array (n_variables,)
+    nonzeros : array
+        Nonzeros of the physical Jacobian of (objective, rows) at the guess, in the program's order.
+    """
+    rows, columns = transcription.program.jacobian_pattern
+    size = np.where(np.isfinite(nonzeros), np.abs(nonzeros), 0.0) * scales[columns]
+    norms = np.zeros(1 + transcription.n_constraints)
+    np.maximum.at(norms, rows, size)
+    factors = 1.0 / np.where(norms > 0, norms, 1.0)
+    for part in transcription.parts.values():
+        state_scales = scales[part.collocation.boundary_states[:, 0]]
+        for place in part.collocation.dynamics_rows:
+            factors[1 + place] = 1.0 / state_scales[:, None]
+    return factors[1:], float(factors[0])

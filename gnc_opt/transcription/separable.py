@@ -1,0 +1,243 @@
+r"""Sparse nonlinear programs that are sums of many small functions.
+
+The program has the form
+
+.. math:: (f, g)(x) = C x + \sum_b W_b \, \mathrm{vec}\, [F_b(Z_{b1} x, d_{b1}), F_b(Z_{b2} x, d_{b2}), \dots]
+
+with constant sparse matrices C and W and index maps Z. Collocation is of this form: F is the dynamics at a
+point, W holds step sizes and quadrature weights. Only F is differentiated, once and symbolically; the
+sparse Jacobian and Hessian of the whole program are linear in the nonzeros of the small derivatives,
+so building and evaluating them costs the same per point however many points there are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from gnc_opt.model.layout import Array
+
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class PointFunction:
+    """A small vector function F(z, d) and its derivatives as CasADi Functions.
+
+    Attributes
+    ----------
+    value : casadi.Function
+        (z, d) -> F, shape (n_rows, 1).
+    jacobian : casadi.Function
+        (z, d) -> dense vector of the nonzeros of dF/dz.
+    hessian : casadi.Function
+        (z, d, m) -> dense vector of the nonzeros of the upper triangle of d2(m.F)/dz2.
+    jacobian_pattern, hessian_pattern : (rows, columns)
+        Places of those nonzeros.
+    """
+
+    value: Any
+    jacobian: Any
+    hessian: Any
+    jacobian_pattern: tuple[Indices, Indices]
+    hessian_pattern: tuple[Indices, Indices]
+
+    @classmethod
+    def build(cls, name: str, z: Any, d: Any, expression: Any) -> PointFunction:
+        """Differentiate an SX expression in z; d is data that is not differentiated."""
+        multiplier = ca.SX.sym("multiplier", expression.shape[0])
+        jacobian = ca.jacobian(expression, z)
+        hessian = ca.triu(ca.hessian(ca.dot(multiplier, expression), z)[0])
+        return cls(
+            ca.Function(name, [z, d], [ca.densify(expression)]),
+            ca.Function(f"{name}_jacobian", [z, d], [_nonzeros(jacobian)]),
+            ca.Function(f"{name}_hessian", [z, d, multiplier], [_nonzeros(hessian)]),
+            _pattern(jacobian),
+            _pattern(hessian),
+        )
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of F."""
+        return int(self.value.size1_out(0))
+
+
+@dataclass(frozen=True)
+class Block:
+    """One small function evaluated at many points of the program.
+
+    Attributes
+    ----------
+    function : PointFunction
+    variables : int array (n_z, n_points)
+        Z: which program variable feeds each argument; indices >= the number of variables mean constants.
+    data : casadi.MX (n_d, n_points)
+        d: constants and program parameters.
+    weights : scipy.sparse.csc_array (1 + n_g, n_rows * n_points)
+        W: row 0 belongs to the objective, row 1 + i to constraint i; column r + n_rows * j to row r at point j.
+    """
+
+    function: PointFunction
+    variables: Indices
+    data: Any
+    weights: Any
+
+    @property
+    def points(self) -> int:
+        """Number of points."""
+        return int(self.variables.shape[1])
+
+
+@dataclass(frozen=True)
+class SeparableProgram:
+    """The objective and constraints of a partially separable program, in physical units.
+
+    Attributes
+    ----------
+    n_variables, n_constraints : int
+    linear : scipy.sparse.coo_array (1 + n_g, n_variables)
+        C.
+    blocks : tuple of Block
+    """
+
+    n_variables: int
+    n_constraints: int
+    linear: Any
+    blocks: tuple[Block, ...]
+
+    def values(self, x: Any, constants: Any) -> Any:
+        """Return the MX column vector (f, g) at x; ``constants`` extends x for indices beyond it."""
+        extended = ca.vertcat(x, constants)
+        total = _matrix(self.linear) @ x
+        for block in self.blocks:
+            outputs = block.function.value.map(block.points)(_gather(extended, block), block.data)
+            total += _matrix(block.weights) @ ca.vec(outputs)
+        return total
+
+    def jacobian(self, x: Any, constants: Any) -> Any:
+        """Return the MX vector of the nonzeros of d(f, g)/dx, in the order of `jacobian_pattern`."""
+        extended = ca.vertcat(x, constants)
+        _, constant, scatters = self._jacobian_structure
+        total = ca.MX(ca.DM(constant))
+        for block, scatter in zip(self.blocks, scatters, strict=True):
+            nonzeros = block.function.jacobian.map(block.points)(_gather(extended, block), block.data)
+            total += _matrix(scatter) @ ca.vec(nonzeros)
+        return total
+
+    def hessian(self, x: Any, constants: Any, multipliers: Any) -> Any:
+        """Return the MX nonzeros of the upper triangle of the Hessian of ``multipliers . (f, g)``."""
+        extended = ca.vertcat(x, constants)
+        pattern, scatters = self._hessian_structure
+        total = ca.MX(pattern[0].size, 1)
+        for block, scatter in zip(self.blocks, scatters, strict=True):
+            local = ca.reshape(_matrix(block.weights.T) @ multipliers, block.function.rows, block.points)
+            nonzeros = block.function.hessian.map(block.points)(_gather(extended, block), block.data, local)
+            total += _matrix(scatter) @ ca.vec(nonzeros)
+        return ca.densify(total)
+
+    @property
+    def jacobian_pattern(self) -> tuple[Indices, Indices]:
+        """Rows (0 is the objective) and columns of the Jacobian's nonzeros, column-major."""
+        return self._jacobian_structure[0]
+
+    @property
+    def hessian_pattern(self) -> tuple[Indices, Indices]:
+        """Rows and columns of the Hessian's upper-triangle nonzeros, column-major."""
+        return self._hessian_structure[0]
+
+    @cached_property
+    def _jacobian_structure(self) -> tuple[tuple[Indices, Indices], Array, list[Any]]:
+        entries = [_jacobian_entries(block, self.n_variables) for block in self.blocks]
+        linear = self.linear
+        keys = [e.rows + (1 + self.n_constraints) * e.columns for e in entries]
+        linear_keys = linear.row.astype(np.int64) + (1 + self.n_constraints) * linear.col.astype(np.int64)
+        unique = np.unique(np.concatenate([linear_keys, *keys]))
+        constant = np.zeros(unique.size)
+        np.add.at(constant, np.searchsorted(unique, linear_keys), linear.data)
+        scatters = [e.scatter(np.searchsorted(unique, k), unique.size) for e, k in zip(entries, keys, strict=True)]
+        pattern = (unique % (1 + self.n_constraints), unique // (1 + self.n_constraints))
+        return pattern, constant, scatters
+
+    @cached_property
+    def _hessian_structure(self) -> tuple[tuple[Indices, Indices], list[Any]]:
+        entries = [_hessian_entries(block, self.n_variables) for block in self.blocks]
+        keys = [e.rows + self.n_variables * e.columns for e in entries]
+        unique = np.unique(np.concatenate(keys)) if keys else np.zeros(0, dtype=np.int64)
+        scatters = [e.scatter(np.searchsorted(unique, k), unique.size) for e, k in zip(entries, keys, strict=True)]
+        return (unique % self.n_variables, unique // self.n_variables), scatters
+
+
+@dataclass(frozen=True)
+class _Entries:
+    """Contributions of a block's local nonzeros to global ones: global place, local source, factor."""
+
+    rows: Indices
+    columns: Indices
+    sources: Indices
+    factors: Array
+    n_sources: int
+
+    def scatter(self, places: Indices, size: int) -> Any:
+        """Return the sparse matrix (size, n_sources) that maps local nonzeros to global ones."""
+        return sp.csc_array((self.factors, (places, self.sources)), shape=(size, self.n_sources))
+
+
+def _jacobian_entries(block: Block, n_variables: int) -> _Entries:
+    rows, columns = block.function.jacobian_pattern
+    n_points, n_local = block.points, rows.size
+    outputs = (rows[:, None] + block.function.rows * np.arange(n_points)[None, :]).ravel(order="F")
+    variables = block.variables[columns, :].ravel(order="F")
+    keep = np.flatnonzero(variables < n_variables)
+    starts, ends = block.weights.indptr[outputs[keep]], block.weights.indptr[outputs[keep] + 1]
+    counts = ends - starts
+    sources = np.repeat(keep, counts)
+    positions = np.repeat(starts - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts) + np.arange(counts.sum())
+    return _Entries(
+        block.weights.indices[positions].astype(np.int64),
+        variables[sources].astype(np.int64),
+        sources.astype(np.int64),
+        block.weights.data[positions],
+        n_local * n_points,
+    )
+
+
+def _hessian_entries(block: Block, n_variables: int) -> _Entries:
+    rows, columns = block.function.hessian_pattern
+    first = block.variables[rows, :].ravel(order="F")
+    second = block.variables[columns, :].ravel(order="F")
+    keep = np.flatnonzero((first < n_variables) & (second < n_variables))
+    low, high = np.minimum(first, second)[keep], np.maximum(first, second)[keep]
+    # Two arguments fed by one variable: both off-diagonal entries land on the diagonal.
+    off_diagonal = np.tile(rows != columns, block.points)[keep]
+    factors = np.where((low == high) & off_diagonal, 2.0, 1.0)
+    return _Entries(low.astype(np.int64), high.astype(np.int64), keep.astype(np.int64), factors, first.size)
+
+
+def _gather(extended: Any, block: Block) -> Any:
+    n_z, n_points = block.variables.shape
+    return ca.reshape(extended[block.variables.ravel(order="F").tolist()], n_z, n_points)
+
+
+def _matrix(matrix: Any) -> Any:
+    """Convert a scipy sparse matrix to a CasADi DM of the same sparsity."""
+    csc = sp.csc_array(matrix)
+    csc.sum_duplicates()
+    csc.sort_indices()
+    pattern = ca.Sparsity(*csc.shape, csc.indptr.tolist(), csc.indices.tolist())
+    return ca.DM(pattern, csc.data)
+
+
+def _nonzeros(expression: Any) -> Any:
+    """Return the nonzeros of an SX matrix as a dense column vector."""
+    return ca.SX(ca.vertcat(*expression.nonzeros())) if expression.nnz() else ca.SX(0, 1)
+
+
+def _pattern(expression: Any) -> tuple[Indices, Indices]:
+    rows, columns = expression.sparsity().get_triplet()
+    return np.asarray(rows, dtype=np.int64), np.asarray(columns, dtype=np.int64)

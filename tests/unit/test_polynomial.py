@@ -1,0 +1,184 @@
+"""Piecewise polynomials against numpy's Legendre series and against plain calculus."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.polynomial import legendre
+
+from gnc_opt.solution.polynomial import PiecewisePolynomial
+from gnc_opt.transcription.quadrature import Array, collocation_rule
+
+BREAKS = np.array([1.0, 2.0, 4.5])
+
+
+def two_segments() -> PiecewisePolynomial:
+    """Row 0: t³; row 1: t in the first segment and -t in the second, so it jumps at t = 2."""
+    nodes = (collocation_rule("LG", 3).state_nodes, collocation_rule("LGL", 5).points)
+    times = [times_of(x, k) for k, x in enumerate(nodes)]
+    values = tuple(np.array([t**3, sign * t]) for t, sign in zip(times, (1, -1), strict=True))
+    return PiecewisePolynomial(BREAKS, nodes, values)
+
+
+def times_of(nodes: Array, k: int) -> Array:
+    return np.asarray(BREAKS[k] + (nodes + 1) / 2 * (BREAKS[k + 1] - BREAKS[k]))
+
+
+def random_pieces(seed: int) -> tuple[PiecewisePolynomial, list[Array]]:
+    """Values at the nodes of each segment, and the same as Legendre series, shape (degree + 1, 2)."""
+    rng = np.random.default_rng(seed)
+    breaks = rng.uniform(-100, 100) + np.cumsum(rng.uniform(0.1, 10, rng.integers(2, 6)))
+    degrees = rng.integers(1, 12, breaks.size - 1)
+    nodes = [collocation_rule("LG", int(n)).state_nodes for n in degrees]
+    series = [rng.uniform(-1, 1, (x.size, 2)) for x in nodes]
+    values = tuple(
+        np.array(legendre.legval(x, c), dtype=np.float64) for x, c in zip(nodes, series, strict=True)
+    )
+    return PiecewisePolynomial(breaks, tuple(nodes), values), series
+
+
+def test_values_inside_and_at_the_ends() -> None:
+    curve = two_segments()
+    t = np.linspace(1.0, 4.5, 101)
+    np.testing.assert_allclose(curve(t), [t**3, np.where(t < 2, t, -t)], rtol=1e-14)
+    assert curve(t).shape == (2, 101)
+    assert curve([]).shape == (2, 0)
+    assert curve([3.0]).shape == (2, 1)
+    assert curve(3.0).shape == curve(np.array(3.0)).shape == (2,)
+    np.testing.assert_allclose(curve(1), [1.0, 1.0])
+    np.testing.assert_allclose(curve(4.5), [91.125, -4.5])
+
+
+def test_values_do_not_depend_on_the_order_of_times() -> None:
+    t = np.array([4.0, 1.0, 3.0, 1.5, 2.0])
+    np.testing.assert_array_equal(two_segments()(t), two_segments()(np.sort(t))[:, np.argsort(np.argsort(t))])
+
+
+def test_the_side_decides_at_a_break() -> None:
+    curve = two_segments()
+    assert curve(2.0)[1] == pytest.approx(-2.0)
+    assert curve(2.0, side="left")[1] == pytest.approx(2.0)
+    for side in ("left", "right"):
+        assert curve(np.array([1.0, 4.5]), side)[1] == pytest.approx([1.0, -4.5])
+    with pytest.raises(ValueError, match="'left' or 'right'"):
+        curve(2.0, side="middle")  # type: ignore[arg-type]
+
+
+def test_nodes_are_returned_exactly() -> None:
+    curve = PiecewisePolynomial([0.0, 2.0], ([-1.0, 0.0, 1.0],), ([[0.1, 0.7, 0.3]],))  # type: ignore[arg-type]
+    np.testing.assert_array_equal(curve([0.0, 1.0, 2.0]), [[0.1, 0.7, 0.3]])
+
+
+def test_rounding_beyond_the_ends_is_clamped() -> None:
+    curve = two_segments()
+    np.testing.assert_array_equal(curve([1.0 - 1e-13, 4.5 + 1e-12]), curve([1.0, 4.5]))
+
+
+@pytest.mark.parametrize("t", [0.999999, 4.50001, np.nan, np.inf, -np.inf, [2.0, np.nan], [3.0, 7.0]])
+def test_times_outside_are_refused(t: Any) -> None:
+    named = str(np.atleast_1d(t)[-1])
+    with pytest.raises(ValueError, match=rf"time {named} s is outside the span \[1.0, 4.5\]"):
+        two_segments()(t)
+
+
+def test_a_table_of_times_is_refused() -> None:
+    with pytest.raises(ValueError, match="scalar or a vector"):
+        two_segments()(np.ones((2, 2)))
+
+
+def test_derivative_is_exact() -> None:
+    t = np.linspace(1.0, 4.5, 51)
+    slope = two_segments().derivative()
+    np.testing.assert_allclose(slope(t), [3 * t**2, np.where(t < 2, 1.0, -1.0)], rtol=1e-12)
+    np.testing.assert_allclose(slope.derivative()(t)[0], 6 * t, rtol=1e-11)
+
+
+def test_integral_is_exact() -> None:
+    np.testing.assert_allclose(
+        two_segments().integral(), [(4.5**4 - 1) / 4, 1.5 - (4.5**2 - 4) / 2], rtol=1e-14
+    )
+
+
+def test_constants_from_a_single_node() -> None:
+    steps = PiecewisePolynomial([0.0, 1.0, 3.0], ([0.0], [0.5]), ([[2.0]], [[-1.0]]))  # type: ignore[arg-type]
+    np.testing.assert_array_equal(steps([0.0, 0.9, 1.0, 3.0]), [[2.0, 2.0, -1.0, -1.0]])
+    np.testing.assert_array_equal(steps.integral(), [0.0])
+    np.testing.assert_array_equal(steps.derivative()([0.0, 2.0]), [[0.0, 0.0]])
+
+
+def test_sample_times_cover_the_span_once() -> None:
+    curve = two_segments()
+    np.testing.assert_allclose(curve.sample_times(2), [1.0, 1.5, 2.0, 3.25, 4.5])
+    np.testing.assert_array_equal(curve.sample_times(1), BREAKS)
+    dense = curve.sample_times(37)
+    assert np.all(np.diff(dense) > 0) and np.isin(BREAKS, dense).all()
+    with pytest.raises(ValueError, match="at least 1"):
+        curve.sample_times(0)
+
+
+@pytest.mark.parametrize(
+    ("index", "kept"), [(1, [1]), (-1, [1]), (slice(0, 1), [0]), ([1, 0], [1, 0]), (np.array([0]), [0])]
+)
+def test_rows(index: Any, kept: list[int]) -> None:
+    t = np.linspace(1.0, 4.5, 9)
+    np.testing.assert_allclose(two_segments().rows(index)(t), two_segments()(t)[kept], rtol=1e-15)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=60)
+def test_random_pieces_match_their_series(seed: int) -> None:
+    curve, series = random_pieces(seed)
+    rates = 2 / np.diff(curve.breaks)
+    np.testing.assert_allclose(
+        curve.integral(),
+        sum(2 * c[0] / rate for c, rate in zip(series, rates, strict=True)),
+        rtol=0,
+        atol=1e-12,
+    )
+    slope = curve.derivative()
+    for k, c in enumerate(series):
+        tau = np.linspace(-0.99, 0.99, 7)
+        t = curve.breaks[k] + (tau + 1) / rates[k]
+        np.testing.assert_allclose(curve(t), legendre.legval(tau, c), rtol=0, atol=1e-10)
+        np.testing.assert_allclose(
+            slope(t), rates[k] * legendre.legval(tau, legendre.legder(c)), rtol=0, atol=1e-7
+        )
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=30)
+def test_integral_of_the_derivative_is_the_sum_of_the_increments(seed: int) -> None:
+    curve, _ = random_pieces(seed)
+    increments = curve(curve.breaks[1:], "left") - curve(curve.breaks[:-1], "right")
+    np.testing.assert_allclose(curve.derivative().integral(), increments.sum(axis=1), rtol=0, atol=1e-11)
+
+
+def test_the_arrays_are_copies_and_read_only() -> None:
+    breaks, nodes, values = np.array([0.0, 1.0]), np.array([-1.0, 1.0]), np.array([[0.0, 1.0]])
+    curve = PiecewisePolynomial(breaks, (nodes,), (values,))
+    values[0, 0] = 9.0
+    assert curve(0.0)[0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        curve.values[0][0, 0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("breaks", "nodes", "values", "message"),
+    [
+        ([0.0], [], [], "breaks"),
+        ([0.0, 0.0], [[0.0]], [[[1.0]]], "strictly increasing"),
+        ([0.0, np.nan], [[0.0]], [[[1.0]]], "finite"),
+        ([0.0, 1.0, 2.0], [[0.0]], [[[1.0]]], "2 segments"),
+        ([0.0, 1.0], [[0.0, 0.0]], [[[1.0, 1.0]]], "segment 0: need 1 to 128 distinct nodes"),
+        ([0.0, 1.0], [[1.5]], [[[1.0]]], "distinct nodes"),
+        ([0.0, 1.0], [[np.nan]], [[[1.0]]], "distinct nodes"),
+        ([0.0, 1.0], [[0.0]], [[1.0]], r"values have shape \(1,\)"),
+        ([0.0, 1.0], [[0.0, 1.0]], [[[1.0]]], r"need \(components, 2\)"),
+        ([0.0, 1.0, 2.0], [[0.0], [0.0]], [[[1.0]], [[1.0], [2.0]]], "segment 1"),
+    ],
+)
+def test_pieces_that_do_not_fit_are_refused(breaks: Any, nodes: Any, values: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        PiecewisePolynomial(breaks, tuple(nodes), tuple(values))
