@@ -44,6 +44,9 @@ _IPOPT_LINEAR_SOLVERS = (
     "mumps", "ma27", "ma57", "ma77", "ma86", "pardiso", "pardisomkl", "spral", "wsmp", "custom",
 )  # fmt: skip
 
+# For lam_p alone CasADi differentiates the whole NLP once more; these plugins can do without.
+_WITHOUT_NLP_GRAD = ("ipopt", "sqpmethod", "bonmin")
+
 _NEVER_STARTED = (Status.NOT_A_NUMBER, Status.TOO_FEW_DEGREES_OF_FREEDOM, Status.INVALID_OPTION)
 _MAY_HIDE_UNBOUNDED = (
     Status.ITERATION_LIMIT,
@@ -317,6 +320,8 @@ class NlpSolver:
         ------
         ValueError
             If a length is wrong, bounds are crossed or NaN, or the plugin refuses its options.
+        RuntimeError
+            If a plugin other than IPOPT breaks down instead of reporting its failure.
         Exception
             Whatever `callback` raises.
         """
@@ -340,8 +345,11 @@ class NlpSolver:
         overdetermined = int(box_x.fixed.sum() + box_g.fixed.sum()) > nx
         self._monitor.run = run
         begin = time.perf_counter()
-        with _sigint_stops(run), _swallow_stderr(overdetermined):
-            raw = solver(**arguments)
+        try:
+            with _sigint_stops(run), _swallow_stderr(overdetermined):
+                raw = solver(**arguments)
+        finally:
+            self._monitor.run = None
         wall_time = time.perf_counter() - begin
         if run.error is not None:
             raise run.error
@@ -496,9 +504,9 @@ def _nlpsol_options(problem: NlpProblem, options: SolverOptions, warm: bool) -> 
         "print_time": options.verbose,
         "show_eval_warnings": options.verbose,
         "error_on_fail": False,
-        "calc_lam_p": False,
-        "no_nlp_grad": True,  # else CasADi differentiates the whole NLP once more, for lam_p alone
     }
+    if options.solver in _WITHOUT_NLP_GRAD:
+        quiet |= {"calc_lam_p": False, "no_nlp_grad": True}
     plugin = _ipopt_options(options, warm) if options.solver == "ipopt" else _other_options(options)
     return (
         quiet
@@ -633,8 +641,10 @@ def _time_in(stats: Mapping[str, Any], prefix: str) -> float:
 
 
 def _view(buffer: Any, size: int) -> FloatArray:
-    """View of a CasADi buffer, (size,); empty vectors may come without one."""
-    return np.frombuffer(buffer, dtype=np.float64) if size else np.empty(0)
+    """View of a CasADi buffer, (size,); NaN for what the plugin does not tell."""
+    if size == 0 or buffer is None:
+        return np.full(size, np.nan)
+    return np.frombuffer(buffer, dtype=np.float64)
 
 
 def _flat(matrix: Any) -> FloatArray:

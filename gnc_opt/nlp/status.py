@@ -123,14 +123,23 @@ _FROM_UNIFIED: dict[str, Status] = {
 }
 
 
+_FROM_WORD: dict[str, Status] = {
+    "unbounded": Status.UNBOUNDED,
+    "infeasible": Status.INFEASIBLE,
+    "interrupt": Status.INTERRUPTED,
+    "limit": Status.ITERATION_LIMIT,
+}
+
+
 def status_from_stats(stats: Mapping[str, object]) -> Status:
     """Translate the `stats()` of a CasADi `nlpsol` into a `Status`.
 
     Parameters
     ----------
     stats
-        Of any plugin. IPOPT's `return_status` names are looked up first (other plugins borrow many of
-        them), then `success`, then `unified_return_status`.
+        Of any plugin. IPOPT's `return_status` names are looked up first (other plugins borrow many of them),
+        then telling words in that name (SLEQP calls "unbounded" a success), then `success`, then
+        `unified_return_status`.
 
     Returns
     -------
@@ -140,6 +149,9 @@ def status_from_stats(stats: Mapping[str, object]) -> Status:
     name = str(stats.get("return_status", ""))
     if name in _FROM_NAME:
         return _FROM_NAME[name]
+    for word, status in _FROM_WORD.items():
+        if word in name.lower():
+            return status
     if stats.get("success"):
         return Status.OPTIMAL
     return _FROM_UNIFIED.get(str(stats.get("unified_return_status", "")), Status.FAILED)

@@ -11,6 +11,7 @@ multipliers mu. Along a minimum: :math:`\dot\lambda = -\partial H_a / \partial x
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,8 +19,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnc_opt.errors import ProblemError
 from gnc_opt.model.layout import Array
 from gnc_opt.model.model import evaluate
+from gnc_opt.model.symbol import as_expression, foreign_symbols
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 
@@ -226,3 +229,18 @@ def _build_end_function(problem: Problem) -> Any:
     q = problem.parameter_symbols()
     gradients = [ca.densify(ca.gradient(lagrangian, s)) for s in (*differentiated, q)]
     return ca.Function("ends", [*arguments, q, nu], [cost, ca.densify(constraints), *gradients])
+
+
+def evaluator(problem: Problem, phase: str, expression: Any) -> Callable[..., Array]:
+    """Return ``g(t, x, u, p, q)`` for an expression in the phase's symbols or a declared output's name."""
+    leg = problem.get_phase(phase)
+    if isinstance(expression, str):
+        expression = leg.model.output_expression(expression)
+    t, x, u, p = leg.model.arguments()
+    q = problem.parameter_symbols()
+    value = as_expression(expression, "the expression to evaluate")
+    foreign = foreign_symbols(value, [t, x, u, p, q])
+    if foreign:
+        raise ProblemError(f"the expression uses '{foreign[0]}', which is no symbol of {leg.where}.")
+    function = ca.Function("evaluate", [t, x, u, p, q], [problem.bind(leg, value)])
+    return lambda *arguments: evaluate(function, *arguments)

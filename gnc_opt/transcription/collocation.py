@@ -188,12 +188,20 @@ class PhaseCollocation:
 
     # --- constant matrices --------------------------------------------------------------------------
 
+    def state_matrix(self, k: int) -> Array:
+        """Coefficients of the states of `segment_nodes` in the dynamics rows of segment k: (rows, nodes)."""
+        return _state_matrix(self.rules[k])
+
+    def dynamics_matrix(self, k: int) -> Array:
+        """Coefficients of the point values F_j in the rows of segment k, before -w_k/2: (rows, n)."""
+        return _dynamics_matrix(self.rules[k])
+
     @cached_property
     def linear(self) -> tuple[Indices, Indices, Array]:
         """Entries (rows, variables, values) of the constant part of the dynamics rows."""
         rows, columns, values = [], [], []
-        for k, rule in enumerate(self.rules):
-            nodes, matrix = self.segment_nodes(k), _state_matrix(rule)
+        for k in range(self.mesh.segments):
+            nodes, matrix = self.segment_nodes(k), self.state_matrix(k)
             i, j = np.nonzero(matrix)
             rows.append(self.dynamics_rows[k][:, i].ravel())
             columns.append(nodes[:, j].ravel())
@@ -220,8 +228,8 @@ class PhaseCollocation:
             Places of Delta f and of the path constraints among those rows.
         """
         rows, columns, values = [], [], []
-        for k, rule in enumerate(self.rules):
-            matrix = -0.5 * self.mesh.widths[k] * _dynamics_matrix(rule)
+        for k in range(self.mesh.segments):
+            matrix = -0.5 * self.mesh.widths[k] * self.dynamics_matrix(k)
             i, j = np.nonzero(matrix)
             rows.append(self.dynamics_rows[k][:, i].ravel())
             point = self.mesh.offsets[k] + j

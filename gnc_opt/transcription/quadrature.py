@@ -17,7 +17,7 @@ from decimal import Context, Decimal, localcontext
 from difflib import get_close_matches
 from functools import cache, lru_cache
 from numbers import Integral
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,8 @@ from scipy.special import roots_jacobi, roots_legendre
 
 Array: TypeAlias = NDArray[np.float64]
 Scheme: TypeAlias = Literal["LG", "LGR", "LGL"]
+
+SCHEMES: tuple[Scheme, ...] = get_args(Scheme)
 
 MAX_POINTS = 64
 DIGITS = 50

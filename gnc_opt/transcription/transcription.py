@@ -293,6 +293,21 @@ class Transcription:
             ),
         )
 
+    @cached_property
+    def physical(self) -> Any:
+        """Function (x, model parameters and fixed times) -> ((f, g), nonzeros of its Jacobian), unscaled."""
+        x, times = self._symbols[:2]
+        numbers = [*self._model_parameters.values(), times]
+        stacked = ca.MX.sym("numbers", sum(s.size1() for s in numbers))
+        pieces = ca.vertsplit(stacked, np.concatenate([[0], np.cumsum([s.size1() for s in numbers])]).tolist())
+        outputs = [self.program.values(x, times), self.program.jacobian(x, times)]
+        return ca.Function("physical", [x, stacked], ca.graph_substitute(outputs, numbers, pieces))
+
+    def numbers(self, problem: Problem) -> Array:
+        """Model parameters and fixed times of a problem, as `physical` takes them."""
+        models = [leg.model.parameter_values for leg in problem.phases.values()]
+        return np.concatenate([*models, self.fixed_times(problem)])
+
     def _split_jacobian(self, nonzeros: Any, scales: Any, output_scales: Any) -> tuple[Any, Any]:
         rows, columns = self.program.jacobian_pattern
         scaled = nonzeros * output_scales[rows.tolist()] * scales[columns.tolist()]
@@ -312,8 +327,7 @@ class Transcription:
 
     def parameter_vector(self, problem: Problem, scales: Array, row_scales: Array, objective_scale: float) -> Array:
         """Stack the program's parameters: model parameters, fixed times and scales."""
-        models = [leg.model.parameter_values for leg in problem.phases.values()]
-        return np.concatenate([*models, self.fixed_times(problem), scales, row_scales, [objective_scale]])
+        return np.concatenate([self.numbers(problem), scales, row_scales, [objective_scale]])
 
     def fixed_times(self, problem: Problem) -> Array:
         """Initial and final time of each phase where fixed, else 0, shape (2 * n_phases,)."""
@@ -359,6 +373,12 @@ class Transcription:
         ends = problem.constraint_interval()
         box.lower[self.constraint_rows], box.upper[self.constraint_rows] = ends.lower, ends.upper
         return box
+
+    def duration_multiplier(self, phase: str, lam_g: Array) -> float:
+        """Return the multiplier of a phase's duration row, 0 if it has none."""
+        if phase not in self._durations:
+            return 0.0
+        return float(lam_g[self._first_end_row + self._durations.index(phase)])
 
     @cached_property
     def row_labels(self) -> tuple[str, ...]:

@@ -230,6 +230,10 @@ def test_ipopt_names(raw: str, status: Status) -> None:
         ({"success": False, "unified_return_status": "SOLVER_RET_NAN"}, Status.NOT_A_NUMBER),
         ({"success": False, "unified_return_status": "SOLVER_RET_INFEASIBLE"}, Status.INFEASIBLE),
         ({"success": False, "unified_return_status": "SOLVER_RET_UNKNOWN"}, Status.FAILED),
+        ({"return_status": "unbounded", "success": True}, Status.UNBOUNDED),
+        ({"return_status": "CONTINUOUS_UNBOUNDED", "success": False}, Status.UNBOUNDED),
+        ({"return_status": "INFEASIBLE", "success": False}, Status.INFEASIBLE),
+        ({"return_status": "LIMIT_EXCEEDED", "success": False}, Status.ITERATION_LIMIT),
         ({}, Status.FAILED),
     ],
 )

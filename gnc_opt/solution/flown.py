@@ -1,0 +1,107 @@
+"""The control that can be flown: between nodes it respects its bounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gnc_opt.model.layout import Array
+from gnc_opt.problem.interval import Interval
+from gnc_opt.solution.polynomial import PiecewisePolynomial, Side
+from gnc_opt.transcription.quadrature import CollocationRule
+
+_SAMPLES = 33
+
+
+@dataclass(frozen=True, eq=False)
+class FlownControl:
+    """A control signal that never leaves its bounds.
+
+    Where a channel's collocation polynomial stays within its bounds over a segment, it is flown as it is.
+    Where it overshoots (it does through bang-bang nodes), each node's value is held over a cell as long as
+    the node's quadrature weight: within bounds, and with the same impulse as the polynomial.
+
+    Attributes
+    ----------
+    polynomial : PiecewisePolynomial
+    bounds : Interval
+    rules : tuple of CollocationRule
+        One per segment; their points are the polynomial's nodes.
+    tolerance : float
+        Overshoot, relative to the range of the bounds, that still counts as rounding and is clipped.
+    """
+
+    polynomial: PiecewisePolynomial
+    bounds: Interval
+    rules: tuple[CollocationRule, ...]
+    tolerance: float = 1e-6
+
+    @cached_property
+    def held(self) -> NDArray[np.bool_]:
+        """Which channel is held piecewise constant in which segment, shape (m, K)."""
+        tau = np.linspace(-1.0, 1.0, _SAMPLES)
+        slack = self.tolerance * _finite_range(self.bounds)
+        columns = []
+        for k in range(len(self.rules)):
+            left, right = self.polynomial.breaks[k], self.polynomial.breaks[k + 1]
+            inside = left + 0.5 * (right - left) * (1 + tau[1:-1])
+            values = np.hstack(
+                [
+                    self.polynomial(left, "right")[:, None],
+                    self.polynomial(inside),
+                    self.polynomial(right, "left")[:, None],
+                ]
+            )
+            over = np.max(values - self.bounds.upper[:, None], axis=1, initial=-np.inf) > slack
+            under = np.max(self.bounds.lower[:, None] - values, axis=1, initial=-np.inf) > slack
+            columns.append(over | under)
+        return np.stack(columns, axis=1)
+
+    @cached_property
+    def _cells(self) -> tuple[Array, ...]:
+        """Cell edges of each segment (n_k + 1,), in time."""
+        edges = []
+        for k, rule in enumerate(self.rules):
+            left, right = self.polynomial.breaks[k], self.polynomial.breaks[k + 1]
+            shares = np.concatenate([[0.0], np.cumsum(rule.weights)]) / 2.0
+            edges.append(left + (right - left) * shares)
+        return tuple(edges)
+
+    @cached_property
+    def jumps(self) -> Array:
+        """Times at which the signal may be discontinuous, ends included; increasing."""
+        pieces = [self.polynomial.breaks]
+        pieces += [self._cells[k] for k in np.flatnonzero(self.held.any(axis=0))]
+        return np.unique(np.concatenate(pieces))
+
+    def clipped(self, t: ArrayLike, side: Side = "right") -> Array:
+        """Evaluate the polynomial, clipped to the bounds: for guesses, not for flying."""
+        values = self.polynomial(t, side)
+        lower, upper = (b if np.ndim(t) == 0 else b[:, None] for b in (self.bounds.lower, self.bounds.upper))
+        return np.clip(values, lower, upper)
+
+    def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
+        """Evaluate at times t (s): shape (m,) for a scalar, (m, n_times) for an array."""
+        times = np.atleast_1d(np.asarray(t, dtype=float))
+        values = self.clipped(times, side)
+        breaks = self.polynomial.breaks
+        segment = np.clip(np.searchsorted(breaks, times, side) - 1, 0, len(self.rules) - 1)
+        for k in np.unique(segment):
+            channels = np.flatnonzero(self.held[:, k])
+            if channels.size:
+                here = np.flatnonzero(segment == k)
+                cell = np.searchsorted(self._cells[k], times[here], side) - 1
+                cell = np.clip(cell, 0, self.rules[k].n - 1)
+                nodal = np.clip(
+                    self.polynomial.values[k], self.bounds.lower[:, None], self.bounds.upper[:, None]
+                )
+                values[np.ix_(channels, here)] = nodal[np.ix_(channels, cell)]
+        return values if np.ndim(t) else values[:, 0]
+
+
+def _finite_range(bounds: Interval) -> Array:
+    span = bounds.upper - bounds.lower
+    return np.where(np.isfinite(span), span, 1.0)

@@ -1,0 +1,240 @@
+"""Solution: what `solve` returns; numbers that can be evaluated, judged, saved and used as a guess."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.errors import GncOptError, ProblemError, unknown_name
+from gnc_opt.model.layout import Array, Layout
+from gnc_opt.nlp.status import Status
+from gnc_opt.problem.functions import PhaseFunctions, evaluator, phase_functions
+from gnc_opt.problem.problem import Problem
+from gnc_opt.solution.phase_solution import PhaseSolution, Signal
+from gnc_opt.solution.polynomial import Side
+
+if TYPE_CHECKING:
+    from gnc_opt.verify.quality import Quality
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What the solve cost.
+
+    Attributes
+    ----------
+    iterations : int
+    build_s, solve_s : float
+        Wall time of transcription and of the solver.
+    function_s, linear_solver_s : float
+        Shares of ``solve_s``: evaluating functions and derivatives; the rest.
+    build_reused : bool
+        Whether an earlier transcription served again.
+    """
+
+    iterations: int
+    build_s: float
+    solve_s: float
+    function_s: float
+    linear_solver_s: float
+    build_reused: bool = False
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A constraint or bound that the iterate breaks.
+
+    Attributes
+    ----------
+    name : str
+        E.g. ``"v_L[2] defect, phase approach, segment 3, point 2"``.
+    amount : float
+        By how much, relative to the scale of the row or variable.
+    """
+
+    name: str
+    amount: float
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A trajectory with its costates and multipliers.
+
+    With a single phase, the phase argument of every method may be left out.
+
+    Attributes
+    ----------
+    problem_name : str
+    status : Status
+    objective : float
+        As stated (not negated when maximised).
+    maximised : bool
+    phases : dict of PhaseSolution
+    free_parameters : Layout
+        Names of the optimised parameters.
+    parameter_values, parameter_multipliers : array (n_parameters,)
+        Values, and multipliers of their bounds.
+    constraint_labels : tuple of str
+    constraint_values, constraint_multipliers : array (n_constraints,)
+        Boundary constraints and their multipliers nu.
+    violations : tuple of Violation
+        Worst first; empty when solved.
+    statistics : Statistics
+    provenance : dict of str
+        Versions, options, scheme, mesh and the problem's fingerprint.
+    problem : Problem or None
+        What was solved; None after loading without it.
+    """
+
+    problem_name: str
+    status: Status
+    objective: float
+    maximised: bool
+    phases: dict[str, PhaseSolution]
+    free_parameters: Layout
+    parameter_values: Array
+    parameter_multipliers: Array
+    constraint_labels: tuple[str, ...]
+    constraint_values: Array
+    constraint_multipliers: Array
+    violations: tuple[Violation, ...]
+    statistics: Statistics
+    provenance: Mapping[str, str]
+    problem: Problem | None = field(default=None, repr=False)
+
+    # --- evaluation -------------------------------------------------------------------------------
+
+    def phase(self, name: str | None = None) -> PhaseSolution:
+        """Return the solution of a phase; the name may be left out when there is only one."""
+        if name is None:
+            if len(self.phases) != 1:
+                raise ProblemError(
+                    f"the solution of '{self.problem_name}' has {len(self.phases)} phases: "
+                    f"name one of {list(self.phases)}."
+                )
+            return next(iter(self.phases.values()))
+        if name not in self.phases:
+            raise unknown_name("phase", name, f"the solution of '{self.problem_name}'", self.phases)
+        return self.phases[name]
+
+    def state(self, name: str, phase: str | None = None) -> Signal:
+        """Return a state over time: ``solution.state("q")(0.3)``."""
+        return self.phase(phase).state(name)
+
+    def control(self, name: str, phase: str | None = None) -> Signal:
+        """Return a control over time by its polynomial, which may leave its bounds between nodes."""
+        return self.phase(phase).control(name)
+
+    def flown_control(self, name: str, phase: str | None = None) -> Signal:
+        """Return a control over time as a signal within its bounds, which can be flown."""
+        return self.phase(phase).flown_control(name)
+
+    def costate(self, name: str, phase: str | None = None) -> Signal:
+        """Return the costate of a state over time, lambda(t0) = dJ*/dx0 of the minimised functional."""
+        return self.phase(phase).costate(name)
+
+    def parameter(self, name: str) -> Array | float:
+        """Return the value of an optimised parameter."""
+        values = self.parameter_values[self.free_parameters.slice(name)]
+        return float(values[0]) if values.size == 1 else values
+
+    def multiplier(self, name: str) -> Array | float:
+        """Return the multiplier(s) nu of a named boundary constraint."""
+        chosen = [i for i, label in enumerate(self.constraint_labels) if label.split("[")[0] == name]
+        if not chosen:
+            known = list(dict.fromkeys(label.split("[")[0] for label in self.constraint_labels))
+            raise unknown_name("boundary constraint", name, f"the solution of '{self.problem_name}'", known)
+        values = self.constraint_multipliers[chosen]
+        return float(values[0]) if values.size == 1 else values
+
+    def hamiltonian(self, t: ArrayLike, phase: str | None = None, side: Side = "right") -> Array | float:
+        """Return H = L + lambda.f at time(s) t; needs the problem."""
+        leg = self.phase(phase)
+        values = self.functions(leg.name).hamiltonian(t, leg.x(t, side), leg.u(t, side), leg.lam(t, side))
+        return float(values) if np.ndim(t) == 0 else values
+
+    def switching_function(
+        self, name: str, t: ArrayLike, phase: str | None = None, side: Side = "right"
+    ) -> Array | float:
+        """Return dH/du of a control at time(s) t: a bounded control sits low where it is positive."""
+        leg = self.phase(phase)
+        values = self.functions(leg.name).switching(t, leg.x(t, side), leg.u(t, side), leg.lam(t, side))
+        rows = values[leg.controls.slice(name)]
+        if rows.shape[0] > 1:
+            return rows
+        return float(rows[0]) if np.ndim(t) == 0 else np.asarray(rows[0])
+
+    def evaluate(
+        self, expression: Any, t: ArrayLike, phase: str | None = None, side: Side = "right"
+    ) -> Array | float:
+        """Return any expression in the model's symbols (or a declared output's name) at time(s) t.
+
+        Parameters
+        ----------
+        expression : casadi.SX or str
+        t : float or array (n_times,), s
+        """
+        leg = self.phase(phase)
+        problem = self._need_problem("evaluate")
+        function = evaluator(problem, leg.name, expression)
+        values = function(t, leg.x(t, side), leg.u(t, side), leg.parameters, self.parameter_values)
+        if values.shape[0] > 1:
+            return np.asarray(values)
+        return float(values[0]) if np.ndim(t) == 0 else np.asarray(values[0])
+
+    def functions(self, phase: str) -> PhaseFunctions:
+        """Return dynamics, Hamiltonian and derivatives of a phase at this solution's parameters."""
+        leg = self.phase(phase)
+        problem = self._need_problem("evaluate functions of")
+        return phase_functions(problem, leg.name, leg.parameters, self.parameter_values, leg.integral_weights)
+
+    # --- quality ----------------------------------------------------------------------------------
+
+    @cached_property
+    def quality(self) -> Quality:
+        """Between-node defect, bound violation and propagation error, computed from the model alone."""
+        from gnc_opt.verify.quality import measure_quality
+
+        return measure_quality(self)
+
+    def __str__(self) -> str:
+        from gnc_opt.report.summary import summary
+
+        return summary(self)
+
+    # --- files ------------------------------------------------------------------------------------
+
+    def save(self, path: str | Path) -> Path:
+        """Write the numbers to a file that `load` reads without the model; returns its path."""
+        from gnc_opt.solution.storage import save
+
+        return save(self, path)
+
+    def with_problem(self, problem: Problem) -> Solution:
+        """Return this solution joined to its problem, e.g. after `load`.
+
+        Raises
+        ------
+        ProblemError
+            If the problem is not the one that was solved (its fingerprint differs).
+        """
+        if problem.fingerprint() != self.provenance.get("fingerprint"):
+            raise ProblemError(
+                f"problem '{problem.name}' is not the one that this solution of '{self.problem_name}' solves: "
+                "its functions or numbers differ; build it with the same options."
+            )
+        return replace(self, problem=problem)
+
+    def _need_problem(self, what: str) -> Problem:
+        if self.problem is None:
+            raise GncOptError(
+                f"cannot {what} the solution of '{self.problem_name}' without its problem: "
+                "load it with load(path, problem=...)."
+            )
+        return self.problem

@@ -1,0 +1,115 @@
+"""A solution as a guess: states, controls and multipliers moved to another mesh, scheme or numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gnc_opt.errors import ProblemError
+from gnc_opt.model.layout import Array
+from gnc_opt.problem.phase import Phase
+from gnc_opt.problem.problem import Problem
+from gnc_opt.solution.extract import point_multipliers
+from gnc_opt.solution.phase_solution import PhaseSolution
+from gnc_opt.solution.solution import Solution
+from gnc_opt.transcription.collocation import PhaseCollocation
+from gnc_opt.transcription.transcription import PhasePart, Transcription
+
+
+def start_from_solution(
+    transcription: Transcription, problem: Problem, guess: Solution, start: Array
+) -> tuple[Array, Array, Array]:
+    """Return variables, bound multipliers and row multipliers (physical) interpolated from a solution.
+
+    Parameters
+    ----------
+    start : array (n_variables,)
+        Values for variables that the solution does not have.
+
+    Raises
+    ------
+    ProblemError
+        The solution has other phases, states or controls than the problem.
+    """
+    x = start.copy()
+    lam_x, lam_g = np.zeros(transcription.n_variables), np.zeros(transcription.n_constraints)
+    for name, part in transcription.parts.items():
+        leg = problem.phases[name]
+        old = _matching(guess, leg)
+        _put_phase(transcription, part, old, x, lam_x, lam_g)
+    _put_parameters(transcription, problem, guess, x, lam_x)
+    _put_constraints(transcription, problem, guess, lam_g)
+    box = transcription.variable_interval(problem)
+    return np.clip(x, box.lower, np.maximum(box.lower, box.upper)), lam_x, lam_g
+
+
+def _matching(guess: Solution, leg: Phase) -> PhaseSolution:
+    old = guess.phases.get(leg.name)
+    if old is None:
+        raise ProblemError(f"the guess has no phase '{leg.name}'; its phases are {list(guess.phases)}.")
+    for kind, mine, theirs in (
+        ("states", leg.model.states, old.states),
+        ("controls", leg.model.controls, old.controls),
+    ):
+        if mine.labels != theirs.labels:
+            raise ProblemError(
+                f"the guess for {leg.where} has the {kind} {list(theirs.labels)}, "
+                f"but the model has {list(mine.labels)}."
+            )
+    return old
+
+
+def _put_phase(
+    transcription: Transcription, part: PhasePart, old: PhaseSolution, x: Array, lam_x: Array, lam_g: Array
+) -> None:
+    collocation = part.collocation
+    points = _stretch(old, collocation.fractions)
+    breaks = _stretch(old, np.asarray(collocation.mesh.breaks))
+    x[collocation.boundary_states] = old.x(breaks)
+    shared = np.isin(collocation.point_states, collocation.boundary_states)
+    states = old.x(points)
+    x[collocation.point_states[~shared]] = states[~shared]
+    x[collocation.point_controls] = old.flown.clipped(points)
+    free_times = part.times < transcription.n_variables
+    x[part.times[free_times]] = np.array([old.initial_time, old.final_time])[free_times]
+    lam_x[part.times[free_times]] = old.time_multipliers[free_times]
+    weights = collocation.quadrature * old.duration
+    state_densities = old.state_multiplier(points) * weights
+    lam_x[collocation.point_states[~shared]] = state_densities[~shared]
+    lam_x[collocation.point_controls] = old.control_multiplier(points) * weights
+    _put_impulses(collocation, old, lam_x)
+    if old.path_labels:
+        lam_g[collocation.path_rows] = old.path_multiplier(points) * weights
+    ends = old.lam(breaks[1:], "left")
+    for rows, values in zip(
+        collocation.dynamics_rows, point_multipliers(collocation, old.lam(points), ends), strict=True
+    ):
+        lam_g[rows] = values
+
+
+def _put_impulses(collocation: PhaseCollocation, old: PhaseSolution, lam_x: Array) -> None:
+    places, impulses = collocation.boundary_states, old.state_impulses
+    lam_x[places[:, 0]], lam_x[places[:, -1]] = impulses[:, 0], impulses[:, -1]
+    if collocation.mesh == old.mesh:
+        lam_x[places] = impulses
+
+
+def _put_parameters(
+    transcription: Transcription, problem: Problem, guess: Solution, x: Array, lam_x: Array
+) -> None:
+    for name in problem.parameters.names:
+        if name in guess.free_parameters:
+            places = transcription.parameter_places[problem.parameters.slice(name)]
+            x[places] = guess.parameter_values[guess.free_parameters.slice(name)]
+            lam_x[places] = guess.parameter_multipliers[guess.free_parameters.slice(name)]
+
+
+def _put_constraints(transcription: Transcription, problem: Problem, guess: Solution, lam_g: Array) -> None:
+    known = dict(zip(guess.constraint_labels, guess.constraint_multipliers, strict=True))
+    for row, label in zip(transcription.constraint_rows, problem.constraint_labels(), strict=True):
+        lam_g[row] = known.get(label, 0.0)
+
+
+def _stretch(old: PhaseSolution, fractions: Array) -> Array:
+    """Times on the old phase at fractions of it."""
+    first, last = old.breaks[0], old.breaks[-1]
+    return np.asarray(first + fractions * (last - first))
