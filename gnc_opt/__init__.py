@@ -14,8 +14,10 @@ from gnc_opt.problem import Phase, Problem
 from gnc_opt.solution import PhaseSolution, Solution, load
 from gnc_opt.solve import solve
 from gnc_opt.transcription.mesh import Mesh
+from gnc_opt.verify import Condition, Result, Verdict, verify
 
 __all__ = [
+    "Condition",
     "GncOptError",
     "Mesh",
     "Model",
@@ -25,11 +27,14 @@ __all__ = [
     "Problem",
     "ProblemError",
     "ProblemWarning",
+    "Result",
     "Solution",
     "SolveError",
     "SolverOptions",
     "Status",
     "UnknownNameError",
+    "Verdict",
     "load",
     "solve",
+    "verify",
 ]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import sys
+import warnings
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
@@ -22,11 +24,19 @@ class ProblemError(GncOptError, ValueError):
     """The optimal control problem is wrong: names, sizes, bounds, values or functions."""
 
 
+class ArgumentError(GncOptError, ValueError):
+    """An argument is wrong: a solver option, a scheme, a time to evaluate at, an object of the wrong kind."""
+
+
 class UnknownNameError(ModelError, ProblemError, KeyError):
     """A name that nobody declared; the message offers the nearest declared one."""
 
     def __str__(self) -> str:
         return str(self.args[0])
+
+
+class UnknownAttributeError(GncOptError, AttributeError):
+    """An attribute that does not exist, read or assigned; the message offers the nearest one."""
 
 
 class SolveError(GncOptError, RuntimeError):
@@ -41,6 +51,14 @@ class ProblemWarning(UserWarning):
     """Something in a problem that is legal and probably not meant."""
 
 
+def warn_user(message: str) -> None:
+    """Issue a `ProblemWarning` that points to the user's line, however deep in gnc_opt it arises."""
+    depth = 1
+    while sys._getframe(depth).f_globals.get("__name__", "").partition(".")[0] == "gnc_opt":
+        depth += 1
+    warnings.warn(message, ProblemWarning, stacklevel=depth + 1)
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return "did you mean 'x'?" if a known name is near, else the list of the known names."""
     names = list(known)
@@ -51,6 +69,8 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     return f"known: {', '.join(names)}." if names else "none is declared."
 
 
-def unknown_name(what: str, name: str, where: str, known: Iterable[str]) -> UnknownNameError:
+def unknown_name(what: str, name: object, where: str, known: Iterable[str]) -> UnknownNameError:
     """Return the error for an undeclared name, e.g. ``unknown_name("state", "vv", "model 'cart'", ...)``."""
+    if not isinstance(name, str):
+        return UnknownNameError(f"{where}: {name!r} is not the name of a {what}; {did_you_mean('', known)}")
     return UnknownNameError(f"{where} has no {what} '{name}': {did_you_mean(name, known)}")

@@ -52,6 +52,25 @@ class PhaseFunctions:
         """dx/dt, shape of x."""
         return self._call("rates", t, x, u)
 
+    def fast_rates(self) -> Callable[[float, Array, Array], Array]:
+        """Return dx/dt as a function of (t, x, u) at one time without conversion overhead, for integrators."""
+        function = self.functions["rates"]
+        arguments = [np.zeros(function.size1_in(i)) for i in range(function.n_in())]
+        arguments[5][:], arguments[6][:], arguments[7][:] = self.weights, self.p, self.q
+        result = np.zeros(function.size1_out(0))
+        buffer, run = function.buffer()
+        for i, argument in enumerate(arguments):
+            if argument.size:
+                buffer.set_arg(i, memoryview(argument))
+        buffer.set_res(0, memoryview(result))
+
+        def rates(t: float, x: Array, u: Array, _keep_alive: Any = buffer) -> Array:
+            arguments[0][0], arguments[1][:], arguments[2][:] = t, x, u
+            run()
+            return result.copy()
+
+        return rates
+
     def paths(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Path constraint values, shape (n_paths, ...)."""
         return self._call("paths", t, x, u)
@@ -95,6 +114,12 @@ class PhaseFunctions:
         flat = self._call("control_hessian", t, x, u, lam, mu)
         m = np.shape(u)[0]
         return flat.reshape(m, m, *flat.shape[1:])
+
+    def state_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+        """df/dx, shape (n_states, n_states, ...)."""
+        flat = self._call("state_jacobian", t, x, u)
+        n = np.shape(x)[0]
+        return flat.reshape(n, n, *flat.shape[1:])
 
     def path_control_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """dc/du, shape (n_paths, n_controls, ...)."""
@@ -148,6 +173,7 @@ def _build_phase_functions(problem: Problem, leg: Phase) -> dict[str, Any]:
         "time_gradient": ca.gradient(augmented, t),
         "parameter_gradient": ca.gradient(augmented, q),
         "control_hessian": ca.vec(ca.hessian(augmented, u)[0].T),
+        "state_jacobian": ca.vec(ca.jacobian(f, x).T),
         "path_control_jacobian": ca.vec(ca.jacobian(c, u).T),
     }
     arguments = [t, x, u, lam, mu, weights, p, q]

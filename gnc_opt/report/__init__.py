@@ -1,0 +1,7 @@
+"""Reports: the six-line summary, its JSON, the verdict as a table, the progress meter and the report folder."""
+
+from gnc_opt.report.report import write_report
+from gnc_opt.report.summary import summary
+from gnc_opt.report.summary_json import summary_dict, write_json
+
+__all__ = ["summary", "summary_dict", "write_json", "write_report"]

@@ -1,0 +1,7 @@
+"""Verification: dense defects, independent propagation and Pontryagin's minimum principle."""
+
+from gnc_opt.verify.quality import Quality
+from gnc_opt.verify.verdict import Condition, Result, Verdict
+from gnc_opt.verify.verify import verify
+
+__all__ = ["Condition", "Quality", "Result", "Verdict", "verify"]

@@ -1,0 +1,86 @@
+"""Reading the arguments of calls: what cannot be meant is refused in one sentence."""
+
+from __future__ import annotations
+
+import keyword
+import numbers
+import reprlib
+from typing import Any, TypeVar
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from gnc_opt.errors import ArgumentError, GncOptError
+
+Array = NDArray[np.float64]
+ErrorType = type[GncOptError]
+T = TypeVar("T")
+
+
+def shown(value: object) -> str:
+    """Return a short form of a value on one line, for messages."""
+    return " ".join(reprlib.repr(value).split())
+
+
+def expect(value: Any, kind: type[T], what: str, remedy: str) -> T:
+    """Return ``value`` if it is of the given class, else raise `ArgumentError`: ``what`` is it, ``remedy`` helps."""
+    if not isinstance(value, kind):
+        raise ArgumentError(f"{what} is a {type(value).__name__} where a {kind.__name__} is needed: {remedy}.")
+    return value
+
+
+def read_name(name: object, what: str, error: ErrorType = ArgumentError) -> str:
+    """Return a name that can be a keyword argument, as names of variables and phases are."""
+    if not isinstance(name, str) or not name.isidentifier():
+        raise error(f"{shown(name)} cannot be the name of a {what}: use letters, digits and underscores.")
+    if keyword.iskeyword(name) or name == "time":
+        raise error(f"'{name}' is a reserved word and cannot be the name of a {what}: write '{name}_'.")
+    return name
+
+
+def read_label(name: object, what: str, error: ErrorType = ArgumentError) -> str:
+    """Return a name that appears only in results and reports: any text without brackets."""
+    if not isinstance(name, str) or not name.strip() or "[" in name:
+        raise error(f"{shown(name)} cannot be the name of a {what}: give a text without brackets.")
+    return name
+
+
+def read_integer(value: Any, what: str, least: int, error: ErrorType = ArgumentError) -> int:
+    """Return a whole number that is not less than ``least``."""
+    whole = isinstance(value, numbers.Real) and not isinstance(value, bool) and value == np.floor(float(value))
+    if not (whole and np.isfinite(float(value)) and value >= least):
+        raise error(f"{what} is {shown(value)}: give an integer >= {least}.")
+    return int(value)
+
+
+def read_positive(value: Any, what: str, error: ErrorType = ArgumentError, *, or_zero: bool = False) -> float:
+    """Return a finite number > 0 (or >= 0)."""
+    if isinstance(value, numbers.Real) and not isinstance(value, bool):
+        number = float(value)
+        if np.isfinite(number) and (number > 0 or (or_zero and number == 0)):
+            return number
+    raise error(f"{what} is {shown(value)}: give a finite number {'>=' if or_zero else '>'} 0.")
+
+
+def read_numbers(value: Any, what: str, error: ErrorType = ArgumentError) -> Array:
+    """Return numbers as a new float array of their own shape; texts, ``None`` and expressions are refused."""
+    if isinstance(value, ca.DM):
+        value = value.full()
+    if _symbolic(value):
+        raise error(f"{what} is the expression {shown(value)} where numbers are needed: give numbers.")
+    try:
+        array = np.asarray(value)
+        real = array.dtype.kind in "biuf" or all(isinstance(entry, numbers.Real) for entry in array.flat)
+        if real:
+            return np.array(array, dtype=float)
+    except (TypeError, ValueError, OverflowError):  # rows of different lengths, or objects that refuse
+        pass
+    raise error(f"{what} is {shown(value)}, which is not a number or an array of numbers.")
+
+
+def _symbolic(value: Any) -> bool:
+    """Whether CasADi symbols hide in a value; NumPy must not be asked, since CasADi objects answer with warnings."""
+    if isinstance(value, (list, tuple)):
+        return any(_symbolic(entry) for entry in value)
+    return isinstance(value, (ca.SX, ca.MX))

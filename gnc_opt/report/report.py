@@ -1,0 +1,111 @@
+"""A folder that holds all there is to know about one solution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from gnc_opt.errors import GncOptError
+from gnc_opt.report.summary import summary
+from gnc_opt.report.summary_json import write_json
+
+if TYPE_CHECKING:
+    from gnc_opt.solution.solution import Solution
+    from gnc_opt.verify.verdict import Verdict
+
+Figures: TypeAlias = Callable[..., Any]
+
+DPI = 150
+
+
+def write_report(
+    solution: Solution, verdict: Verdict | None, directory: str | Path, *, figures: Figures | None = None
+) -> list[Path]:
+    """Write summary, verdict, the solution itself and figures into a folder.
+
+    Parameters
+    ----------
+    solution : Solution
+        Joined to its problem; one without it gets no figure of the Hamiltonian.
+    verdict : Verdict or None
+        None writes no verdict.
+    directory : str or Path
+        Made if it does not exist. Files of an earlier report are replaced.
+    figures : callable, optional
+        ``figures(solution, directory)`` draws a problem's own figures. It either writes them and returns their
+        path(s), or returns matplotlib figures: one, a list, or a dict by name.
+
+    Returns
+    -------
+    list of Path
+        ``summary.txt``, ``verdict.txt``, ``summary.json``, ``solution.npz`` and the figures (PNG).
+
+    Raises
+    ------
+    GncOptError
+        ``directory`` is a file.
+    OSError
+        A file cannot be written.
+    """
+    folder = Path(directory)
+    if folder.exists() and not folder.is_dir():
+        raise GncOptError(f"cannot write the report to '{folder}', which is a file: name a folder.")
+    folder.mkdir(parents=True, exist_ok=True)
+    written = [_write(folder / "summary.txt", summary(solution) + "\n")]
+    if verdict is not None:
+        written.append(_write(folder / "verdict.txt", _verdict_text(verdict)))
+    written.append(write_json(folder / "summary.json", solution, verdict))
+    written.append(solution.save(folder / "solution.npz"))
+    written += _save_figures(folder, _generic_figures(solution))
+    if figures is not None:
+        written += _own_figures(folder, figures(solution, folder))
+    return written
+
+
+def _write(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def _verdict_text(verdict: Verdict) -> str:
+    from gnc_opt.report.verdict_table import verdict_text
+
+    return f"{verdict_text(verdict)}\n{verdict.explain()}\n"
+
+
+def _generic_figures(solution: Solution) -> Iterator[tuple[str, Any]]:
+    """Yield file stem and figure of what every solution has, phase by phase."""
+    from gnc_opt.plot import trajectory
+
+    for name, leg in solution.phases.items():
+        prefix = f"{name}_" if len(solution.phases) > 1 else ""
+        yield f"{prefix}states", trajectory.plot_states(solution, phase=name)
+        if leg.controls.size:
+            yield f"{prefix}controls", trajectory.plot_controls(solution, phase=name)
+        yield f"{prefix}costates", trajectory.plot_costates(solution, phase=name)
+        if solution.problem is not None:
+            yield f"{prefix}hamiltonian", trajectory.plot_hamiltonian(solution, phase=name)
+
+
+def _own_figures(folder: Path, result: Any) -> list[Path]:
+    """Save or list what a problem's own ``figures`` function returned."""
+    if result is None:
+        return []
+    if isinstance(result, dict):
+        return _save_figures(folder, result.items())
+    items = list(result) if isinstance(result, Iterable) and not isinstance(result, (str, Path)) else [result]
+    paths = [Path(item) for item in items if isinstance(item, (str, Path))]
+    drawn = [item for item in items if not isinstance(item, (str, Path))]
+    return paths + _save_figures(folder, ((f"figure_{i}", item) for i, item in enumerate(drawn, 1)))
+
+
+def _save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> list[Path]:
+    from matplotlib import pyplot
+
+    paths = []
+    for stem, figure in figures:
+        paths.append(folder / f"{stem}.png")
+        figure.savefig(paths[-1], dpi=DPI, bbox_inches="tight")
+        pyplot.close(figure)
+    return paths

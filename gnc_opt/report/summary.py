@@ -1,0 +1,152 @@
+"""The summary of a solution that a person reads: what `print(solution)` shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from gnc_opt.solution.phase_solution import PhaseSolution
+    from gnc_opt.solution.solution import Solution
+    from gnc_opt.verify.quality import Quality
+
+WIDTH = 13
+WORST = 3
+"""How many broken constraints a failed solve names."""
+
+NEGLIGIBLE = 1e-9
+"""Relative bound violations below this are rounding."""
+
+
+def summary(solution: Solution) -> str:
+    """Return about six lines on a solution.
+
+    Status and objective; times; mesh and cost of the solve; worst defect between nodes; worst bound violation
+    between nodes; terminal miss when the flown control is integrated, each with its place. Further lines name
+    controls whose polynomial overshoots, say what to do after a failed solve, and warn when the figures
+    were not measured just now but when the solution was saved.
+
+    Parameters
+    ----------
+    solution : Solution
+
+    Returns
+    -------
+    str
+        Lines without a trailing newline.
+    """
+    quality = known_quality(solution)
+    lines = [_headline(solution), *_failure(solution), _times(solution), _cost(solution)]
+    lines += list(_quality_lines(quality))
+    lines += list(_overshoot(solution))
+    if quality is not None and solution.problem is None:
+        lines.append(_line("note", "defect, bounds and propagation were measured when the solution was saved"))
+    return "\n".join(lines)
+
+
+def known_quality(solution: Solution) -> Quality | None:
+    """Return the quality figures, measured now or stored in the file; None if neither is possible."""
+    if solution.problem is None and "quality" not in vars(solution):
+        return None
+    return solution.quality
+
+
+def overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
+    """Return the controls whose polynomial leaves its bounds between nodes.
+
+    Returns
+    -------
+    dict
+        From component label to the largest overshoot, in the control's unit.
+    """
+    times = leg.sample_times(32)
+    values = np.maximum(
+        _excess(leg.u(times, "right"), leg.control_bounds.lower, leg.control_bounds.upper),
+        _excess(leg.u(times, "left"), leg.control_bounds.lower, leg.control_bounds.upper),
+    )
+    held = leg.flown.held.any(axis=1)
+    return {leg.controls.labels[i]: float(np.max(values[i])) for i in np.flatnonzero(held)}
+
+
+def mesh_text(solution: Solution) -> str:
+    """Return ``"20x3"``, or ``"ascent 20x3, coast 5x2"`` for several phases."""
+    if len(solution.phases) == 1:
+        return str(solution.phase().mesh)
+    return ", ".join(f"{name} {leg.mesh}" for name, leg in solution.phases.items())
+
+
+def _headline(solution: Solution) -> str:
+    sense = "maximised" if solution.maximised else "minimised"
+    status = "solved" if solution.status.solved else "NOT SOLVED"
+    return (
+        f"{solution.problem_name}: {status} ({_words(solution.status.value)}), "
+        f"objective {solution.objective:.10g} ({sense})"
+    )
+
+
+def _failure(solution: Solution) -> Iterator[str]:
+    if solution.status.solved:
+        return
+    yield _line("what to do", solution.status.remedy)
+    for violation in solution.violations[:WORST]:
+        yield _line("broken", f"{violation.name}, off by {violation.amount:.2g} of its scale")
+
+
+def _times(solution: Solution) -> str:
+    return _line(
+        "time",
+        "; ".join(f"{leg.name} {leg.initial_time:.10g} to {leg.final_time:.10g} s" for leg in solution.phases.values()),
+    )
+
+
+def _cost(solution: Solution) -> str:
+    spent = solution.statistics
+    scheme = next(iter(solution.phases.values())).scheme
+    build = "build re-used" if spent.build_reused else f"build {spent.build_s:.3f} s"
+    return _line(
+        "mesh",
+        f"{mesh_text(solution)} {scheme}, {spent.iterations} iterations, {build}, solve {spent.solve_s:.3f} s",
+    )
+
+
+def _quality_lines(quality: Quality | None) -> Iterator[str]:
+    if quality is None:
+        yield _line("quality", "unknown: load the solution with its problem to measure it")
+        return
+    yield _line("defect", f"{quality.max_defect:.2g} relative, worst between nodes: {quality.defect_where}")
+    if quality.max_bound_violation <= NEGLIGIBLE:
+        yield _line("bounds", "kept at and between nodes")
+    else:
+        yield _line("bounds", f"broken by {quality.max_bound_violation:.2g} of their range: {quality.bound_where}")
+    if np.isfinite(quality.terminal_error):
+        miss = f"{quality.terminal_error:.2g} relative, flown control integrated: {quality.terminal_where}"
+    else:
+        miss = f"diverges when the flown control is integrated: {quality.terminal_where}"
+    yield _line("propagation", miss)
+
+
+def _overshoot(solution: Solution) -> Iterator[str]:
+    for leg in solution.phases.values():
+        worst = overshooting_controls(leg)
+        if worst:
+            units = dict(zip(leg.controls.labels, leg.controls.units, strict=True))
+            named = ", ".join(f"{label} by {over:.3g} {units[label]}".rstrip() for label, over in worst.items())
+            yield _line(
+                "overshoot",
+                f"control polynomials leave their bounds between nodes ({named}); "
+                "fly flown_control, which does not, or refine the mesh",
+            )
+
+
+def _excess(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    return np.maximum(lower[:, None] - values, values - upper[:, None])
+
+
+def _words(value: str) -> str:
+    return value.replace("_", " ")
+
+
+def _line(label: str, text: str) -> str:
+    return f"  {label:<{WIDTH}}{text}"

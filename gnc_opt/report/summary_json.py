@@ -1,0 +1,129 @@
+"""The summary of a solution that a program reads; docs/json_summary.md documents it."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gnc_opt.report.summary import known_quality, mesh_text
+
+if TYPE_CHECKING:
+    from gnc_opt.model.layout import Layout
+    from gnc_opt.solution.phase_solution import PhaseSolution
+    from gnc_opt.solution.solution import Solution
+    from gnc_opt.verify.verdict import Condition, Verdict
+
+SCHEMA = 1
+"""Raised when a key is removed or changes its meaning; new keys may come at any time."""
+
+
+def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str, Any]:
+    """Return the summary as plain JSON values.
+
+    Parameters
+    ----------
+    solution : Solution
+    verdict : Verdict, optional
+        None leaves ``verdict`` null.
+
+    Returns
+    -------
+    dict
+        Strings, numbers, booleans, None, lists and dicts; what is not finite or was not measured is None.
+    """
+    quality = known_quality(solution)
+    spent = solution.statistics
+    return _plain(
+        {
+            "schema": SCHEMA,
+            "problem": solution.problem_name,
+            "status": solution.status.value,
+            "solved": solution.status.solved,
+            "objective": solution.objective,
+            "maximised": solution.maximised,
+            "iterations": spent.iterations,
+            "build_s": spent.build_s,
+            "solve_s": spent.solve_s,
+            "scheme": next(iter(solution.phases.values())).scheme,
+            "mesh": mesh_text(solution),
+            "max_defect": quality and quality.max_defect,
+            "max_defect_where": quality and quality.defect_where,
+            "max_bound_violation": quality and quality.max_bound_violation,
+            "max_bound_violation_where": quality and quality.bound_where,
+            "terminal_error": quality and quality.terminal_error,
+            "terminal_error_where": quality and quality.terminal_where,
+            "verdict": None if verdict is None else _verdict(verdict),
+            "violations": [{"name": v.name, "amount": v.amount} for v in solution.violations],
+            "parameters": {name: solution.parameter(name) for name in solution.free_parameters.names},
+            "phases": [_phase(leg) for leg in solution.phases.values()],
+            "provenance": dict(solution.provenance),
+        }
+    )
+
+
+def write_json(path: str | Path, solution: Solution, verdict: Verdict | None = None) -> Path:
+    """Write `summary_dict` to a file as UTF-8 JSON; returns its path.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    """
+    target = Path(path)
+    target.write_text(json_text(solution, verdict), encoding="utf-8")
+    return target
+
+
+def json_text(solution: Solution, verdict: Verdict | None = None) -> str:
+    """Return `summary_dict` as indented JSON text with a trailing newline."""
+    return json.dumps(summary_dict(solution, verdict), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _verdict(verdict: Verdict) -> dict[str, Any]:
+    return {
+        "ok": verdict.ok,
+        "proven": verdict.proven,
+        "conditions": [_condition(c) for c in verdict.conditions],
+    }
+
+
+def _condition(condition: Condition) -> dict[str, Any]:
+    return {
+        "name": condition.name,
+        "result": condition.result.value,
+        "value": condition.value,
+        "tolerance": condition.tolerance,
+        "where": condition.where,
+        "meaning": condition.meaning,
+    }
+
+
+def _phase(leg: PhaseSolution) -> dict[str, Any]:
+    return {
+        "name": leg.name,
+        "initial_time": leg.initial_time,
+        "final_time": leg.final_time,
+        "segments": leg.mesh.segments,
+        "points": leg.mesh.size,
+        "states": _layout(leg.states),
+        "controls": _layout(leg.controls),
+    }
+
+
+def _layout(layout: Layout) -> list[dict[str, Any]]:
+    return [{"name": v.name, "size": v.size, "unit": v.unit} for v in layout.variables]
+
+
+def _plain(value: Any) -> Any:
+    """Return JSON values: NumPy numbers and arrays unpacked, non-finite numbers as None."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,58 @@
+"""A verdict as a table."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from gnc_opt.verify.verdict import Result
+
+if TYPE_CHECKING:
+    from gnc_opt.verify.verdict import Condition, Verdict
+
+_STYLES = {Result.PASS: "green", Result.FAIL: "bold red", Result.CANNOT_TELL: "yellow"}
+
+
+def verdict_table(verdict: Verdict) -> Table:
+    """Return the conditions of a verdict as a rich table: name, result, value, tolerance, place of the worst."""
+    table = Table(box=box.SIMPLE_HEAD, title=verdict_headline(verdict), title_justify="left", pad_edge=False)
+    table.add_column("condition", no_wrap=True)
+    table.add_column("result", no_wrap=True)
+    table.add_column("value", justify="right", no_wrap=True)
+    table.add_column("tolerance", justify="right", no_wrap=True)
+    table.add_column("worst at", overflow="fold")
+    for condition in verdict.conditions:
+        table.add_row(*_cells(condition))
+    return table
+
+
+def verdict_headline(verdict: Verdict) -> Text:
+    """Return "verdict on '...': ok, 11 pass, 0 fail, 2 cannot tell", in colour."""
+    counts = ", ".join(
+        f"{sum(c.result is result for c in verdict.conditions)} {word}"
+        for result, word in ((Result.PASS, "pass"), (Result.FAIL, "fail"), (Result.CANNOT_TELL, "cannot tell"))
+    )
+    word, style = ("ok", "green") if verdict.ok else ("NOT ok", "bold red")
+    return Text.assemble(f"verdict on '{verdict.problem_name}': ", (word, style), f" ({counts})")
+
+
+def verdict_text(verdict: Verdict, width: int = 120) -> str:
+    """Return the table as plain text of at most ``width`` columns, without colours, ending in a newline."""
+    stream = io.StringIO()
+    Console(file=stream, width=width).print(verdict_table(verdict))
+    return "\n".join(line.rstrip() for line in stream.getvalue().strip("\n").splitlines()) + "\n"
+
+
+def _cells(condition: Condition) -> tuple[Text, ...]:
+    return (
+        Text(condition.name),
+        Text(condition.result.value, _STYLES[condition.result]),
+        Text(f"{condition.value:.1e}"),
+        Text(f"{condition.tolerance:.0e}"),
+        Text(condition.where),
+    )

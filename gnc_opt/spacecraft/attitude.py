@@ -1,0 +1,132 @@
+r"""Attitude: modified Rodrigues parameters (MRP), direction cosine matrices, quaternions, Euler angles.
+
+Frame B is reached from frame L by turning L through the angle :math:`\Phi` about the unit axis e (which has the
+same components in both frames).
+
+**Direction cosine matrix.** ``dcm_BL`` takes the L components of a vector to its B components (passive):
+:math:`v_B = C_{BL}\, v_L`; its columns are the axes of L seen in B. The *active* rotation that carries the axes of L
+onto those of B is its transpose, and that is what `scipy.spatial.transform.Rotation` holds:
+``Rotation.from_mrp(sigma).as_matrix() == dcm_BL.T``.
+
+**Modified Rodrigues parameters** (three, no constraint; singular at one full turn)
+
+.. math:: \sigma = e \tan(\Phi / 4), \qquad
+   C_{BL} = I + \frac{8 [\sigma\times]^2 - 4 (1 - \sigma^2) [\sigma\times]}{(1 + \sigma^2)^2} .
+
+**Kinematics**, with ``omega_BL_B`` the rate of B relative to L in B components,
+
+.. math:: \dot\sigma = \tfrac14 \left[ (1 - \sigma^2) I + 2 [\sigma\times] + 2 \sigma \sigma^T \right] \omega .
+
+**Shadow set.** :math:`\sigma_s = -\sigma / \sigma^2` describes the same attitude by the other way round (the angle
+:math:`\Phi - 2\pi`). Of the two, one always has :math:`|\sigma| \le 1`, a turn of at most 180 degrees; staying on it
+keeps away from the singularity. An optimiser that is allowed :math:`|\sigma| > 1` may wander off to the singularity,
+so trajectories of less than half a turn should bound :math:`\sigma`.
+
+**Quaternion**, scalar part first: :math:`q = (\cos(\Phi/2),\; e \sin(\Phi/2)) = (1 - \sigma^2,\; 2\sigma) / (1 + \sigma^2)`.
+
+**Euler angles YXZ** (:math:`\theta_y, \theta_x, \theta_z`): turn L about its y axis, then about the new x axis, then about
+the newest z axis: :math:`C_{BL} = C_3(\theta_z)\, C_1(\theta_x)\, C_2(\theta_y)`. Singular at :math:`\theta_x = \pm 90` degrees.
+
+Every function takes CasADi columns or arrays (3,) and (3, n_times), time last, unless it says "numeric".
+
+References
+----------
+H. Schaub, J. L. Junkins, Analytical Mechanics of Space Systems, AIAA, chapter 3.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from gnc_opt.model.layout import Array
+from gnc_opt.spacecraft.vector import Matrix, Vector, cross, dot, scale, stack, stack_rows
+
+
+def mrp_to_dcm(sigma_BL: Vector) -> Matrix:
+    """Return ``dcm_BL``, which takes L components to B components.
+
+    Parameters
+    ----------
+    sigma_BL : casadi (3, 1), array (3,) or (3, n_times)
+        MRP of B relative to L.
+
+    Returns
+    -------
+    casadi (3, 3), array (3, 3) or (3, 3, n_times)
+    """
+    x, y, z = sigma_BL[0], sigma_BL[1], sigma_BL[2]
+    square = x * x + y * y + z * z
+    denominator = (1 + square) * (1 + square)
+    # [s x]^2 = s s^T - s^2 I
+    a, b = 8 / denominator, 4 * (1 - square) / denominator
+    diagonal = 1 - a * square
+    return stack_rows(
+        [
+            [diagonal + a * x * x, a * x * y + b * z, a * x * z - b * y],
+            [a * x * y - b * z, diagonal + a * y * y, a * y * z + b * x],
+            [a * x * z + b * y, a * y * z - b * x, diagonal + a * z * z],
+        ]
+    )
+
+
+def mrp_rate(sigma_BL: Vector, omega_BL_B: Vector) -> Vector:
+    """Return the time derivative of the MRP, 1/s.
+
+    Parameters
+    ----------
+    sigma_BL : casadi (3, 1), array (3,) or (3, n_times)
+    omega_BL_B : like ``sigma_BL``
+        Angular rate of B relative to L in B components, rad/s.
+    """
+    square, along, across = dot(sigma_BL, sigma_BL), dot(sigma_BL, omega_BL_B), cross(sigma_BL, omega_BL_B)
+    return stack(
+        [0.25 * ((1 - square) * omega_BL_B[i] + 2 * across[i] + 2 * along * sigma_BL[i]) for i in range(3)]
+    )
+
+
+def mrp_shadow(sigma_BL: Vector) -> Vector:
+    """Return the other MRP of the same attitude; singular at ``sigma = 0``."""
+    return scale(-1 / dot(sigma_BL, sigma_BL), sigma_BL)
+
+
+def mrp_to_quaternion(sigma_BL: Vector) -> Vector:
+    """Return the unit quaternion, scalar part first: casadi (4, 1), array (4,) or (4, n_times)."""
+    square = dot(sigma_BL, sigma_BL)
+    return stack([(1 - square) / (1 + square), *(2 * sigma_BL[i] / (1 + square) for i in range(3))])
+
+
+def mrp_from_axis_angle(axis: ArrayLike, angle: float) -> Array:
+    """Return the MRP (3,) of a turn through ``angle`` (rad) about ``axis`` (3,), of any length; numeric."""
+    direction = np.asarray(axis, dtype=float)
+    length = np.linalg.norm(direction)
+    if not length > 0:
+        raise ValueError(f"the axis of a rotation must have a direction, got {axis}")
+    return np.asarray(direction / length * np.tan(angle / 4))
+
+
+def mrp_short(sigma_BL: ArrayLike) -> Array:
+    """Return the MRP with ``|sigma| <= 1``: the given one or its shadow, at every time; numeric."""
+    sigma = np.asarray(sigma_BL, dtype=float)
+    square = np.sum(sigma**2, axis=0)
+    return np.asarray(np.where(square > 1, -sigma / np.maximum(square, 1.0), sigma))
+
+
+def mrp_to_rotation(sigma_BL: ArrayLike) -> Any:
+    """Return scipy's (active) `Rotation` from the axes of L to those of B; numeric."""
+    return Rotation.from_mrp(np.asarray(sigma_BL, dtype=float).T)
+
+
+def mrp_to_euler(sigma_BL: ArrayLike, sequence: str = "YXZ") -> Array:
+    """Return Euler angles in rad, (3,) or (3, n_times), in the order of the sequence; numeric.
+
+    Parameters
+    ----------
+    sigma_BL : array (3,) or (3, n_times)
+    sequence : str
+        Three capital letters: turns about the axes of the moving frame, first turn first.
+    """
+    return np.asarray(mrp_to_rotation(sigma_BL).as_euler(sequence).T)

@@ -1,0 +1,175 @@
+"""Conditions on the trajectory alone: dynamics, propagation, bounds, paths, boundary values, cost."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import expm
+
+from gnc_opt.model.layout import Array
+from gnc_opt.problem.functions import EndGradients
+from gnc_opt.problem.interval import Interval
+from gnc_opt.verify.quality import (
+    NOTHING,
+    Worst,
+    worst_bound_violation,
+    worst_defect,
+    worst_path_violation,
+    worst_terminal_error,
+)
+from gnc_opt.verify.samples import PhaseSamples
+from gnc_opt.verify.verdict import Condition, Result
+
+if TYPE_CHECKING:
+    from gnc_opt.solution.solution import Solution
+
+UNSTABLE = 1e6
+"""Growth of integration errors beyond which propagating a whole phase in one go says nothing."""
+
+
+def judge(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
+    """Return PASS if the value is within tolerance, FAIL if not (NaN fails)."""
+    result = Result.PASS if worst.value <= tolerance else Result.FAIL
+    return Condition(name, result, worst.value, tolerance, worst.where, meaning)
+
+
+def dynamics(samples: list[PhaseSamples], tolerance: float) -> Condition:
+    """The trajectory satisfies the differential equation between the nodes."""
+    worst = NOTHING
+    for s in samples:
+        worst = worst.or_worse(worst_defect(s))
+    return judge(
+        "dynamics",
+        worst,
+        tolerance,
+        "The state polynomials must satisfy dx/dt = f between the nodes too (integral of the residual over a "
+        "segment, relative to the state); where they do not, refine the mesh.",
+    )
+
+
+def propagation(samples: list[PhaseSamples], tolerance: float) -> Condition:
+    """Flying the bounded control from the initial state arrives at the final state."""
+    worst, growth = NOTHING, 1.0
+    for s in samples:
+        worst = worst.or_worse(worst_terminal_error(s))
+        growth = max(growth, _growth(s))
+    condition = judge(
+        "propagation",
+        worst,
+        tolerance,
+        "The control as it can be flown (within bounds), integrated from the initial state by an independent "
+        "integrator, must reach the final state; where it does not, the control is wrong between its nodes.",
+    )
+    if condition.result is Result.FAIL and growth > UNSTABLE:
+        return Condition(
+            condition.name,
+            Result.CANNOT_TELL,
+            worst.value,
+            tolerance,
+            worst.where,
+            f"The dynamics amplify errors about {growth:.0e} times over the phase, so that a propagation in one go "
+            "says nothing about the solution; the condition 'dynamics' judges it segment by segment.",
+        )
+    return condition
+
+
+def _growth(samples: PhaseSamples) -> float:
+    """Return how much the linearised dynamics amplify an error over the phase at most.
+
+    Product of the norms of the segments' transition matrices exp(A h), A = df/dx in scaled states.
+    """
+    leg, scale = samples.leg, samples.state_scale
+    middles = 0.5 * (leg.breaks[:-1] + leg.breaks[1:])
+    jacobians = samples.functions.state_jacobian(middles, leg.x(middles), leg.flown(middles))
+    scaled = jacobians * scale[None, :, None] / scale[:, None, None]
+    transition, largest = np.eye(scale.size), 1.0
+    for k, width in enumerate(np.diff(leg.breaks)):
+        transition = expm(np.clip(scaled[:, :, k] * width, -50.0, 50.0)) @ transition
+        largest = max(largest, float(np.linalg.norm(transition, 2)))
+        if not largest < 1e12:
+            break
+    return largest
+
+
+def bounds(samples: list[PhaseSamples], tolerance: float) -> Condition:
+    """States and controls stay within their bounds between the nodes."""
+    worst = NOTHING
+    for s in samples:
+        worst = worst.or_worse(worst_bound_violation(s))
+    return judge(
+        "bounds",
+        worst,
+        tolerance,
+        "State and control polynomials must stay within bounds between the nodes (overshoot relative to the range). "
+        "Polynomials through a switch overshoot: fly only flown_control(), and put segment boundaries on the switches.",
+    )
+
+
+def paths(samples: list[PhaseSamples], tolerance: float) -> Condition:
+    """Path constraints hold between the nodes."""
+    worst = NOTHING
+    for s in samples:
+        worst = worst.or_worse(worst_path_violation(s))
+    return judge(
+        "path constraints",
+        worst,
+        tolerance,
+        "Path constraints, enforced at the nodes, must hold between them too; where they do not, refine there.",
+    )
+
+
+def boundary(solution: Solution, ends: EndGradients, tolerance: float) -> Condition:
+    """Initial and final values, times and boundary constraints hold."""
+    worst = NOTHING
+    for name, leg in solution.phases.items():
+        for end, values, interval in (
+            ("start", leg.x(leg.breaks[0]), leg.initial_bounds),
+            ("end", leg.x(leg.breaks[-1], "left"), leg.final_bounds),
+        ):
+            labels = [f"phase {name}, {end}, {label}" for label in leg.states.labels]
+            worst = worst.or_worse(_worst_row(values, interval, labels))
+        times = np.array([leg.initial_time, leg.final_time, leg.duration])
+        limits = (leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
+        interval = Interval(
+            np.concatenate([b.lower for b in limits]), np.concatenate([b.upper for b in limits])
+        )
+        labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
+        worst = worst.or_worse(_worst_row(times, interval, labels))
+    problem = solution.problem
+    assert problem is not None, "verify refuses solutions without a problem"
+    labels = [f"constraint {label}" for label in solution.constraint_labels]
+    worst = worst.or_worse(_worst_row(ends.constraints, problem.constraint_interval(), labels))
+    return judge(
+        "boundary conditions",
+        worst,
+        tolerance,
+        "Initial and final values, times, linkages and boundary constraints must hold, recomputed from the model "
+        "(relative to max(1, value)).",
+    )
+
+
+def cost(solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float) -> Condition:
+    """The reported cost is that of the trajectory between its nodes."""
+    missing = 0.0
+    for s in samples:
+        exact = s.functions.integrands(s.times, s.x, s.u) @ s.weights
+        missing += float(s.leg.integral_weights @ (exact - s.leg.integrals))
+    sign = -1.0 if solution.maximised else 1.0
+    error = abs(ends.cost + sign * missing - solution.objective) / max(1.0, abs(solution.objective))
+    return judge(
+        "cost",
+        Worst(error, "objective"),
+        tolerance,
+        "The objective, recomputed from the end points and a finer quadrature of the integrals along the flown "
+        "control, must agree with the one reported.",
+    )
+
+
+def _worst_row(values: Array, interval: Interval, labels: list[str]) -> Worst:
+    if not labels:
+        return NOTHING
+    excess = np.maximum(interval.lower - values, values - interval.upper) / np.maximum(1.0, np.abs(values))
+    excess = np.where(np.isnan(values), np.inf, np.maximum(excess, 0.0))
+    i = int(np.argmax(excess))
+    return Worst(float(excess[i]), labels[i])

@@ -1,0 +1,100 @@
+"""verify: judge a solution by Pontryagin's minimum principle."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.errors import GncOptError, ProblemError
+from gnc_opt.problem.functions import EndGradients, end_gradients
+from gnc_opt.solution.solution import Solution
+from gnc_opt.verify import feasibility, optimality
+from gnc_opt.verify.samples import PhaseSamples
+from gnc_opt.verify.verdict import Condition, Result, Verdict
+
+TOLERANCE = 1e-5
+
+
+def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
+    """Judge a solution from its model, trajectory and costates, densely in time.
+
+    Nothing of the solver's residuals is used, so a trajectory from any source can be judged. All values
+    are dimensionless, see each condition's ``meaning``.
+
+    Parameters
+    ----------
+    solution : Solution
+        With its problem (``load(path, problem=...)`` after loading).
+    tol : float
+        Tolerance of every condition.
+
+    Returns
+    -------
+    Verdict
+        PASS, FAIL or CANNOT TELL per condition: dynamics, propagation, bounds, path constraints, boundary
+        conditions, cost, adjoint equation, transversality, Hamiltonian, stationarity, control signs, minimum
+        principle, complementarity, Legendre-Clebsch, singular arcs, parameters.
+
+    Raises
+    ------
+    GncOptError
+        The solution has no problem, or is no solution.
+    """
+    if not isinstance(solution, Solution):
+        raise GncOptError(f"verify() needs a Solution, as solve() returns it, not {type(solution).__name__}.")
+    if not (np.isfinite(tol) and tol > 0):
+        raise ProblemError(f"the tolerance of verify() is {tol!r}: give a positive number.")
+    samples = [PhaseSamples.of(leg, solution.functions(name)) for name, leg in solution.phases.items()]
+    ends = _ends(solution)
+    conditions = [
+        feasibility.dynamics(samples, tol),
+        feasibility.propagation(samples, tol),
+        feasibility.bounds(samples, tol),
+        feasibility.paths(samples, tol),
+        feasibility.boundary(solution, ends, tol),
+        feasibility.cost(solution, samples, ends, tol),
+    ]
+    judged = [
+        optimality.adjoint(samples, tol),
+        optimality.transversality(solution, samples, ends, tol),
+        optimality.hamiltonian(samples, tol),
+        optimality.stationarity(samples, tol),
+        optimality.control_signs(samples, tol),
+        optimality.minimum(samples, tol),
+        optimality.complementarity(samples, tol),
+        optimality.legendre_clebsch(samples, tol),
+        optimality.singular_arcs(samples, tol),
+        optimality.parameters(solution, samples, ends, tol),
+    ]
+    if not _has_costates(solution):
+        judged = [_untold(c) for c in judged]
+    return Verdict(solution.problem_name, tuple([*conditions, *judged]))
+
+
+def _ends(solution: Solution) -> EndGradients:
+    """End-point gradients recomputed at the trajectory's own ends."""
+    problem = solution.problem
+    assert problem is not None, "functions() has refused solutions without a problem"
+    ends: dict[str, list[Any]] = {}
+    for name, leg in solution.phases.items():
+        first, last = leg.x(leg.breaks[0]), leg.x(leg.breaks[-1], "left")
+        ends[name] = [first, last, leg.initial_time, leg.final_time, leg.integrals, leg.parameters]
+    return end_gradients(problem, ends, solution.parameter_values, solution.constraint_multipliers)
+
+
+def _has_costates(solution: Solution) -> bool:
+    finite = [np.all(np.isfinite(v)) for leg in solution.phases.values() for v in leg.lam.values]
+    some = [np.any(v != 0) for leg in solution.phases.values() for v in leg.lam.values]
+    return all(finite) and any(some)
+
+
+def _untold(condition: Condition) -> Condition:
+    return Condition(
+        condition.name,
+        Result.CANNOT_TELL,
+        float("nan"),
+        condition.tolerance,
+        "everywhere",
+        "The solution has no costates (none finite and non-zero), so that the minimum principle cannot be checked.",
+    )
