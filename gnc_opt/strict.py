@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+from types import MemberDescriptorType
 from typing import TYPE_CHECKING, Any
 
 from gnc_opt.errors import UnknownAttributeError, did_you_mean
 
 
 class Strict:
-    """Base of the classes that a user's script talks to; they name their attributes in ``__slots__``.
+    """Base of the classes that a user's script talks to; they list their attributes in ``__slots__``.
 
     Reading or assigning any other attribute raises `UnknownAttributeError`, which says what was probably meant.
+    A subclass without ``__slots__`` may assign what it likes.
     """
 
     __slots__ = ()
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if name in type(self).__slots__:
+        known = getattr(type(self), name, None)
+        if isinstance(known, MemberDescriptorType) or hasattr(self, "__dict__"):
             object.__setattr__(self, name, value)
-        elif callable(getattr(type(self), name, None)):
-            raise UnknownAttributeError(f"{_called(self)} is told by calling {name}(...), not by assigning to it.")
-        elif hasattr(type(self), name):
+        elif callable(known):
+            raise UnknownAttributeError(f"{_called(self)} learns its {name} by a call: write {name}(...).")
+        elif known is not None:
             raise UnknownAttributeError(f"'{name}' of {_called(self)} follows from its declarations: change those.")
         else:
             raise _unknown(self, name)
@@ -32,15 +35,15 @@ class Strict:
 
 
 def _unknown(instance: Strict, name: str) -> UnknownAttributeError:
-    others = [c.__name__ for c in Strict.__subclasses__() if not name.startswith("_") and hasattr(c, name)]
-    if others:
-        return UnknownAttributeError(f"{_called(instance)} has no '{name}': call it on a {' or a '.join(others)}.")
     public = [known for known in dir(type(instance)) if not known.startswith("_")]
-    return UnknownAttributeError(f"{_called(instance)} has no '{name}': {did_you_mean(name, public)}")
+    owners = [c.__name__ for c in Strict.__subclasses__() if not name.startswith("_") and hasattr(c, name)]
+    remedy = f"it belongs to a {' or a '.join(owners)}." if owners else did_you_mean(name, public)
+    return UnknownAttributeError(f"{_called(instance)} has no '{name}': {remedy}")
 
 
 def _called(instance: Strict) -> str:
     kind = type(instance).__name__.lower()
-    # While an object is being built or copied, it may not have its name yet.
-    name = getattr(instance, "name", None) if "name" != getattr(instance, "__missing__", "name") else None
-    return f"{kind} '{name}'"
+    try:
+        return f"{kind} '{object.__getattribute__(instance, 'name')}'"
+    except AttributeError:  # under construction
+        return kind

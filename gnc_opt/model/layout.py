@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gnc_opt.arguments import Array, ErrorType, read_numbers
 from gnc_opt.errors import ProblemError, unknown_name
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -75,8 +74,8 @@ class Layout:
             v.name: slice(int(end) - v.size, int(end)) for v, end in zip(self.variables, ends, strict=True)
         }
 
-    def __contains__(self, name: str) -> bool:
-        return name in self._slices
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and name in self._slices
 
     def __getitem__(self, name: str) -> Variable:
         self.slice(name)
@@ -84,7 +83,7 @@ class Layout:
 
     def slice(self, name: str) -> slice:
         """Return the place of a variable in the stacked vector; raise `UnknownNameError` for others."""
-        if name not in self._slices:
+        if name not in self:
             raise unknown_name(self.kind, name, self.owner or "it", self.names)
         return self._slices[name]
 
@@ -96,20 +95,18 @@ class Layout:
         return out
 
 
-def as_vector(value: ArrayLike, size: int, what: str) -> Array:
+def as_vector(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
     """Return ``value`` as a float vector of ``size`` entries; scalars are repeated.
 
     Raises
     ------
     ProblemError
-        If the value is not numeric or has another number of entries.
+        Or the given class of error, if the value is not numeric or has another number of entries.
     """
-    try:
-        array = np.asarray(value, dtype=float).reshape(-1)
-    except (TypeError, ValueError, NotImplementedError) as error:
-        raise ProblemError(f"{what}: {value!r} is not a number or an array of numbers.") from error
+    array = read_numbers(value, what, error).reshape(-1)
     if array.size == 1:
         return np.full(size, array[0])
     if array.size != size:
-        raise ProblemError(f"{what} has {size} component{'s' * (size > 1)}, but {array.size} values are given.")
-    return array.copy()
+        needed = "one value" if size == 1 else f"{size} values, or one for all"
+        raise error(f"{what} is given {array.size} values: give {needed}.")
+    return array

@@ -10,14 +10,17 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.errors import ModelError, UnknownNameError, did_you_mean
+from gnc_opt.arguments import expect, read_integer, read_name, read_numbers
+from gnc_opt.errors import ArgumentError, ModelError, did_you_mean, unknown_name
 from gnc_opt.model.layout import Array, Layout, Variable, as_vector
 from gnc_opt.model.symbol import Symbol, as_expression, foreign_symbols
+from gnc_opt.strict import Strict
 
 _KINDS = ("state", "control", "parameter")
+_ARGUMENTS = ["t", "x", "u", "p"]
 
 
-class Model:
+class Model(Strict):
     """Dynamics ``dx/dt = f(t, x, u, p)`` with named, vector-valued variables.
 
     Parameters
@@ -34,8 +37,19 @@ class Model:
     >>> cart.ode({q: v, v: a})
     """
 
+    __slots__ = (
+        "_equations",
+        "_functions",
+        "_in_use_by",
+        "_outputs",
+        "_parameter_values",
+        "_symbols",
+        "_time",
+        "name",
+    )
+
     def __init__(self, name: str) -> None:
-        self.name = name
+        self.name = expect(name, str, "the name of a model", 'write Model("cart")')
         self._symbols: dict[str, dict[str, Symbol]] = {kind: {} for kind in _KINDS}
         self._parameter_values: dict[str, Array] = {}
         self._equations: dict[str, Any] = {}
@@ -86,11 +100,8 @@ class Model:
 
         ``Problem.parameter`` of the same name turns it into a quantity to optimise.
         """
-        size = int(np.size(np.asarray(value, dtype=float)))
-        symbol = self._declare("parameter", name, size, unit, None)
-        vector = as_vector(value, size, f"parameter '{name}'")
-        if not np.all(np.isfinite(vector)):
-            raise ModelError(f"parameter '{name}' of model '{self.name}' is {vector}: give finite numbers.")
+        vector = self._finite(name, value, None)
+        symbol = self._declare("parameter", name, vector.size, unit, None)
         self._parameter_values[name] = vector
         return symbol
 
@@ -103,7 +114,8 @@ class Model:
             A state has two equations, a wrong size, or the expression uses a symbol of another model.
         """
         self._refuse_if_in_use("ode")
-        for key, value in equations.items():
+        remedy = "write ode({q: v, v: a}), each state with its time derivative"
+        for key, value in expect(equations, Mapping, f"what ode() of model '{self.name}' got", remedy).items():
             name = self._state_name(key)
             if name in self._equations:
                 raise ModelError(f"model '{self.name}' states the dynamics of state '{name}' twice: keep one.")
@@ -124,10 +136,7 @@ class Model:
         changed = copy.copy(self)
         changed._parameter_values = dict(self._parameter_values)
         for name, value in values.items():
-            vector = as_vector(value, self.parameters[name].size, f"parameter '{name}' of model '{self.name}'")
-            if not np.all(np.isfinite(vector)):
-                raise ModelError(f"parameter '{name}' of model '{self.name}' is {vector}: give finite numbers.")
-            changed._parameter_values[name] = vector
+            changed._parameter_values[name] = self._finite(name, value, self.parameters[name].size)
         return changed
 
     # --- what it is -------------------------------------------------------------------------------
@@ -169,10 +178,10 @@ class Model:
     def symbol(self, name: str) -> Symbol:
         """Return the symbol of a declared state, control or parameter."""
         for kind in _KINDS:
-            if name in self._symbols[kind]:
+            if isinstance(name, str) and name in self._symbols[kind]:
                 return self._symbols[kind][name]
         known = [n for kind in _KINDS for n in self._symbols[kind]]
-        raise UnknownNameError(f"model '{self.name}' has no variable '{name}': {did_you_mean(name, known)}")
+        raise unknown_name("variable", name, f"model '{self.name}'", known)
 
     def derivative(self) -> Any:
         """Return the stacked SX expression of dx/dt; raise `ModelError` if an equation is missing."""
@@ -200,7 +209,7 @@ class Model:
     @property
     def function(self) -> Any:
         """The CasADi Function ``f(t, x, u, p) -> dx/dt``."""
-        return self._function("f", lambda: [self.derivative()])
+        return self._function("f", lambda: [self.derivative()], "dx_dt")
 
     def f(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, p: ArrayLike | None = None) -> Array:
         """Evaluate dx/dt.
@@ -226,9 +235,9 @@ class Model:
         """Return A = df/dx (n, n) and B = df/du (n, m) at one point."""
         _, xs, us, _ = self.arguments()
         jacobians = self._function(
-            "AB", lambda: [ca.jacobian(self.derivative(), xs), ca.jacobian(self.derivative(), us)]
+            "AB", lambda: [ca.jacobian(self.derivative(), xs), ca.jacobian(self.derivative(), us)], "A", "B"
         )
-        a, b = jacobians(t, x, u, self.parameter_values if p is None else p)
+        a, b = jacobians(*_checked(jacobians, t, x, u, self.parameter_values if p is None else p))
         return np.asarray(a.full()), np.asarray(b.full())
 
     # --- internals --------------------------------------------------------------------------------
@@ -237,9 +246,9 @@ class Model:
         """Freeze the declarations: a problem now rests on them."""
         self._in_use_by = self._in_use_by or user
 
-    def _function(self, name: str, expressions: Any) -> Any:
+    def _function(self, name: str, expressions: Any, *names: str) -> Any:
         if name not in self._functions:
-            self._functions[name] = ca.Function(name, list(self.arguments()), expressions())
+            self._functions[name] = ca.Function(name, list(self.arguments()), expressions(), _ARGUMENTS, list(names))
         return self._functions[name]
 
     def _layout(self, kind: str) -> Layout:
@@ -249,21 +258,21 @@ class Model:
     def _declare(self, kind: str, name: str, size: int, unit: str, nominal: ArrayLike | None) -> Symbol:
         self._refuse_if_in_use(kind)
         self._check_new_name(name)
-        if not isinstance(size, (int, np.integer)) or size < 1:
-            raise ModelError(f"{kind} '{name}' of model '{self.name}' has size {size!r}: give an integer >= 1.")
+        what = f"{kind} '{name}' of model '{self.name}'"
+        size = read_integer(size, f"the size of {what}", 1, ModelError)
+        expect(unit, str, f"the unit of {what}", 'write unit="m/s"')
         scale = None
         if nominal is not None:
-            vector = as_vector(nominal, int(size), f"nominal value of {kind} '{name}'")
+            vector = as_vector(nominal, size, f"the nominal value of {what}", ModelError)
             if not np.all(np.isfinite(vector) & (vector > 0)):
-                raise ModelError(f"nominal value of {kind} '{name}' is {nominal!r}: give positive finite numbers.")
+                raise ModelError(f"the nominal value of {what} is {nominal!r}: give positive finite numbers.")
             scale = tuple(float(v) for v in vector)
-        symbol = Symbol(Variable(name, int(size), unit, scale))
+        symbol = Symbol(Variable(name, size, unit, scale))
         self._symbols[kind][name] = symbol
         return symbol
 
     def _check_new_name(self, name: str) -> None:
-        if not isinstance(name, str) or not name.isidentifier():
-            raise ModelError(f"{name!r} in model '{self.name}' is not a name: use letters, digits and underscores.")
+        read_name(name, f"variable of model '{self.name}'", ModelError)
         taken = {n for kind in _KINDS for n in self._symbols[kind]} | set(self._outputs)
         if name in taken:
             raise ModelError(f"model '{self.name}' declares '{name}' twice: rename one of the two.")
@@ -275,16 +284,25 @@ class Model:
                 f"call {what}() before the model is given to a problem."
             )
 
+    def _finite(self, name: str, value: ArrayLike, size: int | None) -> Array:
+        """Return a parameter's value as a vector of finite numbers."""
+        what = f"parameter '{name}' of model '{self.name}'"
+        given = read_numbers(value, what, ModelError).size if size is None else size
+        vector = as_vector(value, given, what, ModelError)
+        if vector.size == 0 or not np.all(np.isfinite(vector)):
+            raise ModelError(f"{what} is {vector}: give finite numbers.")
+        return vector
+
     def _state_name(self, key: Symbol | str) -> str:
         name = key if isinstance(key, str) else getattr(getattr(key, "variable", None), "name", None)
         if name is None:
             raise ModelError(
                 f"ode() of model '{self.name}' got the key {key}: use the symbol that state() returned, or its name."
             )
-        if not isinstance(key, str) and self._symbols["state"].get(name) is not key:
-            kind = next((k for k in _KINDS if name in self._symbols[k]), "symbol of another model")
-            if kind != "state":
-                raise ModelError(f"ode() of model '{self.name}': '{name}' is a {kind}, not a state.")
+        own = [k for k in _KINDS if name in self._symbols[k] and (isinstance(key, str) or self._symbols[k][name] is key)]
+        if own != ["state"] and (own or not isinstance(key, str)):
+            what = own[0] if own else "symbol of another model"
+            raise ModelError(f"ode() of model '{self.name}': '{name}' is a {what}; give dynamics to its states only.")
         self.states.slice(name)
         return name
 
@@ -304,10 +322,25 @@ def evaluate(function: Any, t: ArrayLike, x: ArrayLike, *others: ArrayLike) -> A
 
     One-dimensional arguments are constant in time; two-dimensional ones have time as the last axis.
     """
-    times = np.asarray(t, dtype=float)
-    columns = [np.asarray(a, dtype=float) for a in (x, *others)]
+    times, *columns = _checked(function, t, x, *others)
     if times.ndim == 0:
         return np.asarray(function(times, *columns).full()[:, 0])
     n = times.size
     wide = [c if c.ndim == 2 else np.tile(c.reshape(-1, 1), (1, n)) for c in columns]
     return np.asarray(function(times.reshape(1, n), *wide).full())
+
+
+def _checked(function: Any, *arguments: ArrayLike) -> list[Array]:
+    """Return the arguments as arrays; raise `ArgumentError` for those that the function cannot take."""
+    arrays = [read_numbers(a, f"{function.name_in(i)} of {function.name()}()") for i, a in enumerate(arguments)]
+    n_times = arrays[0].size
+    for i, array in enumerate(arrays[1:], 1):
+        rows = function.size1_in(i)
+        if array.ndim == 0:
+            arrays[i] = array = array.reshape(1)
+        if array.shape[0] != rows or array.shape[1:] not in ((), (n_times,)):
+            raise ArgumentError(
+                f"{function.name_in(i)} of {function.name()}() has the shape {array.shape}: "
+                f"give ({rows},) or ({rows}, {n_times}) for {n_times} time{'s' * (n_times != 1)}."
+            )
+    return arrays

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,35 +60,44 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
         return free(size)
     if not isinstance(value, tuple):
         fixed = as_vector(value, size, what)
+        if np.any(np.isnan(fixed)):
+            raise ProblemError(f"{what} is NaN: give a number, or None to leave it free.")
         return checked(Interval(fixed, fixed), what)
     if len(value) != 2:
         raise ProblemError(
-            f"{what}: a tuple means (lower, upper), but it has {len(value)} entries; write a value as a list."
+            f"{what} is a tuple of {len(value)} entries, but a tuple means (lower, upper): write a value as a list."
         )
-    if size == 2 and all(np.ndim(end) == 0 and end is not None for end in value) and value[0] != value[1]:
-        raise ProblemError(
-            f"{what} has 2 components, so {value!r} could be a value or a range: write [a, b] for a value "
-            "or ([a, a], [b, b]) for a range."
-        )
+    refuse_ambiguous(value, size, what, "([a, a], [b, b]) for a range")
     low = -np.inf if value[0] is None else value[0]
     high = np.inf if value[1] is None else value[1]
-    return checked(Interval(as_vector(low, size, what), as_vector(high, size, what)), what)
+    return checked(
+        Interval(as_vector(low, size, f"the lower end of {what}"), as_vector(high, size, f"the upper end of {what}")),
+        what,
+    )
+
+
+def refuse_ambiguous(value: tuple[Any, Any], size: int, what: str, otherwise: str) -> None:
+    """Raise `ProblemError` for two numbers given to a vector of two, which may be its value or mean something else."""
+    if size == 2 and all(np.ndim(end) == 0 and isinstance(end, numbers.Real) for end in value) and value[0] != value[1]:
+        raise ProblemError(
+            f"{what} has 2 components, so {value!r} can be read in two ways: write [a, b] for a value or {otherwise}."
+        )
 
 
 def checked(interval: Interval, what: str) -> Interval:
     """Return the interval, or raise `ProblemError` when it holds NaN, crossed bounds or a value at infinity."""
     for end, name in ((interval.lower, "lower"), (interval.upper, "upper")):
         if np.any(np.isnan(end)):
-            raise ProblemError(f"{what}: the {name} limit is NaN ({end}); use None where there is no limit.")
+            raise ProblemError(f"{what} has the {name} limit NaN: give a number, or None where there is no limit.")
     crossed = np.flatnonzero(interval.lower > interval.upper)
     if crossed.size:
         i = int(crossed[0])
         raise ProblemError(
-            f"{what}: lower {interval.lower[i]:g} exceeds upper {interval.upper[i]:g}"
-            f"{f' in component {i}' if interval.lower.size > 1 else ''}; swap or correct them."
+            f"{what}{f', component {i},' if interval.lower.size > 1 else ''} has a lower limit {interval.lower[i]:g} "
+            f"above its upper limit {interval.upper[i]:g}: swap or correct them."
         )
     if np.any(np.isposinf(interval.lower)) or np.any(np.isneginf(interval.upper)):
-        raise ProblemError(f"{what}: a value or limit lies at infinity; use None where there is no limit.")
+        raise ProblemError(f"{what} lies at infinity: give a finite number, or None where there is no limit.")
     return interval
 
 

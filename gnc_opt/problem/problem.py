@@ -292,11 +292,11 @@ class Problem:
         digest = hashlib.sha256()
         for leg in self.phases.values():
             pieces = [leg.model.derivative(), leg.path_expression(), leg.integrand_expression()]
-            digest.update(str(pieces).encode())
+            digest.update(b"".join(map(_exact, pieces)))
             digest.update(str((leg.name, leg.model.states, leg.model.controls, leg.model.parameters)).encode())
             for vector in (leg.model.parameter_values, *_vectors(leg.numbers), *_vectors(leg.path_interval())):
                 digest.update(vector.tobytes())
-        digest.update(str([self.cost, self.sense, self.constraint_expression()]).encode())
+        digest.update(_exact(self.cost) + _exact(self.constraint_expression()) + str(self.sense).encode())
         for vector in (*_vectors(self.constraint_interval()), *_vectors(self.parameter_interval())):
             digest.update(vector.tobytes())
         return digest.hexdigest()[:16]
@@ -344,3 +344,9 @@ def _vectors(box: Any) -> Iterable[Array]:
             yield from (value.lower, value.upper)
         elif isinstance(value, np.ndarray):
             yield value
+
+
+def _exact(expression: Any) -> bytes:
+    """Return an expression with every digit of its constants; printed, they would be rounded to six."""
+    symbols = ca.vertcat(ca.SX(0, 1), *ca.symvar(expression))
+    return bytes(ca.Function("exact", [symbols], [expression]).serialize(), "ascii")

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
 Figures: TypeAlias = Callable[..., Any]
 
-DPI = 150
-
 
 def write_report(
     solution: Solution, verdict: Verdict | None, directory: str | Path, *, figures: Figures | None = None
@@ -101,11 +99,6 @@ def _own_figures(folder: Path, result: Any) -> list[Path]:
 
 
 def _save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> list[Path]:
-    from matplotlib import pyplot
+    from gnc_opt.plot.style import save_figure
 
-    paths = []
-    for stem, figure in figures:
-        paths.append(folder / f"{stem}.png")
-        figure.savefig(paths[-1], dpi=DPI, bbox_inches="tight")
-        pyplot.close(figure)
-    return paths
+    return [save_figure(figure, folder / f"{stem}.png") for stem, figure in figures]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from typing import TYPE_CHECKING
 
 from rich import box
@@ -52,7 +53,11 @@ def _cells(condition: Condition) -> tuple[Text, ...]:
     return (
         Text(condition.name),
         Text(condition.result.value, _STYLES[condition.result]),
-        Text(f"{condition.value:.1e}"),
+        Text(_number(condition.value)),
         Text(f"{condition.tolerance:.0e}"),
         Text(condition.where),
     )
+
+
+def _number(value: float) -> str:
+    return f"{value + 0.0:.1e}" if math.isfinite(value) else "-" if math.isnan(value) else "inf"

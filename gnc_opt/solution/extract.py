@@ -30,6 +30,7 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.phase_solution import PhaseSolution, piecewise
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.transcription.collocation import PhaseCollocation
+from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.transcription import PhasePart, Transcription
 
 _SHORTEST = 1e-9
@@ -74,7 +75,7 @@ def extract_phases(
     ends: dict[str, list[Any]] = {}
     for name, part in transcription.parts.items():
         states = iterate.x[part.collocation.boundary_states]
-        times = extended[part.times]
+        times = extended[part.times[[0, -1]]]
         p = model_parameters(problem, problem.phases[name], q)
         ends[name] = [states[:, 0], states[:, -1], times[0], times[1], integrals[name], p]
     gradients = end_gradients(problem, ends, q, nu)
@@ -89,16 +90,33 @@ def _integrals(transcription: Transcription, problem: Problem, name: str, extend
     leg, part = problem.phases[name], transcription.parts[name]
     if not leg.integrands:
         return np.zeros(0)
-    t0, tf = extended[part.times]
     collocation = part.collocation
+    times, spans = _point_times(collocation, extended[part.times])
     p = model_parameters(problem, leg, q)
     functions = phase_functions(problem, name, p, q, np.zeros(len(leg.integrands)))
     values = functions.integrands(
-        t0 + collocation.fractions * (tf - t0),
+        times,
         extended[collocation.point_states],
         extended[collocation.point_controls],
     )
-    return np.asarray((tf - t0) * values @ collocation.quadrature)
+    return np.asarray(values @ (collocation.quadrature * spans))
+
+
+def _point_times(collocation: PhaseCollocation, anchors: Array) -> tuple[Array, Array]:
+    """Times of the collocation points and the durations of their arcs, (N,) each."""
+    spans = np.diff(anchors)[collocation.point_arcs]
+    return anchors[collocation.point_arcs] + collocation.arc_fractions * spans, spans
+
+
+def _mesh_in_time(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
+    """The mesh with its movable boundaries where they ended, and all boundary times (K + 1,)."""
+    spans = np.maximum(np.diff(anchors), _SHORTEST)
+    starts = anchors[0] + np.concatenate([[0.0], np.cumsum(spans)])
+    breaks = np.append(starts[mesh.segment_arcs] + mesh.arc_starts * spans[mesh.segment_arcs], starts[-1])
+    if not mesh.movable:
+        return mesh, breaks
+    fractions = (breaks - breaks[0]) / (breaks[-1] - breaks[0])
+    return Mesh(tuple(fractions), mesh.degrees, mesh.movable), breaks
 
 
 def _extract_phase(
@@ -111,34 +129,33 @@ def _extract_phase(
 ) -> PhaseSolution:
     leg, collocation = problem.phases[part.name], part.collocation
     q = iterate.x[transcription.parameter_places]
-    t0, tf = np.concatenate([iterate.x, transcription.fixed_times(problem)])[part.times]
-    span = tf - t0
+    anchors = np.concatenate([iterate.x, transcription.fixed_times(problem)])[part.times]
+    times, spans = _point_times(collocation, anchors)
     functions = phase_functions(
         problem, part.name, model_parameters(problem, leg, q), q, gradients.integrals[part.name]
     )
     x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
-    times = t0 + collocation.fractions * span
     lam = _point_costates(collocation, iterate.lam_g)
-    weights = collocation.quadrature * max(span, _SHORTEST)
+    weights = collocation.quadrature * np.maximum(spans, _SHORTEST)
     paths = iterate.lam_g[collocation.path_rows] / weights
     rates = functions.rates(times, x, u)
     gradient = functions.state_gradient(times, x, u, lam, paths)
     start, end = _boundary_costates(collocation, iterate.lam_g, weights * gradient)
-    breaks = t0 + np.asarray(collocation.mesh.breaks) * max(span, _SHORTEST)
+    mesh, breaks = _mesh_in_time(collocation.mesh, anchors)
     numbers = leg.numbers
     assert numbers.initial_time is not None and numbers.final_time is not None
     return PhaseSolution(
         name=part.name,
         scheme=collocation.scheme,
-        mesh=collocation.mesh,
-        initial_time=float(t0),
-        final_time=float(tf),
+        mesh=mesh,
+        initial_time=float(anchors[0]),
+        final_time=float(anchors[-1]),
         states=leg.model.states,
         controls=leg.model.controls,
         model_parameters=leg.model.parameters,
         path_labels=leg.path_labels,
         integral_labels=tuple(leg.integrands),
-        x=_state_polynomial(collocation, breaks, iterate.x, rates * span),
+        x=_state_polynomial(collocation, breaks, iterate.x, rates * spans),
         u=piecewise(breaks, collocation.rules, u),
         lam=_costate_polynomial(collocation, breaks, lam, end),
         lam_start=start,
@@ -223,13 +240,13 @@ def _point_bound_multipliers(collocation: PhaseCollocation, lam_x: Array) -> Arr
 
 
 def _time_multipliers(part: PhasePart, lam_x: Array) -> Array:
-    return np.asarray([lam_x[place] if place < lam_x.size else 0.0 for place in part.times])
+    return np.asarray([lam_x[place] if place < lam_x.size else 0.0 for place in part.times[[0, -1]]])
 
 
 def _state_polynomial(
     collocation: PhaseCollocation, breaks: Array, variables: Array, scaled_rates: Array
 ) -> PiecewisePolynomial:
-    """The scheme's state polynomial; ``scaled_rates`` (n_states, N) are dx/dt times the duration."""
+    """The scheme's state polynomial; ``scaled_rates`` (n_states, N) are dx/dt times the arc's duration."""
     nodes, values = [], []
     for k, rule in enumerate(collocation.rules):
         states = variables[collocation.segment_nodes(k)]
@@ -239,7 +256,7 @@ def _state_polynomial(
             here = scaled_rates[:, collocation.mesh.offsets[k] : collocation.mesh.offsets[k + 1]]
             extra = ~np.isin(rule.state_nodes, rule.points)
             path = rule.integrate_to(rule.state_nodes[extra])
-            middle = states[:, [0]] + 0.5 * collocation.mesh.widths[k] * here @ path.T
+            middle = states[:, [0]] + 0.5 * collocation.mesh.arc_widths[k] * here @ path.T
             full = np.empty((states.shape[0], rule.n + 1))
             full[:, ~extra], full[:, extra] = states, middle
             states = full

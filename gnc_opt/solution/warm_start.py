@@ -70,9 +70,12 @@ def _put_phase(
     x[collocation.point_states[~shared]] = states[~shared]
     x[collocation.point_controls] = old.flown.clipped(points)
     free_times = part.times < transcription.n_variables
-    x[part.times[free_times]] = np.array([old.initial_time, old.final_time])[free_times]
-    lam_x[part.times[free_times]] = old.time_multipliers[free_times]
-    weights = collocation.quadrature * old.duration
+    times = _stretch(old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchors)])
+    x[part.times[free_times]] = times[free_times]
+    for place, multiplier in zip(part.times[[0, -1]], old.time_multipliers, strict=True):
+        if place < transcription.n_variables:
+            lam_x[place] = multiplier
+    weights = collocation.quadrature * np.diff(times)[collocation.point_arcs]
     state_densities = old.state_multiplier(points) * weights
     lam_x[collocation.point_states[~shared]] = state_densities[~shared]
     lam_x[collocation.point_controls] = old.control_multiplier(points) * weights

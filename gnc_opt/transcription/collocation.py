@@ -1,6 +1,7 @@
 r"""Collocation of one phase: variables, constraint rows, and the constant matrices that join them.
 
-With :math:`\Delta = t_f - t_0`, segment k of width :math:`w_k` (a fraction of the phase) and the point values
+With :math:`\Delta` the duration of an arc (the phase, or its part between two movable mesh boundaries), segment k
+of width :math:`w_k` (a fraction of its arc) and the point values
 :math:`F_j = \Delta f(t_j, X_j, U_j)`, the rows of a segment are
 
 * LG: :math:`\sum_j D_{ij} X_j - \tfrac{w_k}{2} F_i = 0` at its n points, and for the end state
@@ -57,17 +58,29 @@ class PhaseCollocation:
         """The collocation rule of each segment."""
         return tuple(collocation_rule(self.scheme, n) for n in self.mesh.degrees)
 
-    @cached_property
-    def fractions(self) -> Array:
-        """Collocation times as fractions of the phase, shape (N,)."""
-        starts, widths = np.asarray(self.mesh.breaks), self.mesh.widths
+    def _spread(self, starts: Array, widths: Array) -> Array:
         pieces = [starts[k] + 0.5 * widths[k] * (1 + r.points) for k, r in enumerate(self.rules)]
         return np.concatenate(pieces)
 
     @cached_property
+    def fractions(self) -> Array:
+        """Collocation times as fractions of the phase on the mesh as given, shape (N,); for guesses."""
+        return self._spread(np.asarray(self.mesh.breaks), self.mesh.widths)
+
+    @cached_property
+    def arc_fractions(self) -> Array:
+        """Collocation times as fractions of their arcs, shape (N,)."""
+        return self._spread(self.mesh.arc_starts, self.mesh.arc_widths)
+
+    @cached_property
+    def point_arcs(self) -> Indices:
+        """The arc of each collocation point, shape (N,)."""
+        return np.repeat(self.mesh.segment_arcs, self.mesh.degrees)
+
+    @cached_property
     def quadrature(self) -> Array:
-        """Quadrature weights as fractions of the phase, shape (N,); they sum to 1."""
-        widths = self.mesh.widths
+        """Quadrature weights as fractions of the arcs, shape (N,); they sum to 1 over each arc."""
+        widths = self.mesh.arc_widths
         return np.concatenate([0.5 * widths[k] * r.weights for k, r in enumerate(self.rules)])
 
     # --- variables --------------------------------------------------------------------------------
@@ -229,7 +242,7 @@ class PhaseCollocation:
         """
         rows, columns, values = [], [], []
         for k in range(self.mesh.segments):
-            matrix = -0.5 * self.mesh.widths[k] * self.dynamics_matrix(k)
+            matrix = -0.5 * self.mesh.arc_widths[k] * self.dynamics_matrix(k)
             i, j = np.nonzero(matrix)
             rows.append(self.dynamics_rows[k][:, i].ravel())
             point = self.mesh.offsets[k] + j

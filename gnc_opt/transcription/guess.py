@@ -101,7 +101,9 @@ def start_variables(transcription: Transcription, problem: Problem) -> Array:
         x[collocation.point_states], x[collocation.point_controls] = points.states, points.controls
         x[collocation.boundary_states] = boundaries.states
         free_times = part.times < transcription.n_variables
-        x[part.times[free_times]] = boundaries.times[free_times]
+        breaks = np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchors)]
+        times = boundaries.times[0] + breaks * (boundaries.times[1] - boundaries.times[0])
+        x[part.times[free_times]] = times[free_times]
     if problem.parameters.size:
         x[transcription.parameter_places] = np.concatenate(list(problem.parameter_guess.values()))
     box = transcription.variable_interval(problem)

@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.layout import Array
+
+Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -24,15 +26,19 @@ class Mesh:
         Segment boundaries as fractions of the phase, from 0 to 1, increasing; K + 1 of them.
     degrees : tuple of int
         Collocation points of each segment, which is the degree of its state polynomial; K of them.
+    movable : tuple of int
+        Indices of interior breaks whose times the solver may move, e.g. onto the switches of a bang-bang control.
+        The other breaks keep their place relative to their movable neighbours and the phase's ends.
 
     Raises
     ------
     ProblemError
-        If the breaks do not increase from 0 to 1 or the numbers do not match.
+        If the breaks do not increase from 0 to 1, the numbers do not match or a movable break does not exist.
     """
 
     breaks: tuple[float, ...]
     degrees: tuple[int, ...]
+    movable: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         breaks = np.asarray(self.breaks, dtype=float)
@@ -44,6 +50,12 @@ class Mesh:
             raise ProblemError(f"mesh has {breaks.size - 1} segments but {len(self.degrees)} degrees; give one each.")
         if any(int(n) != n or n < 1 for n in self.degrees):
             raise ProblemError(f"mesh degrees must be integers >= 1; got {self.degrees}.")
+        movable = sorted(set(self.movable))
+        if movable and (movable[0] < 1 or movable[-1] > breaks.size - 2):
+            raise ProblemError(
+                f"mesh has the interior breaks 1 to {breaks.size - 2}, but breaks {self.movable} shall be movable."
+            )
+        object.__setattr__(self, "movable", tuple(int(i) for i in movable))
         object.__setattr__(self, "breaks", (0.0, *map(float, breaks[1:-1]), 1.0))
         object.__setattr__(self, "degrees", tuple(int(n) for n in self.degrees))
 
@@ -55,20 +67,24 @@ class Mesh:
         return cls(tuple(np.linspace(0.0, 1.0, int(segments) + 1)), (degree,) * int(segments))
 
     @classmethod
-    def at_times(cls, times: ArrayLike, degree: int | Sequence[int]) -> Mesh:
-        """Return segments whose boundaries lie at the given times, e.g. known switch times.
+    def at_times(cls, times: ArrayLike, degree: int | Sequence[int], *, movable: bool = False) -> Mesh:
+        """Return segments whose boundaries lie at (or, if movable, start from) the given times.
 
         Parameters
         ----------
         times : array (K + 1,)
             Increasing, including the phase's start and end (any unit).
         degree : int or sequence of K ints
+        movable : bool
+            Whether the solver may move the interior boundaries: a bang-bang control's switch times then become
+            variables, and switches are met exactly.
         """
         t = np.asarray(times, dtype=float).reshape(-1)
         if t.size < 2 or not np.all(np.isfinite(t)) or t[-1] <= t[0]:
             raise ProblemError(f"mesh times must be finite, increasing, at least two of them; got {times}.")
         degrees = (degree,) * (t.size - 1) if isinstance(degree, (int, np.integer)) else tuple(degree)
-        return cls(tuple((t - t[0]) / (t[-1] - t[0])), degrees)
+        interior = tuple(range(1, t.size - 1)) if movable else ()
+        return cls(tuple((t - t[0]) / (t[-1] - t[0])), degrees, interior)
 
     @classmethod
     def parse(cls, text: str) -> Mesh:
@@ -94,6 +110,30 @@ class Mesh:
         return np.diff(np.asarray(self.breaks))
 
     @cached_property
+    def anchors(self) -> tuple[int, ...]:
+        """Breaks whose times are given or variables: 0, the movable ones, K. Arcs lie between them."""
+        return (0, *self.movable, self.segments)
+
+    @cached_property
+    def segment_arcs(self) -> Indices:
+        """The arc that each segment belongs to, shape (K,)."""
+        return np.searchsorted(np.asarray(self.movable, dtype=np.int64), np.arange(self.segments), side="right")
+
+    @cached_property
+    def arc_starts(self) -> Array:
+        """Each segment's start as a fraction of its arc, shape (K,)."""
+        breaks, anchors = np.asarray(self.breaks), np.asarray(self.anchors)
+        first, last = breaks[anchors[self.segment_arcs]], breaks[anchors[self.segment_arcs + 1]]
+        return np.asarray((breaks[:-1] - first) / (last - first))
+
+    @cached_property
+    def arc_widths(self) -> Array:
+        """Segment widths as fractions of their arcs, shape (K,)."""
+        breaks, anchors = np.asarray(self.breaks), np.asarray(self.anchors)
+        first, last = breaks[anchors[self.segment_arcs]], breaks[anchors[self.segment_arcs + 1]]
+        return np.asarray(self.widths / (last - first))
+
+    @cached_property
     def offsets(self) -> tuple[int, ...]:
         """Index of each segment's first collocation point, and N at the end; K + 1 of them."""
         return tuple(int(i) for i in np.concatenate([[0], np.cumsum(self.degrees)]))
@@ -102,4 +142,5 @@ class Mesh:
         uniform = len(set(self.degrees)) == 1
         degrees = str(self.degrees[0]) if uniform else f"({min(self.degrees)}..{max(self.degrees)})"
         equal = np.allclose(self.widths, self.widths[0])
-        return f"{self.segments}x{degrees}{'' if equal else ' (uneven)'}"
+        kind = " (movable)" if self.movable else "" if equal else " (uneven)"
+        return f"{self.segments}x{degrees}{kind}"

@@ -25,6 +25,9 @@ from gnc_opt.transcription.separable import Block, PointFunction, SeparableProgr
 
 Indices = NDArray[np.int64]
 
+SHORTEST_ARC = 1e-9
+"""Least length (s) of an arc between movable mesh boundaries; an arc that short has vanished."""
+
 
 @dataclass(frozen=True)
 class PhasePart:
@@ -33,11 +36,9 @@ class PhasePart:
     Attributes
     ----------
     collocation : PhaseCollocation
-    times : int array (2,)
-        Places of initial and final time in the extended variables; >= n_variables where fixed.
-    integral_rows : tuple of (name, direct)
-        Integrals in declaration order; direct ones enter objective and constraints with constant
-        coefficients, the others are variables with a defining row each.
+    times : int array (n_arcs + 1,)
+        Places of initial time, movable mesh boundaries and final time in the extended variables; >= n_variables
+        where fixed.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Transcription:
         self.problem = problem
         self.scheme = scheme
         self.parts: dict[str, PhasePart] = {}
+        self._movable = {name: mesh.movable for name, mesh in meshes.items()}
         self._place_phases(meshes)
         self._place_end_block()
         self.program = SeparableProgram(
@@ -91,7 +93,12 @@ class Transcription:
             collocations[name] = collocation
             variable += collocation.n_variables
             row += collocation.n_rows
-        free_times = [(name, end) for name in collocations for end in (0, 1) if not self._is_fixed(name, end)]
+        free_times = [
+            (name, anchor)
+            for name, collocation in collocations.items()
+            for anchor in collocation.mesh.anchors
+            if not self._is_fixed(name, anchor)
+        ]
         time_place = {key: variable + i for i, key in enumerate(free_times)}
         variable += len(free_times)
         self.parameter_places = variable + np.arange(self.problem.parameters.size)
@@ -99,24 +106,35 @@ class Transcription:
         self._direct, self._defined = self._sort_integrals()
         self.integral_places = variable + np.arange(len(self._defined))
         self.n_variables = variable + len(self._defined)
-        self._time_labels = [f"{('initial', 'final')[end]} time, phase {name}" for name, end in free_times]
+        self._time_labels = [
+            f"{'initial' if anchor == 0 else 'final' if anchor == meshes[name].segments else f'boundary {anchor}'} "
+            f"time, phase {name}"
+            for name, anchor in free_times
+        ]
         self._first_end_row = row
         for k, (name, collocation) in enumerate(collocations.items()):
-            places = [time_place.get((name, end), self.n_variables + 2 * k + end) for end in (0, 1)]
+            places = [
+                time_place.get((name, anchor), self.n_variables + 2 * k + min(anchor, 1))
+                for anchor in collocation.mesh.anchors
+            ]
             self.parts[name] = PhasePart(name, collocation, np.asarray(places, dtype=np.int64))
 
-    def _is_fixed(self, name: str, end: int) -> bool:
-        return time_is_fixed(self.problem.phases[name], end)
+    def _is_fixed(self, name: str, anchor: int) -> bool:
+        if anchor in self._movable[name]:
+            return False
+        return time_is_fixed(self.problem.phases[name], min(anchor, 1))
 
     def _place_end_block(self) -> None:
         self._durations = [
-            name for name, part in self.parts.items() if np.all(part.times < self.n_variables)
+            name for name, part in self.parts.items() if np.all(part.times[[0, -1]] < self.n_variables)
         ]
+        self._arcs = [(name, arc) for name, movable in self._movable.items() if movable for arc in range(len(movable) + 1)]
         self._end_labels = [f"duration of phase {name}" for name in self._durations]
+        self._end_labels += [f"length of arc {arc + 1}, phase {name}" for name, arc in self._arcs]
         self._end_labels += [f"constraint {label}" for label in self.problem.constraint_labels()]
         self._end_labels += [f"integral {label}, phase {name}" for name, label in self._defined]
         self.n_constraints = self._first_end_row + len(self._end_labels)
-        first = self._first_end_row + len(self._durations)
+        first = self._first_end_row + len(self._durations) + len(self._arcs)
         self.constraint_rows = first + np.arange(len(self.problem.constraint_labels()))
 
     # --- integrals --------------------------------------------------------------------------------
@@ -145,7 +163,8 @@ class Transcription:
             [
                 collocation.point_states,
                 collocation.point_controls,
-                np.tile(part.times[:, None], n_points),
+                part.times[collocation.point_arcs],
+                part.times[collocation.point_arcs + 1],
                 np.tile(self.parameter_places[:, None], n_points).reshape(q, n_points),
             ]
         )
@@ -154,7 +173,7 @@ class Transcription:
         entries = [(rows + 1, columns, values) for rows, columns, values in entries]
         entries += self._integral_entries(leg, function.rows, integrals)
         data = ca.vertcat(
-            ca.MX(ca.DM(collocation.fractions.reshape(1, -1))),
+            ca.MX(ca.DM(collocation.arc_fractions.reshape(1, -1))),
             ca.repmat(self._model_parameters[leg.name], 1, n_points),
         )
         weights = weight_matrix(1 + self.n_constraints, function.rows * n_points, *entries)
@@ -206,16 +225,21 @@ class Transcription:
         """The cost and the end rows as one function of end points, parameters and integrals."""
         phases = self.problem.phases.values()
         arguments, variables = [], []
+        arc_lengths: list[Any] = []
         for leg in phases:
             part = self.parts[leg.name]
-            arguments += [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time]
+            inner = ca.SX.sym("boundary", len(self._movable[leg.name]))
+            times = ca.vertcat(leg.initial_time, inner, leg.final_time)
+            arguments += [leg.ends("initial"), leg.ends("final"), times]
             variables += [part.collocation.boundary_states[:, 0], part.collocation.boundary_states[:, -1], part.times]
+            arc_lengths += [times[1:] - times[:-1]] if self._movable[leg.name] else []
         defined = [self.problem.phases[name].integrands[label][0] for name, label in self._defined]
         arguments += [self.problem.parameter_symbols(), *defined]
         variables += [self.parameter_places, self.integral_places]
         outputs = ca.vertcat(
             self.problem.sense * self.problem.cost,
             *[self.problem.phases[name].duration for name in self._durations],
+            *arc_lengths,
             self.problem.constraint_expression(),
             *defined,
         )
@@ -355,7 +379,7 @@ class Transcription:
                                (collocation.boundary_states[:, -1], numbers.final)):  # fmt: skip
             box.lower[places] = np.maximum(box.lower[places], values.lower)
             box.upper[places] = np.minimum(box.upper[places], values.upper)
-        for place, time in zip(part.times, _times(leg), strict=True):
+        for place, time in zip(part.times[[0, -1]], _times(leg), strict=True):
             if place < self.n_variables:
                 box.lower[place], box.upper[place] = time.lower[0], time.upper[0]
 
@@ -370,6 +394,9 @@ class Transcription:
             duration = problem.phases[name].numbers.duration
             box.lower[self._first_end_row + i] = duration.lower[0]
             box.upper[self._first_end_row + i] = duration.upper[0]
+        first = self._first_end_row + len(self._durations)
+        arcs = slice(first, first + len(self._arcs))
+        box.lower[arcs], box.upper[arcs] = SHORTEST_ARC, np.inf
         ends = problem.constraint_interval()
         box.lower[self.constraint_rows], box.upper[self.constraint_rows] = ends.lower, ends.upper
         return box

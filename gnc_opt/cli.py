@@ -1,0 +1,276 @@
+"""The command line: ``gnc-opt solve FILE`` and ``gnc-opt check FILE``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import traceback
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from enum import IntEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from gnc_opt.errors import GncOptError, ProblemWarning
+from gnc_opt.problem_file import ProblemFile, load_problem_file, parse_setting
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from gnc_opt.problem.problem import Problem
+    from gnc_opt.solution.solution import Solution
+    from gnc_opt.verify.verdict import Verdict
+
+
+class ExitCode(IntEnum):
+    """What the shell is told."""
+
+    OK = 0
+    VERDICT_FAILS = 1
+    BAD_INPUT = 2
+    NOT_SOLVED = 3
+    INTERRUPTED = 130
+
+
+EXIT_CODES = """exit codes:
+  0    solved, and no optimality condition fails
+  1    solved, but the verdict fails: the answer is not what it claims to be (--exit-zero turns this into 0)
+  2    bad input: the file, an option or the problem is wrong
+  3    not solved
+  130  interrupted
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Without the program's name; default ``sys.argv[1:]``.
+    """
+    args = _parser().parse_args(arguments)
+    try:
+        return int(args.run(args))
+    except KeyboardInterrupt:
+        print("gnc-opt: interrupted", file=sys.stderr)
+        return ExitCode.INTERRUPTED
+    except (GncOptError, OSError) as error:
+        if args.debug:
+            traceback.print_exc()
+        print(f"gnc-opt: {error}", file=sys.stderr)
+        return ExitCode.BAD_INPUT
+
+
+# --- commands -----------------------------------------------------------------------------------------
+
+
+def _solve(args: argparse.Namespace) -> ExitCode:
+    from gnc_opt.solve import solve
+
+    _check_targets(args)
+    console = _console(args)
+    with _warnings_as_lines():
+        file, problem = _build(args)
+        solution = solve(
+            problem,
+            mesh=args.mesh or file.mesh,
+            scheme=args.scheme,
+            options=_solver_options(args),
+            progress=not args.quiet,
+            throw=False,
+        )
+        verdict = _verify(solution) if solution.status.solved and not args.no_verify else None
+    _show(console, solution, verdict)
+    _write(args, console, file, solution, verdict)
+    return _exit_code(solution, verdict, args.exit_zero)
+
+
+def _check(args: argparse.Namespace) -> ExitCode:
+    with _warnings_as_lines():
+        file, problem = _build(args)
+        problem.check()
+    _say(_console(args), _description(file, problem))
+    return ExitCode.OK
+
+
+def _build(args: argparse.Namespace) -> tuple[ProblemFile, Problem]:
+    options = dict(parse_setting(text) for text in args.set)
+    file = load_problem_file(args.file)
+    return file, file.build(options)
+
+
+def _verify(solution: Solution) -> Verdict:
+    from gnc_opt.verify import verify
+
+    return verify(solution)
+
+
+def _solver_options(args: argparse.Namespace) -> Any:
+    from gnc_opt.nlp import SolverOptions
+
+    try:
+        return SolverOptions() if args.solver_tol is None else SolverOptions(tolerance=args.solver_tol)
+    except ValueError as error:
+        raise GncOptError(f"--solver-tol: {error}.") from error
+
+
+def _exit_code(solution: Solution, verdict: Verdict | None, exit_zero: bool) -> ExitCode:
+    if solution.status.value == "interrupted":
+        return ExitCode.INTERRUPTED
+    if not solution.status.solved:
+        return ExitCode.NOT_SOLVED
+    if verdict is None or verdict.ok or exit_zero:
+        return ExitCode.OK
+    return ExitCode.VERDICT_FAILS
+
+
+# --- output -------------------------------------------------------------------------------------------
+
+
+def _console(args: argparse.Namespace) -> Console:
+    """Where people read: standard output, or standard error if that carries JSON."""
+    from rich.console import Console
+
+    console = Console(stderr=getattr(args, "json", None) == "-", quiet=args.quiet, highlight=False)
+    if not console.is_terminal:
+        console.width = max(console.width, 120)
+    return console
+
+
+def _say(console: Console, text: Any) -> None:
+    console.print(text, markup=False, soft_wrap=True)
+
+
+def _show(console: Console, solution: Solution, verdict: Verdict | None) -> None:
+    from gnc_opt.report.verdict_table import verdict_table
+
+    _say(console, str(solution))
+    if verdict is None:
+        return
+    console.print(verdict_table(verdict))
+    for condition in verdict.failed:
+        _say(console, f"{condition.name}: {condition.meaning}")
+
+
+def _write(
+    args: argparse.Namespace, console: Console, file: ProblemFile, solution: Solution, verdict: Verdict | None
+) -> None:
+    from gnc_opt.report.report import write_report
+    from gnc_opt.report.summary_json import json_text, write_json
+
+    if args.json == "-":
+        print(json_text(solution, verdict), end="")
+    elif args.json is not None:
+        write_json(args.json, solution, verdict)
+    if args.report is not None:
+        paths = write_report(solution, verdict, args.report, figures=file.figures)
+        _say(console, f"report: {len(paths)} files in {args.report}")
+
+
+def _description(file: ProblemFile, problem: Problem) -> str:
+    lines = [f"{problem.name}: well stated"]
+    for leg in problem.phases.values():
+        states, controls = leg.model.states, leg.model.controls
+        lines.append(
+            f"  phase {leg.name}: {_count(states.size, 'state')} ({', '.join(states.names)}), "
+            f"{_count(controls.size, 'control')} ({', '.join(controls.names)}), "
+            f"{_count(len(leg.path_labels), 'path constraint')}, {_count(len(leg.integrands), 'integral')}"
+        )
+    lines.append(
+        f"  {_count(len(problem.constraint_labels()), 'boundary constraint')} besides the end values, "
+        f"{_count(problem.parameters.size, 'free parameter')}, cost {'maximised' if problem.sense < 0 else 'minimised'}"
+    )
+    options = ", ".join(str(parameter) for parameter in file.options.values())
+    lines.append(f"  options of build(): {options or 'none'}")
+    return "\n".join(lines)
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def _check_targets(args: argparse.Namespace) -> None:
+    """Refuse places that cannot be written to before the work starts, not after it."""
+    if args.json not in (None, "-"):
+        target = Path(args.json)
+        if target.is_dir() or not target.parent.is_dir():
+            raise GncOptError(f"--json {args.json}: name a file in a folder that exists.")
+    if args.report is not None and Path(args.report).exists() and not Path(args.report).is_dir():
+        raise GncOptError(f"--report {args.report}: this is a file; name a folder.")
+
+
+@contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    """Show gnc_opt's warnings as one line each, without the place in the code; leave others alone."""
+
+    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        if issubclass(category, ProblemWarning):
+            print(f"gnc-opt: warning: {message}", file=sys.stderr)
+        else:
+            usual(message, category, *place, **more)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", ProblemWarning)
+        usual, warnings.showwarning = warnings.showwarning, show
+        yield
+
+
+# --- arguments ----------------------------------------------------------------------------------------
+
+
+class _Parser(argparse.ArgumentParser):
+    """Reports a wrong option in one sentence, like every other bad input."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(ExitCode.BAD_INPUT, f"gnc-opt: {message} (see {self.prog} --help)\n")
+
+
+def _parser() -> argparse.ArgumentParser:
+    from gnc_opt.solve import package_version
+
+    parser = _Parser(
+        prog="gnc-opt",
+        description="Solve and check optimal control problems stated with gnc_opt.",
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"gnc-opt {package_version('gnc_opt')}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+    _add_solve(commands)
+    check = commands.add_parser("check", help="look for mistakes in a problem without solving it")
+    _add_common(check)
+    check.set_defaults(run=_check)
+    return parser
+
+
+def _add_solve(commands: Any) -> None:
+    command = commands.add_parser(
+        "solve",
+        help="solve a problem and judge the answer",
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    _add_common(command)
+    add = command.add_argument
+    add("--mesh", metavar="KxN", help="K equal segments of N points; default: MESH of the file")
+    add("--scheme", type=str.upper, choices=("LG", "LGR", "LGL"), default="LG", help="collocation points")
+    add("--solver-tol", type=float, metavar="TOL", help="tolerance of the NLP solver")
+    add("--json", metavar="OUT", help="write the summary as JSON to a file, '-' for standard output")
+    add("--report", metavar="DIR", help="write summary, verdict, solution and figures to a folder")
+    add("--no-verify", action="store_true", help="skip the verdict")
+    add("--exit-zero", action="store_true", help="exit with 0 even if the verdict fails")
+    command.set_defaults(run=_solve)
+
+
+def _add_common(command: argparse.ArgumentParser) -> None:
+    add = command.add_argument
+    add("file", metavar="FILE", help="Python file with build(**options) returning a Problem")
+    add("--set", action="append", default=[], metavar="NAME=VALUE", help="option of build(); may be repeated")
+    add("--quiet", action="store_true", help="show nothing but errors and warnings")
+    add("--debug", action="store_true", help="show the traceback of an error")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,117 @@
+"""Figures of motion in space: the path with the body's axes along it; plain curves over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import ArrayLike
+
+from gnc_opt.model.layout import Array
+from gnc_opt.plot.style import COLORS, QUIET, axis_label, legend_above, line_look, new_figure, style
+
+
+def plot_curves(t: ArrayLike, values: ArrayLike, labels: Sequence[str], ylabel: str) -> Figure:
+    """Draw rows of values over time in one axis, e.g. Euler angles computed from a solution.
+
+    Parameters
+    ----------
+    t : array (n_times,)
+        s.
+    values : array (n, n_times)
+    labels : sequence of n str
+    ylabel : str
+        With its unit.
+    """
+    times = np.asarray(t, dtype=float)
+    with style():
+        figure = new_figure(3.0)
+        ax = figure.subplots()
+        for i, row in enumerate(np.atleast_2d(np.asarray(values, dtype=float))):
+            ax.plot(times, row, label=labels[i], **line_look(i))
+        ax.set_xlim(times[0], times[-1])
+        ax.set_xlabel("time (s)")
+        ax.set_ylabel(ylabel)
+        legend_above(ax)
+    return figure
+
+
+def plot_path(
+    r_L: ArrayLike,
+    *,
+    dcm_BL: ArrayLike | None = None,
+    at: Sequence[int] = (),
+    unit: str = "m",
+    axis_length: float | None = None,
+    axis_notes: Sequence[str] = ("", "", ""),
+    down: bool = True,
+) -> Figure:
+    """Draw a path in three dimensions with the body's axes along it.
+
+    Parameters
+    ----------
+    r_L : array (3, n_times)
+        Positions in frame L.
+    dcm_BL : array (3, 3, n_times), optional
+        Attitude of the body: its rows are the body's axes in L.
+    at : sequence of int
+        Indices of the times at which to draw the body's axes.
+    axis_length : float, optional
+        Of the drawn axes; default 12 % of the path's largest extent.
+    axis_notes : sequence of str
+        Added to the names of the three axes, e.g. ("along velocity", "", "to Earth").
+    down : bool
+        Draw z downwards, as befits a z axis that points to the planet.
+    """
+    r = np.asarray(r_L, dtype=float)
+    length = axis_length or 0.12 * float(np.max(np.ptp(r, axis=1)))
+    with style():
+        figure = new_figure(5.2)
+        ax = figure.add_subplot(projection="3d", computed_zorder=False)
+        ax.plot(*r, color="black", linewidth=1.6, zorder=4)
+        ax.plot(*r[:, :1], "o", color="black", markersize=6, zorder=6)
+        ax.plot(*r[:, -1:], "s", color="black", markersize=6, zorder=6)
+        handles = [
+            Line2D([], [], color="black", linewidth=1.6, label="path"),
+            Line2D([], [], color="black", marker="o", linestyle="none", label="start"),
+            Line2D([], [], color="black", marker="s", linestyle="none", label="end"),
+        ]
+        tips = [r]
+        if dcm_BL is not None:
+            tips += _draw_body_axes(ax, r, np.asarray(dcm_BL, dtype=float), at, length)
+            handles += [
+                Line2D([], [], color=COLORS[i], linewidth=1.6, label=f"$b_{name}$") for i, name in enumerate("xyz")
+            ]
+        _frame(ax, np.hstack(tips), unit, axis_notes, down)
+        ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 1.02), ncols=len(handles))
+    return figure
+
+
+def _draw_body_axes(ax: object, r: Array, dcm: Array, at: Sequence[int], length: float) -> list[Array]:
+    tips = []
+    for k in at:
+        for i in range(3):
+            tip = r[:, k] + length * dcm[i, :, k]
+            ax.plot(*np.column_stack([r[:, k], tip]), color=COLORS[i], linewidth=1.3, zorder=5)  # type: ignore[attr-defined]
+            tips.append(tip[:, None])
+    return tips
+
+
+def _frame(ax: object, points: Array, unit: str, notes: Sequence[str], down: bool) -> None:
+    """Equal scales on all axes, limits around all points, labels with units."""
+    low, high = points.min(axis=1), points.max(axis=1)
+    room = 0.04 * float(np.max(high - low))
+    low, high = low - room, high + room
+    ax.set_xlim(low[0], high[0])  # type: ignore[attr-defined]
+    ax.set_ylim(low[1], high[1])  # type: ignore[attr-defined]
+    ax.set_zlim(*((high[2], low[2]) if down else (low[2], high[2])))  # type: ignore[attr-defined]
+    ax.set_box_aspect(high - low)  # type: ignore[attr-defined]
+    names = [axis_label(f"${name}$" + (f" {note}" if note else ""), unit) for name, note in zip("xyz", notes, strict=True)]
+    ax.set_xlabel(names[0])  # type: ignore[attr-defined]
+    ax.set_ylabel(names[1])  # type: ignore[attr-defined]
+    ax.set_zlabel(names[2])  # type: ignore[attr-defined]
+
+
+__all__ = ["QUIET", "plot_curves", "plot_path"]

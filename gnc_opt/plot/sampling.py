@@ -1,0 +1,70 @@
+"""Sampling signals for drawing: dense, and with both limits wherever they may jump."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.model.layout import Array
+from gnc_opt.solution.phase_solution import PhaseSolution
+from gnc_opt.solution.solution import Solution
+
+PER_PIECE = 24
+"""Samples per segment: enough for polynomials of any degree that a figure can resolve."""
+
+
+def sample(
+    function: Callable[..., Any], breaks: Array, per_piece: int = PER_PIECE, gaps: bool = False
+) -> tuple[Array, Array]:
+    """Evaluate ``function(t, side=...)`` densely between breaks, with its one-sided limits at them.
+
+    Parameters
+    ----------
+    function : callable
+        E.g. a `Signal`; returns (n, n_times), or (n_times,) for a scalar quantity.
+    breaks : array (K + 1,)
+        Where the function may jump, ends included, s.
+    per_piece : int
+        Samples per piece, at least 2.
+    gaps : bool
+        Separate the pieces by NaN, so that a line is not drawn across a jump.
+
+    Returns
+    -------
+    t : array (n_times,)
+    values : array (n, n_times)
+    """
+    times = np.linspace(breaks[:-1], breaks[1:], per_piece, axis=1)
+    right = np.atleast_2d(function(times[:, :-1].ravel(), side="right"))
+    left = np.atleast_2d(function(times[:, -1], side="left"))
+    n, pieces = right.shape[0], times.shape[0]
+    values = np.concatenate([right.reshape(n, pieces, -1), left.reshape(n, pieces, 1)], axis=2)
+    if gaps:
+        times = np.concatenate([times, times[:, -1:]], axis=1)
+        values = np.concatenate([values, np.full((n, pieces, 1), np.nan)], axis=2)
+    return times.ravel(), values.reshape(n, -1)
+
+
+def chosen_phases(solution: Solution, phase: str | None) -> list[PhaseSolution]:
+    """Return the named phase, or all of them in order."""
+    return list(solution.phases.values()) if phase is None else [solution.phase(phase)]
+
+
+def chosen_names(legs: Sequence[PhaseSolution], kind: str, names: Sequence[str] | None) -> list[str]:
+    """Return the names of states ("states") or controls ("controls") to draw; raise for unknown ones."""
+    layouts = [getattr(leg, kind) for leg in legs]
+    known = list(dict.fromkeys(name for layout in layouts for name in layout.names))
+    for name in names or ():
+        if name not in known:
+            layouts[0].slice(name)
+    return known if names is None else list(names)
+
+
+def data_range(values: ArrayLike) -> tuple[float, float]:
+    """Return smallest and largest finite value; (0, 0) if there is none."""
+    finite = np.asarray(values, dtype=float)
+    finite = finite[np.isfinite(finite)]
+    return (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
