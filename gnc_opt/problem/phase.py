@@ -60,6 +60,7 @@ class PhaseNumbers:
     controls: Interval
     guess: PhaseGuess = PhaseGuess()
     scales: Mapping[str, Array] = field(default_factory=dict)
+    arcs: tuple[tuple[int, ...], ...] | None = None
 
 
 class Phase:
@@ -217,6 +218,32 @@ class Phase:
                 raise ProblemError(f"scale of '{name}' in {self._where} is {vector}: give positive finite numbers.")
             scales[name] = vector
         self.numbers = replace(self.numbers, scales=scales)
+
+    def hold(self, arcs: ArrayLike | None) -> None:
+        """Hold controls on their bounds, segment by segment, for a mesh of as many segments.
+
+        Parameters
+        ----------
+        arcs : int array (n_controls, K) or None
+            -1: on the lower bound, +1: on the upper bound, 0: between the bounds. With movable mesh boundaries
+            the switch times are then what is left to optimise. ``None`` lets all controls go.
+        """
+        if arcs is None:
+            self.numbers = replace(self.numbers, arcs=None)
+            return
+        signs = np.atleast_2d(np.asarray(arcs))
+        labels = self.model.controls.labels
+        if signs.shape[0] != len(labels) or not np.all(np.isin(signs, (-1, 0, 1))):
+            raise ProblemError(
+                f"arcs of {self._where} must be -1, 0 or +1 in an array of {len(labels)} rows (controls "
+                f"{', '.join(labels)}) and one column per segment; got shape {signs.shape}."
+            )
+        bounds = self.numbers.controls
+        for sign, limits in ((-1, bounds.lower), (1, bounds.upper)):
+            endless = np.flatnonzero(np.any(signs == sign, axis=1) & ~np.isfinite(limits))
+            if endless.size:
+                raise ProblemError(f"{self._where} cannot hold '{labels[endless[0]]}' on a bound that it does not have.")
+        self.numbers = replace(self.numbers, arcs=tuple(tuple(int(v) for v in row) for row in signs))
 
     # --- internals --------------------------------------------------------------------------------
 

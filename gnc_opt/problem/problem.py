@@ -82,6 +82,24 @@ class Problem:
         """Declare a static parameter to optimise and return its symbol.
 
         A model parameter of the same name becomes this free parameter, in every phase.
+
+        Parameters
+        ----------
+        name : str
+            An identifier, unique among the problem's parameters.
+        size : int
+            Number of components.
+        lower, upper : float or array (size,), optional
+            Bounds; left out, there is none.
+        guess : float or array (size,), optional
+            Starting value; default: the middle of the bounds.
+        unit : str
+            For printing.
+
+        Raises
+        ------
+        ProblemError
+            Name taken or no identifier, size < 1, crossed bounds.
         """
         if name in self._parameters:
             raise ProblemError(f"problem '{self.name}' has two parameters '{name}': rename one.")
@@ -101,7 +119,24 @@ class Problem:
     def constrain(
         self, name: str, expression: Any, *, lower: Any = None, upper: Any = None, equals: Any = None
     ) -> None:
-        """Add a boundary constraint on end-point states, times, integrals and parameters."""
+        """Add a boundary constraint on end-point states, times, integrals and parameters.
+
+        Parameters
+        ----------
+        name : str
+            Unique in the problem; appears in reports and names the multiplier.
+        expression : casadi.SX or list
+            In end-point symbols (``leg.final_state("m")``), times, integrals and parameters.
+        lower, upper : float or array, optional
+            At least one of them, unless ``equals`` is given.
+        equals : float or array, optional
+            For an equality.
+
+        Raises
+        ------
+        ProblemError
+            Name taken, no limit or contradictory ones, or a symbol that varies along a phase.
+        """
         if name in self.constraints:
             raise ProblemError(f"problem '{self.name}' has two constraints '{name}': rename one.")
         what = f"constraint '{name}' of problem '{self.name}'"
@@ -198,6 +233,12 @@ class Problem:
         """Return a copy with other scales; see ``Phase.scale``."""
         twin = self._clone()
         twin.get_phase(phase).scale(**magnitudes)
+        return twin
+
+    def with_arcs(self, phase: str | None = None, /, *, arcs: ArrayLike | None) -> Problem:
+        """Return a copy whose controls are held on their bounds segment by segment; see ``Phase.hold``."""
+        twin = self._clone()
+        twin.get_phase(phase).hold(arcs)
         return twin
 
     def with_parameters(self, **values: ArrayLike) -> Problem:

@@ -1,20 +1,4 @@
-r"""From the solver's vectors to a solution: unscaling and covector mapping.
-
-The Lagrangian of the program is, up to terms that do not depend on the dynamics,
-
-.. math:: \mathcal L = \Phi + \dots + \sum_j m_j^T F_j, \qquad F_j = \Delta\, f(t_j, X_j, U_j),
-
-with :math:`m = W^T \Lambda` the multipliers that the constraint rows lay on the point values. A quadrature of
-:math:`\int \lambda^T f\,dt` with weights :math:`\omega_j` (fractions of the phase, sum 1) has the same form, hence in
-every scheme
-
-.. math:: \lambda(t_j) = m_j / \omega_j .
-
-For LG this is :math:`-\Lambda_j / w_j`, Gauss weights w_j. At segment boundaries the costate is the derivative
-of the segment's part of the Lagrangian with respect to the shared boundary state, + at its start, - at its end:
-:math:`\lambda(t_0) = \partial J^* / \partial x_0` in the continuous problem is the same statement. Bound
-multipliers z_j and path multipliers of a point become densities :math:`z_j / (\omega_j \Delta)`.
-"""
+"""From the solver's vectors to a solution: unscaling, points in time, and the covector mapping of every phase."""
 
 from __future__ import annotations
 
@@ -24,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.model.layout import Array
-from gnc_opt.problem.functions import EndGradients, end_gradients, phase_functions
+from gnc_opt.problem.functions import EndGradients, PhaseFunctions, end_gradients, phase_functions
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
+from gnc_opt.solution.covector import map_costates, point_costates
 from gnc_opt.solution.phase_solution import PhaseSolution, piecewise
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.transcription.collocation import PhaseCollocation
@@ -135,13 +120,22 @@ def _extract_phase(
         problem, part.name, model_parameters(problem, leg, q), q, gradients.integrals[part.name]
     )
     x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
-    lam = _point_costates(collocation, iterate.lam_g)
+    lam = point_costates(collocation, iterate.lam_g)
     weights = collocation.quadrature * np.maximum(spans, _SHORTEST)
     paths = iterate.lam_g[collocation.path_rows] / weights
     rates = functions.rates(times, x, u)
     gradient = functions.state_gradient(times, x, u, lam, paths)
-    start, end = _boundary_costates(collocation, iterate.lam_g, weights * gradient)
     mesh, breaks = _mesh_in_time(collocation.mesh, anchors)
+    costates = map_costates(
+        collocation,
+        breaks,
+        iterate.x,
+        iterate.lam_x,
+        iterate.lam_g,
+        weights,
+        gradient,
+        gradient - functions.state_gradient(times, x, u, lam, _mixed_only(functions, times, x, u, paths)),
+    )
     numbers = leg.numbers
     assert numbers.initial_time is not None and numbers.final_time is not None
     return PhaseSolution(
@@ -157,13 +151,13 @@ def _extract_phase(
         integral_labels=tuple(leg.integrands),
         x=_state_polynomial(collocation, breaks, iterate.x, rates * spans),
         u=piecewise(breaks, collocation.rules, u),
-        lam=_costate_polynomial(collocation, breaks, lam, end),
-        lam_start=start,
-        lam_end=end,
+        lam=costates.polynomial,
+        lam_start=costates.start,
+        lam_end=costates.end,
         path_multipliers=paths,
-        state_multipliers=_point_bound_multipliers(collocation, iterate.lam_x) / weights,
+        state_multipliers=costates.densities,
         control_multipliers=iterate.lam_x[collocation.point_controls] / weights,
-        state_impulses=iterate.lam_x[collocation.boundary_states],
+        state_impulses=costates.impulses,
         time_multipliers=_time_multipliers(part, iterate.lam_x),
         duration_multiplier=transcription.duration_multiplier(part.name, iterate.lam_g),
         integrals=integrals,
@@ -180,63 +174,12 @@ def _extract_phase(
     )
 
 
-def _point_costates(collocation: PhaseCollocation, rows: Array) -> Array:
-    """Costates at the collocation points (n_states, N): m_j / omega_j."""
-    pieces = []
-    for k, rule in enumerate(collocation.rules):
-        # The factor w_k / 2 of both the multipliers and the quadrature weights cancels.
-        pieces.append(-rows[collocation.dynamics_rows[k]] @ collocation.dynamics_matrix(k) / rule.weights)
-    return np.hstack(pieces)
-
-
-def point_multipliers(collocation: PhaseCollocation, costates: Array, end_costates: Array) -> list[Array]:
-    """Invert the covector mapping: multipliers of each segment's rows for given costates.
-
-    Parameters
-    ----------
-    costates : array (n_states, N)
-        At the collocation points.
-    end_costates : array (n_states, K)
-        At the segment ends (used by LG only).
-    """
-    pieces = []
-    for k, rule in enumerate(collocation.rules):
-        here = costates[:, collocation.mesh.offsets[k] : collocation.mesh.offsets[k + 1]]
-        wanted = -here * rule.weights
-        if collocation.scheme == "LG":
-            pieces.append(np.hstack([wanted, -end_costates[:, [k]]]))
-        else:
-            matrix = collocation.dynamics_matrix(k)
-            pieces.append(np.linalg.lstsq(matrix.T, wanted.T, rcond=None)[0].T)
-    return pieces
-
-
-def _boundary_costates(collocation: PhaseCollocation, rows: Array, point_gradients: Array) -> tuple[Array, Array]:
-    """Costates at each segment's start and end, (n_states, K) each.
-
-    ``point_gradients`` (n_states, N) is the derivative of the point terms of the Lagrangian with respect to
-    the states at the points; it counts where a collocation point is a segment boundary.
-    """
-    starts, ends = [], []
-    for k in range(collocation.mesh.segments):
-        derivative = rows[collocation.dynamics_rows[k]] @ collocation.state_matrix(k)
-        first, last = collocation.mesh.offsets[k], collocation.mesh.offsets[k + 1] - 1
-        start, end = derivative[:, 0], derivative[:, -1]
-        if collocation.scheme in ("LGR", "LGL"):
-            start = start + point_gradients[:, first]
-        if collocation.scheme == "LGL":
-            end = end + point_gradients[:, last]
-        starts.append(start)
-        ends.append(-end)
-    return np.stack(starts, axis=1), np.stack(ends, axis=1)
-
-
-def _point_bound_multipliers(collocation: PhaseCollocation, lam_x: Array) -> Array:
-    """Multipliers of state bounds at points that are not segment boundaries, (n_states, N)."""
-    multipliers = lam_x[collocation.point_states].copy()
-    shared = np.isin(collocation.point_states, collocation.boundary_states)
-    multipliers[shared] = 0.0
-    return multipliers
+def _mixed_only(functions: PhaseFunctions, times: Array, x: Array, u: Array, paths: Array) -> Array:
+    """Path multipliers (n_paths, N), those of constraints without controls set to zero."""
+    if not paths.size:
+        return paths
+    mixed = np.any(functions.path_control_jacobian(times, x, u) != 0, axis=(1, 2))
+    return np.where(mixed[:, None], paths, 0.0)
 
 
 def _time_multipliers(part: PhasePart, lam_x: Array) -> Array:
@@ -263,19 +206,3 @@ def _state_polynomial(
         nodes.append(rule.state_nodes)
         values.append(states)
     return PiecewisePolynomial(breaks, tuple(nodes), tuple(values))
-
-
-def _costate_polynomial(
-    collocation: PhaseCollocation, breaks: Array, lam: Array, end: Array
-) -> PiecewisePolynomial:
-    """Costates through the points and, for LG, each segment's end."""
-    if collocation.scheme != "LG":
-        return piecewise(breaks, collocation.rules, lam)
-    nodes, values = [], []
-    for k, rule in enumerate(collocation.rules):
-        here = lam[:, collocation.mesh.offsets[k] : collocation.mesh.offsets[k + 1]]
-        nodes.append(np.append(rule.points, 1.0))
-        values.append(np.hstack([here, end[:, [k]]]))
-    return PiecewisePolynomial(breaks, tuple(nodes), tuple(values))
-
-

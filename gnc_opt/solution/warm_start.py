@@ -8,7 +8,7 @@ from gnc_opt.errors import ProblemError
 from gnc_opt.model.layout import Array
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
-from gnc_opt.solution.extract import point_multipliers
+from gnc_opt.solution.covector import point_multipliers
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.solution import Solution
 from gnc_opt.transcription.collocation import PhaseCollocation

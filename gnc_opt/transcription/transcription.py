@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from gnc_opt.errors import unknown_name
+from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.layout import Array
 from gnc_opt.nlp.solver import NlpProblem
 from gnc_opt.problem.interval import Interval, free
@@ -375,6 +375,8 @@ class Transcription:
             (collocation.point_controls, numbers.controls),
         ):
             box.lower[places], box.upper[places] = bounds.lower[:, None], bounds.upper[:, None]
+        if numbers.arcs is not None:
+            self._hold_controls(box, leg, collocation)
         for places, values in ((collocation.boundary_states[:, 0], numbers.initial),
                                (collocation.boundary_states[:, -1], numbers.final)):  # fmt: skip
             box.lower[places] = np.maximum(box.lower[places], values.lower)
@@ -382,6 +384,19 @@ class Transcription:
         for place, time in zip(part.times[[0, -1]], _times(leg), strict=True):
             if place < self.n_variables:
                 box.lower[place], box.upper[place] = time.lower[0], time.upper[0]
+
+    def _hold_controls(self, box: Interval, leg: Phase, collocation: PhaseCollocation) -> None:
+        arcs = np.asarray(leg.numbers.arcs)
+        if arcs.shape[1] != collocation.mesh.segments:
+            raise ProblemError(
+                f"arcs of {leg.where} are given for {arcs.shape[1]} segments, but its mesh has "
+                f"{collocation.mesh.segments}: give one column per segment."
+            )
+        signs = np.repeat(arcs, collocation.mesh.degrees, axis=1)
+        bounds, places = leg.numbers.controls, collocation.point_controls
+        for sign, limits in ((-1, bounds.lower), (1, bounds.upper)):
+            held = np.broadcast_to(limits[:, None], signs.shape)[signs == sign]
+            box.lower[places[signs == sign]] = box.upper[places[signs == sign]] = held
 
     def row_interval(self, problem: Problem) -> Interval:
         """Bounds of all rows, in physical units."""

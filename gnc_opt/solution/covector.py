@@ -1,0 +1,287 @@
+r"""Covector mapping: from the multipliers of the program to costates, densities and impulses.
+
+The Lagrangian of the program is, up to terms that do not depend on the dynamics,
+
+.. math:: \mathcal L = \Phi + \dots + \sum_j m_j^T F_j, \qquad F_j = \Delta\, f(t_j, X_j, U_j),
+
+with :math:`m = W^T \Lambda` the multipliers that the constraint rows lay on the point values. A quadrature of
+:math:`\int \lambda^T f\,dt` with weights :math:`\omega_j` (fractions of the arc, sum 1) has the same form, hence in
+every scheme
+
+.. math:: \lambda(t_j) = m_j / \omega_j .
+
+For LG this is :math:`-\Lambda_j / w_j`, Gauss weights w_j. At segment boundaries the costate is the derivative
+of the segment's part of the Lagrangian with respect to the shared boundary state, + at its start, - at its end:
+:math:`\lambda(t_0) = \partial J^* / \partial x_0` in the continuous problem is the same statement, so these values
+converge twice as fast as those at the points (for LG all do).
+
+**Between the points** the costate is what its differential equation makes of them: from the segment's start,
+:math:`\lambda(t) = \lambda_k - \int (H_x + \mu^T c_x + z)\,dt`, the integrand being the polynomial through the points. It
+meets the segment's end. For LG it also meets the point values; for LGR and LGL it is the better one by an order.
+
+**Where a state is held** by its bound, or by a path constraint without controls, the multiplier of a point
+that is a segment boundary is the sum of a density and of an impulse, a jump of the costate. Beside a segment that is
+not held it is taken for an impulse. Along a held segment the one-sided costates come from the points instead,
+and what the bound's multiplier then lacks or exceeds in the stationarity of the boundary state is its density there.
+LG knows no such point, but there a bound that holds a state at all nodes of a segment makes the row of its end state
+redundant: any multiplier of that row solves the program, with bound multipliers that oscillate from point
+to point by :math:`e_j` (the coefficients of the row). The costate without the oscillation continues the points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gnc_opt.model.layout import Array
+from gnc_opt.solution.polynomial import PiecewisePolynomial
+from gnc_opt.transcription.collocation import PhaseCollocation
+from gnc_opt.transcription.quadrature import interpolation_matrix
+
+Mask = NDArray[np.bool_]
+
+_PUSH = 1e-6
+"""A push on a costate counts if it would move it by this share of its size over the segment."""
+
+_HELD = 1e-7
+"""A state that varies over a segment by less than this, relative to its size in the phase, is held."""
+
+
+@dataclass(frozen=True, eq=False)
+class Costates:
+    """What the covector mapping yields for one phase.
+
+    Attributes
+    ----------
+    polynomial : PiecewisePolynomial
+    start, end : array (n_states, K)
+        One-sided limits at each segment's start and end.
+    densities : array (n_states, N)
+        State bound multipliers at the points, per second.
+    impulses : array (n_states, K + 1)
+        State bound multipliers (and those of fixed end values) at the segment boundaries.
+    """
+
+    polynomial: PiecewisePolynomial
+    start: Array
+    end: Array
+    densities: Array
+    impulses: Array
+
+
+def point_costates(collocation: PhaseCollocation, lam_g: Array) -> Array:
+    """Costates at the collocation points (n_states, N): m_j / omega_j."""
+    pieces = []
+    for k, rule in enumerate(collocation.rules):
+        # The factor w_k / 2 of both the multipliers and the quadrature weights cancels.
+        pieces.append(-lam_g[collocation.dynamics_rows[k]] @ collocation.dynamics_matrix(k) / rule.weights)
+    return np.hstack(pieces)
+
+
+def point_multipliers(collocation: PhaseCollocation, costates: Array, end_costates: Array) -> list[Array]:
+    """Invert the covector mapping: multipliers of each segment's rows for given costates.
+
+    Parameters
+    ----------
+    costates : array (n_states, N)
+        At the collocation points.
+    end_costates : array (n_states, K)
+        At the segment ends (used by LG only).
+    """
+    pieces = []
+    for k, rule in enumerate(collocation.rules):
+        wanted = -costates[:, _points(collocation, k)] * rule.weights
+        if collocation.scheme == "LG":
+            pieces.append(np.hstack([wanted, -end_costates[:, [k]]]))
+        else:
+            matrix = collocation.dynamics_matrix(k)
+            pieces.append(np.linalg.lstsq(matrix.T, wanted.T, rcond=None)[0].T)
+    return pieces
+
+
+def map_costates(
+    collocation: PhaseCollocation,
+    breaks: Array,
+    x: Array,
+    lam_x: Array,
+    lam_g: Array,
+    weights: Array,
+    gradient: Array,
+    path_push: Array,
+) -> Costates:
+    """Return costates and state bound multipliers of a phase.
+
+    Parameters
+    ----------
+    breaks : array (K + 1,)
+        Times of the segment boundaries, s.
+    x, lam_x : array (n_variables,)
+        Variables of the program and multipliers of their bounds, physical.
+    lam_g : array (n_constraints,)
+        Multipliers of the rows, physical.
+    weights : array (N,)
+        Quadrature weights of the points, s.
+    gradient : array (n_states, N)
+        d(H + mu.c)/dx at the points.
+    path_push : array (n_states, N)
+        The part of it that comes from path constraints without controls.
+    """
+    pieces = _Pieces.of(collocation, x, lam_x, lam_g, weights, gradient, path_push)
+    if collocation.scheme == "LG":
+        pieces.settle_redundant_rows()
+    else:
+        pieces.split_boundary_multipliers()
+    return Costates(pieces.polynomial(breaks), pieces.start, pieces.end, pieces.densities, pieces.impulses)
+
+
+@dataclass(eq=False)
+class _Pieces:
+    """Costates under construction; the arrays change as the ambiguities of held segments are settled.
+
+    Attributes
+    ----------
+    pull : array (n_states, N)
+        -d(lambda)/dt at the points, without what is taken for an impulse.
+    held : bool array (n_states, K)
+        Segments along which a bound or path constraint pushes the costate.
+    pushed : bool array (n_states, N)
+        Points at which it does, segment boundaries included.
+    bounded : bool array (n_states, N)
+        Points at which a bound does.
+    """
+
+    collocation: PhaseCollocation
+    x: Array
+    weights: Array
+    lam: Array
+    start: Array
+    end: Array
+    densities: Array
+    impulses: Array
+    pull: Array
+    held: Mask
+    pushed: Mask
+    bounded: Mask
+
+    @classmethod
+    def of(
+        cls,
+        collocation: PhaseCollocation,
+        x: Array,
+        lam_x: Array,
+        lam_g: Array,
+        weights: Array,
+        gradient: Array,
+        path_push: Array,
+    ) -> _Pieces:
+        lam = point_costates(collocation, lam_g)
+        shared = np.isin(collocation.point_states, collocation.boundary_states)
+        multipliers = lam_x[collocation.point_states] / weights
+        densities = np.where(shared, 0.0, multipliers)
+        # At a phase's end a path constraint pushes with its density; within, see the module's text.
+        at_break = np.isin(collocation.point_states, collocation.boundary_states[:, 1:-1])
+        pull = gradient - np.where(at_break, path_push, 0.0) + densities
+        start, end = _boundary_costates(collocation, lam_g, weights * pull)
+        size = np.max(np.abs(lam), axis=1, keepdims=True, initial=0.0)
+        lengths = np.repeat(_lengths(collocation, weights), collocation.mesh.degrees)
+        bounded = np.abs(np.where(shared & ~at_break, 0.0, multipliers)) * lengths > _PUSH * size
+        pushed = bounded | (np.abs(path_push) * lengths > _PUSH * size)
+        held = _held_segments(collocation, pushed, shared)
+        return cls(
+            collocation, x, weights, lam, start, end, densities,
+            lam_x[collocation.boundary_states].copy(), pull, held, pushed, bounded,
+        )  # fmt: skip
+
+    def split_boundary_multipliers(self) -> None:
+        """LGR, LGL: at the ends of held segments take the costates of the points, and densities out of impulses."""
+        collocation = self.collocation
+        for k in range(collocation.mesh.segments):
+            here = np.arange(collocation.mesh.size)[_points(collocation, k)]
+            if k > 0:
+                self._split(k, k, here[0], self.start, 1.0)
+            if collocation.scheme == "LGL" and k + 1 < collocation.mesh.segments:
+                self._split(k, k + 1, here[-1], self.end, -1.0)
+
+    def _split(self, k: int, boundary: int, point: int, side: Array, sign: float) -> None:
+        rows = self.held[:, k] & self.pushed[:, point]
+        gap = sign * (self.lam[:, point] - side[:, k])
+        side[rows, k] = self.lam[rows, point]
+        rows = rows & self.bounded[:, point]
+        self.densities[rows, point] = gap[rows] / self.weights[point]
+        self.impulses[rows, boundary] -= gap[rows]
+
+    def settle_redundant_rows(self) -> None:
+        """LG: where a bound holds a state at all nodes of a segment, continue the costate of the points."""
+        collocation = self.collocation
+        size = np.max(np.abs(self.x[collocation.point_states]), axis=1, initial=0.0)
+        for k, rule in enumerate(collocation.rules):
+            nodes, here = self.x[collocation.segment_nodes(k)], _points(collocation, k)
+            still = np.ptp(nodes, axis=1) <= _HELD * size
+            rows = still & self.held[:, k] & np.any(self.bounded[:, here], axis=1)
+            change = self.lam[:, here] @ interpolation_matrix(rule.points, [1.0])[0] - self.end[:, k]
+            change = np.where(rows, change, 0.0)
+            self.end[:, k] += change
+            self.start[:, k] += change * rule.end_values[0]
+            self.densities[:, here] -= np.outer(change, rule.end_values[1:]) / self.weights[here]
+            self.impulses[:, k + 1] += change
+            self.impulses[:, k] -= change * rule.end_values[0]
+
+    def polynomial(self, breaks: Array) -> PiecewisePolynomial:
+        """Costates between the points."""
+        collocation = self.collocation
+        nodes, values = [], []
+        for k, rule in enumerate(collocation.rules):
+            here = _points(collocation, k)
+            if collocation.scheme == "LG":
+                nodes.append(np.append(rule.points, 1.0))
+                values.append(np.hstack([self.lam[:, here], self.end[:, [k]]]))
+                continue
+            half = 0.5 * (breaks[k + 1] - breaks[k])
+            path = rule.integrate_to(rule.state_nodes)
+            integrated = self.start[:, [k]] - half * self.pull[:, here] @ path.T
+            through = self.lam[:, here] @ interpolation_matrix(rule.points, rule.state_nodes).T
+            if collocation.scheme == "LGR":
+                through[:, -1] = self.end[:, k]
+            nodes.append(rule.state_nodes)
+            values.append(np.where(self.held[:, [k]], through, integrated))
+        return PiecewisePolynomial(breaks, tuple(nodes), tuple(values))
+
+
+def _points(collocation: PhaseCollocation, k: int) -> slice:
+    return slice(collocation.mesh.offsets[k], collocation.mesh.offsets[k + 1])
+
+
+def _lengths(collocation: PhaseCollocation, weights: Array) -> Array:
+    """Durations of the segments, (K,): the sums of their quadrature weights."""
+    return np.add.reduceat(weights, collocation.mesh.offsets[:-1])
+
+
+def _held_segments(collocation: PhaseCollocation, pushed: Mask, shared: Mask) -> Mask:
+    """Segments pushed at a point within, or (the trapezoidal rule has none) at all points; (n_states, K)."""
+    columns = []
+    for k in range(collocation.mesh.segments):
+        inside, here = ~shared[:, _points(collocation, k)], pushed[:, _points(collocation, k)]
+        columns.append(np.where(inside.any(axis=1), np.any(here & inside, axis=1), np.all(here, axis=1)))
+    return np.stack(columns, axis=1)
+
+
+def _boundary_costates(collocation: PhaseCollocation, lam_g: Array, point_gradients: Array) -> tuple[Array, Array]:
+    """Costates at each segment's start and end, (n_states, K) each.
+
+    ``point_gradients`` (n_states, N) is the derivative of the point terms of the Lagrangian with respect to
+    the states at the points; it counts where a collocation point is a segment boundary.
+    """
+    starts, ends = [], []
+    for k in range(collocation.mesh.segments):
+        derivative = lam_g[collocation.dynamics_rows[k]] @ collocation.state_matrix(k)
+        first, last = collocation.mesh.offsets[k], collocation.mesh.offsets[k + 1] - 1
+        start, end = derivative[:, 0], derivative[:, -1]
+        if collocation.scheme in ("LGR", "LGL"):
+            start = start + point_gradients[:, first]
+        if collocation.scheme == "LGL":
+            end = end + point_gradients[:, last]
+        starts.append(start)
+        ends.append(-end)
+    return np.stack(starts, axis=1), np.stack(ends, axis=1)
