@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +20,7 @@ from gnc_opt.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.solution.polynomial import Side
 
 if TYPE_CHECKING:
+    from gnc_opt.verify.propagate import Propagation
     from gnc_opt.verify.quality import Quality
 
 
@@ -202,6 +203,29 @@ class Solution:
         from gnc_opt.verify.quality import measure_quality
 
         return measure_quality(self)
+
+    def propagate(
+        self, phase: str | None = None, *, control: Literal["flown", "polynomial"] = "flown", rtol: float = 1e-11
+    ) -> Propagation:
+        """Integrate the dynamics under this solution's control, independently of collocation.
+
+        Parameters
+        ----------
+        phase : str, optional
+        control : {"flown", "polynomial"}
+            The bounded signal that can be flown, or the collocation polynomial as it is.
+        rtol : float
+            Relative tolerance of the integrator (DOP853).
+
+        Returns
+        -------
+        Propagation
+            Times, states and the final miss of each state.
+        """
+        from gnc_opt.verify.propagate import propagate
+
+        leg = self.phase(phase)
+        return propagate(leg, self.functions(leg.name), control=control, rtol=rtol)
 
     def __str__(self) -> str:
         from gnc_opt.report.summary import summary

@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 AT_BOUND = 1e-6
 """A value this close to its bound, relative to the range, sits on it."""
 
+CLEARLY_INSIDE = 1e-2
+"""A control this far from both bounds, relative to the range, is between them on purpose."""
+
 _GRID = 9
 _MOST_TIMES = 400
 
@@ -160,6 +163,12 @@ def _offences(s: PhaseSamples) -> tuple[Array, NDArray[np.bool_]]:
     room_up = np.where(at_upper, 0.0, np.minimum(bounds.upper[:, None] - s.u, scale[:, None]))
     loss = np.abs(gradient) * np.where(gradient > 0, room_down, room_up) / s.hamiltonian_scale
     return loss, at_lower | at_upper
+
+
+def _inside(s: PhaseSamples) -> NDArray[np.bool_]:
+    """Where each control is clearly between its bounds, (m, n_samples)."""
+    bounds, margin = s.leg.control_bounds, (CLEARLY_INSIDE * s.control_scale)[:, None]
+    return np.asarray((s.u > bounds.lower[:, None] + margin) & (s.u < bounds.upper[:, None] - margin))
 
 
 def stationarity(samples: list[PhaseSamples], tolerance: float) -> Condition:
@@ -293,25 +302,24 @@ def _slack_offence(multipliers: Array, values: Array, box: Interval, scale: Arra
 
 
 def legendre_clebsch(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """The Hessian of H in the controls that are not on a bound is positive definite."""
+    """The Hessian of H in the controls that are not on a bound is positive definite (strengthened form)."""
+    name = "Legendre-Clebsch"
     meaning = (
-        "In controls between their bounds the Hessian of H must be positive definite (smallest eigenvalue, negated, in "
-        "shares of H's scale); negative curvature means a maximum."
+        "In controls between their bounds the Hessian of H must be positive definite (value: smallest eigenvalue with "
+        "its sign reversed, in shares of H's scale): negative curvature means a maximum, none leaves it open."
     )
-    worst = Worst(0.0, "no control between its bounds")
-    found = False
-    for s in samples:
-        value, place = _least_curvature(s)
-        if place is not None:
-            worst = Worst(-value, place) if not found else worst.or_worse(Worst(-value, place))
-            found = True
-    return judge("Legendre-Clebsch", worst, tolerance, meaning)
+    places = [(value, place) for value, place in map(_least_curvature, samples) if place is not None]
+    if not places:
+        return Condition(name, Result.PASS, 0.0, -tolerance, "no control between its bounds", meaning)
+    least, place = min(places, key=lambda item: item[0])
+    result = Result.PASS if least >= tolerance else Result.CANNOT_TELL if least > -tolerance else Result.FAIL
+    return Condition(name, result, -least, -tolerance, place, meaning)
 
 
 def _least_curvature(s: PhaseSamples) -> tuple[float, str | None]:
     hessians = s.functions.control_hessian(s.times, s.x, s.u, s.lam, s.mu)
     scaled = hessians * s.control_scale[:, None, None] * s.control_scale[None, :, None] / s.hamiltonian_scale
-    interior = ~_offences(s)[1]
+    interior = _inside(s)
     least, place = np.inf, None
     for j in range(s.times.size):
         curvature = _reduced_curvature(s, j, scaled[:, :, j], interior[:, j])
@@ -350,10 +358,10 @@ def singular_arcs(samples: list[PhaseSamples], tolerance: float) -> Condition:
     )
     total, place = 0.0, "nowhere"
     for s in samples:
-        loss, on_bound = _offences(s)
+        loss, inside = _offences(s)[0], _inside(s)
         hessians = s.functions.control_hessian(s.times, s.x, s.u, s.lam, s.mu)
         curvature = np.abs(np.einsum("iij->ij", hessians)) * s.control_scale[:, None] ** 2 / s.hamiltonian_scale
-        singular = ~on_bound & (loss <= tolerance) & (curvature <= tolerance)
+        singular = inside & (loss <= tolerance) & (curvature <= tolerance)
         lengths = np.sum(singular * s.weights, axis=1) / max(s.leg.duration, 1e-9)
         if lengths.size and lengths.max() > total:
             i = int(np.argmax(lengths))

@@ -142,8 +142,8 @@ class PhaseSamples:
         terms = np.sum(np.abs(self.lam * rates), axis=0)
         integrands = self.functions.integrands(self.times, self.x, self.u)
         terms = terms + np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
-        largest = float(np.max(terms, initial=0.0))
-        return largest if largest > 0 else 1.0
+        # Where H vanishes altogether, as on a singular arc of zero cost, rounding must not set the scale.
+        return max(float(np.max(terms, initial=0.0)), 1e-9)
 
     def place(self, column: int, what: str = "") -> str:
         """Return "phase leg, t = 1.23 s, v[2]" for a sample."""

@@ -84,9 +84,11 @@ def _ends(solution: Solution) -> EndGradients:
 
 
 def _has_costates(solution: Solution) -> bool:
-    finite = [np.all(np.isfinite(v)) for leg in solution.phases.values() for v in leg.lam.values]
-    some = [np.any(v != 0) for leg in solution.phases.values() for v in leg.lam.values]
-    return all(finite) and any(some)
+    legs = solution.phases.values()
+    finite = all(np.all(np.isfinite(v)) for leg in legs for v in leg.lam.values)
+    # Costates may vanish where an integral is minimised, but not in a pure end-point problem.
+    some = any(np.any(v != 0) for leg in legs for v in leg.lam.values)
+    return finite and (some or any(np.any(leg.integral_weights != 0) for leg in legs))
 
 
 def _untold(condition: Condition) -> Condition:
