@@ -1,11 +1,13 @@
 """gnc_opt: trajectory optimisation for guidance, navigation and control, with a proof of optimality."""
 
 from gnc_opt.errors import (
+    ArgumentError,
     GncOptError,
     ModelError,
     ProblemError,
     ProblemWarning,
     SolveError,
+    UnknownAttributeError,
     UnknownNameError,
 )
 from gnc_opt.model import Model
@@ -17,6 +19,7 @@ from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.verify import Condition, Result, Verdict, verify
 
 __all__ = [
+    "ArgumentError",
     "Condition",
     "GncOptError",
     "Mesh",
@@ -32,6 +35,7 @@ __all__ = [
     "SolveError",
     "SolverOptions",
     "Status",
+    "UnknownAttributeError",
     "UnknownNameError",
     "Verdict",
     "load",

@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import keyword
 import numbers
-import reprlib
-from typing import Any, TypeVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from gnc_opt.errors import ArgumentError, GncOptError
+from gnc_opt.errors import ArgumentError, GncOptError, shown
 
 Array = NDArray[np.float64]
 ErrorType = type[GncOptError]
-T = TypeVar("T")
 
 
-def shown(value: object) -> str:
-    """Return a short form of a value on one line, for messages."""
-    return " ".join(reprlib.repr(value).split())
-
-
-def expect(value: Any, kind: type[T], what: str, remedy: str) -> T:
-    """Return ``value`` if it is of the given class, else raise `ArgumentError`: ``what`` is it, ``remedy`` helps."""
+def expect(value: Any, kind: type, what: str, remedy: str) -> Any:
+    """Return ``value`` if it is of the given class, else raise `ArgumentError` that ends with the remedy."""
     if not isinstance(value, kind):
-        raise ArgumentError(f"{what} is a {type(value).__name__} where a {kind.__name__} is needed: {remedy}.")
+        raise ArgumentError(
+            f"{what} is a {type(value).__name__} where a {kind.__name__} is needed: {remedy}."
+        )
     return value
 
 
@@ -48,8 +44,7 @@ def read_label(name: object, what: str, error: ErrorType = ArgumentError) -> str
 
 def read_integer(value: Any, what: str, least: int, error: ErrorType = ArgumentError) -> int:
     """Return a whole number that is not less than ``least``."""
-    whole = isinstance(value, numbers.Real) and not isinstance(value, bool) and value == np.floor(float(value))
-    if not (whole and np.isfinite(float(value)) and value >= least):
+    if not isinstance(value, numbers.Integral) or isinstance(value, bool) or value < least:
         raise error(f"{what} is {shown(value)}: give an integer >= {least}.")
     return int(value)
 
@@ -57,9 +52,10 @@ def read_integer(value: Any, what: str, least: int, error: ErrorType = ArgumentE
 def read_positive(value: Any, what: str, error: ErrorType = ArgumentError, *, or_zero: bool = False) -> float:
     """Return a finite number > 0 (or >= 0)."""
     if isinstance(value, numbers.Real) and not isinstance(value, bool):
-        number = float(value)
-        if np.isfinite(number) and (number > 0 or (or_zero and number == 0)):
-            return number
+        with contextlib.suppress(OverflowError):  # an integer beyond 1e308
+            number = float(value)
+            if np.isfinite(number) and (number > 0 or (or_zero and number == 0)):
+                return number
     raise error(f"{what} is {shown(value)}: give a finite number {'>=' if or_zero else '>'} 0.")
 
 
@@ -80,7 +76,7 @@ def read_numbers(value: Any, what: str, error: ErrorType = ArgumentError) -> Arr
 
 
 def _symbolic(value: Any) -> bool:
-    """Whether CasADi symbols hide in a value; NumPy must not be asked, since CasADi objects answer with warnings."""
+    """Whether CasADi symbols hide in a value; to NumPy they would answer with warnings."""
     if isinstance(value, (list, tuple)):
         return any(_symbolic(entry) for entry in value)
     return isinstance(value, (ca.SX, ca.MX))

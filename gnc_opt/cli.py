@@ -18,6 +18,7 @@ from gnc_opt.problem_file import ProblemFile, load_problem_file, parse_setting
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from gnc_opt.nlp import SolverOptions
     from gnc_opt.problem.problem import Problem
     from gnc_opt.solution.solution import Solution
     from gnc_opt.verify.verdict import Verdict
@@ -107,13 +108,10 @@ def _verify(solution: Solution) -> Verdict:
     return verify(solution)
 
 
-def _solver_options(args: argparse.Namespace) -> Any:
+def _solver_options(args: argparse.Namespace) -> SolverOptions:
     from gnc_opt.nlp import SolverOptions
 
-    try:
-        return SolverOptions() if args.solver_tol is None else SolverOptions(tolerance=args.solver_tol)
-    except ValueError as error:
-        raise GncOptError(f"--solver-tol: {error}.") from error
+    return SolverOptions() if args.solver_tol is None else SolverOptions(tolerance=args.solver_tol)
 
 
 def _exit_code(solution: Solution, verdict: Verdict | None, exit_zero: bool) -> ExitCode:
@@ -180,7 +178,8 @@ def _description(file: ProblemFile, problem: Problem) -> str:
         )
     lines.append(
         f"  {_count(len(problem.constraint_labels()), 'boundary constraint')} besides the end values, "
-        f"{_count(problem.parameters.size, 'free parameter')}, cost {'maximised' if problem.sense < 0 else 'minimised'}"
+        f"{_count(problem.parameters.size, 'free parameter')}, "
+        f"cost {'maximised' if problem.sense < 0 else 'minimised'}"
     )
     options = ", ".join(str(parameter) for parameter in file.options.values())
     lines.append(f"  options of build(): {options or 'none'}")

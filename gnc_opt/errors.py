@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import reprlib
 import sys
 import warnings
 from collections.abc import Iterable
@@ -59,6 +60,11 @@ def warn_user(message: str) -> None:
     warnings.warn(message, ProblemWarning, stacklevel=depth + 1)
 
 
+def shown(value: object) -> str:
+    """Return a short form of a value on one line, for messages."""
+    return " ".join(reprlib.repr(value).split())
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return "did you mean 'x'?" if a known name is near, else the list of the known names."""
     names = list(known)
@@ -72,5 +78,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 def unknown_name(what: str, name: object, where: str, known: Iterable[str]) -> UnknownNameError:
     """Return the error for an undeclared name, e.g. ``unknown_name("state", "vv", "model 'cart'", ...)``."""
     if not isinstance(name, str):
-        return UnknownNameError(f"{where}: {name!r} is not the name of a {what}; {did_you_mean('', known)}")
+        return UnknownNameError(
+            f"{where} has no {what} {shown(name)}: give a name, {did_you_mean('', known)}"
+        )
     return UnknownNameError(f"{where} has no {what} '{name}': {did_you_mean(name, known)}")

@@ -1,7 +1,7 @@
 """Problem files: any Python file with ``build(**options) -> Problem``.
 
-Two more names are looked for: ``MESH`` (a mesh, ``"20x3"`` or a mapping from phase to mesh) is the default mesh,
-and ``figures(solution, directory)`` draws the problem's own figures for a report.
+Two more names are looked for: ``MESH`` (a mesh, ``"20x3"`` or a mapping from phase to mesh) is the default
+mesh, and ``figures(solution, directory)`` draws the problem's own figures for a report.
 """
 
 from __future__ import annotations
@@ -80,10 +80,14 @@ class ProblemFile:
         takes_any = any(p.kind is kinds.VAR_KEYWORD for p in known.values())
         for name in given:
             if name not in named and not takes_any:
-                raise ProblemFileError(f"{self.path}: build() has no option '{name}': {did_you_mean(name, named)}")
+                raise ProblemFileError(
+                    f"{self.path}: build() has no option '{name}': {did_you_mean(name, named)}"
+                )
         missing = [n for n in named if known[n].default is kinds.empty and n not in given]
         if missing:
-            raise ProblemFileError(f"{self.path}: build() needs the option '{missing[0]}': add --set {missing[0]}=...")
+            raise ProblemFileError(
+                f"{self.path}: build() needs the option '{missing[0]}': add --set {missing[0]}=..."
+            )
 
 
 def load_problem_file(path: str | Path) -> ProblemFile:
@@ -114,7 +118,9 @@ def load_problem_file(path: str | Path) -> ProblemFile:
         spec.loader.exec_module(module)
     if not callable(getattr(module, "build", None)):
         functions = [n for n, v in vars(module).items() if inspect.isfunction(v) and not n.startswith("_")]
-        raise ProblemFileError(f"{path} has no function build() that returns the Problem: {did_you_mean('build', functions)}")
+        raise ProblemFileError(
+            f"{path} has no function build() that returns the Problem: {did_you_mean('build', functions)}"
+        )
     return ProblemFile(file, module)
 
 

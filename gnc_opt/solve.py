@@ -11,24 +11,24 @@ from typing import TypeAlias
 
 import numpy as np
 
-from gnc_opt.errors import ProblemError, SolveError, did_you_mean
+from gnc_opt.arguments import expect
+from gnc_opt.diagnosis import failure_message, find_violations
+from gnc_opt.errors import ProblemError, SolveError, shown
 from gnc_opt.model.layout import Array
 from gnc_opt.nlp import IterationInfo, NlpResult, NlpSolver, SolverOptions
-from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.extract import Iterate, extract_phases
-from gnc_opt.solution.solution import Solution, Statistics, Violation
+from gnc_opt.solution.solution import Solution, Statistics
 from gnc_opt.solution.warm_start import start_from_solution
 from gnc_opt.transcription.guess import start_variables
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.transcription.quadrature import SCHEMES, Scheme
+from gnc_opt.transcription.quadrature import Scheme, checked_scheme
 from gnc_opt.transcription.scaling import Scaling, scale_rows, scale_variables
 from gnc_opt.transcription.transcription import Transcription, transcribe
 
 MeshLike: TypeAlias = "Mesh | str"
 
 DEFAULT_MESH = Mesh.uniform(20, 4)
-_WORST = 10
 
 
 def solve(
@@ -73,14 +73,17 @@ def solve(
     SolveError
         No solution was found; the error carries the last iterate.
     """
-    if scheme not in SCHEMES:
-        raise ProblemError(f"there is no scheme {scheme!r}: {did_you_mean(str(scheme), SCHEMES)}")
+    expect(problem, Problem, "what solve() got", "write solve(problem), or solve(solution.problem)")
+    checked_scheme(scheme)
+    if guess is not None:
+        expect(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
+    options = SolverOptions() if options is None else options
+    expect(options, SolverOptions, "the options of solve()", "write options=SolverOptions(tolerance=1e-9)")
     problem.check()
-    options = options or SolverOptions()
     begin = time.perf_counter()
     known = len(problem.builds)
     transcription = transcribe(problem, _meshes(problem, mesh, guess), scheme)
-    solver = _solver(problem, transcription, options)
+    solver = _solver(problem, transcription, _suited(options, transcription))
     start, scaling, warm = _start(transcription, problem, guess)
     build_s = time.perf_counter() - begin
     result = _run(transcription, problem, solver, start, scaling, warm, progress)
@@ -98,22 +101,15 @@ def solve(
     return solution
 
 
-def failure_message(solution: Solution) -> str:
-    """Return the sentence that a failed solve raises: status, remedy and the worst constraint."""
-    worst = f" Worst: {solution.violations[0].name} (off by {solution.violations[0].amount:.2g})." if solution.violations else ""
-    return (
-        f"no solution of '{solution.problem_name}' after {solution.statistics.iterations} iterations: "
-        f"{solution.status.value}. {solution.status.remedy}{worst}"
-    )
-
-
 def _meshes(
     problem: Problem, mesh: MeshLike | Mapping[str, MeshLike] | None, guess: Solution | None
 ) -> dict[str, Mesh]:
     if isinstance(mesh, Mapping):
         missing = [name for name in problem.phases if name not in mesh]
         if missing:
-            raise ProblemError(f"mesh of problem '{problem.name}' lacks phase '{missing[0]}': give every phase one.")
+            raise ProblemError(
+                f"the mesh of problem '{problem.name}' lacks phase '{missing[0]}': give every phase one."
+            )
         return {name: _mesh(m) for name, m in mesh.items()}
     if mesh is None and guess is not None and set(guess.phases) == set(problem.phases):
         return {name: guess.phases[name].mesh for name in problem.phases}
@@ -125,7 +121,15 @@ def _mesh(mesh: MeshLike) -> Mesh:
         return mesh
     if isinstance(mesh, str):
         return Mesh.parse(mesh)
-    raise ProblemError(f"{mesh!r} is not a mesh; give Mesh.uniform(20, 3) or '20x3'.")
+    raise ProblemError(f"{shown(mesh)} is not a mesh: give Mesh.uniform(20, 3) or '20x3'.")
+
+
+def _suited(options: SolverOptions, transcription: Transcription) -> SolverOptions:
+    """Pivot with care where switch times are variables: short arcs make the linear systems nearly singular."""
+    movable = any(part.collocation.mesh.movable for part in transcription.parts.values())
+    if options.pivot_tolerance is None and movable:
+        return replace(options, pivot_tolerance=1e-2)
+    return options
 
 
 def _solver(problem: Problem, transcription: Transcription, options: SolverOptions) -> NlpSolver:
@@ -147,7 +151,7 @@ def _start(
         warm = (multipliers[0], multipliers[1])
     start = _with_integrals(transcription, problem, start)
     scales = scale_variables(transcription, problem, start)
-    rows, objective = scale_rows(transcription, scales, _evaluate(transcription, problem, start)[1])
+    rows, objective = scale_rows(transcription, scales, *transcription.evaluate(problem, start)[1:])
     return start, Scaling(scales, rows, objective), warm
 
 
@@ -156,16 +160,10 @@ def _with_integrals(transcription: Transcription, problem: Problem, start: Array
     places = transcription.integral_places
     if not places.size:
         return start
-    values = _evaluate(transcription, problem, start)[0]
+    values = transcription.evaluate(problem, start)[0]
     start = start.copy()
     start[places] -= np.nan_to_num(values[-places.size :])
     return start
-
-
-def _evaluate(transcription: Transcription, problem: Problem, x: Array) -> tuple[Array, Array]:
-    """Values of (objective, rows) and nonzeros of their Jacobian at x, physical."""
-    values, nonzeros = transcription.physical(x, transcription.numbers(problem))
-    return np.asarray(values.full()).ravel(), np.asarray(nonzeros.full()).ravel()
 
 
 def _run(
@@ -235,28 +233,11 @@ def _solution(
         constraint_labels=problem.constraint_labels(),
         constraint_values=gradients.constraints,
         constraint_multipliers=iterate.lam_g[transcription.constraint_rows],
-        violations=() if result.status.solved else _violations(transcription, problem, result, scaling),
+        violations=find_violations(transcription, problem, result, scaling, phases, iterate.x[places]),
         statistics=statistics,
         provenance=_provenance(problem, transcription, options),
         problem=problem,
     )
-
-
-def _violations(
-    transcription: Transcription, problem: Problem, result: NlpResult, scaling: Scaling
-) -> tuple[Violation, ...]:
-    """The worst broken rows and bounds of an iterate, by scaled amount; NaN counts as worst."""
-    rows, box = transcription.row_interval(problem), transcription.variable_interval(problem)
-    scaled_rows = Interval(rows.lower * scaling.rows, rows.upper * scaling.rows)
-    scaled_box = Interval(box.lower / scaling.variables, box.upper / scaling.variables)
-    amounts = np.concatenate([_excess(result.g, scaled_rows), _excess(result.x, scaled_box)])
-    labels = (*transcription.row_labels, *(f"bound of {label}" for label in transcription.variable_labels))
-    worst = np.argsort(-np.where(np.isnan(amounts), np.inf, amounts), kind="stable")[:_WORST]
-    return tuple(Violation(labels[i], float(amounts[i])) for i in worst if not amounts[i] <= 1e-9)
-
-
-def _excess(values: Array, interval: Interval) -> Array:
-    return np.maximum(np.maximum(interval.lower - values, values - interval.upper), 0.0)
 
 
 def _provenance(problem: Problem, transcription: Transcription, options: SolverOptions) -> dict[str, str]:

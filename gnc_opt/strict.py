@@ -11,8 +11,8 @@ from gnc_opt.errors import UnknownAttributeError, did_you_mean
 class Strict:
     """Base of the classes that a user's script talks to; they list their attributes in ``__slots__``.
 
-    Reading or assigning any other attribute raises `UnknownAttributeError`, which says what was probably meant.
-    A subclass without ``__slots__`` may assign what it likes.
+    Reading or assigning any other attribute raises `UnknownAttributeError`, which says what was probably
+    meant. A subclass without ``__slots__`` may assign what it likes.
     """
 
     __slots__ = ()
@@ -24,7 +24,9 @@ class Strict:
         elif callable(known):
             raise UnknownAttributeError(f"{_called(self)} learns its {name} by a call: write {name}(...).")
         elif known is not None:
-            raise UnknownAttributeError(f"'{name}' of {_called(self)} follows from its declarations: change those.")
+            raise UnknownAttributeError(
+                f"'{name}' of {_called(self)} follows from its declarations: change those."
+            )
         else:
             raise _unknown(self, name)
 

@@ -49,7 +49,7 @@ class Model(Strict):
     )
 
     def __init__(self, name: str) -> None:
-        self.name = expect(name, str, "the name of a model", 'write Model("cart")')
+        self.name: str = expect(name, str, "the name of a model", 'write Model("cart")')
         self._symbols: dict[str, dict[str, Symbol]] = {kind: {} for kind in _KINDS}
         self._parameter_values: dict[str, Array] = {}
         self._equations: dict[str, Any] = {}
@@ -66,9 +66,7 @@ class Model(Strict):
 
     # --- declarations -----------------------------------------------------------------------------
 
-    def state(
-        self, name: str, size: int = 1, *, unit: str = "", nominal: ArrayLike | None = None
-    ) -> Symbol:
+    def state(self, name: str, size: int = 1, *, unit: str = "", nominal: ArrayLike | None = None) -> Symbol:
         """Declare a state of ``size`` components and return its symbol.
 
         Parameters
@@ -115,10 +113,14 @@ class Model(Strict):
         """
         self._refuse_if_in_use("ode")
         remedy = "write ode({q: v, v: a}), each state with its time derivative"
-        for key, value in expect(equations, Mapping, f"what ode() of model '{self.name}' got", remedy).items():
+        for key, value in expect(
+            equations, Mapping, f"what ode() of model '{self.name}' got", remedy
+        ).items():
             name = self._state_name(key)
             if name in self._equations:
-                raise ModelError(f"model '{self.name}' states the dynamics of state '{name}' twice: keep one.")
+                raise ModelError(
+                    f"model '{self.name}' states the dynamics of state '{name}' twice: keep one."
+                )
             size = self.states[name].size
             what = f"the time derivative of state '{name}' in model '{self.name}'"
             self._equations[name] = self._own_expression(value, what, size)
@@ -192,7 +194,9 @@ class Model(Strict):
                 f"{', '.join(repr(m) for m in missing)}: add {'them' if len(missing) > 1 else 'it'} to ode()."
             )
         if not self._equations:
-            raise ModelError(f"model '{self.name}' has no states: declare some with state() and state their ode().")
+            raise ModelError(
+                f"model '{self.name}' has no states: declare some with state() and state their ode()."
+            )
         return ca.vertcat(*[self._equations[name] for name in self.states.names])
 
     def output_expression(self, name: str) -> Any:
@@ -248,7 +252,9 @@ class Model(Strict):
 
     def _function(self, name: str, expressions: Any, *names: str) -> Any:
         if name not in self._functions:
-            self._functions[name] = ca.Function(name, list(self.arguments()), expressions(), _ARGUMENTS, list(names))
+            self._functions[name] = ca.Function(
+                name, list(self.arguments()), expressions(), _ARGUMENTS, list(names)
+            )
         return self._functions[name]
 
     def _layout(self, kind: str) -> Layout:
@@ -297,12 +303,19 @@ class Model(Strict):
         name = key if isinstance(key, str) else getattr(getattr(key, "variable", None), "name", None)
         if name is None:
             raise ModelError(
-                f"ode() of model '{self.name}' got the key {key}: use the symbol that state() returned, or its name."
+                f"ode() of model '{self.name}' got the key {key}: use the symbol that state() returned, or "
+                "its name."
             )
-        own = [k for k in _KINDS if name in self._symbols[k] and (isinstance(key, str) or self._symbols[k][name] is key)]
+        own = [
+            k
+            for k in _KINDS
+            if name in self._symbols[k] and (isinstance(key, str) or self._symbols[k][name] is key)
+        ]
         if own != ["state"] and (own or not isinstance(key, str)):
             what = own[0] if own else "symbol of another model"
-            raise ModelError(f"ode() of model '{self.name}': '{name}' is a {what}; give dynamics to its states only.")
+            raise ModelError(
+                f"ode() of model '{self.name}': '{name}' is a {what}; give dynamics to its states only."
+            )
         self.states.slice(name)
         return name
 
@@ -312,7 +325,8 @@ class Model(Strict):
         if foreign:
             known = [n for kind in _KINDS for n in self._symbols[kind]]
             raise ModelError(
-                f"{what} uses '{foreign[0]}', which is not a symbol of this model: {did_you_mean(foreign[0], known)}"
+                f"{what} uses '{foreign[0]}', which is not a symbol of this model: "
+                f"{did_you_mean(foreign[0], known)}"
             )
         return expression
 
@@ -332,7 +346,9 @@ def evaluate(function: Any, t: ArrayLike, x: ArrayLike, *others: ArrayLike) -> A
 
 def _checked(function: Any, *arguments: ArrayLike) -> list[Array]:
     """Return the arguments as arrays; raise `ArgumentError` for those that the function cannot take."""
-    arrays = [read_numbers(a, f"{function.name_in(i)} of {function.name()}()") for i, a in enumerate(arguments)]
+    arrays = [
+        read_numbers(a, f"{function.name_in(i)} of {function.name()}()") for i, a in enumerate(arguments)
+    ]
     n_times = arrays[0].size
     for i, array in enumerate(arrays[1:], 1):
         rows = function.size1_in(i)

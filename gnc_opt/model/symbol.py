@@ -6,7 +6,8 @@ from typing import Any
 
 import casadi as ca
 
-from gnc_opt.errors import ModelError
+from gnc_opt.arguments import ErrorType
+from gnc_opt.errors import ModelError, shown
 from gnc_opt.model.layout import Variable
 
 
@@ -27,7 +28,7 @@ class Symbol(ca.SX):  # type: ignore[misc]
         return f"<{self.variable.name}[{self.variable.size}]>"
 
 
-def as_expression(value: Any, what: str, size: int | None = None) -> Any:
+def as_expression(value: Any, what: str, size: int | None = None, failure: ErrorType = ModelError) -> Any:
     """Return ``value`` (SX, number, list of both) as an SX column vector.
 
     Parameters
@@ -36,24 +37,26 @@ def as_expression(value: Any, what: str, size: int | None = None) -> Any:
     what : str
         Names the expression in error messages.
     size : int, optional
-        Required number of rows; a wrong size raises `ModelError`.
+        Required number of rows.
+    failure : class of GncOptError
+        What to raise for a wrong size or type.
     """
     try:
         if isinstance(value, (list, tuple)):
             expression = ca.vertcat(*[ca.SX(v) for v in value])
         else:
             expression = ca.SX(value)
-    except NotImplementedError as error:
-        raise ModelError(
-            f"{what}: {value!r} is neither a number nor a CasADi SX expression; "
+    except (NotImplementedError, RuntimeError) as error:
+        raise failure(
+            f"{what} is {shown(value)}, which is neither a number nor a CasADi SX expression: "
             "build it from the symbols that state(), control() and parameter() return."
         ) from error
     if expression.shape[1] != 1 and expression.shape[0] == 1:
         expression = expression.T
-    if expression.shape[1] != 1:
-        raise ModelError(f"{what} must be a column vector, but its shape is {expression.shape}.")
+    if expression.shape[1] != 1 or expression.shape[0] == 0:
+        raise failure(f"{what} has the shape {expression.shape}: give a column vector.")
     if size is not None and expression.shape[0] != size:
-        raise ModelError(f"{what} has {expression.shape[0]} components where {size} are needed.")
+        raise failure(f"{what} has {expression.shape[0]} components: give {size}.")
     return ca.densify(expression)
 
 

@@ -8,22 +8,23 @@ and <= 0 at a lower bound.
 from __future__ import annotations
 
 import contextlib
-import difflib
 import io
 import math
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import FrameType
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from gnc_opt.arguments import expect, read_integer, read_positive
+from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.nlp.status import Status, status_from_stats
 
 __all__ = ["IterationInfo", "NlpProblem", "NlpResult", "NlpSolver", "SolverOptions"]
@@ -32,6 +33,9 @@ FloatArray: TypeAlias = npt.NDArray[np.float64]
 
 DIVERGED = 1e15
 """A variable beyond this magnitude, or an objective below minus this, counts as running off to infinity."""
+
+RUNAWAY = 1e10
+"""The same once the solver has given up anyway: scaled variables are of order one."""
 
 WARM_PUSH = 1e-9
 """How far a warm start is moved off its bounds and its multipliers off zero (IPOPT's cold default: 1e-2)."""
@@ -46,6 +50,13 @@ _IPOPT_LINEAR_SOLVERS = (
 
 # For lam_p alone CasADi differentiates the whole NLP once more; these plugins can do without.
 _WITHOUT_NLP_GRAD = ("ipopt", "sqpmethod", "bonmin")
+
+_Start: TypeAlias = Literal["cold", "warm", "adaptive"]
+_COLD = ("x0", "p", "lbx", "ubx", "lbg", "ubg")
+
+# IPOPT's monotone barrier stalls where constraint gradients become dependent at the solution (a phase that
+# shrinks to nothing, say). Its adaptive barrier, slower on ordinary problems, then tries from the same guess.
+_GAVE_UP = (Status.RESTORATION_FAILED, Status.SEARCH_DIRECTION_FAILED, Status.STEP_TOO_SMALL)
 
 _NEVER_STARTED = (Status.NOT_A_NUMBER, Status.TOO_FEW_DEGREES_OF_FREEDOM, Status.INVALID_OPTION)
 _MAY_HIDE_UNBOUNDED = (
@@ -80,7 +91,7 @@ class NlpProblem:
 
     Raises
     ------
-    ValueError
+    ArgumentError
         If a derivative does not have the signature above.
 
     Notes
@@ -103,7 +114,7 @@ class NlpProblem:
         _check_function("jac_g", self.jac_g, 2, ((ng, 1), (ng, nx)))
         _check_function("hess_lag", self.hess_lag, 4, ((nx, nx),))
         if self.hess_lag is not None and not self.hess_lag.sparsity_out(0).is_triu():
-            raise ValueError("hess_lag must return only the upper triangle of the Hessian (casadi.triu)")
+            raise ArgumentError("hess_lag must return only the upper triangle of the Hessian (casadi.triu)")
 
     @property
     def n_variables(self) -> int:
@@ -154,6 +165,9 @@ class SolverOptions:
     bound_relax
         IPOPT's `bound_relax_factor`. Zero, because IPOPT would otherwise widen every bound by 1e-8, and a
         trajectory with a little more thrust than there is has a minimum time better than the true one.
+    pivot_tolerance
+        Threshold of MUMPS's numerical pivoting, at most 0.5; None for IPOPT's 1e-6, or 1e-2 on meshes with movable
+        boundaries, whose nearly singular systems need it. Larger is slower and more accurate.
     mu_init
         First barrier parameter of IPOPT; None for 0.1 cold (IPOPT's own) and 1e-6 warm.
     extra
@@ -164,7 +178,7 @@ class SolverOptions:
 
     Raises
     ------
-    ValueError
+    ArgumentError
         If a value is out of range, or a solver's name is unknown.
     """
 
@@ -175,27 +189,26 @@ class SolverOptions:
     max_wall_time: float | None = None
     bound_relax: float = 0.0
     mu_init: float | None = None
+    pivot_tolerance: float | None = None
     extra: Mapping[str, object] = field(default_factory=dict)
     verbose: bool = False
 
     def __post_init__(self) -> None:
-        if not ca.has_nlpsol(self.solver):
-            raise ValueError(_unknown("solver", self.solver, _installed_solvers()))
-        if self.solver == "ipopt" and self.linear_solver not in _IPOPT_LINEAR_SOLVERS:
-            raise ValueError(_unknown("linear_solver", self.linear_solver, _IPOPT_LINEAR_SOLVERS))
-        _check_positive("tolerance", self.tolerance)
-        if isinstance(self.max_iterations, bool) or not isinstance(self.max_iterations, (int, np.integer)):
-            raise ValueError(f"max_iterations must be an integer, got {self.max_iterations!r}")
-        if self.max_iterations < 0:
-            raise ValueError(f"max_iterations must not be negative, got {self.max_iterations}")
+        if not isinstance(self.solver, str) or not ca.has_nlpsol(self.solver):
+            raise unknown_name("solver", self.solver, "this installation of CasADi", _installed_solvers())
+        known = isinstance(self.linear_solver, str) and self.linear_solver in _IPOPT_LINEAR_SOLVERS
+        if self.solver == "ipopt" and not known:
+            raise unknown_name("linear_solver", self.linear_solver, "IPOPT", _IPOPT_LINEAR_SOLVERS)
+        read_positive(self.tolerance, "the solver option tolerance")
+        read_integer(self.max_iterations, "the solver option max_iterations", 0)
         if self.max_wall_time is not None:
-            _check_positive("max_wall_time", self.max_wall_time)
+            read_positive(self.max_wall_time, "the solver option max_wall_time")
         if self.mu_init is not None:
-            _check_positive("mu_init", self.mu_init)
-        if not (math.isfinite(self.bound_relax) and self.bound_relax >= 0.0):
-            raise ValueError(f"bound_relax must be finite and not negative, got {self.bound_relax!r}")
-        if not isinstance(self.extra, Mapping):
-            raise ValueError(f"extra must map option names to values, got {self.extra!r}")
+            read_positive(self.mu_init, "the solver option mu_init")
+        if self.pivot_tolerance is not None:
+            read_positive(self.pivot_tolerance, "the solver option pivot_tolerance")
+        read_positive(self.bound_relax, "the solver option bound_relax", or_zero=True)
+        expect(self.extra, Mapping, "the solver option extra", 'write extra={"ipopt.max_soc": 0}')
 
 
 @dataclass(frozen=True)
@@ -262,8 +275,9 @@ class NlpResult:
 class NlpSolver:
     """Solve one NLP many times: for other bounds, parameters and guesses, cold or warm.
 
-    IPOPT takes its options when it is created, so the cold and the warm solver are two instances; each is
-    created when it is first needed. One object must not be used by two threads at once.
+    IPOPT takes its options when it is created, so the cold, the warm and the adaptive solver are three
+    instances; each is created when it is first needed. Where IPOPT gives up without a verdict, the adaptive
+    one starts again from the guess. One object must not be used by two threads at once.
 
     Parameters
     ----------
@@ -277,7 +291,7 @@ class NlpSolver:
         self.problem = problem
         self.options = SolverOptions() if options is None else options
         self._monitor = _Monitor(problem.n_variables, problem.n_constraints, problem.n_parameters)
-        self._instances: dict[bool, Any] = {}
+        self._instances: dict[_Start, Any] = {}
 
     def solve(
         self,
@@ -318,7 +332,7 @@ class NlpSolver:
 
         Raises
         ------
-        ValueError
+        ArgumentError
             If a length is wrong, bounds are crossed or NaN, or the plugin refuses its options.
         RuntimeError
             If a plugin other than IPOPT breaks down instead of reporting its failure.
@@ -340,9 +354,17 @@ class NlpSolver:
             arguments["lam_x0"] = _vector("lam_x0", lam_x0, nx)
         if lam_g0 is not None:
             arguments["lam_g0"] = _vector("lam_g0", lam_g0, ng)
-        solver = self._instance(warm=lam_x0 is not None or lam_g0 is not None)
-        run = _Run(box_x, box_g, callback, self._deadline())
-        overdetermined = int(box_x.fixed.sum() + box_g.fixed.sum()) > nx
+        limit = math.inf if self.options.max_wall_time is None else self.options.max_wall_time
+        run = _Run(box_x, box_g, callback, time.perf_counter() + limit)
+        result = self._attempt("warm" if len(arguments) > len(_COLD) else "cold", arguments, run)
+        if result.status in _GAVE_UP and self.options.solver == "ipopt":
+            again = self._attempt("adaptive", {name: arguments[name] for name in _COLD}, run)
+            result = _joined(result, again)
+        return result
+
+    def _attempt(self, start: _Start, arguments: Mapping[str, FloatArray], run: _Run) -> NlpResult:
+        solver = self._instance(start)
+        overdetermined = int(run.box_x.fixed.sum() + run.box_g.fixed.sum()) > self.problem.n_variables
         self._monitor.run = run
         begin = time.perf_counter()
         try:
@@ -355,23 +377,20 @@ class NlpSolver:
             raise run.error
         return self._result(raw, solver.stats(), run, arguments, wall_time)
 
-    def _deadline(self) -> float:
-        """Wall-clock time (s) at which the monitor must stop; IPOPT watches its own clock."""
-        limit = self.options.max_wall_time
-        return math.inf if limit is None or self.options.solver == "ipopt" else time.perf_counter() + limit
-
-    def _instance(self, warm: bool) -> Any:
-        """The cold or the warm `nlpsol` Function, created when first asked for."""
-        warm = warm and self.options.solver == "ipopt"
-        if warm not in self._instances:
+    def _instance(self, start: _Start) -> Any:
+        """The `nlpsol` Function for one way to start, created when first asked for."""
+        key = start if self.options.solver == "ipopt" else "cold"
+        if key not in self._instances:
             nlp = {name: getattr(self.problem, name) for name in ("x", "p", "f", "g")}
-            chosen = _nlpsol_options(self.problem, self.options, warm) | {"iteration_callback": self._monitor}
+            chosen = _nlpsol_options(self.problem, self.options, key) | {"iteration_callback": self._monitor}
             try:
-                self._instances[warm] = ca.nlpsol("nlp", self.options.solver, nlp, chosen)
+                self._instances[key] = ca.nlpsol("nlp", self.options.solver, nlp, chosen)
             except RuntimeError as error:
                 reason = str(error).strip()
-                raise ValueError(f"CasADi cannot set up solver {self.options.solver!r}: {reason}") from error
-        return self._instances[warm]
+                raise ArgumentError(
+                    f"CasADi cannot set up solver {self.options.solver!r}: {reason}"
+                ) from error
+        return self._instances[key]
 
     def _result(
         self,
@@ -423,7 +442,9 @@ class _Box:
         wrong = ~(box.lower <= box.upper) | (box.lower == np.inf) | (box.upper == -np.inf)
         if wrong.any():
             i = int(np.argmax(wrong))
-            raise ValueError(f"the bounds of {name}[{i}] admit no number: {box.lower[i]} to {box.upper[i]}")
+            raise ArgumentError(
+                f"the bounds of {name}[{i}] admit no number: {box.lower[i]} to {box.upper[i]}"
+            )
         return box
 
     @property
@@ -498,7 +519,19 @@ class _Monitor(ca.Callback):  # type: ignore[misc]
         return 0
 
 
-def _nlpsol_options(problem: NlpProblem, options: SolverOptions, warm: bool) -> dict[str, Any]:
+def _joined(first: NlpResult, second: NlpResult) -> NlpResult:
+    """The better of two attempts, with the cost of both."""
+    better = first if second.status in _GAVE_UP else second
+    return replace(
+        better,
+        iterations=first.iterations + second.iterations,
+        wall_time=first.wall_time + second.wall_time,
+        function_time=first.function_time + second.function_time,
+        linear_solver_time=first.linear_solver_time + second.linear_solver_time,
+    )
+
+
+def _nlpsol_options(problem: NlpProblem, options: SolverOptions, start: _Start) -> dict[str, Any]:
     """Everything for `nlpsol` but the callback; plugin options in their dotted form."""
     quiet = {
         "print_time": options.verbose,
@@ -507,7 +540,7 @@ def _nlpsol_options(problem: NlpProblem, options: SolverOptions, warm: bool) -> 
     }
     if options.solver in _WITHOUT_NLP_GRAD:
         quiet |= {"calc_lam_p": False, "no_nlp_grad": True}
-    plugin = _ipopt_options(options, warm) if options.solver == "ipopt" else _other_options(options)
+    plugin = _ipopt_options(options, start) if options.solver == "ipopt" else _other_options(options)
     return (
         quiet
         | plugin
@@ -516,7 +549,7 @@ def _nlpsol_options(problem: NlpProblem, options: SolverOptions, warm: bool) -> 
     )
 
 
-def _ipopt_options(options: SolverOptions, warm: bool) -> dict[str, Any]:
+def _ipopt_options(options: SolverOptions, start: _Start) -> dict[str, Any]:
     chosen: dict[str, Any] = {
         "print_level": 5 if options.verbose else 0,
         "sb": "yes",
@@ -528,9 +561,13 @@ def _ipopt_options(options: SolverOptions, warm: bool) -> dict[str, Any]:
     }
     if options.max_wall_time is not None:
         chosen["max_wall_time"] = float(options.max_wall_time)
-    if options.mu_init is not None or warm:
+    if options.pivot_tolerance is not None and options.linear_solver == "mumps":
+        chosen["mumps_pivtol"] = float(options.pivot_tolerance)
+    if options.mu_init is not None or start == "warm":
         chosen["mu_init"] = WARM_MU if options.mu_init is None else float(options.mu_init)
-    if warm:
+    if start == "adaptive":
+        chosen["mu_strategy"] = "adaptive"
+    if start == "warm":
         chosen["warm_start_init_point"] = "yes"
         for name in ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push"):
             chosen[f"warm_start_{name}"] = WARM_PUSH
@@ -633,7 +670,7 @@ def _stopped_status(status: Status, run: _Run) -> Status:
 
 
 def _diverged(x: FloatArray, f: float) -> bool:
-    return bool(np.max(np.abs(x), initial=0.0) >= DIVERGED) or f <= -DIVERGED
+    return bool(np.max(np.abs(x), initial=0.0) >= RUNAWAY) or f <= -RUNAWAY
 
 
 def _time_in(stats: Mapping[str, Any], prefix: str) -> float:
@@ -657,7 +694,7 @@ def _vector(name: str, value: npt.ArrayLike, size: int) -> FloatArray:
     if array.ndim == 0:
         return np.full(size, float(array))
     if array.shape != (size,):
-        raise ValueError(f"{name} must have shape ({size},), got {array.shape}")
+        raise ArgumentError(f"{name} must have shape ({size},), got {array.shape}")
     return array.copy()
 
 
@@ -666,24 +703,12 @@ def _check_function(name: str, function: Any, n_in: int, shapes: tuple[tuple[int
         return
     found = tuple(tuple(function.size_out(i)) for i in range(function.n_out()))
     if function.n_in() != n_in or found != shapes:
-        raise ValueError(
+        raise ArgumentError(
             f"{name} must map {n_in} inputs to outputs of shapes {shapes}, "
             f"got {function.n_in()} inputs and {found}"
         )
 
 
-def _check_positive(name: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0.0):
-        raise ValueError(f"{name} must be finite and positive, got {value!r}")
-
-
 def _installed_solvers() -> list[str]:
     plugins = (entry.partition("::") for entry in ca.CasadiMeta.plugins().split(";"))
     return sorted(name for kind, _, name in plugins if kind == "Nlpsol" and ca.has_nlpsol(name))
-
-
-def _unknown(kind: str, name: str, known: Iterable[str]) -> str:
-    choices = list(known)
-    close = difflib.get_close_matches(name, choices, n=1)
-    hint = f" Did you mean {close[0]!r}?" if close else ""
-    return f"unknown {kind} {name!r}.{hint} Available: {', '.join(choices)}."

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from gnc_opt.model.layout import Array
-from gnc_opt.plot.style import COLORS, QUIET, axis_label, legend_above, line_look, new_figure, style
+from gnc_opt.plot.style import COLORS, axis_label, legend_above, legend_on_top, line_look, new_figure, style
 
 
 def plot_curves(t: ArrayLike, values: ArrayLike, labels: Sequence[str], ylabel: str) -> Figure:
@@ -63,13 +65,13 @@ def plot_path(
     axis_notes : sequence of str
         Added to the names of the three axes, e.g. ("along velocity", "", "to Earth").
     down : bool
-        Draw z downwards, as befits a z axis that points to the planet.
+        Draw z downwards (and y towards the viewer), as befits a z axis that points to the planet.
     """
     r = np.asarray(r_L, dtype=float)
     length = axis_length or 0.12 * float(np.max(np.ptp(r, axis=1)))
     with style():
-        figure = new_figure(5.2)
-        ax = figure.add_subplot(projection="3d", computed_zorder=False)
+        figure = new_figure(4.6)
+        ax = figure.add_subplot(projection="3d", computed_zorder=False, elev=20, azim=-58)
         ax.plot(*r, color="black", linewidth=1.6, zorder=4)
         ax.plot(*r[:, :1], "o", color="black", markersize=6, zorder=6)
         ax.plot(*r[:, -1:], "s", color="black", markersize=6, zorder=6)
@@ -82,36 +84,37 @@ def plot_path(
         if dcm_BL is not None:
             tips += _draw_body_axes(ax, r, np.asarray(dcm_BL, dtype=float), at, length)
             handles += [
-                Line2D([], [], color=COLORS[i], linewidth=1.6, label=f"$b_{name}$") for i, name in enumerate("xyz")
+                Line2D([], [], color=COLORS[i], linewidth=1.6, label=f"$b_{name}$")
+                for i, name in enumerate("xyz")
             ]
         _frame(ax, np.hstack(tips), unit, axis_notes, down)
-        ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 1.02), ncols=len(handles))
+        legend_on_top(figure, handles)
     return figure
 
 
-def _draw_body_axes(ax: object, r: Array, dcm: Array, at: Sequence[int], length: float) -> list[Array]:
+def _draw_body_axes(ax: Any, r: Array, dcm: Array, at: Sequence[int], length: float) -> list[Array]:
     tips = []
     for k in at:
         for i in range(3):
             tip = r[:, k] + length * dcm[i, :, k]
-            ax.plot(*np.column_stack([r[:, k], tip]), color=COLORS[i], linewidth=1.3, zorder=5)  # type: ignore[attr-defined]
+            ax.plot(*np.column_stack([r[:, k], tip]), color=COLORS[i], linewidth=1.3, zorder=5)
             tips.append(tip[:, None])
     return tips
 
 
-def _frame(ax: object, points: Array, unit: str, notes: Sequence[str], down: bool) -> None:
+def _frame(ax: Any, points: Array, unit: str, notes: Sequence[str], down: bool) -> None:
     """Equal scales on all axes, limits around all points, labels with units."""
     low, high = points.min(axis=1), points.max(axis=1)
     room = 0.04 * float(np.max(high - low))
     low, high = low - room, high + room
-    ax.set_xlim(low[0], high[0])  # type: ignore[attr-defined]
-    ax.set_ylim(low[1], high[1])  # type: ignore[attr-defined]
-    ax.set_zlim(*((high[2], low[2]) if down else (low[2], high[2])))  # type: ignore[attr-defined]
-    ax.set_box_aspect(high - low)  # type: ignore[attr-defined]
-    names = [axis_label(f"${name}$" + (f" {note}" if note else ""), unit) for name, note in zip("xyz", notes, strict=True)]
-    ax.set_xlabel(names[0])  # type: ignore[attr-defined]
-    ax.set_ylabel(names[1])  # type: ignore[attr-defined]
-    ax.set_zlabel(names[2])  # type: ignore[attr-defined]
-
-
-__all__ = ["QUIET", "plot_curves", "plot_path"]
+    ax.set_xlim(low[0], high[0])
+    # With z down, y runs towards the viewer: the frame stays right-handed.
+    ax.set_ylim(*((high[1], low[1]) if down else (low[1], high[1])))
+    ax.set_zlim(*((high[2], low[2]) if down else (low[2], high[2])))
+    ax.set_box_aspect(high - low, zoom=1.05)
+    for axis, extent in zip((ax.xaxis, ax.yaxis, ax.zaxis), high - low, strict=True):
+        axis.set_major_locator(MaxNLocator(max(2, round(6 * extent / float(np.max(high - low))))))
+    names = [axis_label(f"${name}$ {note}".strip(), unit) for name, note in zip("xyz", notes, strict=True)]
+    ax.set_xlabel(names[0], labelpad=12)
+    ax.set_ylabel(names[1], labelpad=4)
+    ax.set_zlabel(names[2])

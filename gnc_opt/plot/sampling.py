@@ -63,6 +63,21 @@ def chosen_names(legs: Sequence[PhaseSolution], kind: str, names: Sequence[str] 
     return known if names is None else list(names)
 
 
+def zero_crossings(t: Array, values: Array, negligible: float = 0.0) -> Array:
+    """Return the times at which sampled values change sign, by linear interpolation.
+
+    Parameters
+    ----------
+    t, values : array (n_times,)
+    negligible : float
+        Values up to this magnitude are rounding and have no sign.
+    """
+    clear = np.abs(values) > negligible
+    t, values = t[clear], values[clear]
+    k = np.flatnonzero(values[:-1] * values[1:] < 0)
+    return np.asarray(t[k] - values[k] * (t[k + 1] - t[k]) / (values[k + 1] - values[k]))
+
+
 def data_range(values: ArrayLike) -> tuple[float, float]:
     """Return smallest and largest finite value; (0, 0) if there is none."""
     finite = np.asarray(values, dtype=float)

@@ -20,7 +20,7 @@ DPI = 150
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 """Okabe and Ito's palette, which stays distinct for the colour-blind."""
 
-DASHES = ("-", (0, (6, 1.5)), (0, (5, 1.2, 1.2, 1.2)), (0, (1.2, 1.2)), (0, (8, 1.5, 1.2, 1.5, 1.2, 1.5)), "-", "-")
+DASHES = ("-", (0, (6, 1.5)), (0, (5, 1.2, 1.2, 1.2)), (0, (1.2, 1.2)), (0, (9, 2, 1, 2, 1, 2)), "-", "-")
 """Line styles that go with the colours, for prints without colour."""
 
 QUIET = "#777777"
@@ -32,7 +32,7 @@ _STYLE: dict[str, Any] = {
     "font.size": 11,
     "axes.labelsize": 11,
     "axes.titlesize": 11,
-    "legend.fontsize": 10,
+    "legend.fontsize": 11,
     "xtick.labelsize": 10,
     "ytick.labelsize": 10,
     "axes.linewidth": 0.8,
@@ -42,7 +42,7 @@ _STYLE: dict[str, Any] = {
     "grid.linewidth": 0.5,
     "axes.axisbelow": True,
     "axes.formatter.useoffset": False,
-    "axes.formatter.limits": (-3, 4),
+    "axes.formatter.limits": (-5, 5),
     "axes.formatter.use_mathtext": True,
     "axes.unicode_minus": True,
     "xtick.direction": "in",
@@ -71,7 +71,7 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     with style():
-        figure.savefig(target, dpi=dpi)
+        figure.savefig(target, dpi=dpi, bbox_inches="tight", pad_inches=0.05)  # 3-D labels stick out
     return target
 
 
@@ -85,19 +85,64 @@ def axis_label(quantity: str, unit: str) -> str:
     return f"{quantity} ({unit_text(unit)})" if unit else quantity
 
 
+_GREEK = frozenset(
+    (
+        *(
+            "alpha",
+            "beta",
+            "gamma",
+            "delta",
+            "epsilon",
+            "zeta",
+            "eta",
+            "theta",
+            "iota",
+            "kappa",
+            "lambda",
+            "mu",
+        ),
+        *("nu", "xi", "pi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"),
+        *("Gamma", "Delta", "Theta", "Lambda", "Xi", "Pi", "Sigma", "Phi", "Psi", "Omega"),
+    )
+)
+
+
+def name_text(name: str) -> str:
+    """Return a variable's name or component, such as "omega_BL" or "v_L[2]", typeset; words stay words."""
+    base, _, subscript = name.partition("[")[0].partition("_")
+    index = name[name.index("[") :] if "[" in name else ""
+    symbol = f"\\{base}" if base in _GREEK else base
+    if base not in _GREEK and len(base) > 1:
+        return name
+    lowered = f"_{{\\mathrm{{{subscript.replace('_', ',')}}}}}" if subscript else ""
+    return f"${symbol}{lowered}${index}"
+
+
+def per_unit(unit: str, other: str) -> str:
+    """Return the unit of a derivative, e.g. "s/(m/s)" from "s" and "m/s", or "1/N" from "" and "N"."""
+    if not other:
+        return unit
+    divisor = f"({other})" if set(other) & set(" /*") else other
+    return f"{unit or '1'}/{divisor}"
+
+
+def number_text(value: float, digits: int = 6) -> str:
+    """Return a number with the minus sign of the axes' labels."""
+    return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}")
+
+
 def unit_text(unit: str) -> str:
     """Return a unit such as "m/s^2" or "kg m^2" with exponents as mathtext."""
     return re.sub(r"\^(-?\d+)", r"$^{\1}$", unit)
 
 
-def legend_above(ax: Axes, handles: Sequence[Any] | None = None, columns: int | None = None) -> None:
-    """Put the legend in one row above the axis, where it cannot hide data."""
-    shown = list(ax.get_legend_handles_labels()[0]) if handles is None else list(handles)
-    ax.legend(
-        handles=shown,
-        loc="lower left",
-        bbox_to_anchor=(0.0, 1.0),
-        ncols=columns or len(shown),
-        borderaxespad=0.2,
-        columnspacing=1.4,
+def legend_above(ax: Axes) -> None:
+    """Put the axis' legend in one row above it, where it cannot hide data."""
+    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(ax.get_lines()), borderaxespad=0.2)
+
+
+def legend_on_top(figure: Figure, handles: Sequence[Any], columns: int | None = None) -> None:
+    """Put one legend at the top of a figure, above all axes."""
+    figure.legend(
+        handles=list(handles), loc="outside upper center", ncols=columns or len(handles), columnspacing=1.6
     )

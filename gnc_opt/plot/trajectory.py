@@ -6,7 +6,7 @@ phase, all phases are drawn one after the other.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,22 +15,48 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from gnc_opt.model.layout import Array
-from gnc_opt.plot.sampling import chosen_names, chosen_phases, data_range, sample
-from gnc_opt.plot.style import QUIET, axis_label, legend_above, line_look, new_figure, style, unit_text
+from gnc_opt.plot.sampling import chosen_names, chosen_phases, data_range, sample, zero_crossings
+from gnc_opt.plot.style import (
+    COLORS,
+    QUIET,
+    axis_label,
+    legend_above,
+    legend_on_top,
+    line_look,
+    name_text,
+    new_figure,
+    number_text,
+    per_unit,
+    style,
+)
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.solution import Solution
 
 Labels = Mapping[str, Sequence[str]]
 """Component labels by variable name, e.g. ``{"omega": (r"$\\omega_x$", r"$\\omega_y$", r"$\\omega_z$")}``."""
 
-TIME = "time (s)"
+_BOUND: dict[str, Any] = {"color": QUIET, "linestyle": (0, (4, 3)), "linewidth": 1.0}
+_FLOWN: dict[str, Any] = {"color": COLORS[0], "linewidth": 2.0}
+_POLYNOMIAL: dict[str, Any] = {"color": COLORS[1], "linewidth": 0.7}
+_SWITCHING: dict[str, Any] = {"color": COLORS[2], "linewidth": 1.2}
+_SIGN_CHANGE: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle": ":"}
+_AT_POINTS: dict[str, Any] = {"color": COLORS[0], "marker": "o", "markersize": 3.2, "linestyle": "none"}
+_ALONG_FLOWN: dict[str, Any] = {"color": COLORS[5], "linewidth": 0.9}
+_EXPECTED: dict[str, Any] = {"color": COLORS[1], "linestyle": "--", "linewidth": 1.0}
+
+_NEGLIGIBLE = 1e-7
+"""Shares of the Hamiltonian up to this are the solver's rounding."""
 
 _ROOM = 1.25
 """Half height of a control's axis in units of its half range: bounds in sight, overshoot cut off."""
 
 
 def plot_states(
-    solution: Solution, names: Sequence[str] | None = None, *, phase: str | None = None, labels: Labels | None = None
+    solution: Solution,
+    names: Sequence[str] | None = None,
+    *,
+    phase: str | None = None,
+    labels: Labels | None = None,
 ) -> Figure:
     """Draw states over time, one axis per (vector) state; bounds dashed where they come into view.
 
@@ -40,24 +66,28 @@ def plot_states(
     names : sequence of str, optional
         States; default all.
     phase : str, optional
+        Default all, one after the other.
     labels : mapping, optional
-        Component labels for the legend.
+        Component labels for the legend, by name.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    UnknownNameError
+        There is no such phase or state.
     """
     legs = chosen_phases(solution, phase)
-    names = chosen_names(legs, "states", names)
-    with style():
-        figure, axes = _stacked_axes(len(names))
-        for ax, name in zip(axes, names, strict=True):
-            first = next(leg for leg in legs if name in leg.states)
-            for leg in legs:
-                if name in leg.states:
-                    _draw_components(ax, *sample(leg.state(name), leg.breaks), _labels(name, first.state(name), labels))
-            for leg in legs:
-                if name in leg.states:
-                    _draw_bounds_in_view(ax, leg, name)
-            _finish(ax, axis_label(_quantity(name, labels), first.state(name).unit), legs)
-        axes[-1].set_xlabel(TIME)
-    return figure
+
+    def draw(ax: Axes, leg: PhaseSolution, name: str) -> str:
+        signal = leg.state(name)
+        _draw_components(ax, *sample(signal, leg.breaks), _labels(name, signal, labels))
+        _draw_bounds_in_view(ax, leg, name)
+        return axis_label(name_text(name), signal.unit)
+
+    return _draw_each(legs, chosen_names(legs, "states", names), draw)
 
 
 def plot_costates(
@@ -72,56 +102,93 @@ def plot_costates(
 
     Parameters
     ----------
+    solution : Solution
     names : sequence of str, optional
         States whose costates to draw; default all.
+    phase : str, optional
+        Default all, one after the other.
     labels : mapping, optional
         Component labels by state name.
     cost_unit : str
         Unit of the cost; a costate has the unit of the cost per unit of the state.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    UnknownNameError
+        There is no such phase or state.
     """
     legs = chosen_phases(solution, phase)
-    names = chosen_names(legs, "states", names)
-    with style():
-        figure, axes = _stacked_axes(len(names))
-        for ax, name in zip(axes, names, strict=True):
-            first = next(leg for leg in legs if name in leg.states)
-            shown = (labels or {}).get(name) or [f"lam_{label}" for label in first.state(name).labels]
-            for leg in legs:
-                if name in leg.states:
-                    _draw_components(ax, *sample(leg.costate(name), leg.breaks), shown)
-            _finish(ax, axis_label(f"costate of {name}", per_unit(cost_unit, first.state(name).unit)), legs)
-        axes[-1].set_xlabel(TIME)
-    return figure
+
+    def draw(ax: Axes, leg: PhaseSolution, name: str) -> str:
+        signal = leg.costate(name)
+        _draw_components(ax, *sample(signal, leg.breaks), _labels(name, signal, labels))
+        return axis_label(f"costate of {name_text(name)}", per_unit(cost_unit, leg.state(name).unit))
+
+    return _draw_each(legs, chosen_names(legs, "states", names), draw)
 
 
 def plot_controls(
-    solution: Solution, names: Sequence[str] | None = None, *, phase: str | None = None, labels: Labels | None = None
+    solution: Solution,
+    names: Sequence[str] | None = None,
+    *,
+    phase: str | None = None,
+    labels: Labels | None = None,
+    hamiltonian_unit: str = "",
 ) -> Figure:
     """Draw every control component with its switching function underneath.
 
     Above: the flown signal (bold), the collocation polynomial with its nodes (thin; it may overshoot between
-    nodes, and is cut off beyond a quarter of the range), bounds dashed. Below: the switching function dH/du; a
-    bounded control sits at its upper bound where this is negative. A solution that was loaded without its problem
-    has no switching functions.
+    nodes and is cut off beyond an eighth of the range), bounds dashed. Below: the switching function dH/du;
+    a bounded control belongs on its upper bound where this is negative. Dotted lines mark its changes of
+    sign. A solution that was loaded without its problem has no switching functions.
+
+    Parameters
+    ----------
+    solution : Solution
+    names : sequence of str, optional
+        Controls; default all.
+    phase : str, optional
+        Default all, one after the other.
+    labels : mapping, optional
+        Component labels by control name.
+    hamiltonian_unit : str
+        Cost per second; none for minimum time. The switching function has this unit per unit of the control.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    UnknownNameError
+        There is no such phase or control.
     """
     legs = chosen_phases(solution, phase)
     names = chosen_names(legs, "controls", names)
-    parts = [
-        (name, i) for name in names for i in range(next(g for g in legs if name in g.controls).controls[name].size)
-    ]
+    sizes = {name: leg.controls[name].size for leg in legs for name in names if name in leg.controls}
+    parts = [(name, i) for name in names for i in range(sizes[name])]
+    rows = 1 if solution.problem is None else 2
     with style():
         figure = new_figure(0.5 + 2.15 * len(parts))
-        rows = 1 if solution.problem is None else 2
         ratios = [2.2, 1.0][:rows] * len(parts)
         grid = figure.subplots(rows * len(parts), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
         for k, (name, i) in enumerate(parts):
-            pair = grid[rows * k : rows * (k + 1)]
-            _draw_control(pair[0], legs, name, i, labels)
-            if rows == 2:
-                _draw_switching(pair[1], solution, legs, name, i, labels)
-        legend_above(grid[0], _control_legend(rows == 2))
-        grid[-1].set_xlabel(TIME)
+            axes = grid[rows * k : rows * (k + 1)]
+            for leg in legs:
+                if name in leg.controls:
+                    shown = _labels(name, leg.control(name), labels)[i]
+                    _draw_control(axes[0], leg, name, i, shown)
+                    if rows == 2:
+                        _draw_switching(axes, solution, leg, name, i, shown, hamiltonian_unit)
+        for ax in grid:
+            _span(ax, legs)
+        grid[-1].set_xlabel("time (s)")
         figure.align_ylabels(list(grid))
+        legend_on_top(figure, _control_legend(rows == 2))
     return figure
 
 
@@ -130,62 +197,73 @@ def plot_hamiltonian(
 ) -> Figure:
     """Draw the Hamiltonian over time with the band it stays in.
 
-    It is drawn along the flown controls; marks show it at the collocation points, where the program sees it.
+    Marks show it at the collocation points, where the program sees it; the line is drawn along the flown
+    controls.
 
     Parameters
     ----------
+    solution : Solution
+        Joined to its problem.
+    phase : str, optional
+        Default all, one after the other.
     expected : float, optional
         The value it ought to have, e.g. -1 for minimum time; drawn as a dashed line.
     unit : str
         Cost per second; none for minimum time.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    GncOptError
+        The solution was loaded without its problem.
     """
     legs = chosen_phases(solution, phase)
+    at_points = [np.asarray(solution.hamiltonian(leg.point_times, leg.name)) for leg in legs]
+    along = [sample(_flown_hamiltonian(solution, leg), leg.flown.jumps) for leg in legs]
+    low, high = data_range(np.concatenate(at_points))
     with style():
-        figure, (ax,) = _stacked_axes(1, height=3.4)
-        point_values, dense_values = [], []
-        for leg in legs:
-            points = np.asarray(solution.hamiltonian(leg.point_times, leg.name))
-            t, dense = sample(_flown_hamiltonian(solution, leg), leg.flown.jumps)
-            ax.plot(t, dense[0], color="#56b4e9", linewidth=0.9, zorder=2)
-            ax.plot(leg.point_times, points, "o", color="#0072b2", markersize=3.2, zorder=3)
-            point_values.append(points)
-            dense_values.append(dense[0])
-        low, high = data_range(np.concatenate(point_values))
-        ax.axhspan(low, high, color="#0072b2", alpha=0.12, linewidth=0, zorder=1)
+        figure = new_figure(3.8)
+        ax = figure.subplots()
+        ax.axhspan(low, high, color=COLORS[0], alpha=0.12, linewidth=0, zorder=1)
+        for leg, points, (t, values) in zip(legs, at_points, along, strict=True):
+            ax.plot(t, values[0], zorder=2, **_ALONG_FLOWN)
+            ax.plot(leg.point_times, points, zorder=3, **_AT_POINTS)
         if expected is not None:
-            ax.axhline(expected, color="#d55e00", linestyle="--", linewidth=1.0, zorder=2.5)
-        _show_all(ax, np.concatenate(dense_values), *([] if expected is None else [expected]))
-        _finish(ax, axis_label("Hamiltonian", unit), legs, legend=False)
-        legend_above(ax, _hamiltonian_legend(low, high, expected), columns=2)
-        ax.set_xlabel(TIME)
+            ax.axhline(expected, zorder=2.5, **_EXPECTED)
+        _leave_room(ax, _NEGLIGIBLE * max(abs(low), abs(high)))
+        _span(ax, legs)
+        ax.set_xlabel("time (s)")
+        ax.set_ylabel(axis_label("Hamiltonian", unit))
+        legend_on_top(figure, _hamiltonian_legend(low, high, expected), columns=2)
     return figure
-
-
-def per_unit(unit: str, other: str) -> str:
-    """Return the unit of a derivative: ``per_unit("s", "m/s") == "s/(m/s)"``."""
-    if not other:
-        return unit
-    return f"{unit or '1'}/({other})" if set(other) & set(" /*") else f"{unit or '1'}/{other}"
 
 
 # --- pieces of figures --------------------------------------------------------------------------------
 
 
-def _stacked_axes(count: int, height: float = 2.6) -> tuple[Figure, list[Axes]]:
-    figure = new_figure(0.4 + height * count)
-    axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
-    figure.align_ylabels(list(axes))
-    return figure, list(axes)
+def _draw_each(
+    legs: Sequence[PhaseSolution], names: Sequence[str], draw: Callable[[Axes, PhaseSolution, str], str]
+) -> Figure:
+    """One axis per state, the phases that have it one after the other; ``draw`` returns the axis' label."""
+    with style():
+        figure = new_figure(0.4 + 2.6 * len(names))
+        axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+        for ax, name in zip(axes, names, strict=True):
+            for leg in legs:
+                if name in leg.states:
+                    ax.set_ylabel(draw(ax, leg, name))
+            _span(ax, legs)
+            legend_above(ax)
+        axes[-1].set_xlabel("time (s)")
+        figure.align_ylabels(list(axes))
+    return figure
 
 
 def _labels(name: str, signal: Any, labels: Labels | None) -> Sequence[str]:
-    return (labels or {}).get(name) or signal.labels
-
-
-def _quantity(name: str, labels: Labels | None) -> str:
-    """What the axis is called: the component labels are in the legend, so the name is enough."""
-    shown = (labels or {}).get(name)
-    return shown[0] if shown and len(shown) == 1 else name
+    return (labels or {}).get(name) or [name_text(label) for label in signal.labels]
 
 
 def _draw_components(ax: Axes, t: Array, values: Array, labels: Sequence[str]) -> None:
@@ -195,65 +273,70 @@ def _draw_components(ax: Axes, t: Array, values: Array, labels: Sequence[str]) -
 
 
 def _draw_bounds_in_view(ax: Axes, leg: PhaseSolution, name: str) -> None:
-    limits = ax.get_ylim()
-    rows = leg.states.slice(name)
+    rows, limits = leg.states.slice(name), ax.get_ylim()
     for level in np.unique([leg.state_bounds.lower[rows], leg.state_bounds.upper[rows]]):
         if limits[0] <= level <= limits[1]:
             ax.plot(leg.breaks[[0, -1]], [level, level], **_BOUND)
-    ax.set_ylim(limits)
 
 
-_BOUND: dict[str, Any] = {"color": QUIET, "linestyle": (0, (4, 3)), "linewidth": 1.0}
-_FLOWN: dict[str, Any] = {"color": "#0072b2", "linewidth": 2.0}
-_POLYNOMIAL: dict[str, Any] = {"color": "#d55e00", "linewidth": 0.7}
-_SWITCHING: dict[str, Any] = {"color": "#009e73", "linewidth": 1.2}
-
-
-def _draw_control(ax: Axes, legs: Sequence[PhaseSolution], name: str, i: int, labels: Labels | None) -> None:
-    for leg in legs:
-        if name not in leg.controls:
-            continue
-        signal, flown = leg.control(name), leg.flown_control(name)
-        row = leg.controls.slice(name).start + i
-        t, polynomial = sample(signal, leg.breaks, gaps=True)
-        ax.plot(t, polynomial[i], zorder=2, **_POLYNOMIAL)
-        nodes = np.atleast_2d(signal(leg.point_times))[i]
-        ax.plot(leg.point_times, nodes, ".", color=_POLYNOMIAL["color"], markersize=3.5, zorder=2.2)
-        t, bounded = sample(flown, leg.flown.jumps, per_piece=12)
-        ax.plot(t, bounded[i], zorder=3, **_FLOWN)
-        lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
-        for level in (lower, upper):
-            if np.isfinite(level):
-                ax.axhline(level, zorder=1.5, **_BOUND)
-        if np.isfinite(lower) and np.isfinite(upper):
-            middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
-            ax.set_ylim(middle - _ROOM * half, middle + _ROOM * half)
-        shown = _labels(name, signal, labels)
-        _finish(ax, axis_label(shown[i], signal.unit), legs, legend=False)
+def _draw_control(ax: Axes, leg: PhaseSolution, name: str, i: int, shown: str) -> None:
+    signal = leg.control(name)
+    t, polynomial = sample(signal, leg.breaks, gaps=True)
+    ax.plot(t, polynomial[i], zorder=2, **_POLYNOMIAL)
+    nodes = np.atleast_2d(signal(leg.point_times))[i]
+    ax.plot(leg.point_times, nodes, ".", color=_POLYNOMIAL["color"], markersize=3.0, zorder=4)
+    t, flown = sample(leg.flown_control(name), leg.flown.jumps)
+    ax.plot(t, flown[i], zorder=3, **_FLOWN)
+    row = leg.controls.slice(name).start + i
+    lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
+    for level in (lower, upper):
+        if np.isfinite(level):
+            ax.plot(leg.breaks[[0, -1]], [level, level], zorder=1.5, **_BOUND)
+    if np.isfinite(lower) and np.isfinite(upper):
+        middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+        ax.set_ylim(middle - _ROOM * half, middle + _ROOM * half)
+    ax.set_ylabel(axis_label(shown, signal.unit))
 
 
 def _draw_switching(
-    ax: Axes, solution: Solution, legs: Sequence[PhaseSolution], name: str, i: int, labels: Labels | None
+    axes: Sequence[Axes], solution: Solution, leg: PhaseSolution, name: str, i: int, shown: str, unit: str
 ) -> None:
-    for leg in legs:
-        if name not in leg.controls:
-            continue
+    """Draw into the second axis; mark changes of sign in both."""
 
-        def switching(t: Array, side: Any, leg: PhaseSolution = leg) -> Any:
-            return solution.switching_function(name, t, leg.name, side)
+    def switching(t: Array, side: Any) -> Any:
+        return solution.switching_function(name, t, leg.name, side)
 
-        t, values = sample(switching, leg.breaks)
-        ax.plot(t, values[i], **_SWITCHING)
-        shown = _labels(name, leg.control(name), labels)
-        ax.axhline(0.0, color="black", linewidth=0.6)
-        _finish(ax, f"$\\partial H/\\partial${shown[i]}", legs, legend=False)
-        ax.locator_params(axis="y", nbins=3)
+    t, values = sample(switching, leg.breaks)
+    axes[1].plot(t, values[i], **_SWITCHING)
+    axes[1].axhline(0.0, color="black", linewidth=0.6)
+    axes[1].locator_params(axis="y", nbins=3)
+    axes[1].set_ylabel(
+        axis_label(f"$\\partial H/\\partial${shown}\n", per_unit(unit, leg.control(name).unit))
+    )
+    negligible = _negligible_switching(solution, leg, leg.controls.slice(name).start + i)
+    _leave_room(axes[1], negligible)
+    for crossing in zero_crossings(t, values[i], negligible):
+        for ax in axes:
+            ax.axvline(crossing, zorder=1, **_SIGN_CHANGE)
+
+
+def _negligible_switching(solution: Solution, leg: PhaseSolution, row: int) -> float:
+    """Return the switching function that is worth 1e-7 of the Hamiltonian's terms over the control's range.
+
+    An interior control holds it at zero; without this the figure would magnify the rounding errors.
+    """
+    t = leg.point_times
+    terms = leg.lam(t) * solution.functions(leg.name).rates(t, leg.x(t), leg.u(t))
+    reach = leg.control_bounds.upper[row] - leg.control_bounds.lower[row]
+    if not (np.isfinite(reach) and reach > 0):
+        reach = float(np.max(np.abs(leg.u(t)[row]))) or 1.0
+    return float(_NEGLIGIBLE * np.max(np.sum(np.abs(terms), axis=0)) / reach)
 
 
 def _control_legend(with_switching: bool) -> list[Any]:
     handles = [
         Line2D([], [], label="flown", **_FLOWN),
-        Line2D([], [], label="polynomial and nodes", marker=".", markersize=3.5, **_POLYNOMIAL),
+        Line2D([], [], label="polynomial and nodes", marker=".", markersize=4, **_POLYNOMIAL),
         Line2D([], [], label="bounds", **_BOUND),
     ]
     if with_switching:
@@ -261,7 +344,7 @@ def _control_legend(with_switching: bool) -> list[Any]:
     return handles
 
 
-def _flown_hamiltonian(solution: Solution, leg: PhaseSolution) -> Any:
+def _flown_hamiltonian(solution: Solution, leg: PhaseSolution) -> Callable[..., Array]:
     functions = solution.functions(leg.name)
 
     def hamiltonian(t: Array, side: Any) -> Array:
@@ -271,37 +354,26 @@ def _flown_hamiltonian(solution: Solution, leg: PhaseSolution) -> Any:
 
 
 def _hamiltonian_legend(low: float, high: float, expected: float | None) -> list[Any]:
+    band = f"band of these, {number_text(low)} to {number_text(high)}"
     handles: list[Any] = [
-        Line2D([], [], marker="o", markersize=3.2, linestyle="none", color="#0072b2", label="at the collocation points"),
-        Line2D([], [], color="#0072b2", alpha=0.25, linewidth=6, label=f"their band, {low:.6g} to {high:.6g}"),
-        Line2D([], [], color="#56b4e9", linewidth=0.9, label="along the flown controls"),
+        Line2D([], [], label="at the collocation points", **_AT_POINTS),
+        Line2D([], [], label=band, color=COLORS[0], alpha=0.25, linewidth=6),
+        Line2D([], [], label="along the flown controls", **_ALONG_FLOWN),
     ]
     if expected is not None:
-        handles.append(Line2D([], [], color="#d55e00", linestyle="--", linewidth=1.0, label=f"$H={expected:g}$"))
+        handles.append(Line2D([], [], label=f"expected, {number_text(expected)}", **_EXPECTED))
     return handles
 
 
-def _show_all(ax: Axes, values: Array, *levels: float) -> None:
-    low, high = data_range([*data_range(values), *levels])
-    room = 0.08 * (high - low) or 1e-3 * max(abs(low), 1.0)
-    ax.set_ylim(low - room, high + room)
+def _leave_room(ax: Axes, least: float) -> None:
+    """Show at least ``least`` to both sides of the data, lest rounding errors fill the axis."""
+    low, high = ax.get_ylim()
+    if high - low < least:
+        ax.set_ylim(low - least, high + least)
 
 
-def _finish(ax: Axes, label: str, legs: Sequence[PhaseSolution], legend: bool = True) -> None:
-    ax.set_ylabel(label)
+def _span(ax: Axes, legs: Sequence[PhaseSolution]) -> None:
+    """Show all phases, with a dotted line between one and the next."""
     ax.set_xlim(legs[0].breaks[0], legs[-1].breaks[-1])
     for leg in legs[1:]:
-        ax.axvline(leg.breaks[0], color=QUIET, linewidth=0.6, linestyle=":")
-    if legend:
-        legend_above(ax)
-
-
-__all__ = [
-    "Labels",
-    "per_unit",
-    "plot_controls",
-    "plot_costates",
-    "plot_hamiltonian",
-    "plot_states",
-    "unit_text",
-]
+        ax.axvline(leg.breaks[0], color=QUIET, linewidth=0.8, linestyle=":")

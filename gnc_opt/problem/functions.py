@@ -22,9 +22,10 @@ from numpy.typing import ArrayLike
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.layout import Array
 from gnc_opt.model.model import evaluate
-from gnc_opt.model.symbol import as_expression, foreign_symbols
+from gnc_opt.model.symbol import as_expression
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
+from gnc_opt.problem.symbols import parameter_arguments, refuse_foreign_along
 
 _ARGUMENTS = ("t", "x", "u", "lam", "mu", "weights", "p", "q")
 
@@ -125,7 +126,7 @@ class PhaseFunctions:
         """dc/du, shape (n_paths, n_controls, ...)."""
         flat = self._call("path_control_jacobian", t, x, u)
         m = np.shape(u)[0]
-        return flat.reshape(-1, m, *flat.shape[1:])
+        return flat.reshape(self.functions["paths"].size1_out(0), m, *flat.shape[1:])
 
     def _call(
         self,
@@ -248,10 +249,10 @@ def _build_end_function(problem: Problem) -> Any:
         cost, constraints = problem.bind(leg, cost), problem.bind(leg, constraints)
     lagrangian = problem.sense * cost + ca.dot(nu, constraints)
     differentiated, arguments = [], []
-    for leg in problem.phases.values():
+    for leg, parameters in zip(problem.phases.values(), parameter_arguments(problem), strict=True):
         own = [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time, leg.integral_symbols()]
         differentiated += own
-        arguments += [*own, leg.model.symbols("parameter")]
+        arguments += [*own, parameters]
     q = problem.parameter_symbols()
     gradients = [ca.densify(ca.gradient(lagrangian, s)) for s in (*differentiated, q)]
     return ca.Function("ends", [*arguments, q, nu], [cost, ca.densify(constraints), *gradients])
@@ -264,9 +265,7 @@ def evaluator(problem: Problem, phase: str, expression: Any) -> Callable[..., Ar
         expression = leg.model.output_expression(expression)
     t, x, u, p = leg.model.arguments()
     q = problem.parameter_symbols()
-    value = as_expression(expression, "the expression to evaluate")
-    foreign = foreign_symbols(value, [t, x, u, p, q])
-    if foreign:
-        raise ProblemError(f"the expression uses '{foreign[0]}', which is no symbol of {leg.where}.")
+    value = as_expression(expression, "the expression to evaluate", None, ProblemError)
+    refuse_foreign_along(problem, leg, value, "the expression to evaluate")
     function = ca.Function("evaluate", [t, x, u, p, q], [problem.bind(leg, value)])
     return lambda *arguments: evaluate(function, *arguments)

@@ -18,9 +18,11 @@ GuessValue: TypeAlias = Callable[[Array], ArrayLike] | tuple[ArrayLike, ArrayLik
 
 def read_guess_times(time: ArrayLike, where: str) -> Array:
     """Return the times (n_times,) of array-valued guesses, which must increase."""
-    times = read_numbers(time, f"the guess's time in {where}", ProblemError).reshape(-1)
+    times = read_numbers(time, f"the time of the guess in {where}", ProblemError).reshape(-1)
     if times.size < 2 or not np.all(np.isfinite(times)) or not np.all(np.diff(times) > 0):
-        raise ProblemError(f"the guess's times in {where} must be finite and increase: give two or more.")
+        raise ProblemError(
+            f"the times of the guess in {where} must be finite and increase: give two or more."
+        )
     return times
 
 
@@ -58,16 +60,22 @@ def sample_guess(
 
 def _line(value: tuple[ArrayLike, ...], size: int, fractions: Array, what: str) -> Array:
     if len(value) != 2:
-        raise ProblemError(f"{what} is a tuple of {len(value)} entries, but a tuple means (start, end): use a list.")
+        raise ProblemError(
+            f"{what} is a tuple of {len(value)} entries, but a tuple means (start, end): use a list."
+        )
     refuse_ambiguous((value[0], value[1]), size, what, "([a, a], [b, b]) for start and end")
-    first, last = (as_vector(v, size, f"the {end} of {what}") for v, end in zip(value, ("start", "end"), strict=True))
+    first, last = (
+        as_vector(v, size, f"the {end} of {what}") for v, end in zip(value, ("start", "end"), strict=True)
+    )
     return np.asarray(first[:, None] + (last - first)[:, None] * fractions)
 
 
 def _table(array: Array, size: int, at: Array, times: Array | None, what: str) -> Array:
     constant = array.size in (1, size)
     if times is None and not constant:
-        raise ProblemError(f"{what} has the shape {array.shape} and no times: give guess(time=[...], ...) with it.")
+        raise ProblemError(
+            f"{what} has the shape {array.shape} and no times: give guess(time=[...], ...) with it."
+        )
     if times is None or (constant and array.shape[-1:] != times.shape):
         return np.tile(as_vector(array, size, what)[:, None], at.size)
     if array.size != size * times.size:

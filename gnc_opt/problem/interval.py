@@ -65,35 +65,46 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
         return checked(Interval(fixed, fixed), what)
     if len(value) != 2:
         raise ProblemError(
-            f"{what} is a tuple of {len(value)} entries, but a tuple means (lower, upper): write a value as a list."
+            f"{what} is a tuple of {len(value)} entries, but a tuple means (lower, upper): write a value as "
+            "a list."
         )
     refuse_ambiguous(value, size, what, "([a, a], [b, b]) for a range")
-    low = -np.inf if value[0] is None else value[0]
-    high = np.inf if value[1] is None else value[1]
-    return checked(
-        Interval(as_vector(low, size, f"the lower end of {what}"), as_vector(high, size, f"the upper end of {what}")),
-        what,
-    )
+    return read_range(value[0], value[1], size, what)
+
+
+def read_range(lower: Any, upper: Any, size: int, what: str) -> Interval:
+    """Return the range of ``size`` components; an end is a number, an array or ``None`` (no limit)."""
+    low = as_vector(-np.inf if lower is None else lower, size, f"the lower limit of {what}")
+    high = as_vector(np.inf if upper is None else upper, size, f"the upper limit of {what}")
+    return checked(Interval(low, high), what)
 
 
 def refuse_ambiguous(value: tuple[Any, Any], size: int, what: str, otherwise: str) -> None:
-    """Raise `ProblemError` for two numbers given to a vector of two, which may be its value or mean something else."""
-    if size == 2 and all(np.ndim(end) == 0 and isinstance(end, numbers.Real) for end in value) and value[0] != value[1]:
+    """Raise `ProblemError` for two numbers given to a vector of two: its value, or something else?"""
+    if (
+        size == 2
+        and all(np.ndim(end) == 0 and isinstance(end, numbers.Real) for end in value)
+        and value[0] != value[1]
+    ):
         raise ProblemError(
-            f"{what} has 2 components, so {value!r} can be read in two ways: write [a, b] for a value or {otherwise}."
+            f"{what} has 2 components, so {value!r} can be read in two ways: write [a, b] for a value or "
+            f"{otherwise}."
         )
 
 
 def checked(interval: Interval, what: str) -> Interval:
-    """Return the interval, or raise `ProblemError` when it holds NaN, crossed bounds or a value at infinity."""
+    """Return the interval; raise `ProblemError` for NaN, crossed limits and values at infinity."""
     for end, name in ((interval.lower, "lower"), (interval.upper, "upper")):
         if np.any(np.isnan(end)):
-            raise ProblemError(f"{what} has the {name} limit NaN: give a number, or None where there is no limit.")
+            raise ProblemError(
+                f"{what} has the {name} limit NaN: give a number, or None where there is no limit."
+            )
     crossed = np.flatnonzero(interval.lower > interval.upper)
     if crossed.size:
         i = int(crossed[0])
         raise ProblemError(
-            f"{what}{f', component {i},' if interval.lower.size > 1 else ''} has a lower limit {interval.lower[i]:g} "
+            f"{what}{f', component {i},' if interval.lower.size > 1 else ''} has a lower limit "
+            f"{interval.lower[i]:g} "
             f"above its upper limit {interval.upper[i]:g}: swap or correct them."
         )
     if np.any(np.isposinf(interval.lower)) or np.any(np.isneginf(interval.upper)):

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnc_opt.arguments import read_label
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.layout import Array, Layout, Variable, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol, as_expression
-from gnc_opt.problem.interval import Interval, free, read_interval
+from gnc_opt.problem.guess import GuessValue, read_guess_times, sample_guess
+from gnc_opt.problem.interval import Interval, free, intersect, read_interval, read_range
+from gnc_opt.problem.symbols import refuse_foreign_along
+from gnc_opt.strict import Strict
 
-GuessValue: TypeAlias = Callable[[Array], ArrayLike] | tuple[ArrayLike, ArrayLike] | ArrayLike
+if TYPE_CHECKING:
+    from gnc_opt.problem.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -63,18 +68,29 @@ class PhaseNumbers:
     arcs: tuple[tuple[int, ...], ...] | None = None
 
 
-class Phase:
+class Phase(Strict):
     """One span of time of a problem; made by ``Problem.phase``.
 
     In every call a number, list or array is a fixed value, a tuple ``(lower, upper)`` is a range and
     ``None`` is free. Names are those of the model's variables.
     """
 
-    def __init__(self, name: str, model: Model, owner: str, on_change: Callable[[], None]) -> None:
+    __slots__ = (
+        "_ends",
+        "_owner",
+        "final_time",
+        "initial_time",
+        "integrands",
+        "model",
+        "name",
+        "numbers",
+        "paths",
+    )
+
+    def __init__(self, name: str, model: Model, owner: Problem) -> None:
         self.name = name
         self.model = model
-        self._where = f"phase '{name}' of problem '{owner}'"
-        self._on_change = on_change
+        self._owner = owner
         n, m = model.states.size, model.controls.size
         self.numbers = PhaseNumbers(
             None, None, Interval(np.zeros(1), np.full(1, np.inf)), free(n), free(n), free(n), free(m)
@@ -124,17 +140,17 @@ class Phase:
         numbers = self.numbers
         self.numbers = replace(
             numbers,
-            initial_time=read_interval(initial, 1, f"initial time of {self._where}"),
-            final_time=read_interval(final, 1, f"final time of {self._where}"),
-            duration=numbers.duration
-            if duration is None
-            else read_interval(duration, 1, f"duration of {self._where}"),
+            initial_time=read_interval(initial, 1, f"the initial time of {self.where}"),
+            final_time=read_interval(final, 1, f"the final time of {self.where}"),
+            duration=numbers.duration if duration is None else self._read_duration(duration),
         )
-        self._on_change()
+        self._owner.changed()
 
     def initial(self, **values: Any) -> None:
         """State the initial values of states by name; states left out are free."""
-        self.numbers = replace(self.numbers, initial=self._merge(self.numbers.initial, values, "initial value"))
+        self.numbers = replace(
+            self.numbers, initial=self._merge(self.numbers.initial, values, "initial value")
+        )
 
     def final(self, **values: Any) -> None:
         """State the final values of states by name; states left out are free."""
@@ -165,24 +181,30 @@ class Phase:
         equals : float or array, optional
             For an equality.
         """
+        read_label(name, f"path constraint of {self.where}", ProblemError)
+        what = f"path constraint '{name}' of {self.where}"
         if name in self.paths:
-            raise ProblemError(f"{self._where} has two path constraints '{name}': rename one.")
-        what = f"path constraint '{name}' of {self._where}"
-        self.paths[name] = make_constraint(name, expression, lower, upper, equals, what)
-        self._on_change()
+            raise ProblemError(f"{self.where} has two path constraints '{name}': rename one.")
+        constraint = make_constraint(name, expression, lower, upper, equals, what)
+        refuse_foreign_along(self._owner, self, constraint.expression, what)
+        self.paths[name] = constraint
+        self._owner.changed()
 
     def integral(self, integrand: Any, name: str | None = None) -> Any:
         """Return the symbol of the integral of ``integrand(t, x, u, p)`` over the phase.
 
         Use it in the cost (a Lagrange term) or in constraints.
         """
-        label = name or f"integral_{len(self.integrands) + 1}"
+        label = f"integral_{len(self.integrands) + 1}" if name is None else name
+        read_label(label, f"integral of {self.where}", ProblemError)
+        what = f"integral '{label}' of {self.where}"
         if label in self.integrands:
-            raise ProblemError(f"{self._where} has two integrals '{label}': rename one.")
-        value = as_expression(integrand, f"integral '{label}' of {self._where}", 1)
+            raise ProblemError(f"{self.where} has two integrals '{label}': rename one.")
+        value = as_expression(integrand, what, 1, ProblemError)
+        refuse_foreign_along(self._owner, self, value, what)
         symbol = ca.SX.sym(f"{self.name}_{label}")
         self.integrands[label] = (symbol, value)
-        self._on_change()
+        self._owner.changed()
         return symbol
 
     def guess(self, time: ArrayLike | None = None, **values: GuessValue) -> None:
@@ -196,14 +218,15 @@ class Phase:
             By name of state or control: a constant, a tuple ``(start, end)`` (straight line), an array
             (n, n_times), or a function of time that returns the value.
         """
-        for name in values:
-            self._owner_layout(name, "guess")
-        times = None if time is None else np.asarray(time, dtype=float).reshape(-1)
-        if times is not None and (times.size < 2 or not np.all(np.diff(times) > 0)):
-            raise ProblemError(f"guess of {self._where}: times must be at least two and increase.")
         old = self.numbers.guess
-        merged = PhaseGuess(old.time if times is None else times, {**old.values, **values})
-        self.numbers = replace(self.numbers, guess=merged)
+        times = old.time if time is None else read_guess_times(time, self.where)
+        merged = {**old.values, **values}
+        ends = np.array([0.0, 1.0])
+        for name, value in merged.items():
+            size = self._owner_layout(name, "guess")[name].size
+            if not callable(value):  # those must wait until the phase's times are known
+                sample_guess(value, size, ends, ends, times, f"the guess of '{name}' in {self.where}")
+        self.numbers = replace(self.numbers, guess=PhaseGuess(times, merged))
 
     def scale(self, **magnitudes: ArrayLike) -> None:
         """Override the automatic scaling: typical magnitudes > 0 of states or controls by name.
@@ -213,9 +236,10 @@ class Phase:
         scales = dict(self.numbers.scales)
         for name, magnitude in magnitudes.items():
             layout = self._owner_layout(name, "scale")
-            vector = as_vector(magnitude, layout[name].size, f"scale of '{name}' in {self._where}")
+            what = f"the scale of '{name}' in {self.where}"
+            vector = as_vector(magnitude, layout[name].size, what)
             if not np.all(np.isfinite(vector) & (vector > 0)):
-                raise ProblemError(f"scale of '{name}' in {self._where} is {vector}: give positive finite numbers.")
+                raise ProblemError(f"{what} is {vector}: give positive finite numbers.")
             scales[name] = vector
         self.numbers = replace(self.numbers, scales=scales)
 
@@ -235,22 +259,43 @@ class Phase:
         labels = self.model.controls.labels
         if signs.shape[0] != len(labels) or not np.all(np.isin(signs, (-1, 0, 1))):
             raise ProblemError(
-                f"arcs of {self._where} must be -1, 0 or +1 in an array of {len(labels)} rows (controls "
+                f"arcs of {self.where} must be -1, 0 or +1 in an array of {len(labels)} rows (controls "
                 f"{', '.join(labels)}) and one column per segment; got shape {signs.shape}."
             )
         bounds = self.numbers.controls
         for sign, limits in ((-1, bounds.lower), (1, bounds.upper)):
             endless = np.flatnonzero(np.any(signs == sign, axis=1) & ~np.isfinite(limits))
             if endless.size:
-                raise ProblemError(f"{self._where} cannot hold '{labels[endless[0]]}' on a bound that it does not have.")
+                raise ProblemError(
+                    f"{self.where} cannot hold '{labels[endless[0]]}' on a bound that it does not have."
+                )
         self.numbers = replace(self.numbers, arcs=tuple(tuple(int(v) for v in row) for row in signs))
 
     # --- internals --------------------------------------------------------------------------------
 
     @property
     def where(self) -> str:
-        """"phase 'leg' of problem '...'", for messages."""
-        return self._where
+        """ "phase 'leg' of problem '...'", for messages."""
+        return f"phase '{self.name}' of problem '{self._owner.name}'"
+
+    def times(self) -> tuple[Interval, Interval]:
+        """Return the ranges of initial and final time.
+
+        Where one of them is a given number, the range of the duration narrows the other.
+
+        Raises
+        ------
+        ProblemError
+            ``time`` was never called.
+        """
+        initial, final, span = self.numbers.initial_time, self.numbers.final_time, self.numbers.duration
+        if initial is None or final is None:
+            raise ProblemError(f"{self.where} has no times: call time(initial=..., final=...).")
+        if initial.fixed[0] and not final.fixed[0]:
+            return initial, intersect(final, Interval(initial.lower + span.lower, initial.lower + span.upper))
+        if final.fixed[0] and not initial.fixed[0]:
+            return intersect(initial, Interval(final.lower - span.upper, final.lower - span.lower)), final
+        return initial, final
 
     @property
     def path_labels(self) -> tuple[str, ...]:
@@ -276,17 +321,25 @@ class Phase:
         """Stacked SX symbols of all integrals."""
         return ca.vertcat(*[s for s, _ in self.integrands.values()]) if self.integrands else ca.SX(0, 1)
 
-    def clone(self, on_change: Callable[[], None]) -> Phase:
-        """Return a copy that shares the symbols and owns its numbers."""
+    def clone(self, owner: Problem) -> Phase:
+        """Return a copy for another problem, which shares the symbols and owns its numbers."""
         twin = copy.copy(self)
         twin.paths, twin.integrands = dict(self.paths), dict(self.integrands)
-        twin._on_change = on_change
+        twin._owner = owner
         return twin
 
+    def _read_duration(self, duration: Any) -> Interval:
+        given = read_interval(duration, 1, f"the duration of {self.where}")
+        if given.upper[0] <= 0:
+            raise ProblemError(
+                f"the duration of {self.where} is at most {given.upper[0]:g} s: give a positive one."
+            )
+        return Interval(np.maximum(given.lower, 0.0), given.upper)
+
     def _end(self, end: str, name: str | Symbol) -> Any:
-        key = name if isinstance(name, str) else name.variable.name
-        if key not in self._ends[end]:
-            raise unknown_name("state", key, self._where, self._ends[end])
+        key = name.variable.name if isinstance(name, Symbol) else name
+        if not isinstance(key, str) or key not in self._ends[end]:
+            raise unknown_name("state", key, self.where, self._ends[end])
         return self._ends[end][key]
 
     def _merge(
@@ -296,9 +349,9 @@ class Phase:
         lower, upper = old.lower.copy(), old.upper.copy()
         for name, value in values.items():
             if name not in layout:
-                raise unknown_name(layout.kind, name, self._where, layout.names)
+                raise unknown_name(layout.kind, name, self.where, layout.names)
             place = layout.slice(name)
-            interval = read_interval(value, layout[name].size, f"{what} of '{name}' in {self._where}")
+            interval = read_interval(value, layout[name].size, f"the {what} of '{name}' in {self.where}")
             lower[place], upper[place] = interval.lower, interval.upper
         return Interval(lower, upper)
 
@@ -315,21 +368,25 @@ class Phase:
                 return layout
         known = [*self.model.states.names, *self.model.controls.names]
         if name in self.model.parameters:
-            raise unknown_name("state or control", name, f"{what}() of {self._where} ('{name}' is a parameter)", known)
-        raise unknown_name("state or control", name, f"{what}() of {self._where}", known)
+            raise ProblemError(
+                f"{what}() of {self.where} got '{name}', which is a parameter of the model: use "
+                "Problem.parameter() to "
+                "optimise it or with_parameters() to change it."
+            )
+        raise unknown_name("state or control", name, f"{what}() of {self.where}", known)
 
 
-def make_constraint(
-    name: str, expression: Any, lower: Any, upper: Any, equals: Any, what: str
-) -> Constraint:
+def make_constraint(name: str, expression: Any, lower: Any, upper: Any, equals: Any, what: str) -> Constraint:
     """Build a `Constraint`, refusing contradictory or missing limits."""
-    value = as_expression(expression, what)
+    value = as_expression(expression, what, None, ProblemError)
     if equals is not None and (lower is not None or upper is not None):
         raise ProblemError(f"{what} has both equals and lower/upper: give one or the other.")
     if equals is None and lower is None and upper is None:
         raise ProblemError(f"{what} has no limit: give lower, upper or equals.")
-    interval = read_interval((lower, upper) if equals is None else list(np.ravel(equals)), value.shape[0], what)
-    return Constraint(name, value, interval)
+    size = value.shape[0]
+    if equals is not None:
+        return Constraint(name, value, read_interval(as_vector(equals, size, what), size, what))
+    return Constraint(name, value, read_range(lower, upper, size, what))
 
 
 __all__ = ["Constraint", "GuessValue", "Phase", "PhaseGuess", "PhaseNumbers", "make_constraint"]

@@ -12,15 +12,19 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnc_opt.arguments import expect, read_integer, read_label, read_name
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.layout import Array, Layout, Variable, as_vector
 from gnc_opt.model.model import Model
-from gnc_opt.model.symbol import Symbol, as_expression, foreign_symbols
-from gnc_opt.problem.interval import Interval, free, read_interval
+from gnc_opt.model.symbol import Symbol, as_expression
+from gnc_opt.problem.interval import Interval, free, read_range
+from gnc_opt.problem.link import link_phases
 from gnc_opt.problem.phase import Constraint, GuessValue, Phase, make_constraint
+from gnc_opt.problem.symbols import refuse_foreign_ends, refuse_other_size
+from gnc_opt.strict import Strict
 
 
-class Problem:
+class Problem(Strict):
     """An optimal control problem in Bolza form over one or more phases.
 
     Parameters
@@ -35,8 +39,20 @@ class Problem:
     minimised functional; a maximised J is minimised as -J.
     """
 
+    __slots__ = (
+        "_parameters",
+        "builds",
+        "constraints",
+        "cost",
+        "name",
+        "parameter_bounds",
+        "parameter_guess",
+        "phases",
+        "sense",
+    )
+
     def __init__(self, name: str) -> None:
-        self.name = name
+        self.name: str = expect(name, str, "the name of a problem", 'write Problem("rest to rest")')
         self.phases: dict[str, Phase] = {}
         self.constraints: dict[str, Constraint] = {}
         self.cost: Any = None
@@ -59,14 +75,18 @@ class Problem:
         ProblemError
             The name is taken or not an identifier, or the model has missing dynamics.
         """
-        if not isinstance(name, str) or not name.isidentifier():
-            raise ProblemError(f"{name!r} is not a phase name: use letters, digits and underscores.")
+        read_name(name, f"phase of problem '{self.name}'", ProblemError)
         if name in self.phases:
             raise ProblemError(f"problem '{self.name}' has two phases '{name}': rename one.")
+        expect(
+            model, Model, f"the model of phase '{name}' of problem '{self.name}'", "write phase(name, model)"
+        )
+        for parameter in self.parameters.variables:
+            refuse_other_size(parameter.name, parameter.size, model, self.name)
         model.derivative()
         model.mark_in_use(f"problem '{self.name}'")
-        self.phases[name] = Phase(name, model, self.name, self._changed)
-        self._changed()
+        self.phases[name] = Phase(name, model, self)
+        self.changed()
         return self.phases[name]
 
     def parameter(
@@ -101,19 +121,22 @@ class Problem:
         ProblemError
             Name taken or no identifier, size < 1, crossed bounds.
         """
+        read_name(name, f"parameter of problem '{self.name}'", ProblemError)
         if name in self._parameters:
             raise ProblemError(f"problem '{self.name}' has two parameters '{name}': rename one.")
         what = f"parameter '{name}' of problem '{self.name}'"
-        if not name.isidentifier() or size < 1:
-            raise ProblemError(f"{what}: give an identifier and a size >= 1.")
-        bounds = read_interval(
-            (None if lower is None else np.asarray(lower), None if upper is None else np.asarray(upper)), size, what
-        )
-        start = bounds.middle if guess is None else as_vector(guess, size, f"guess of {what}")
+        size = read_integer(size, f"the size of {what}", 1, ProblemError)
+        expect(unit, str, f"the unit of {what}", 'write unit="m/s"')
+        bounds = read_range(lower, upper, size, what)
+        start = bounds.middle if guess is None else as_vector(guess, size, f"the guess of {what}")
+        if not np.all(np.isfinite(start)):
+            raise ProblemError(f"the guess of {what} is {start}: give finite numbers.")
+        for leg in self.phases.values():
+            refuse_other_size(name, size, leg.model, self.name)
         self._parameters[name] = Symbol(Variable(name, size, unit))
         self.parameter_bounds[name] = bounds
         self.parameter_guess[name] = start
-        self._changed()
+        self.changed()
         return self._parameters[name]
 
     def constrain(
@@ -137,12 +160,14 @@ class Problem:
         ProblemError
             Name taken, no limit or contradictory ones, or a symbol that varies along a phase.
         """
+        read_label(name, f"constraint of problem '{self.name}'", ProblemError)
+        what = f"constraint '{name}' of problem '{self.name}'"
         if name in self.constraints:
             raise ProblemError(f"problem '{self.name}' has two constraints '{name}': rename one.")
-        what = f"constraint '{name}' of problem '{self.name}'"
-        self.constraints[name] = make_constraint(name, expression, lower, upper, equals, what)
-        self._check_end_expression(self.constraints[name].expression, what)
-        self._changed()
+        constraint = make_constraint(name, expression, lower, upper, equals, what)
+        refuse_foreign_ends(self, constraint.expression, what)
+        self.constraints[name] = constraint
+        self.changed()
 
     def link(
         self,
@@ -165,20 +190,7 @@ class Problem:
         jump : mapping, optional
             Known jumps by state: x_second(start) - x_first(end), e.g. a dropped stage's mass.
         """
-        a, b = self.get_phase(first), self.get_phase(second)
-        shared = [n for n in a.model.states.names if n in b.model.states]
-        names = shared if states is None else list(states)
-        jumps = dict(jump or {})
-        for name in [*names, *jumps]:
-            for side in (a, b):
-                side.model.states.slice(name)
-        label = f"link_{a.name}_{b.name}"
-        for name in dict.fromkeys([*names, *jumps]):
-            gap = b.initial_state(name) - a.final_state(name)
-            value = as_vector(jumps.get(name, 0.0), a.model.states[name].size, f"jump of '{name}'")
-            self.constrain(f"{label}_{name}", gap, equals=value)
-        if time:
-            self.constrain(f"{label}_time", b.initial_time - a.final_time, equals=0.0)
+        link_phases(self, self.get_phase(first), self.get_phase(second), states, time, jump)
 
     def minimize(self, cost: Any) -> None:
         """State the cost to minimise: an expression in end points, integrals and parameters."""
@@ -216,14 +228,21 @@ class Problem:
         shared = self.builds
         given = {k: v for k, v in times.items() if k in ("initial", "final", "duration")}
         if set(times) - set(given):
-            raise unknown_name("time", next(iter(set(times) - set(given))), leg.where, ("initial", "final", "duration"))
+            raise unknown_name(
+                "time", next(iter(set(times) - set(given))), leg.where, ("initial", "final", "duration")
+            )
         leg.time(**given)
-        keep = {f"{k}_time": getattr(old, f"{k}_time") for k in ("initial", "final") if k not in given}
-        leg.numbers = replace(leg.numbers, **keep)
+        leg.numbers = replace(
+            leg.numbers,
+            initial_time=leg.numbers.initial_time if "initial" in given else old.initial_time,
+            final_time=leg.numbers.final_time if "final" in given else old.final_time,
+        )
         twin.builds = shared
         return twin
 
-    def with_guess(self, phase: str | None = None, /, time: ArrayLike | None = None, **values: GuessValue) -> Problem:
+    def with_guess(
+        self, phase: str | None = None, /, time: ArrayLike | None = None, **values: GuessValue
+    ) -> Problem:
         """Return a copy with another guess; see ``Phase.guess``."""
         twin = self._clone()
         twin.get_phase(phase).guess(time, **values)
@@ -286,14 +305,19 @@ class Problem:
     def get_phase(self, phase: Phase | str | None = None) -> Phase:
         """Return a phase by name; ``None`` is the only one there is."""
         if isinstance(phase, Phase):
-            phase = phase.name
+            own = self.phases.get(phase.name)
+            if own is None or own.initial_time is not phase.initial_time:
+                raise ProblemError(
+                    f"{phase.where} is not a phase of problem '{self.name}': use one of its own."
+                )
+            return own
         if phase is None:
             if len(self.phases) != 1:
                 raise ProblemError(
                     f"problem '{self.name}' has {len(self.phases)} phases: name one of {list(self.phases)}."
                 )
             return next(iter(self.phases.values()))
-        if phase not in self.phases:
+        if not isinstance(phase, str) or phase not in self.phases:
             raise unknown_name("phase", phase, f"problem '{self.name}'", self.phases)
         return self.phases[phase]
 
@@ -320,22 +344,20 @@ class Problem:
         """Names of the boundary constraint rows."""
         return tuple(label for c in self.constraints.values() for label in c.labels)
 
-    def end_symbols(self) -> list[Any]:
-        """All symbols a cost or boundary constraint may use, phase by phase, then the parameters."""
-        symbols: list[Any] = []
-        for leg in self.phases.values():
-            symbols += [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time]
-            symbols += [leg.integral_symbols(), leg.model.symbols("parameter")]
-        return [*symbols, self.parameter_symbols()]
-
     def fingerprint(self) -> str:
         """Return a hash of the functions, names and numbers that define the problem (hex, 16 digits)."""
         digest = hashlib.sha256()
         for leg in self.phases.values():
             pieces = [leg.model.derivative(), leg.path_expression(), leg.integrand_expression()]
             digest.update(b"".join(map(_exact, pieces)))
-            digest.update(str((leg.name, leg.model.states, leg.model.controls, leg.model.parameters)).encode())
-            for vector in (leg.model.parameter_values, *_vectors(leg.numbers), *_vectors(leg.path_interval())):
+            digest.update(
+                str((leg.name, leg.model.states, leg.model.controls, leg.model.parameters)).encode()
+            )
+            for vector in (
+                leg.model.parameter_values,
+                *_vectors(leg.numbers),
+                *_vectors(leg.path_interval()),
+            ):
                 digest.update(vector.tobytes())
         digest.update(_exact(self.cost) + _exact(self.constraint_expression()) + str(self.sense).encode())
         for vector in (*_vectors(self.constraint_interval()), *_vectors(self.parameter_interval())):
@@ -344,38 +366,26 @@ class Problem:
 
     # --- internals --------------------------------------------------------------------------------
 
+    def changed(self) -> None:
+        """Forget what was built from earlier declarations."""
+        self.builds = {}
+
     def _clone(self) -> Problem:
         twin = copy.copy(self)
-        twin.phases = {name: leg.clone(twin._changed) for name, leg in self.phases.items()}
+        twin.phases = {name: leg.clone(twin) for name, leg in self.phases.items()}
         twin.constraints = dict(self.constraints)
         twin._parameters = dict(self._parameters)
         twin.parameter_bounds = dict(self.parameter_bounds)
         twin.parameter_guess = dict(self.parameter_guess)
         return twin
 
-    def _changed(self) -> None:
-        self.builds = {}
-
     def _set_cost(self, cost: Any, sense: float) -> None:
         if self.cost is not None:
             raise ProblemError(f"problem '{self.name}' has two costs: keep one minimize() or maximize().")
-        expression = as_expression(cost, f"cost of problem '{self.name}'", 1)
-        self._check_end_expression(expression, f"cost of problem '{self.name}'")
+        expression = as_expression(cost, f"the cost of problem '{self.name}'", 1, ProblemError)
+        refuse_foreign_ends(self, expression, f"the cost of problem '{self.name}'")
         self.cost, self.sense = expression, sense
-        self._changed()
-
-    def _check_end_expression(self, expression: Any, what: str) -> None:
-        foreign = foreign_symbols(expression, self.end_symbols())
-        if not foreign:
-            return
-        name = foreign[0]
-        for leg in self.phases.values():
-            if not foreign_symbols(expression, [*self.end_symbols(), *leg.model.arguments()]):
-                raise ProblemError(
-                    f"{what} uses '{name}', which varies along phase '{leg.name}': use "
-                    f"{leg.name}.final_state(...), {leg.name}.initial_state(...) or {leg.name}.integral(...)."
-                )
-        raise ProblemError(f"{what} uses '{name}', which belongs to no phase of this problem.")
+        self.changed()
 
 
 def _vectors(box: Any) -> Iterable[Array]:

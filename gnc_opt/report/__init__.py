@@ -1,4 +1,4 @@
-"""Reports: the six-line summary, its JSON, the verdict as a table, the progress meter and the report folder."""
+"""Reports: the six-line summary, its JSON, the verdict as a table, the progress meter, the report folder."""
 
 from gnc_opt.report.report import write_report
 from gnc_opt.report.summary import summary

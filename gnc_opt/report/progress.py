@@ -53,7 +53,9 @@ class _Meter:
         self._due = self._begin
         self._line: Text | None = None
         # No refresh thread: it would compete with the solver for the interpreter.
-        self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+        self._live = (
+            Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+        )
         if self._live:
             self._live.start()
 

@@ -11,10 +11,12 @@ from gnc_opt.report.summary import summary
 from gnc_opt.report.summary_json import write_json
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from gnc_opt.solution.solution import Solution
     from gnc_opt.verify.verdict import Verdict
 
-Figures: TypeAlias = Callable[..., Any]
+Figures: TypeAlias = "Callable[[Solution, Path], Any]"
 
 
 def write_report(
@@ -31,8 +33,8 @@ def write_report(
     directory : str or Path
         Made if it does not exist. Files of an earlier report are replaced.
     figures : callable, optional
-        ``figures(solution, directory)`` draws a problem's own figures. It either writes them and returns their
-        path(s), or returns matplotlib figures: one, a list, or a dict by name.
+        ``figures(solution, directory)`` draws a problem's own figures. It either writes them and returns
+        their path(s), or returns matplotlib figures: one, a list, or a dict by name.
 
     Returns
     -------
@@ -72,18 +74,16 @@ def _verdict_text(verdict: Verdict) -> str:
     return f"{verdict_text(verdict)}\n{verdict.explain()}\n"
 
 
-def _generic_figures(solution: Solution) -> Iterator[tuple[str, Any]]:
-    """Yield file stem and figure of what every solution has, phase by phase."""
+def _generic_figures(solution: Solution) -> Iterator[tuple[str, Figure]]:
+    """Yield file stem and figure of what every solution has, all phases one after the other."""
     from gnc_opt.plot import trajectory
 
-    for name, leg in solution.phases.items():
-        prefix = f"{name}_" if len(solution.phases) > 1 else ""
-        yield f"{prefix}states", trajectory.plot_states(solution, phase=name)
-        if leg.controls.size:
-            yield f"{prefix}controls", trajectory.plot_controls(solution, phase=name)
-        yield f"{prefix}costates", trajectory.plot_costates(solution, phase=name)
-        if solution.problem is not None:
-            yield f"{prefix}hamiltonian", trajectory.plot_hamiltonian(solution, phase=name)
+    yield "states", trajectory.plot_states(solution)
+    if any(leg.controls.size for leg in solution.phases.values()):
+        yield "controls", trajectory.plot_controls(solution)
+    yield "costates", trajectory.plot_costates(solution)
+    if solution.problem is not None:
+        yield "hamiltonian", trajectory.plot_hamiltonian(solution)
 
 
 def _own_figures(folder: Path, result: Any) -> list[Path]:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 WIDTH = 13
 WORST = 3
-"""How many broken constraints a failed solve names."""
+"""How many broken constraints, or overshooting controls, are named."""
 
 NEGLIGIBLE = 1e-9
 """Relative bound violations below this are rounding."""
@@ -42,7 +42,9 @@ def summary(solution: Solution) -> str:
     lines += list(_quality_lines(quality))
     lines += list(_overshoot(solution))
     if quality is not None and solution.problem is None:
-        lines.append(_line("note", "defect, bounds and propagation were measured when the solution was saved"))
+        lines.append(
+            _line("note", "defect, bounds and propagation were measured when the solution was saved")
+        )
     return "\n".join(lines)
 
 
@@ -59,15 +61,16 @@ def overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
     Returns
     -------
     dict
-        From component label to the largest overshoot, in the control's unit.
+        From component label to the largest overshoot in the control's unit, the worst relative one first.
     """
+    lower, upper = leg.control_bounds.lower[:, None], leg.control_bounds.upper[:, None]
     times = leg.sample_times(32)
-    values = np.maximum(
-        _excess(leg.u(times, "right"), leg.control_bounds.lower, leg.control_bounds.upper),
-        _excess(leg.u(times, "left"), leg.control_bounds.lower, leg.control_bounds.upper),
-    )
-    held = leg.flown.held.any(axis=1)
-    return {leg.controls.labels[i]: float(np.max(values[i])) for i in np.flatnonzero(held)}
+    values = np.hstack([leg.u(times, "right"), leg.u(times, "left")])
+    worst = np.max(np.maximum(lower - values, values - upper), axis=1, initial=0.0)
+    span = (upper - lower)[:, 0]
+    relative = worst / np.where(np.isfinite(span) & (span > 0), span, 1.0)
+    held = np.any(leg.flown.held, axis=1).tolist()
+    return {leg.controls.labels[i]: float(worst[i]) for i in np.argsort(-relative, kind="stable") if held[i]}
 
 
 def mesh_text(solution: Solution) -> str:
@@ -97,17 +100,21 @@ def _failure(solution: Solution) -> Iterator[str]:
 def _times(solution: Solution) -> str:
     return _line(
         "time",
-        "; ".join(f"{leg.name} {leg.initial_time:.10g} to {leg.final_time:.10g} s" for leg in solution.phases.values()),
+        "; ".join(
+            f"{leg.name} {leg.initial_time:.10g} to {leg.final_time:.10g} s"
+            for leg in solution.phases.values()
+        ),
     )
 
 
 def _cost(solution: Solution) -> str:
     spent = solution.statistics
     scheme = next(iter(solution.phases.values())).scheme
-    build = "build re-used" if spent.build_reused else f"build {spent.build_s:.3f} s"
+    cost = "build re-used" if spent.build_reused else f"build {spent.build_s:.3f} s"
+    cost += f", solve {spent.solve_s:.3f} s"
     return _line(
         "mesh",
-        f"{mesh_text(solution)} {scheme}, {spent.iterations} iterations, {build}, solve {spent.solve_s:.3f} s",
+        f"{mesh_text(solution)} {scheme}, {spent.iterations} iterations, {cost}",
     )
 
 
@@ -119,7 +126,9 @@ def _quality_lines(quality: Quality | None) -> Iterator[str]:
     if quality.max_bound_violation <= NEGLIGIBLE:
         yield _line("bounds", "kept at and between nodes")
     else:
-        yield _line("bounds", f"broken by {quality.max_bound_violation:.2g} of their range: {quality.bound_where}")
+        yield _line(
+            "bounds", f"broken by {quality.max_bound_violation:.2g} of their range: {quality.bound_where}"
+        )
     if np.isfinite(quality.terminal_error):
         miss = f"{quality.terminal_error:.2g} relative, flown control integrated: {quality.terminal_where}"
     else:
@@ -129,19 +138,17 @@ def _quality_lines(quality: Quality | None) -> Iterator[str]:
 
 def _overshoot(solution: Solution) -> Iterator[str]:
     for leg in solution.phases.values():
-        worst = overshooting_controls(leg)
-        if worst:
-            units = dict(zip(leg.controls.labels, leg.controls.units, strict=True))
-            named = ", ".join(f"{label} by {over:.3g} {units[label]}".rstrip() for label, over in worst.items())
-            yield _line(
-                "overshoot",
-                f"control polynomials leave their bounds between nodes ({named}); "
-                "fly flown_control, which does not, or refine the mesh",
-            )
-
-
-def _excess(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    return np.maximum(lower[:, None] - values, values - upper[:, None])
+        over = overshooting_controls(leg)
+        if not over:
+            continue
+        units = dict(zip(leg.controls.labels, leg.controls.units, strict=True))
+        named = [f"{label} by {amount:.3g} {units[label]}".rstrip() for label, amount in over.items()]
+        more = f" and {len(named) - WORST} more" if len(named) > WORST else ""
+        yield _line(
+            "overshoot",
+            f"control polynomials leave their bounds between nodes ({', '.join(named[:WORST])}{more}): "
+            "fly flown_control or refine",
+        )
 
 
 def _words(value: str) -> str:

@@ -35,7 +35,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
     """
     quality = known_quality(solution)
     spent = solution.statistics
-    return _plain(
+    told: dict[str, Any] = _plain(
         {
             "schema": SCHEMA,
             "problem": solution.problem_name,
@@ -61,6 +61,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
             "provenance": dict(solution.provenance),
         }
     )
+    return told
 
 
 def write_json(path: str | Path, solution: Solution, verdict: Verdict | None = None) -> Path:

@@ -20,7 +20,7 @@ _STYLES = {Result.PASS: "green", Result.FAIL: "bold red", Result.CANNOT_TELL: "y
 
 
 def verdict_table(verdict: Verdict) -> Table:
-    """Return the conditions of a verdict as a rich table: name, result, value, tolerance, place of the worst."""
+    """Return the conditions of a verdict as a rich table: name, result, value, tolerance, place."""
     table = Table(box=box.SIMPLE_HEAD, title=verdict_headline(verdict), title_justify="left", pad_edge=False)
     table.add_column("condition", no_wrap=True)
     table.add_column("result", no_wrap=True)
@@ -36,7 +36,11 @@ def verdict_headline(verdict: Verdict) -> Text:
     """Return "verdict on '...': ok, 11 pass, 0 fail, 2 cannot tell", in colour."""
     counts = ", ".join(
         f"{sum(c.result is result for c in verdict.conditions)} {word}"
-        for result, word in ((Result.PASS, "pass"), (Result.FAIL, "fail"), (Result.CANNOT_TELL, "cannot tell"))
+        for result, word in (
+            (Result.PASS, "pass"),
+            (Result.FAIL, "fail"),
+            (Result.CANNOT_TELL, "cannot tell"),
+        )
     )
     word, style = ("ok", "green") if verdict.ok else ("NOT ok", "bold red")
     return Text.assemble(f"verdict on '{verdict.problem_name}': ", (word, style), f" ({counts})")

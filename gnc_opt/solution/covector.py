@@ -5,27 +5,29 @@ The Lagrangian of the program is, up to terms that do not depend on the dynamics
 .. math:: \mathcal L = \Phi + \dots + \sum_j m_j^T F_j, \qquad F_j = \Delta\, f(t_j, X_j, U_j),
 
 with :math:`m = W^T \Lambda` the multipliers that the constraint rows lay on the point values. A quadrature of
-:math:`\int \lambda^T f\,dt` with weights :math:`\omega_j` (fractions of the arc, sum 1) has the same form, hence in
-every scheme
+:math:`\int \lambda^T f\,dt` with weights :math:`\omega_j` (fractions of the arc, sum 1) has the same form,
+hence in every scheme
 
 .. math:: \lambda(t_j) = m_j / \omega_j .
 
-For LG this is :math:`-\Lambda_j / w_j`, Gauss weights w_j. At segment boundaries the costate is the derivative
-of the segment's part of the Lagrangian with respect to the shared boundary state, + at its start, - at its end:
-:math:`\lambda(t_0) = \partial J^* / \partial x_0` in the continuous problem is the same statement, so these values
-converge twice as fast as those at the points (for LG all do).
+For LG this is :math:`-\Lambda_j / w_j`, Gauss weights w_j. At segment boundaries the costate is the
+derivative of the segment's part of the Lagrangian with respect to the shared boundary state, + at its start,
+- at its end, just as :math:`\lambda(t_0) = \partial J^* / \partial x_0` in the continuous problem. They
+converge twice as fast as the values at the points (for LG all do).
 
 **Between the points** the costate is what its differential equation makes of them: from the segment's start,
-:math:`\lambda(t) = \lambda_k - \int (H_x + \mu^T c_x + z)\,dt`, the integrand being the polynomial through the points. It
-meets the segment's end. For LG it also meets the point values; for LGR and LGL it is the better one by an order.
+:math:`\lambda(t) = \lambda_k - \int (H_x + \mu^T c_x + z)\,dt`, with the polynomial through the values of the
+integrand at the points. It meets the segment's end. For LG it also meets the point values; for LGR and LGL
+it is better than those by an order.
 
 **Where a state is held** by its bound, or by a path constraint without controls, the multiplier of a point
-that is a segment boundary is the sum of a density and of an impulse, a jump of the costate. Beside a segment that is
-not held it is taken for an impulse. Along a held segment the one-sided costates come from the points instead,
-and what the bound's multiplier then lacks or exceeds in the stationarity of the boundary state is its density there.
-LG knows no such point, but there a bound that holds a state at all nodes of a segment makes the row of its end state
-redundant: any multiplier of that row solves the program, with bound multipliers that oscillate from point
-to point by :math:`e_j` (the coefficients of the row). The costate without the oscillation continues the points.
+that is a segment boundary is the sum of a density and of an impulse, a jump of the costate. Beside a segment
+that is not held it is taken for an impulse. Along a held segment the one-sided costates come from the points
+instead, and what the bound's multiplier then has to supply in the stationarity of the boundary state is its
+density there. LG knows no such point, but there a bound that holds a state at all nodes of a segment makes
+the row of its end state redundant: any multiplier of that row solves the program, with bound multipliers
+that oscillate from point to point by :math:`e_j` (the coefficients of the row). The costate without that
+oscillation continues the points.
 """
 
 from __future__ import annotations
@@ -58,6 +60,8 @@ class Costates:
     polynomial : PiecewisePolynomial
     start, end : array (n_states, K)
         One-sided limits at each segment's start and end.
+    points : array (n_states, N)
+        At the collocation points, m_j / omega_j.
     densities : array (n_states, N)
         State bound multipliers at the points, per second.
     impulses : array (n_states, K + 1)
@@ -67,6 +71,7 @@ class Costates:
     polynomial: PiecewisePolynomial
     start: Array
     end: Array
+    points: Array
     densities: Array
     impulses: Array
 
@@ -133,7 +138,42 @@ def map_costates(
         pieces.settle_redundant_rows()
     else:
         pieces.split_boundary_multipliers()
-    return Costates(pieces.polynomial(breaks), pieces.start, pieces.end, pieces.densities, pieces.impulses)
+    return Costates(
+        pieces.polynomial(breaks), pieces.start, pieces.end, pieces.lam, pieces.densities, pieces.impulses
+    )
+
+
+def settle_doubled_paths(collocation: PhaseCollocation, paths: Array, weights: Array, mixed: Mask) -> Array:
+    """Share out the multipliers of path constraints that LGL states twice.
+
+    At a boundary between segments a constraint without controls has two equal rows, and only the sum of
+    their multipliers is determined. A side along which it is active takes all of it; two such sides have one
+    density.
+
+    Parameters
+    ----------
+    paths : array (n_paths, N)
+        Densities.
+    weights : array (N,)
+        Quadrature weights of the points, s.
+    mixed : bool array (n_paths,)
+        Which constraints depend on controls.
+    """
+    if collocation.scheme != "LGL" or not paths.size:
+        return paths
+    settled = paths.copy()
+    lengths = np.repeat(_lengths(collocation, weights), collocation.mesh.degrees)
+    pushed = np.abs(paths) * lengths > _PUSH * np.max(np.abs(paths) * lengths, axis=1, keepdims=True)
+    shared = np.isin(np.arange(collocation.mesh.size), [*collocation.mesh.offsets[1:-1]])
+    shared |= np.append(shared[1:], False)
+    held = _held_segments(collocation, pushed, np.tile(shared, (paths.shape[0], 1)))
+    for k, right in enumerate(collocation.mesh.offsets[1:-1]):
+        share = np.stack([held[:, k] * weights[right - 1], held[:, k + 1] * weights[right]], axis=1)
+        total = paths[:, right - 1 : right + 1] @ weights[right - 1 : right + 1]
+        rows = ~mixed & np.any(share > 0, axis=1)
+        density = total[rows] / np.sum(share[rows], axis=1)
+        settled[rows, right - 1], settled[rows, right] = density * held[rows, k], density * held[rows, k + 1]
+    return settled
 
 
 @dataclass(eq=False)
@@ -146,14 +186,15 @@ class _Pieces:
         -d(lambda)/dt at the points, without what is taken for an impulse.
     held : bool array (n_states, K)
         Segments along which a bound or path constraint pushes the costate.
+    still : bool array (n_states, K)
+        Segments at all nodes of which the state has the same value.
     pushed : bool array (n_states, N)
-        Points at which it does, segment boundaries included.
+        Points at which a bound or path constraint pushes, boundaries between segments included.
     bounded : bool array (n_states, N)
         Points at which a bound does.
     """
 
     collocation: PhaseCollocation
-    x: Array
     weights: Array
     lam: Array
     start: Array
@@ -162,6 +203,7 @@ class _Pieces:
     impulses: Array
     pull: Array
     held: Mask
+    still: Mask
     pushed: Mask
     bounded: Mask
 
@@ -188,38 +230,38 @@ class _Pieces:
         lengths = np.repeat(_lengths(collocation, weights), collocation.mesh.degrees)
         bounded = np.abs(np.where(shared & ~at_break, 0.0, multipliers)) * lengths > _PUSH * size
         pushed = bounded | (np.abs(path_push) * lengths > _PUSH * size)
-        held = _held_segments(collocation, pushed, shared)
+        held, still = _held_segments(collocation, pushed, shared), _still_segments(collocation, x)
         return cls(
-            collocation, x, weights, lam, start, end, densities,
-            lam_x[collocation.boundary_states].copy(), pull, held, pushed, bounded,
+            collocation, weights, lam, start, end, densities,
+            lam_x[collocation.boundary_states].copy(), pull, held, still, pushed, bounded,
         )  # fmt: skip
 
     def split_boundary_multipliers(self) -> None:
-        """LGR, LGL: at the ends of held segments take the costates of the points, and densities out of impulses."""
+        """LGR, LGL: end held segments with the costates of their points; take densities out of impulses."""
         collocation = self.collocation
         for k in range(collocation.mesh.segments):
-            here = np.arange(collocation.mesh.size)[_points(collocation, k)]
-            if k > 0:
-                self._split(k, k, here[0], self.start, 1.0)
-            if collocation.scheme == "LGL" and k + 1 < collocation.mesh.segments:
-                self._split(k, k + 1, here[-1], self.end, -1.0)
+            here = _points(collocation, k)
+            self._split(k, k, here.start, self.start, 1.0)
+            if collocation.scheme == "LGL":
+                self._split(k, k + 1, here.stop - 1, self.end, -1.0)
 
     def _split(self, k: int, boundary: int, point: int, side: Array, sign: float) -> None:
-        rows = self.held[:, k] & self.pushed[:, point]
+        bounded, rows = self.bounded[:, point], self.held[:, k] & self.pushed[:, point]
+        if boundary in (0, self.collocation.mesh.segments):
+            # A given end value pushes too; the bound does if it holds the state all along to the phase's end.
+            bounded = self.still[:, k] & np.any(self.bounded[:, _points(self.collocation, k)], axis=1)
+            rows = bounded
         gap = sign * (self.lam[:, point] - side[:, k])
         side[rows, k] = self.lam[rows, point]
-        rows = rows & self.bounded[:, point]
+        rows = rows & bounded
         self.densities[rows, point] = gap[rows] / self.weights[point]
         self.impulses[rows, boundary] -= gap[rows]
 
     def settle_redundant_rows(self) -> None:
         """LG: where a bound holds a state at all nodes of a segment, continue the costate of the points."""
-        collocation = self.collocation
-        size = np.max(np.abs(self.x[collocation.point_states]), axis=1, initial=0.0)
-        for k, rule in enumerate(collocation.rules):
-            nodes, here = self.x[collocation.segment_nodes(k)], _points(collocation, k)
-            still = np.ptp(nodes, axis=1) <= _HELD * size
-            rows = still & self.held[:, k] & np.any(self.bounded[:, here], axis=1)
+        for k, rule in enumerate(self.collocation.rules):
+            here = _points(self.collocation, k)
+            rows = self.still[:, k] & np.any(self.bounded[:, here], axis=1)
             change = self.lam[:, here] @ interpolation_matrix(rule.points, [1.0])[0] - self.end[:, k]
             change = np.where(rows, change, 0.0)
             self.end[:, k] += change
@@ -267,7 +309,16 @@ def _held_segments(collocation: PhaseCollocation, pushed: Mask, shared: Mask) ->
     return np.stack(columns, axis=1)
 
 
-def _boundary_costates(collocation: PhaseCollocation, lam_g: Array, point_gradients: Array) -> tuple[Array, Array]:
+def _still_segments(collocation: PhaseCollocation, x: Array) -> Mask:
+    """Segments at all nodes of which a state has the same value, (n_states, K)."""
+    size = np.max(np.abs(x[collocation.point_states]), axis=1, initial=0.0)
+    spreads = [np.ptp(x[collocation.segment_nodes(k)], axis=1) for k in range(collocation.mesh.segments)]
+    return np.stack(spreads, axis=1) <= _HELD * size[:, None]
+
+
+def _boundary_costates(
+    collocation: PhaseCollocation, lam_g: Array, point_gradients: Array
+) -> tuple[Array, Array]:
     """Costates at each segment's start and end, (n_states, K) each.
 
     ``point_gradients`` (n_states, N) is the derivative of the point terms of the Lagrangian with respect to

@@ -1,4 +1,4 @@
-"""From the solver's vectors to a solution: unscaling, points in time, and the covector mapping of every phase."""
+"""From the solver's vectors to a solution: points in time, integrals, and the covector mapping by phase."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.model.layout import Array
-from gnc_opt.problem.functions import EndGradients, PhaseFunctions, end_gradients, phase_functions
+from gnc_opt.problem.functions import EndGradients, end_gradients, phase_functions
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
-from gnc_opt.solution.covector import map_costates, point_costates
+from gnc_opt.solution.covector import map_costates, point_costates, settle_doubled_paths
 from gnc_opt.solution.phase_solution import PhaseSolution, piecewise
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.transcription.collocation import PhaseCollocation
@@ -123,6 +123,8 @@ def _extract_phase(
     lam = point_costates(collocation, iterate.lam_g)
     weights = collocation.quadrature * np.maximum(spans, _SHORTEST)
     paths = iterate.lam_g[collocation.path_rows] / weights
+    mixed = np.any(functions.path_control_jacobian(times, x, u) != 0, axis=(1, 2))
+    paths = settle_doubled_paths(collocation, paths, weights, mixed)
     rates = functions.rates(times, x, u)
     gradient = functions.state_gradient(times, x, u, lam, paths)
     mesh, breaks = _mesh_in_time(collocation.mesh, anchors)
@@ -134,10 +136,10 @@ def _extract_phase(
         iterate.lam_g,
         weights,
         gradient,
-        gradient - functions.state_gradient(times, x, u, lam, _mixed_only(functions, times, x, u, paths)),
+        gradient - functions.state_gradient(times, x, u, lam, np.where(mixed[:, None], paths, 0.0)),
     )
     numbers = leg.numbers
-    assert numbers.initial_time is not None and numbers.final_time is not None
+    initial_time, final_time = leg.times()
     return PhaseSolution(
         name=part.name,
         scheme=collocation.scheme,
@@ -154,6 +156,7 @@ def _extract_phase(
         lam=costates.polynomial,
         lam_start=costates.start,
         lam_end=costates.end,
+        point_costates=costates.points,
         path_multipliers=paths,
         state_multipliers=costates.densities,
         control_multipliers=iterate.lam_x[collocation.point_controls] / weights,
@@ -168,18 +171,10 @@ def _extract_phase(
         path_bounds=leg.path_interval(),
         initial_bounds=numbers.initial,
         final_bounds=numbers.final,
-        initial_time_bounds=numbers.initial_time,
-        final_time_bounds=numbers.final_time,
+        initial_time_bounds=initial_time,
+        final_time_bounds=final_time,
         duration_bounds=numbers.duration,
     )
-
-
-def _mixed_only(functions: PhaseFunctions, times: Array, x: Array, u: Array, paths: Array) -> Array:
-    """Path multipliers (n_paths, N), those of constraints without controls set to zero."""
-    if not paths.size:
-        return paths
-    mixed = np.any(functions.path_control_jacobian(times, x, u) != 0, axis=(1, 2))
-    return np.where(mixed[:, None], paths, 0.0)
 
 
 def _time_multipliers(part: PhasePart, lam_x: Array) -> Array:

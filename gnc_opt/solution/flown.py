@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gnc_opt.arguments import read_numbers
 from gnc_opt.model.layout import Array
 from gnc_opt.problem.interval import Interval
 from gnc_opt.solution.polynomial import PiecewisePolynomial, Side
@@ -85,7 +86,7 @@ class FlownControl:
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
         """Evaluate at times t (s): shape (m,) for a scalar, (m, n_times) for an array."""
-        times = np.atleast_1d(np.asarray(t, dtype=float))
+        times = np.atleast_1d(read_numbers(t, "the time"))
         values = self.clipped(times, side)
         breaks = self.polynomial.breaks
         segment = np.clip(np.searchsorted(breaks, times, side) - 1, 0, len(self.rules) - 1)

@@ -60,8 +60,11 @@ class PhaseSolution:
     x, u, lam : PiecewisePolynomial
         States, controls and costates by the scheme's own polynomials.
     lam_start, lam_end : array (n_states, K)
-        Costates at each segment's start and end (one-sided limits) from the rows themselves; for LG they equal
-        ``lam``, for LGR and LGL they are the more accurate values at segment boundaries.
+        Costates at each segment's start and end: the one-sided limits of ``lam``, from the rows themselves
+        (along held segments of LGR and LGL from the points; see `gnc_opt.solution.covector`).
+    point_costates : array (n_states, N)
+        Costates at the collocation points for which the controls there minimise H: for LG those of ``lam``, for
+        LGR and LGL of lower order.
     path_multipliers : array (n_paths, N)
     state_multipliers : array (n_states, N)
     control_multipliers : array (n_controls, N)
@@ -93,6 +96,7 @@ class PhaseSolution:
     lam: PiecewisePolynomial
     lam_start: Array
     lam_end: Array
+    point_costates: Array
     path_multipliers: Array
     state_multipliers: Array
     control_multipliers: Array
@@ -172,7 +176,7 @@ class PhaseSolution:
 
     def integral(self, name: str) -> float:
         """Return the value of a named integral."""
-        if name not in self.integral_labels:
+        if not isinstance(name, str) or name not in self.integral_labels:
             raise unknown_name("integral", name, f"phase '{self.name}'", self.integral_labels)
         return float(self.integrals[self.integral_labels.index(name)])
 

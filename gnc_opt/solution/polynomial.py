@@ -7,6 +7,8 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gnc_opt.arguments import read_integer, read_numbers
+from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.transcription.quadrature import (
     MAX_POINTS,
     Array,
@@ -36,7 +38,7 @@ class PiecewisePolynomial:
 
     Raises
     ------
-    ValueError
+    ArgumentError
         Breaks that do not increase, or shapes that do not fit together.
     """
 
@@ -67,12 +69,12 @@ class PiecewisePolynomial:
 
         Raises
         ------
-        ValueError
+        ArgumentError
             A time outside the span or not a number, or an unknown side.
         """
-        if side not in ("left", "right"):
-            raise ValueError(f"side must be 'left' or 'right', got {side!r}")
-        times = self._clamped(np.atleast_1d(np.asarray(t, dtype=float)))
+        if not isinstance(side, str) or side not in ("left", "right"):
+            raise ArgumentError(f"the side of a segment boundary is {shown(side)}: give 'left' or 'right'.")
+        times = self._clamped(np.atleast_1d(read_numbers(t, "the time")))
         segment = np.clip(np.searchsorted(self.breaks, times, side) - 1, 0, len(self.nodes) - 1)
         result = np.empty((self.values[0].shape[0], times.size))
         for k in np.unique(segment):
@@ -96,10 +98,9 @@ class PiecewisePolynomial:
 
     def sample_times(self, per_segment: int) -> Array:
         """Times cutting each segment in ``per_segment`` equal parts, breaks once: (K·per_segment + 1,)."""
-        if per_segment < 1:
-            raise ValueError(f"per_segment must be at least 1, got {per_segment}")
-        parts = np.linspace(self.breaks[:-1], self.breaks[1:], per_segment, endpoint=False, axis=1)
-        return np.append(parts.ravel(), self.breaks[-1])
+        parts = read_integer(per_segment, "per_segment", 1)
+        times = np.linspace(self.breaks[:-1], self.breaks[1:], parts, endpoint=False, axis=1)
+        return np.append(times.ravel(), self.breaks[-1])
 
     def rows(self, index: int | slice | Sequence[int] | NDArray[np.integer]) -> "PiecewisePolynomial":
         """Only some of the components; an integer selects one and keeps the vector shape, (1,)."""
@@ -108,12 +109,15 @@ class PiecewisePolynomial:
 
     def _clamped(self, times: Array) -> Array:
         if times.ndim != 1:
-            raise ValueError(f"times must be a scalar or a vector, got an array of shape {times.shape}")
+            raise ArgumentError(f"the time has the shape {times.shape}: give a scalar or a vector.")
         first, last = self.breaks[0], self.breaks[-1]
         slack = END_TOLERANCE * max(abs(first), abs(last), last - first)
         outside = ~((times >= first - slack) & (times <= last + slack))  # true for NaN as well
         if outside.any():
-            raise ValueError(f"time {times[outside][0]} s is outside the span [{first}, {last}] s")
+            raise ArgumentError(
+                f"time {times[outside][0]} s is outside the span [{first}, {last}] s of the phase: choose "
+                "one within."
+            )
         return np.clip(times, first, last)
 
     def _tau(self, k: int, times: Array) -> Array:
@@ -130,18 +134,18 @@ def _node_integrals(nodes: Array) -> Array:
 def _check_breaks(breaks: Array) -> None:
     vector = breaks.ndim == 1 and breaks.size > 1
     if not (vector and np.isfinite(breaks).all() and (np.diff(breaks) > 0).all()):
-        raise ValueError(f"breaks must be at least two finite, strictly increasing times, got {breaks}")
+        raise ArgumentError(f"breaks must be at least two finite, strictly increasing times, got {breaks}")
 
 
 def _check_segments(count: int, nodes: tuple[Array, ...], values: tuple[Array, ...]) -> None:
     if not count == len(nodes) == len(values):
-        raise ValueError(f"{count} segments, but {len(nodes)} sets of nodes and {len(values)} of values")
+        raise ArgumentError(f"{count} segments, but {len(nodes)} sets of nodes and {len(values)} of values")
     for k, (x, v) in enumerate(zip(nodes, values, strict=True)):
         vector = x.ndim == 1 and 1 <= x.size <= MAX_NODES
         if not (vector and (abs(x) <= 1).all() and np.unique(x).size == x.size):
-            raise ValueError(f"segment {k}: need 1 to {MAX_NODES} distinct nodes in [-1, 1], got {x}")
+            raise ArgumentError(f"segment {k}: need 1 to {MAX_NODES} distinct nodes in [-1, 1], got {x}")
         if v.ndim != 2 or v.shape != (len(values[0]), x.size):
-            raise ValueError(
+            raise ArgumentError(
                 f"segment {k}: values have shape {v.shape}, need (components, {x.size}) throughout"
             )
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnc_opt.arguments import expect
 from gnc_opt.errors import GncOptError, ProblemError, unknown_name
 from gnc_opt.model.layout import Array, Layout
 from gnc_opt.nlp.status import Status
@@ -120,7 +121,7 @@ class Solution:
                     f"name one of {list(self.phases)}."
                 )
             return next(iter(self.phases.values()))
-        if name not in self.phases:
+        if not isinstance(name, str) or name not in self.phases:
             raise unknown_name("phase", name, f"the solution of '{self.problem_name}'", self.phases)
         return self.phases[name]
 
@@ -248,6 +249,7 @@ class Solution:
         ProblemError
             If the problem is not the one that was solved (its fingerprint differs).
         """
+        expect(problem, Problem, "what with_problem() got", "give the problem that was solved")
         if problem.fingerprint() != self.provenance.get("fingerprint"):
             raise ProblemError(
                 f"problem '{problem.name}' is not the one that this solution of '{self.problem_name}' solves: "

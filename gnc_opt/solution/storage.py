@@ -1,8 +1,9 @@
 """Solutions on disk: one compressed NumPy archive that holds numbers and text, no code.
 
-The entry ``header`` is JSON: a tree of the solution's fields, tagged with their types. The arrays of that tree
-are entries of their own, named by their place (``phases.leg.lam_start``; the segments of a polynomial side by
-side), so ``numpy.load(path)`` alone can read a file. Floats keep every bit. Nothing is pickled: opening a file from a stranger runs none of the stranger's code.
+The entry ``header`` is JSON: a tree of the solution's fields, tagged with their types. The arrays of that
+tree are entries of their own, named by their place (``phases.leg.lam_start``; the segments of a polynomial
+side by side), so ``numpy.load(path)`` alone can read a file. Floats keep every bit. Nothing is pickled:
+opening a file from a stranger runs none of the stranger's code.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ import math
 import os
 import tempfile
 import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -37,8 +37,7 @@ FORMAT = "gnc_opt solution"
 VERSION = 1
 """Raise it whenever a stored class changes its fields."""
 
-_LEFT_OUT = {Solution: ("problem",)}
-_DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, TypeError, LookupError, AttributeError)
+_LEFT_OUT: dict[type, tuple[str, ...]] = {Solution: ("problem",)}
 
 
 def save(solution: Solution, path: str | Path) -> Path:
@@ -97,7 +96,8 @@ def load(path: str | Path, problem: Problem | None = None) -> Solution:
     GncOptError
         The file is damaged, no solution of gnc_opt, or of another format version.
     ProblemError
-        ``problem`` is not the one that was solved.
+        ``problem`` is not the one that was solved. (Functions are compared as CasADi writes them down, which
+        may change with a new CasADi.)
     """
     header, arrays = _read(Path(path))
     try:
@@ -105,7 +105,7 @@ def load(path: str | Path, problem: Problem | None = None) -> Solution:
         quality = _unpack(header["quality"], arrays)
         if not isinstance(solution, Solution):
             raise TypeError("no solution")
-    except _DAMAGE as error:
+    except Exception as error:  # whatever it is, this tree does not describe a solution
         raise _damaged(path) from error
     if problem is not None:
         return solution.with_problem(problem)
@@ -139,14 +139,14 @@ def _umask() -> int:
 
 def _read(path: Path) -> tuple[Any, dict[str, Array]]:
     with path.open("rb") as stream:
+        if not zipfile.is_zipfile(stream):
+            raise GncOptError(f"'{path}' is not a solution of gnc_opt, or only part of one.")
+        stream.seek(0)
         try:
-            if not zipfile.is_zipfile(stream):
-                raise GncOptError(f"'{path}' is not a solution of gnc_opt, or only part of one.")
-            stream.seek(0)
             with np.load(stream, allow_pickle=False) as archive:
                 entries = {name: archive[name] for name in archive.files}
             header = json.loads(str(entries.pop("header"))) if "header" in entries else {}
-        except _DAMAGE as error:
+        except Exception as error:  # zipfile, zlib, NumPy and JSON each have their own
             raise _damaged(path) from error
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise GncOptError(f"'{path}' is an archive, but not a solution of gnc_opt.")
@@ -170,7 +170,17 @@ def _classes() -> dict[str, type]:
     """The types a file may name; no others are ever made."""
     from gnc_opt.verify.quality import Quality
 
-    stored = (Solution, PhaseSolution, PiecewisePolynomial, Layout, Variable, Interval, Mesh, Statistics, Violation)
+    stored = (
+        Solution,
+        PhaseSolution,
+        PiecewisePolynomial,
+        Layout,
+        Variable,
+        Interval,
+        Mesh,
+        Statistics,
+        Violation,
+    )
     return {c.__name__: c for c in (*stored, Status, Quality)}
 
 
@@ -187,7 +197,9 @@ def _pack(value: Any, place: str, arrays: dict[str, Array]) -> Any:
         return {"type": type(value).__name__, "value": value.value}
     if is_dataclass(value):
         kind = type(value)
-        members = {name: _pack(getattr(value, name), _join(place, name), arrays) for name in _stored_fields(kind)}
+        members = {
+            name: _pack(getattr(value, name), _join(place, name), arrays) for name in _stored_fields(kind)
+        }
         return {"type": kind.__name__, "fields": members}
     if isinstance(value, Mapping):
         return {"map": {key: _pack(item, _join(place, key), arrays) for key, item in value.items()}}

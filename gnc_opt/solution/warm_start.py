@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from gnc_opt.errors import ProblemError
@@ -10,6 +12,7 @@ from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.covector import point_multipliers
 from gnc_opt.solution.phase_solution import PhaseSolution
+from gnc_opt.solution.polynomial import Side
 from gnc_opt.solution.solution import Solution
 from gnc_opt.transcription.collocation import PhaseCollocation
 from gnc_opt.transcription.transcription import PhasePart, Transcription
@@ -37,7 +40,7 @@ def start_from_solution(
         old = _matching(guess, leg)
         _put_phase(transcription, part, old, x, lam_x, lam_g)
     _put_parameters(transcription, problem, guess, x, lam_x)
-    _put_constraints(transcription, problem, guess, lam_g)
+    _put_end_rows(transcription, guess, lam_g)
     box = transcription.variable_interval(problem)
     return np.clip(x, box.lower, np.maximum(box.lower, box.upper)), lam_x, lam_g
 
@@ -45,7 +48,7 @@ def start_from_solution(
 def _matching(guess: Solution, leg: Phase) -> PhaseSolution:
     old = guess.phases.get(leg.name)
     if old is None:
-        raise ProblemError(f"the guess has no phase '{leg.name}'; its phases are {list(guess.phases)}.")
+        raise ProblemError(f"the guess has no phase '{leg.name}', only {list(guess.phases)}: give one with the same phases.")
     for kind, mine, theirs in (
         ("states", leg.model.states, old.states),
         ("controls", leg.model.controls, old.controls),
@@ -53,7 +56,7 @@ def _matching(guess: Solution, leg: Phase) -> PhaseSolution:
         if mine.labels != theirs.labels:
             raise ProblemError(
                 f"the guess for {leg.where} has the {kind} {list(theirs.labels)}, "
-                f"but the model has {list(mine.labels)}."
+                f"but the model has {list(mine.labels)}: give a solution of a problem with the same ones."
             )
     return old
 
@@ -65,10 +68,16 @@ def _put_phase(
     points = _stretch(old, collocation.fractions)
     breaks = _stretch(old, np.asarray(collocation.mesh.breaks))
     x[collocation.boundary_states] = old.x(breaks)
+    # A point that ends its segment takes the limit from within: controls and costates may jump there.
+    at_end = np.concatenate([rule.points == 1.0 for rule in collocation.rules])
+
+    def sample(signal: Callable[[Array, Side], Array]) -> Array:
+        return np.where(at_end, signal(points, "left"), signal(points, "right"))
+
     shared = np.isin(collocation.point_states, collocation.boundary_states)
     states = old.x(points)
     x[collocation.point_states[~shared]] = states[~shared]
-    x[collocation.point_controls] = old.flown.clipped(points)
+    x[collocation.point_controls] = sample(old.flown.clipped)
     free_times = part.times < transcription.n_variables
     times = _stretch(old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchors)])
     x[part.times[free_times]] = times[free_times]
@@ -76,15 +85,15 @@ def _put_phase(
         if place < transcription.n_variables:
             lam_x[place] = multiplier
     weights = collocation.quadrature * np.diff(times)[collocation.point_arcs]
-    state_densities = old.state_multiplier(points) * weights
-    lam_x[collocation.point_states[~shared]] = state_densities[~shared]
-    lam_x[collocation.point_controls] = old.control_multiplier(points) * weights
     _put_impulses(collocation, old, lam_x)
+    np.add.at(lam_x, collocation.point_states, sample(old.state_multiplier) * weights)
+    lam_x[collocation.point_controls] = sample(old.control_multiplier) * weights
     if old.path_labels:
-        lam_g[collocation.path_rows] = old.path_multiplier(points) * weights
-    ends = old.lam(breaks[1:], "left")
+        lam_g[collocation.path_rows] = sample(old.path_multiplier) * weights
+    same = collocation.scheme == old.scheme and collocation.mesh == old.mesh
+    costates, ends = old.point_costates if same else sample(old.lam), old.lam(breaks[1:], "left")
     for rows, values in zip(
-        collocation.dynamics_rows, point_multipliers(collocation, old.lam(points), ends), strict=True
+        collocation.dynamics_rows, point_multipliers(collocation, costates, ends), strict=True
     ):
         lam_g[rows] = values
 
@@ -106,9 +115,15 @@ def _put_parameters(
             lam_x[places] = guess.parameter_multipliers[guess.free_parameters.slice(name)]
 
 
-def _put_constraints(transcription: Transcription, problem: Problem, guess: Solution, lam_g: Array) -> None:
-    known = dict(zip(guess.constraint_labels, guess.constraint_multipliers, strict=True))
-    for row, label in zip(transcription.constraint_rows, problem.constraint_labels(), strict=True):
+def _put_end_rows(transcription: Transcription, guess: Solution, lam_g: Array) -> None:
+    """Multipliers of boundary constraints, of durations, and of the rows that define integrals: -dJ/dI."""
+    values = zip(guess.constraint_labels, guess.constraint_multipliers, strict=True)
+    known = {f"constraint {label}": float(multiplier) for label, multiplier in values}
+    for name, leg in guess.phases.items():
+        known[f"duration of phase {name}"] = leg.duration_multiplier
+        for label, weight in zip(leg.integral_labels, leg.integral_weights, strict=True):
+            known[f"integral {label}, phase {name}"] = -float(weight)
+    for label, row in transcription.end_rows.items():
         lam_g[row] = known.get(label, 0.0)
 
 

@@ -1,11 +1,11 @@
 r"""Attitude: modified Rodrigues parameters (MRP), direction cosine matrices, quaternions, Euler angles.
 
-Frame B is reached from frame L by turning L through the angle :math:`\Phi` about the unit axis e (which has the
-same components in both frames).
+Frame B is reached from frame L by turning L through the angle :math:`\Phi` about the unit axis e (which has
+the same components in both frames).
 
 **Direction cosine matrix.** ``dcm_BL`` takes the L components of a vector to its B components (passive):
-:math:`v_B = C_{BL}\, v_L`; its columns are the axes of L seen in B. The *active* rotation that carries the axes of L
-onto those of B is its transpose, and that is what `scipy.spatial.transform.Rotation` holds:
+:math:`v_B = C_{BL}\, v_L`; its columns are the axes of L seen in B. The *active* rotation that carries the
+axes of L onto those of B is its transpose, and that is what `scipy.spatial.transform.Rotation` holds:
 ``Rotation.from_mrp(sigma).as_matrix() == dcm_BL.T``.
 
 **Modified Rodrigues parameters** (three, no constraint; singular at one full turn)
@@ -15,17 +15,20 @@ onto those of B is its transpose, and that is what `scipy.spatial.transform.Rota
 
 **Kinematics**, with ``omega_BL_B`` the rate of B relative to L in B components,
 
-.. math:: \dot\sigma = \tfrac14 \left[ (1 - \sigma^2) I + 2 [\sigma\times] + 2 \sigma \sigma^T \right] \omega .
+.. math:: \dot\sigma = \tfrac14 [ (1 - \sigma^2) I + 2 [\sigma\times] + 2 \sigma \sigma^T ]\, \omega_{BL,B} .
 
-**Shadow set.** :math:`\sigma_s = -\sigma / \sigma^2` describes the same attitude by the other way round (the angle
-:math:`\Phi - 2\pi`). Of the two, one always has :math:`|\sigma| \le 1`, a turn of at most 180 degrees; staying on it
-keeps away from the singularity. An optimiser that is allowed :math:`|\sigma| > 1` may wander off to the singularity,
-so trajectories of less than half a turn should bound :math:`\sigma`.
+**Shadow set.** :math:`\sigma_s = -\sigma / \sigma^2` describes the same attitude by the other way round
+(the angle :math:`\Phi - 2\pi`). Of the two, one always has :math:`|\sigma| \le 1`, a turn of at most 180
+degrees; staying on it keeps away from the singularity. An optimiser that is allowed :math:`|\sigma| > 1`
+may wander off to the singularity, so trajectories of less than half a turn should bound :math:`\sigma`.
 
-**Quaternion**, scalar part first: :math:`q = (\cos(\Phi/2),\; e \sin(\Phi/2)) = (1 - \sigma^2,\; 2\sigma) / (1 + \sigma^2)`.
+**Quaternion**, scalar part first:
 
-**Euler angles YXZ** (:math:`\theta_y, \theta_x, \theta_z`): turn L about its y axis, then about the new x axis, then about
-the newest z axis: :math:`C_{BL} = C_3(\theta_z)\, C_1(\theta_x)\, C_2(\theta_y)`. Singular at :math:`\theta_x = \pm 90` degrees.
+.. math:: q = (\cos(\Phi/2),\; e \sin(\Phi/2)) = (1 - \sigma^2,\; 2 \sigma) / (1 + \sigma^2) .
+
+**Euler angles YXZ** (:math:`\theta_y, \theta_x, \theta_z`): turn L about its y axis, then about the new x
+axis, then about the newest z axis: :math:`C_{BL} = C_3(\theta_z)\, C_1(\theta_x)\, C_2(\theta_y)`. Singular
+at :math:`\theta_x = \pm 90` degrees.
 
 Every function takes CasADi columns or arrays (3,) and (3, n_times), time last, unless it says "numeric".
 
@@ -42,6 +45,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.model.layout import Array
 from gnc_opt.spacecraft.vector import Matrix, Vector, cross, dot, scale, stack, stack_rows
 
@@ -104,7 +108,7 @@ def mrp_from_axis_angle(axis: ArrayLike, angle: float) -> Array:
     direction = np.asarray(axis, dtype=float)
     length = np.linalg.norm(direction)
     if not length > 0:
-        raise ValueError(f"the axis of a rotation must have a direction, got {axis}")
+        raise ArgumentError(f"the axis of a rotation is {shown(axis)}, without a direction: give one that is not zero.")
     return np.asarray(direction / length * np.tan(angle / 4))
 
 

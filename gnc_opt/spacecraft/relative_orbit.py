@@ -1,26 +1,29 @@
 r"""Relative motion near a target on a circular orbit: Hill's equations in the LVLH frame.
 
-**Frame L** (local vertical, local horizontal) sits in the target: z points to the planet's centre, x along the
-target's velocity, y completes the triad (opposite to the orbit normal). It turns about the orbit normal,
+**Frame L** (local vertical, local horizontal) sits in the target: z points to the planet's centre, x along
+the target's velocity, y completes the triad (opposite to the orbit normal). It turns about the orbit
+normal,
 
 .. math:: \omega_{LI,L} = (0, -n, 0), \qquad n = \sqrt{\mu / a^3} .
 
-**Hill's equations** (Clohessy-Wiltshire) for the position r of the chaser relative to the target, both in L, with
-:math:`|r| \ll a` and a force per mass :math:`f` beyond gravity:
+**Hill's equations** (Clohessy-Wiltshire) for the position r of the chaser relative to the target, both in
+L, with :math:`|r| \ll a` and a force per mass :math:`f` beyond gravity:
 
 .. math::
    \ddot x &= \phantom{-}2 n \dot z + f_x \\
    \ddot y &= -n^2 y + f_y \\
    \ddot z &= -2 n \dot x + 3 n^2 z + f_z .
 
-In the form :math:`\dot v = f - M v - N r`: M = [[0, 0, -2n], [0, 0, 0], [2n, 0, 0]] and N = diag(0, n^2, -3 n^2). They are
-the first-order expansion of two two-body orbits: the error of the acceleration is about :math:`3 n^2 |r|^2 / a`.
+In the form :math:`\dot v = f - M v - N r` they have M = [[0, 0, -2n], [0, 0, 0], [2n, 0, 0]] and
+N = diag(0, n^2, -3 n^2). They are the first-order difference of two Kepler orbits; the error of the
+acceleration is of the order :math:`3 n^2 |r|^2 / a`.
 
 SI units. Vectors are CasADi columns or arrays (3,) and (3, n_times), time last.
 
 References
 ----------
-W. H. Clohessy, R. S. Wiltshire, Terminal guidance system for satellite rendezvous, J. Aerospace Sciences 27 (1960).
+W. H. Clohessy, R. S. Wiltshire, Terminal guidance system for satellite rendezvous, J. Aerospace Sciences 27
+(1960).
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ from typing import Any
 
 import numpy as np
 
+from gnc_opt.errors import ArgumentError
 from gnc_opt.spacecraft.vector import Vector, stack
 
 MU_EARTH = 398600.4418e9
@@ -50,11 +54,13 @@ def mean_motion(semi_major_axis: float, mu: float = MU_EARTH) -> float:
 
     Raises
     ------
-    ValueError
+    ArgumentError
         If either is not positive.
     """
     if not (semi_major_axis > 0 and mu > 0):
-        raise ValueError(f"semi-major axis and mu must be positive, got {semi_major_axis} m and {mu} m^3/s^2")
+        raise ArgumentError(
+            f"semi-major axis and mu must be positive: {semi_major_axis} m and {mu} m^3/s^2 are given, correct them."
+        )
     return float(np.sqrt(mu / semi_major_axis**3))
 
 

@@ -5,9 +5,10 @@ inertial space I, and the torque T, all in B components:
 
 .. math:: J \dot\omega_{BI} = T - \omega_{BI} \times (J \omega_{BI}) .
 
-**Relative to a frame L** that itself turns at ``omega_LI`` (constant in L, as for the LVLH frame of a circular orbit):
-write :math:`\omega = \omega_{BL}` and :math:`w = C_{BL}\,\omega_{LI}` (L's rate in B components), so that
-:math:`\omega_{BI} = \omega + w`. Seen from B the vector w turns: :math:`\dot w = -\omega \times w`. Hence
+**Relative to a frame L** that itself turns at ``omega_LI`` (constant in L, as for the LVLH frame of a
+circular orbit): write :math:`\omega = \omega_{BL}` and :math:`w = C_{BL}\,\omega_{LI}` (L's rate in B
+components), so that :math:`\omega_{BI} = \omega + w`. Seen from B the vector w turns: :math:`\dot w =
+-\omega \times w`. Hence
 
 .. math:: J \dot\omega = T - (\omega + w) \times J (\omega + w) + J (\omega \times w) .
 

@@ -1,9 +1,8 @@
 """Vector algebra in three dimensions that reads the same for CasADi symbols and for NumPy arrays.
 
-A vector is a CasADi column (3, 1) or an array (3,) or (3, n_times), time last; a matrix is a CasADi (3, 3) or an
-array (3, 3) or (3, 3, n_times). Lists and tuples count as arrays; a CasADi vector among the arguments makes
-the result a CasADi vector.
-"""
+A vector is a CasADi column (3, 1) or an array (3,) or (3, n_times), time last; a matrix is a CasADi (3, 3)
+or an array (3, 3) or (3, 3, n_times). Lists and tuples count as arrays; a CasADi vector among the arguments
+makes the result a CasADi vector."""
 
 from __future__ import annotations
 

@@ -108,7 +108,7 @@ class PhaseCollocation:
                 place += n
             boundary.append(segment_end)
         stacked = [np.asarray(a, dtype=np.int64).T for a in (boundary, points, controls)]
-        return stacked[0], stacked[1], stacked[2].reshape(m, -1), place - self.first_variable
+        return stacked[0], stacked[1], stacked[2].reshape(m, self.mesh.size), place - self.first_variable
 
     @property
     def boundary_states(self) -> Indices:

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.errors import ProblemError
-from gnc_opt.model.layout import Array, Layout, as_vector
+from gnc_opt.model.layout import Array
+from gnc_opt.problem.guess import sample_guess
 from gnc_opt.problem.interval import Interval, intersect
-from gnc_opt.problem.phase import GuessValue, Phase
+from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.transcription.transcription import Transcription
 
@@ -47,8 +47,8 @@ def start_phase(leg: Phase, fractions: Array) -> PhaseStart:
     controls = numbers.controls.middle[:, None] + perturbation(numbers.controls, fractions)
     for name, value in numbers.guess.values.items():
         layout, rows = (model.states, states) if name in model.states else (model.controls, controls)
-        what = f"guess of '{name}' in {leg.where}"
-        rows[layout.slice(name)] = _sample(value, layout, name, at, fractions, numbers.guess.time, what)
+        what = f"the guess of '{name}' in {leg.where}"
+        rows[layout.slice(name)] = sample_guess(value, layout[name].size, at, fractions, numbers.guess.time, what)
     return PhaseStart(times, states, controls)
 
 
@@ -58,8 +58,7 @@ def guess_times(leg: Phase) -> Array:
         wanted = leg.numbers.guess.time[[0, -1]]
     else:
         wanted = np.array([np.nan, np.nan])
-    initial, final = leg.numbers.initial_time, leg.numbers.final_time
-    assert initial is not None and final is not None, "check_problem refuses phases without times"
+    initial, final = leg.times()
     t0 = _time_in(initial, wanted[0], default=0.0)
     span = leg.numbers.duration
     least = max(float(span.lower[0]), 0.0)
@@ -119,26 +118,3 @@ def _time_in(interval: Interval, wanted: float, default: float) -> float:
     if np.isfinite(lower) and np.isfinite(upper):
         return 0.5 * (lower + upper)
     return float(np.clip(default, lower, upper))
-
-
-def _sample(
-    value: GuessValue, layout: Layout, name: str, at: Array, fractions: Array, times: Array | None, what: str
-) -> Array:
-    size = layout[name].size
-    if callable(value):
-        columns = [as_vector(value(t), size, what) for t in at]
-        return np.stack(columns, axis=1)
-    if isinstance(value, tuple):
-        if len(value) != 2:
-            raise ProblemError(f"{what}: a tuple means (start, end), but it has {len(value)} entries.")
-        first, last = (as_vector(end, size, what) for end in value)
-        return np.asarray(first[:, None] + (last - first)[:, None] * fractions)
-    array = np.asarray(value, dtype=float)
-    if times is None or array.size in (1, size) and array.shape[-1:] != times.shape:
-        return np.tile(as_vector(array, size, what)[:, None], at.size)
-    if array.size != size * times.size:
-        raise ProblemError(
-            f"{what} has shape {array.shape}; with {times.size} guess times it must be ({size}, {times.size})."
-        )
-    rows = array.reshape(size, times.size)
-    return np.stack([np.interp(at, times, row) for row in rows])

@@ -6,11 +6,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gnc_opt.errors import ProblemError
+from gnc_opt.arguments import read_integer, read_numbers
+from gnc_opt.errors import ProblemError, shown
 from gnc_opt.model.layout import Array
 
 Indices = NDArray[np.int64]
@@ -41,19 +43,27 @@ class Mesh:
     movable: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        breaks = np.asarray(self.breaks, dtype=float)
+        breaks = read_numbers(self.breaks, "the breaks of a mesh", ProblemError)
         if breaks.ndim != 1 or breaks.size < 2 or not np.all(np.diff(breaks) > 0):
-            raise ProblemError(f"mesh breaks must increase, at least two of them; got {self.breaks}.")
+            raise ProblemError(
+                f"the breaks of a mesh are {shown(self.breaks)}: give two or more that increase."
+            )
         if abs(breaks[0]) > 1e-12 or abs(breaks[-1] - 1) > 1e-12:
-            raise ProblemError(f"mesh breaks are fractions from 0 to 1, but run from {breaks[0]:g} to {breaks[-1]:g}.")
-        if len(self.degrees) != breaks.size - 1:
-            raise ProblemError(f"mesh has {breaks.size - 1} segments but {len(self.degrees)} degrees; give one each.")
-        if any(int(n) != n or n < 1 for n in self.degrees):
-            raise ProblemError(f"mesh degrees must be integers >= 1; got {self.degrees}.")
+            raise ProblemError(
+                f"the breaks of a mesh run from {breaks[0]:g} to {breaks[-1]:g}: give fractions from 0 to 1."
+            )
+        degrees = read_numbers(self.degrees, "the degrees of a mesh", ProblemError)
+        if degrees.shape != (breaks.size - 1,):
+            raise ProblemError(
+                f"a mesh has {breaks.size - 1} segments, but {degrees.size} degrees: give one each."
+            )
+        if not np.all((degrees >= 1) & (degrees == np.floor(degrees)) & np.isfinite(degrees)):
+            raise ProblemError(f"the degrees of a mesh are {shown(self.degrees)}: give integers >= 1.")
         movable = sorted(set(self.movable))
         if movable and (movable[0] < 1 or movable[-1] > breaks.size - 2):
             raise ProblemError(
-                f"mesh has the interior breaks 1 to {breaks.size - 2}, but breaks {self.movable} shall be movable."
+                f"mesh has the interior breaks 1 to {breaks.size - 2}, but breaks {self.movable} shall be "
+                "movable."
             )
         object.__setattr__(self, "movable", tuple(int(i) for i in movable))
         object.__setattr__(self, "breaks", (0.0, *map(float, breaks[1:-1]), 1.0))
@@ -62,9 +72,8 @@ class Mesh:
     @classmethod
     def uniform(cls, segments: int, degree: int) -> Mesh:
         """Return ``segments`` equal segments of ``degree`` collocation points each."""
-        if int(segments) != segments or segments < 1:
-            raise ProblemError(f"a mesh needs at least one segment; got {segments!r}.")
-        return cls(tuple(np.linspace(0.0, 1.0, int(segments) + 1)), (degree,) * int(segments))
+        n = read_integer(segments, "the number of segments of a mesh", 1, ProblemError)
+        return cls(tuple(np.linspace(0.0, 1.0, n + 1)), (degree,) * n)
 
     @classmethod
     def at_times(cls, times: ArrayLike, degree: int | Sequence[int], *, movable: bool = False) -> Mesh:
@@ -79,19 +88,22 @@ class Mesh:
             Whether the solver may move the interior boundaries: a bang-bang control's switch times then become
             variables, and switches are met exactly.
         """
-        t = np.asarray(times, dtype=float).reshape(-1)
-        if t.size < 2 or not np.all(np.isfinite(t)) or t[-1] <= t[0]:
-            raise ProblemError(f"mesh times must be finite, increasing, at least two of them; got {times}.")
-        degrees = (degree,) * (t.size - 1) if isinstance(degree, (int, np.integer)) else tuple(degree)
+        t = read_numbers(times, "the times of a mesh", ProblemError).reshape(-1)
+        if t.size < 2 or not np.all(np.isfinite(t)) or not np.all(np.diff(t) > 0):
+            raise ProblemError(
+                f"the times of a mesh are {shown(times)}: give two or more, finite and increasing."
+            )
+        counts = read_numbers(degree, "the degrees of a mesh", ProblemError)
+        degrees: Any = tuple(counts) if counts.ndim else (degree,) * (t.size - 1)
         interior = tuple(range(1, t.size - 1)) if movable else ()
         return cls(tuple((t - t[0]) / (t[-1] - t[0])), degrees, interior)
 
     @classmethod
     def parse(cls, text: str) -> Mesh:
         """Read ``"20x3"``: 20 equal segments of 3 points."""
-        match = re.fullmatch(r"\s*(\d+)\s*[x×]\s*(\d+)\s*", text)
+        match = re.fullmatch(r"\s*(\d+)\s*[x×]\s*(\d+)\s*", text) if isinstance(text, str) else None
         if not match:
-            raise ProblemError(f"mesh {text!r} is not understood; write SEGMENTSxDEGREE, e.g. 20x3.")
+            raise ProblemError(f"mesh {shown(text)} is not understood: write SEGMENTSxDEGREE, e.g. 20x3.")
         return cls.uniform(int(match[1]), int(match[2]))
 
     @property

@@ -23,6 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import roots_jacobi, roots_legendre
 
+from gnc_opt.errors import ArgumentError, shown
+
 Array: TypeAlias = NDArray[np.float64]
 Scheme: TypeAlias = Literal["LG", "LGR", "LGL"]
 
@@ -87,7 +89,7 @@ def collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
 
     Raises
     ------
-    ValueError
+    ArgumentError
         Unknown scheme, or a number of points that is not an integer in range.
     """
     return _rule(*_checked(scheme, n))
@@ -108,12 +110,12 @@ def barycentric_weights(nodes: ArrayLike) -> Array:
 
     Raises
     ------
-    ValueError
+    ArgumentError
         Nodes that are not one-dimensional, finite and distinct.
     """
     x = _vector(nodes)
     if x.size == 0 or not np.all(np.isfinite(x)) or np.unique(x).size < x.size:
-        raise ValueError(f"interpolation nodes must be finite and distinct, at least one; got {x}")
+        raise ArgumentError(f"interpolation nodes must be finite and distinct, at least one; got {x}")
     return _cached_barycentric_weights(x.tobytes())
 
 
@@ -142,15 +144,22 @@ def interpolation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
     return np.asarray(basis / basis.sum(axis=1, keepdims=True))
 
 
-def _checked(scheme: Scheme, n: int) -> tuple[Scheme, int]:
+def checked_scheme(scheme: Scheme) -> Scheme:
+    """Return the scheme; raise `ArgumentError` for an unknown one."""
     if not isinstance(scheme, str) or scheme not in _FEWEST:
         close = get_close_matches(str(scheme).lower(), _SPELLINGS, n=1)
         hint = f"did you mean '{_SPELLINGS[close[0]]}'? " if close else ""
-        raise ValueError(f"unknown scheme {scheme!r}: {hint}choose LG (Gauss), LGR (Radau) or LGL (Lobatto)")
-    fewest = _FEWEST[scheme]
+        raise ArgumentError(
+            f"unknown scheme {shown(scheme)}: {hint}choose LG (Gauss), LGR (Radau) or LGL (Lobatto)."
+        )
+    return scheme
+
+
+def _checked(scheme: Scheme, n: int) -> tuple[Scheme, int]:
+    fewest = _FEWEST[checked_scheme(scheme)]
     if not isinstance(n, Integral) or isinstance(n, bool) or not fewest <= n <= MAX_POINTS:
         remedy = f"use an integer from {fewest} to {MAX_POINTS}, and more segments where that is too few"
-        raise ValueError(f"{scheme} has no rule with {n!r} points: {remedy}")
+        raise ArgumentError(f"{scheme} has no rule with {shown(n)} points: {remedy}.")
     return scheme, int(n)
 
 
@@ -294,5 +303,5 @@ def _rounded(values: _Numbers) -> Array:
 def _vector(values: ArrayLike) -> Array:
     vector = np.atleast_1d(np.asarray(values, dtype=float))
     if vector.ndim != 1:
-        raise ValueError(f"expected a vector of nodes or abscissae, got an array of shape {vector.shape}")
+        raise ArgumentError(f"expected a vector of nodes or abscissae, got an array of shape {vector.shape}")
     return vector

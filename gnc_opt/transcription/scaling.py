@@ -105,22 +105,28 @@ def _override(scales: Array, layout: Layout, user: Mapping[str, Array]) -> None:
             scales[layout.slice(variable.name)] = variable.nominal
 
 
-def scale_rows(transcription: Transcription, scales: Array, nonzeros: Array) -> tuple[Array, float]:
+def scale_rows(
+    transcription: Transcription, scales: Array, gradient: Array, nonzeros: Array
+) -> tuple[Array, float]:
     """Return row scales (n_constraints,) and the objective's scale.
 
     Parameters
     ----------
     scales : array (n_variables,)
-    nonzeros : array
-        Nonzeros of the physical Jacobian of (objective, rows) at the guess, in the program's order.
+    gradient, nonzeros : array (n_variables,), array
+        Gradient of the physical objective and nonzeros of the constraints' Jacobian at the guess.
     """
-    rows, columns = transcription.program.jacobian_pattern
-    size = np.where(np.isfinite(nonzeros), np.abs(nonzeros), 0.0) * scales[columns]
-    norms = np.zeros(1 + transcription.n_constraints)
-    np.maximum.at(norms, rows, size)
+    rows, columns = transcription.constraints.jacobian_pattern
+    norms = np.zeros(transcription.n_constraints)
+    np.maximum.at(norms, rows, _size(nonzeros) * scales[columns])
     factors = 1.0 / np.where(norms > 0, norms, 1.0)
+    steepest = float(np.max(_size(gradient) * scales))
     for part in transcription.parts.values():
         state_scales = scales[part.collocation.boundary_states[:, 0]]
         for place in part.collocation.dynamics_rows:
-            factors[1 + place] = 1.0 / state_scales[:, None]
-    return factors[1:], float(factors[0])
+            factors[place] = 1.0 / state_scales[:, None]
+    return factors, 1.0 / steepest if steepest > 0 else 1.0
+
+
+def _size(values: Array) -> Array:
+    return np.where(np.isfinite(values), np.abs(values), 0.0)

@@ -1,8 +1,8 @@
 r"""Sparse nonlinear programs that are sums of many small functions.
 
-The program has the form
+The rows r = (f, g) of the program, its objective and its constraints, have the form
 
-.. math:: (f, g)(x) = C x + \sum_b W_b \, \mathrm{vec}\, [F_b(Z_{b1} x, d_{b1}), F_b(Z_{b2} x, d_{b2}), \dots]
+.. math:: r(x) = C x + \sum_b W_b \, \mathrm{vec}\, [F_b(Z_{b1} x, d_{b1}), F_b(Z_{b2} x, d_{b2}), \dots]
 
 with constant sparse matrices C and W and index maps Z. Collocation is of this form: F is the dynamics at a
 point, W holds step sizes and quadrature weights. Only F is differentiated, once and symbolically; the
@@ -12,7 +12,7 @@ so building and evaluating them costs the same per point however many points the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -35,7 +35,7 @@ class PointFunction:
     value : casadi.Function
         (z, d) -> F, shape (n_rows, 1).
     jacobian : casadi.Function
-        (z, d) -> dense vector of the nonzeros of dF/dz.
+        (z, d) -> F, dense vector of the nonzeros of dF/dz; the two share most of their operations.
     hessian : casadi.Function
         (z, d, m) -> dense vector of the nonzeros of the upper triangle of d2(m.F)/dz2.
     jacobian_pattern, hessian_pattern : (rows, columns)
@@ -51,12 +51,14 @@ class PointFunction:
     @classmethod
     def build(cls, name: str, z: Any, d: Any, expression: Any) -> PointFunction:
         """Differentiate an SX expression in z; d is data that is not differentiated."""
+        expression = ca.cse(expression)  # models write the same rotation more than once
         multiplier = ca.SX.sym("multiplier", expression.shape[0])
         jacobian = ca.jacobian(expression, z)
         hessian = ca.triu(ca.hessian(ca.dot(multiplier, expression), z)[0])
+        value = ca.densify(expression)
         return cls(
-            ca.Function(name, [z, d], [ca.densify(expression)]),
-            ca.Function(f"{name}_jacobian", [z, d], [_nonzeros(jacobian)]),
+            ca.Function(name, [z, d], [value]),
+            ca.Function(f"{name}_jacobian", [z, d], [value, _nonzeros(jacobian)]),
             ca.Function(f"{name}_hessian", [z, d, multiplier], [_nonzeros(hessian)]),
             _pattern(jacobian),
             _pattern(hessian),
@@ -79,8 +81,8 @@ class Block:
         Z: which program variable feeds each argument; indices >= the number of variables mean constants.
     data : casadi.MX (n_d, n_points)
         d: constants and program parameters.
-    weights : scipy.sparse.csc_array (1 + n_g, n_rows * n_points)
-        W: row 0 belongs to the objective, row 1 + i to constraint i; column r + n_rows * j to row r at point j.
+    weights : scipy.sparse.csc_array (rows of the program, n_rows * n_points)
+        W: column r + n_rows * j belongs to row r of F at point j.
     """
 
     function: PointFunction
@@ -96,42 +98,56 @@ class Block:
 
 @dataclass(frozen=True)
 class SeparableProgram:
-    """The objective and constraints of a partially separable program, in physical units.
+    """The rows of a partially separable program, in physical units.
 
     Attributes
     ----------
-    n_variables, n_constraints : int
-    linear : scipy.sparse.coo_array (1 + n_g, n_variables)
+    linear : scipy.sparse.coo_array (n_rows, n_variables)
         C.
     blocks : tuple of Block
     """
 
-    n_variables: int
-    n_constraints: int
     linear: Any
     blocks: tuple[Block, ...]
 
+    @property
+    def n_rows(self) -> int:
+        """Number of rows."""
+        return int(self.linear.shape[0])
+
+    @property
+    def n_variables(self) -> int:
+        """Number of variables."""
+        return int(self.linear.shape[1])
+
+    def rows(self, first: int, end: int) -> SeparableProgram:
+        """Return the rows from ``first`` to ``end`` alone, without the blocks that do not enter them."""
+        parts = [replace(b, weights=sp.csc_array(b.weights.tocsr()[first:end])) for b in self.blocks]
+        linear = sp.coo_array(self.linear.tocsr()[first:end])
+        return SeparableProgram(linear, tuple(part for part in parts if part.weights.nnz))
+
     def values(self, x: Any, constants: Any) -> Any:
-        """Return the MX column vector (f, g) at x; ``constants`` extends x for indices beyond it."""
+        """Return the MX column vector of the rows at x; ``constants`` extends x for indices beyond it."""
         extended = ca.vertcat(x, constants)
         total = _matrix(self.linear) @ x
         for block in self.blocks:
             outputs = block.function.value.map(block.points)(_gather(extended, block), block.data)
             total += _matrix(block.weights) @ ca.vec(outputs)
-        return total
+        return ca.densify(total)
 
-    def jacobian(self, x: Any, constants: Any) -> Any:
-        """Return the MX vector of the nonzeros of d(f, g)/dx, in the order of `jacobian_pattern`."""
+    def values_and_jacobian(self, x: Any, constants: Any) -> tuple[Any, Any]:
+        """Return the rows and the MX vector of the nonzeros of dr/dx, in the order of `jacobian_pattern`."""
         extended = ca.vertcat(x, constants)
         _, constant, scatters = self._jacobian_structure
-        total = ca.MX(ca.DM(constant))
+        values, entries = _matrix(self.linear) @ x, ca.MX(ca.DM(constant))
         for block, scatter in zip(self.blocks, scatters, strict=True):
-            nonzeros = block.function.jacobian.map(block.points)(_gather(extended, block), block.data)
-            total += _matrix(scatter) @ ca.vec(nonzeros)
-        return total
+            outputs, nonzeros = block.function.jacobian.map(block.points)(_gather(extended, block), block.data)
+            values += _matrix(block.weights) @ ca.vec(outputs)
+            entries += _matrix(scatter) @ ca.vec(nonzeros)
+        return ca.densify(values), entries
 
     def hessian(self, x: Any, constants: Any, multipliers: Any) -> Any:
-        """Return the MX nonzeros of the upper triangle of the Hessian of ``multipliers . (f, g)``."""
+        """Return the MX nonzeros of the upper triangle of the Hessian of ``multipliers . r``."""
         extended = ca.vertcat(x, constants)
         pattern, scatters = self._hessian_structure
         total = ca.MX(pattern[0].size, 1)
@@ -143,7 +159,7 @@ class SeparableProgram:
 
     @property
     def jacobian_pattern(self) -> tuple[Indices, Indices]:
-        """Rows (0 is the objective) and columns of the Jacobian's nonzeros, column-major."""
+        """Rows and columns of the Jacobian's nonzeros, column-major."""
         return self._jacobian_structure[0]
 
     @property
@@ -155,13 +171,13 @@ class SeparableProgram:
     def _jacobian_structure(self) -> tuple[tuple[Indices, Indices], Array, list[Any]]:
         entries = [_jacobian_entries(block, self.n_variables) for block in self.blocks]
         linear = self.linear
-        keys = [e.rows + (1 + self.n_constraints) * e.columns for e in entries]
-        linear_keys = linear.row.astype(np.int64) + (1 + self.n_constraints) * linear.col.astype(np.int64)
+        keys = [e.rows + self.n_rows * e.columns for e in entries]
+        linear_keys = linear.row.astype(np.int64) + self.n_rows * linear.col.astype(np.int64)
         unique = np.unique(np.concatenate([linear_keys, *keys]))
         constant = np.zeros(unique.size)
         np.add.at(constant, np.searchsorted(unique, linear_keys), linear.data)
         scatters = [e.scatter(np.searchsorted(unique, k), unique.size) for e, k in zip(entries, keys, strict=True)]
-        pattern = (unique % (1 + self.n_constraints), unique // (1 + self.n_constraints))
+        pattern = (unique % self.n_rows, unique // self.n_rows)
         return pattern, constant, scatters
 
     @cached_property

@@ -18,6 +18,7 @@ from gnc_opt.nlp.solver import NlpProblem
 from gnc_opt.problem.interval import Interval, free
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
+from gnc_opt.problem.symbols import parameter_arguments
 from gnc_opt.transcription.collocation import PhaseCollocation, weight_matrix
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.quadrature import Scheme
@@ -46,6 +47,19 @@ class PhasePart:
     times: Indices
 
 
+@dataclass(frozen=True)
+class _Symbols:
+    """MX symbols of the program: scaled variables x and parameters p, and the pieces of p."""
+
+    x: Any
+    p: Any
+    models: dict[str, Any]
+    times: Any
+    scales: Any
+    row_scales: Any
+    objective_scale: Any
+
+
 class Transcription:
     """The nonlinear program of a problem on given meshes; numbers (bounds, guesses, scales) come later.
 
@@ -68,12 +82,9 @@ class Transcription:
         self._movable = {name: mesh.movable for name, mesh in meshes.items()}
         self._place_phases(meshes)
         self._place_end_block()
-        self.program = SeparableProgram(
-            self.n_variables,
-            self.n_constraints,
-            self._linear(),
-            (*(self._phase_block(leg) for leg in problem.phases.values()), self._end_block()),
-        )
+        phase_blocks = [block for leg in problem.phases.values() for block in self._phase_blocks(leg)]
+        self.program = SeparableProgram(self._linear(), (*phase_blocks, self._end_block()))
+        self.objective, self.constraints = self.program.rows(0, 1), self.program.rows(1, 1 + self.n_constraints)
 
     # --- numbering --------------------------------------------------------------------------------
 
@@ -155,52 +166,61 @@ class Transcription:
 
     # --- blocks -----------------------------------------------------------------------------------
 
-    def _phase_block(self, leg: Phase) -> Block:
+    def _phase_blocks(self, leg: Phase) -> list[Block]:
+        """Dynamics and path constraints; integrals apart, so that an objective made of them needs no dynamics."""
+        collocation = self.parts[leg.name].collocation
+        n_states, n_paths = leg.model.states.size, len(leg.path_labels)
+        rows, columns, values = collocation.weights(
+            n_states + n_paths, np.arange(n_states), n_states + np.arange(n_paths)
+        )
+        blocks = [
+            self._point_block(leg, leg.model.derivative(), leg.path_expression(), [(rows + 1, columns, values)])
+        ]
+        entries = self._integral_entries(leg)
+        if entries:  # integrals may be declared only to be read
+            blocks.append(self._point_block(leg, leg.integrand_expression(), ca.SX(0, 1), entries))
+        return blocks
+
+    def _point_block(self, leg: Phase, rates: Any, others: Any, entries: list[Any]) -> Block:
+        """Rates times the duration, and other functions, at all collocation points.
+
+        Times that are fixed numbers are data: there is no need to differentiate with respect to them.
+        """
         part = self.parts[leg.name]
         collocation = part.collocation
-        n_points, q = collocation.mesh.size, self.problem.parameters.size
+        n_points = collocation.mesh.size
+        t, x, u, p = leg.model.arguments()
+        ends, fraction = ca.SX.sym("ends", 2), ca.SX.sym("fraction")
+        span = ends[1] - ends[0]
+        outputs = self.problem.bind(leg, ca.vertcat(span * rates, others))
+        outputs = ca.substitute(outputs, t, ends[0] + fraction * span)
+        end_places = np.stack([part.times[collocation.point_arcs], part.times[collocation.point_arcs + 1]])
+        is_free = np.any(end_places < self.n_variables, axis=1)
+        free, fixed = np.flatnonzero(is_free), np.flatnonzero(~is_free)
+        fixed_times = [self._symbols.times[(end_places[i] - self.n_variables).tolist()].T for i in fixed]
+        parameter_places = np.tile(self.parameter_places[:, None], (1, n_points))
         variables = np.vstack(
-            [
-                collocation.point_states,
-                collocation.point_controls,
-                part.times[collocation.point_arcs],
-                part.times[collocation.point_arcs + 1],
-                np.tile(self.parameter_places[:, None], n_points).reshape(q, n_points),
-            ]
+            [collocation.point_states, collocation.point_controls, end_places[free], parameter_places]
         )
-        function, dynamics, integrals, paths = self._point_function(leg)
-        entries = [collocation.weights(function.rows, dynamics, paths)]
-        entries = [(rows + 1, columns, values) for rows, columns, values in entries]
-        entries += self._integral_entries(leg, function.rows, integrals)
         data = ca.vertcat(
             ca.MX(ca.DM(collocation.arc_fractions.reshape(1, -1))),
-            ca.repmat(self._model_parameters[leg.name], 1, n_points),
+            *fixed_times,
+            ca.repmat(self._symbols.models[leg.name], 1, n_points),
+        )
+        function = PointFunction.build(
+            f"{leg.name}_point",
+            ca.vertcat(x, u, ends[free.tolist()], self.problem.parameter_symbols()),
+            ca.vertcat(fraction, ends[fixed.tolist()], p),
+            outputs,
         )
         weights = weight_matrix(1 + self.n_constraints, function.rows * n_points, *entries)
         return Block(function, variables.astype(np.int64), data, weights)
 
-    def _point_function(self, leg: Phase) -> tuple[PointFunction, Indices, Indices, Indices]:
-        t, x, u, p = leg.model.arguments()
-        t0, tf, fraction = ca.SX.sym("t0"), ca.SX.sym("tf"), ca.SX.sym("fraction")
-        q = self.problem.parameter_symbols()
-        span = tf - t0
-        outputs = ca.vertcat(
-            span * leg.model.derivative(), span * leg.integrand_expression(), leg.path_expression()
-        )
-        outputs = ca.substitute(self.problem.bind(leg, outputs), t, t0 + fraction * span)
-        function = PointFunction.build(
-            f"{leg.name}_point", ca.vertcat(x, u, t0, tf, q), ca.vertcat(fraction, p), outputs
-        )
-        sizes = [leg.model.states.size, len(leg.integrands), len(leg.path_labels)]
-        starts = np.concatenate([[0], np.cumsum(sizes)])
-        dynamics, integrals, paths = (starts[i] + np.arange(sizes[i]) for i in range(3))
-        return function, dynamics, integrals, paths
-
-    def _integral_entries(self, leg: Phase, n_outputs: int, places: Indices) -> list[Any]:
+    def _integral_entries(self, leg: Phase) -> list[Any]:
         collocation = self.parts[leg.name].collocation
         entries = []
-        for place, label in zip(places, leg.integrands, strict=True):
-            columns = place + n_outputs * np.arange(collocation.mesh.size)
+        for place, label in enumerate(leg.integrands):
+            columns = place + len(leg.integrands) * np.arange(collocation.mesh.size)
             for row, coefficient in self._integral_rows(leg.name, label):
                 entries.append((np.full(columns.size, row), columns, coefficient * collocation.quadrature))
         return entries
@@ -218,7 +238,7 @@ class Transcription:
         function, variables = self._end_function()
         rows = np.concatenate([[0], 1 + self._first_end_row + np.arange(len(self._end_labels))])
         weights = weight_matrix(1 + self.n_constraints, rows.size, (rows, np.arange(rows.size), np.ones(rows.size)))
-        data = ca.vertcat(*self._model_parameters.values())
+        data = ca.vertcat(*self._symbols.models.values())
         return Block(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
 
     def _end_function(self) -> tuple[PointFunction, Indices]:
@@ -247,7 +267,7 @@ class Transcription:
             outputs = ca.substitute(outputs, self.problem.phases[name].integrands[label][0], 0)
         for leg in phases:
             outputs = self.problem.bind(leg, outputs)
-        data = ca.vertcat(*[leg.model.symbols("parameter") for leg in phases])
+        data = ca.vertcat(*parameter_arguments(self.problem))
         function = PointFunction.build("ends", ca.vertcat(*arguments), data, outputs)
         return function, np.concatenate(variables)
 
@@ -259,93 +279,63 @@ class Transcription:
     # --- the program as CasADi functions ------------------------------------------------------------
 
     @cached_property
-    def _model_parameters(self) -> dict[str, Any]:
-        return {
-            name: ca.MX.sym(f"{name}_parameters", leg.model.parameters.size)
-            for name, leg in self.problem.phases.items()
-        }
-
-    @cached_property
-    def _symbols(self) -> tuple[Any, Any, Any, Any, Any]:
-        """MX symbols: scaled variables, fixed times, variable scales, row scales, objective scale."""
-        return (
-            ca.MX.sym("x", self.n_variables),
-            ca.MX.sym("fixed_times", 2 * len(self.parts)),
-            ca.MX.sym("variable_scales", self.n_variables),
-            ca.MX.sym("row_scales", self.n_constraints),
-            ca.MX.sym("objective_scale"),
-        )
+    def _symbols(self) -> _Symbols:
+        phases = self.problem.phases
+        sizes = [leg.model.parameters.size for leg in phases.values()]
+        sizes += [2 * len(phases), self.n_variables, self.n_constraints, 1]
+        p = ca.MX.sym("p", sum(sizes))
+        *models, times, scales, row_scales, objective_scale = ca.vertsplit(p, np.cumsum([0, *sizes]).tolist())
+        x = ca.MX.sym("x", self.n_variables)
+        return _Symbols(x, p, dict(zip(phases, models, strict=True)), times, scales, row_scales, objective_scale)
 
     @cached_property
     def nlp(self) -> NlpProblem:
         """The scaled program with its sparse derivatives, ready for a solver."""
-        x, times, scales, row_scales, objective_scale = self._symbols
-        p = ca.vertcat(*self._model_parameters.values(), times, scales, row_scales, objective_scale)
-        symbols = [*self._model_parameters.values(), times, scales, row_scales, objective_scale]
-        p_symbol = ca.MX.sym("p", p.size1())
-        pieces = ca.vertsplit(p_symbol, np.concatenate([[0], np.cumsum([s.size1() for s in symbols])]).tolist())
-
-        def bound(expressions: list[Any]) -> list[Any]:
-            return list(ca.graph_substitute(expressions, symbols, pieces))
-
-        physical = scales * x
-        output_scales = ca.vertcat(objective_scale, row_scales)
-        values, nonzeros = bound(
-            [output_scales * self.program.values(physical, times), self.program.jacobian(physical, times)]
-        )
-        f, g = values[0], values[1:]
+        s = self._symbols
+        arguments = s.scales * s.x, s.times
         sigma, lam = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.n_constraints)
-        hessian_values = bound(
-            [self.program.hessian(physical, times, output_scales * ca.vertcat(sigma, lam))]
-        )[0]
-        scales, output_scales = bound([scales, output_scales])
-        gradient, jacobian = self._split_jacobian(nonzeros, scales, output_scales)
-        hessian = self._hessian_matrix(hessian_values, scales)
+        multipliers = ca.vertcat(s.objective_scale * sigma, s.row_scales * lam)
+        f, gradient = self.objective.values_and_jacobian(*arguments)
+        g, jacobian = self.constraints.values_and_jacobian(*arguments)
+        hessian = self.program.hessian(*arguments, multipliers)
+        n, m = self.n_variables, self.n_constraints
+        _, columns = self.objective.jacobian_pattern
+        scaled = gradient * s.objective_scale * s.scales[columns.tolist()]
+        gradient = ca.densify(_sparse(n, 1, columns, 0 * columns, scaled))
+        rows, columns = self.constraints.jacobian_pattern
+        # vec: of a vector of one entry CasADi picks a row.
+        scaled = jacobian * ca.vec(s.row_scales[rows.tolist()]) * s.scales[columns.tolist()]
+        jacobian = _sparse(m, n, rows, columns, scaled)
+        rows, columns = self.program.hessian_pattern
+        hessian = _sparse(n, n, rows, columns, hessian * s.scales[rows.tolist()] * s.scales[columns.tolist()])
+        point, names = [s.x, s.p], ["x", "p"]
         return NlpProblem(
-            x=x,
-            p=p_symbol,
-            f=f,
-            g=g,
-            grad_f=ca.Function("nlp_grad_f", [x, p_symbol], [f, gradient], ["x", "p"], ["f", "grad_f_x"]),
-            jac_g=ca.Function("nlp_jac_g", [x, p_symbol], [g, jacobian], ["x", "p"], ["g", "jac_g_x"]),
+            x=s.x,
+            p=s.p,
+            f=s.objective_scale * self.objective.values(*arguments),
+            g=s.row_scales * self.constraints.values(*arguments),
+            grad_f=ca.Function("nlp_grad_f", point, [s.objective_scale * f, gradient], names, ["f", "grad_f_x"]),
+            jac_g=ca.Function("nlp_jac_g", point, [s.row_scales * g, jacobian], names, ["g", "jac_g_x"]),
             hess_lag=ca.Function(
                 "nlp_hess_l",
-                [x, p_symbol, sigma, lam],
+                [*point, sigma, lam],
                 [hessian],
-                ["x", "p", "lam_f", "lam_g"],
+                [*names, "lam_f", "lam_g"],
                 ["triu_hess_gamma_x_x"],
             ),
         )
 
-    @cached_property
-    def physical(self) -> Any:
-        """Function (x, model parameters and fixed times) -> ((f, g), nonzeros of its Jacobian), unscaled."""
-        x, times = self._symbols[:2]
-        numbers = [*self._model_parameters.values(), times]
-        stacked = ca.MX.sym("numbers", sum(s.size1() for s in numbers))
-        pieces = ca.vertsplit(stacked, np.concatenate([[0], np.cumsum([s.size1() for s in numbers])]).tolist())
-        outputs = [self.program.values(x, times), self.program.jacobian(x, times)]
-        return ca.Function("physical", [x, stacked], ca.graph_substitute(outputs, numbers, pieces))
+    def evaluate(self, problem: Problem, x: Array) -> tuple[Array, Array, Array]:
+        """Return rows (n_constraints,), objective gradient (n_variables,) and Jacobian nonzeros, all physical."""
+        ones = np.ones(self.n_variables), np.ones(self.n_constraints)
+        p = self.parameter_vector(problem, *ones, 1.0)
+        (_, gradient), (g, jacobian) = self.nlp.grad_f(x, p), self.nlp.jac_g(x, p)
+        return g.full().ravel(), gradient.full().ravel(), np.asarray(jacobian.nonzeros())
 
     def numbers(self, problem: Problem) -> Array:
-        """Model parameters and fixed times of a problem, as `physical` takes them."""
+        """Model parameters and fixed times of a problem."""
         models = [leg.model.parameter_values for leg in problem.phases.values()]
         return np.concatenate([*models, self.fixed_times(problem)])
-
-    def _split_jacobian(self, nonzeros: Any, scales: Any, output_scales: Any) -> tuple[Any, Any]:
-        rows, columns = self.program.jacobian_pattern
-        scaled = nonzeros * output_scales[rows.tolist()] * scales[columns.tolist()]
-        objective, others = np.flatnonzero(rows == 0), np.flatnonzero(rows > 0)
-        gradient = _sparse(self.n_variables, 1, columns[objective], 0 * objective, scaled[objective.tolist()])
-        jacobian = _sparse(
-            self.n_constraints, self.n_variables, rows[others] - 1, columns[others], scaled[others.tolist()]
-        )
-        return ca.densify(gradient), jacobian
-
-    def _hessian_matrix(self, nonzeros: Any, scales: Any) -> Any:
-        rows, columns = self.program.hessian_pattern
-        scaled = nonzeros * scales[rows.tolist()] * scales[columns.tolist()]
-        return _sparse(self.n_variables, self.n_variables, rows, columns, scaled)
 
     # --- numbers ----------------------------------------------------------------------------------
 
@@ -355,7 +345,7 @@ class Transcription:
 
     def fixed_times(self, problem: Problem) -> Array:
         """Initial and final time of each phase where fixed, else 0, shape (2 * n_phases,)."""
-        times = [_times(leg)[end] for leg in problem.phases.values() for end in (0, 1)]
+        times = [leg.times()[end] for leg in problem.phases.values() for end in (0, 1)]
         return np.asarray([t.lower[0] if t.fixed[0] else 0.0 for t in times])
 
     def variable_interval(self, problem: Problem) -> Interval:
@@ -379,9 +369,10 @@ class Transcription:
             self._hold_controls(box, leg, collocation)
         for places, values in ((collocation.boundary_states[:, 0], numbers.initial),
                                (collocation.boundary_states[:, -1], numbers.final)):  # fmt: skip
-            box.lower[places] = np.maximum(box.lower[places], values.lower)
-            box.upper[places] = np.minimum(box.upper[places], values.upper)
-        for place, time in zip(part.times[[0, -1]], _times(leg), strict=True):
+            # Not max and min: a value that rounding puts beyond a bound must not cross it.
+            lower, upper = box.lower[places], box.upper[places]
+            box.lower[places], box.upper[places] = np.clip(values.lower, lower, upper), np.clip(values.upper, lower, upper)
+        for place, time in zip(part.times[[0, -1]], leg.times(), strict=True):
             if place < self.n_variables:
                 box.lower[place], box.upper[place] = time.lower[0], time.upper[0]
 
@@ -422,6 +413,11 @@ class Transcription:
             return 0.0
         return float(lam_g[self._first_end_row + self._durations.index(phase)])
 
+    @property
+    def end_rows(self) -> dict[str, int]:
+        """Rows of durations, arc lengths, boundary constraints and integrals, by their names."""
+        return {label: self._first_end_row + i for i, label in enumerate(self._end_labels)}
+
     @cached_property
     def row_labels(self) -> tuple[str, ...]:
         """The name of every constraint row."""
@@ -459,13 +455,7 @@ def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> 
 
 def time_is_fixed(leg: Phase, end: int) -> bool:
     """Whether the phase's initial (0) or final (1) time is a given number."""
-    return bool(_times(leg)[end].fixed[0])
-
-
-def _times(leg: Phase) -> tuple[Interval, Interval]:
-    initial, final = leg.numbers.initial_time, leg.numbers.final_time
-    assert initial is not None and final is not None, "check_problem refuses phases without times"
-    return initial, final
+    return bool(leg.times()[end].fixed[0])
 
 
 def _sparse(n_rows: int, n_columns: int, rows: Indices, columns: Indices, nonzeros: Any) -> Any:

@@ -23,7 +23,8 @@ class Quality:
     Attributes
     ----------
     max_defect : float
-        Largest integral over a segment of |dx/dt - f(t, x, u)|, relative to the state's magnitude.
+        Largest integral over a segment of |dx/dt - f(t, x, u)|, jump to the next segment included, relative to the
+        state's magnitude.
     max_bound_violation : float
         Largest overshoot of a bound or path constraint between nodes, relative to the range of the bounds
         (or the magnitude of the quantity).
@@ -71,11 +72,14 @@ def measure_quality(solution: Solution) -> Quality:
 
 
 def worst_defect(samples: PhaseSamples) -> Worst:
-    """Return the worst defect between nodes, along the control polynomial."""
+    """Return the worst defect between nodes, along the control polynomial, or jump between segments."""
     rates = samples.functions.rates(samples.times, samples.x, samples.u_polynomial)
     errors = samples.per_segment(samples.x_rate - rates) / samples.state_scale[:, None]
+    leg, inner = samples.leg, samples.leg.breaks[1:-1]
+    if inner.size:
+        errors[:, :-1] += np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / samples.state_scale[:, None]
     i, k = worst_index(errors)
-    return Worst(float(errors[i, k]), samples.segment_place(k, samples.leg.states.labels[i]))
+    return Worst(float(errors[i, k]), samples.segment_place(k, leg.states.labels[i]))
 
 
 def worst_bound_violation(samples: PhaseSamples) -> Worst:

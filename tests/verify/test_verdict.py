@@ -249,3 +249,10 @@ def test_unknown_condition_and_wrong_arguments_are_refused(energy: go.Solution) 
         go.verify(minimum_energy())  # type: ignore[arg-type]
     with pytest.raises(go.GncOptError, match="without its problem"):
         go.verify(replace(energy, problem=None))
+
+
+def test_state_jump_between_segments_fails(energy: go.Solution) -> None:
+    x = energy.phase().x
+    shifted = (x.values[0], x.values[1] + 0.01, *x.values[2:])
+    wrong = with_leg(energy, x=PiecewisePolynomial(x.breaks, x.nodes, shifted))
+    assert "dynamics" in failed(wrong)

@@ -1,0 +1,253 @@
+"""Solve a set of optimal control problems from a JSON file, each at default settings, and tabulate the results.
+
+    python -m benchmarks.ocp_set FILE.json [--only NAME ...] [--core] [--mesh 20x4] [--scheme LG] [--json OUT]
+
+Every problem starts from its straight-line guess; nothing is tuned to a single one. A problem passes when it is
+solved and its objective lies within ``accept_rel_tol`` of the reference; an ill-posed one when it ends with the
+report that its ``expect`` asks for. Failures are listed like the rest, and an exception in one problem does not
+stop the others.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+import gnc_opt as go
+from benchmarks.ocp_expressions import ExpressionError
+from benchmarks.ocp_json import build_problem, read_documents
+from benchmarks.ocp_reference import costate_error_along, initial_costate_error, relative_error
+
+WALL_TIME = 60.0
+"""Limit on the solver's time for one problem, s."""
+
+ACCEPT = 1e-5
+"""Relative error of the objective that passes where the file gives none."""
+
+INPUT_ERROR, CRASH = "input_error", "crash"
+
+_SHORT = {
+    "dynamics": "dyn", "propagation": "prop", "bounds": "bnd", "path constraints": "path",
+    "boundary conditions": "ends", "cost": "cost", "adjoint equation": "adj", "transversality": "trans",
+    "Hamiltonian": "H", "stationarity": "stat", "control signs": "sign", "minimum principle": "min",
+    "complementarity": "compl", "Legendre-Clebsch": "LC", "singular arcs": "sing", "parameters": "par",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one problem; written to the JSON output as it stands.
+
+    Attributes
+    ----------
+    name : str
+    reference : float or None
+    objective : float or None
+        None unless the problem was solved.
+    relative_error : float or None
+        Absolute where the reference is 0.
+    status : str
+        Of the solve, or "input_error" if gnc_opt or the reader refused the problem, or "crash".
+    verdict_ok : bool or None
+    seconds : float
+        Build and solve.
+    passed : bool
+    iterations : int or None
+    worst_costate_error : float or None
+        At the start, against ``dJ_dx0``; see `benchmarks.ocp_reference`.
+    costate_error_along : float or None
+        Mean over time against the reference trajectory.
+    expect : str or None
+        What an ill-posed problem should end with.
+    failed, untold : tuple of str
+        Conditions of the verdict that fail, and that cannot be told.
+    message : str
+        Of the error, or of a solve without success.
+    verify_seconds : float or None
+    """
+
+    name: str
+    reference: float | None
+    objective: float | None = None
+    relative_error: float | None = None
+    status: str = CRASH
+    verdict_ok: bool | None = None
+    seconds: float = 0.0
+    passed: bool = False
+    iterations: int | None = None
+    worst_costate_error: float | None = None
+    costate_error_along: float | None = None
+    expect: str | None = None
+    failed: tuple[str, ...] = ()
+    untold: tuple[str, ...] = ()
+    message: str = ""
+    verify_seconds: float | None = None
+
+
+def run(
+    document: Mapping[str, Any], solutions: Path, *, mesh: str | None = None, scheme: str = "LG"
+) -> tuple[Outcome, go.Solution | None]:
+    """Build, solve, verify and compare one problem; exceptions end in the outcome."""
+    found: dict[str, Any] = {"name": document["name"], "reference": document.get("reference")}
+    found["expect"] = document.get("expect")
+    solution = None
+    begin = time.perf_counter()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", go.ProblemWarning)
+            problem = build_problem(document)
+            options = go.SolverOptions(max_wall_time=WALL_TIME)
+            solution = go.solve(problem, mesh=mesh, scheme=scheme, options=options, throw=False)  # type: ignore[arg-type]
+        found["seconds"] = time.perf_counter() - begin
+        found |= _solved(document, solution, solutions)
+    except (ExpressionError, go.GncOptError) as error:
+        found |= {"status": INPUT_ERROR if solution is None else CRASH, "message": str(error)}
+    except Exception as error:  # an exception in one problem must not stop the others
+        found |= {"status": CRASH, "message": f"{type(error).__name__}: {error}"}
+    found.setdefault("seconds", time.perf_counter() - begin)
+    outcome = Outcome(**found)
+    passed = judge_ill_posed(document, outcome) if outcome.expect else _passed(document, outcome)
+    return Outcome(**{**found, "passed": passed}), solution
+
+
+def _solved(document: Mapping[str, Any], solution: go.Solution, solutions: Path) -> dict[str, Any]:
+    found: dict[str, Any] = {"status": solution.status.value, "iterations": solution.statistics.iterations}
+    if not solution.status.solved:
+        worst = [f"{v.name} (off by {v.amount:.2g})" for v in solution.violations[:1]]
+        return found | {"message": "; ".join([solution.status.remedy, *worst])}
+    found["objective"] = solution.objective
+    if document.get("reference") is not None:
+        found["relative_error"] = relative_error(solution.objective, document["reference"])
+    begin = time.perf_counter()
+    verdict = go.verify(solution)
+    found["verify_seconds"] = time.perf_counter() - begin
+    for key, result in (("failed", go.Result.FAIL), ("untold", go.Result.CANNOT_TELL)):
+        found[key] = tuple(c.name for c in verdict.conditions if c.result is result)
+    found["verdict_ok"] = verdict.ok
+    found["worst_costate_error"] = initial_costate_error(document, solution)
+    found["costate_error_along"] = costate_error_along(solutions / f"{document['name']}.json", solution)
+    return found
+
+
+def _passed(document: Mapping[str, Any], outcome: Outcome) -> bool:
+    return outcome.relative_error is not None and outcome.relative_error <= document.get("accept_rel_tol", ACCEPT)
+
+
+def judge_ill_posed(document: Mapping[str, Any], outcome: Outcome) -> bool:
+    """Whether a problem that has no proper solution ended with the report that its sheet asks for.
+
+    The categories of the sheet decide; its ``expect`` sentence is for people.
+    """
+    category = set(document.get("category", []))
+    refused, solved = outcome.status == INPUT_ERROR, outcome.objective is not None
+    if outcome.status == CRASH:
+        return False
+    if "input-error" in category:
+        return refused and _names_the_culprit(outcome)
+    if "nan" in category:
+        return refused or outcome.status == go.Status.NOT_A_NUMBER.value
+    if category & {"infeasible", "unbounded"}:
+        return not solved
+    if "not-attained" in category:
+        return not solved or outcome.verdict_ok is False
+    return _passed(document, outcome)
+
+
+def _names_the_culprit(outcome: Outcome) -> bool:
+    """Whether the message quotes the symbol that the sheet gives in parentheses, if it gives one."""
+    expect = outcome.expect or ""
+    symbol = expect.partition("(")[2].partition(")")[0]
+    return not symbol.isidentifier() or f"'{symbol}'" in outcome.message
+
+
+def table(outcomes: Iterable[Outcome]) -> Table:
+    """Return the results as a rich table."""
+    outcomes = list(outcomes)
+    passed = sum(o.passed for o in outcomes)
+    shown = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=f"{passed} of {len(outcomes)} problems pass")
+    shown.add_column("problem", no_wrap=True)
+    for heading in ("reference", "ours", "rel. error", "it.", "time/s", "lam(t0)", "lam(t)"):
+        shown.add_column(heading, justify="right", no_wrap=True)
+    shown.add_column("verdict")
+    shown.add_column("", no_wrap=True)
+    for o in outcomes:
+        shown.add_row(
+            o.name,
+            _number(o.reference, ".9g"),
+            _number(o.objective, ".9g"),
+            _number(o.relative_error, ".1e"),
+            _number(o.iterations, "d"),
+            _number(o.seconds, ".2f"),
+            _number(o.worst_costate_error, ".0e"),
+            _number(o.costate_error_along, ".0e"),
+            _verdict(o),
+            "[green]pass[/]" if o.passed else "[bold red]FAIL[/]",
+        )
+    return shown
+
+
+def _verdict(outcome: Outcome) -> str:
+    if outcome.objective is None:
+        return outcome.status
+    words = "ok" if outcome.verdict_ok else " ".join(_SHORT.get(name, name) for name in outcome.failed)
+    prefix = "" if outcome.status == go.Status.OPTIMAL.value else f"{outcome.status}; "
+    untold = "".join(f" ?{_SHORT.get(name, name)}" for name in outcome.untold)
+    return prefix + (words or "-") + untold
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.ocp_set", description=__doc__.split("\n")[0])
+    parser.add_argument("file", type=Path, help="problems in JSON; reference trajectories are looked for in solutions/")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="solve these problems")
+    parser.add_argument("--core", action="store_true", help="solve the problems marked as core")
+    parser.add_argument("--mesh", help='e.g. "20x4" (default: that of solve)')
+    parser.add_argument("--scheme", default="LG", choices=("LG", "LGR", "LGL"))
+    parser.add_argument("--json", type=Path, metavar="OUT", help="write the outcomes to this file")
+    return parser.parse_args(argv)
+
+
+def _chosen(documents: list[dict[str, Any]], arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    if arguments.only:
+        unknown = set(arguments.only) - {d["name"] for d in documents}
+        if unknown:
+            raise SystemExit(f"{arguments.file} has no problem named {', '.join(sorted(unknown))}.")
+        documents = [d for d in documents if d["name"] in arguments.only]
+    return [d for d in documents if d.get("core")] if arguments.core else documents
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the set; return 0 if every problem passes, else 1."""
+    arguments = _arguments(argv)
+    console = Console()
+    outcomes: list[Outcome] = []
+    chosen = _chosen(read_documents(arguments.file), arguments)
+    with console.status("") as status:
+        for i, document in enumerate(chosen, 1):
+            status.update(f"{i} of {len(chosen)}: {document['name']}")
+            outcome, _ = run(document, arguments.file.parent / "solutions", mesh=arguments.mesh, scheme=arguments.scheme)
+            outcomes.append(outcome)
+    console.print(table(outcomes))
+    for outcome in outcomes:
+        if outcome.message:
+            console.print(f"{outcome.name}: {outcome.message}", markup=False, highlight=False)
+    if arguments.json:
+        arguments.json.write_text(json.dumps([asdict(o) for o in outcomes], indent=1) + "\n", encoding="utf-8")
+    return 0 if all(o.passed for o in outcomes) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

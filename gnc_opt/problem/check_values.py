@@ -1,0 +1,232 @@
+"""Trying every function of a problem, and its derivatives, at the guess: is everything finite there?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.errors import ProblemError
+from gnc_opt.model.layout import Array
+from gnc_opt.problem.interval import Interval, intersect
+from gnc_opt.problem.phase import Phase
+from gnc_opt.problem.problem import Problem
+from gnc_opt.problem.symbols import parameter_arguments
+from gnc_opt.transcription.guess import start_phase
+from gnc_opt.transcription.scaling import phase_magnitudes
+
+T = TypeVar("T")
+
+_FRACTIONS = (np.arange(11) + 0.5) / 11
+"""Where functions are tried, as fractions of a phase: not at its ends, where Gauss has no points."""
+
+_PUSH = 1e-2
+"""How far (scaled) the guess is moved off bounds before functions are tried; IPOPT does the same."""
+
+_FEW = 12
+"""Up to so many variables a message shows the point at which a function is not finite."""
+
+
+def check_values(problem: Problem) -> None:
+    """Raise `ProblemError` for a function or derivative that is not finite at the guess, and say where."""
+    ends: list[Any] = []
+    for leg in problem.phases.values():
+        ends += _check_along(problem, leg)
+    _check_ends(problem, ends)
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """Functions of one kind, their values (rows, times) and derivatives (rows, columns, times)."""
+
+    what: str
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    values: Array
+    derivatives: Array
+
+    @classmethod
+    def at(cls, what: str, rows: tuple[str, ...], columns: tuple[str, ...], outputs: Any) -> _Tried:
+        values, jacobian = (np.asarray(output.full()) for output in outputs)
+        shape = (len(rows), len(columns), values.shape[1])
+        return cls(what, rows, columns, values, jacobian.reshape(shape, order="F"))
+
+    def first_bad(self) -> tuple[str, int] | None:
+        """What is not finite, and which of the times is the first one."""
+        bad = np.argwhere(~np.isfinite(self.values))
+        if bad.size:
+            row, time = bad[np.argmin(bad[:, 1])]
+            return f"{self.what} '{self.rows[row]}' is {self.values[row, time]}", int(time)
+        bad = np.argwhere(~np.isfinite(self.derivatives))
+        if bad.size:
+            row, column, time = bad[np.argmin(bad[:, 2])]
+            slope = (
+                f"the derivative of {self.what} '{self.rows[row]}' with respect to '{self.columns[column]}'"
+            )
+            return f"{slope} is {self.derivatives[row, column, time]}", int(time)
+        return None
+
+
+@dataclass(frozen=True)
+class NotFinite:
+    """A function or derivative that is NaN or infinite: what, when (s), at which states and controls."""
+
+    what: str
+    time: float
+    point: Mapping[str, float]
+
+
+def first_not_finite(
+    problem: Problem, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
+) -> NotFinite | None:
+    """Return the first function along a phase that is not finite, or has a derivative that is not.
+
+    Parameters
+    ----------
+    times : array (N,)
+    states, controls : array (n_states, N), (n_controls, N)
+    parameters : array (n_free_parameters,)
+    """
+    for tried in _try_along(problem, leg, times, states, controls, parameters).values():
+        bad = tried.first_bad()
+        if bad:
+            labels = (*leg.model.states.labels, *leg.model.controls.labels)
+            values = (*states[:, bad[1]], *controls[:, bad[1]])
+            return NotFinite(bad[0], float(times[bad[1]]), dict(zip(labels, values, strict=True)))
+    return None
+
+
+def _try_along(
+    problem: Problem, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
+) -> dict[str, _Tried]:
+    columns = (*leg.model.states.labels, *leg.model.controls.labels, *problem.parameters.labels)
+    tried = {}
+    for what, rows, function in _functions_along(problem, leg):
+        outputs = function(times.reshape(1, -1), states, controls, leg.model.parameter_values, parameters)
+        tried[what] = _Tried.at(what, rows, columns, outputs)
+    return tried
+
+
+def _check_along(problem: Problem, leg: Phase) -> list[Any]:
+    """Try what varies along a phase; return its arguments of the cost and the boundary constraints."""
+    numbers, q = leg.numbers, _parameter_guess(problem)
+    start = start_phase(leg, np.array([0.0, *_FRACTIONS, 1.0]))
+    span = start.times[1] - start.times[0]
+    times = start.times[0] + _FRACTIONS * span
+    state_scales, control_scales = phase_magnitudes(leg)
+    states = _inside(start.states[:, 1:-1], numbers.states, state_scales)
+    controls = _inside(start.controls[:, 1:-1], numbers.controls, control_scales)
+    bad = first_not_finite(problem, leg, times, states, controls, q)
+    if bad:
+        raise _not_finite(f"{bad.what} at the guess in {leg.where} at t = {bad.time:.4g} s", bad.point)
+    integrands = _try_along(problem, leg, times, states, controls, q).get("integral")
+    integrals = np.zeros(0) if integrands is None else integrands.values.mean(axis=1) * span
+    first = _inside(start.states[:, :1], intersect(numbers.initial, numbers.states), state_scales)
+    last = _inside(start.states[:, -1:], intersect(numbers.final, numbers.states), state_scales)
+    return [first, last, start.times[0], start.times[1], integrals, leg.model.parameter_values]
+
+
+def _check_ends(problem: Problem, ends: list[Any]) -> None:
+    """Try the cost and the boundary constraints at the end points of the guess."""
+    for what, rows, columns, function in _functions_at_ends(problem):
+        tried = _Tried.at(what, rows, columns, function(*ends, _parameter_guess(problem)))
+        bad = tried.first_bad()
+        if bad:
+            raise _not_finite(f"{bad[0]} at the end points of the guess", {})
+
+
+def _inside(values: Array, bounds: Interval, scales: Array) -> Array:
+    """Move values (n, N) into the bounds (n,) and, where those leave room, a little off them."""
+    lower, upper = bounds.lower, np.maximum(bounds.lower, bounds.upper)
+    push = _PUSH * np.minimum(np.where(np.isfinite(upper - lower), upper - lower, np.inf), scales)
+    return np.clip(values, (lower + push)[:, None], (upper - push)[:, None])
+
+
+def _parameter_guess(problem: Problem) -> Array:
+    return np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
+
+
+def _functions_along(problem: Problem, leg: Phase) -> list[tuple[str, tuple[str, ...], Any]]:
+    """Kind, names and function (t, x, u, p, q) -> values, Jacobian of dynamics, paths and integrands."""
+    t, x, u, p = leg.model.arguments()
+    q = problem.parameter_symbols()
+    kinds = (
+        ("the rate of state", leg.model.states.labels, leg.model.derivative()),
+        ("path constraint", leg.path_labels, leg.path_expression()),
+        ("integral", tuple(leg.integrands), leg.integrand_expression()),
+    )
+
+    def build() -> list[tuple[str, tuple[str, ...], Any]]:
+        return [
+            (what, rows, _with_jacobian(problem.bind(leg, expression), ca.vertcat(x, u, q), [t, x, u, p, q]))
+            for what, rows, expression in kinds
+            if rows
+        ]
+
+    return _once(problem, ("check", leg.name), build)
+
+
+def _functions_at_ends(problem: Problem) -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
+    """Kind, names, variables and function of the cost and of the boundary constraints."""
+
+    def build() -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
+        arguments: list[Any] = []
+        variables: list[Any] = []
+        columns: list[str] = []
+        for leg, parameters in zip(problem.phases.values(), parameter_arguments(problem), strict=True):
+            own = [
+                leg.ends("initial"),
+                leg.ends("final"),
+                leg.initial_time,
+                leg.final_time,
+                leg.integral_symbols(),
+            ]
+            variables += own
+            arguments += [*own, parameters]
+            columns += [
+                f"{end} {label} of {leg.name}"
+                for end in ("initial", "final")
+                for label in leg.model.states.labels
+            ]
+            columns += [f"{end} time of {leg.name}" for end in ("initial", "final")]
+            columns += [f"integral {label} of {leg.name}" for label in leg.integrands]
+        q = problem.parameter_symbols()
+        columns += problem.parameters.labels
+        kinds = (
+            ("the cost of problem", (problem.name,), problem.cost),
+            ("constraint", problem.constraint_labels(), problem.constraint_expression()),
+        )
+        built = []
+        for what, rows, expression in kinds:
+            for leg in problem.phases.values():
+                expression = problem.bind(leg, expression)
+            if rows:
+                function = _with_jacobian(expression, ca.vertcat(*variables, q), [*arguments, q])
+                built.append((what, rows, tuple(columns), function))
+        return built
+
+    return _once(problem, "check ends", build)
+
+
+def _once(problem: Problem, key: Any, build: Callable[[], T]) -> T:
+    """Return what was built for this problem, or its variations with other numbers, before."""
+    if key not in problem.builds:
+        problem.builds[key] = build()
+    built: T = problem.builds[key]
+    return built
+
+
+def _with_jacobian(expression: Any, variables: Any, arguments: list[Any]) -> Any:
+    jacobian = ca.densify(ca.jacobian(expression, variables))
+    return ca.Function("check", arguments, [ca.densify(expression), ca.vec(jacobian)])
+
+
+def _not_finite(what: str, point: Mapping[str, float]) -> ProblemError:
+    shown = ", ".join(f"{name} = {value:.4g}" for name, value in point.items()) if len(point) <= _FEW else ""
+    return ProblemError(
+        f"{what}{f' ({shown})' if shown else ''}: give another guess(), or bounds that keep away from the "
+        "singularity."
+    )

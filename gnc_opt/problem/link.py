@@ -1,0 +1,53 @@
+"""Linkages: a phase continues where another one ends."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
+
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect
+from gnc_opt.errors import ProblemError, shown
+from gnc_opt.model.layout import as_vector
+from gnc_opt.problem.phase import Phase
+
+if TYPE_CHECKING:
+    from gnc_opt.problem.problem import Problem
+
+
+def link_phases(
+    problem: Problem,
+    first: Phase,
+    second: Phase,
+    states: Iterable[str] | None,
+    time: bool,
+    jump: Mapping[str, ArrayLike] | None,
+) -> None:
+    """Add the constraints ``link_<first>_<second>_<state>`` and ``..._time``; see ``Problem.link``."""
+    label = f"link_{first.name}_{second.name}"
+    if time and first is second:
+        raise ProblemError(
+            f"{label} of problem '{problem.name}' takes no time: link a phase to itself with time=False."
+        )
+    shared = [name for name in first.model.states.names if name in second.model.states]
+    names = shared if states is None else _state_names(states, f"the states of {label}")
+    jumps = {} if jump is None else expect(jump, Mapping, f"the jump of {label}", 'write jump={"m": -100.0}')
+    for name in dict.fromkeys([*names, *jumps]):
+        start, end = second.initial_state(name), first.final_state(name)
+        if start.shape != end.shape:
+            raise ProblemError(
+                f"{label} of problem '{problem.name}' joins state '{name}' of {end.shape[0]} components to "
+                "one of "
+                f"{start.shape[0]}: leave it out of states=[...] and constrain() its components."
+            )
+        value = as_vector(jumps.get(name, 0.0), start.shape[0], f"the jump of '{name}' in {label}")
+        problem.constrain(f"{label}_{name}", start - end, equals=value)
+    if time:
+        problem.constrain(f"{label}_time", second.initial_time - first.final_time, equals=0.0)
+
+
+def _state_names(states: Iterable[str], what: str) -> list[str]:
+    if isinstance(states, (list, tuple, set, frozenset)) and all(isinstance(name, str) for name in states):
+        return list(states)
+    raise ProblemError(f"{what} are {shown(states)}: give a list of names.")

@@ -1,0 +1,1 @@
+"""Refinement: meshes, control structure, exact switch times."""

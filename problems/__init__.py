@@ -1,0 +1,1 @@
+"""Problems with known answers: one module each, with ``build()``, ``REFERENCE`` and ``main()``."""

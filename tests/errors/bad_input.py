@@ -1,0 +1,105 @@
+"""What the tests of bad input share: a decorator that states the expected error, and healthy problems."""
+
+from __future__ import annotations
+
+import functools
+import linecache
+import traceback
+from collections.abc import Callable
+
+import pytest
+
+import gnc_opt as go
+
+WRONG = "# wrong"
+"""Marks the line of a test at which the error must be raised."""
+
+LONGEST = 420
+"""A message is one sentence: no more characters than this."""
+
+
+def mistake(
+    error: type[go.GncOptError], *fragments: str
+) -> Callable[[Callable[[], object]], Callable[[], None]]:
+    """Make a script with one wrong line into a test.
+
+    The script must raise ``error`` at the line marked ``# wrong``, and the message must hold all fragments,
+    be one sentence on one line, and end with a remedy or a question.
+    """
+
+    def decorate(script: Callable[[], object]) -> Callable[[], None]:
+        @functools.wraps(script)
+        def test() -> None:
+            with pytest.raises(error) as caught:
+                script()
+            line = last_line(caught.value, script.__code__.co_filename)
+            assert WRONG in line, f"raised at: {line}"
+            assert_clear(str(caught.value), *fragments)
+
+        return test
+
+    return decorate
+
+
+def assert_clear(message: str, *fragments: str) -> None:
+    """Check the form of a message and that it names what it should."""
+    for fragment in fragments:
+        assert fragment in message, message
+    assert "\n" not in message and len(message) <= LONGEST, message
+    assert message.endswith((".", "?")), message
+    assert ":" in message or "," in message, f"no remedy: {message}"
+
+
+def last_line(error: BaseException, file: str) -> str:
+    """Return the innermost line of a file that an error came through."""
+    lines = [f.lineno or 0 for f in traceback.extract_tb(error.__traceback__) if f.filename == file]
+    return linecache.getline(file, lines[-1])
+
+
+def cart() -> go.Model:
+    """Double integrator."""
+    model = go.Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    return model
+
+
+def ship() -> go.Model:
+    """A model with vectors of two and three components and a parameter."""
+    model = go.Model("ship")
+    r, w = model.state("r", 3), model.state("w", 2)
+    force, tilt = model.control("force", 3), model.control("tilt", 2)
+    mass = model.parameter("mass", 2.0)
+    model.ode({r: force / mass, w: tilt})
+    return model
+
+
+def rest_to_rest(time: tuple[float, float] | float = 1.0) -> tuple[go.Problem, go.Phase]:
+    """Return a problem that solves, and its only phase "leg"."""
+    model = cart()
+    problem = go.Problem("rest to rest")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=time)
+    leg.initial(q=1.0, v=0.0)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(a=(-10.0, 10.0))
+    problem.minimize(leg.integral(model.symbol("a") ** 2, name="effort"))
+    return problem, leg
+
+
+def voyage() -> tuple[go.Problem, go.Phase]:
+    """Return an unfinished problem on `ship`, and its phase "leg"."""
+    problem = go.Problem("voyage")
+    return problem, problem.phase("leg", ship())
+
+
+def scalar(name: str = "decay") -> tuple[go.Model, go.Problem, go.Phase]:
+    """Return dx/dt = u with a phase from 0 to 1 s that starts at x = 1."""
+    model = go.Model(name)
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem(name)
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=1.0)
+    return model, problem, leg

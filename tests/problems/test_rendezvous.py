@@ -1,0 +1,317 @@
+"""The rendezvous: reference times, structure, symmetry, traps, orbital model, report."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+import gnc_opt as go
+from gnc_opt.spacecraft import MU_EARTH, RADIUS_EARTH, hill_acceleration, mean_motion
+from problems import rendezvous
+
+Array = NDArray[np.float64]
+
+ORBIT_RADIUS = RADIUS_EARTH + rendezvous.ALTITUDE
+
+
+@pytest.fixture(scope="module")
+def case_1() -> go.Solution:
+    return go.solve(rendezvous.build(), mesh=rendezvous.MESH)
+
+
+# --- reference values -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("equation", rendezvous.EQUATIONS)
+@pytest.mark.parametrize("case", rendezvous.CASES)
+def test_minimum_time_on_the_papers_mesh(case: int, equation: rendezvous.Equation) -> None:
+    solution = go.solve(rendezvous.build(case, equation), mesh=rendezvous.MESH)
+    reference = rendezvous.REFERENCE[case, equation]["20x3"]
+    assert solution.status is go.Status.OPTIMAL
+    # 2e-4 s also covers the two solvers' bound relaxation and stopping tolerances (about 2e-6 s here).
+    assert solution.objective == pytest.approx(reference.value, abs=reference.tolerance)
+    assert solution.statistics.iterations <= 100  # measured: 25 to 52
+
+
+@pytest.mark.parametrize("case", [1, 3, 4])
+def test_the_papers_gpm_times_where_it_found_the_best_minimum(case: int) -> None:
+    known = rendezvous.REFERENCE[case, "printed"]
+    assert known["20x3"].value == pytest.approx(known["paper GPM"].value, abs=known["paper GPM"].tolerance)
+
+
+def test_size_of_the_program_is_the_papers(case_1: go.Solution) -> None:
+    leg = case_1.phase()
+    states, controls, points, segments = 12, 6, leg.mesh.size, leg.mesh.segments
+    assert (points + segments + 1) * states + points * controls + 1 == 1333
+    assert case_1.problem is not None
+    transcription = next(b for b in case_1.problem.builds.values() if type(b).__name__ == "Transcription")
+    assert (transcription.n_variables, transcription.n_constraints) == (1333, 960)
+
+
+def test_parameters_of_the_chaser_can_be_dispersed_without_a_new_build() -> None:
+    """A heavier chaser needs more time; scaling inertia and torque together changes nothing."""
+    problem = rendezvous.build(3)
+    nominal = go.solve(problem, mesh=rendezvous.MESH)
+    heavy = go.solve(problem.with_parameters(mass=1.1 * rendezvous.MASS), mesh=rendezvous.MESH)
+    assert heavy.statistics.build_reused
+    assert heavy.objective > nominal.objective + 0.1
+    scaled = problem.with_parameters(inertia=2 * np.array(rendezvous.INERTIA)).with_bounds(
+        T_B=(-2 * rendezvous.MAX_TORQUE, 2 * rendezvous.MAX_TORQUE)
+    )
+    # Same problem in other units of torque: equal up to the solver's tolerance.
+    assert go.solve(scaled, mesh=rendezvous.MESH).objective == pytest.approx(nominal.objective, abs=1e-6)
+
+
+# --- structure ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("case", rendezvous.CASES)
+def test_switch_times_steer_the_chaser_to_its_target(case: int) -> None:
+    """The tabulated bang-bang controls, integrated as they stand, meet the final state.
+
+    The times are rounded by up to 5e-7 s: 19 of them, each worth 0.2 m/s^2 or 0.04 rad/s^2 over up to 26 s,
+    leave less than 1e-4 m, m/s, rad or rad/s.
+    """
+    problem = rendezvous.build(case)
+    edges = (
+        np.array(rendezvous.switch_mesh(case).breaks) * rendezvous.REFERENCE[case, "printed"]["exact"].value
+    )
+    limits = np.repeat([rendezvous.MAX_TORQUE, rendezvous.MAX_FORCE], 3)
+    controls: Array = limits[:, None] * rendezvous.switch_arcs(case)
+    model = problem.get_phase().model
+    x = np.concatenate([np.zeros(9), rendezvous.CASES[case]])
+    for k in range(edges.size - 1):
+        u = controls[:, k]
+
+        def rate(t: float, x: Array, u: Array = u) -> Array:
+            return model.f(t, x, u)
+
+        x = solve_ivp(rate, edges[k : k + 2], x, method="DOP853", rtol=1e-11, atol=1e-11).y[:, -1]
+    target = np.concatenate([np.zeros(3), rendezvous.FINAL_SIGMA, np.zeros(3), rendezvous.FINAL_POSITION])
+    np.testing.assert_allclose(x, target, atol=1e-4)
+
+
+@pytest.mark.parametrize("case", [1, 3, 5])
+def test_movable_switches_reach_the_reference_and_pass_every_condition(case: int) -> None:
+    """The paper's mesh, then a boundary near every switch, then the switch times as variables."""
+    problem, degree = rendezvous.build(case), 8
+    coarse = go.solve(problem, mesh=rendezvous.MESH)
+    near = go.solve(
+        problem,
+        mesh=rendezvous.switch_mesh(case, degree),
+        guess=coarse,
+        options=go.SolverOptions(tolerance=1e-11),  # the barrier's share of the cost grows with the points
+    )
+    reference = rendezvous.REFERENCE[case, "printed"]["exact"]
+    # Rounding the switch times to 1e-6 s costs nothing to first order; the barrier's 4e-8 s shows.
+    assert near.objective == pytest.approx(reference.value, abs=2e-7)
+    solution = go.solve(
+        problem.with_arcs(arcs=rendezvous.switch_arcs(case)),
+        mesh=rendezvous.switch_mesh(case, degree, movable=True),
+        guess=near,
+    )
+    assert solution.objective == pytest.approx(reference.value, abs=reference.tolerance)
+    verdict = go.verify(solution)
+    assert verdict.ok, verdict.explain()
+    hamiltonian = np.asarray(solution.hamiltonian(solution.phase().sample_times(20)))
+    np.testing.assert_allclose(hamiltonian, -1.0, atol=1e-6)
+
+
+def test_verdict_on_the_papers_mesh_names_what_60_points_leave(case_1: go.Solution) -> None:
+    verdict = go.verify(case_1)
+    failed = {condition.name for condition in verdict.failed}
+    assert {"dynamics", "bounds", "Hamiltonian", "minimum principle"} <= failed
+    assert not {"boundary conditions", "control signs", "complementarity"} & failed
+    # 1 % of H: larger would be another extremal, smaller is more than a switch within a node's reach permits.
+    assert 1e-3 < verdict["Hamiltonian"].value < 5e-2
+
+
+# --- symmetry -------------------------------------------------------------------------------------------
+
+MIRROR_STATES = np.array([-1, 1, -1, -1, 1, -1, 1, -1, 1, 1, -1, 1])
+"""Mirror at the orbital plane: rates and attitude about x and z, motion along y change sign."""
+MIRROR_CONTROLS = np.array([-1, 1, -1, 1, -1, 1])
+
+
+def test_case_1_has_a_mirror_twin() -> None:
+    problem = rendezvous.build(1)
+    push = 0.1 * rendezvous.MAX_FORCE
+    one, other = (
+        go.solve(problem.with_guess(F_B=[0.0, side * push, 0.0]), mesh=rendezvous.MESH) for side in (1, -1)
+    )
+    assert one.objective == pytest.approx(other.objective, abs=1e-7)
+    t = np.linspace(0.0, min(one.objective, other.objective), 50)
+    x, twin = one.phase().x(t), other.phase().x(t)
+    assert np.max(np.abs(x[10])) > 1.0  # it leaves the orbital plane by more than a metre
+    # The cost is flat in some directions (reduced Hessian 1e-4): 1e-9 in the cost is 1e-5 in the states.
+    np.testing.assert_allclose(MIRROR_STATES[:, None] * twin, x, atol=1e-4)
+
+
+def test_dynamics_are_symmetric_about_the_orbital_plane() -> None:
+    random = np.random.default_rng(3)
+    x, u = 0.3 * random.standard_normal(12), 10 * random.standard_normal(6)
+    for equation in rendezvous.EQUATIONS:
+        model = rendezvous.chaser_model(equation)
+        np.testing.assert_allclose(
+            model.f(0.0, MIRROR_STATES * x, MIRROR_CONTROLS * u),
+            MIRROR_STATES * model.f(0.0, x, u),
+            atol=1e-15,
+        )
+
+
+def test_the_plane_of_symmetry_holds_a_saddle_that_the_default_guess_avoids(case_1: go.Solution) -> None:
+    """Confined to the plane the best is 27.185 s; that stays a KKT point when the confinement is lifted."""
+    problem = rendezvous.build(1)
+    torque, force = rendezvous.MAX_TORQUE, rendezvous.MAX_FORCE
+    confined = problem.with_bounds(
+        T_B=([0.0, -torque, 0.0], [0.0, torque, 0.0]), F_B=([-force, 0.0, -force], [force, 0.0, force])
+    )
+    planar = go.solve(confined, mesh=rendezvous.MESH)
+    assert planar.objective == pytest.approx(27.185, abs=1e-3)
+    lifted = go.solve(problem, mesh=rendezvous.MESH, guess=planar)
+    assert lifted.objective == pytest.approx(planar.objective, abs=1e-6)
+    assert not go.verify(lifted).proven
+    assert case_1.objective < planar.objective - 1.0
+
+
+# --- the singularity of the attitude parameters ---------------------------------------------------------
+
+
+def wild_guess(seed: int) -> dict[str, Any]:
+    """Trajectories that turn the attitude parameters round and round."""
+    random = np.random.default_rng(seed)
+    shape = (3, 12)
+    return {
+        "time": np.linspace(0.0, 40.0, 12),
+        "sigma": 15.0 * random.standard_normal(shape),
+        "omega": 0.3 * random.standard_normal(shape),
+        "v_L": 3.0 * random.standard_normal(shape),
+        "r_L": 20.0 * random.standard_normal(shape),
+        "T_B": rendezvous.MAX_TORQUE * random.uniform(-1, 1, shape),
+        "F_B": rendezvous.MAX_FORCE * random.uniform(-1, 1, shape),
+    }
+
+
+def spurious_solution() -> tuple[int, go.Solution]:
+    """Return the first wild start that IPOPT calls solved although sigma runs off, and its seed."""
+    unguarded = rendezvous.build(1).with_bounds(sigma=None)
+    for seed in (1, 3, 13, 0, 6, 12, 15):
+        solution = go.solve(unguarded.with_guess(**wild_guess(seed)), mesh="10x4", throw=False)
+        sigma = np.asarray(solution.state("sigma")(solution.phase().sample_times(5)))
+        if solution.status.solved and np.max(np.linalg.norm(sigma, axis=0)) > 5.0:
+            return seed, solution
+    pytest.fail("no spurious optimum found: choose other starts")
+
+
+def test_without_the_guard_a_coarse_mesh_has_spurious_optima_which_the_verdict_rejects() -> None:
+    seed, solution = spurious_solution()
+    verdict = go.verify(solution)
+    assert verdict["dynamics"].result is go.Result.FAIL
+    assert (
+        verdict["dynamics"].value > 0.1
+    )  # not a matter of tolerance: the states are nowhere near a trajectory
+    assert verdict["propagation"].result is not go.Result.PASS
+    guarded = go.solve(rendezvous.build(1).with_guess(**wild_guess(seed)), mesh="10x4")
+    sigma = np.asarray(guarded.state("sigma")(guarded.phase().sample_times(5)))
+    assert np.max(np.abs(sigma)) < 1.1
+    assert guarded.objective > rendezvous.REFERENCE[1, "printed"]["exact"].value
+
+
+# --- the orbit ------------------------------------------------------------------------------------------
+
+
+def lvlh_axes(angle: float) -> Array:
+    """Rows: the LVLH axes x (velocity), y (against the orbit normal) and z (to the Earth)."""
+    radial = np.array([np.cos(angle), np.sin(angle), 0.0])
+    velocity = np.array([-np.sin(angle), np.cos(angle), 0.0])
+    return np.array([velocity, [0.0, 0.0, -1.0], -radial])
+
+
+def two_body_difference(r_L: Array, v_L: Array, duration: float) -> Array:
+    """Position of the chaser in L after ``duration``, by integrating its Kepler orbit."""
+    n = mean_motion(ORBIT_RADIUS)
+    omega = np.array([0.0, -n, 0.0])
+    axes = lvlh_axes(0.0)
+    target_r, target_v = -ORBIT_RADIUS * axes[2], ORBIT_RADIUS * n * axes[0]
+    start = [*(target_r + axes.T @ r_L), *(target_v + axes.T @ (v_L + np.cross(omega, r_L)))]
+
+    def rate(_: float, y: Array) -> Array:
+        return np.concatenate([y[3:], -MU_EARTH * y[:3] / np.linalg.norm(y[:3]) ** 3])
+
+    end = solve_ivp(rate, (0.0, duration), start, method="DOP853", rtol=1e-13, atol=1e-6).y[:3, -1]
+    axes = lvlh_axes(n * duration)
+    return np.asarray(axes @ (end + ORBIT_RADIUS * axes[2]))
+
+
+def hill_position(r_L: Array, v_L: Array, duration: float) -> Array:
+    n = mean_motion(ORBIT_RADIUS)
+
+    def rate(_: float, y: Array) -> Array:
+        return np.concatenate([y[3:], hill_acceleration(y[:3], y[3:], n)])
+
+    run = solve_ivp(rate, (0.0, duration), [*r_L, *v_L], method="DOP853", rtol=1e-12, atol=1e-9)
+    return np.asarray(run.y[:3, -1])
+
+
+def test_hills_equations_are_two_kepler_orbits_to_first_order() -> None:
+    """Over a tenth of an orbit the error falls with the square of the distance; 5 cm at 1 km."""
+    duration = 0.1 * 2 * np.pi / mean_motion(ORBIT_RADIUS)
+    r_L, v_L = np.array([600.0, 500.0, -700.0]), np.array([0.5, -0.3, 0.4])
+    errors = [
+        np.linalg.norm(
+            two_body_difference(f * r_L, f * v_L, duration) - hill_position(f * r_L, f * v_L, duration)
+        )
+        for f in (10.0, 1.0)
+    ]
+    moved = np.linalg.norm(hill_position(r_L, v_L, duration) - r_L)
+    assert moved > 300.0
+    assert errors[1] < 1e-3 * moved
+    assert errors[0] / errors[1] == pytest.approx(100.0, rel=0.05)
+
+
+# --- bad input, report ----------------------------------------------------------------------------------
+
+
+def test_unknown_case_or_equation_is_refused() -> None:
+    with pytest.raises(go.ProblemError, match="no case 6"):
+        rendezvous.build(6)
+    with pytest.raises(go.ProblemError, match=r"'exact'"):
+        rendezvous.build(1, "exakt")  # type: ignore[arg-type]
+
+
+def test_main_prints_the_table_and_writes_figures_and_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "out.json"
+    arguments = ["--case", "4", "--equation", "printed", "--report", str(tmp_path / "figures")]
+    assert rendezvous.main([*arguments, "--json", str(target)]) == 0
+    printed = capsys.readouterr().out
+    assert "25.6605" in printed and "25.6607" in printed and "25.8986" in printed
+    assert "Hamiltonian" in printed
+    figures = sorted(p.name for p in (tmp_path / "figures").iterdir())
+    assert [name[:5] for name in figures] == [f"fig{k:02d}" for k in range(3, 16)]
+    assert all((tmp_path / "figures" / name).stat().st_size > 10_000 for name in figures)
+    (summary,) = json.loads(target.read_text())
+    assert summary["case"] == 4 and summary["equation"] == "printed" and summary["status"] == "optimal"
+    assert {c["name"] for c in summary["verdict"]["conditions"]} >= {"dynamics", "Hamiltonian"}
+
+
+def test_figures_have_labels_and_units(case_1: go.Solution) -> None:
+    drawn = rendezvous.figures(case_1)
+    for stem, figure in drawn.items():
+        assert all(ax.get_ylabel() for ax in figure.axes), stem
+        assert figure.axes[-1].get_xlabel().endswith(("(s)", "(m)")), stem
+    units = {
+        "fig03_torques": "(N m)",
+        "fig05_rates": "(rad/s)",
+        "fig07_euler_angles": "(deg)",
+        "fig13_costate_v": "(s/(m/s))",
+    }
+    for stem, unit in units.items():
+        assert unit in drawn[stem].axes[0].get_ylabel()

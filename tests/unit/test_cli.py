@@ -1,0 +1,366 @@
+"""The command line on small problem files: output, files, exit codes, bad input."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import gnc_opt as go
+from gnc_opt import cli
+from gnc_opt.errors import GncOptError
+from gnc_opt.problem_file import ProblemFileError, load_problem_file, parse_setting
+
+CART = """
+import gnc_opt as go
+
+MESH = "10x3"
+
+def build(far=1.0, limits=(-1.0, 1.0), name="cart", wrong=None):
+    model = go.Model("double integrator")
+    q = model.state("q", unit="m")
+    v = model.state("v", unit="m/s")
+    a = model.control("a", unit="m/s^2")
+    model.ode({q: v, v: a})
+    problem = go.Problem(name)
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(0.1, 10.0))
+    leg.initial(q=far, v=0.0)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(a=tuple(limits))
+    if wrong == "name":
+        leg.bounds(aa=(-1.0, 1.0))  # line 19
+    if wrong == "zero":
+        far / 0  # line 21
+    if wrong == "value":
+        leg.initial(q=float("nan"))
+    problem.minimize(leg.final_time)
+    return None if wrong == "nothing" else problem
+"""
+
+
+@pytest.fixture
+def cart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    path = tmp_path / "cart.py"
+    path.write_text(CART)
+    return path
+
+
+@pytest.fixture
+def without_generic_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They take half a second each time and have their own tests."""
+    monkeypatch.setattr("gnc_opt.report.report._generic_figures", lambda _: iter(()))
+
+
+def run(*arguments: Any) -> int:
+    """The exit code, also where argparse leaves by SystemExit."""
+    try:
+        return cli.main([str(a) for a in arguments])
+    except SystemExit as leaving:
+        return int(leaving.code or 0)
+
+
+def complaint(capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line on standard error; nothing on standard output, no traceback."""
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("gnc-opt: ") and err.count("\n") == 1, err
+    return err
+
+
+# --- solve --------------------------------------------------------------------------------------------
+
+
+def test_solve_prints_summary_and_verdict(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("solve", cart) == 0
+    out, err = capsys.readouterr()
+    assert out.startswith("cart: solved (optimal), objective 2.00000")
+    assert "10x3 LG" in out  # MESH of the file
+    assert "verdict on 'cart': ok" in out
+    assert re.search(r"transversality +PASS", out)
+    assert err.count("\n") == 1 and "iteration" in err
+
+
+def test_solve_writes_json_and_report(cart: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target, folder = tmp_path / "out.json", tmp_path / "report"
+    assert run("solve", cart, "--json", target, "--report", folder, "--set", "name=probe") == 0
+    told = json.loads(target.read_text())
+    assert told["problem"] == "probe"
+    assert told["verdict"]["ok"] is True
+    assert told["objective"] == pytest.approx(2.0, abs=1e-7)
+    assert {"summary.txt", "verdict.txt", "solution.npz", "states.png"} <= {p.name for p in folder.iterdir()}
+    assert f"files in {folder}" in capsys.readouterr().out
+    assert go.load(folder / "solution.npz").objective == told["objective"]
+
+
+def test_json_to_standard_output_is_nothing_but_json(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("solve", cart, "--json", "-") == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["status"] == "optimal"
+    assert "cart: solved" in err
+
+
+def test_options_reach_the_solve(cart: Path, tmp_path: Path) -> None:
+    target = tmp_path / "out.json"
+    options = [
+        "--set",
+        "far=4",
+        "--set",
+        "limits=[-2, 1]",
+        "--mesh",
+        "6x4",
+        "--scheme",
+        "lgr",
+        "--solver-tol",
+        "1e-7",
+    ]
+    assert run("solve", cart, *options, "--no-verify", "--quiet", "--json", target) == 0
+    told = json.loads(target.read_text())
+    assert (told["mesh"], told["scheme"], told["verdict"]) == ("6x4", "LGR", None)
+    assert "tolerance=1e-07" in told["provenance"]["options"]
+    # Rest to rest over d, accelerating by a, braking by b: t = sqrt(2 d (a + b) / (a b)), here sqrt(12).
+    # The switch, at one third, is a boundary of 6 segments. The solver's tolerance leaves 1e-6.
+    assert told["objective"] == pytest.approx(12**0.5, abs=1e-5)
+
+
+@pytest.mark.usefixtures("without_generic_figures")
+def test_quiet_says_nothing(cart: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("solve", cart, "--quiet", "--report", tmp_path / "report") == 0
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.usefixtures("without_generic_figures")
+def test_figures_of_the_problem_file_are_drawn(cart: Path, tmp_path: Path) -> None:
+    cart.write_text(
+        CART + "\ndef figures(solution, directory):\n    (directory / 'own.txt').write_text('x')\n"
+    )
+    assert run("solve", cart, "--quiet", "--no-verify", "--report", tmp_path / "report") == 0
+    assert (tmp_path / "report" / "own.txt").exists()
+
+
+# --- exit codes ---------------------------------------------------------------------------------------
+
+
+def test_exit_code_of_a_verdict_that_fails(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("solve", cart, "--mesh", "5x3") == 1
+    out = capsys.readouterr().out
+    assert "NOT ok" in out
+    failed = go.verify(go.solve(load_problem_file(cart).build({}), mesh="5x3")).failed
+    assert failed and all(f"{c.name}: {c.meaning}" in out for c in failed)
+    assert run("solve", cart, "--mesh", "5x3", "--exit-zero") == 0
+    assert run("solve", cart, "--mesh", "5x3", "--no-verify") == 0
+
+
+def test_exit_code_of_a_problem_without_solution(
+    cart: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "out.json"
+    assert run("solve", cart, "--set", "far=100", "--json", target, "--exit-zero") == 3
+    assert "cart: NOT SOLVED (infeasible)" in capsys.readouterr().out
+    assert json.loads(target.read_text())["violations"]
+
+
+def test_exit_code_of_an_interrupted_solve(
+    cart: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The solver hands back the iterate; anywhere else Ctrl-C is a KeyboardInterrupt."""
+    from gnc_opt.nlp import NlpSolver
+
+    original = NlpSolver.solve
+
+    def interrupted(self: NlpSolver, *arguments: Any, callback: Any = None) -> Any:
+        return original(self, *arguments, callback=lambda info: info.iteration >= 2)
+
+    monkeypatch.setattr(NlpSolver, "solve", interrupted)
+    assert run("solve", cart) == 130
+    assert "NOT SOLVED (interrupted)" in capsys.readouterr().out
+
+    def stop(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(NlpSolver, "solve", stop)
+    assert run("solve", cart) == 130
+    assert complaint(capsys) == "gnc-opt: interrupted\n"
+
+
+# --- check --------------------------------------------------------------------------------------------
+
+
+def test_check_describes_the_problem(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("check", cart) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert out.startswith("cart: well stated\n")
+    assert "phase leg: 2 states (q, v), 1 control (a), 0 path constraints" in out
+    assert "options of build(): far=1.0, limits=(-1.0, 1.0), name='cart', wrong=None" in out
+
+
+def test_check_reports_a_wrong_problem(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("check", cart, "--set", "wrong=value") == 2
+    assert "initial value of 'q'" in complaint(capsys)
+
+
+def test_warnings_are_one_line(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cart.write_text(CART.replace("    model.ode(", "    model.parameter('spare', 1.0)\n    model.ode("))
+    assert run("check", cart) == 0
+    err = capsys.readouterr().err
+    assert err.startswith("gnc-opt: warning: ") and "'spare'" in err and err.count("\n") == 1
+
+
+# --- bad input ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--set", "farr=2"], "build() has no option 'farr': did you mean 'far'?"),
+        (["--set", "far"], "--set 'far' is not understood: write NAME=VALUE"),
+        (["--set", "limits=[1, 2"], "the value is not valid JSON"),
+        (["--set", "wrong=name"], "cart.py, line 19: "),
+        (["--set", "wrong=zero"], "cart.py, line 21: ZeroDivisionError: float division by zero"),
+        (["--set", "wrong=nothing"], "build() returned NoneType, not a Problem"),
+        (["--mesh", "20"], "mesh '20' is not understood: write SEGMENTSxDEGREE"),
+        (["--scheme", "euler"], "invalid choice: 'EULER'"),
+        (["--solver-tol", "-1"], "tolerance is -1.0"),
+        (["--json", "nowhere/out.json"], "--json nowhere/out.json: name a file in a folder that exists"),
+        (["--frobnicate"], "unrecognized arguments: --frobnicate"),
+    ],
+)
+def test_bad_input_is_one_sentence(
+    cart: Path, capsys: pytest.CaptureFixture[str], options: list[str], words: str
+) -> None:
+    assert run("solve", cart, "--quiet", *options) == 2
+    assert words in complaint(capsys)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("absent.py", None, "absent.py' does not exist: name a Python file"),
+        ("notes.txt", "build = 1", "notes.txt' is not a Python file"),
+        ("empty.py", "", "has no function build()"),
+        (
+            "near.py",
+            "def buld(): ...",
+            "has no function build() that returns the Problem: did you mean 'buld'?",
+        ),
+        ("syntax.py", "x = 1\ndef build(:\n", "syntax.py, line 2: SyntaxError: "),
+        ("broken.py", "\nimport nothing_of_this_name", "broken.py, line 2: ModuleNotFoundError"),
+        ("leaving.py", "raise SystemExit(7)", "the file ends the program (exit code 7)"),
+        ("needs.py", "def build(case): ...", "build() needs the option 'case': add --set case=..."),
+    ],
+)
+def test_bad_files_are_one_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, content: str | None, words: str
+) -> None:
+    if content is not None:
+        (tmp_path / name).write_text(content)
+    assert run("check", tmp_path / name) == 2
+    assert words in complaint(capsys)
+
+
+def test_folder_instead_of_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("check", tmp_path) == 2
+    assert "is a folder" in complaint(capsys)
+
+
+def test_report_into_a_file_is_refused_before_solving(
+    cart: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys.modules["gnc_opt.solve"], "solve", lambda *_, **__: pytest.fail("it solved"))
+    assert run("solve", cart, "--report", cart) == 2
+    assert "this is a file; name a folder" in complaint(capsys)
+
+
+def test_debug_shows_the_traceback(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("check", cart, "--set", "wrong=zero", "--debug") == 2
+    err = capsys.readouterr().err
+    assert "Traceback" in err and "far / 0" in err and "gnc-opt: " in err
+
+
+def test_no_command_at_all(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run() == 2
+    assert "COMMAND" in complaint(capsys)
+
+
+# --- problem files ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("2", 2),
+        ("-3", -3),
+        ("2.5", 2.5),
+        ("1e-3", 1e-3),
+        ("inf", float("inf")),
+        ("true", True),
+        ("False", False),
+        ("none", None),
+        ("null", None),
+        ("exact", "exact"),
+        ("a=b", "a=b"),
+        ("", ""),
+        ('"2"', "2"),
+        ("[1, 2.5, [true, null]]", [1, 2.5, [True, None]]),
+        ('{"a": 1}', {"a": 1}),
+    ],
+)
+def test_values_of_set(text: str, value: Any) -> None:
+    name, read = parse_setting(f"option={text}")
+    assert name == "option"
+    assert read == value and type(read) is type(value)
+
+
+@pytest.mark.parametrize("text", ["=2", "two words=3", "2x=1", "name"])
+def test_names_of_set_must_be_names(text: str) -> None:
+    with pytest.raises(ProblemFileError, match="write NAME=VALUE"):
+        parse_setting(text)
+
+
+def test_build_with_free_keywords_takes_any_name(tmp_path: Path) -> None:
+    (tmp_path / "free.py").write_text("def build(case=1, **more): raise ValueError(sorted(more))")
+    with pytest.raises(GncOptError, match=r"line 1: ValueError: \['anything'\]"):
+        load_problem_file(tmp_path / "free.py").build({"anything": 1})
+
+
+def test_siblings_can_be_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    folder = tmp_path / "zoo_of_problems"
+    folder.mkdir()
+    (folder / "zoo_helper.py").write_text("NUMBER = 7")
+    (folder / "animal.py").write_text(
+        "import zoo_helper\nfrom zoo_of_problems import zoo_helper as again\n"
+        "def build(): raise ValueError(zoo_helper.NUMBER + again.NUMBER)"
+    )
+    with pytest.raises(ProblemFileError, match="ValueError: 14"):
+        load_problem_file(folder / "animal.py").build({})
+
+
+def test_file_named_like_a_library_does_not_replace_it(tmp_path: Path) -> None:
+    import json as library
+
+    (tmp_path / "json.py").write_text("def build(): ...")
+    load_problem_file(tmp_path / "json.py")
+    assert sys.modules["json"] is library
+
+
+# --- program ------------------------------------------------------------------------------------------
+
+
+def test_installed_program_knows_its_version() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "gnc_opt.cli", "--version"], capture_output=True, text=True, check=True
+    )
+    assert re.fullmatch(r"gnc-opt \d+\.\d+\.\d+\S*\n", done.stdout)
+
+
+def test_help_lists_the_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("solve", "--help") == 0
+    out = capsys.readouterr().out
+    for code in cli.ExitCode:
+        assert re.search(rf"^  {int(code)} ", out, re.MULTILINE)

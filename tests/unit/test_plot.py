@@ -1,0 +1,210 @@
+"""Figures: what they draw, in which units; they write files and open no windows."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import matplotlib
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.plot import (
+    plot_controls,
+    plot_costates,
+    plot_curves,
+    plot_hamiltonian,
+    plot_path,
+    plot_states,
+    save_figure,
+)
+from gnc_opt.plot.sampling import sample, zero_crossings
+from gnc_opt.plot.style import name_text, number_text, per_unit, unit_text
+
+
+@pytest.fixture(scope="module")
+def cart() -> go.Solution:
+    """A point mass in the plane, two phases: out with bounded force, then back at least effort."""
+    model = go.Model("mass in the plane")
+    r = model.state("r", 2, unit="m")
+    v = model.state("v", 2, unit="m/s")
+    a = model.control("a", 2, unit="m/s^2")
+    model.ode({r: v, v: a})
+    problem = go.Problem("out and back")
+    out, back = problem.phase("out", model), problem.phase("back", model)
+    out.time(initial=0.0, final=2.0)
+    back.time(initial=2.0, final=5.0)
+    out.initial(r=[0.0, 0.0], v=[0.0, 0.0])
+    out.final(r=[1.0, 0.5])
+    out.bounds(a=([-1.2, -1.2], [1.2, 1.2]), r=(None, [1.0, 3.0]))
+    back.final(r=[0.0, 0.0], v=[0.0, 0.0])
+    problem.link(out, back)
+    problem.minimize(out.integral(ca.dot(a, a)) + back.integral(ca.dot(a, a)))
+    return go.solve(problem, mesh="4x3")
+
+
+def test_states_show_every_component_of_every_phase(cart: go.Solution) -> None:
+    figure = plot_states(cart)
+    position, velocity = figure.axes
+    assert position.get_ylabel() == "$r$ (m)" and velocity.get_ylabel() == "$v$ (m/s)"
+    assert velocity.get_xlabel() == "time (s)"
+    assert position.get_xlim() == (0.0, 5.0)
+    legend = [text.get_text() for text in position.get_legend().get_texts()]
+    assert legend == ["$r$[0]", "$r$[1]"]
+    drawn = position.get_lines()[0]
+    t = np.array([0.5, 1.5])
+    np.testing.assert_allclose(
+        np.interp(t, drawn.get_xdata(), drawn.get_ydata()),
+        np.asarray(cart.state("r", "out")(t))[0],
+        atol=1e-3,  # linear between samples
+    )
+
+
+def test_states_of_one_phase_with_own_labels(cart: go.Solution) -> None:
+    figure = plot_states(cart, ["v"], phase="back", labels={"v": ("along", "across")})
+    (ax,) = figure.axes
+    assert ax.get_xlim() == (2.0, 5.0)
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["along", "across"]
+
+
+def test_a_bound_is_drawn_only_where_it_is_in_view(cart: go.Solution) -> None:
+    levels = [line.get_ydata() for line in plot_states(cart, ["r"], phase="out").axes[0].get_lines()]
+    assert any(np.all(np.asarray(y) == 1.0) for y in levels)
+    assert not any(np.any(np.asarray(y) == 3.0) for y in levels)
+
+
+def test_costates_have_the_unit_of_cost_per_state(cart: go.Solution) -> None:
+    figure = plot_costates(cart, ["v"], cost_unit="J")
+    assert figure.axes[0].get_ylabel() == "costate of $v$ (J/(m/s))"
+
+
+def test_every_control_component_has_its_switching_function_underneath(cart: go.Solution) -> None:
+    figure = plot_controls(cart, hamiltonian_unit="W")
+    assert len(figure.axes) == 4
+    assert figure.axes[0].get_ylabel() == "$a$[0] (m/s$^{2}$)"
+    assert figure.axes[1].get_ylabel().endswith("(W/(m/s$^{2}$))")
+    bottom, top = figure.axes[0].get_ylim()
+    assert bottom < -1.2 and top > 1.2  # the bounds are in sight
+
+
+def test_dotted_lines_mark_where_the_switching_function_changes_sign() -> None:
+    """Time-optimal rest to rest over 1 m with |a| <= 1: the switch is at 1 s.
+
+    On this mesh a boundary sits there, the next nodes 0.057 s off: between them any sign change is optimal.
+    """
+    model = go.Model("mass")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("rest to rest")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(0.5, 10.0))
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    for ax in plot_controls(go.solve(problem, mesh="4x3")).axes:
+        assert dotted_lines(ax) == pytest.approx([1.0], abs=0.057)
+
+
+def test_rounding_errors_of_an_interior_control_are_neither_marked_nor_magnified(cart: go.Solution) -> None:
+    control, switching = plot_controls(cart, phase="back").axes[:2]
+    assert not dotted_lines(control) and not dotted_lines(switching)
+    noise = np.asarray(switching.get_lines()[0].get_ydata())
+    bottom, top = switching.get_ylim()
+    assert top - bottom > 10 * np.ptp(noise)
+
+
+def dotted_lines(ax: Any) -> list[float]:
+    return [float(line.get_xdata()[0]) for line in ax.get_lines() if line.get_linestyle() == ":"]
+
+
+def test_a_solution_without_its_problem_is_drawn_without_switching_functions(
+    cart: go.Solution, tmp_path: Path
+) -> None:
+    loaded = go.load(cart.save(tmp_path / "cart.npz"))
+    assert len(plot_controls(loaded).axes) == 2
+    with pytest.raises(go.GncOptError, match="without its problem"):
+        plot_hamiltonian(loaded)
+
+
+def test_hamiltonian_shows_its_band_and_the_expected_value(cart: go.Solution) -> None:
+    figure = plot_hamiltonian(cart, phase="back", expected=-1.0, unit="W")
+    (ax,) = figure.axes
+    assert ax.get_ylabel() == "Hamiltonian (W)"
+    texts = [text.get_text() for text in figure.legends[0].get_texts()]
+    low = np.min(cart.hamiltonian(cart.phase("back").point_times, "back"))
+    assert any(number_text(float(low)) in text for text in texts)
+    assert texts[-1] == "expected, −1"
+    bottom, top = ax.get_ylim()
+    assert bottom < -1.0 < top
+
+
+def test_unknown_names_are_refused(cart: go.Solution) -> None:
+    with pytest.raises(go.UnknownNameError, match="speed"):
+        plot_states(cart, ["speed"])
+    with pytest.raises(go.UnknownNameError, match="known: a"):
+        plot_controls(cart, ["b"])
+
+
+def test_curves_and_path() -> None:
+    t = np.linspace(0.0, 1.0, 20)
+    r = np.array([t, t**2, -t])
+    curves = plot_curves(t, r, ("one", "two", "three"), "angle (deg)")
+    assert curves.axes[0].get_ylabel() == "angle (deg)" and len(curves.axes[0].get_lines()) == 3
+    dcm = np.tile(np.eye(3)[:, :, None], 20)
+    figure = plot_path(r, dcm_BL=dcm, at=[0, 10], unit="km", axis_notes=("ahead", "", "down"))
+    ax = figure.axes[0]
+    assert ax.get_xlabel() == "$x$ ahead (km)" and ax.get_zlabel() == "$z$ down (km)"
+    assert ax.get_zlim()[0] > ax.get_zlim()[1] and ax.get_ylim()[0] > ax.get_ylim()[1]
+    assert len(ax.get_lines()) == 3 + 2 * 3  # path, start, end and two triads
+
+
+def test_files_are_written_and_settings_left_alone(cart: go.Solution, tmp_path: Path) -> None:
+    before = dict(matplotlib.rcParams)
+    path = save_figure(plot_states(cart), tmp_path / "new" / "states.png")
+    assert path.stat().st_size > 10_000
+    assert dict(matplotlib.rcParams) == before
+    assert "gnc_opt.plot" in sys.modules and not _pyplot_figures()
+
+
+def _pyplot_figures() -> list[int]:
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    return [] if pyplot is None else list(pyplot.get_fignums())
+
+
+def test_samples_keep_both_limits_of_a_jump() -> None:
+    def step(t: np.ndarray, side: str) -> np.ndarray:
+        return np.where((t > 1.0) | ((t == 1.0) & (side == "right")), 5.0, -5.0)
+
+    t, values = sample(step, np.array([0.0, 1.0, 2.0]), per_piece=3)
+    np.testing.assert_array_equal(t, [0, 0.5, 1, 1, 1.5, 2])
+    np.testing.assert_array_equal(values, [[-5, -5, -5, 5, 5, 5]])
+    t, values = sample(step, np.array([0.0, 1.0, 2.0]), per_piece=3, gaps=True)
+    assert np.isnan(values[0, 3]) and t.size == 8
+
+
+def test_zero_crossings_are_interpolated() -> None:
+    t = np.linspace(0.0, 4.0, 5)
+    np.testing.assert_allclose(zero_crossings(t, t - 1.25), [1.25])
+    assert zero_crossings(t, t + 1.0).size == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (name_text("omega"), r"$\omega$"),
+        (name_text("v_L[2]"), r"$v_{\mathrm{L}}$[2]"),
+        (name_text("sigma_BL"), r"$\sigma_{\mathrm{BL}}$"),
+        (name_text("mass"), "mass"),
+        (unit_text("kg m^2/s^-1"), "kg m$^{2}$/s$^{-1}$"),
+        (per_unit("s", "m"), "s/m"),
+        (per_unit("", "N m"), "1/(N m)"),
+        (per_unit("s", ""), "s"),
+        (number_text(-0.25), "−0.25"),
+    ],
+)
+def test_typesetting(text: str, expected: str) -> None:
+    assert text == expected
