@@ -66,9 +66,7 @@ def dynamics() -> Any:
     cross, norm2 = ca.skew(sigma), ca.dot(sigma, sigma)
     rotation = ca.SX.eye(3) + (8 * cross @ cross - 4 * (1 - norm2) * cross) / (1 + norm2) ** 2
     w = rotation @ ca.DM([0, -ORBIT_RATE, 0])
-    d_omega = (
-        torque - ca.cross(omega, inertia * omega) - ca.cross(w, inertia * (omega + w))
-    ) / inertia
+    d_omega = (torque - ca.cross(omega, inertia * omega) - ca.cross(w, inertia * (omega + w))) / inertia
     d_sigma = 0.25 * ((1 - norm2) * ca.SX.eye(3) + 2 * cross + 2 * sigma @ sigma.T) @ omega
     coriolis = 2 * ORBIT_RATE * ca.vertcat(-v[2], 0, v[0])
     gradient = ORBIT_RATE**2 * ca.vertcat(0, s[1], -3 * s[2])
@@ -117,7 +115,9 @@ def solve_bare(
     x_scale, u_scale, t_scale = scales or (np.ones(N_STATES), np.ones(N_CONTROLS), 1.0)
     point_scale = np.concatenate([x_scale, u_scale])
     # One column per segment: its start state, then state and control of each point.
-    scale = np.concatenate([np.tile(np.concatenate([x_scale, np.tile(point_scale, n)]), segments), x_scale, [t_scale]])
+    scale = np.concatenate(
+        [np.tile(np.concatenate([x_scale, np.tile(point_scale, n)]), segments), x_scale, [t_scale]]
+    )
     z = ca.MX.sym("z", scale.size)
     physical = ca.DM(scale) * z
     columns = ca.reshape(physical[: -N_STATES - 1], -1, segments)
@@ -144,7 +144,12 @@ def solve_bare(
     stats = solver.stats()
     function_s = sum(value for name, value in stats.items() if name.startswith("t_wall_nlp_"))
     return BareResult(
-        float(result["x"][-1]) * t_scale, int(stats["iter_count"]), build_s, solve_s, function_s, solve_s - function_s
+        float(result["x"][-1]) * t_scale,
+        int(stats["iter_count"]),
+        build_s,
+        solve_s,
+        function_s,
+        solve_s - function_s,
     )
 
 

@@ -87,13 +87,24 @@ class _PhaseBuilder:
         leg.initial(**self._ranges(self.states, "x0"))
         leg.final(**self._ranges(self.states, "xf"))
         entries = [*self.states, *self.controls]
-        leg.bounds(**{e["name"]: self._range([e.get("lb"), e.get("ub")], f"bounds of '{e['name']}'") for e in entries})
-        leg.scale(**{e["name"]: self._value(e["scale"], "scale") for e in entries if e.get("scale") is not None})
+        leg.bounds(
+            **{
+                e["name"]: self._range([e.get("lb"), e.get("ub")], f"bounds of '{e['name']}'")
+                for e in entries
+            }
+        )
+        leg.scale(
+            **{e["name"]: self._value(e["scale"], "scale") for e in entries if e.get("scale") is not None}
+        )
         self._guess(leg, entries)
         for i, path in enumerate(self.phase.get("path", []), 1):
             limits = _limits(path, self.constants, f"path {i}")
             if limits:
-                leg.path(_label(path, f"path {i}"), evaluate(path["expr"], names, self._where(f"path {i}")), **limits)
+                leg.path(
+                    _label(path, f"path {i}"),
+                    evaluate(path["expr"], names, self._where(f"path {i}")),
+                    **limits,
+                )
         return self._end_names(leg, names)
 
     def _model(self) -> tuple[go.Model, Names]:
@@ -101,7 +112,9 @@ class _PhaseBuilder:
         model = go.Model(f"{self.document['name']}, phase {self.number}")
         names: Names = {**self.constants, "t": model.time}
         for entry in self.document.get("parameters", []):
-            value = next(v for v in (_number(entry, k, self.constants) for k in ("guess", "lb", "ub")) if v is not None)
+            value = next(
+                v for v in (_number(entry, k, self.constants) for k in ("guess", "lb", "ub")) if v is not None
+            )
             names[entry["name"]] = model.parameter(entry["name"], value)
         names |= {e["name"]: model.state(e["name"]) for e in self.states}
         names |= {e["name"]: model.control(e["name"]) for e in self.controls}
@@ -120,7 +133,9 @@ class _PhaseBuilder:
         for entry in entries:
             guess = entry.get("guess")
             if isinstance(guess, list):
-                guesses[entry["name"]] = tuple(self._value(end, f"guess of '{entry['name']}'") for end in guess)
+                guesses[entry["name"]] = tuple(
+                    self._value(end, f"guess of '{entry['name']}'") for end in guess
+                )
             elif guess is not None:
                 guesses[entry["name"]] = self._value(guess, f"guess of '{entry['name']}'")
         times = self.phase.get("tguess")
@@ -139,7 +154,9 @@ class _PhaseBuilder:
 
     def _ranges(self, entries: list[Document], key: str) -> dict[str, Any]:
         return {
-            e["name"]: self._range(e[key], f"{key} of '{e['name']}'") for e in entries if e.get(key) is not None
+            e["name"]: self._range(e[key], f"{key} of '{e['name']}'")
+            for e in entries
+            if e.get(key) is not None
         }
 
     def _range(self, value: Any, what: str) -> Any:

@@ -140,7 +140,9 @@ def _solved(document: Mapping[str, Any], solution: go.Solution, solutions: Path)
 
 
 def _passed(document: Mapping[str, Any], outcome: Outcome) -> bool:
-    return outcome.relative_error is not None and outcome.relative_error <= document.get("accept_rel_tol", ACCEPT)
+    return outcome.relative_error is not None and outcome.relative_error <= document.get(
+        "accept_rel_tol", ACCEPT
+    )
 
 
 def judge_ill_posed(document: Mapping[str, Any], outcome: Outcome) -> bool:
@@ -211,7 +213,9 @@ def _number(value: float | None, form: str) -> str:
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.ocp_set", description=__doc__.split("\n")[0])
-    parser.add_argument("file", type=Path, help="problems in JSON; reference trajectories are looked for in solutions/")
+    parser.add_argument(
+        "file", type=Path, help="problems in JSON; reference trajectories are looked for in solutions/"
+    )
     parser.add_argument("--only", nargs="+", metavar="NAME", help="solve these problems")
     parser.add_argument("--core", action="store_true", help="solve the problems marked as core")
     parser.add_argument("--mesh", help='e.g. "20x4" (default: that of solve)')
@@ -238,14 +242,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     with console.status("") as status:
         for i, document in enumerate(chosen, 1):
             status.update(f"{i} of {len(chosen)}: {document['name']}")
-            outcome, _ = run(document, arguments.file.parent / "solutions", mesh=arguments.mesh, scheme=arguments.scheme)
+            outcome, _ = run(
+                document, arguments.file.parent / "solutions", mesh=arguments.mesh, scheme=arguments.scheme
+            )
             outcomes.append(outcome)
     console.print(table(outcomes))
     for outcome in outcomes:
         if outcome.message:
             console.print(f"{outcome.name}: {outcome.message}", markup=False, highlight=False)
     if arguments.json:
-        arguments.json.write_text(json.dumps([asdict(o) for o in outcomes], indent=1) + "\n", encoding="utf-8")
+        arguments.json.write_text(
+            json.dumps([asdict(o) for o in outcomes], indent=1) + "\n", encoding="utf-8"
+        )
     return 0 if all(o.passed for o in outcomes) else 1
 
 

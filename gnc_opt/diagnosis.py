@@ -47,7 +47,9 @@ def failure_message(solution: Solution) -> str:
     """Return what a failed solve raises: status, worst constraint and remedy."""
     worst = "all constraints hold at the last iterate"
     if solution.violations:
-        worst = f"worst: {solution.violations[0].name} (by {solution.violations[0].amount:.2g} of its scale)"
+        first = solution.violations[0]
+        amount = "" if np.isnan(first.amount) else f" ({first.amount:.2g} of its scale)"
+        worst = f"worst: {first.name}{amount}"
     return (
         f"no solution of '{solution.problem_name}' after {solution.statistics.iterations} iterations, "
         f"status {solution.status.value}; {worst}. {solution.status.remedy}"

@@ -6,6 +6,7 @@ import platform
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import TypeAlias
 
@@ -127,8 +128,8 @@ def _mesh(mesh: MeshLike) -> Mesh:
 def _suited(options: SolverOptions, transcription: Transcription) -> SolverOptions:
     """Pivot with care where switch times are variables: short arcs make the linear systems nearly singular."""
     movable = any(part.collocation.mesh.movable for part in transcription.parts.values())
-    if options.pivot_tolerance is None and movable:
-        return replace(options, pivot_tolerance=1e-2)
+    if options.careful_pivoting is None and movable:
+        return replace(options, careful_pivoting=True)
     return options
 
 
@@ -254,6 +255,7 @@ def _provenance(problem: Problem, transcription: Transcription, options: SolverO
     }
 
 
+@lru_cache
 def package_version(name: str) -> str:
     """Return an installed package's version, or "unknown"."""
     try:

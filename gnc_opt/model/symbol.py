@@ -42,10 +42,8 @@ def as_expression(value: Any, what: str, size: int | None = None, failure: Error
         What to raise for a wrong size or type.
     """
     try:
-        if isinstance(value, (list, tuple)):
-            expression = ca.vertcat(*[ca.SX(v) for v in value])
-        else:
-            expression = ca.SX(value)
+        parts = value if isinstance(value, (list, tuple)) else [value]
+        expression = ca.vertcat(*[ca.SX(v) for v in parts])
     except (NotImplementedError, RuntimeError) as error:
         raise failure(
             f"{what} is {shown(value)}, which is neither a number nor a CasADi SX expression: "

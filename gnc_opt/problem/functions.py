@@ -6,7 +6,8 @@ This module owns the sign of the Hamiltonian. For the minimised functional J,
 
 with integrands L_i and their weights w_i = dJ/dI_i (1 for a plain Lagrange cost), path constraints c and
 multipliers mu. Along a minimum: :math:`\dot\lambda = -\partial H_a / \partial x`, the control minimises H, and
-:math:`\lambda(t_0) = \partial J^* / \partial x_0`. The transcription does not use these functions, so they can judge it.
+:math:`\lambda(t_0) = \partial J^* / \partial x_0`. The transcription does not use these functions, so they can judge
+it.
 """
 
 from __future__ import annotations
@@ -62,8 +63,8 @@ class PhaseFunctions:
         buffer, run = function.buffer()
         for i, argument in enumerate(arguments):
             if argument.size:
-                buffer.set_arg(i, memoryview(argument))
-        buffer.set_res(0, memoryview(result))
+                buffer.set_arg(i, memoryview(argument.data))
+        buffer.set_res(0, memoryview(result.data))
 
         def rates(t: float, x: Array, u: Array, _keep_alive: Any = buffer) -> Array:
             arguments[0][0], arguments[1][:], arguments[2][:] = t, x, u
@@ -94,7 +95,9 @@ class PhaseFunctions:
         """d(H + mu.c)/du, shape of u."""
         return self._call("control_gradient", t, x, u, lam, mu)
 
-    def state_gradient(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike) -> Array:
+    def state_gradient(
+        self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
+    ) -> Array:
         """d(H + mu.c)/dx, shape of x."""
         return self._call("state_gradient", t, x, u, lam, mu)
 
@@ -159,7 +162,8 @@ def _build_phase_functions(problem: Problem, leg: Phase) -> dict[str, Any]:
     mu = ca.SX.sym("mu", len(leg.path_labels))
     weights = ca.SX.sym("weights", len(leg.integrands))
     f, c, integrands = (
-        problem.bind(leg, e) for e in (leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
+        problem.bind(leg, e)
+        for e in (leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
     )
     hamiltonian = ca.dot(lam, f) + ca.dot(weights, integrands)
     augmented = hamiltonian + ca.dot(mu, c)
@@ -250,7 +254,13 @@ def _build_end_function(problem: Problem) -> Any:
     lagrangian = problem.sense * cost + ca.dot(nu, constraints)
     differentiated, arguments = [], []
     for leg, parameters in zip(problem.phases.values(), parameter_arguments(problem), strict=True):
-        own = [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time, leg.integral_symbols()]
+        own = [
+            leg.ends("initial"),
+            leg.ends("final"),
+            leg.initial_time,
+            leg.final_time,
+            leg.integral_symbols(),
+        ]
         differentiated += own
         arguments += [*own, parameters]
     q = problem.parameter_symbols()

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_label
+from gnc_opt.arguments import read_label, read_numbers
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.layout import Array, Layout, Variable, as_vector
 from gnc_opt.model.model import Model
@@ -255,9 +255,9 @@ class Phase(Strict):
         if arcs is None:
             self.numbers = replace(self.numbers, arcs=None)
             return
-        signs = np.atleast_2d(np.asarray(arcs))
+        signs = np.atleast_2d(read_numbers(arcs, f"the arcs of {self.where}", ProblemError))
         labels = self.model.controls.labels
-        if signs.shape[0] != len(labels) or not np.all(np.isin(signs, (-1, 0, 1))):
+        if signs.ndim != 2 or signs.shape[0] != len(labels) or not np.all(np.isin(signs, (-1, 0, 1))):
             raise ProblemError(
                 f"arcs of {self.where} must be -1, 0 or +1 in an array of {len(labels)} rows (controls "
                 f"{', '.join(labels)}) and one column per segment; got shape {signs.shape}."

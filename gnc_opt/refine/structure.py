@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -117,7 +118,7 @@ class PhaseStructure:
         for i, label in enumerate(labels):
             row = [signs[i] for signs in self.signs]
             starts = [0, *[k for k in range(1, self.pieces) if row[k] != row[k - 1]], self.pieces]
-            for first, last in zip(starts[:-1], starts[1:], strict=True):
+            for first, last in itertools.pairwise(starts):
                 kind = kinds.get(row[first], ArcKind.SINGULAR if singular[i] else ArcKind.INTERIOR)
                 found.append(Arc(phase, label, kind, self.times[first], self.times[last]))
         return tuple(found)

@@ -62,9 +62,7 @@ def optimise_switches(
     history: list[SwitchingStep] = []
     for _ in range(max_passes):
         solution = _solve(problem, structures, degrees, solution, options)
-        structures = {
-            name: s.at(tuple(_anchor_times(solution, name))) for name, s in structures.items()
-        }
+        structures = {name: s.at(tuple(_anchor_times(solution, name))) for name, s in structures.items()}
         samples = _samples(solution)
         action = ""
         for name, s in samples.items():
@@ -80,8 +78,9 @@ def optimise_switches(
             if changed is not None:
                 structures[name], degrees[name] = changed, _first_degrees(changed)
                 break
-        print(solution.status, solution.statistics, action)
-        history.append(SwitchingStep(sum(s.pieces for s in structures.values()), solution.objective, action or "done"))
+        history.append(
+            SwitchingStep(sum(s.pieces for s in structures.values()), solution.objective, action or "done")
+        )
         if not action:
             break
     return solution, tuple(history)
@@ -108,7 +107,7 @@ def _solve(
     for name, structure in structures.items():
         meshes[name] = Mesh.at_times(structure.times, degrees[name], movable=True)
         held = held.with_arcs(name, arcs=structure.matrix())
-    chosen = options or SolverOptions(tolerance=1e-9, max_iterations=200)
+    chosen = options or SolverOptions(tolerance=1e-11, max_iterations=200)
     found = solve(held, mesh=meshes, guess=guess, options=chosen, throw=False)
     return replace(found, problem=problem)
 
@@ -161,7 +160,9 @@ def _missing_arc(samples: PhaseSamples, structure: PhaseStructure) -> tuple[int,
     """Return (channel, start, end, sign) where a control on a bound has the worst wrong sign."""
     affine = affine_channels(samples)
     gradient = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
-    pieces = np.clip(np.searchsorted(structure.times, samples.times, side="right") - 1, 0, structure.pieces - 1)
+    pieces = np.clip(
+        np.searchsorted(structure.times, samples.times, side="right") - 1, 0, structure.pieces - 1
+    )
     pieces[samples.at_end] = samples.leg.mesh.segment_arcs[samples.segments[samples.at_end]]
     signs = structure.matrix()[:, pieces]
     offence = np.where(affine[:, None] & (signs != 0), signs * gradient, 0.0)
@@ -209,7 +210,5 @@ def _grow(
     residual = samples.per_segment(samples.lam_rate + gradient + samples.state_multiplier)
     worth = samples.state_scale[:, None] / samples.cost_scale
     worst = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
-    wanted = [
-        min(d + 3, MAX_DEGREE) if e > tol else d for d, e in zip(degrees, worst, strict=True)
-    ]
+    wanted = [min(d + 3, MAX_DEGREE) if e > tol else d for d, e in zip(degrees, worst, strict=True)]
     return wanted if wanted != degrees else None

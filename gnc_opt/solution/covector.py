@@ -95,14 +95,14 @@ def point_multipliers(collocation: PhaseCollocation, costates: Array, end_costat
     end_costates : array (n_states, K)
         At the segment ends (used by LG only).
     """
-    pieces = []
+    pieces: list[Array] = []
     for k, rule in enumerate(collocation.rules):
         wanted = -costates[:, _points(collocation, k)] * rule.weights
         if collocation.scheme == "LG":
             pieces.append(np.hstack([wanted, -end_costates[:, [k]]]))
         else:
             matrix = collocation.dynamics_matrix(k)
-            pieces.append(np.linalg.lstsq(matrix.T, wanted.T, rcond=None)[0].T)
+            pieces.append(np.asarray(np.linalg.lstsq(matrix.T, wanted.T, rcond=None)[0].T))
     return pieces
 
 
@@ -313,7 +313,7 @@ def _still_segments(collocation: PhaseCollocation, x: Array) -> Mask:
     """Segments at all nodes of which a state has the same value, (n_states, K)."""
     size = np.max(np.abs(x[collocation.point_states]), axis=1, initial=0.0)
     spreads = [np.ptp(x[collocation.segment_nodes(k)], axis=1) for k in range(collocation.mesh.segments)]
-    return np.stack(spreads, axis=1) <= _HELD * size[:, None]
+    return np.asarray(np.stack(spreads, axis=1) <= _HELD * size[:, None])
 
 
 def _boundary_costates(

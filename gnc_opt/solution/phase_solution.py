@@ -164,7 +164,9 @@ class PhaseSolution:
     def costate(self, name: str) -> Signal:
         """Return the costate of a state over time: dJ*/dx, per unit of the state."""
         signal = self._signal(name, self.states, self.lam)
-        return Signal(f"lam_{name}", f"1/({signal.unit})" if signal.unit else "", signal.labels, self.lam, signal.rows)
+        return Signal(
+            f"lam_{name}", f"1/({signal.unit})" if signal.unit else "", signal.labels, self.lam, signal.rows
+        )
 
     def control(self, name: str) -> Signal:
         """Return a control over time by its collocation polynomial (it may leave its bounds between nodes)."""

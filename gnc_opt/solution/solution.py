@@ -206,7 +206,11 @@ class Solution:
         return measure_quality(self)
 
     def propagate(
-        self, phase: str | None = None, *, control: Literal["flown", "polynomial"] = "flown", rtol: float = 1e-11
+        self,
+        phase: str | None = None,
+        *,
+        control: Literal["flown", "polynomial"] = "flown",
+        rtol: float = 1e-11,
     ) -> Propagation:
         """Integrate the dynamics under this solution's control, independently of collocation.
 

@@ -48,7 +48,9 @@ def start_from_solution(
 def _matching(guess: Solution, leg: Phase) -> PhaseSolution:
     old = guess.phases.get(leg.name)
     if old is None:
-        raise ProblemError(f"the guess has no phase '{leg.name}', only {list(guess.phases)}: give one with the same phases.")
+        raise ProblemError(
+            f"the guess has no phase '{leg.name}', only {list(guess.phases)}: give one with the same phases."
+        )
     for kind, mine, theirs in (
         ("states", leg.model.states, old.states),
         ("controls", leg.model.controls, old.controls),

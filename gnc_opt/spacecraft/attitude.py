@@ -108,7 +108,9 @@ def mrp_from_axis_angle(axis: ArrayLike, angle: float) -> Array:
     direction = np.asarray(axis, dtype=float)
     length = np.linalg.norm(direction)
     if not length > 0:
-        raise ArgumentError(f"the axis of a rotation is {shown(axis)}, without a direction: give one that is not zero.")
+        raise ArgumentError(
+            f"the axis of a rotation is {shown(axis)}, without a direction: give one that is not zero."
+        )
     return np.asarray(direction / length * np.tan(angle / 4))
 
 

@@ -188,7 +188,9 @@ class PhaseCollocation:
             place = "start" if k == 0 else f"end of segment {k}"
             for name, index in zip(states, column, strict=True):
                 labels[index - self.first_variable] = f"{name}, phase {phase}, {place}"
-        for (k, j), xs, us in zip(self._segment_points(), self.point_states.T, self.point_controls.T, strict=True):
+        for (k, j), xs, us in zip(
+            self._segment_points(), self.point_states.T, self.point_controls.T, strict=True
+        ):
             place = f"segment {k + 1}, point {j + 1}"
             for name, index in zip((*states, *controls), (*xs, *us), strict=True):
                 labels[index - self.first_variable] = (

@@ -48,16 +48,16 @@ def start_phase(leg: Phase, fractions: Array) -> PhaseStart:
     for name, value in numbers.guess.values.items():
         layout, rows = (model.states, states) if name in model.states else (model.controls, controls)
         what = f"the guess of '{name}' in {leg.where}"
-        rows[layout.slice(name)] = sample_guess(value, layout[name].size, at, fractions, numbers.guess.time, what)
+        rows[layout.slice(name)] = sample_guess(
+            value, layout[name].size, at, fractions, numbers.guess.time, what
+        )
     return PhaseStart(times, states, controls)
 
 
 def guess_times(leg: Phase) -> Array:
     """Return guessed initial and final time, shape (2,)."""
-    if leg.numbers.guess.time is not None:
-        wanted = leg.numbers.guess.time[[0, -1]]
-    else:
-        wanted = np.array([np.nan, np.nan])
+    known = leg.numbers.guess.time
+    wanted = np.array([np.nan, np.nan]) if known is None else known[[0, -1]]
     initial, final = leg.times()
     t0 = _time_in(initial, wanted[0], default=0.0)
     span = leg.numbers.duration

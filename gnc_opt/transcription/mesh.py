@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gnc_opt.arguments import read_integer, read_numbers
+from gnc_opt.arguments import expect, read_integer, read_numbers
 from gnc_opt.errors import ProblemError, shown
 from gnc_opt.model.layout import Array
 
@@ -59,11 +59,11 @@ class Mesh:
             )
         if not np.all((degrees >= 1) & (degrees == np.floor(degrees)) & np.isfinite(degrees)):
             raise ProblemError(f"the degrees of a mesh are {shown(self.degrees)}: give integers >= 1.")
-        movable = sorted(set(self.movable))
-        if movable and (movable[0] < 1 or movable[-1] > breaks.size - 2):
+        movable = np.unique(read_numbers(self.movable, "the movable breaks of a mesh", ProblemError))
+        if not np.all(np.isin(movable, np.arange(1, breaks.size - 1))):
             raise ProblemError(
-                f"mesh has the interior breaks 1 to {breaks.size - 2}, but breaks {self.movable} shall be "
-                "movable."
+                f"the movable breaks of a mesh are {shown(self.movable)}: "
+                f"choose among its interior breaks 1 to {breaks.size - 2}."
             )
         object.__setattr__(self, "movable", tuple(int(i) for i in movable))
         object.__setattr__(self, "breaks", (0.0, *map(float, breaks[1:-1]), 1.0))
@@ -95,6 +95,7 @@ class Mesh:
             )
         counts = read_numbers(degree, "the degrees of a mesh", ProblemError)
         degrees: Any = tuple(counts) if counts.ndim else (degree,) * (t.size - 1)
+        expect(movable, bool, "whether the breaks of a mesh are movable", "write movable=True")
         interior = tuple(range(1, t.size - 1)) if movable else ()
         return cls(tuple((t - t[0]) / (t[-1] - t[0])), degrees, interior)
 
@@ -129,7 +130,9 @@ class Mesh:
     @cached_property
     def segment_arcs(self) -> Indices:
         """The arc that each segment belongs to, shape (K,)."""
-        return np.searchsorted(np.asarray(self.movable, dtype=np.int64), np.arange(self.segments), side="right")
+        return np.searchsorted(
+            np.asarray(self.movable, dtype=np.int64), np.arange(self.segments), side="right"
+        )
 
     @cached_property
     def arc_starts(self) -> Array:

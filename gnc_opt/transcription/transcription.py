@@ -84,7 +84,10 @@ class Transcription:
         self._place_end_block()
         phase_blocks = [block for leg in problem.phases.values() for block in self._phase_blocks(leg)]
         self.program = SeparableProgram(self._linear(), (*phase_blocks, self._end_block()))
-        self.objective, self.constraints = self.program.rows(0, 1), self.program.rows(1, 1 + self.n_constraints)
+        self.objective, self.constraints = (
+            self.program.rows(0, 1),
+            self.program.rows(1, 1 + self.n_constraints),
+        )
 
     # --- numbering --------------------------------------------------------------------------------
 
@@ -139,7 +142,12 @@ class Transcription:
         self._durations = [
             name for name, part in self.parts.items() if np.all(part.times[[0, -1]] < self.n_variables)
         ]
-        self._arcs = [(name, arc) for name, movable in self._movable.items() if movable for arc in range(len(movable) + 1)]
+        self._arcs = [
+            (name, arc)
+            for name, movable in self._movable.items()
+            if movable
+            for arc in range(len(movable) + 1)
+        ]
         self._end_labels = [f"duration of phase {name}" for name in self._durations]
         self._end_labels += [f"length of arc {arc + 1}, phase {name}" for name, arc in self._arcs]
         self._end_labels += [f"constraint {label}" for label in self.problem.constraint_labels()]
@@ -174,7 +182,9 @@ class Transcription:
             n_states + n_paths, np.arange(n_states), n_states + np.arange(n_paths)
         )
         blocks = [
-            self._point_block(leg, leg.model.derivative(), leg.path_expression(), [(rows + 1, columns, values)])
+            self._point_block(
+                leg, leg.model.derivative(), leg.path_expression(), [(rows + 1, columns, values)]
+            )
         ]
         entries = self._integral_entries(leg)
         if entries:  # integrals may be declared only to be read
@@ -237,7 +247,9 @@ class Transcription:
     def _end_block(self) -> Block:
         function, variables = self._end_function()
         rows = np.concatenate([[0], 1 + self._first_end_row + np.arange(len(self._end_labels))])
-        weights = weight_matrix(1 + self.n_constraints, rows.size, (rows, np.arange(rows.size), np.ones(rows.size)))
+        weights = weight_matrix(
+            1 + self.n_constraints, rows.size, (rows, np.arange(rows.size), np.ones(rows.size))
+        )
         data = ca.vertcat(*self._symbols.models.values())
         return Block(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
 
@@ -251,7 +263,11 @@ class Transcription:
             inner = ca.SX.sym("boundary", len(self._movable[leg.name]))
             times = ca.vertcat(leg.initial_time, inner, leg.final_time)
             arguments += [leg.ends("initial"), leg.ends("final"), times]
-            variables += [part.collocation.boundary_states[:, 0], part.collocation.boundary_states[:, -1], part.times]
+            variables += [
+                part.collocation.boundary_states[:, 0],
+                part.collocation.boundary_states[:, -1],
+                part.times,
+            ]
             arc_lengths += [times[1:] - times[:-1]] if self._movable[leg.name] else []
         defined = [self.problem.phases[name].integrands[label][0] for name, label in self._defined]
         arguments += [self.problem.parameter_symbols(), *defined]
@@ -286,7 +302,9 @@ class Transcription:
         p = ca.MX.sym("p", sum(sizes))
         *models, times, scales, row_scales, objective_scale = ca.vertsplit(p, np.cumsum([0, *sizes]).tolist())
         x = ca.MX.sym("x", self.n_variables)
-        return _Symbols(x, p, dict(zip(phases, models, strict=True)), times, scales, row_scales, objective_scale)
+        return _Symbols(
+            x, p, dict(zip(phases, models, strict=True)), times, scales, row_scales, objective_scale
+        )
 
     @cached_property
     def nlp(self) -> NlpProblem:
@@ -314,7 +332,9 @@ class Transcription:
             p=s.p,
             f=s.objective_scale * self.objective.values(*arguments),
             g=s.row_scales * self.constraints.values(*arguments),
-            grad_f=ca.Function("nlp_grad_f", point, [s.objective_scale * f, gradient], names, ["f", "grad_f_x"]),
+            grad_f=ca.Function(
+                "nlp_grad_f", point, [s.objective_scale * f, gradient], names, ["f", "grad_f_x"]
+            ),
             jac_g=ca.Function("nlp_jac_g", point, [s.row_scales * g, jacobian], names, ["g", "jac_g_x"]),
             hess_lag=ca.Function(
                 "nlp_hess_l",
@@ -339,7 +359,9 @@ class Transcription:
 
     # --- numbers ----------------------------------------------------------------------------------
 
-    def parameter_vector(self, problem: Problem, scales: Array, row_scales: Array, objective_scale: float) -> Array:
+    def parameter_vector(
+        self, problem: Problem, scales: Array, row_scales: Array, objective_scale: float
+    ) -> Array:
         """Stack the program's parameters: model parameters, fixed times and scales."""
         return np.concatenate([self.numbers(problem), scales, row_scales, [objective_scale]])
 
@@ -371,7 +393,10 @@ class Transcription:
                                (collocation.boundary_states[:, -1], numbers.final)):  # fmt: skip
             # Not max and min: a value that rounding puts beyond a bound must not cross it.
             lower, upper = box.lower[places], box.upper[places]
-            box.lower[places], box.upper[places] = np.clip(values.lower, lower, upper), np.clip(values.upper, lower, upper)
+            box.lower[places], box.upper[places] = (
+                np.clip(values.lower, lower, upper),
+                np.clip(values.upper, lower, upper),
+            )
         for place, time in zip(part.times[[0, -1]], leg.times(), strict=True):
             if place < self.n_variables:
                 box.lower[place], box.upper[place] = time.lower[0], time.upper[0]

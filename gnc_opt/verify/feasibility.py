@@ -82,6 +82,8 @@ def _growth(samples: PhaseSamples) -> float:
     leg, scale = samples.leg, samples.state_scale
     middles = 0.5 * (leg.breaks[:-1] + leg.breaks[1:])
     jacobians = samples.functions.state_jacobian(middles, leg.x(middles), leg.flown(middles))
+    if not np.all(np.isfinite(jacobians)):  # an iterate beyond a singularity of the dynamics
+        return 1.0
     scaled = jacobians * scale[None, :, None] / scale[:, None, None]
     transition, largest = np.eye(scale.size), 1.0
     for k, width in enumerate(np.diff(leg.breaks)):

@@ -50,13 +50,17 @@ def adjoint(samples: list[PhaseSamples], tolerance: float) -> Condition:
         worth = s.state_scale[:, None] / s.cost_scale
         residual = s.per_segment(s.lam_rate + gradient + s.state_multiplier) * worth
         i, k = worst_index(residual)
-        worst = worst.or_worse(Worst(float(residual[i, k]), s.segment_place(k, f"costate of {s.leg.states.labels[i]}")))
+        worst = worst.or_worse(
+            Worst(float(residual[i, k]), s.segment_place(k, f"costate of {s.leg.states.labels[i]}"))
+        )
         breaks = s.leg.breaks[1:-1]
         if breaks.size:
             jump = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right") - s.leg.state_impulses[:, 1:-1]
             jump = np.abs(jump) * worth
             i, k = worst_index(jump)
-            place = f"phase {s.leg.name}, t = {breaks[k]:.6g} s, jump of the costate of {s.leg.states.labels[i]}"
+            place = (
+                f"phase {s.leg.name}, t = {breaks[k]:.6g} s, jump of the costate of {s.leg.states.labels[i]}"
+            )
             worst = worst.or_worse(Worst(float(jump[i, k]), place))
     return judge(
         "adjoint equation",
@@ -276,8 +280,22 @@ def complementarity(samples: list[PhaseSamples], tolerance: float) -> Condition:
         path_scale = np.maximum(np.max(np.abs(paths), axis=1, initial=0.0), 1e-6)
         span = leg.duration if leg.duration > 0 else 1.0
         for labels, multipliers, values, box, scale, worth in (
-            (leg.states.labels, leg.state_multipliers, x, leg.state_bounds, s.state_scale, s.cost_scale / span),
-            (leg.controls.labels, leg.control_multipliers, u, leg.control_bounds, s.control_scale, s.hamiltonian_scale),
+            (
+                leg.states.labels,
+                leg.state_multipliers,
+                x,
+                leg.state_bounds,
+                s.state_scale,
+                s.cost_scale / span,
+            ),
+            (
+                leg.controls.labels,
+                leg.control_multipliers,
+                u,
+                leg.control_bounds,
+                s.control_scale,
+                s.hamiltonian_scale,
+            ),
             (leg.path_labels, leg.path_multipliers, paths, leg.path_bounds, path_scale, s.hamiltonian_scale),
         ):
             if labels:
@@ -354,13 +372,15 @@ def singular_arcs(samples: list[PhaseSamples], tolerance: float) -> Condition:
     """No control is between its bounds where H does not determine it."""
     meaning = (
         "Where a control is between its bounds, dH/du and the curvature of H both vanish: H does not determine the "
-        "control there, and first-order conditions alone do not prove it (a singular arc, or a direct solution that chatters)."
+        "control there, and first-order conditions alone do not prove it (a singular arc, or a chattering solution)."
     )
     total, place = 0.0, "nowhere"
     for s in samples:
         loss, inside = _offences(s)[0], _inside(s)
         hessians = s.functions.control_hessian(s.times, s.x, s.u, s.lam, s.mu)
-        curvature = np.abs(np.einsum("iij->ij", hessians)) * s.control_scale[:, None] ** 2 / s.hamiltonian_scale
+        curvature = (
+            np.abs(np.einsum("iij->ij", hessians)) * s.control_scale[:, None] ** 2 / s.hamiltonian_scale
+        )
         singular = inside & (loss <= tolerance) & (curvature <= tolerance)
         lengths = np.sum(singular * s.weights, axis=1) / max(s.leg.duration, 1e-9)
         if lengths.size and lengths.max() > total:
@@ -372,7 +392,9 @@ def singular_arcs(samples: list[PhaseSamples], tolerance: float) -> Condition:
     return Condition("singular arcs", result, total, tolerance, place, meaning)
 
 
-def parameters(solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float) -> Condition:
+def parameters(
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
+) -> Condition:
     """The cost is stationary in the free parameters."""
     problem = solution.problem
     assert problem is not None, "verify refuses solutions without a problem"

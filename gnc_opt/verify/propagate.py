@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -60,7 +61,7 @@ def propagate(
     magnitude = state_magnitudes(leg)
     states = [leg.x(leg.breaks[0])]
     degree = max(leg.mesh.degrees)
-    for left, right in zip(edges[:-1], edges[1:], strict=True):
+    for left, right in itertools.pairwise(edges):
         rate = _right_hand_side(functions, signal, left, right, degree)
         states.append(_integrate(rate, states[-1], left, right, rtol, magnitude))
         if not np.all(np.isfinite(states[-1])):
@@ -104,6 +105,6 @@ def _right_hand_side(
     fast = functions.fast_rates()
 
     def rate(t: float, x: Array) -> Array:
-        return fast(t, x, legendre.legval((t - middle) / half, coefficients))
+        return fast(t, x, np.asarray(legendre.legval((t - middle) / half, coefficients)))
 
     return rate

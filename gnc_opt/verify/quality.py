@@ -66,9 +66,7 @@ def measure_quality(solution: Solution) -> Quality:
         defect = defect.or_worse(worst_defect(s))
         bound = bound.or_worse(worst_bound_violation(s)).or_worse(worst_path_violation(s))
         terminal = terminal.or_worse(worst_terminal_error(s))
-    return Quality(
-        defect.value, defect.where, bound.value, bound.where, terminal.value, terminal.where
-    )
+    return Quality(defect.value, defect.where, bound.value, bound.where, terminal.value, terminal.where)
 
 
 def worst_defect(samples: PhaseSamples) -> Worst:

@@ -92,5 +92,7 @@ class Verdict:
 
     def __str__(self) -> str:
         width = max(len(c.name) for c in self.conditions)
-        lines = [f"{c.name:<{width}}  {c.result.value:<11}  {c.value:9.2e}  {c.where}" for c in self.conditions]
+        lines = [
+            f"{c.name:<{width}}  {c.result.value:<11}  {c.value:9.2e}  {c.where}" for c in self.conditions
+        ]
         return "\n".join([*lines, f"verdict: {'ok' if self.ok else 'NOT ok'}"])

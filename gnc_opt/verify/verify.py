@@ -69,7 +69,7 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
     ]
     if not _has_costates(solution):
         judged = [_untold(c) for c in judged]
-    return Verdict(solution.problem_name, tuple([*conditions, *judged]))
+    return Verdict(solution.problem_name, (*conditions, *judged))
 
 
 def _ends(solution: Solution) -> EndGradients:

@@ -60,7 +60,17 @@ def test_status_and_culprit(build: Build, status: go.Status, culprit: str, schem
     assert "\n" not in message
 
 
-@pytest.mark.parametrize("build", [ill_posed.too_little_time, ill_posed.free_ride, ill_posed.clipped_cost])
+@pytest.mark.parametrize(
+    "build",
+    [
+        ill_posed.too_little_time,
+        ill_posed.overdetermined,
+        ill_posed.free_ride,
+        ill_posed.endless,
+        ill_posed.root_of_clipped_state,
+        ill_posed.clipped_cost,
+    ],
+)
 def test_the_iterate_of_a_failed_solve_can_be_looked_at(build: Build) -> None:
     solution = ended(build)
     phase = solution.phase()
@@ -70,6 +80,7 @@ def test_the_iterate_of_a_failed_solve_can_be_looked_at(build: Build) -> None:
     assert np.isfinite(solution.objective)
     text = str(solution)
     assert "NOT SOLVED" in text and solution.violations[0].name in text
+    assert not go.verify(solution).ok
 
 
 def test_violations_are_sorted_and_true() -> None:

@@ -319,7 +319,8 @@ def test_stored_classes_belong_to_this_version() -> None:
     )
     assert known["PhaseSolution"] == (
         "name scheme mesh initial_time final_time states controls model_parameters path_labels "
-        "integral_labels x u lam lam_start lam_end point_costates path_multipliers state_multipliers control_multipliers "
+        "integral_labels x u lam lam_start lam_end point_costates path_multipliers state_multipliers "
+        "control_multipliers "
         "state_impulses time_multipliers duration_multiplier integrals integral_weights parameters "
         "state_bounds control_bounds path_bounds initial_bounds final_bounds initial_time_bounds "
         "final_time_bounds duration_bounds"

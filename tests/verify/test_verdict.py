@@ -149,7 +149,9 @@ def test_switch_off_the_mesh_boundary_fails() -> None:
 
 def test_bound_enforced_only_at_nodes_fails() -> None:
     """One interval of degree 8: J = 3.98 < 4, with the state bound broken between the nodes."""
-    problem = minimum_energy().with_initial(q=0.0, v=1.0).with_final(q=0.0, v=-1.0).with_bounds(q=(None, 1 / 9))
+    problem = (
+        minimum_energy().with_initial(q=0.0, v=1.0).with_final(q=0.0, v=-1.0).with_bounds(q=(None, 1 / 9))
+    )
     solution = go.solve(problem, mesh="1x8")
     assert solution.objective < 3.99
     assert "bounds" in failed(solution)
@@ -169,7 +171,9 @@ def test_maximum_of_the_hamiltonian_fails() -> None:
     leg.bounds(u=(-2.0, 2.0))
     problem.minimize(leg.integral((u**2 - 1) ** 2))
     pinned = go.solve(problem.with_bounds(u=(0.0, 0.0)), mesh="4x4")
-    free = replace(with_leg(pinned, control_bounds=Interval(np.array([-2.0]), np.array([2.0]))), problem=problem)
+    free = replace(
+        with_leg(pinned, control_bounds=Interval(np.array([-2.0]), np.array([2.0]))), problem=problem
+    )
     assert failed(free) == {"minimum principle", "Legendre-Clebsch"}
 
 
@@ -197,7 +201,9 @@ def test_solution_without_costates_cannot_be_told(energy: go.Solution) -> None:
 
 def test_broken_boundary_value_fails(energy: go.Solution) -> None:
     leg = energy.phase()
-    wrong = with_leg(energy, final_bounds=Interval(leg.final_bounds.lower + 0.01, leg.final_bounds.upper + 0.01))
+    wrong = with_leg(
+        energy, final_bounds=Interval(leg.final_bounds.lower + 0.01, leg.final_bounds.upper + 0.01)
+    )
     assert "boundary conditions" in failed(wrong)
 
 
