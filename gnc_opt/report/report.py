@@ -58,6 +58,8 @@ def write_report(
     written.append(write_json(folder / "summary.json", solution, verdict))
     written.append(solution.save(folder / "solution.npz"))
     written += _save_figures(folder, _generic_figures(solution))
+    if verdict is not None:
+        written += _save_figures(folder, [("verdict", _verdict_figure(verdict))])
     if figures is not None:
         written += _own_figures(folder, figures(solution, folder))
     return written
@@ -72,6 +74,12 @@ def _verdict_text(verdict: Verdict) -> str:
     from gnc_opt.report.verdict_table import verdict_text
 
     return f"{verdict_text(verdict)}\n{verdict.explain()}\n"
+
+
+def _verdict_figure(verdict: Verdict) -> Figure:
+    from gnc_opt.plot.verdict import plot_verdict
+
+    return plot_verdict(verdict)
 
 
 def _generic_figures(solution: Solution) -> Iterator[tuple[str, Figure]]:

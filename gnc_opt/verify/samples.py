@@ -15,6 +15,9 @@ from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.transcription.quadrature import collocation_rule
 from gnc_opt.verify.propagate import state_magnitudes
 
+AT_BOUND = 1e-6
+"""A value this close to its bound, relative to the range, sits on it."""
+
 EXTRA = 9
 """Samples per segment beyond the number of collocation points; segment ends come on top."""
 

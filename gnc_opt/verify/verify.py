@@ -9,7 +9,7 @@ import numpy as np
 from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.problem.functions import EndGradients, end_gradients
 from gnc_opt.solution.solution import Solution
-from gnc_opt.verify import feasibility, optimality
+from gnc_opt.verify import controls, costates, feasibility
 from gnc_opt.verify.samples import PhaseSamples
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 
@@ -56,16 +56,16 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         feasibility.cost(solution, samples, ends, tol),
     ]
     judged = [
-        optimality.adjoint(samples, tol),
-        optimality.transversality(solution, samples, ends, tol),
-        optimality.hamiltonian(samples, tol),
-        optimality.stationarity(samples, tol),
-        optimality.control_signs(samples, tol),
-        optimality.minimum(samples, tol),
-        optimality.complementarity(samples, tol),
-        optimality.legendre_clebsch(samples, tol),
-        optimality.singular_arcs(samples, tol),
-        optimality.parameters(solution, samples, ends, tol),
+        costates.adjoint(samples, tol),
+        costates.transversality(solution, samples, ends, tol),
+        costates.hamiltonian(samples, tol),
+        controls.stationarity(samples, tol),
+        controls.control_signs(samples, tol),
+        controls.minimum(samples, tol),
+        costates.complementarity(samples, tol),
+        controls.legendre_clebsch(samples, tol),
+        controls.singular_arcs(samples, tol),
+        costates.parameters(solution, samples, ends, tol),
     ]
     if not _has_costates(solution):
         judged = [_untold(c) for c in judged]

@@ -318,6 +318,7 @@ def test_report_folder(smeared: go.Solution, tmp_path: Path) -> None:
         "controls.png",
         "costates.png",
         "hamiltonian.png",
+        "verdict.png",
         "own.txt",
         "figure_1.png",
     ]

@@ -1,4 +1,4 @@
-r"""Pontryagin's minimum principle, condition by condition, along the flown control.
+r"""Pontryagin's minimum principle: costates, Hamiltonian and multipliers.
 
 With :math:`H = w^T L + \lambda^T f`, :math:`H_a = H + \mu^T c` and :math:`\tilde\Phi = \Phi + \nu^T\psi`, a minimum
 satisfies (Bryson & Ho, Applied Optimal Control, 1975, ch. 2-3; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995)
@@ -8,7 +8,7 @@ satisfies (Bryson & Ho, Applied Optimal Control, 1975, ch. 2-3; Hartl, Sethi & V
   in components that are free there, :math:`H(t_f) = -\partial\tilde\Phi/\partial t_f` and
   :math:`H(t_0) = \partial\tilde\Phi/\partial t_0` at free times,
 * :math:`dH/dt = \partial H_a/\partial t`,
-* u minimises H among the admissible controls.
+* u minimises H among the admissible controls (module `controls`).
 
 Offences are made dimensionless by what the terms of H and the products lambda x amount to along the phase, so
 that no choice of units or scales can hide them.
@@ -19,27 +19,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gnc_opt.model.layout import Array
 from gnc_opt.problem.functions import EndGradients
 from gnc_opt.problem.interval import Interval
 from gnc_opt.verify.feasibility import judge
 from gnc_opt.verify.quality import NOTHING, Worst, worst_index
-from gnc_opt.verify.samples import PhaseSamples
-from gnc_opt.verify.verdict import Condition, Result
+from gnc_opt.verify.samples import AT_BOUND, PhaseSamples
+from gnc_opt.verify.verdict import Condition
 
 if TYPE_CHECKING:
     from gnc_opt.solution.solution import Solution
-
-AT_BOUND = 1e-6
-"""A value this close to its bound, relative to the range, sits on it."""
-
-CLEARLY_INSIDE = 1e-2
-"""A control this far from both bounds, relative to the range, is between them on purpose."""
-
-_GRID = 9
-_MOST_TIMES = 400
 
 
 def adjoint(samples: list[PhaseSamples], tolerance: float) -> Condition:
@@ -157,118 +147,6 @@ def hamiltonian(samples: list[PhaseSamples], tolerance: float) -> Condition:
     )
 
 
-def _offences(s: PhaseSamples) -> tuple[Array, NDArray[np.bool_]]:
-    """First-order loss in H of each control, in shares of H's scale, and whether it sits on a bound."""
-    bounds, scale = s.leg.control_bounds, s.control_scale
-    gradient = s.control_gradient
-    near = (AT_BOUND * scale)[:, None]
-    at_lower, at_upper = s.u <= bounds.lower[:, None] + near, s.u >= bounds.upper[:, None] - near
-    room_down = np.where(at_lower, 0.0, np.minimum(s.u - bounds.lower[:, None], scale[:, None]))
-    room_up = np.where(at_upper, 0.0, np.minimum(bounds.upper[:, None] - s.u, scale[:, None]))
-    loss = np.abs(gradient) * np.where(gradient > 0, room_down, room_up) / s.hamiltonian_scale
-    return loss, at_lower | at_upper
-
-
-def _inside(s: PhaseSamples) -> NDArray[np.bool_]:
-    """Where each control is clearly between its bounds, (m, n_samples)."""
-    bounds, margin = s.leg.control_bounds, (CLEARLY_INSIDE * s.control_scale)[:, None]
-    return np.asarray((s.u > bounds.lower[:, None] + margin) & (s.u < bounds.upper[:, None] - margin))
-
-
-def stationarity(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """dH/du vanishes where a control is between its bounds."""
-    worst = NOTHING
-    for s in samples:
-        loss, on_bound = _offences(s)
-        worst = worst.or_worse(_worst_control(s, np.where(on_bound, 0.0, loss)))
-    return judge(
-        "stationarity",
-        worst,
-        tolerance,
-        "Where a control is strictly between its bounds, dH/du (with path multipliers) must vanish (first-order gain "
-        "in H that is left). A bang-bang control smeared over a switch fails here: put a mesh boundary on the switch.",
-    )
-
-
-def control_signs(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """Each control on a bound sits on the right one for its switching function."""
-    worst = NOTHING
-    for s in samples:
-        loss, on_bound = _offences(s)
-        worst = worst.or_worse(_worst_control(s, np.where(on_bound, loss, 0.0)))
-    return judge(
-        "control signs",
-        worst,
-        tolerance,
-        "A control on its lower bound needs a switching function dH/du >= 0, on its upper bound <= 0 (first-order gain "
-        "in H that is left). A wrong sign means a switch in the wrong place, or an arc that is missing.",
-    )
-
-
-def _worst_control(s: PhaseSamples, loss: Array) -> Worst:
-    if not loss.size:
-        return NOTHING
-    i, j = worst_index(loss)
-    return Worst(float(loss[i, j]), s.place(j, s.leg.controls.labels[i]))
-
-
-def minimum(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """No other admissible control has a smaller H (sampled)."""
-    meaning = (
-        "At every time the control must give the smallest H among all admissible ones, not only a stationary one "
-        "(checked against a grid of other controls; share of H's scale that could be gained)."
-    )
-    worst = NOTHING
-    for s in samples:
-        if s.leg.controls.size:
-            worst = worst.or_worse(_sampled_minimum(s))
-    return judge("minimum principle", worst, tolerance, meaning)
-
-
-def _sampled_minimum(s: PhaseSamples) -> Worst:
-    chosen = np.unique(np.linspace(0, s.times.size - 1, _MOST_TIMES).astype(int))
-    times, x, u, lam = s.times[chosen], s.x[:, chosen], s.u[:, chosen], s.lam[:, chosen]
-    base = s.functions.hamiltonian(times, x, u, lam)
-    gain = np.zeros(chosen.size)
-    for other in _other_controls(s, u):
-        value = s.functions.hamiltonian(times, x, other, lam)
-        admissible = _admissible(s, times, x, other) & np.isfinite(value)
-        gain = np.maximum(gain, np.where(admissible, base - value, 0.0))
-    gain = np.where(np.isnan(base), np.inf, gain / s.hamiltonian_scale)
-    j = int(np.argmax(gain))
-    return Worst(float(gain[j]), s.place(int(chosen[j])))
-
-
-def _other_controls(s: PhaseSamples, u: Array) -> list[Array]:
-    """Controls that differ from u in one channel, and the corners of the box where they are few."""
-    bounds, m = s.leg.control_bounds, u.shape[0]
-    reach = 2.0 * np.maximum(np.max(np.abs(u), axis=1), s.control_scale)
-    lower = np.where(np.isfinite(bounds.lower), bounds.lower, -reach)
-    upper = np.where(np.isfinite(bounds.upper), bounds.upper, reach)
-    others = []
-    for i in range(m):
-        for value in np.linspace(lower[i], upper[i], _GRID):
-            other = u.copy()
-            other[i] = value
-            others.append(other)
-    if m <= 6:
-        for corner in range(2**m):
-            high = (corner >> np.arange(m)) & 1
-            others.append(np.tile(np.where(high, upper, lower)[:, None], u.shape[1]))
-    return others
-
-
-def _admissible(s: PhaseSamples, times: Array, x: Array, u: Array) -> NDArray[np.bool_]:
-    """Where controls respect the path constraints that depend on controls."""
-    bounds = s.leg.path_bounds
-    if not s.leg.path_labels:
-        return np.ones(times.size, dtype=bool)
-    values = s.functions.paths(times, x, u)
-    mixed = np.any(s.functions.path_control_jacobian(times, x, u) != 0, axis=(1, 2))
-    inside = (values >= bounds.lower[:, None] - AT_BOUND) & (values <= bounds.upper[:, None] + AT_BOUND)
-    return np.asarray(np.all(inside | ~mixed[:, None], axis=0))
-
-
 def complementarity(samples: list[PhaseSamples], tolerance: float) -> Condition:
     """Multipliers push only at limits, and inwards."""
     worst = NOTHING
@@ -317,79 +195,6 @@ def _slack_offence(multipliers: Array, values: Array, box: Interval, scale: Arra
     room_up = np.minimum(np.abs(box.upper[:, None] - values), scale[:, None])
     room_down = np.minimum(np.abs(values - box.lower[:, None]), scale[:, None])
     return np.abs(multipliers) * np.where(multipliers > 0, room_up, room_down)
-
-
-def legendre_clebsch(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """The Hessian of H in the controls that are not on a bound is positive definite (strengthened form)."""
-    name = "Legendre-Clebsch"
-    meaning = (
-        "In controls between their bounds the Hessian of H must be positive definite (value: smallest eigenvalue with "
-        "its sign reversed, in shares of H's scale): negative curvature means a maximum, none leaves it open."
-    )
-    places = [(value, place) for value, place in map(_least_curvature, samples) if place is not None]
-    if not places:
-        return Condition(name, Result.PASS, 0.0, -tolerance, "no control between its bounds", meaning)
-    least, place = min(places, key=lambda item: item[0])
-    result = Result.PASS if least >= tolerance else Result.CANNOT_TELL if least > -tolerance else Result.FAIL
-    return Condition(name, result, -least, -tolerance, place, meaning)
-
-
-def _least_curvature(s: PhaseSamples) -> tuple[float, str | None]:
-    hessians = s.functions.control_hessian(s.times, s.x, s.u, s.lam, s.mu)
-    scaled = hessians * s.control_scale[:, None, None] * s.control_scale[None, :, None] / s.hamiltonian_scale
-    interior = _inside(s)
-    least, place = np.inf, None
-    for j in range(s.times.size):
-        curvature = _reduced_curvature(s, j, scaled[:, :, j], interior[:, j])
-        if curvature is not None and curvature < least:
-            least, place = curvature, s.place(j)
-    return float(least), place
-
-
-def _reduced_curvature(s: PhaseSamples, j: int, hessian: Array, interior: NDArray[np.bool_]) -> float | None:
-    """Least eigenvalue on interior controls, tangent to active mixed path constraints; None if none is free."""
-    free = np.flatnonzero(interior)
-    if not free.size:
-        return None
-    reduced = hessian[np.ix_(free, free)]
-    if s.leg.path_labels:
-        t, x, u = s.times[j], s.x[:, j], s.u[:, j]
-        values = s.functions.paths(t, x, u)
-        box = s.leg.path_bounds
-        near = 1e-5 * np.maximum(1.0, np.abs(values))
-        active = (values >= box.upper - near) | (values <= box.lower + near)
-        rows = s.functions.path_control_jacobian(t, x, u)[np.ix_(active, free)] * s.control_scale[free]
-        _, sizes, basis = np.linalg.svd(rows, full_matrices=True)
-        rank = int(np.sum(sizes > 1e-9 * max(1.0, float(np.max(sizes, initial=0.0)))))
-        tangent = basis[rank:].T
-        if not tangent.shape[1]:
-            return None
-        reduced = tangent.T @ reduced @ tangent
-    return float(np.linalg.eigvalsh(0.5 * (reduced + reduced.T))[0])
-
-
-def singular_arcs(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """No control is between its bounds where H does not determine it."""
-    meaning = (
-        "Where a control is between its bounds, dH/du and the curvature of H both vanish: H does not determine the "
-        "control there, and first-order conditions alone do not prove it (a singular arc, or a chattering solution)."
-    )
-    total, place = 0.0, "nowhere"
-    for s in samples:
-        loss, inside = _offences(s)[0], _inside(s)
-        hessians = s.functions.control_hessian(s.times, s.x, s.u, s.lam, s.mu)
-        curvature = (
-            np.abs(np.einsum("iij->ij", hessians)) * s.control_scale[:, None] ** 2 / s.hamiltonian_scale
-        )
-        singular = inside & (loss <= tolerance) & (curvature <= tolerance)
-        lengths = np.sum(singular * s.weights, axis=1) / max(s.leg.duration, 1e-9)
-        if lengths.size and lengths.max() > total:
-            i = int(np.argmax(lengths))
-            total = float(lengths[i])
-            j = int(np.flatnonzero(singular[i])[0])
-            place = f"from {s.place(j, s.leg.controls.labels[i])}, {100 * total:.1f} % of the phase"
-    result = Result.PASS if total <= tolerance else Result.CANNOT_TELL
-    return Condition("singular arcs", result, total, tolerance, place, meaning)
 
 
 def parameters(
