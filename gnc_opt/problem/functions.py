@@ -227,10 +227,8 @@ def end_gradients(problem: Problem, ends: dict[str, list[Any]], q: Array, nu: Ar
     nu : array (n_constraints,)
         Multipliers of the boundary constraints.
     """
-    if "ends" not in problem.builds:
-        problem.builds["ends"] = _build_end_function(problem)
     arguments = [value for leg in problem.phases for value in ends[leg]]
-    outputs = [np.asarray(v.full()).ravel() for v in problem.builds["ends"](*arguments, q, nu)]
+    outputs = [np.asarray(v.full()).ravel() for v in end_function(problem)(*arguments, q, nu)]
     cost, constraints, gradients = outputs[0], outputs[1], outputs[2:]
     per_phase = {name: gradients[5 * k : 5 * k + 5] for k, name in enumerate(problem.phases)}
     return EndGradients(
@@ -243,6 +241,17 @@ def end_gradients(problem: Problem, ends: dict[str, list[Any]], q: Array, nu: Ar
         float(cost[0]),
         constraints,
     )
+
+
+def end_function(problem: Problem) -> Any:
+    """Return the CasADi Function behind `end_gradients`.
+
+    Its inputs are, per phase, the six of ``ends`` there, then q and nu; its outputs the cost as stated, the
+    boundary constraints, and the gradients of their Lagrangian in the order of `EndGradients`.
+    """
+    if "ends" not in problem.builds:
+        problem.builds["ends"] = _build_end_function(problem)
+    return problem.builds["ends"]
 
 
 def _build_end_function(problem: Problem) -> Any:

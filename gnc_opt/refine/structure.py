@@ -4,42 +4,14 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gnc_opt.model.layout import Array
+from gnc_opt.solution.arc import Arc, ArcKind
 
 Signs = NDArray[np.int64]
-
-
-class ArcKind(Enum):
-    """Where a control is during an arc."""
-
-    LOWER = "lower"
-    UPPER = "upper"
-    INTERIOR = "interior"
-    SINGULAR = "singular"
-
-
-@dataclass(frozen=True)
-class Arc:
-    """One control between two of its switches.
-
-    Attributes
-    ----------
-    phase, channel : str
-    kind : ArcKind
-    start, end : float
-        s.
-    """
-
-    phase: str
-    channel: str
-    kind: ArcKind
-    start: float
-    end: float
 
 
 @dataclass(frozen=True)

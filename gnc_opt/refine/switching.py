@@ -18,6 +18,7 @@ from gnc_opt.nlp import SolverOptions
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.detect import _root, affine_channels, detect, switching
 from gnc_opt.refine.structure import PhaseStructure, Signs
+from gnc_opt.solution.arc import Arc
 from gnc_opt.solution.solution import Solution
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.verify.samples import PhaseSamples
@@ -52,8 +53,8 @@ class SwitchingStep:
 
 def optimise_switches(
     solution: Solution, *, tol: float = 1e-9, max_passes: int = 40, options: SolverOptions | None = None
-) -> tuple[Solution, tuple[SwitchingStep, ...]]:
-    """Return the solution with exact switch times, and the history of the structure loop."""
+) -> tuple[Solution, tuple[Arc, ...], tuple[SwitchingStep, ...]]:
+    """Return the solution with exact switch times, its arcs, and the history of the structure loop."""
     problem = solution.problem
     assert problem is not None, "refine() refuses solutions without a problem"
     structures = {name: detect(s) for name, s in _samples(solution).items()}
@@ -83,7 +84,10 @@ def optimise_switches(
         )
         if not action:
             break
-    return solution, tuple(history)
+    arcs: list[Arc] = []
+    for name, s in _samples(solution).items():
+        arcs += structures[name].arcs(name, s.leg.controls.labels, affine_channels(s))
+    return solution, tuple(arcs), tuple(history)
 
 
 def _samples(solution: Solution) -> dict[str, PhaseSamples]:

@@ -17,6 +17,7 @@ from gnc_opt.model.layout import Array, Layout
 from gnc_opt.nlp.status import Status
 from gnc_opt.problem.functions import PhaseFunctions, evaluator, phase_functions
 from gnc_opt.problem.problem import Problem
+from gnc_opt.solution.arc import Arc
 from gnc_opt.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.solution.polynomial import Side
 
@@ -88,6 +89,8 @@ class Solution:
     violations : tuple of Violation
         Worst first; empty when solved.
     statistics : Statistics
+    structure : tuple of Arc
+        Which control sits on which bound when, from a refinement that optimised switch times; else empty.
     provenance : dict of str
         Versions, options, scheme, mesh and the problem's fingerprint.
     problem : Problem or None
@@ -108,6 +111,7 @@ class Solution:
     violations: tuple[Violation, ...]
     statistics: Statistics
     provenance: Mapping[str, str]
+    structure: tuple[Arc, ...] = ()
     problem: Problem | None = field(default=None, repr=False)
 
     # --- evaluation -------------------------------------------------------------------------------

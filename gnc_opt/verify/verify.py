@@ -9,7 +9,7 @@ import numpy as np
 from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.problem.functions import EndGradients, end_gradients
 from gnc_opt.solution.solution import Solution
-from gnc_opt.verify import controls, costates, feasibility
+from gnc_opt.verify import controls, costates, feasibility, second_order
 from gnc_opt.verify.samples import PhaseSamples
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 
@@ -34,7 +34,8 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
     Verdict
         PASS, FAIL or CANNOT TELL per condition: dynamics, propagation, bounds, path constraints, boundary
         conditions, cost, adjoint equation, transversality, Hamiltonian, stationarity, control signs, minimum
-        principle, complementarity, Legendre-Clebsch, singular arcs, parameters.
+        principle, complementarity, Legendre-Clebsch, singular arcs, parameters; and, for a solution whose switch
+        times were optimised, strict switches and second order.
 
     Raises
     ------
@@ -67,6 +68,8 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         controls.singular_arcs(samples, tol),
         costates.parameters(solution, samples, ends, tol),
     ]
+    if solution.structure:
+        judged += [second_order.strict_switches(samples), second_order.second_order(solution, samples, ends)]
     if not _has_costates(solution):
         judged = [_untold(c) for c in judged]
     return Verdict(solution.problem_name, (*conditions, *judged))

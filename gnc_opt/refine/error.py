@@ -1,0 +1,244 @@
+"""How far a trajectory is from satisfying its problem between the nodes: an estimate per segment.
+
+Three errors, none of which the solver sees, each of them dimensionless:
+
+* dynamics: the integral over the segment of |dx/dt - f(t, x, u)|, relative to the state's magnitude;
+* integrals: a finer quadrature of each integrand along the polynomials minus the collocation rule's,
+  relative to the integral of its magnitude (the dynamics alone say nothing of an integrand);
+* overshoot: how far bounds and path constraints are left between the nodes, where collocation does not look.
+  What depends on the states alone counts with its largest value, relative to the constrained quantity's
+  magnitude. What depends on the controls counts with its mean over the phase, which is what it contributes to
+  the states and the cost: the peak beside a kink can be narrow without doing harm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gnc_opt.model.layout import Array
+from gnc_opt.problem.functions import PhaseFunctions
+from gnc_opt.problem.interval import Interval
+from gnc_opt.solution.phase_solution import PhaseSolution
+from gnc_opt.solution.solution import Solution
+from gnc_opt.verify.samples import PhaseSamples
+
+NEGLIGIBLE = 1e-6
+"""An integral or a path constraint whose magnitude stays below this counts in its own unit, not relatively."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Polynomial segments, sampled: those of a solution, or trial ones.
+
+    Attributes
+    ----------
+    times, weights : array (n_samples,)
+        Quadrature in s, piece after piece; weights are zero at the ends of pieces.
+    starts : int array (n_pieces,)
+        Each piece's first sample.
+    x, x_rate, u : array (n, n_samples)
+        Polynomials of states, their derivatives and controls.
+    integrals : array (n_integrals, n_pieces)
+        Each integrand's integral by the collocation points' own quadrature.
+    """
+
+    times: Array
+    weights: Array
+    starts: NDArray[np.int64]
+    x: Array
+    x_rate: Array
+    u: Array
+    integrals: Array
+
+    @classmethod
+    def of(cls, samples: PhaseSamples) -> Pieces:
+        """Return the segments of a solution."""
+        leg = samples.leg
+        points, count = leg.point_times, leg.mesh.segments
+        weights = np.concatenate([r.weights for r in leg.rules])
+        weights = weights * np.repeat(0.5 * np.diff(leg.breaks), leg.mesh.degrees)
+        values = samples.functions.integrands(points, states_at_points(leg), np.hstack(leg.u.values))
+        integrals = np.add.reduceat(values * weights, leg.mesh.offsets[:-1], axis=1)
+        starts = np.searchsorted(samples.segments, np.arange(count))
+        return cls(
+            samples.times,
+            samples.weights,
+            starts,
+            samples.x,
+            samples.x_rate,
+            samples.u_polynomial,
+            integrals,
+        )
+
+    def total(self, values: Array) -> Array:
+        """Integrate values (n, n_samples) over each piece: (n, n_pieces)."""
+        return np.asarray(np.add.reduceat(values * self.weights, self.starts, axis=1))
+
+    def largest(self, values: Array) -> Array:
+        """Return the largest of values (n, n_samples) in each piece: (n, n_pieces)."""
+        return np.asarray(np.maximum.reduceat(values, self.starts, axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Yardstick:
+    """What the errors of a phase are relative to.
+
+    Attributes
+    ----------
+    leg : PhaseSolution
+    functions : PhaseFunctions
+    state, control, integral, path : array
+        Magnitude of each state, control, integral and path constraint along the phase.
+    path_has_control : bool array (n_paths,)
+        Whether a path constraint depends on the controls.
+    """
+
+    leg: PhaseSolution
+    functions: PhaseFunctions
+    state: Array
+    control: Array
+    integral: Array
+    path: Array
+    path_has_control: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, samples: PhaseSamples) -> Yardstick:
+        """Measure a phase."""
+        leg, functions = samples.leg, samples.functions
+        at = samples.times, samples.x, samples.u_polynomial
+        integral = np.sum(np.abs(functions.integrands(*at)) * samples.weights, axis=1)
+        path, has_control = np.zeros(0), np.zeros(0, dtype=bool)
+        if leg.path_labels:
+            limits = [
+                np.where(np.isfinite(b), np.abs(b), 0.0)
+                for b in (leg.path_bounds.lower, leg.path_bounds.upper)
+            ]
+            path = np.maximum(np.max(np.abs(functions.paths(*at)), axis=1), np.maximum(*limits))
+            has_control = np.any(functions.path_control_jacobian(*at) != 0, axis=(1, 2))
+        return cls(
+            leg,
+            functions,
+            samples.state_scale,
+            samples.control_scale,
+            np.where(integral > NEGLIGIBLE, integral, 1.0),
+            np.where(path > NEGLIGIBLE, path, 1.0),
+            has_control,
+        )
+
+    def judge(self, pieces: Pieces) -> SegmentErrors:
+        """Return the errors of each piece."""
+        f = self.functions
+        rates = f.rates(pieces.times, pieces.x, pieces.u)
+        dynamics = pieces.total(np.abs(pieces.x_rate - rates)) / self.state[:, None]
+        exact = pieces.total(f.integrands(pieces.times, pieces.x, pieces.u))
+        integrals = np.abs(exact - pieces.integrals) / self.integral[:, None]
+        leg, span = self.leg, self.leg.duration
+        states = pieces.largest(_excess(pieces.x, leg.state_bounds, self.state))
+        controls = pieces.total(_excess(pieces.u, leg.control_bounds, self.control)) / span
+        overshoot = [states, controls]
+        if leg.path_labels:
+            excess = _excess(f.paths(pieces.times, pieces.x, pieces.u), leg.path_bounds, self.path)
+            mean = pieces.total(excess) / span
+            overshoot.append(np.where(self.path_has_control[:, None], mean, pieces.largest(excess)))
+        return SegmentErrors(dynamics, integrals, np.concatenate(overshoot))
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentErrors:
+    """Errors of K segments, by kind.
+
+    Attributes
+    ----------
+    dynamics : array (n_states, K)
+    integrals : array (n_integrals, K)
+    overshoot : array (n_states + n_controls + n_paths, K)
+        Of state bounds, control bounds and path constraints.
+    """
+
+    dynamics: Array
+    integrals: Array
+    overshoot: Array
+
+    @property
+    def table(self) -> Array:
+        """All kinds below each other, NaN as infinity."""
+        rows = np.concatenate([self.dynamics, self.integrals, self.overshoot])
+        return np.where(np.isnan(rows), np.inf, rows)
+
+    @property
+    def worst(self) -> Array:
+        """The largest error of each segment, (K,)."""
+        return np.asarray(np.max(self.table, axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseError:
+    """The error estimate of one phase.
+
+    Attributes
+    ----------
+    samples : PhaseSamples
+    yardstick : Yardstick
+    pieces : Pieces
+    errors : SegmentErrors
+    """
+
+    samples: PhaseSamples
+    yardstick: Yardstick
+    pieces: Pieces
+    errors: SegmentErrors
+
+    @classmethod
+    def of(cls, leg: PhaseSolution, functions: PhaseFunctions) -> PhaseError:
+        """Estimate the error of each segment of a phase."""
+        samples = PhaseSamples.of(leg, functions)
+        yardstick, pieces = Yardstick.of(samples), Pieces.of(samples)
+        errors = yardstick.judge(pieces)
+        inner = leg.breaks[1:-1]
+        if inner.size:
+            jumps = np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / yardstick.state[:, None]
+            errors.dynamics[:, :-1] += jumps
+        return cls(samples, yardstick, pieces, errors)
+
+    @property
+    def worst(self) -> Array:
+        """The largest error of each segment, (K,)."""
+        return self.errors.worst
+
+    @property
+    def where(self) -> str:
+        """Place and kind of the largest error."""
+        table, leg = self.errors.table, self.samples.leg
+        row, k = np.unravel_index(int(np.argmax(table)), table.shape)
+        states, controls = leg.states.labels, leg.controls.labels
+        names = [f"dynamics of {label}" for label in states]
+        names += [f"integral {label}" for label in leg.integral_labels]
+        names += [f"bounds of {label}" for label in (*states, *controls)]
+        names += [f"path constraint {label}" for label in leg.path_labels]
+        return self.samples.segment_place(int(k), names[int(row)])
+
+
+def estimate_errors(solution: Solution) -> dict[str, PhaseError]:
+    """Return the error estimate of every phase of a solution; needs its problem."""
+    return {name: PhaseError.of(leg, solution.functions(name)) for name, leg in solution.phases.items()}
+
+
+def largest_error(errors: Mapping[str, PhaseError]) -> tuple[float, str]:
+    """Return the largest error of all phases and its place."""
+    worst = max(errors.values(), key=lambda e: float(np.max(e.worst)))
+    return float(np.max(worst.worst)), worst.where
+
+
+def states_at_points(leg: PhaseSolution) -> Array:
+    """Return the states at the collocation points, with the limit from inside the segment: (n, N)."""
+    at_end = np.concatenate([r.points == 1.0 for r in leg.rules])
+    return np.where(at_end, leg.x(leg.point_times, "left"), leg.x(leg.point_times, "right"))
+
+
+def _excess(values: Array, bounds: Interval, scale: Array) -> Array:
+    beyond = np.maximum(bounds.lower[:, None] - values, values - bounds.upper[:, None])
+    return np.asarray(np.maximum(beyond, 0.0) / scale[:, None])

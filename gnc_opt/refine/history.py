@@ -1,0 +1,179 @@
+"""The record of a mesh refinement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from gnc_opt.transcription.mesh import Mesh
+
+
+class RefinementStatus(Enum):
+    """How a refinement ended; `remedy` says what it means and what to do."""
+
+    CONVERGED = "converged"
+    POINT_LIMIT = "point_limit"
+    PASS_LIMIT = "pass_limit"
+    STALLED = "stalled"
+    FAILED = "failed"
+    INTERRUPTED = "interrupted"
+
+    @property
+    def remedy(self) -> str:
+        """What this ending means and what the user should do about it."""
+        return _REMEDIES[self]
+
+
+_REMEDIES = {
+    RefinementStatus.CONVERGED: "The estimated error is below the tolerance. Nothing needs to be done.",
+    RefinementStatus.POINT_LIMIT: (
+        "The next mesh would have had more points than `max_points`. Raise it or loosen `tol`; where a control "
+        'jumps between its bounds, structure="bang-bang" needs far fewer points.'
+    ),
+    RefinementStatus.PASS_LIMIT: (
+        "The passes ran out while the error was still falling. Raise `max_passes`, or refine the solution again."
+    ),
+    RefinementStatus.STALLED: (
+        "Finer meshes did not reduce the error any more. A control that chatters (no optimum exists, or a singular "
+        "arc) never settles on any mesh: add a small penalty on the control, or use its structure; if it does "
+        "not chatter, the tolerance is beyond what rounding and the solver permit."
+    ),
+    RefinementStatus.FAILED: (
+        "The solver found no solution on the next mesh, neither from the last solution nor from its trajectory "
+        "alone; the best solution so far is returned. Improve the scaling, or loosen `tol`."
+    ),
+    RefinementStatus.INTERRUPTED: (
+        "The refinement was stopped; the best solution so far is returned. Refine it again to carry on."
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Actions:
+    """How many segments were treated in which way to get a mesh from the one before.
+
+    Attributes
+    ----------
+    raised : int
+        Segments whose degree went up.
+    split : int
+        Segments cut into pieces.
+    merged : int
+        Segments that vanished into a neighbour.
+    lowered : int
+        Segments whose degree went down.
+    """
+
+    raised: int = 0
+    split: int = 0
+    merged: int = 0
+    lowered: int = 0
+
+    def __add__(self, other: Actions) -> Actions:
+        return Actions(
+            self.raised + other.raised,
+            self.split + other.split,
+            self.merged + other.merged,
+            self.lowered + other.lowered,
+        )
+
+    def __str__(self) -> str:
+        parts = [f"{n} {word}" for word, n in vars(self).items() if n]
+        return ", ".join(parts) or "-"
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One mesh and the solution on it.
+
+    Attributes
+    ----------
+    meshes : dict of Mesh
+        By phase.
+    times : dict of tuple of float
+        Segment boundaries by phase, s.
+    error : float
+        Largest estimated error; see `gnc_opt.refine.error`.
+    where : str
+        Its place and kind.
+    objective : float
+    solved : bool
+    iterations : int
+        Of the solver, failed attempts included.
+    seconds : float
+        Solving and estimating.
+    actions : Actions
+        What was done to the mesh before.
+    """
+
+    meshes: dict[str, Mesh]
+    times: dict[str, tuple[float, ...]]
+    error: float
+    where: str
+    objective: float
+    solved: bool
+    iterations: int
+    seconds: float
+    actions: Actions
+
+    @property
+    def points(self) -> int:
+        """Collocation points of all phases."""
+        return sum(mesh.size for mesh in self.meshes.values())
+
+    @property
+    def segments(self) -> int:
+        """Segments of all phases."""
+        return sum(mesh.segments for mesh in self.meshes.values())
+
+
+@dataclass(frozen=True)
+class History:
+    """What a refinement did.
+
+    Attributes
+    ----------
+    status : RefinementStatus
+    tolerance : float
+    passes : tuple of Pass
+        The first is the solution that was given.
+    chosen : int
+        Index of the pass whose solution was returned.
+    message : str
+        How it ended, in one or two sentences.
+    """
+
+    status: RefinementStatus
+    tolerance: float
+    passes: tuple[Pass, ...]
+    chosen: int
+    message: str
+
+    @property
+    def converged(self) -> bool:
+        """Whether the estimated error of the returned solution is below the tolerance."""
+        return self.status is RefinementStatus.CONVERGED
+
+    @property
+    def final(self) -> Pass:
+        """The pass whose solution was returned."""
+        return self.passes[self.chosen]
+
+    @property
+    def seconds(self) -> float:
+        """Time of all passes, s."""
+        return float(np.sum([p.seconds for p in self.passes]))
+
+    def __str__(self) -> str:
+        lines = [
+            f"{'pass':>4} {'segments':>8} {'points':>6} {'error':>8} {'objective':>18} {'it.':>4} {'s':>6}  actions"
+        ]
+        for i, p in enumerate(self.passes):
+            mark = "*" if i == self.chosen else " "
+            lines.append(
+                f"{i:>3}{mark} {p.segments:>8} {p.points:>6} {p.error:>8.1e} {p.objective:>18.11g} "
+                f"{p.iterations:>4} {p.seconds:>6.2f}  {p.actions}"
+            )
+        return "\n".join([*lines, self.message])
