@@ -28,6 +28,7 @@ from gnc_opt.model.layout import Array, Layout, Variable
 from gnc_opt.nlp.status import Status
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
+from gnc_opt.solution.arc import Arc, ArcKind
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.solution import Solution, Statistics, Violation
@@ -180,8 +181,9 @@ def _classes() -> dict[str, type]:
         Mesh,
         Statistics,
         Violation,
+        Arc,
     )
-    return {c.__name__: c for c in (*stored, Status, Quality)}
+    return {c.__name__: c for c in (*stored, ArcKind, Status, Quality)}
 
 
 def _stored_fields(kind: type) -> list[str]:

@@ -7,7 +7,7 @@ SIAM 2012, ch. 5-7)
 
 * every switching function crosses zero with a slope of the right sign where its control switches, one
   control at a time (strict bang-bang property), and
-* the Hessian of the Lagrangian :math:`\Phi + \nu^T\psi` of the induced problem in :math:`\theta` is positive definite on the
+* the Hessian of the Lagrangian :math:`\Phi + \nu^T\psi` in :math:`\theta` is positive definite on the
   null space of the constraints' Jacobian.
 
 The induced problem is built here from the model alone: explicit integration from switch to switch, differentiated

@@ -315,7 +315,7 @@ def test_stored_classes_belong_to_this_version() -> None:
     assert known["Solution"] == (
         "problem_name status objective maximised phases free_parameters parameter_values "
         "parameter_multipliers constraint_labels constraint_values constraint_multipliers violations "
-        "statistics provenance"
+        "statistics provenance structure"
     )
     assert known["PhaseSolution"] == (
         "name scheme mesh initial_time final_time states controls model_parameters path_labels "

@@ -1,0 +1,359 @@
+"""Speed: gnc_opt against a bare CasADi script, re-solving, and growth with the number of segments.
+
+    python -m benchmarks.speed [--runs 7] [--quick] [--json OUT]
+
+Workload: the time-optimal rendezvous, case 1, printed equation. Three questions:
+
+1. Build and solve from nothing, against `benchmarks.bare_rendezvous` on the same mesh, guess, IPOPT options and
+   variable scales (and once unscaled, as such scripts often are). Runs alternate; every run builds a new problem.
+   Ours includes stating and checking the problem, costates and everything else that `solve` returns.
+2. Solving again with other boundary values, on the build of the first solve.
+3. Time per iteration for 20 to 1000 segments of degree 3, stopped after a few iterations.
+
+One thread. Ratios are of processor time, medians over runs, since other programs disturb it less than wall time, which
+stands beside it. The third question takes the least of its runs. Exit code 1 if a target is missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, TypeVar
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+import gnc_opt as go
+from benchmarks.bare_rendezvous import BareResult, solve_bare
+from gnc_opt.transcription.guess import start_variables
+from gnc_opt.transcription.quadrature import collocation_rule
+from gnc_opt.transcription.scaling import phase_magnitudes
+from gnc_opt.transcription.transcription import transcribe
+from problems.rendezvous import build
+
+CASE = 1
+TARGETS = {"20x3": 0.7, "60x4": 0.6}
+"""Mesh and the largest accepted ratio of our build and solve to the bare script's."""
+
+LARGEST_GROWTH = 1.2
+"""Of the time of function evaluations per iteration and segment, over that of the smallest mesh."""
+
+LARGEST_OVERHEAD = 1.15
+"""Of a re-solve over IPOPT's time in it."""
+
+SEGMENTS = (20, 50, 100, 200, 500, 1000)
+ITERATIONS = 8
+UNSCALED_RUNS = 1
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Run:
+    """One build and solve.
+
+    Attributes
+    ----------
+    cpu_s, wall_s : float
+        All of it.
+    build_s, solve_s, function_s, linear_s : float
+        Wall time of its parts: until the solver starts, in the solver, in the functions of the program, and in the
+        rest of the solver (mostly the linear solver).
+    iterations : int
+    final_time : float
+        The minimum time found (s).
+    """
+
+    cpu_s: float
+    wall_s: float
+    build_s: float
+    solve_s: float
+    function_s: float
+    linear_s: float
+    iterations: int
+    final_time: float
+
+
+def ours(segments: int, degree: int) -> Run:
+    """State, build and solve a new problem."""
+    solution, cpu, wall = _timed(lambda: go.solve(build(CASE), mesh=f"{segments}x{degree}"))
+    return _run(solution, cpu, wall)
+
+
+def bare(segments: int, degree: int, *, scaled: bool) -> Run:
+    """The bare script from the same start, with or without our variable scales."""
+    problem = build(CASE)
+    phase = problem.get_phase()
+    transcription = transcribe(problem, {phase.name: go.Mesh.uniform(segments, degree)}, "LG")
+    start = start_variables(transcription, problem)
+    rule = collocation_rule("LG", degree)
+    scales = (*phase_magnitudes(phase), float(start[-1])) if scaled else None
+    numbers = rule.points, rule.weights, rule.differentiation
+    result, cpu, wall = _timed(lambda: solve_bare(CASE, segments, numbers, start, ipopt_options(), scales))
+    return _bare_run(result, cpu, wall)
+
+
+def ipopt_options() -> dict[str, Any]:
+    """The options of our solver, for `nlpsol`; also those that spare it the multipliers of parameters."""
+    options = go.SolverOptions()
+    return {
+        "print_time": False,
+        "calc_lam_p": False,
+        "no_nlp_grad": True,
+        "ipopt.print_level": 0,
+        "ipopt.sb": "yes",
+        "ipopt.linear_solver": options.linear_solver,
+        "ipopt.tol": options.tolerance,
+        "ipopt.max_iter": options.max_iterations,
+        "ipopt.bound_relax_factor": options.bound_relax,
+    }
+
+
+def compare(mesh: str, runs: int) -> dict[str, Any]:
+    """Return the runs of all three on one mesh, alternating, and the ratios of their medians."""
+    segments, degree = (int(n) for n in mesh.split("x"))
+    found: dict[str, list[Run]] = {"bare, same scales": [], "gnc_opt": [], "bare, unscaled": []}
+    for i in range(runs):
+        found["bare, same scales"].append(bare(segments, degree, scaled=True))
+        found["gnc_opt"].append(ours(segments, degree))
+        if i < UNSCALED_RUNS:
+            found["bare, unscaled"].append(bare(segments, degree, scaled=False))
+    medians = {name: _median(kind) for name, kind in found.items()}
+    mine, other = medians["gnc_opt"], medians["bare, same scales"]
+    ratio = mine.cpu_s / other.cpu_s
+    return {
+        "mesh": mesh,
+        "medians": {name: asdict(run) for name, run in medians.items()},
+        "runs": {name: [asdict(run) for run in kind] for name, kind in found.items()},
+        "ratio": ratio,
+        "wall_ratio": mine.wall_s / other.wall_s,
+        "ratio_to_unscaled": mine.cpu_s / medians["bare, unscaled"].cpu_s,
+        "target": TARGETS[mesh],
+        "met": ratio <= TARGETS[mesh],
+    }
+
+
+def resolve(mesh: str, runs: int) -> dict[str, Any]:
+    """Solve again and again with another initial position each time, cold, on the first build."""
+    problem = build(CASE)
+    first = go.solve(problem, mesh=mesh)
+    found = []
+    for i in range(runs):
+        other = problem.with_initial(r_L=[20.0, 0.2 * (i + 1), 0.1 * (i + 1)])
+        solution, cpu, wall = _timed(lambda other=other: go.solve(other, mesh=mesh))  # type: ignore[misc]
+        assert solution.statistics.build_reused, "a re-solve has built again"
+        found.append(_run(solution, cpu, wall))
+    overheads = [run.wall_s / run.solve_s for run in found]
+    return {
+        "mesh": mesh,
+        "first_build_s": first.statistics.build_s,
+        "preparation_s": statistics.median(run.build_s for run in found),
+        "ipopt_s": statistics.median(run.solve_s for run in found),
+        "total_s": statistics.median(run.wall_s for run in found),
+        "total_over_ipopt": statistics.median(overheads),
+        "target": LARGEST_OVERHEAD,
+        "met": statistics.median(overheads) <= LARGEST_OVERHEAD,
+        "runs": [asdict(run) for run in found],
+    }
+
+
+def growth(segments: Sequence[int], runs: int) -> list[dict[str, Any]]:
+    """Time per iteration on growing meshes; meshes alternate, and the least time of all runs counts."""
+    problems = {k: build(CASE) for k in segments}
+    options = go.SolverOptions(max_iterations=ITERATIONS)
+    found: dict[int, list[Run]] = {k: [] for k in segments}
+    for _ in range(runs):
+        for k in segments:
+            solution, cpu, wall = _timed(
+                lambda k=k: go.solve(problems[k], mesh=f"{k}x3", options=options, throw=False)
+            )  # type: ignore[misc]
+            found[k].append(_run(solution, cpu, wall))
+    rows = []
+    for k in segments:
+        functions = min(run.function_s / run.iterations for run in found[k])
+        linear = min(run.linear_s / run.iterations for run in found[k])
+        rows.append(
+            {
+                "segments": k,
+                "build_s": found[k][0].build_s,
+                "function_ms": 1e3 * functions,
+                "linear_ms": 1e3 * linear,
+                "function_us_per_segment": 1e6 * functions / k,
+                "linear_us_per_segment": 1e6 * linear / k,
+            }
+        )
+    for row in rows:
+        row["growth"] = row["function_us_per_segment"] / rows[0]["function_us_per_segment"]
+        row["met"] = row["growth"] <= LARGEST_GROWTH
+    return rows
+
+
+# --- tables ---------------------------------------------------------------------------------------------
+
+
+def comparison_table(comparison: dict[str, Any]) -> Table:
+    """One mesh: what each takes, per part and per iteration."""
+    title = f"build + solve, {comparison['mesh']}: ratio {comparison['ratio']:.2f} (target {comparison['target']})"
+    columns = (
+        "",
+        "cpu s",
+        "wall s",
+        "build s",
+        "solve s",
+        "iterations",
+        "functions ms/it",
+        "rest ms/it",
+        "t_f s",
+    )
+    rows = []
+    for name, run in comparison["medians"].items():
+        per_iteration = 1e3 / run["iterations"]
+        rows.append(
+            (
+                name,
+                f"{run['cpu_s']:.3f}",
+                f"{run['wall_s']:.3f}",
+                f"{run['build_s']:.3f}",
+                f"{run['solve_s']:.3f}",
+                f"{run['iterations']}",
+                f"{run['function_s'] * per_iteration:.2f}",
+                f"{run['linear_s'] * per_iteration:.2f}",
+                f"{run['final_time']:.6f}",
+            )
+        )
+    table = _table(title, columns, rows)
+    table.caption = f"ratio of wall times {comparison['wall_ratio']:.2f}; to the unscaled script {comparison['ratio_to_unscaled']:.2f}"
+    return table
+
+
+def resolve_table(found: dict[str, Any]) -> Table:
+    """What solving again takes."""
+    columns = ("first build s", "preparation s", "IPOPT s", "total s", "total / IPOPT")
+    values = [f"{found[key]:.4f}" for key in ("first_build_s", "preparation_s", "ipopt_s", "total_s")]
+    title = f"solving again with other boundary values, {found['mesh']} (target {found['target']})"
+    return _table(title, columns, [(*values, f"{found['total_over_ipopt']:.3f}")])
+
+
+def growth_table(rows: list[dict[str, Any]]) -> Table:
+    """Time per iteration against segments."""
+    columns = (
+        "segments",
+        "build s",
+        "functions ms/it",
+        "us/it/segment",
+        "growth",
+        "linear ms/it",
+        "us/it/segment",
+    )
+    cells = [
+        (
+            f"{row['segments']}",
+            f"{row['build_s']:.3f}",
+            f"{row['function_ms']:.2f}",
+            f"{row['function_us_per_segment']:.1f}",
+            f"{row['growth']:.2f}",
+            f"{row['linear_ms']:.1f}",
+            f"{row['linear_us_per_segment']:.0f}",
+        )
+        for row in rows
+    ]
+    return _table(f"time per iteration, degree 3 (growth target {LARGEST_GROWTH})", columns, cells)
+
+
+def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    table = Table(title=title, box=box.SIMPLE, title_justify="left")
+    for i, column in enumerate(columns):
+        table.add_column(
+            column, justify="right" if i or not rows[0][0].startswith(("bare", "gnc")) else "left"
+        )
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+# --- internals ------------------------------------------------------------------------------------------
+
+
+def _timed(action: Callable[[], T]) -> tuple[T, float, float]:
+    """Return the result, processor time and wall time (s)."""
+    cpu, wall = time.process_time(), time.perf_counter()
+    result = action()
+    return result, time.process_time() - cpu, time.perf_counter() - wall
+
+
+def _run(solution: go.Solution, cpu: float, wall: float) -> Run:
+    s = solution.statistics
+    return Run(
+        cpu,
+        wall,
+        s.build_s,
+        s.solve_s,
+        s.function_s,
+        s.linear_solver_s,
+        s.iterations,
+        solution.phase().final_time,
+    )
+
+
+def _bare_run(r: BareResult, cpu: float, wall: float) -> Run:
+    return Run(cpu, wall, r.build_s, r.solve_s, r.function_s, r.linear_s, r.iterations, r.final_time)
+
+
+def _median(runs: Sequence[Run]) -> Run:
+    """Medians of every number apart."""
+    columns = zip(*(asdict(run).values() for run in runs), strict=True)
+    return Run(*(statistics.median(column) for column in columns))
+
+
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.speed", description="How fast gnc_opt is.")
+    parser.add_argument("--runs", type=int, default=7, help="alternating runs per comparison")
+    parser.add_argument("--quick", action="store_true", help="two runs, 20x3 and at most 100 segments only")
+    parser.add_argument("--json", metavar="OUT", help="write all figures there")
+    return parser.parse_args(argv)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Measure, print the tables, write JSON; 1 if a target is missed."""
+    arguments = _arguments(argv)
+    runs = 2 if arguments.quick else arguments.runs
+    console = Console()
+    go.solve(
+        build(CASE), mesh="4x3", options=go.SolverOptions(max_iterations=1), throw=False
+    )  # load the libraries
+    comparisons = []
+    for mesh in list(TARGETS)[: 1 if arguments.quick else None]:
+        comparisons.append(compare(mesh, runs))
+        console.print(comparison_table(comparisons[-1]))
+    again = resolve("20x3", runs)
+    console.print(resolve_table(again))
+    rows = growth([k for k in SEGMENTS if k <= 100 or not arguments.quick], max(2, runs // 2))
+    console.print(growth_table(rows))
+    met = all(part["met"] for part in (*comparisons, again, *rows))
+    console.print("all targets met" if met else "a target is missed")
+    if arguments.json:
+        report = {
+            "machine": {
+                "python": platform.python_version(),
+                "processor": platform.processor() or platform.machine(),
+            },
+            "versions": {name: version(name) for name in ("gnc_opt", "casadi", "numpy")},
+            "build_and_solve": comparisons,
+            "resolve": again,
+            "growth": rows,
+            "met": met,
+        }
+        Path(arguments.json).write_text(json.dumps(report, indent=2), encoding="utf-8")
+    return 0 if met else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,159 @@
+"""Too fine: neighbours merged and degrees lowered where a smaller mesh holds the same trajectory.
+
+A trial segment is what collocation would make of the known trajectory there: interpolate the rates and the
+controls at the trial's points, integrate, and judge the result by the same errors as the solution itself.
+Dynamic programming then picks the cheapest way through a run of accurate segments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from gnc_opt.model.layout import Array
+from gnc_opt.refine.error import Pieces, Yardstick
+from gnc_opt.solution.phase_solution import PhaseSolution
+from gnc_opt.transcription.quadrature import Scheme, collocation_rule, interpolation_matrix
+from gnc_opt.verify.samples import EXTRA
+
+LADDER = (2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 18, 20, 24)
+"""Degrees that are tried."""
+
+REACH = 4
+"""At most so many neighbours are merged in one pass."""
+
+SEGMENT_COST = 1.0
+"""What a segment costs beyond its points, in points: its start state."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A segment of a mesh to be: its ends as times (s) and its degree."""
+
+    start: float
+    end: float
+    degree: int
+
+
+def coarsened(yardstick: Yardstick, run: Sequence[Piece], tol: float, max_degree: int) -> list[Piece]:
+    """Return the cheapest pieces on the given boundaries whose trial errors stay below ``tol``.
+
+    Parameters
+    ----------
+    yardstick : Yardstick
+    run : sequence of Piece
+        Neighbouring segments in which the trajectory is known accurately.
+    tol : float
+    max_degree : int
+    """
+    cost = [0.0]
+    chosen: list[tuple[int, int]] = []
+    degrees = _smallest_degrees(yardstick, run, tol, max_degree)
+    for j in range(1, len(run) + 1):
+        options = [
+            (cost[i] + degrees[i, j] + SEGMENT_COST, i)
+            for i in range(max(0, j - REACH), j)
+            if (i, j) in degrees
+        ]
+        best, i = min(options)
+        cost.append(best)
+        chosen.append((i, degrees[i, j]))
+    pieces, j = [], len(run)
+    while j > 0:
+        i, degree = chosen[j - 1]
+        pieces.append(Piece(run[i].start, run[j - 1].end, degree))
+        j = i
+    return pieces[::-1]
+
+
+def _smallest_degrees(
+    yardstick: Yardstick, run: Sequence[Piece], tol: float, max_degree: int
+) -> dict[tuple[int, int], int]:
+    """Return the smallest sufficient degree of each merger (first, last + 1) that saves points."""
+    found = {(i, i + 1): piece.degree for i, piece in enumerate(run)}
+    trials: list[Piece] = []
+    keys: list[tuple[int, int]] = []
+    for i in range(len(run)):
+        for j in range(i + 1, min(i + REACH, len(run)) + 1):
+            now = sum(p.degree for p in run[i:j]) + (j - i - 1)
+            for degree in LADDER:
+                if degree < now if j == i + 1 else degree <= min(now, max_degree):
+                    trials.append(Piece(run[i].start, run[j - 1].end, degree))
+                    keys.append((i, j))
+    if not trials:
+        return found
+    errors = trial_errors(yardstick, trials)
+    for key, trial, error in sorted(zip(keys, trials, errors, strict=True), key=lambda e: -e[1].degree):
+        if error <= tol:
+            found[key] = trial.degree
+    return found
+
+
+def trial_errors(yardstick: Yardstick, trials: Sequence[Piece]) -> Array:
+    """Return the largest error of each trial, its departure from the known states included, (n_trials,).
+
+    Without the departure a trial could skip a transient that neither residual nor cost notice.
+    """
+    pieces = trial_pieces(yardstick, trials)
+    departure = np.abs(pieces.x - yardstick.leg.x(pieces.times)) / yardstick.state[:, None]
+    return np.maximum(yardstick.judge(pieces).worst, np.max(pieces.largest(departure), axis=0))
+
+
+def trial_pieces(yardstick: Yardstick, trials: Sequence[Piece]) -> Pieces:
+    """Return what collocation would make of the known trajectory on each trial segment."""
+    leg, functions = yardstick.leg, yardstick.functions
+    tables = [_tables(leg.scheme, trial.degree) for trial in trials]
+    starts = np.array([t.start for t in trials])
+    halves = np.array([0.5 * (t.end - t.start) for t in trials])
+    rules = [collocation_rule(leg.scheme, t.degree) for t in trials]
+    points = np.concatenate([s + h * (1 + r.points) for s, h, r in zip(starts, halves, rules, strict=True)])
+    x, u = _inside(leg, points)
+    rates, integrands = functions.rates(points, x, u), functions.integrands(points, x, u)
+    first_states = leg.x(starts)
+    x_rates, xs, us, integrals, times, weights = [], [], [], [], [], []
+    offset = 0
+    for k, (table, rule) in enumerate(zip(tables, rules, strict=True)):
+        at = slice(offset, offset + rule.n)
+        offset += rule.n
+        half = halves[k]
+        times.append(starts[k] + half * (1 + table.tau))
+        weights.append(half * table.weights)
+        x_rates.append(rates[:, at] @ table.interpolate)
+        xs.append(first_states[:, k : k + 1] + half * (rates[:, at] @ table.integrate))
+        us.append(u[:, at] @ table.interpolate)
+        integrals.append(half * (integrands[:, at] @ rule.weights))
+    sizes = [t.size for t in times]
+    return Pieces(
+        np.concatenate(times),
+        np.concatenate(weights),
+        np.concatenate([[0], np.cumsum(sizes[:-1])]).astype(np.int64),
+        np.hstack(xs),
+        np.hstack(x_rates),
+        np.hstack(us),
+        np.stack(integrals, axis=1),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Tables:
+    """Where a trial of one degree is sampled on [-1, 1], and how its points' values get there."""
+
+    tau: Array
+    weights: Array
+    interpolate: Array
+    integrate: Array
+
+
+@cache
+def _tables(scheme: Scheme, degree: int) -> _Tables:
+    rule, fine = collocation_rule(scheme, degree), collocation_rule("LG", min(degree + EXTRA, 64))
+    tau = np.concatenate([[-1.0], fine.points, [1.0]])
+    weights = np.concatenate([[0.0], fine.weights, [0.0]])
+    return _Tables(tau, weights, interpolation_matrix(rule.points, tau).T, rule.integrate_to(tau).T)
+
+
+def _inside(leg: PhaseSolution, times: Array) -> tuple[Array, Array]:
+    return leg.x(times), leg.u(times)

@@ -1,0 +1,261 @@
+"""hp refinement: solve, estimate the error between the nodes, improve the mesh, until the error is small.
+
+Every pass starts warm from states, controls and multipliers of the last one. The error comes from model and
+trajectory alone, see `gnc_opt.refine.error`; how the mesh changes is in `gnc_opt.refine.remesh`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.errors import GncOptError
+from gnc_opt.nlp import SolverOptions, Status
+from gnc_opt.problem.problem import Problem
+from gnc_opt.refine.error import PhaseError, estimate_errors, largest_error
+from gnc_opt.refine.history import Actions, History, Pass, RefinementStatus
+from gnc_opt.refine.remesh import Past, Remesh, known_segments
+from gnc_opt.solution.phase_solution import PhaseSolution
+from gnc_opt.solution.solution import Solution
+from gnc_opt.transcription.mesh import Mesh
+
+PATIENCE = 4
+"""Passes without progress after which refining stops."""
+
+PROGRESS = 0.5
+"""Progress means that the largest error, or the sum of all, falls to this share of its best so far."""
+
+WARM_ITERATIONS = 150
+"""A warm start that takes longer has lost its way."""
+
+COLD_MU = 1e-2
+WORTH_TRIMMING = 0.8
+"""An accurate solution is solved once more if the mesh can shrink to this share."""
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """A solution with its error."""
+
+    solution: Solution
+    errors: dict[str, PhaseError]
+    record: Pass
+
+    @property
+    def total(self) -> float:
+        """Sum of the errors of all segments."""
+        return float(sum(np.sum(np.minimum(e.worst, 1e6)) for e in self.errors.values()))
+
+
+def refine_mesh(
+    solution: Solution,
+    *,
+    tol: float = 1e-8,
+    max_passes: int = 20,
+    max_points: int = 1000,
+    options: SolverOptions | None = None,
+    progress: bool = False,
+) -> tuple[Solution, History]:
+    """Return the solution on a mesh on which its estimated error is at most ``tol``, and how it came about.
+
+    Parameters
+    ----------
+    solution : Solution
+        With its problem; its mesh is the first.
+    tol : float
+        Bound on the error of every segment: dynamics, integrals, bounds and paths between the nodes, each
+        dimensionless; see `gnc_opt.refine.error`.
+    max_passes : int
+        At most so many solves.
+    max_points : int
+        At most so many collocation points in any phase.
+    options : SolverOptions, optional
+        For the solves.
+    progress : bool
+        Show one line per pass.
+
+    Returns
+    -------
+    Solution
+        The best one: the smallest mesh of those within the tolerance, or else the one with the least error.
+    History
+        Its ``status`` and ``message`` say how it ended.
+
+    Raises
+    ------
+    GncOptError
+        The solution has no problem, or did not converge itself.
+    """
+    if not solution.status.solved:
+        raise GncOptError(
+            f"the solution of '{solution.problem_name}' ended as {solution.status.value}: refine one that is solved."
+        )
+    refinement = _Refinement(solution, tol, max_points, options)
+    with _meter(solution.problem_name, progress) as show:
+        status = refinement.run(max_passes, show)
+    return refinement.result(status)
+
+
+class _Refinement:
+    """The loop and what it remembers."""
+
+    def __init__(
+        self, solution: Solution, tol: float, max_points: int, options: SolverOptions | None
+    ) -> None:
+        self._problem = _problem(solution)
+        self._scheme = next(iter(solution.phases.values())).scheme
+        self._tol, self._max_points = tol, max_points
+        self._options = options or SolverOptions(tolerance=min(1e-9, 0.1 * tol))
+        self._records: list[Pass] = []
+        self._past: dict[str, Past] = {}
+        self._totals: list[float] = []
+        begin = time.perf_counter()
+        self._state = self._judge(solution, solution.statistics.iterations, begin, Actions())
+        self._best, self._chosen = self._state, 0
+
+    def run(self, max_passes: int, show: Callable[[Pass], None]) -> RefinementStatus:
+        """Refine until one of the endings."""
+        show(self._records[-1])
+        for _ in range(max_passes):
+            converged = self._converged(self._state.record)
+            if not converged and self._converged(self._best.record):
+                break  # the smaller mesh was too small
+            meshes, actions = self._next_meshes()
+            if converged and not self._worth_trimming(meshes):
+                break
+            if max(mesh.size for mesh in meshes.values()) > self._max_points:
+                return RefinementStatus.POINT_LIMIT
+            if not converged and self._stalled(meshes):
+                return RefinementStatus.STALLED
+            self._past = {name: known_segments(e) for name, e in self._state.errors.items()}
+            status = self._solve(meshes, actions)
+            show(self._records[-1])
+            if not status.solved:
+                return self._ending_without(status)
+        return (
+            RefinementStatus.CONVERGED if self._converged(self._best.record) else RefinementStatus.PASS_LIMIT
+        )
+
+    def result(self, status: RefinementStatus) -> tuple[Solution, History]:
+        """Return the best solution and the record."""
+        best = self._best.record
+        message = f"{status.value}: error {best.error:.1e} (wanted {self._tol:.1e})"
+        message += "" if status is RefinementStatus.CONVERGED else f" at {best.where}. {status.remedy}"
+        history = History(status, self._tol, tuple(self._records), self._chosen, message)
+        return self._best.solution, history
+
+    def _ending_without(self, status: Status) -> RefinementStatus:
+        if self._converged(self._best.record):
+            return RefinementStatus.CONVERGED
+        return RefinementStatus.INTERRUPTED if status is Status.INTERRUPTED else RefinementStatus.FAILED
+
+    def _converged(self, record: Pass) -> bool:
+        return record.solved and record.error <= self._tol
+
+    def _next_meshes(self) -> tuple[dict[str, Mesh], Actions]:
+        meshes, total = {}, Actions()
+        for name, error in self._state.errors.items():
+            meshes[name], actions = Remesh(error, self._tol, self._past.get(name, {})).mesh()
+            total = total + actions
+        return meshes, total
+
+    def _worth_trimming(self, meshes: dict[str, Mesh]) -> bool:
+        return sum(mesh.size for mesh in meshes.values()) <= WORTH_TRIMMING * self._state.record.points
+
+    def _stalled(self, meshes: dict[str, Mesh]) -> bool:
+        """Whether nothing is left to do, or neither the largest error nor the sum of all has fallen lately."""
+        if meshes == self._state.record.meshes:
+            return True
+        if len(self._records) <= PATIENCE:
+            return False
+        errors = [r.error for r in self._records if r.solved]
+        return all(
+            min(values[-PATIENCE:]) > PROGRESS * min(values[:-PATIENCE]) for values in (errors, self._totals)
+        )
+
+    def _solve(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
+        """Solve on new meshes, warm, then cold; remember the pass."""
+        from gnc_opt.solve import solve
+
+        begin = time.perf_counter()
+        guess = self._state.solution
+        warm = replace(self._options, max_iterations=min(WARM_ITERATIONS, self._options.max_iterations))
+        common: dict[str, Any] = {"mesh": meshes, "scheme": self._scheme, "throw": False}
+        solution = solve(self._problem, guess=guess, options=warm, **common)
+        iterations = solution.statistics.iterations
+        if not solution.status.solved and solution.status is not Status.INTERRUPTED:
+            cold = replace(self._options, mu_init=COLD_MU)
+            problem = _with_trajectory(self._problem, guess)
+            solution = replace(solve(problem, options=cold, **common), problem=self._problem)
+            iterations += solution.statistics.iterations
+        self._state = self._judge(solution, iterations, begin, actions)
+        if self._better(self._state.record, self._best.record):
+            self._best, self._chosen = self._state, len(self._records) - 1
+        return solution.status
+
+    def _judge(self, solution: Solution, iterations: int, begin: float, actions: Actions) -> _State:
+        errors = estimate_errors(solution)
+        worst, where = largest_error(errors)
+        record = Pass(
+            meshes={name: leg.mesh for name, leg in solution.phases.items()},
+            times={name: tuple(float(t) for t in leg.breaks) for name, leg in solution.phases.items()},
+            error=worst,
+            where=where,
+            objective=solution.objective,
+            solved=solution.status.solved,
+            iterations=iterations,
+            seconds=time.perf_counter() - begin,
+            actions=actions,
+        )
+        self._records.append(record)
+        state = _State(solution, errors, record)
+        self._totals.append(state.total)
+        return state
+
+    def _better(self, new: Pass, old: Pass) -> bool:
+        if self._converged(new) and self._converged(old):
+            return new.points < old.points
+        return new.solved and new.error < old.error
+
+
+def _problem(solution: Solution) -> Problem:
+    if solution.problem is None:
+        raise GncOptError(
+            f"cannot refine the solution of '{solution.problem_name}' without its problem: "
+            "load it with load(path, problem=...)."
+        )
+    return solution.problem
+
+
+def _with_trajectory(problem: Problem, solution: Solution) -> Problem:
+    """Return the problem with a solution's trajectory as its guess, without multipliers."""
+    for name, leg in solution.phases.items():
+        values: dict[str, Any] = {
+            state: (lambda t, leg=leg, rows=leg.states.slice(state): leg.x(_within(leg, t))[rows])
+            for state in leg.states.names
+        }
+        values |= {
+            control: (
+                lambda t, leg=leg, rows=leg.controls.slice(control): leg.flown.clipped(_within(leg, t))[rows]
+            )
+            for control in leg.controls.names
+        }
+        problem = problem.with_guess(name, leg.breaks[[0, -1]], **values)
+    return problem
+
+
+def _within(leg: PhaseSolution, t: float) -> float:
+    return float(np.clip(t, leg.breaks[0], leg.breaks[-1]))
+
+
+def _meter(name: str, progress: bool) -> AbstractContextManager[Callable[[Pass], None]]:
+    if not progress:
+        return nullcontext(lambda _: None)
+    from gnc_opt.report.progress import refinement_meter
+
+    return refinement_meter(name)
