@@ -99,11 +99,12 @@ def _change_times(samples: PhaseSamples, i: int, labels: Signs) -> list[float]:
     for j in np.flatnonzero(labels[1:] != labels[:-1]):
         left, right = samples.times[j], samples.times[j + 1]
         polish = labels[j] * labels[j + 1] == -1 and right > left
-        changes.append(_root(switching(samples, i), left, right) if polish else 0.5 * (left + right))
+        changes.append(root(switching(samples, i), left, right) if polish else 0.5 * (left + right))
     return changes
 
 
-def _root(function: Callable[[float], float], left: float, right: float) -> float:
+def root(function: Callable[[float], float], left: float, right: float) -> float:
+    """Return a zero between left and right, or their middle where the signs do not differ."""
     if function(left) * function(right) >= 0:
         return 0.5 * (left + right)
     return float(brentq(function, left, right, xtol=1e-14 * max(1.0, abs(right))))

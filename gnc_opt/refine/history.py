@@ -104,8 +104,8 @@ class Pass:
         Of the solver, failed attempts included.
     seconds : float
         Solving and estimating.
-    actions : Actions
-        What was done to the mesh before.
+    actions : Actions or str
+        What was done to the mesh before; for a structure loop, what its solution asked for.
     """
 
     meshes: dict[str, Mesh]
@@ -116,7 +116,7 @@ class Pass:
     solved: bool
     iterations: int
     seconds: float
-    actions: Actions
+    actions: Actions | str
 
     @property
     def points(self) -> int:

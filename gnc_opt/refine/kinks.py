@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from gnc_opt.model.layout import Array
+from gnc_opt.problem.interval import Interval
 from gnc_opt.refine.error import PhaseError, states_at_points
 from gnc_opt.solution.phase_solution import PhaseSolution
 
@@ -106,34 +107,27 @@ def _junctions(error: PhaseError, k: int) -> list[Kink]:
 def _activity(error: PhaseError) -> NDArray[np.bool_]:
     """Which bound or path constraint is active at which collocation point, (rows, N).
 
-    Of slack and multiplier, both relative to their largest magnitude, the larger one tells.
+    Of slack, in shares of the quantity's magnitude, and multiplier, in shares of H, the larger one tells.
     """
-    leg, functions = error.samples.leg, error.samples.functions
+    leg, yardstick = error.samples.leg, error.yardstick
     x, u = states_at_points(leg), np.hstack(leg.u.values)
+    worth = error.samples.hamiltonian_scale
     rows = [
-        _active(
-            x, leg.state_bounds.lower, leg.state_bounds.upper, leg.state_multipliers, error.yardstick.state
-        ),
-        _active(
-            u,
-            leg.control_bounds.lower,
-            leg.control_bounds.upper,
-            leg.control_multipliers,
-            error.yardstick.control,
-        ),
+        _active(x, leg.state_bounds, leg.state_multipliers, yardstick.state, worth),
+        _active(u, leg.control_bounds, leg.control_multipliers, yardstick.control, worth),
     ]
     if leg.path_labels:
-        values = functions.paths(leg.point_times, x, u)
-        bounds = leg.path_bounds
-        rows.append(_active(values, bounds.lower, bounds.upper, leg.path_multipliers, error.yardstick.path))
+        values = yardstick.functions.paths(leg.point_times, x, u)
+        rows.append(_active(values, leg.path_bounds, leg.path_multipliers, yardstick.path, worth))
     return np.concatenate(rows)
 
 
-def _active(values: Array, lower: Array, upper: Array, multipliers: Array, scale: Array) -> NDArray[np.bool_]:
-    slack = np.minimum(values - lower[:, None], upper[:, None] - values) / scale[:, None]
-    largest = np.max(np.abs(multipliers), axis=1, keepdims=True)
-    pull = np.abs(multipliers) / np.where(largest > 0, largest, 1.0)
-    return np.asarray((pull > slack) & (lower < upper)[:, None])
+def _active(
+    values: Array, bounds: Interval, multipliers: Array, scale: Array, worth: float
+) -> NDArray[np.bool_]:
+    gap = np.minimum(values - bounds.lower[:, None], bounds.upper[:, None] - values)
+    pull = np.abs(multipliers) * scale[:, None] / worth
+    return np.asarray((pull > gap / scale[:, None]) & (bounds.lower < bounds.upper)[:, None] & (pull > CLEAR))
 
 
 def bracketed(leg: PhaseSolution, k: int, kinks: list[Kink]) -> list[float]:

@@ -22,6 +22,7 @@ from gnc_opt.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.solution.polynomial import Side
 
 if TYPE_CHECKING:
+    from gnc_opt.refine.history import History
     from gnc_opt.verify.propagate import Propagation
     from gnc_opt.verify.quality import Quality
 
@@ -91,6 +92,8 @@ class Solution:
     statistics : Statistics
     structure : tuple of Arc
         Which control sits on which bound when, from a refinement that optimised switch times; else empty.
+    history : History or None
+        What a refinement did; not written to files.
     provenance : dict of str
         Versions, options, scheme, mesh and the problem's fingerprint.
     problem : Problem or None
@@ -112,6 +115,7 @@ class Solution:
     statistics: Statistics
     provenance: Mapping[str, str]
     structure: tuple[Arc, ...] = ()
+    history: History | None = None
     problem: Problem | None = field(default=None, repr=False)
 
     # --- evaluation -------------------------------------------------------------------------------

@@ -38,7 +38,7 @@ FORMAT = "gnc_opt solution"
 VERSION = 1
 """Raise it whenever a stored class changes its fields."""
 
-_LEFT_OUT: dict[type, tuple[str, ...]] = {Solution: ("problem",)}
+_LEFT_OUT: dict[type, tuple[str, ...]] = {Solution: ("problem", "history")}
 
 
 def save(solution: Solution, path: str | Path) -> Path:

@@ -12,7 +12,7 @@ from gnc_opt.model.layout import Array
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import PiecewisePolynomial
-from gnc_opt.transcription.quadrature import collocation_rule
+from gnc_opt.transcription.quadrature import CollocationRule, collocation_rule
 from gnc_opt.verify.propagate import state_magnitudes
 
 AT_BOUND = 1e-6
@@ -48,7 +48,7 @@ class PhaseSamples:
         """Sample a phase."""
         times, segments, weights = [], [], []
         for k, degree in enumerate(leg.mesh.degrees):
-            rule = collocation_rule("LG", min(degree + EXTRA, 64))
+            rule = _sampling_rule(degree)
             half = 0.5 * (leg.breaks[k + 1] - leg.breaks[k])
             inside = leg.breaks[k] + half * (1 + rule.points)
             times.append(np.concatenate([[leg.breaks[k]], inside, [leg.breaks[k + 1]]]))
@@ -157,8 +157,25 @@ class PhaseSamples:
         left, right = self.leg.breaks[segment], self.leg.breaks[segment + 1]
         return f"phase {self.leg.name}, segment {segment + 1} ({left:.6g} to {right:.6g} s), {what}"
 
+    def integral_from_start(self, values: Array) -> Array:
+        """Integrate values (n_samples,) over time from the phase's start to every sample."""
+        result, total = np.empty(self.times.size), 0.0
+        for k, degree in enumerate(self.leg.mesh.degrees):
+            rule, here = _sampling_rule(degree), np.flatnonzero(self.segments == k)
+            half = 0.5 * (self.leg.breaks[k + 1] - self.leg.breaks[k])
+            inside = values[here[1:-1]]
+            result[here[0]] = total
+            result[here[1:-1]] = total + half * rule.integration @ inside
+            total += half * float(rule.weights @ inside)
+            result[here[-1]] = total
+        return result
+
     def per_segment(self, values: Array) -> Array:
         """Integrate |values| (n, n_samples) over each segment: (n, K)."""
         weighted = np.abs(values) * self.weights
         starts = np.searchsorted(self.segments, np.arange(self.leg.mesh.segments))
         return np.add.reduceat(weighted, starts, axis=1)
+
+
+def _sampling_rule(degree: int) -> CollocationRule:
+    return collocation_rule("LG", min(degree + EXTRA, 64))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -45,7 +47,7 @@ def test_switches_are_half_periods_apart(refined: go.Solution) -> None:
     np.testing.assert_allclose(inner, np.pi, atol=1e-9)
     kinds = [arc.kind for arc in refined.structure]
     assert all(kind in (ArcKind.LOWER, ArcKind.UPPER) for kind in kinds)
-    assert all(a is not b for a, b in zip(kinds[:-1], kinds[1:], strict=True))
+    assert all(a is not b for a, b in itertools.pairwise(kinds))
 
 
 def test_verdict_includes_second_order(refined: go.Solution) -> None:

@@ -1,0 +1,116 @@
+"""Figures of a mesh refinement: the error over the points, and the meshes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator, NullLocator
+
+from gnc_opt.plot.style import COLORS, QUIET, legend_on_top, new_figure, style
+from gnc_opt.refine.history import History
+
+_LEAST, _MOST = 1e-16, 1e6
+"""Errors beyond these are drawn there."""
+
+_COLORMAP = "viridis_r"
+
+_PATH: dict[str, Any] = {"color": COLORS[0], "marker": "o", "markersize": 4, "linewidth": 1.0}
+_CHOSEN: dict[str, Any] = {
+    "color": COLORS[1],
+    "marker": "o",
+    "markersize": 9,
+    "fillstyle": "none",
+    "linestyle": "none",
+}
+_TOLERANCE: dict[str, Any] = {"color": "black", "linestyle": "--", "linewidth": 1.0}
+
+
+_NARROW = 3e-3
+"""Segments narrower than this share of their phase are drawn on an axis that stretches both ends."""
+
+
+def plot_refinement(history: History) -> Figure:
+    """Draw how a refinement went.
+
+    Above, the estimated error of each pass over its number of collocation points, in order, with the tolerance.
+    Below, for each phase, one row per pass: its segments over time, coloured by their degrees. Where segments
+    are too narrow to be seen, time is the share of the phase on a logit axis, which stretches both ends.
+
+    Parameters
+    ----------
+    history : History
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    phases = list(history.passes[0].meshes)
+    with style():
+        heights = [2.4, *([0.5 + 0.17 * len(history.passes)] * len(phases))]
+        figure = new_figure(sum(heights) + 0.7 * len(heights))
+        axes = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+        _draw_errors(axes[0], history)
+        degrees = [n for p in history.passes for mesh in p.meshes.values() for n in mesh.degrees]
+        norm = Normalize(min(degrees), max(max(degrees), min(degrees) + 1))
+        for ax, phase in zip(axes[1:], phases, strict=True):
+            _draw_meshes(ax, history, phase, norm)
+            ax.set_ylabel("pass" if len(phases) == 1 else f"pass ({phase})")
+        colors = ScalarMappable(norm, _COLORMAP)
+        figure.colorbar(colors, ax=list(axes[1:]), label="degree", aspect=30, pad=0.01)
+        legend_on_top(figure, _legend(history))
+    return figure
+
+
+def _draw_errors(ax: Axes, history: History) -> None:
+    points = [p.points for p in history.passes]
+    errors = [min(max(p.error, _LEAST), _MOST) for p in history.passes]
+    ax.plot(points, errors, zorder=2, **_PATH)
+    ax.plot(points[history.chosen], errors[history.chosen], zorder=3, **_CHOSEN)
+    ax.axhline(history.tolerance, zorder=1, **_TOLERANCE)
+    for i, at in enumerate(zip(points, errors, strict=True)):
+        ax.annotate(str(i), at, xytext=(4, 4), textcoords="offset points", fontsize=9, color=QUIET)
+    ax.set_yscale("log")
+    ax.set_xlabel("collocation points")
+    ax.set_ylabel("estimated error")
+
+
+def _draw_meshes(ax: Axes, history: History, phase: str, norm: Normalize) -> None:
+    narrowest = min(float(np.min(p.meshes[phase].widths)) for p in history.passes)
+    stretched = narrowest < _NARROW
+    for i, record in enumerate(history.passes):
+        mesh = record.meshes[phase]
+        edges = np.array(mesh.breaks) if stretched else np.array(record.times[phase])
+        if stretched:
+            edges = np.clip(edges, 0.5 * narrowest, 1.0 - 0.5 * narrowest)
+        ax.barh(
+            np.full(mesh.segments, i),
+            np.diff(edges),
+            left=edges[:-1],
+            height=0.8,
+            color=colormaps[_COLORMAP](norm(mesh.degrees)),
+            edgecolor="white",
+            linewidth=0.4,
+        )
+    if stretched:
+        ax.set_xscale("logit")
+        ax.xaxis.set_minor_locator(NullLocator())
+        ax.set_xlim(0.5 * narrowest, 1.0 - 0.5 * narrowest)
+    ax.set_xlabel("share of the phase" if stretched else "time (s)")
+    ax.set_ylim(len(history.passes) - 0.5, -0.5)
+    ax.yaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.grid(False)
+
+
+def _legend(history: History) -> list[Any]:
+    return [
+        Line2D([], [], label="passes in order", **_PATH),
+        Line2D([], [], label=f"returned: {history.status.value.replace('_', ' ')}", **_CHOSEN),
+        Line2D([], [], label="tolerance", **_TOLERANCE),
+    ]
