@@ -216,7 +216,9 @@ def compare_with_hand(console: Console, tol: float, figure: Path | None) -> floa
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run; return 0 if every objective is within its tolerance."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.refinement", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.refinement", description=__doc__.split("\n")[0]
+    )
     parser.add_argument("file", nargs="?", type=Path, help="problems in JSON")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="refine these problems")
     parser.add_argument("--tol", type=float, default=1e-8)

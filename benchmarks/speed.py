@@ -171,7 +171,7 @@ def resolve(mesh: str, runs: int) -> dict[str, Any]:
 def growth(segments: Sequence[int], runs: int) -> list[dict[str, Any]]:
     """Time per iteration on growing meshes; meshes alternate, and the least time of all runs counts."""
     problems = {k: build(CASE) for k in segments}
-    evaluations = {k: Evaluations(problems[k], k) for k in segments}
+    evaluations = {k: Evaluations(build(CASE), k) for k in segments}
     options = go.SolverOptions(max_iterations=ITERATIONS)
     functions: dict[int, list[float]] = {k: [] for k in segments}
     solves: dict[int, list[go.Solution]] = {k: [] for k in segments}

@@ -49,7 +49,7 @@ _IPOPT_LINEAR_SOLVERS = (
 )  # fmt: skip
 
 # IPOPT's default permutes and scales all matrices by the first one's numbers. Where these are untypical, later
-# factorisations fill up: over the optimal control problems of benchmarks.ocp_set, iterations take 1 to 100 times as long.
+# factorisations fill up: in the problems of benchmarks.ocp_set, iterations take up to 100 times as long.
 _MUMPS = {"mumps_permuting_scaling": 0}
 
 # From this many variables and constraints on MUMPS orders by METIS, which bears a dense row (a free final time) badly:

@@ -25,6 +25,13 @@ if TYPE_CHECKING:
     from gnc_opt.problem.problem import Problem
 
 
+CLEARANCE = 0.02
+"""How far a control on a singular arc is kept from its bounds, as a share of their range.
+
+Without it a free control between movable boundaries swallows the neighbouring bang arcs, whose switches its
+polynomial then smears to a cost that is too good."""
+
+
 @dataclass(frozen=True)
 class Constraint:
     """``lower <= expression <= upper``, the expression an SX column vector of ``size`` rows."""
@@ -249,21 +256,22 @@ class Phase(Strict):
         Parameters
         ----------
         arcs : int array (n_controls, K) or None
-            -1: on the lower bound, +1: on the upper bound, 0: between the bounds. With movable mesh boundaries
-            the switch times are then what is left to optimise. ``None`` lets all controls go.
+            -1: on the lower bound, +1: on the upper bound, 0: free, 2: clear of both bounds by `CLEARANCE` of their
+            range, as a singular control is. With movable mesh boundaries the switch times are then what is left to
+            optimise. ``None`` lets all controls go.
         """
         if arcs is None:
             self.numbers = replace(self.numbers, arcs=None)
             return
         signs = np.atleast_2d(read_numbers(arcs, f"the arcs of {self.where}", ProblemError))
         labels = self.model.controls.labels
-        if signs.ndim != 2 or signs.shape[0] != len(labels) or not np.all(np.isin(signs, (-1, 0, 1))):
+        if signs.ndim != 2 or signs.shape[0] != len(labels) or not np.all(np.isin(signs, (-1, 0, 1, 2))):
             raise ProblemError(
-                f"arcs of {self.where} must be -1, 0 or +1 in an array of {len(labels)} rows (controls "
+                f"arcs of {self.where} must be -1, 0, +1 or 2 in an array of {len(labels)} rows (controls "
                 f"{', '.join(labels)}) and one column per segment; got shape {signs.shape}."
             )
         bounds = self.numbers.controls
-        for sign, limits in ((-1, bounds.lower), (1, bounds.upper)):
+        for sign, limits in ((-1, bounds.lower), (1, bounds.upper), (2, bounds.upper - bounds.lower)):
             endless = np.flatnonzero(np.any(signs == sign, axis=1) & ~np.isfinite(limits))
             if endless.size:
                 raise ProblemError(

@@ -38,7 +38,9 @@ class Piece:
     degree: int
 
 
-def coarsened(yardstick: Yardstick, run: Sequence[Piece], tol: float, max_degree: int) -> list[Piece]:
+def coarsened(
+    yardstick: Yardstick, run: Sequence[Piece], tol: float, max_degree: int, *, boldly: bool = False
+) -> list[Piece]:
     """Return the cheapest pieces on the given boundaries whose trial errors stay below ``tol``.
 
     Parameters
@@ -48,10 +50,12 @@ def coarsened(yardstick: Yardstick, run: Sequence[Piece], tol: float, max_degree
         Neighbouring segments in which the trajectory is known accurately.
     tol : float
     max_degree : int
+    boldly : bool
+        Let the states depart from the known ones, if only the errors stay small.
     """
     cost = [0.0]
     chosen: list[tuple[int, int]] = []
-    degrees = _smallest_degrees(yardstick, run, tol, max_degree)
+    degrees = _smallest_degrees(yardstick, run, tol, max_degree, boldly)
     for j in range(1, len(run) + 1):
         options = [
             (cost[i] + degrees[i, j] + SEGMENT_COST, i)
@@ -70,7 +74,7 @@ def coarsened(yardstick: Yardstick, run: Sequence[Piece], tol: float, max_degree
 
 
 def _smallest_degrees(
-    yardstick: Yardstick, run: Sequence[Piece], tol: float, max_degree: int
+    yardstick: Yardstick, run: Sequence[Piece], tol: float, max_degree: int, boldly: bool
 ) -> dict[tuple[int, int], int]:
     """Return the smallest sufficient degree of each merger (first, last + 1) that saves points."""
     found = {(i, i + 1): piece.degree for i, piece in enumerate(run)}
@@ -85,19 +89,21 @@ def _smallest_degrees(
                     keys.append((i, j))
     if not trials:
         return found
-    errors = trial_errors(yardstick, trials)
+    errors = trial_errors(yardstick, trials, departures=not boldly)
     for key, trial, error in sorted(zip(keys, trials, errors, strict=True), key=lambda e: -e[1].degree):
         if error <= tol:
             found[key] = trial.degree
     return found
 
 
-def trial_errors(yardstick: Yardstick, trials: Sequence[Piece]) -> Array:
-    """Return the largest error of each trial, its departure from the known states included, (n_trials,).
+def trial_errors(yardstick: Yardstick, trials: Sequence[Piece], *, departures: bool = True) -> Array:
+    """Return the largest error of each trial, (n_trials,), its departure from the known states included.
 
-    Without the departure a trial could skip a transient that neither residual nor cost notice.
+    Without the departures a trial could skip a transient that neither residual nor cost notice.
     """
     pieces = trial_pieces(yardstick, trials)
+    if not departures:
+        return yardstick.judge(pieces).worst
     departure = np.abs(pieces.x - yardstick.leg.x(pieces.times)) / yardstick.state[:, None]
     return np.maximum(yardstick.judge(pieces).worst, np.max(pieces.largest(departure), axis=0))
 

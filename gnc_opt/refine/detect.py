@@ -60,11 +60,11 @@ def switching(samples: PhaseSamples, i: int) -> Callable[[float], float]:
 
 
 def _linear_labels(samples: PhaseSamples, i: int) -> Signs:
-    """-1, 0, +1 at each sample for a control that enters H linearly."""
+    """-1, +1 or 2 (singular) at each sample for a control that enters H linearly."""
     gradient = samples.control_gradient[i] * samples.control_scale[i] / samples.hamiltonian_scale
     labels = np.where(gradient > 0, -1, 1)
     for k in _singular_segments(samples, i, gradient):
-        labels[samples.segments == k] = 0
+        labels[samples.segments == k] = 2
     return labels
 
 

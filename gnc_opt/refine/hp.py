@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import PhaseError, estimate_errors, largest_error
 from gnc_opt.refine.history import Actions, History, Pass, RefinementStatus
-from gnc_opt.refine.remesh import Past, Remesh, known_segments
+from gnc_opt.refine.remesh import SAFETY, Past, Remesh, known_segments
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.solution import Solution
 from gnc_opt.transcription.mesh import Mesh
@@ -34,8 +34,27 @@ WARM_ITERATIONS = 150
 """A warm start that takes longer has lost its way."""
 
 COLD_MU = 1e-2
+"""First barrier parameter when only the trajectory is kept."""
+
+STAGE = 1e-4
+"""Each pass aims at this share of the error before it, and at least at this error."""
+
+NEAR = 1e3
+"""Once the error is within this factor of the tolerance, accurate segments are left alone."""
+
 WORTH_TRIMMING = 0.8
-"""An accurate solution is solved once more if the mesh can shrink to this share."""
+"""An accurate solution is solved once more if the mesh can shrink to this share, ..."""
+
+BOLD = 0.5
+"""... expecting this share of the tolerance, ..."""
+
+TRIMS, REPAIRS = 3, 3
+"""... at most so often, and with so many passes to mend what became too coarse."""
+
+UNEXPLAINED = 10.0
+"""An objective that moves by more than this many times the error of the last mesh has not settled."""
+
+Plan: TypeAlias = "tuple[dict[str, Mesh], Actions]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +133,8 @@ class _Refinement:
         self._records: list[Pass] = []
         self._past: dict[str, Past] = {}
         self._totals: list[float] = []
+        self._trims = self._repairs = 0
+        self._confirming = False
         begin = time.perf_counter()
         self._state = self._judge(solution, solution.statistics.iterations, begin, Actions())
         self._best, self._chosen = self._state, 0
@@ -122,24 +143,87 @@ class _Refinement:
         """Refine until one of the endings."""
         show(self._records[-1])
         for _ in range(max_passes):
-            converged = self._converged(self._state.record)
-            if not converged and self._converged(self._best.record):
-                break  # the smaller mesh was too small
-            meshes, actions = self._next_meshes()
-            if converged and not self._worth_trimming(meshes):
-                break
-            if max(mesh.size for mesh in meshes.values()) > self._max_points:
-                return RefinementStatus.POINT_LIMIT
-            if not converged and self._stalled(meshes):
-                return RefinementStatus.STALLED
+            plan = self._plan()
+            if isinstance(plan, RefinementStatus):
+                return plan
+            meshes, actions = plan
             self._past = {name: known_segments(e) for name, e in self._state.errors.items()}
             status = self._solve(meshes, actions)
             show(self._records[-1])
             if not status.solved:
                 return self._ending_without(status)
-        return (
-            RefinementStatus.CONVERGED if self._converged(self._best.record) else RefinementStatus.PASS_LIMIT
+        done = self._converged(self._best.record)
+        return RefinementStatus.CONVERGED if done else RefinementStatus.PASS_LIMIT
+
+    def _plan(self) -> Plan | RefinementStatus:
+        """Return the next meshes with what was done to get them, or how it ends here."""
+        if self._converged(self._state.record):
+            if not self._settled():
+                return RefinementStatus.STALLED if self._confirming else self._confirm()
+            self._confirming = False
+            plan = self._trimmed()
+            if plan is None:
+                return RefinementStatus.CONVERGED
+            self._trims += 1
+            return plan
+        if self._trims:  # mend a mesh that has become too small, as long as it stays smaller
+            plan = self._finer(None)
+            self._repairs += 1
+            smaller = _size(plan[0]) < self._best.record.points
+            return plan if smaller and self._repairs <= REPAIRS else RefinementStatus.CONVERGED
+        return self._next()
+
+    def _next(self) -> Plan | RefinementStatus:
+        """Refine what is inaccurate; merge, too, until the error comes close to the tolerance."""
+        near = self._state.record.error < NEAR * self._tol
+        plan = self._finer(None if near else SAFETY * self._tol)
+        if near and self._too_many(plan[0]):
+            plan = self._finer(SAFETY * self._tol)
+        if self._too_many(plan[0]):
+            return RefinementStatus.POINT_LIMIT
+        return RefinementStatus.STALLED if self._stalled(plan[0]) else plan
+
+    def _finer(self, merge_tol: float | None) -> Plan:
+        """Aim at the tolerance in stages: while the trajectory still moves, details are premature."""
+        stage = max(self._tol, min(STAGE * self._state.record.error, STAGE))
+        return self._remeshed(
+            lambda name, error: Remesh(error, stage, self._past.get(name, {}), merge_tol).mesh()
         )
+
+    def _trimmed(self) -> Plan | None:
+        """Return smaller meshes for an accurate solution, or None if there is not much to gain."""
+        plan = self._remeshed(
+            lambda _, error: Remesh(error, self._tol, merge_tol=BOLD * self._tol, boldly=True).mesh()
+        )
+        worth = _size(plan[0]) <= WORTH_TRIMMING * self._state.record.points
+        return plan if worth and self._trims < TRIMS else None
+
+    def _remeshed(self, remesh: Callable[[str, PhaseError], tuple[Mesh, Actions]]) -> Plan:
+        meshes, total = {}, Actions()
+        for name, error in self._state.errors.items():
+            meshes[name], actions = remesh(name, error)
+            total = total + actions
+        return meshes, total
+
+    def _settled(self) -> bool:
+        """Whether the objective has moved no more than the error of the last mesh explains.
+
+        A control that chatters can be exact on every mesh and different on each.
+        """
+        if len(self._records) < 2 or self._trims:
+            return True
+        old, new = self._records[-2:]
+        worth = max(abs(new.objective), *(_cost_scale(e) for e in self._state.errors.values()))
+        return abs(new.objective - old.objective) <= (UNEXPLAINED * max(old.error, self._tol)) * worth
+
+    def _confirm(self) -> Plan:
+        """Halve all segments: a proper solution stays where it is."""
+        self._confirming = True
+        meshes = {name: _halved(mesh) for name, mesh in self._state.record.meshes.items()}
+        return meshes, Actions(split=sum(mesh.segments for mesh in self._state.record.meshes.values()))
+
+    def _too_many(self, meshes: dict[str, Mesh]) -> bool:
+        return max(mesh.size for mesh in meshes.values()) > self._max_points
 
     def result(self, status: RefinementStatus) -> tuple[Solution, History]:
         """Return the best solution and the record."""
@@ -156,16 +240,6 @@ class _Refinement:
 
     def _converged(self, record: Pass) -> bool:
         return record.solved and record.error <= self._tol
-
-    def _next_meshes(self) -> tuple[dict[str, Mesh], Actions]:
-        meshes, total = {}, Actions()
-        for name, error in self._state.errors.items():
-            meshes[name], actions = Remesh(error, self._tol, self._past.get(name, {})).mesh()
-            total = total + actions
-        return meshes, total
-
-    def _worth_trimming(self, meshes: dict[str, Mesh]) -> bool:
-        return sum(mesh.size for mesh in meshes.values()) <= WORTH_TRIMMING * self._state.record.points
 
     def _stalled(self, meshes: dict[str, Mesh]) -> bool:
         """Whether nothing is left to do, or neither the largest error nor the sum of all has fallen lately."""
@@ -221,6 +295,24 @@ class _Refinement:
         if self._converged(new) and self._converged(old):
             return new.points < old.points
         return new.solved and new.error < old.error
+
+
+def _size(meshes: dict[str, Mesh]) -> int:
+    return sum(mesh.size for mesh in meshes.values())
+
+
+def _halved(mesh: Mesh) -> Mesh:
+    breaks = np.asarray(mesh.breaks)
+    times = np.sort(np.concatenate([breaks, 0.5 * (breaks[1:] + breaks[:-1])]))
+    return Mesh.at_times(times, [n for n in mesh.degrees for _ in range(2)])
+
+
+def _cost_scale(error: PhaseError) -> float:
+    """The magnitude of the integrals' share of the cost."""
+    leg = error.samples.leg
+    return (
+        float(np.sum(np.abs(leg.integral_weights) * error.yardstick.integral)) if leg.integral_labels else 0.0
+    )
 
 
 def _problem(solution: Solution) -> Problem:

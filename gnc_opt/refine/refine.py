@@ -81,7 +81,9 @@ def refine(
                 f"no control of '{solution.problem_name}' enters the Hamiltonian linearly between two finite bounds: "
                 'use structure="none".'
             )
-        return _with_history(*optimise_switches(solution, tol=min(tol, 1e-9), max_passes=max_passes, options=options))
+        return _with_history(
+            *optimise_switches(solution, tol=min(tol, 1e-9), max_passes=max_passes, options=options)
+        )
     if structure == "auto" and _switches(solution, at_least=1):
         candidate = _with_history(
             *optimise_switches(solution, tol=min(tol, 1e-9), max_passes=max_passes, options=options)
@@ -90,7 +92,12 @@ def refine(
             return candidate
     return _with_history(
         *refine_mesh(
-            solution, tol=tol, max_passes=max_passes, max_points=max_points, options=options, progress=progress
+            solution,
+            tol=tol,
+            max_passes=max_passes,
+            max_points=max_points,
+            options=options,
+            progress=progress,
         )
     )
 

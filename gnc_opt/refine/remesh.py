@@ -33,6 +33,9 @@ NARROWEST = 1e-9
 HALVING = 0.3
 """Decades per degree by which the decay gets faster when a segment is halved."""
 
+LAYER = 0.125
+"""Share of a hopelessly coarse first or last segment that is cut off: boundary layers are thin."""
+
 ROUGH = 0.12
 """A degree that gained less than this many decades per point was wasted: the segment is not smooth."""
 
@@ -54,14 +57,21 @@ class Remesh:
     ----------
     error : PhaseError
     tol : float
+        Segments with a larger error are refined.
     past : mapping from (start, end) to (degree, error)
         Of the last mesh; ends are fractions of the phase.
+    merge_tol : float or None
+        Error that merged and lowered segments may have; None to leave accurate segments alone.
+    boldly : bool
+        Merge whatever leaves the errors small, even if the states change.
     max_degree : int
     """
 
     error: PhaseError
     tol: float
     past: Past = field(default_factory=dict)
+    merge_tol: float | None = None
+    boldly: bool = False
     max_degree: int = MAX_DEGREE
 
     def __post_init__(self) -> None:
@@ -90,7 +100,11 @@ class Remesh:
     def _close(self, run: list[Piece], pieces: list[Piece], merged: int, lowered: int) -> tuple[int, int]:
         """Add a run of accurate segments, as few and as low as they may be."""
         if run:
-            slim = coarsened(self.error.yardstick, run, SAFETY * self.tol, self.max_degree)
+            slim = list(run)
+            if self.merge_tol is not None:
+                slim = coarsened(
+                    self.error.yardstick, run, self.merge_tol, self.max_degree, boldly=self.boldly
+                )
             pieces += slim
             merged += len(run) - len(slim)
             known = {(p.start, p.end): p.degree for p in run}
@@ -143,7 +157,10 @@ class Remesh:
             self._density = error_density(self.error)
         low, middle, high = quantiles(self.error, self._density, k, np.array([0.1, 0.5, 0.9]))
         width = own.end - own.start
-        if high - low < 0.3 * width:
+        layer = self._layer(k)
+        if layer is not None:
+            edges = [own.start + layer * width]
+        elif high - low < 0.3 * width:
             edges = [low, high]
         else:
             edges = [float(np.clip(middle, own.start + 0.05 * width, own.end - 0.05 * width))]
@@ -155,6 +172,14 @@ class Remesh:
         needed = math.ceil((excess + rate * own.degree) / (rate + HALVING))
         degree = min(max(3, min(needed, own.degree)), 10)
         return [Piece(float(a), float(b), degree) for a, b in itertools.pairwise(cuts)]
+
+    def _layer(self, k: int) -> float | None:
+        """Return where to cut a hopelessly coarse segment at an end of the phase, where layers are thin."""
+        if self._worst[k] < UNRESOLVED:
+            return None
+        if k == 0:
+            return LAYER
+        return 1.0 - LAYER if k == self._leg.mesh.segments - 1 else None
 
     def _fraction(self, t: float) -> float:
         return float((t - self._leg.breaks[0]) / (self._leg.breaks[-1] - self._leg.breaks[0]))

@@ -24,7 +24,7 @@ class PhaseStructure:
         Start, every switch in order, end; A + 1 of them, in s.
     signs : tuple of A tuples of int
         For each piece between neighbouring times the place of every control: -1 on its lower bound, +1 on its
-        upper bound, 0 between them.
+        upper bound, 0 wherever it likes, 2 between its bounds though it enters H linearly (singular).
     """
 
     times: tuple[float, ...]
@@ -83,16 +83,15 @@ class PhaseStructure:
                 row[channel] = sign
         return merged(tuple(times), tuple(tuple(row) for row in signs))
 
-    def arcs(self, phase: str, labels: tuple[str, ...], singular: NDArray[np.bool_]) -> tuple[Arc, ...]:
-        """Return the arcs of every control; ``singular`` (n_controls,) tells what lies between bounds."""
-        kinds = {-1: ArcKind.LOWER, 1: ArcKind.UPPER}
+    def arcs(self, phase: str, labels: tuple[str, ...]) -> tuple[Arc, ...]:
+        """Return the arcs of every control."""
+        kinds = {-1: ArcKind.LOWER, 0: ArcKind.INTERIOR, 1: ArcKind.UPPER, 2: ArcKind.SINGULAR}
         found = []
         for i, label in enumerate(labels):
             row = [signs[i] for signs in self.signs]
             starts = [0, *[k for k in range(1, self.pieces) if row[k] != row[k - 1]], self.pieces]
             for first, last in itertools.pairwise(starts):
-                kind = kinds.get(row[first], ArcKind.SINGULAR if singular[i] else ArcKind.INTERIOR)
-                found.append(Arc(phase, label, kind, self.times[first], self.times[last]))
+                found.append(Arc(phase, label, kinds[row[first]], self.times[first], self.times[last]))
         return tuple(found)
 
 

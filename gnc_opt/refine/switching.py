@@ -30,7 +30,10 @@ from gnc_opt.verify.samples import PhaseSamples
 FIRST_DEGREE, MAX_DEGREE = 6, 12
 """Collocation points of a piece to begin with, and of one segment at most; a piece that needs more is split."""
 
-MAX_SEGMENTS = 8
+SINGULAR_DEGREE = 4
+"""Collocation points of the segments of a singular piece; high-degree controls chatter where H does not fix them."""
+
+MAX_SEGMENTS = 32
 """Segments of a piece at most."""
 
 VANISHED = 1e-6
@@ -46,9 +49,12 @@ class Resolution:
 
     segments: int = 1
     degree: int = FIRST_DEGREE
+    singular: bool = False
 
     def finer(self) -> Resolution:
         """Return the next finer resolution; the finest one is itself."""
+        if self.singular:
+            return replace(self, segments=min(2 * self.segments, MAX_SEGMENTS))
         if self.degree < MAX_DEGREE:
             return Resolution(self.segments, min(self.degree + 3, MAX_DEGREE))
         return Resolution(min(2 * self.segments, MAX_SEGMENTS), self.degree)
@@ -64,7 +70,8 @@ class Plan:
     @classmethod
     def of(cls, structure: PhaseStructure) -> Plan:
         """Return a plan that starts with the coarsest resolution."""
-        return cls(structure, (Resolution(),) * structure.pieces)
+        singular = Resolution(2, SINGULAR_DEGREE, singular=True)
+        return cls(structure, tuple(singular if 2 in signs else Resolution() for signs in structure.signs))
 
     def mesh(self) -> Mesh:
         """Return the mesh whose boundaries between pieces are movable."""
@@ -185,7 +192,7 @@ def _record(solution: Solution, begin: float, action: str) -> Pass:
 def _arcs(solution: Solution, plans: Mapping[str, Plan]) -> tuple[Arc, ...]:
     arcs: list[Arc] = []
     for name, s in _samples(solution).items():
-        arcs += plans[name].structure.arcs(name, s.leg.controls.labels, affine_channels(s))
+        arcs += plans[name].structure.arcs(name, s.leg.controls.labels)
     return tuple(arcs)
 
 
@@ -227,7 +234,7 @@ def _complete(samples: PhaseSamples, structure: PhaseStructure) -> tuple[PhaseSt
     affine = affine_channels(samples)
     gradient = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
     signs = structure.matrix()[:, samples.leg.mesh.segment_arcs[samples.segments]]
-    offence = np.where(affine[:, None] & (signs != 0), signs * gradient, 0.0)
+    offence = np.where(affine[:, None] & (np.abs(signs) == 1), signs * gradient, 0.0)
     for i in range(offence.shape[0]):
         _forgive_own_switches(offence[i], signs[i])
     if not offence.size or offence.max() < WRONG_SIGN:
@@ -277,7 +284,5 @@ def _finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
     per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
     worst = np.zeros(plan.structure.pieces)
     np.maximum.at(worst, samples.leg.mesh.segment_arcs, per_segment)
-    wanted = tuple(
-        r.finer() if e > tol else r for r, e in zip(plan.resolutions, worst, strict=True)
-    )
+    wanted = tuple(r.finer() if e > tol else r for r, e in zip(plan.resolutions, worst, strict=True))
     return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None

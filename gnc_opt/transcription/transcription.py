@@ -16,7 +16,7 @@ from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.layout import Array
 from gnc_opt.nlp.solver import NlpProblem
 from gnc_opt.problem.interval import Interval, free
-from gnc_opt.problem.phase import Phase
+from gnc_opt.problem.phase import CLEARANCE, Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.problem.symbols import parameter_arguments
 from gnc_opt.transcription.collocation import PhaseCollocation, weight_matrix
@@ -413,6 +413,10 @@ class Transcription:
         for sign, limits in ((-1, bounds.lower), (1, bounds.upper)):
             held = np.broadcast_to(limits[:, None], signs.shape)[signs == sign]
             box.lower[places[signs == sign]] = box.upper[places[signs == sign]] = held
+        margin = CLEARANCE * (bounds.upper - bounds.lower)
+        clear = signs == 2
+        box.lower[places[clear]] = np.broadcast_to((bounds.lower + margin)[:, None], signs.shape)[clear]
+        box.upper[places[clear]] = np.broadcast_to((bounds.upper - margin)[:, None], signs.shape)[clear]
 
     def row_interval(self, problem: Problem) -> Interval:
         """Bounds of all rows, in physical units."""

@@ -72,7 +72,8 @@ def _least_slope(s: PhaseSamples) -> tuple[float, str]:
         slopes = (
             (values[:, 1] - values[:, 0]) / (2 * step) * s.control_scale * leg.duration / s.hamiltonian_scale
         )
-        for i in np.flatnonzero(np.abs(after - before) > 0.5 * s.control_scale):
+        # Onto a singular arc the switching function comes in flat.
+        for i in np.flatnonzero(np.abs(after - before) > (1 - AT_BOUND) * s.control_scale):
             signed = -float(np.sign(after[i] - before[i]) * slopes[i])
             if signed < least:
                 least, place = signed, f"phase {leg.name}, t = {t:.6g} s, {leg.controls.labels[i]}"
