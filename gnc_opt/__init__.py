@@ -13,6 +13,7 @@ from gnc_opt.errors import (
 from gnc_opt.model import Model
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem import Phase, Problem
+from gnc_opt.refine import History, RefinementStatus, refine
 from gnc_opt.solution import PhaseSolution, Solution, load
 from gnc_opt.solve import solve
 from gnc_opt.transcription.mesh import Mesh
@@ -22,6 +23,7 @@ __all__ = [
     "ArgumentError",
     "Condition",
     "GncOptError",
+    "History",
     "Mesh",
     "Model",
     "ModelError",
@@ -30,6 +32,7 @@ __all__ = [
     "Problem",
     "ProblemError",
     "ProblemWarning",
+    "RefinementStatus",
     "Result",
     "Solution",
     "SolveError",
@@ -39,6 +42,7 @@ __all__ = [
     "UnknownNameError",
     "Verdict",
     "load",
+    "refine",
     "solve",
     "verify",
 ]

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from gnc_opt.verify.verdict import Verdict
 
 
+REFINE_TOLERANCE = 1e-8
+"""Of --structure without --tol."""
+
+
 class ExitCode(IntEnum):
     """What the shell is told."""
 
@@ -82,10 +86,23 @@ def _solve(args: argparse.Namespace) -> ExitCode:
             progress=not args.quiet,
             throw=False,
         )
+        if solution.status.solved and (args.tol is not None or args.structure is not None):
+            solution = _refine(args, solution)
         verdict = _verify(solution) if solution.status.solved and not args.no_verify else None
     _show(console, solution, verdict)
     _write(args, console, file, solution, verdict)
     return _exit_code(solution, verdict, args.exit_zero)
+
+
+def _refine(args: argparse.Namespace, solution: Solution) -> Solution:
+    from gnc_opt.refine import refine
+
+    return refine(
+        solution,
+        tol=args.tol or REFINE_TOLERANCE,
+        structure=args.structure or "auto",
+        progress=not args.quiet,
+    )
 
 
 def _check(args: argparse.Namespace) -> ExitCode:
@@ -145,6 +162,8 @@ def _show(console: Console, solution: Solution, verdict: Verdict | None) -> None
     from gnc_opt.report.verdict_table import verdict_table
 
     _say(console, str(solution))
+    if solution.history is not None:
+        _say(console, str(solution.history))
     if verdict is None:
         return
     console.print(verdict_table(verdict))
@@ -255,6 +274,12 @@ def _add_solve(commands: Any) -> None:
     add = command.add_argument
     add("--mesh", metavar="KxN", help="K equal segments of N points; default: MESH of the file")
     add("--scheme", type=str.upper, choices=("LG", "LGR", "LGL"), default="LG", help="collocation points")
+    add("--tol", type=float, metavar="TOL", help="refine until the error between the nodes is below this")
+    add(
+        "--structure",
+        choices=("auto", "bang-bang", "none"),
+        help="how to refine: exact switch times, hp, or whichever suits (auto, the default with --tol)",
+    )
     add("--solver-tol", type=float, metavar="TOL", help="tolerance of the NLP solver")
     add("--json", metavar="OUT", help="write the summary as JSON to a file, '-' for standard output")
     add("--report", metavar="DIR", help="write summary, verdict, solution and figures to a folder")

@@ -18,6 +18,7 @@ from gnc_opt.errors import ProblemError, SolveError, shown
 from gnc_opt.model.layout import Array
 from gnc_opt.nlp import IterationInfo, NlpResult, NlpSolver, SolverOptions
 from gnc_opt.problem.problem import Problem
+from gnc_opt.refine.refine import StructureChoice, refine
 from gnc_opt.solution.extract import Iterate, extract_phases
 from gnc_opt.solution.solution import Solution, Statistics
 from gnc_opt.solution.warm_start import start_from_solution
@@ -38,11 +39,13 @@ def solve(
     mesh: MeshLike | Mapping[str, MeshLike] | None = None,
     scheme: Scheme = "LG",
     guess: Solution | None = None,
+    tol: float | None = None,
+    structure: StructureChoice = "auto",
     options: SolverOptions | None = None,
     progress: bool = False,
     throw: bool = True,
 ) -> Solution:
-    """Solve an optimal control problem by collocation.
+    """Solve an optimal control problem by collocation, and refine the solution if a tolerance is given.
 
     Parameters
     ----------
@@ -54,6 +57,10 @@ def solve(
     guess : Solution, optional
         Start from states, controls and multipliers of an earlier solution, on any mesh. Without it the
         problem's own guess and straight lines are used.
+    tol : float, optional
+        Refine until the error between the nodes is below this; see `refine`. Without it the given mesh is final.
+    structure : {"auto", "bang-bang", "none"}
+        How to refine; see `refine`.
     options : SolverOptions, optional
         Solver, tolerances, limits and raw options.
     progress : bool
@@ -99,7 +106,9 @@ def solve(
     solution = _solution(transcription, problem, result, scaling, statistics, options)
     if throw and not (result.status.solved or result.status.value == "interrupted"):
         raise SolveError(failure_message(solution), solution)
-    return solution
+    if tol is None or not solution.status.solved:
+        return solution
+    return refine(solution, tol=tol, structure=structure, progress=progress)
 
 
 def _meshes(

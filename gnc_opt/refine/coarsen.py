@@ -39,7 +39,7 @@ class Piece:
 
 
 def coarsened(
-    yardstick: Yardstick, run: Sequence[Piece], tol: float, max_degree: int, *, boldly: bool = False
+    yardstick: Yardstick, run: Sequence[Piece], tol: float, max_degree: int, departure: float
 ) -> list[Piece]:
     """Return the cheapest pieces on the given boundaries whose trial errors stay below ``tol``.
 
@@ -50,12 +50,12 @@ def coarsened(
         Neighbouring segments in which the trajectory is known accurately.
     tol : float
     max_degree : int
-    boldly : bool
-        Let the states depart from the known ones, if only the errors stay small.
+    departure : float
+        How far the states of a trial may be from the known ones, relative to their magnitude.
     """
     cost = [0.0]
     chosen: list[tuple[int, int]] = []
-    degrees = _smallest_degrees(yardstick, run, tol, max_degree, boldly)
+    degrees = _smallest_degrees(yardstick, run, tol, max_degree, departure)
     for j in range(1, len(run) + 1):
         options = [
             (cost[i] + degrees[i, j] + SEGMENT_COST, i)
@@ -74,7 +74,7 @@ def coarsened(
 
 
 def _smallest_degrees(
-    yardstick: Yardstick, run: Sequence[Piece], tol: float, max_degree: int, boldly: bool
+    yardstick: Yardstick, run: Sequence[Piece], tol: float, max_degree: int, departure: float
 ) -> dict[tuple[int, int], int]:
     """Return the smallest sufficient degree of each merger (first, last + 1) that saves points."""
     found = {(i, i + 1): piece.degree for i, piece in enumerate(run)}
@@ -89,23 +89,21 @@ def _smallest_degrees(
                     keys.append((i, j))
     if not trials:
         return found
-    errors = trial_errors(yardstick, trials, departures=not boldly)
-    for key, trial, error in sorted(zip(keys, trials, errors, strict=True), key=lambda e: -e[1].degree):
-        if error <= tol:
-            found[key] = trial.degree
+    errors, departures = trial_errors(yardstick, trials)
+    good = (errors <= tol) & (departures <= departure)
+    for i in sorted(np.flatnonzero(good), key=lambda i: -trials[i].degree):
+        found[keys[i]] = trials[i].degree
     return found
 
 
-def trial_errors(yardstick: Yardstick, trials: Sequence[Piece], *, departures: bool = True) -> Array:
-    """Return the largest error of each trial, (n_trials,), its departure from the known states included.
+def trial_errors(yardstick: Yardstick, trials: Sequence[Piece]) -> tuple[Array, Array]:
+    """Return the largest error of each trial and its states' largest departure from the known ones, (n_trials,).
 
-    Without the departures a trial could skip a transient that neither residual nor cost notice.
+    A trial could skip a transient that neither residual nor cost notice, but for its departure.
     """
     pieces = trial_pieces(yardstick, trials)
-    if not departures:
-        return yardstick.judge(pieces).worst
-    departure = np.abs(pieces.x - yardstick.leg.x(pieces.times)) / yardstick.state[:, None]
-    return np.maximum(yardstick.judge(pieces).worst, np.max(pieces.largest(departure), axis=0))
+    departures = np.abs(pieces.x - yardstick.leg.x(pieces.times)) / yardstick.state[:, None]
+    return yardstick.judge(pieces).worst, np.max(pieces.largest(departures), axis=0)
 
 
 def trial_pieces(yardstick: Yardstick, trials: Sequence[Piece]) -> Pieces:

@@ -6,6 +6,7 @@ trajectory alone, see `gnc_opt.refine.error`; how the mesh changes is in `gnc_op
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
@@ -39,14 +40,15 @@ COLD_MU = 1e-2
 STAGE = 1e-4
 """Each pass aims at this share of the error before it, and at least at this error."""
 
-NEAR = 1e3
-"""Once the error is within this factor of the tolerance, accurate segments are left alone."""
-
 WORTH_TRIMMING = 0.8
 """An accurate solution is solved once more if the mesh can shrink to this share, ..."""
 
 BOLD = 0.5
 """... expecting this share of the tolerance, ..."""
+
+DEPARTURE = 0.01
+"""... with states that move by this share of the tolerance's root (of an optimal cost, they only move the second
+order), ..."""
 
 TRIMS, REPAIRS = 3, 3
 """... at most so often, and with so many passes to mend what became too coarse."""
@@ -134,6 +136,7 @@ class _Refinement:
         self._past: dict[str, Past] = {}
         self._totals: list[float] = []
         self._trims = self._repairs = 0
+        self._departure = DEPARTURE * math.sqrt(tol)
         self._confirming = False
         begin = time.perf_counter()
         self._state = self._judge(solution, solution.statistics.iterations, begin, Actions())
@@ -174,10 +177,13 @@ class _Refinement:
         return self._next()
 
     def _next(self) -> Plan | RefinementStatus:
-        """Refine what is inaccurate; merge, too, until the error comes close to the tolerance."""
-        near = self._state.record.error < NEAR * self._tol
-        plan = self._finer(None if near else SAFETY * self._tol)
-        if near and self._too_many(plan[0]):
+        """Refine what is inaccurate and merge what is too fine, unless merging has just made things worse."""
+        last = self._state.record
+        worse = (
+            last is not self._best.record and isinstance(last.actions, Actions) and last.actions.merged > 0
+        )
+        plan = self._finer(None if worse else SAFETY * self._tol)
+        if worse and self._too_many(plan[0]):
             plan = self._finer(SAFETY * self._tol)
         if self._too_many(plan[0]):
             return RefinementStatus.POINT_LIMIT
@@ -187,13 +193,15 @@ class _Refinement:
         """Aim at the tolerance in stages: while the trajectory still moves, details are premature."""
         stage = max(self._tol, min(STAGE * self._state.record.error, STAGE))
         return self._remeshed(
-            lambda name, error: Remesh(error, stage, self._past.get(name, {}), merge_tol).mesh()
+            lambda name, error: Remesh(
+                error, stage, self._past.get(name, {}), merge_tol, SAFETY * self._tol
+            ).mesh()
         )
 
     def _trimmed(self) -> Plan | None:
         """Return smaller meshes for an accurate solution, or None if there is not much to gain."""
         plan = self._remeshed(
-            lambda _, error: Remesh(error, self._tol, merge_tol=BOLD * self._tol, boldly=True).mesh()
+            lambda _, error: Remesh(error, self._tol, {}, BOLD * self._tol, self._departure).mesh()
         )
         worth = _size(plan[0]) <= WORTH_TRIMMING * self._state.record.points
         return plan if worth and self._trims < TRIMS else None

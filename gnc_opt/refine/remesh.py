@@ -62,8 +62,8 @@ class Remesh:
         Of the last mesh; ends are fractions of the phase.
     merge_tol : float or None
         Error that merged and lowered segments may have; None to leave accurate segments alone.
-    boldly : bool
-        Merge whatever leaves the errors small, even if the states change.
+    departure : float
+        How far, relatively, merging and lowering may move the states.
     max_degree : int
     """
 
@@ -71,7 +71,7 @@ class Remesh:
     tol: float
     past: Past = field(default_factory=dict)
     merge_tol: float | None = None
-    boldly: bool = False
+    departure: float = 0.0
     max_degree: int = MAX_DEGREE
 
     def __post_init__(self) -> None:
@@ -102,9 +102,7 @@ class Remesh:
         if run:
             slim = list(run)
             if self.merge_tol is not None:
-                slim = coarsened(
-                    self.error.yardstick, run, self.merge_tol, self.max_degree, boldly=self.boldly
-                )
+                slim = coarsened(self.error.yardstick, run, self.merge_tol, self.max_degree, self.departure)
             pieces += slim
             merged += len(run) - len(slim)
             known = {(p.start, p.end): p.degree for p in run}

@@ -11,6 +11,8 @@ from gnc_opt.report.summary import known_quality, mesh_text
 
 if TYPE_CHECKING:
     from gnc_opt.model.layout import Layout
+    from gnc_opt.refine.history import History
+    from gnc_opt.solution.arc import Arc
     from gnc_opt.solution.phase_solution import PhaseSolution
     from gnc_opt.solution.solution import Solution
     from gnc_opt.verify.verdict import Condition, Verdict
@@ -56,6 +58,8 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
             "terminal_error_where": quality and quality.terminal_where,
             "verdict": None if verdict is None else _verdict(verdict),
             "violations": [{"name": v.name, "amount": v.amount} for v in solution.violations],
+            "structure": [_arc(arc) for arc in solution.structure],
+            "refinement": None if solution.history is None else _refinement(solution.history),
             "parameters": {name: solution.parameter(name) for name in solution.free_parameters.names},
             "phases": [_phase(leg) for leg in solution.phases.values()],
             "provenance": dict(solution.provenance),
@@ -98,6 +102,26 @@ def _condition(condition: Condition) -> dict[str, Any]:
         "tolerance": condition.tolerance,
         "where": condition.where,
         "meaning": condition.meaning,
+    }
+
+
+def _arc(arc: Arc) -> dict[str, Any]:
+    return {
+        "phase": arc.phase,
+        "channel": arc.channel,
+        "kind": arc.kind.value,
+        "start": arc.start,
+        "end": arc.end,
+    }
+
+
+def _refinement(history: History) -> dict[str, Any]:
+    return {
+        "status": history.status.value,
+        "tolerance": history.tolerance,
+        "passes": len(history.passes),
+        "error": history.final.error,
+        "seconds": history.seconds,
     }
 
 
