@@ -37,6 +37,9 @@ DIVERGED = 1e15
 RUNAWAY = 1e10
 """The same once the solver has given up anyway: scaled variables are of order one."""
 
+SUSPICIOUS = 1e8
+"""Magnitude at which an iterate that is merely acceptable counts as running off: its gradients fade out there."""
+
 WARM_PUSH = 1e-9
 """How far a warm start is moved off its bounds and its multipliers off zero (IPOPT's cold default: 1e-2)."""
 
@@ -57,10 +60,16 @@ _MUMPS = {"mumps_permuting_scaling": 0}
 _LARGE = 10_000
 _MUMPS_LARGE = {"mumps_pivot_order": 6}
 
+# Nearly singular systems (badly scaled variables, very short segments) need larger pivots and balanced rows.
+_MUMPS_CAREFUL = {"mumps_pivtol": 1e-2, "mumps_scaling": 8}
+
+# Endings that rounding in the linear solver can cause: careful pivoting then goes on from where it stopped.
+_ROUNDING = (Status.ACCEPTABLE, Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAILED)
+
 # For lam_p alone CasADi differentiates the whole NLP once more; these plugins can do without.
 _WITHOUT_NLP_GRAD = ("ipopt", "sqpmethod", "bonmin")
 
-_Start: TypeAlias = Literal["cold", "warm", "adaptive"]
+_Start: TypeAlias = Literal["cold", "warm", "careful", "adaptive"]
 _COLD = ("x0", "p", "lbx", "ubx", "lbg", "ubg")
 
 # IPOPT's monotone barrier stalls where constraint gradients become dependent at the solution (a phase that
@@ -364,6 +373,14 @@ class NlpSolver:
         limit = math.inf if self.options.max_wall_time is None else self.options.max_wall_time
         run = _Run(box_x, box_g, callback, time.perf_counter() + limit)
         result = self._attempt("warm" if len(arguments) > len(_COLD) else "cold", arguments, run)
+        if (
+            result.status in _ROUNDING
+            and self.options.solver == "ipopt"
+            and not self.options.careful_pivoting
+        ):
+            found = {"x0": result.x, "lam_x0": result.lam_x, "lam_g0": result.lam_g}
+            again = self._attempt("careful", arguments | found, run)
+            result = _joined(result, again) if again.status.solved else result
         if result.status in _GAVE_UP and self.options.solver == "ipopt":
             again = self._attempt("adaptive", {name: arguments[name] for name in _COLD}, run)
             result = _joined(result, again)
@@ -418,7 +435,8 @@ class NlpSolver:
             f_dm, g_dm, gradient = self.problem.lagrangian(x, arguments["p"], lam_g)
             f, g = float(f_dm), _flat(g_dm)
             lam_x[fixed] = -_flat(gradient)[fixed]
-        if started and status in _MAY_HIDE_UNBOUNDED and _diverged(x, f):
+        doubtful = status in _MAY_HIDE_UNBOUNDED and _diverged(x, f, RUNAWAY)
+        if started and (doubtful or (status is Status.ACCEPTABLE and _diverged(x, f, SUSPICIOUS))):
             status = Status.UNBOUNDED
         function_time = _time_in(stats, "t_wall_nlp_")
         return NlpResult(
@@ -571,12 +589,12 @@ def _ipopt_options(options: SolverOptions, start: _Start, size: int) -> dict[str
         chosen["max_wall_time"] = float(options.max_wall_time)
     if options.linear_solver == "mumps":
         chosen |= _MUMPS if size < _LARGE else _MUMPS | _MUMPS_LARGE
-        chosen |= {"mumps_pivtol": 1e-2, "mumps_scaling": 8} if options.careful_pivoting else {}
-    if options.mu_init is not None or start == "warm":
+        chosen |= _MUMPS_CAREFUL if options.careful_pivoting or start == "careful" else {}
+    if options.mu_init is not None or start in ("warm", "careful"):
         chosen["mu_init"] = WARM_MU if options.mu_init is None else float(options.mu_init)
     if start == "adaptive":
         chosen["mu_strategy"] = "adaptive"
-    if start == "warm":
+    if start in ("warm", "careful"):
         chosen["warm_start_init_point"] = "yes"
         for name in ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push"):
             chosen[f"warm_start_{name}"] = WARM_PUSH
@@ -678,8 +696,8 @@ def _stopped_status(status: Status, run: _Run) -> Status:
     return Status.INTERRUPTED if run.stop and not status.solved else status
 
 
-def _diverged(x: FloatArray, f: float) -> bool:
-    return bool(np.max(np.abs(x), initial=0.0) >= RUNAWAY) or f <= -RUNAWAY
+def _diverged(x: FloatArray, f: float, limit: float) -> bool:
+    return bool(np.max(np.abs(x), initial=0.0) >= limit) or f <= -limit
 
 
 def _time_in(stats: Mapping[str, Any], prefix: str) -> float:

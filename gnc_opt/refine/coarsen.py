@@ -22,8 +22,12 @@ from gnc_opt.verify.samples import EXTRA
 LADDER = (2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 18, 20, 24)
 """Degrees that are tried."""
 
-REACH = 4
+REACH = 8
 """At most so many neighbours are merged in one pass."""
+
+STEEPEST = 0.02
+"""Largest dH/du that merging and lowering may leave, in shares of H and of the tolerance's root: an error of the
+control affects the cost in second order only."""
 
 SEGMENT_COST = 1.0
 """What a segment costs beyond its points, in points: its start state."""
@@ -89,21 +93,28 @@ def _smallest_degrees(
                     keys.append((i, j))
     if not trials:
         return found
-    errors, departures = trial_errors(yardstick, trials)
-    good = (errors <= tol) & (departures <= departure)
+    errors, departures, slopes = trial_errors(yardstick, trials)
+    good = (errors <= tol) & (departures <= departure) & (slopes <= STEEPEST * np.sqrt(tol))
     for i in sorted(np.flatnonzero(good), key=lambda i: -trials[i].degree):
         found[keys[i]] = trials[i].degree
     return found
 
 
-def trial_errors(yardstick: Yardstick, trials: Sequence[Piece]) -> tuple[Array, Array]:
-    """Return the largest error of each trial and its states' largest departure from the known ones, (n_trials,).
+def trial_errors(yardstick: Yardstick, trials: Sequence[Piece]) -> tuple[Array, Array, Array]:
+    """Return what speaks against each trial, (n_trials,) each.
 
-    A trial could skip a transient that neither residual nor cost notice, but for its departure.
+    The largest error; the states' largest departure from the known ones (a trial could skip a transient that
+    neither residual nor cost notice); the largest dH/du (its control could be poor between the points where
+    neither dynamics nor cost tell).
     """
     pieces = trial_pieces(yardstick, trials)
     departures = np.abs(pieces.x - yardstick.leg.x(pieces.times)) / yardstick.state[:, None]
-    return yardstick.judge(pieces).worst, np.max(pieces.largest(departures), axis=0)
+    slopes = pieces.largest(yardstick.stationarity(pieces))
+    return (
+        yardstick.judge(pieces).worst,
+        np.max(pieces.largest(departures), axis=0),
+        np.max(slopes, axis=0, initial=0.0),
+    )
 
 
 def trial_pieces(yardstick: Yardstick, trials: Sequence[Piece]) -> Pieces:
@@ -130,14 +141,17 @@ def trial_pieces(yardstick: Yardstick, trials: Sequence[Piece]) -> Pieces:
         us.append(u[:, at] @ table.interpolate)
         integrals.append(half * (integrands[:, at] @ rule.weights))
     sizes = [t.size for t in times]
+    at_samples = np.concatenate(times)
     return Pieces(
-        np.concatenate(times),
+        at_samples,
         np.concatenate(weights),
         np.concatenate([[0], np.cumsum(sizes[:-1])]).astype(np.int64),
         np.hstack(xs),
         np.hstack(x_rates),
         np.hstack(us),
         np.stack(integrals, axis=1),
+        leg.lam(at_samples),
+        None,
     )
 
 

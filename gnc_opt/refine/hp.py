@@ -40,7 +40,7 @@ COLD_MU = 1e-2
 STAGE = 1e-4
 """Each pass aims at this share of the error before it, and at least at this error."""
 
-WORTH_TRIMMING = 0.8
+WORTH_TRIMMING = 0.9
 """An accurate solution is solved once more if the mesh can shrink to this share, ..."""
 
 BOLD = 0.5
@@ -117,7 +117,7 @@ def refine_mesh(
             f"the solution of '{solution.problem_name}' ended as {solution.status.value}: refine one that is solved."
         )
     refinement = _Refinement(solution, tol, max_points, options)
-    with _meter(solution.problem_name, progress) as show:
+    with _meter(solution.problem_name, tol, progress) as show:
         status = refinement.run(max_passes, show)
     return refinement.result(status)
 
@@ -170,28 +170,33 @@ class _Refinement:
             self._trims += 1
             return plan
         if self._trims:  # mend a mesh that has become too small, as long as it stays smaller
-            plan = self._finer(None)
+            plan = self._finer(self._tol, False)
             self._repairs += 1
             smaller = _size(plan[0]) < self._best.record.points
             return plan if smaller and self._repairs <= REPAIRS else RefinementStatus.CONVERGED
         return self._next()
 
     def _next(self) -> Plan | RefinementStatus:
-        """Refine what is inaccurate and merge what is too fine, unless merging has just made things worse."""
+        """Refine what is inaccurate and merge what is too fine, unless merging has just made things worse.
+
+        The aim comes closer in stages: while the trajectory still moves, details are premature. Where the points
+        do not suffice for a stage, they go to the worst segments.
+        """
         last = self._state.record
         worse = (
             last is not self._best.record and isinstance(last.actions, Actions) and last.actions.merged > 0
         )
-        plan = self._finer(None if worse else SAFETY * self._tol)
-        if worse and self._too_many(plan[0]):
-            plan = self._finer(SAFETY * self._tol)
-        if self._too_many(plan[0]):
-            return RefinementStatus.POINT_LIMIT
+        stage = max(self._tol, min(STAGE * last.error, STAGE))
+        plan = self._finer(stage, not worse)
+        while self._too_many(plan[0]):
+            stage *= 10.0
+            if stage > 0.5 * last.error:
+                return RefinementStatus.POINT_LIMIT
+            plan = self._finer(stage, True)
         return RefinementStatus.STALLED if self._stalled(plan[0]) else plan
 
-    def _finer(self, merge_tol: float | None) -> Plan:
-        """Aim at the tolerance in stages: while the trajectory still moves, details are premature."""
-        stage = max(self._tol, min(STAGE * self._state.record.error, STAGE))
+    def _finer(self, stage: float, merging: bool) -> Plan:
+        merge_tol = SAFETY * self._tol if merging else None
         return self._remeshed(
             lambda name, error: Remesh(
                 error, stage, self._past.get(name, {}), merge_tol, SAFETY * self._tol
@@ -353,9 +358,9 @@ def _within(leg: PhaseSolution, t: float) -> float:
     return float(np.clip(t, leg.breaks[0], leg.breaks[-1]))
 
 
-def _meter(name: str, progress: bool) -> AbstractContextManager[Callable[[Pass], None]]:
+def _meter(name: str, tol: float, progress: bool) -> AbstractContextManager[Callable[[Pass], None]]:
     if not progress:
         return nullcontext(lambda _: None)
-    from gnc_opt.report.progress import refinement_meter
+    from gnc_opt.report.refinement import refinement_meter
 
-    return refinement_meter(name)
+    return refinement_meter(name, tol)

@@ -23,7 +23,7 @@ from gnc_opt.refine.kinks import bracketed, find_kinks
 from gnc_opt.refine.smoothness import decay_rates, error_density, quantiles
 from gnc_opt.transcription.mesh import Mesh
 
-MAX_DEGREE = 16
+MAX_DEGREE = 20
 SAFETY = 0.25
 """New meshes aim at this share of the tolerance."""
 
@@ -33,7 +33,7 @@ NARROWEST = 1e-9
 HALVING = 0.3
 """Decades per degree by which the decay gets faster when a segment is halved."""
 
-LAYER = 0.125
+LAYER = 0.25
 """Share of a hopelessly coarse first or last segment that is cut off: boundary layers are thin."""
 
 ROUGH = 0.12
