@@ -1,0 +1,296 @@
+"""hp refinement against closed forms: honest estimates, errors below tolerance, small meshes, true endings."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from gnc_opt.refine.error import estimate_errors, largest_error
+from gnc_opt.refine.history import History, RefinementStatus
+from gnc_opt.refine.hp import refine_mesh
+from scipy.integrate import solve_ivp
+
+import gnc_opt as go
+
+
+def regulator(duration: float = 10.0) -> go.Problem:
+    """min 1/2 int x^2 + u^2, x' = u, x(0) = 1: x = cosh(T - t) / cosh T, J = tanh(T) / 2."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("regulator")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=duration)
+    leg.initial(x=1.0)
+    problem.minimize(leg.integral((x**2 + u**2) / 2))
+    return problem
+
+
+def layered(rate: float = 100.0) -> go.Problem:
+    """min 1/2 int x^2 + u^2 / rate^2 over 1 s, x' = u: a boundary layer exp(-rate t), J = tanh(rate) / (2 rate)."""
+    model = go.Model("fast integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("layer")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(x=1.0)
+    problem.minimize(leg.integral((x**2 + (u / rate) ** 2) / 2))
+    return problem
+
+
+def pendulum() -> go.Problem:
+    """Nonlinear and smooth: swing over half a turn with least effort."""
+    import casadi as ca
+
+    model = go.Model("pendulum")
+    angle, rate, torque = model.state("angle"), model.state("rate"), model.control("torque")
+    model.ode({angle: rate, rate: torque - ca.sin(angle)})
+    problem = go.Problem("pendulum")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=6.0)
+    leg.initial(angle=0.0, rate=0.0)
+    leg.final(angle=np.pi, rate=0.0)
+    problem.minimize(leg.integral(torque**2 / 2))
+    return problem
+
+
+def double_integrator(speed_limit: float | None = None, height: float | None = None) -> go.Problem:
+    model = go.Model("double integrator")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("double integrator")
+    leg = problem.phase("leg", model)
+    if height is not None:  # Bryson & Denham: J = 4 / (9 height) for height <= 1/6
+        leg.time(initial=0.0, final=1.0)
+        leg.initial(q=0.0, v=1.0)
+        leg.final(q=0.0, v=-1.0)
+        leg.bounds(q=(None, height))
+        problem.minimize(leg.integral(a**2 / 2))
+        return problem
+    leg.time(initial=0.0, final=(0.1, 20.0))
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=3.0, v=0.0)
+    leg.bounds(a=(-2.0, 1.0))
+    if speed_limit is not None:
+        leg.bounds(v=(None, speed_limit))
+    problem.minimize(leg.final_time)
+    return problem
+
+
+def chatter() -> go.Problem:
+    """min int x^2 + (u^2 - 1)^2, x' = u: infimum 0 for a control that switches infinitely often."""
+    model = go.Model("chatter")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("chatter")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(x=0.0)
+    leg.final(x=0.0)
+    leg.bounds(u=(-2.0, 2.0))
+    problem.minimize(leg.integral(x**2 + (u**2 - 1) ** 2))
+    return problem
+
+
+def two_phases() -> go.Problem:
+    """The regulator in two linked phases, the second with a layer at its end: x(10) = 1 is asked for."""
+    problem = go.Problem("two phases")
+    legs = []
+    for name, start, end in (("first", 0.0, 5.0), ("second", 5.0, 10.0)):
+        model = go.Model(name)
+        x, u = model.state("x"), model.control("u")
+        model.ode({x: u})
+        leg = problem.phase(name, model)
+        leg.time(initial=start, final=end)
+        legs.append((leg, leg.integral((x**2 + u**2) / 2)))
+    legs[0][0].initial(x=1.0)
+    legs[1][0].final(x=1.0)
+    problem.link(legs[0][0], legs[1][0])
+    problem.minimize(legs[0][1] + legs[1][1])
+    return problem
+
+
+def check(history: History, tol: float) -> None:
+    assert history.status is RefinementStatus.CONVERGED, str(history)
+    assert history.final.error <= tol
+
+
+# --- the estimate -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mesh", ["4x4", "6x5", "3x8"])
+def test_estimate_is_honest_against_an_integrator(mesh: str) -> None:
+    """Restarted on every segment, DOP853 departs from the polynomials about as far as the estimate says.
+
+    The residual oscillates, so its integral stays below the integral of its magnitude, by about the number of its
+    zeros (the degree); the dynamics amplify it by less than exp(2) over a segment.
+    """
+    solution = go.solve(pendulum(), mesh=mesh, options=go.SolverOptions(tolerance=1e-11))
+    error = estimate_errors(solution)["leg"]
+    leg, functions = solution.phase(), solution.functions("leg")
+    scale = error.yardstick.state
+    for k in range(leg.mesh.segments):
+        left, right = leg.breaks[k], leg.breaks[k + 1]
+        times = np.linspace(left, right, 60)[1:-1]
+        run = solve_ivp(
+            lambda t, x: functions.rates(t, x, leg.u(t, "right" if t < right else "left")),  # noqa: B023
+            (left, right),
+            leg.x(left, "right"),
+            method="DOP853",
+            rtol=1e-12,
+            atol=1e-13,
+            t_eval=times,
+        )
+        departure = float(np.max(np.abs(run.y - leg.x(times)) / scale[:, None]))
+        estimate = float(np.max(error.errors.dynamics[:, k]))
+        assert departure <= np.exp(2.0) * estimate + 1e-11
+        assert estimate <= 10 * leg.mesh.degrees[k] * departure + 1e-11
+
+
+def test_estimate_falls_like_the_order_of_the_method() -> None:
+    """Residuals of degree n on halved segments fall by 2^(n + 1); 2^n is asked for."""
+    errors = []
+    for segments in (8, 16, 32):
+        solution = go.solve(pendulum(), mesh=go.Mesh.uniform(segments, 4))
+        errors.append(float(np.max(estimate_errors(solution)["leg"].errors.dynamics)))
+    assert errors[0] / errors[1] > 2**4 and errors[1] / errors[2] > 2**4
+
+
+def test_estimate_sees_the_integrand_where_the_dynamics_are_exact() -> None:
+    """x' = u is met exactly by polynomials; only the quadrature tells that the mesh is coarse."""
+    solution = go.solve(layered(), mesh="4x3")
+    errors = estimate_errors(solution)["leg"].errors
+    assert np.max(errors.dynamics) < 1e-10
+    assert np.max(errors.integrals) > 1e-3
+
+
+def test_estimate_sees_the_overshoot_between_nodes() -> None:
+    solution = go.solve(double_integrator(height=1 / 9), mesh="5x4")
+    error = estimate_errors(solution)["leg"]
+    times = solution.phase().sample_times(200)
+    overshoot = np.max(np.asarray(solution.state("q")(times))) - 1 / 9
+    assert overshoot > 1e-5
+    # relative to the largest q, 1/9; the samples may miss the peak a little
+    assert 0.5 * 9 * overshoot < np.max(error.errors.overshoot) < 1.1 * 9 * overshoot
+
+
+# --- refinement against closed forms ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scheme", ["LG", "LGR", "LGL"])
+def test_boundary_layer(scheme: str) -> None:
+    """The cost to the tolerance, the state to its root (an optimal cost is flat in the state)."""
+    first = go.solve(layered(), scheme=scheme)  # type: ignore[arg-type]
+    solution, history = refine_mesh(first, tol=1e-8)
+    check(history, 1e-8)
+    assert largest_error(estimate_errors(first))[0] > 1e-5, (
+        "the default mesh would do: the test tests nothing"
+    )
+    assert solution.objective == pytest.approx(np.tanh(100.0) / 200.0, rel=1e-8)
+    times = np.linspace(0.0, 1.0, 1001)
+    exact = np.exp(-100.0 * times)
+    assert np.max(np.abs(np.asarray(solution.state("x")(times)) - exact)) < 1e-5
+    assert solution.phase().scheme == scheme
+
+
+def test_merging_shrinks_a_mesh_that_is_too_fine() -> None:
+    solution, history = refine_mesh(go.solve(regulator(), mesh="60x6"), tol=1e-8)
+    check(history, 1e-8)
+    assert history.passes[0].points == 360 and history.final.points < 70
+    assert sum(p.actions.merged for p in history.passes) > 50  # type: ignore[union-attr]
+    assert solution.objective == pytest.approx(np.tanh(10.0) / 2, rel=1e-8)
+
+
+def test_tighter_tolerances_cost_points_and_bring_accuracy() -> None:
+    first, exact = go.solve(layered()), np.tanh(100.0) / 200.0
+    errors, points = [], []
+    for tol in (1e-4, 1e-7):
+        solution, history = refine_mesh(first, tol=tol)
+        check(history, tol)
+        errors.append(abs(solution.objective / exact - 1))
+        points.append(history.final.points)
+    assert errors[0] < 1e-4 and errors[1] < 1e-7 and points[0] < points[1]
+
+
+def test_state_constraint_from_both_sides() -> None:
+    """Bryson & Denham with height 1/9: J = 4; node-only constraints make it too small, kinks too large."""
+    solution, history = refine_mesh(go.solve(double_integrator(height=1 / 9)), tol=1e-8)
+    check(history, 1e-8)
+    assert solution.objective == pytest.approx(4.0, rel=1e-7)
+    assert history.final.points < 60
+
+
+def test_switches_are_closed_in_upon() -> None:
+    """From 0 to 3 m with accelerations in (-2, 1): t_f = 3 s, switch at 2 s."""
+    solution, history = refine_mesh(go.solve(double_integrator()), tol=1e-7)
+    check(history, 1e-7)
+    assert solution.objective == pytest.approx(3.0, rel=1e-7)
+    breaks = solution.phase().breaks
+    assert np.min(np.abs(breaks - 2.0)) < 1e-3
+
+
+def test_phases_are_refined_together() -> None:
+    """In one phase: x = (cosh(t - 5) / cosh 5), J = tanh 5; both halves cost the same."""
+    solution, history = refine_mesh(go.solve(two_phases(), mesh="2x3"), tol=1e-8)
+    check(history, 1e-8)
+    assert solution.objective == pytest.approx(np.tanh(5.0), rel=1e-8)
+    assert solution.state("x", "second")(5.0) == pytest.approx(1 / np.cosh(5.0), abs=1e-6)
+    sizes = [mesh.size for mesh in history.final.meshes.values()]
+    assert all(size > 6 for size in sizes) and abs(sizes[0] - sizes[1]) <= 6
+
+
+# --- endings ------------------------------------------------------------------------------------------
+
+
+def test_point_limit() -> None:
+    first = go.solve(layered(), mesh="6x4")
+    _, history = refine_mesh(first, tol=1e-10, max_points=30)
+    assert history.status is RefinementStatus.POINT_LIMIT
+    assert "max_points" in history.message
+    assert all(mesh.size <= 30 for p in history.passes for mesh in p.meshes.values())
+
+
+def test_pass_limit() -> None:
+    solution, history = refine_mesh(go.solve(layered()), tol=1e-10, max_passes=1)
+    assert history.status is RefinementStatus.PASS_LIMIT and len(history.passes) == 2
+    assert "max_passes" in history.message and solution.objective == history.final.objective
+
+
+def test_chatter_stalls() -> None:
+    _, history = refine_mesh(go.solve(chatter()), tol=1e-8)
+    assert history.status is RefinementStatus.STALLED
+    assert "chatter" in history.message
+
+
+def test_interruption_keeps_the_best_solution() -> None:
+    first = go.solve(pendulum(), mesh="3x3")
+    options = go.SolverOptions(max_wall_time=1e-9)
+    solution, history = refine_mesh(first, tol=1e-8, options=options)
+    assert history.status is RefinementStatus.INTERRUPTED
+    assert solution is first and history.chosen == 0
+
+
+def test_unsolved_and_detached_solutions_are_refused() -> None:
+    options = go.SolverOptions(max_iterations=1)
+    failed = go.solve(pendulum(), options=options, throw=False)
+    with pytest.raises(go.GncOptError, match="iteration_limit"):
+        refine_mesh(failed)
+
+
+def test_history_says_what_happened() -> None:
+    solution, history = refine_mesh(go.solve(layered()), tol=1e-6)
+    text = str(history)
+    assert text.count("\n") == len(history.passes) + 1 and "converged" in text
+    assert history.final.meshes["leg"] == solution.phase().mesh
+    assert history.passes[0].error > history.tolerance >= history.final.error
+
+
+def test_figure_has_a_row_per_pass() -> None:
+    from gnc_opt.plot.refinement import plot_refinement
+
+    _, history = refine_mesh(go.solve(two_phases(), mesh="2x3"), tol=1e-6)
+    figure = plot_refinement(history)
+    axes = figure.get_axes()
+    assert len(axes) == 4  # errors, two phases, colours
+    bars = sum(p.meshes["first"].segments for p in history.passes)
+    assert len(axes[1].patches) == bars

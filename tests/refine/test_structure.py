@@ -1,0 +1,183 @@
+"""Structure detection and switch-time optimisation against closed forms and the rendezvous' references."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.refine.structure import PhaseStructure
+from gnc_opt.solution.arc import ArcKind
+from problems import rendezvous
+
+# --- operations on structures -----------------------------------------------------------------------------
+
+
+def test_dropping_a_piece_cancels_the_switches_of_one_control() -> None:
+    structure = PhaseStructure((0.0, 1.0, 1.1, 3.0), ((1, 1), (-1, 1), (1, 1)))
+    assert structure.without(1) == PhaseStructure((0.0, 3.0), ((1, 1),))
+
+
+def test_dropping_a_piece_joins_the_switches_of_two_controls() -> None:
+    structure = PhaseStructure((0.0, 1.0, 1.2, 3.0), ((1, 1), (-1, 1), (-1, -1)))
+    joined = structure.without(1)
+    assert joined.signs == ((1, 1), (-1, -1))
+    assert joined.times == pytest.approx((0.0, 1.1, 3.0))
+
+
+def test_dropping_the_first_and_last_piece_keeps_the_ends() -> None:
+    structure = PhaseStructure((0.0, 1.0, 2.0, 3.0), ((1,), (-1,), (1,)))
+    assert structure.without(0).times == (0.0, 2.0, 3.0)
+    assert structure.without(2).times == (0.0, 1.0, 3.0)
+
+
+def test_swapping_exchanges_the_switches_of_two_controls() -> None:
+    structure = PhaseStructure((0.0, 1.0, 1.2, 3.0), ((1, 1), (-1, 1), (-1, -1)))
+    swapped = structure.swapped(1)
+    assert swapped is not None and swapped.signs == ((1, 1), (1, -1), (-1, -1))
+    assert swapped.swapped(1) == structure
+    assert PhaseStructure((0.0, 1.0, 1.1, 3.0), ((1,), (-1,), (1,))).swapped(1) is None
+    assert structure.swapped(0) is None
+
+
+def test_adding_an_arc_splits_pieces() -> None:
+    structure = PhaseStructure((0.0, 2.0, 4.0), ((1, -1), (1, 1)))
+    added = structure.with_arc(0, 1.5, 2.5, -1)
+    assert added.times == (0.0, 1.5, 2.0, 2.5, 4.0)
+    assert added.signs == ((1, -1), (-1, -1), (-1, 1), (1, 1))
+    assert added.with_arc(0, 1.5, 2.5, 1) == structure
+
+
+# --- closed forms ---------------------------------------------------------------------------------------------
+
+
+def double_integrator(lower: float, upper: float) -> tuple[go.Problem, go.Phase]:
+    model = go.Model("double integrator")
+    x, v = model.state("x"), model.state("v")
+    u = model.control("u")
+    model.ode({x: v, v: u})
+    problem = go.Problem("double integrator")
+    leg = problem.phase("leg", model)
+    leg.bounds(u=(lower, upper))
+    return problem, leg
+
+
+def switch_times(solution: go.Solution) -> list[float]:
+    """Inner boundaries of all arcs, in order."""
+    end = solution.phase().final_time
+    return sorted({arc.end for arc in solution.structure if arc.end < end})
+
+
+def test_asymmetric_bounds() -> None:
+    """Rest to rest over L with accelerations -b..a: t_f = sqrt(2 L (a + b) / (a b)), switch at t_f b / (a + b)."""
+    a, b, length = 1.0, 2.0, 300.0
+    problem, leg = double_integrator(-b, a)
+    leg.time(0.0, (1.0, 100.0))
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=length, v=0.0)
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem, tol=1e-8)
+    t_f = np.sqrt(2 * length * (a + b) / (a * b))
+    assert solution.objective == pytest.approx(t_f, abs=1e-8)
+    assert switch_times(solution) == pytest.approx([t_f * b / (a + b)], abs=1e-8)
+    assert [arc.kind for arc in solution.structure] == [ArcKind.UPPER, ArcKind.LOWER]
+    assert go.verify(solution, tol=1e-8).proven
+
+
+def test_minimum_fuel() -> None:
+    """Bang-off-bang: with T = 3 and unit thrust the engine burns (3 - sqrt 5) / 2 at each end."""
+    model = go.Model("thrusters")
+    x, v = model.state("x"), model.state("v")
+    plus, minus = model.control("plus"), model.control("minus")
+    model.ode({x: v, v: plus - minus})
+    problem = go.Problem("minimum fuel")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 3.0)
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=1.0, v=0.0)
+    leg.bounds(plus=(0.0, 1.0), minus=(0.0, 1.0))
+    problem.minimize(leg.integral(plus + minus))
+    solution = go.solve(problem, tol=1e-8)
+    burn = (3 - np.sqrt(5)) / 2
+    assert solution.objective == pytest.approx(2 * burn, abs=1e-9)
+    assert switch_times(solution) == pytest.approx([burn, 3 - burn], abs=1e-8)
+    assert go.verify(solution, tol=1e-7).ok
+
+
+def test_soft_lunar_landing() -> None:
+    """Meditch 1964: one switch, at (2 sqrt 17 - 4) / 3 for these numbers."""
+    model = go.Model("lander")
+    h, v = model.state("h"), model.state("v")
+    u = model.control("u")
+    model.ode({h: v, v: u - 1.5})
+    problem = go.Problem("soft landing")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.1, 20.0))
+    leg.initial(h=10.0, v=-2.0)
+    leg.final(h=0.0, v=0.0)
+    leg.bounds(u=(0.0, 3.0))
+    leg.guess(time=[0.0, 4.0])
+    problem.minimize(leg.integral(u))
+    solution = go.solve(problem, tol=1e-8)
+    assert solution.objective == pytest.approx(2 * np.sqrt(17), abs=1e-8)
+    assert switch_times(solution) == pytest.approx([(2 * np.sqrt(17) - 4) / 3], abs=1e-8)
+
+
+def test_singular_arc_is_found() -> None:
+    """Van der Pol oscillator, control in the dynamics only: two bangs, then singular (reference 0.757617928659)."""
+    model = go.Model("van der Pol")
+    x, v = model.state("x"), model.state("v")
+    u = model.control("u")
+    model.ode({x: v, v: (1 - x**2) * v - x + u})
+    problem = go.Problem("singular")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 4.0)
+    leg.initial(x=0.0, v=1.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(0.5 * leg.integral(x**2 + v**2))
+    solution = go.solve(problem, tol=1e-8)
+    assert [arc.kind for arc in solution.structure] == [ArcKind.LOWER, ArcKind.UPPER, ArcKind.SINGULAR]
+    assert solution.objective == pytest.approx(0.757617928659, abs=1e-9)
+    verdict = go.verify(solution)
+    assert verdict.ok and not verdict.proven, verdict.explain()
+
+
+# --- the rendezvous -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("equation", ["printed", "exact"])
+@pytest.mark.parametrize("case", rendezvous.CASES)
+def test_rendezvous_from_the_default_guess(case: int, equation: rendezvous.Equation) -> None:
+    """Exact switch times, and a verdict of tolerance 1e-8, second-order conditions included."""
+    problem = rendezvous.build(case, equation)
+    solution = go.refine(go.solve(problem, mesh=rendezvous.MESH), structure="bang-bang")
+    reference = rendezvous.REFERENCE[case, equation]["exact"]
+    assert solution.history is not None and solution.history.converged, solution.history
+    assert solution.objective == pytest.approx(reference.value, abs=1e-9)
+    verdict = go.verify(solution, tol=1e-8)
+    assert verdict.proven, verdict.explain()
+    assert solution.quality.terminal_error < 1e-8
+    times = np.linspace(0.0, solution.objective, 10_000)
+    np.testing.assert_allclose(np.asarray(solution.hamiltonian(times)), -1.0, atol=2e-8)
+    arcs = {1: 24, 2: 25, 3: 20, 4: 24, 5: 24}[case]  # 18, 19, 14, 18, 18 switches and six channels
+    assert abs(len(solution.structure) - arcs) <= 1
+
+
+# --- refusals ---------------------------------------------------------------------------------------------------
+
+
+def test_refine_refuses_what_it_cannot_do() -> None:
+    problem, leg = double_integrator(-1.0, 1.0)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=0.1, v=0.0)
+    problem.minimize(leg.integral(leg.model.symbol("u") ** 2))
+    solution = go.solve(problem, mesh="4x4")
+    with pytest.raises(go.ProblemError, match="linearly"):
+        go.refine(solution, structure="bang-bang")
+    with pytest.raises(go.ProblemError, match="did you mean 'bang-bang'"):
+        go.refine(solution, structure="bangbang")  # type: ignore[arg-type]
+    with pytest.raises(go.GncOptError, match="without its problem"):
+        from dataclasses import replace
+
+        go.refine(replace(solution, problem=None))
