@@ -66,9 +66,11 @@ def evaluate(expression: str | float, names: Mapping[str, Any], what: str) -> An
     ExpressionError
         Syntax error, unknown name or function, anything that is not a formula, or a number that overflows.
     """
-    if not isinstance(expression, str):
-        return float(expression)
     where = f"{what}, '{expression}',"
+    if isinstance(expression, (int, float)):
+        return float(expression)
+    if not isinstance(expression, str):
+        raise ExpressionError(f"{where} is neither a number nor an expression.")
     try:
         tree = ast.parse(expression.strip(), mode="eval")
     except SyntaxError as error:

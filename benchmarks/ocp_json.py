@@ -112,10 +112,8 @@ class _PhaseBuilder:
         model = go.Model(f"{self.document['name']}, phase {self.number}")
         names: Names = {**self.constants, "t": model.time}
         for entry in self.document.get("parameters", []):
-            value = next(
-                v for v in (_number(entry, k, self.constants) for k in ("guess", "lb", "ub")) if v is not None
-            )
-            names[entry["name"]] = model.parameter(entry["name"], value)
+            # The value is only a placeholder: the problem's parameter of this name takes its place.
+            names[entry["name"]] = model.parameter(entry["name"], 1.0)
         names |= {e["name"]: model.state(e["name"]) for e in self.states}
         names |= {e["name"]: model.control(e["name"]) for e in self.controls}
         for name, expression in self.phase.get("aux", {}).items():

@@ -110,8 +110,9 @@ def run(
             solution = go.solve(problem, mesh=mesh, scheme=scheme, options=options, throw=False)  # type: ignore[arg-type]
         found["seconds"] = time.perf_counter() - begin
         found |= _solved(document, solution, solutions)
-    except (ExpressionError, go.GncOptError) as error:
-        found |= {"status": INPUT_ERROR if solution is None else CRASH, "message": str(error)}
+    except (ExpressionError, go.GncOptError, KeyError) as error:
+        message = f"the document lacks the key {error}." if type(error) is KeyError else str(error)
+        found |= {"status": INPUT_ERROR if solution is None else CRASH, "message": message}
     except Exception as error:  # an exception in one problem must not stop the others
         found |= {"status": CRASH, "message": f"{type(error).__name__}: {error}"}
     found.setdefault("seconds", time.perf_counter() - begin)

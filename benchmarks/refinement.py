@@ -92,7 +92,7 @@ def smallest_hand_mesh(start: go.Solution, tol: float) -> tuple[go.Mesh, float]:
             if error <= tol:
                 found = mesh, error
                 break
-            if "integral" not in where and error > tol and "segment %d " % (pieces + 1) in where:
+            if "integral" not in where and error > tol and f"segment {pieces + 1} " in where:
                 break  # the middle is at fault: no degree of the layers can help
     assert found is not None, "some hand-made mesh reaches the tolerance"
     return found

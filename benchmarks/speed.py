@@ -24,6 +24,7 @@ import statistics
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
@@ -151,7 +152,7 @@ def resolve(mesh: str, runs: int) -> dict[str, Any]:
     found = []
     for i in range(runs):
         other = problem.with_initial(r_L=[20.0, 0.2 * (i + 1), 0.1 * (i + 1)])
-        solution, cpu, wall = _timed(lambda other=other: go.solve(other, mesh=mesh))  # type: ignore[misc]
+        solution, cpu, wall = _timed(partial(go.solve, other, mesh=mesh))
         assert solution.statistics.build_reused, "a re-solve has built again"
         found.append(_run(solution, cpu, wall))
     overheads = [run.wall_s / run.solve_s for run in found]
@@ -179,7 +180,7 @@ def growth(segments: Sequence[int], runs: int) -> list[dict[str, Any]]:
         for k in segments:
             functions[k].append(evaluations[k].time())
             solves[k].append(go.solve(problems[k], mesh=f"{k}x3", options=options, throw=False))
-    rows = []
+    rows: list[dict[str, Any]] = []
     for k in segments:
         found = [solution.statistics for solution in solves[k]]
         per_segment = 1e6 * min(functions[k]) / k
@@ -219,16 +220,17 @@ class Evaluations:
         ]
 
     def _bound(self, function: Any, values: Sequence[Any]) -> Callable[[], None]:
+        call: Callable[[], None]
         buffer, call = function.buffer()
         for i in range(function.n_in()):
             buffer.set_arg(i, memoryview(values[i]))
         for i in range(function.n_out()):
             # IPOPT wants the last output only; the gradient's f and the Jacobian's g it asks for apart.
             if i == function.n_out() - 1:
-                result = np.zeros(function.nnz_out(i))
+                result: Any = np.zeros(function.nnz_out(i))
                 buffer.set_res(i, memoryview(result))
                 self._keep += [buffer, result, values]
-        return call  # type: ignore[no-any-return]
+        return call
 
     def time(self) -> float:
         """Processor time of one round (s)."""

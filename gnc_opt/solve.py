@@ -161,7 +161,7 @@ def _start(
         warm = (multipliers[0], multipliers[1])
     start = _with_integrals(transcription, problem, start)
     scales = scale_variables(transcription, problem, start)
-    rows, objective = scale_rows(transcription, scales, *transcription.evaluate(problem, start)[1:])
+    rows, objective = scale_rows(transcription, problem, start, scales)
     return start, Scaling(scales, rows, objective), warm
 
 

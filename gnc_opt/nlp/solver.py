@@ -51,9 +51,10 @@ _IPOPT_LINEAR_SOLVERS = (
     "mumps", "ma27", "ma57", "ma77", "ma86", "pardiso", "pardisomkl", "spral", "wsmp", "custom",
 )  # fmt: skip
 
-# IPOPT's default permutes and scales all matrices by the first one's numbers. Where these are untypical, later
-# factorisations fill up: in the problems of benchmarks.ocp_set, iterations take up to 100 times as long.
-_MUMPS = {"mumps_permuting_scaling": 0}
+# By default MUMPS permutes and scales all matrices by the numbers of the first one. Where these are untypical, later
+# factorisations fill up: on some problems of benchmarks.ocp_set iterations then take 10 to 100 times as long. Without,
+# badly scaled problems need pivots better than IPOPT's 1e-6. On ordinary problems the two cost about 5 %.
+_MUMPS = {"mumps_permuting_scaling": 0, "mumps_pivtol": 1e-4}
 
 # From this many variables and constraints on MUMPS orders by METIS, which bears a dense row (a free final time) badly:
 # approximate minimum degree with quasi-dense rows needs half the time for the analysis and up to 40 % less afterwards.
@@ -581,6 +582,7 @@ def _ipopt_options(options: SolverOptions, start: _Start, size: int) -> dict[str
         "sb": "yes",
         "linear_solver": options.linear_solver,
         "tol": float(options.tolerance),
+        "compl_inf_tol": _complementarity(options.tolerance),
         "max_iter": int(options.max_iterations),
         "bound_relax_factor": float(options.bound_relax),
         "diverging_iterates_tol": DIVERGED,
@@ -599,6 +601,16 @@ def _ipopt_options(options: SolverOptions, start: _Start, size: int) -> dict[str
         for name in ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push"):
             chosen[f"warm_start_{name}"] = WARM_PUSH
     return {f"ipopt.{name}": value for name, value in chosen.items()}
+
+
+def _complementarity(tolerance: float) -> float:
+    """Return IPOPT's `compl_inf_tol`, which also ends the barrier parameter's descent.
+
+    The barrier keeps every bounded variable off its bound: at mu = tolerance a bang-bang time of 240 nodes is 1e-8
+    too long, and multipliers per unit of time are off by mu over the quadrature weight. Two digits more cost about
+    one iteration in a hundred; below 1e-11 rounding of slacks sets in.
+    """
+    return min(tolerance, max(1e-2 * tolerance, 1e-11))
 
 
 def _other_options(options: SolverOptions) -> dict[str, Any]:

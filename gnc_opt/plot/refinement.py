@@ -33,15 +33,16 @@ _TOLERANCE: dict[str, Any] = {"color": "black", "linestyle": "--", "linewidth": 
 
 
 _NARROW = 3e-3
-"""Segments narrower than this share of their phase are drawn on an axis that stretches both ends."""
+"""End segments narrower than this share of their phase are drawn on an axis that stretches both ends."""
 
 
 def plot_refinement(history: History) -> Figure:
     """Draw how a refinement went.
 
     Above, the estimated error of each pass over its number of collocation points, in order, with the tolerance.
-    Below, for each phase, one row per pass: its segments over time, coloured by their degrees. Where segments
-    are too narrow to be seen, time is the share of the phase on a logit axis, which stretches both ends.
+    Below, for each phase, one row per pass: its segments over time, coloured by their degrees. Where the first
+    or last segments are too narrow to be seen, time is the share of the phase on a logit axis,
+    which stretches both ends.
 
     Parameters
     ----------
@@ -63,7 +64,9 @@ def plot_refinement(history: History) -> Figure:
             _draw_meshes(ax, history, phase, norm)
             ax.set_ylabel("pass" if len(phases) == 1 else f"pass ({phase})")
         colors = ScalarMappable(norm, _COLORMAP)
-        figure.colorbar(colors, ax=list(axes[1:]), label="degree", aspect=30, pad=0.01)
+        figure.colorbar(
+            colors, ax=list(axes[1:]), label="degree", aspect=30, pad=0.01, ticks=MaxNLocator(integer=True)
+        )
         legend_on_top(figure, _legend(history))
     return figure
 
@@ -77,12 +80,13 @@ def _draw_errors(ax: Axes, history: History) -> None:
     for i, at in enumerate(zip(points, errors, strict=True)):
         ax.annotate(str(i), at, xytext=(4, 4), textcoords="offset points", fontsize=9, color=QUIET)
     ax.set_yscale("log")
+    ax.margins(0.06, 0.12)
     ax.set_xlabel("collocation points")
     ax.set_ylabel("estimated error")
 
 
 def _draw_meshes(ax: Axes, history: History, phase: str, norm: Normalize) -> None:
-    narrowest = min(float(np.min(p.meshes[phase].widths)) for p in history.passes)
+    narrowest = min(float(np.min(p.meshes[phase].widths[[0, -1]])) for p in history.passes)
     stretched = narrowest < _NARROW
     for i, record in enumerate(history.passes):
         mesh = record.meshes[phase]
@@ -102,6 +106,8 @@ def _draw_meshes(ax: Axes, history: History, phase: str, norm: Normalize) -> Non
         ax.set_xscale("logit")
         ax.xaxis.set_minor_locator(NullLocator())
         ax.set_xlim(0.5 * narrowest, 1.0 - 0.5 * narrowest)
+    else:
+        ax.margins(x=0.0)
     ax.set_xlabel("share of the phase" if stretched else "time (s)")
     ax.set_ylim(len(history.passes) - 0.5, -0.5)
     ax.yaxis.set_major_locator(MaxNLocator(integer=True))

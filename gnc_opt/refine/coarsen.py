@@ -7,6 +7,7 @@ Dynamic programming then picks the cheapest way through a run of accurate segmen
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -15,7 +16,6 @@ import numpy as np
 
 from gnc_opt.model.layout import Array
 from gnc_opt.refine.error import Pieces, Yardstick
-from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.transcription.quadrature import Scheme, collocation_rule, interpolation_matrix
 from gnc_opt.verify.samples import EXTRA
 
@@ -25,7 +25,7 @@ LADDER = (2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 18, 20, 24)
 REACH = 8
 """At most so many neighbours are merged in one pass."""
 
-STEEPEST = 0.02
+STEEPEST = 0.05
 """Largest dH/du that merging and lowering may leave, in shares of H and of the tolerance's root: an error of the
 control affects the cost in second order only."""
 
@@ -95,8 +95,10 @@ def _smallest_degrees(
         return found
     errors, departures, slopes = trial_errors(yardstick, trials)
     good = (errors <= tol) & (departures <= departure) & (slopes <= STEEPEST * np.sqrt(tol))
-    for i in sorted(np.flatnonzero(good), key=lambda i: -trials[i].degree):
-        found[keys[i]] = trials[i].degree
+    for trial, key in sorted(
+        itertools.compress(zip(trials, keys, strict=True), good), key=lambda e: -e[0].degree
+    ):
+        found[key] = trial.degree
     return found
 
 
@@ -125,7 +127,7 @@ def trial_pieces(yardstick: Yardstick, trials: Sequence[Piece]) -> Pieces:
     halves = np.array([0.5 * (t.end - t.start) for t in trials])
     rules = [collocation_rule(leg.scheme, t.degree) for t in trials]
     points = np.concatenate([s + h * (1 + r.points) for s, h, r in zip(starts, halves, rules, strict=True)])
-    x, u = _inside(leg, points)
+    x, u = leg.x(points), leg.u(points)
     rates, integrands = functions.rates(points, x, u), functions.integrands(points, x, u)
     first_states = leg.x(starts)
     x_rates, xs, us, integrals, times, weights = [], [], [], [], [], []
@@ -141,17 +143,14 @@ def trial_pieces(yardstick: Yardstick, trials: Sequence[Piece]) -> Pieces:
         us.append(u[:, at] @ table.interpolate)
         integrals.append(half * (integrands[:, at] @ rule.weights))
     sizes = [t.size for t in times]
-    at_samples = np.concatenate(times)
     return Pieces(
-        at_samples,
+        np.concatenate(times),
         np.concatenate(weights),
         np.concatenate([[0], np.cumsum(sizes[:-1])]).astype(np.int64),
         np.hstack(xs),
         np.hstack(x_rates),
         np.hstack(us),
         np.stack(integrals, axis=1),
-        leg.lam(at_samples),
-        None,
     )
 
 
@@ -171,7 +170,3 @@ def _tables(scheme: Scheme, degree: int) -> _Tables:
     tau = np.concatenate([[-1.0], fine.points, [1.0]])
     weights = np.concatenate([[0.0], fine.weights, [0.0]])
     return _Tables(tau, weights, interpolation_matrix(rule.points, tau).T, rule.integrate_to(tau).T)
-
-
-def _inside(leg: PhaseSolution, times: Array) -> tuple[Array, Array]:
-    return leg.x(times), leg.u(times)

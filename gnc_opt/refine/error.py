@@ -1,6 +1,6 @@
 """How far a trajectory is from satisfying its problem between the nodes: an estimate per segment.
 
-Four errors, none of which the solver sees, each of them dimensionless:
+Three errors, none of which the solver sees, each of them dimensionless:
 
 * dynamics: the integral over the segment of |dx/dt - f(t, x, u)|, relative to the state's magnitude;
 * integrals: a finer quadrature of each integrand along the polynomials minus the collocation rule's,
@@ -8,10 +8,10 @@ Four errors, none of which the solver sees, each of them dimensionless:
 * overshoot: how far bounds and path constraints are left between the nodes, where collocation does not look.
   What depends on the states alone counts with its largest value, relative to the constrained quantity's
   magnitude. What depends on the controls counts with its mean over the phase, which is what it contributes to
-  the states and the cost: the peak beside a kink can be narrow without doing harm;
-* optimality: the residuals of the adjoint equation (in shares of the cost) and of dH/du = 0 (in shares of H, mean
-  over the phase). They count `OPTIMALITY` times: they affect the cost only in second order, and yet a control
-  may be poor between the nodes where neither dynamics nor cost tell.
+  the states and the cost: the peak beside a kink can be narrow without doing harm.
+
+Optimality is not judged here: where a state constraint sets in, costates and multipliers need not be smooth, and an
+error of theirs affects the cost in second order only. `gnc_opt.verify` judges it.
 """
 
 from __future__ import annotations
@@ -28,9 +28,6 @@ from gnc_opt.problem.interval import Interval
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.solution import Solution
 from gnc_opt.verify.samples import PhaseSamples
-
-OPTIMALITY = 1e-3
-"""Weight of the residuals of the optimality conditions."""
 
 NEGLIGIBLE = 1e-6
 """An integral or a path constraint whose magnitude stays below this counts in its own unit, not relatively."""
@@ -50,10 +47,6 @@ class Pieces:
         Polynomials of states, their derivatives and controls.
     integrals : array (n_integrals, n_pieces)
         Each integrand's integral by the collocation points' own quadrature.
-    lam : array (n, n_samples)
-        Costates.
-    lam_rate : array (n, n_samples) or None
-        Their derivatives; None where only the control is on trial.
     """
 
     times: Array
@@ -63,8 +56,6 @@ class Pieces:
     x_rate: Array
     u: Array
     integrals: Array
-    lam: Array
-    lam_rate: Array | None
 
     @classmethod
     def of(cls, samples: PhaseSamples) -> Pieces:
@@ -84,8 +75,6 @@ class Pieces:
             samples.x_rate,
             samples.u_polynomial,
             integrals,
-            samples.lam,
-            samples.lam_rate,
         )
 
     def total(self, values: Array) -> Array:
@@ -109,8 +98,8 @@ class Yardstick:
         Magnitude of each state, control, integral and path constraint along the phase.
     path_has_control : bool array (n_paths,)
         Whether a path constraint depends on the controls.
-    hamiltonian, cost : float
-        Magnitude of H's terms, and what the states are worth in units of the cost.
+    hamiltonian : float
+        Magnitude of H's terms.
     """
 
     leg: PhaseSolution
@@ -121,7 +110,6 @@ class Yardstick:
     path: Array
     path_has_control: NDArray[np.bool_]
     hamiltonian: float
-    cost: float
 
     @classmethod
     def of(cls, samples: PhaseSamples) -> Yardstick:
@@ -146,7 +134,6 @@ class Yardstick:
             np.where(path > NEGLIGIBLE, path, 1.0),
             has_control,
             samples.hamiltonian_scale,
-            samples.cost_scale,
         )
 
     def judge(self, pieces: Pieces) -> SegmentErrors:
@@ -157,36 +144,23 @@ class Yardstick:
         exact = pieces.total(f.integrands(pieces.times, pieces.x, pieces.u))
         integrals = np.abs(exact - pieces.integrals) / self.integral[:, None]
         leg, span = self.leg, self.leg.duration
-        states = pieces.largest(_excess(pieces.x, leg.state_bounds, self.state))
+        states = pieces.largest(_excess(pieces.x, leg.state_bounds, self.state, pieces.times))
         controls = pieces.total(_excess(pieces.u, leg.control_bounds, self.control)) / span
         overshoot = [states, controls]
         if leg.path_labels:
-            excess = _excess(f.paths(pieces.times, pieces.x, pieces.u), leg.path_bounds, self.path)
-            mean = pieces.total(excess) / span
-            overshoot.append(np.where(self.path_has_control[:, None], mean, pieces.largest(excess)))
-        return SegmentErrors(dynamics, integrals, np.concatenate(overshoot), self._optimality(pieces))
+            values = f.paths(pieces.times, pieces.x, pieces.u)
+            mean = pieces.total(_excess(values, leg.path_bounds, self.path)) / span
+            peak = pieces.largest(_excess(values, leg.path_bounds, self.path, pieces.times))
+            overshoot.append(np.where(self.path_has_control[:, None], mean, peak))
+        return SegmentErrors(dynamics, integrals, np.concatenate(overshoot))
 
     def stationarity(self, pieces: Pieces) -> Array:
         """Return |dH/du|, path and bound multipliers included, in shares of H: (n_controls, n_samples)."""
         leg, times = self.leg, pieces.times
         mu = leg.path_multiplier(times) if leg.path_labels else np.zeros((0, times.size))
-        slope = self.functions.control_gradient(times, pieces.x, pieces.u, pieces.lam, mu)
+        slope = self.functions.control_gradient(times, pieces.x, pieces.u, leg.lam(times), mu)
         slope = slope + leg.control_multiplier(times)
         return np.asarray(np.abs(slope) * self.control[:, None] / self.hamiltonian)
-
-    def _optimality(self, pieces: Pieces) -> Array:
-        """Residuals of dH/du = 0 and, where the costates are on trial, of the adjoint equation: (rows, n_pieces)."""
-        leg, f = self.leg, self.functions
-        if not np.any(pieces.lam) and not np.any(leg.integral_weights):
-            return np.zeros((0, pieces.starts.size))
-        residual = pieces.total(self.stationarity(pieces)) / leg.duration
-        if pieces.lam_rate is not None:
-            at = pieces.times, pieces.x, pieces.u, pieces.lam
-            mu = leg.path_multiplier(pieces.times) if leg.path_labels else np.zeros((0, pieces.times.size))
-            slope = pieces.lam_rate + f.state_gradient(*at, mu) + leg.state_multiplier(pieces.times)
-            adjoint = pieces.total(np.abs(slope)) * self.state[:, None] / self.cost
-            residual = np.concatenate([residual, adjoint])
-        return np.asarray(OPTIMALITY * residual)
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,19 +173,16 @@ class SegmentErrors:
     integrals : array (n_integrals, K)
     overshoot : array (n_states + n_controls + n_paths, K)
         Of state bounds, control bounds and path constraints.
-    optimality : array (n_controls + n_states, K)
-        Of dH/du = 0 and the adjoint equation, weighted.
     """
 
     dynamics: Array
     integrals: Array
     overshoot: Array
-    optimality: Array
 
     @property
     def table(self) -> Array:
         """All kinds below each other, NaN as infinity."""
-        rows = np.concatenate([self.dynamics, self.integrals, self.overshoot, self.optimality])
+        rows = np.concatenate([self.dynamics, self.integrals, self.overshoot])
         return np.where(np.isnan(rows), np.inf, rows)
 
     @property
@@ -264,8 +235,6 @@ class PhaseError:
         names += [f"integral {label}" for label in leg.integral_labels]
         names += [f"bounds of {label}" for label in (*states, *controls)]
         names += [f"path constraint {label}" for label in leg.path_labels]
-        names += [f"dH/du of {label}" for label in controls]
-        names += [f"costate of {label}" for label in states]
         return self.samples.segment_place(int(k), names[int(row)])
 
 
@@ -286,6 +255,26 @@ def states_at_points(leg: PhaseSolution) -> Array:
     return np.where(at_end, leg.x(leg.point_times, "left"), leg.x(leg.point_times, "right"))
 
 
-def _excess(values: Array, bounds: Interval, scale: Array) -> Array:
-    beyond = np.maximum(bounds.lower[:, None] - values, values - bounds.upper[:, None])
-    return np.asarray(np.maximum(beyond, 0.0) / scale[:, None])
+def _excess(values: Array, bounds: Interval, scale: Array, times: Array | None = None) -> Array:
+    """Return how far values leave their bounds at the samples; with times, peaks between samples count there."""
+    below, above = bounds.lower[:, None] - values, values - bounds.upper[:, None]
+    if times is not None:
+        below, above = _with_peaks(below, times), _with_peaks(above, times)
+    return np.asarray(np.maximum(np.maximum(below, above), 0.0) / scale[:, None])
+
+
+def _with_peaks(values: Array, times: Array) -> Array:
+    """Raise each local maximum of the samples (n, n_samples) to the peak of the parabola through its neighbours."""
+    left, right = times[1:-1] - times[:-2], times[2:] - times[1:-1]
+    known = (left > 0) & (right > 0)  # at the ends of segments, samples come in pairs
+    left, right = np.where(known, left, 1.0), np.where(known, right, 1.0)
+    middle = values[:, 1:-1]
+    with np.errstate(invalid="ignore"):  # where there is no bound
+        a, b = (middle - values[:, :-2]) / left, (values[:, 2:] - middle) / right
+        bend = (b - a) / (left + right)
+        slope = (a * right + b * left) / (left + right)
+        top = known & (a >= 0) & (b <= 0) & (bend < 0)
+    gain = np.where(top, slope**2 / np.where(top, -4.0 * bend, 1.0), 0.0)
+    raised = values.copy()
+    raised[:, 1:-1] += gain
+    return raised

@@ -16,9 +16,10 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from gnc_opt.errors import GncOptError
+from gnc_opt.model.layout import Array
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem.problem import Problem
-from gnc_opt.refine.error import PhaseError, estimate_errors, largest_error
+from gnc_opt.refine.error import NEGLIGIBLE, PhaseError, estimate_errors, largest_error
 from gnc_opt.refine.history import Actions, History, Pass, RefinementStatus
 from gnc_opt.refine.remesh import SAFETY, Past, Remesh, known_segments
 from gnc_opt.solution.phase_solution import PhaseSolution
@@ -226,7 +227,7 @@ class _Refinement:
         if len(self._records) < 2 or self._trims:
             return True
         old, new = self._records[-2:]
-        worth = max(abs(new.objective), *(_cost_scale(e) for e in self._state.errors.values()))
+        worth = max(NEGLIGIBLE, abs(new.objective), *(_cost_scale(e) for e in self._state.errors.values()))
         return abs(new.objective - old.objective) <= (UNEXPLAINED * max(old.error, self._tol)) * worth
 
     def _confirm(self) -> Plan:
@@ -340,22 +341,19 @@ def _problem(solution: Solution) -> Problem:
 def _with_trajectory(problem: Problem, solution: Solution) -> Problem:
     """Return the problem with a solution's trajectory as its guess, without multipliers."""
     for name, leg in solution.phases.items():
-        values: dict[str, Any] = {
-            state: (lambda t, leg=leg, rows=leg.states.slice(state): leg.x(_within(leg, t))[rows])
-            for state in leg.states.names
-        }
+        values = {state: _function(leg, leg.x, leg.states.slice(state)) for state in leg.states.names}
         values |= {
-            control: (
-                lambda t, leg=leg, rows=leg.controls.slice(control): leg.flown.clipped(_within(leg, t))[rows]
-            )
+            control: _function(leg, leg.flown.clipped, leg.controls.slice(control))
             for control in leg.controls.names
         }
         problem = problem.with_guess(name, leg.breaks[[0, -1]], **values)
     return problem
 
 
-def _within(leg: PhaseSolution, t: float) -> float:
-    return float(np.clip(t, leg.breaks[0], leg.breaks[-1]))
+def _function(leg: PhaseSolution, signal: Callable[[float], Array], rows: slice) -> Callable[[Any], Array]:
+    """Return some rows of a signal as a guess, which may be asked for times just outside the phase."""
+    first, last = float(leg.breaks[0]), float(leg.breaks[-1])
+    return lambda t: signal(min(max(float(t), first), last))[rows]
 
 
 def _meter(name: str, tol: float, progress: bool) -> AbstractContextManager[Callable[[Pass], None]]:

@@ -121,7 +121,7 @@ def _clip(values: Array, box: Interval) -> Array:
 
 
 def _with_random_parameters(problem: Problem, rng: np.random.Generator) -> Problem:
-    """Draw free parameters: within finite bounds, else about their guess."""
+    """Draw free parameters of a fresh copy: within finite bounds, else about their guess."""
     guesses: dict[str, Array] = {}
     for name, box in problem.parameter_bounds.items():
         old = problem.parameter_guess[name]
@@ -130,4 +130,5 @@ def _with_random_parameters(problem: Problem, rng: np.random.Generator) -> Probl
         about = old + np.maximum(np.abs(old), 1.0) * rng.normal(size=old.size)
         drawn = np.where(bounded, rng.uniform(low, high), about)
         guesses[name] = np.clip(drawn, box.lower, box.upper)
-    return problem.with_parameter_guess(**guesses) if guesses else problem
+    problem.parameter_guess.update(guesses)
+    return problem

@@ -19,7 +19,7 @@ from gnc_opt.model.layout import Array
 from gnc_opt.refine.coarsen import Piece, coarsened
 from gnc_opt.refine.error import PhaseError
 from gnc_opt.refine.history import Actions
-from gnc_opt.refine.kinks import bracketed, find_kinks
+from gnc_opt.refine.kinks import Kink, bracketed, find_kinks
 from gnc_opt.refine.smoothness import decay_rates, error_density, quantiles
 from gnc_opt.transcription.mesh import Mesh
 
@@ -131,12 +131,12 @@ class Remesh:
         self.split += 1
         return self._cut(k, own, rate, excess)
 
-    def _around(self, cuts: list[float], kinks: Sequence[object], degree: int) -> list[Piece]:
+    def _around(self, cuts: list[float], kinks: Sequence[Kink], degree: int) -> list[Piece]:
         """Pieces around kinks: smooth ones as they were, those with a kink of low degree."""
         pieces = []
         for a, b in itertools.pairwise(cuts):
             middle = 0.5 * (a + b)
-            inside = any(kink.start <= middle <= kink.end for kink in kinks)  # type: ignore[attr-defined]
+            inside = any(kink.start <= middle <= kink.end for kink in kinks)
             pieces.append(Piece(a, b, min(degree, 3) if inside else max(min(degree, 6), 3)))
         return pieces
 
@@ -146,8 +146,9 @@ class Remesh:
         if key not in self.past or self.past[key][0] >= degree:
             return False
         old_degree, old_error = self.past[key]
-        gain = math.log10(old_error / float(self._worst[k])) if np.isfinite(old_error) else 1.0
-        return gain < ROUGH * (degree - old_degree)
+        if not np.isfinite(old_error):
+            return False
+        return bool(self._worst[k] > old_error * 10.0 ** (-ROUGH * (degree - old_degree)))
 
     def _cut(self, k: int, own: Piece, rate: float, excess: float) -> list[Piece]:
         """Split where the error arises, with the degree that the halves are expected to need."""

@@ -7,6 +7,7 @@ from numpy.polynomial import legendre
 
 from gnc_opt.model.layout import Array
 from gnc_opt.refine.error import PhaseError, states_at_points
+from gnc_opt.solution.phase_solution import piecewise
 
 SLOWEST, FASTEST = 0.02, 2.0
 """Decay rates are clipped to this range, in decades per degree."""
@@ -56,13 +57,11 @@ def error_density(error: PhaseError) -> Array:
     density = np.max(residual, axis=0)
     leg, points = error.samples.leg, error.samples.leg.point_times
     if leg.integral_labels:
-        from gnc_opt.solution.phase_solution import piecewise
-
         known = functions.integrands(points, states_at_points(leg), np.hstack(leg.u.values))
         interpolant = error.samples.sample(piecewise(leg.breaks, leg.rules, known))
         gap = np.abs(functions.integrands(*at) - interpolant) / yardstick.integral[:, None]
         density = density + np.max(gap, axis=0)
-    return np.nan_to_num(density, nan=0.0, posinf=0.0)
+    return np.asarray(np.nan_to_num(density, nan=0.0, posinf=0.0))
 
 
 def quantiles(error: PhaseError, density: Array, k: int, shares: Array) -> Array:
@@ -75,4 +74,4 @@ def quantiles(error: PhaseError, density: Array, k: int, shares: Array) -> Array
     # The mass of a sample lies around it: half of it has come when the sample is reached.
     middle = (mass - 0.5 * density[inside] * weights) / mass[-1]
     middle[0], middle[-1] = 0.0, 1.0
-    return np.interp(shares, middle, times)
+    return np.asarray(np.interp(shares, middle, times))

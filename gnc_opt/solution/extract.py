@@ -151,7 +151,7 @@ def _extract_phase(
         model_parameters=leg.model.parameters,
         path_labels=leg.path_labels,
         integral_labels=tuple(leg.integrands),
-        x=_state_polynomial(collocation, breaks, iterate.x, rates * spans),
+        x=state_polynomial(collocation, breaks, iterate.x, rates * spans),
         u=piecewise(breaks, collocation.rules, u),
         lam=costates.polynomial,
         lam_start=costates.start,
@@ -181,7 +181,7 @@ def _time_multipliers(part: PhasePart, lam_x: Array) -> Array:
     return np.asarray([lam_x[place] if place < lam_x.size else 0.0 for place in part.times[[0, -1]]])
 
 
-def _state_polynomial(
+def state_polynomial(
     collocation: PhaseCollocation, breaks: Array, variables: Array, scaled_rates: Array
 ) -> PiecewisePolynomial:
     """The scheme's state polynomial; ``scaled_rates`` (n_states, N) are dx/dt times the arc's duration."""

@@ -23,6 +23,7 @@ from gnc_opt.solution.polynomial import Side
 
 if TYPE_CHECKING:
     from gnc_opt.refine.history import History
+    from gnc_opt.refine.derivatives import Sensitivity
     from gnc_opt.verify.propagate import Propagation
     from gnc_opt.verify.quality import Quality
 
@@ -239,6 +240,62 @@ class Solution:
 
         leg = self.phase(phase)
         return propagate(leg, self.functions(leg.name), control=control, rtol=rtol)
+
+    # --- derivatives ------------------------------------------------------------------------------
+
+    def sensitivity(
+        self,
+        parameter: str | None = None,
+        /,
+        *,
+        initial: str | None = None,
+        final: str | None = None,
+        time: Literal["initial", "final"] | None = None,
+        constraint: str | None = None,
+        phase: str | None = None,
+    ) -> Sensitivity:
+        """Differentiate the optimal solution with respect to one quantity.
+
+        ``solution.sensitivity("k")``, ``solution.sensitivity(initial="q").objective``,
+        ``solution.sensitivity(time="final").state("q")(0.3)``.
+
+        Parameters
+        ----------
+        parameter : str, optional
+            A model parameter, in every phase that has it (or in ``phase``).
+        initial, final : str, optional
+            A state whose initial or final value is given or at its limit.
+        time : {"initial", "final"}, optional
+            A time that is given or at its limit.
+        constraint : str, optional
+            A boundary constraint, by the limit that is active.
+        phase : str, optional
+            May be left out when there is only one.
+
+        Returns
+        -------
+        Sensitivity
+            Derivatives of objective, times, states and controls (at fixed time) and optimised parameters. Those of
+            the objective are the costates: d(objective)/d(initial q) is costate("q")(t0), negated when maximised.
+
+        Raises
+        ------
+        ProblemError
+            No quantity or several, an unknown one, or one that is optimised itself.
+        GncOptError
+            No problem, not solved, or first-order conditions that do not determine the solution; the message names
+            the variable.
+
+        Warns
+        -----
+        ProblemWarning
+            A limit is weakly active, where derivatives are one-sided.
+        """
+        from gnc_opt.refine.sensitivity import sensitivity
+
+        return sensitivity(
+            self, parameter, initial=initial, final=final, time=time, constraint=constraint, phase=phase
+        )
 
     def __str__(self) -> str:
         from gnc_opt.report.summary import summary

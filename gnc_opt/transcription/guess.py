@@ -31,8 +31,8 @@ class PhaseStart:
     controls: Array
 
 
-def start_phase(leg: Phase, fractions: Array) -> PhaseStart:
-    """Return the guess of a phase at the given fractions of its duration.
+def start_phase(leg: Phase, fractions: Array, *, perturbed: bool = True) -> PhaseStart:
+    """Return the guess of a phase at the given fractions of its duration, with or without `perturbation`.
 
     Raises
     ------
@@ -44,7 +44,9 @@ def start_phase(leg: Phase, fractions: Array) -> PhaseStart:
     model, numbers = leg.model, leg.numbers
     first, last = end_values(leg)
     states = first[:, None] + (last - first)[:, None] * fractions
-    controls = numbers.controls.middle[:, None] + perturbation(numbers.controls, fractions)
+    controls = np.repeat(numbers.controls.middle[:, None], fractions.size, axis=1)
+    if perturbed:
+        controls += perturbation(numbers.controls, fractions)
     for name, value in numbers.guess.values.items():
         layout, rows = (model.states, states) if name in model.states else (model.controls, controls)
         what = f"the guess of '{name}' in {leg.where}"

@@ -27,13 +27,16 @@ def stationarity(samples: list[PhaseSamples], tolerance: float) -> Condition:
     worst = NOTHING
     for s in samples:
         loss, on_bound = _offences(s)
-        worst = worst.or_worse(_worst_control(s, np.where(on_bound, 0.0, loss)))
+        # Where H curves strongly, a large slope means only that the control misses its minimum by slope / curvature.
+        miss = loss / np.maximum(1.0, _curvature(s))
+        worst = worst.or_worse(_worst_control(s, np.where(on_bound, 0.0, miss)))
     return judge(
         "stationarity",
         worst,
         tolerance,
         "Where a control is strictly between its bounds, dH/du (with path multipliers) must vanish (first-order gain "
-        "in H that is left). A bang-bang control smeared over a switch fails here: put a mesh boundary on the switch.",
+        "in H that is left or, if smaller, the share of its range by which the control misses the minimum). A bang-bang "
+        "control smeared over a switch fails here: put a mesh boundary on the switch.",
     )
 
 
@@ -174,11 +177,7 @@ def singular_arcs(samples: list[PhaseSamples], tolerance: float) -> Condition:
     total, place = 0.0, "nowhere"
     for s in samples:
         loss, inside = _offences(s)[0], _inside(s)
-        hessians = s.functions.control_hessian(s.times, s.x, s.u, s.lam, s.mu)
-        curvature = (
-            np.abs(np.einsum("iij->ij", hessians)) * s.control_scale[:, None] ** 2 / s.hamiltonian_scale
-        )
-        singular = inside & (loss <= tolerance) & (curvature <= tolerance)
+        singular = inside & (loss <= tolerance) & (np.abs(_curvature(s)) <= tolerance)
         lengths = np.sum(singular * s.weights, axis=1) / max(s.leg.duration, 1e-9)
         if lengths.size and lengths.max() > total:
             i = int(np.argmax(lengths))
@@ -199,6 +198,12 @@ def _offences(s: PhaseSamples) -> tuple[Array, NDArray[np.bool_]]:
     room_up = np.where(at_upper, 0.0, np.minimum(bounds.upper[:, None] - s.u, scale[:, None]))
     loss = np.abs(gradient) * np.where(gradient > 0, room_down, room_up) / s.hamiltonian_scale
     return loss, at_lower | at_upper
+
+
+def _curvature(s: PhaseSamples) -> Array:
+    """Second derivative of H in each control over its range, in shares of H's scale, (m, n_samples)."""
+    hessians = s.functions.control_hessian(s.times, s.x, s.u, s.lam, s.mu)
+    return np.asarray(np.einsum("iij->ij", hessians) * s.control_scale[:, None] ** 2 / s.hamiltonian_scale)
 
 
 def _inside(s: PhaseSamples) -> NDArray[np.bool_]:

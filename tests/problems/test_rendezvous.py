@@ -124,7 +124,9 @@ def test_verdict_on_the_papers_mesh_names_what_60_points_leave(case_1: go.Soluti
     verdict = go.verify(case_1)
     failed = {condition.name for condition in verdict.failed}
     assert {"dynamics", "bounds", "Hamiltonian", "minimum principle"} <= failed
-    assert not {"boundary conditions", "control signs", "complementarity"} & failed
+    assert not {"boundary conditions", "complementarity"} & failed
+    # The cell of a node beside a switch reaches past it: a wrong sign there, and only there, is the mesh's.
+    assert verdict["control signs"].value < 5e-3
     # 1 % of H: larger would be another extremal, smaller is more than a switch within a node's reach permits.
     assert 1e-3 < verdict["Hamiltonian"].value < 5e-2
 

@@ -1,0 +1,373 @@
+"""multistart: many starting trajectories, to tell a local minimum from the best known one.
+
+Every start is solved on a coarse mesh. Answers that their own dynamics do not confirm are thrown out, equal ones are
+merged, and the distinct minima that remain are refined, judged and merged once more.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from gnc_opt.arguments import expect, read_integer, read_positive
+from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
+from gnc_opt.model.layout import Array
+from gnc_opt.nlp import SolverOptions, Status
+from gnc_opt.problem.problem import Problem
+from gnc_opt.refine.history import RefinementStatus
+from gnc_opt.refine.random_guess import with_random_guess
+from gnc_opt.refine.refine import StructureChoice
+from gnc_opt.refine.refine import refine as refine_solution
+from gnc_opt.refine.workforce import Builder, Workforce
+from gnc_opt.report.progress import search_meter
+from gnc_opt.solution.solution import Solution
+from gnc_opt.solve import MeshLike, solve
+from gnc_opt.verify.propagate import state_magnitudes
+from gnc_opt.verify.verify import verify
+
+COARSE_MESH = "20x3"
+
+BARRIERS = (None, 1e-5, 1e-5, 1e-5)
+"""First barrier parameters, by turns. IPOPT's own (0.1) forgets the guess: it is the most likely to find the best
+minimum, and it finds little else. With a small one the solver stays near the guess, which finds the others."""
+
+MOST_ITERATIONS = 400
+"""Of a coarse solve; a start that needs more is worth less than another start."""
+
+SAME = 1e-6
+"""Relative difference of the objective below which two minima are one."""
+
+SAME_TRAJECTORY = 1e-2
+"""Difference of two trajectories, in shares of the states' magnitudes, beyond which they are distinct."""
+
+MISS = 0.1
+"""A collocation solution is spurious if both its propagation misses the end and its defect between the nodes exceed
+this share of the states' magnitudes. (Either one alone may be due to unstable dynamics or to a coarse mesh.) On the
+rendezvous, 10 x 4 points, spurious solutions have 0.3 and 0.8 at least, others 0.03 and 0.4 at most."""
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """A local minimum.
+
+    Attributes
+    ----------
+    solution : Solution
+        The best of those that are equal.
+    objective : float
+    hits : int
+        How many starts ended here.
+    starts : tuple of int
+        Which ones; 0 is the problem's own guess.
+    trajectories : int
+        How many different trajectories with this objective were met on the coarse mesh, e.g. 2 for mirror twins.
+    refined : bool
+        Whether the solution has been refined, or comes from the coarse mesh.
+    verdict_ok : bool
+        Whether it passed the verdict; False if it was not judged.
+    """
+
+    solution: Solution
+    objective: float
+    hits: int
+    starts: tuple[int, ...]
+    trajectories: int
+    refined: bool = False
+    verdict_ok: bool = False
+
+
+@dataclass(frozen=True)
+class Multistart:
+    """What `multistart` found.
+
+    Attributes
+    ----------
+    problem_name : str
+    minima : tuple of Minimum
+        Best first.
+    failures : dict of str to int
+        How many starts gave no minimum, by the solver's status, "spurious" (not confirmed by the dynamics) or "bad
+        guess" (functions that are not finite along it).
+    starts : int
+        Starts asked for.
+    finished : int
+        Starts solved, with or without success; fewer than ``starts`` after an interrupt.
+    seed : int
+    interrupted : bool
+        Whether Ctrl-C ended the search before its time.
+    """
+
+    problem_name: str
+    minima: tuple[Minimum, ...]
+    failures: Mapping[str, int]
+    starts: int
+    finished: int
+    seed: int
+    interrupted: bool = False
+
+    @property
+    def best(self) -> Minimum:
+        """The best minimum.
+
+        Raises
+        ------
+        GncOptError
+            There is none.
+        """
+        if not self.minima:
+            raise GncOptError(
+                f"none of {self.finished} starts of '{self.problem_name}' found a minimum ({_listed(self.failures)}): "
+                "solve() it once and look at the violations, or try more starts."
+            )
+        return self.minima[0]
+
+    def __str__(self) -> str:
+        heading = (
+            f"{self.problem_name}: {len(self.minima)} minima from {self.finished} of {self.starts} starts"
+        )
+        lines = [f"{heading}, seed {self.seed}{', interrupted' if self.interrupted else ''}"]
+        lines.append(f"{'objective':>18} {'above best':>11} {'hits':>5} {'ways':>5}  verdict")
+        for minimum in self.minima:
+            judged = "ok" if minimum.verdict_ok else "NOT ok" if minimum.refined else "not refined"
+            lines.append(
+                f"{minimum.objective:18.10g} {abs(minimum.objective - self.minima[0].objective):11.3g} "
+                f"{minimum.hits:5d} {minimum.trajectories:5d}  {judged}"
+            )
+        if self.failures:
+            lines.append(f"without a minimum: {_listed(self.failures)}")
+        return "\n".join(lines)
+
+
+def _listed(failures: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {name}" for name, count in failures.items()) or "no failures"
+
+
+def multistart(
+    problem: Problem | Builder,
+    *,
+    n: int = 40,
+    seed: int = 0,
+    mesh: MeshLike | Mapping[str, MeshLike] | None = None,
+    structure: StructureChoice = "auto",
+    tol: float = 1e-8,
+    refine: bool = True,
+    max_refined: int = 12,
+    executor: Executor | Literal["serial"] | None = None,
+    options: SolverOptions | None = None,
+    progress: bool = False,
+) -> Multistart:
+    """Solve a problem from many random guesses and rank the distinct minima.
+
+    Parameters
+    ----------
+    problem : Problem or callable
+        The problem, or a function without arguments that builds it, such as ``functools.partial(build, case=2)``.
+        Problems hold symbols that cannot be sent to another process, so executors of processes need the function;
+        the default executor can do without where processes fork (Linux).
+    n : int
+        Starts; the first one is the problem's own guess.
+    seed : int
+        The answer depends on it, and not on the executor or the order in which the starts end.
+    mesh : Mesh, str or mapping, optional
+        The coarse mesh; default "20x3".
+    structure, tol
+        For `refine`.
+    refine : bool
+        Whether to refine and judge the minima, or leave them on the coarse mesh.
+    max_refined : int
+        Refine at most so many minima, the best ones.
+    executor : concurrent.futures.Executor or "serial", optional
+        Default: one process per processor. Threads of one process take turns, since the solver serves one at a time.
+    options : SolverOptions, optional
+        For the coarse solves. Default: at most `MOST_ITERATIONS` iterations. Without a ``mu_init`` of theirs, most
+        starts use a small one; see `BARRIERS`.
+    progress : bool
+        Show how many starts have ended and the best objective.
+
+    Returns
+    -------
+    Multistart
+        Ctrl-C ends the search and returns what has been found until then.
+
+    Raises
+    ------
+    ProblemError
+        The problem is not well stated.
+    GncOptError
+        The problem cannot be sent to the executor's processes.
+    """
+    read_integer(n, "the number of starts of multistart()", 1)
+    read_integer(seed, "the seed of multistart()", 0)
+    read_integer(max_refined, "max_refined of multistart()", 0)
+    read_positive(tol, "the tolerance of multistart()")
+    if structure not in get_args(StructureChoice):
+        raise ProblemError(
+            f"multistart() knows no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
+        )
+    if options is not None:
+        expect(options, SolverOptions, "the options of multistart()", "write options=SolverOptions(...)")
+    chosen = SolverOptions(max_iterations=MOST_ITERATIONS) if options is None else options
+    with Workforce(problem, executor) as force:
+        force.problem.check()
+        with search_meter(f"{force.problem.name}: starts", n, progress) as show:
+            answers = force.run(
+                _Coarse(seed, COARSE_MESH if mesh is None else mesh, chosen),
+                range(n),
+                lambda ending: show(ending.objective),
+            )
+        endings = [ending for ending in answers if ending is not None]
+        minima = _merged(_first_minima(endings), SAME)
+        if refine and not force.interrupted:
+            chief, rest = minima[:max_refined], minima[max_refined:]
+            with search_meter(f"{force.problem.name}: refinements", len(chief), progress) as show:
+                finer = force.run(_Fine(structure, tol), chief, lambda minimum: show(minimum.objective))
+            kept = [new or old for new, old in zip(finer, chief, strict=True)]
+            minima = _merged([*kept, *rest], SAME)
+    return Multistart(
+        force.problem.name,
+        tuple(replace(m, solution=m.solution.with_problem(force.problem)) for m in minima),
+        dict(sorted(Counter(ending.failure for ending in endings if ending.failure).items())),
+        n,
+        len(endings),
+        seed,
+        force.interrupted,
+    )
+
+
+# --- what the workers do ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Ending:
+    """How one start ended; the solution, without its problem, if it is a minimum."""
+
+    index: int
+    failure: str = ""
+    solution: Solution | None = None
+
+    @property
+    def objective(self) -> float | None:
+        return None if self.solution is None else self.solution.objective
+
+
+@dataclass(frozen=True)
+class _Coarse:
+    """Solve one start and look whether its dynamics confirm it."""
+
+    seed: int
+    mesh: MeshLike | Mapping[str, MeshLike]
+    options: SolverOptions
+
+    def __call__(self, problem: Problem, index: int) -> _Ending:
+        options = self.options
+        if index and options.mu_init is None:
+            options = replace(options, mu_init=BARRIERS[index % len(BARRIERS)])
+        try:
+            started = with_random_guess(problem, self.seed, index)
+            solution = solve(started, mesh=self.mesh, options=options, throw=False)
+        except ProblemError:
+            if index == 0:
+                raise
+            return _Ending(index, "bad guess")
+        if not solution.status.solved:
+            _pass_on_interrupt(solution, options)
+            return _Ending(index, solution.status.value)
+        if is_spurious(solution):
+            return _Ending(index, "spurious")
+        return _Ending(index, solution=replace(solution, problem=None))
+
+
+@dataclass(frozen=True)
+class _Fine:
+    """Refine a minimum and judge it; it stays as it is if that fails or leads to something spurious."""
+
+    structure: StructureChoice
+    tol: float
+
+    def __call__(self, problem: Problem, minimum: Minimum) -> Minimum:
+        coarse = minimum.solution.with_problem(problem)
+        solution = refine_solution(coarse, structure=self.structure, tol=self.tol)
+        if solution.history is not None and solution.history.status is RefinementStatus.INTERRUPTED:
+            raise KeyboardInterrupt
+        if not solution.status.solved or is_spurious(solution):
+            return minimum
+        return replace(
+            minimum,
+            solution=replace(solution, problem=None),
+            objective=solution.objective,
+            refined=True,
+            verdict_ok=verify(solution).ok,
+        )
+
+
+def is_spurious(solution: Solution) -> bool:
+    """Whether a collocation solution is none of the differential equations; see `MISS`."""
+    quality = solution.quality
+    return not (quality.terminal_error < MISS or quality.max_defect < MISS)
+
+
+def _pass_on_interrupt(solution: Solution, options: SolverOptions) -> None:
+    """Raise KeyboardInterrupt if it was Ctrl-C, and not the time limit, that the solver obeyed."""
+    limit = options.max_wall_time
+    if solution.status is Status.INTERRUPTED and (limit is None or solution.statistics.solve_s < limit):
+        raise KeyboardInterrupt
+
+
+# --- merging ----------------------------------------------------------------------------------------------
+
+
+def _first_minima(endings: Iterable[_Ending]) -> Iterator[Minimum]:
+    for ending in endings:
+        if ending.solution is not None:
+            yield Minimum(ending.solution, ending.solution.objective, 1, (ending.index,), 1)
+
+
+def _merged(minima: Iterable[Minimum], tolerance: float) -> list[Minimum]:
+    """Return the distinct minima, best first, whatever the order they come in."""
+    groups: list[list[Minimum]] = []
+    for minimum in sorted(minima, key=_rank):
+        if groups and _equal(groups[-1][-1].objective, minimum.objective, tolerance):
+            groups[-1].append(minimum)
+        else:
+            groups.append([minimum])
+    return [_one(group) for group in groups]
+
+
+def _rank(minimum: Minimum) -> tuple[float, int]:
+    sense = -1.0 if minimum.solution.maximised else 1.0
+    return sense * minimum.objective, minimum.starts[0]
+
+
+def _equal(a: float, b: float, tolerance: float) -> bool:
+    return abs(a - b) <= tolerance * max(abs(a), abs(b), tolerance)
+
+
+def _one(group: Sequence[Minimum]) -> Minimum:
+    """Join equal minima under the most trustworthy solution; among these, that of the earliest start."""
+    chief = min(group, key=lambda m: (not m.verdict_ok, not m.refined, m.starts[0]))
+    starts = sorted(start for minimum in group for start in minimum.starts)
+    return replace(chief, hits=len(starts), starts=tuple(starts), trajectories=_count_trajectories(group))
+
+
+def _count_trajectories(group: Sequence[Minimum]) -> int:
+    """Count different trajectories among equal minima, each of which may stand for several already."""
+    samples: list[Array] = []
+    for minimum in group:
+        sample = _sample(minimum.solution)
+        if all(np.max(np.abs(sample - other)) > SAME_TRAJECTORY for other in samples):
+            samples.append(sample)
+    return max(len(samples), *(minimum.trajectories for minimum in group))
+
+
+def _sample(solution: Solution) -> Array:
+    """Return all states at 21 times of each phase, in shares of their magnitudes."""
+    rows: list[Array] = []
+    for leg in solution.phases.values():
+        times = np.linspace(leg.initial_time, leg.final_time, 21)
+        rows.append((leg.x(times) / state_magnitudes(leg)[:, None]).ravel())
+    return np.concatenate(rows)

@@ -1,0 +1,205 @@
+"""Sending one problem and many tasks to an executor, and keeping what was done when Ctrl-C comes."""
+
+from __future__ import annotations
+
+import itertools
+import multiprocessing
+import os
+import pickle
+import signal
+import threading
+from collections.abc import Callable, Iterable
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from functools import lru_cache
+from types import TracebackType
+from typing import Any, Literal, Protocol, TypeAlias, TypeVar
+
+from gnc_opt.arguments import expect
+from gnc_opt.errors import ArgumentError, GncOptError
+from gnc_opt.problem.problem import Problem
+
+Builder: TypeAlias = Callable[[], Problem]
+
+Source: TypeAlias = "Problem | bytes | int"
+"""How a task gets at the problem: itself, a pickled builder, or its number among those inherited by a fork."""
+
+Item = TypeVar("Item", contravariant=True)
+Answer = TypeVar("Answer", covariant=True)
+
+
+class Task(Protocol[Item, Answer]):
+    """What is done with the problem and one item; must be picklable, as must be item and answer."""
+
+    def __call__(self, problem: Problem, item: Item) -> Answer:
+        """Do it."""
+
+
+_INHERITED: dict[int, Problem] = {}
+_NUMBERS = itertools.count()
+_TURN = threading.Lock()
+
+_THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class Workforce:
+    """An executor with a problem for all its workers; a context manager.
+
+    Parameters
+    ----------
+    problem : Problem or callable
+        Or a function without arguments that builds it.
+    executor : Executor, "serial" or None
+        None: one process per processor, of its own.
+
+    Raises
+    ------
+    ArgumentError
+        Neither a problem nor a builder, or no executor.
+    GncOptError
+        The problem cannot be sent to processes.
+    """
+
+    def __init__(self, problem: Problem | Builder, executor: Executor | Literal["serial"] | None) -> None:
+        self.interrupted = False
+        self.problem = _built(problem)
+        self._number: int | None = None
+        self._own: ProcessPoolExecutor | None = None
+        self._executor: Executor
+        self._source: Source = self.problem
+        if executor is None:
+            self._source = self._travelling(problem)
+            self._executor = self._own = ProcessPoolExecutor(
+                os.cpu_count() or 1, mp_context=_context(), initializer=_prepare_worker
+            )
+            return
+        if executor == "serial":
+            self._executor = _Serial()
+            return
+        self._executor = expect(
+            executor,
+            Executor,
+            "the executor of multistart()",
+            'give a concurrent.futures.Executor or "serial"',
+        )
+        if not (isinstance(problem, Problem) or isinstance(executor, ThreadPoolExecutor)):
+            self._source = _pickled(problem)
+
+    def __enter__(self) -> Workforce:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, place: TracebackType | None
+    ) -> None:
+        if self._own is not None:
+            self._own.shutdown(wait=not self.interrupted and kind is None, cancel_futures=True)
+        if self._number is not None:
+            _INHERITED.pop(self._number, None)
+
+    def run(
+        self, task: Task[Item, Answer], items: Iterable[Item], show: Callable[[Answer], None]
+    ) -> list[Answer | None]:
+        """Do a task with every item; return the answers in order, None for those that Ctrl-C prevented.
+
+        ``show`` is told every answer as it comes. After Ctrl-C `interrupted` is set.
+        """
+        futures: list[Future[Answer]] = []
+        items = list(items)
+        try:
+            for item in items:
+                futures.append(self._executor.submit(_work, task, self._source, item))
+            for future in as_completed(futures):
+                show(future.result())
+        except KeyboardInterrupt:
+            self.interrupted = True
+            for future in futures:
+                future.cancel()
+        except (pickle.PicklingError, TypeError, AttributeError, NotImplementedError) as error:
+            if not isinstance(self._source, Problem) or not _is_about_pickling(error):
+                raise
+            raise GncOptError(_CANNOT_TRAVEL.format(self.problem.name)) from error
+        answers = [_answer(future) for future in futures]
+        return answers + [None] * (len(items) - len(answers))
+
+    def _travelling(self, problem: Problem | Builder) -> Source:
+        """Return how processes of our own get at the problem."""
+        if _forks():
+            self._number = next(_NUMBERS)
+            _INHERITED[self._number] = self.problem
+            return self._number
+        if isinstance(problem, Problem):
+            raise GncOptError(_CANNOT_TRAVEL.format(self.problem.name))
+        return _pickled(problem)
+
+
+_CANNOT_TRAVEL = (
+    "problem '{}' cannot be sent to another process, because it holds symbols: give a function that builds it, e.g. "
+    'functools.partial(build, case=2), or executor="serial".'
+)
+
+
+class _Serial(Executor):
+    """Does every task at once, in this process."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def _work(task: Task[Item, Answer], source: Source, item: Item) -> Answer:
+    if isinstance(source, Problem):
+        with _TURN:  # its solver serves one thread at a time
+            return task(source, item)
+    return task(_build(source) if isinstance(source, bytes) else _INHERITED[source], item)
+
+
+@lru_cache(maxsize=4)
+def _build(builder: bytes) -> Problem:
+    """Return the problem of a pickled builder, built once per process."""
+    return _built(pickle.loads(builder))
+
+
+def _built(problem: Problem | Builder) -> Problem:
+    if not isinstance(problem, Problem) and not callable(problem):
+        raise ArgumentError(
+            f"multistart() got a {type(problem).__name__} where a Problem or a function that builds one is needed."
+        )
+    made = problem if isinstance(problem, Problem) else problem()
+    return expect(made, Problem, "what the builder returned", "return the problem")  # type: ignore[no-any-return]
+
+
+def _pickled(builder: Builder) -> bytes:
+    try:
+        return pickle.dumps(builder)
+    except Exception as error:
+        raise GncOptError(
+            f"the function that builds the problem cannot be sent to another process ({error}): define it with def at "
+            "the top of a module, and give its arguments by functools.partial."
+        ) from error
+
+
+def _is_about_pickling(error: Exception) -> bool:
+    return isinstance(error, pickle.PicklingError) or "pickle" in str(error).lower()
+
+
+def _answer(future: Future[Answer]) -> Answer | None:
+    done = future.done() and not future.cancelled() and future.exception() is None
+    return future.result() if done else None
+
+
+def _forks() -> bool:
+    return os.name == "posix" and os.uname().sysname == "Linux"
+
+
+def _context() -> Any:
+    return multiprocessing.get_context("fork" if _forks() else None)
+
+
+def _prepare_worker() -> None:
+    """Ctrl-C is the parent's business, and the processes share the processors already."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in _THREAD_COUNTS:
+        os.environ[name] = "1"

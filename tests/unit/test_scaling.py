@@ -1,0 +1,122 @@
+"""Scales that the solver rests on: what they are, and that problems which bad scales break are solved."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.transcription.scaling import FARTHEST, phase_magnitudes
+
+
+def double_integrator(**control_bounds: tuple[float, float]) -> tuple[go.Problem, go.Phase]:
+    model = go.Model("double integrator")
+    x, v, u = model.state("x"), model.state("v"), model.control("u")
+    model.ode({x: v, v: u})
+    problem = go.Problem("double integrator")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=4.0)
+    leg.bounds(**control_bounds)
+    return problem, leg
+
+
+# --- magnitudes -----------------------------------------------------------------------------------------
+
+
+def test_a_control_without_bounds_and_guess_is_of_order_one() -> None:
+    """The perturbation of the default guess, one per cent, is no magnitude; neither is it for the states."""
+    problem, leg = double_integrator()
+    leg.initial(x=0.0, v=0.0)
+    states, controls = phase_magnitudes(leg)
+    np.testing.assert_array_equal(controls, [1.0])
+    assert states[1] == pytest.approx(0.5 * 4.0)  # half of what one unit of u does in 4 s
+    problem.get_phase().guess(u=(0.0, -30.0))
+    np.testing.assert_array_equal(phase_magnitudes(leg)[1], [30.0])
+
+
+def test_bounds_and_user_come_first() -> None:
+    _, leg = double_integrator(u=(-3.0, 2.0))
+    leg.bounds(v=(-7.0, 5.0))
+    leg.initial(x=2.0, v=0.0)
+    states, controls = phase_magnitudes(leg)
+    assert (states[1], controls[0]) == (7.0, 3.0)
+    leg.scale(v=0.25, u=11.0)
+    states, controls = phase_magnitudes(leg)
+    assert (states[1], controls[0]) == (0.25, 11.0)
+
+
+def test_a_small_guess_does_not_hide_what_the_dynamics_do() -> None:
+    """v starts at 0.001 and u moves it by 4: ten times the guess is believed, which is nearer."""
+    _, leg = double_integrator(u=(-2.0, 2.0))
+    leg.initial(x=0.0, v=1e-3)
+    assert phase_magnitudes(leg)[0][1] == pytest.approx(FARTHEST * 1e-3)
+    leg.initial(v=1.0)
+    assert phase_magnitudes(leg)[0][1] == pytest.approx(4.0)
+    leg.initial(v=50.0)
+    assert phase_magnitudes(leg)[0][1] == pytest.approx(50.0)
+
+
+# --- what depends on them -------------------------------------------------------------------------------
+
+
+def test_a_guess_that_tracks_perfectly() -> None:
+    """The gradient of the tracking cost is rounding at the guess: its inverse is no scale for the cost."""
+    problem, leg = double_integrator(u=(-10.0, 10.0))
+    model = leg.model
+    x, v = model.symbol("x"), model.symbol("v")
+    leg.time(initial=0.0, final=3.0)
+    leg.initial(x=0.0, v=0.7)
+    leg.final(v=0.0)
+    leg.guess(x=(0.0, 2.1), v=0.7)
+    problem.minimize(leg.integral(100 * (x - 0.7 * model.time) ** 2 + 500 * (v - 0.7) ** 2))
+    solution = go.solve(problem, options=go.SolverOptions(max_iterations=50))
+    # The track is followed until full brake for 0.07 s: 500 times the integral of (10 s)^2. The mesh is coarse for it.
+    assert solution.objective == pytest.approx(500 * 100 * 0.07**3 / 3, rel=0.1)
+
+
+def test_state_that_sums_up_an_unbounded_control() -> None:
+    """Bryson-Denham as Mayer problem: q collects u^2/2, both unknown to the guess; J = 4 / (9 l) = 4."""
+    model = go.Model("Bryson-Denham")
+    x, v, q, u = model.state("x"), model.state("v"), model.state("q"), model.control("u")
+    model.ode({x: v, v: u, q: u**2 / 2})
+    problem = go.Problem("Bryson-Denham")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(x=0.0, v=1.0, q=0.0)
+    leg.final(x=0.0, v=-1.0)
+    leg.bounds(x=(None, 1 / 9))
+    problem.minimize(leg.final_state("q"))
+    for mesh in ("30x4", "60x4"):  # with nodes on entry and exit, so that 4 is exact
+        solution = go.solve(problem, mesh=mesh, options=go.SolverOptions(max_iterations=60))
+        assert solution.objective == pytest.approx(4.0, abs=1e-8)
+
+
+def test_the_barrier_does_not_cost_digits() -> None:
+    """t_f of 240 nodes on their bounds is right to 1e-9; with mu = 1e-9 it was 1.5e-8 too long."""
+    problem, leg = double_integrator(u=(-2.0, 1.0))
+    leg.time(initial=0.0, final=(1.0, 100.0))
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=300.0, v=0.0)
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem, mesh="60x4")
+    assert solution.objective == pytest.approx(30.0, rel=1e-9)
+
+
+def test_a_steep_hamiltonian_does_not_fail_a_good_control() -> None:
+    """Zermelo's problem, right to 1e-12: between nodes the heading is off by 1e-6 of its range, not more."""
+    model = go.Model("boat")
+    x, y, heading = model.state("x"), model.state("y"), model.control("heading")
+    model.ode({x: ca.cos(heading) - y, y: ca.sin(heading)})
+    problem = go.Problem("Zermelo")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(0.5, 20.0))
+    leg.initial(x=3.66, y=-1.86)
+    leg.final(x=0.0, y=0.0)
+    leg.bounds(heading=(-2 * np.pi, 2 * np.pi))
+    leg.guess(time=[0.0, 5.0], heading=0.75 * np.pi)
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem)
+    assert solution.objective == pytest.approx(5.457865263560509, rel=1e-11)
+    verdict = go.verify(solution)
+    assert verdict.ok, verdict.explain()
