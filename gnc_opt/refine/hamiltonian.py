@@ -18,12 +18,13 @@ integrals and parameters come for nothing. The result is square, and Newton's me
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from gnc_opt.model.layout import Array
 from gnc_opt.model.model import Model
@@ -122,7 +123,7 @@ def hamiltonian_problem(solution: Solution, limits: Limits) -> Problem:
     for k, leg in enumerate(legs.values()):
         leg.close(limits.phases[leg.name], gradients[5 * k : 5 * k + 5])
         q_rows += leg.parameter_integrals
-    held = np.isfinite(limits.constraints)
+    held = np.isfinite(limits.constraints) & _can_move(constraints, legs.values(), limits, q)
     _constrain(problem, "boundary constraints", constraints, nu, limits.constraints, held)
     _constrain(problem, "parameters", q, q_rows, limits.parameters, np.isfinite(limits.parameters))
     problem.minimize(0.0)
@@ -139,6 +140,23 @@ def _constrain(problem: Problem, name: str, held: Any, otherwise: Any, limits: A
         problem.constrain(
             f"{name} {i + 1}", held[i] if here else otherwise[i], equals=float(limits[i]) if here else 0.0
         )
+
+
+def _can_move(constraints: Any, legs: Iterable[_Leg], limits: Limits, q: Any) -> NDArray[np.bool_]:
+    """Boundary constraints (n,) that involve something free; of others (joined fixed times) nu is arbitrary, 0."""
+    free = [q[np.flatnonzero(np.isnan(limits.parameters)).tolist()]]
+    for leg in legs:
+        values, here = leg.ends, limits.phases[leg.name]
+        free += [
+            end[np.flatnonzero(np.isnan(held)).tolist()]
+            for end, held in zip(values[:2], (here.initial, here.final), strict=True)
+        ]
+        free += [time for time, held in zip(values[2:4], here.times, strict=True) if np.isnan(held)]
+        free.append(values[4])
+    jacobian = ca.jacobian(constraints, ca.vertcat(*free))
+    moves = np.zeros(constraints.shape[0], dtype=bool)
+    moves[jacobian.sparsity().row()] = True
+    return moves
 
 
 class _Leg:

@@ -24,7 +24,7 @@ from gnc_opt.refine.random_guess import with_random_guess
 from gnc_opt.refine.refine import StructureChoice
 from gnc_opt.refine.refine import refine as refine_solution
 from gnc_opt.refine.workforce import Builder, Workforce
-from gnc_opt.report.progress import search_meter
+from gnc_opt.report.search import search_meter
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solve import MeshLike, solve
 from gnc_opt.verify.propagate import state_magnitudes
@@ -214,7 +214,7 @@ def multistart(
     chosen = SolverOptions(max_iterations=MOST_ITERATIONS) if options is None else options
     with Workforce(problem, executor) as force:
         force.problem.check()
-        with search_meter(f"{force.problem.name}: starts", n, progress) as show:
+        with search_meter(f"{force.problem.name}: starts", n, progress, force.problem.sense) as show:
             answers = force.run(
                 _Coarse(seed, COARSE_MESH if mesh is None else mesh, chosen),
                 range(n),
@@ -224,7 +224,7 @@ def multistart(
         minima = _merged(_first_minima(endings), SAME)
         if refine and not force.interrupted:
             chief, rest = minima[:max_refined], minima[max_refined:]
-            with search_meter(f"{force.problem.name}: refinements", len(chief), progress) as show:
+            with search_meter("refinements", len(chief), progress, force.problem.sense) as show:
                 finer = force.run(_Fine(structure, tol), chief, lambda minimum: show(minimum.objective))
             kept = [new or old for new, old in zip(finer, chief, strict=True)]
             minima = _merged([*kept, *rest], SAME)

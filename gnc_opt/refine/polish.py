@@ -3,37 +3,31 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
-from numpy.polynomial import legendre
-from scipy.sparse.linalg import splu
 
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.errors import GncOptError
 from gnc_opt.model.layout import Array
-from gnc_opt.problem.functions import EndGradients, end_gradients
+from gnc_opt.problem.functions import EndGradients, PhaseFunctions, end_gradients, phase_functions
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
-from gnc_opt.refine.hamiltonian import Limits, active_limits, hamiltonian_problem
+from gnc_opt.refine.boundary_value import (
+    LEAST_DEGREE,
+    BoundaryValueSolution,
+    finer,
+    solve_boundary_values,
+    tails_of,
+)
+from gnc_opt.refine.hamiltonian import Limits, PhaseLimits, active_limits, hamiltonian_problem
 from gnc_opt.solution.extract import model_parameters
 from gnc_opt.solution.phase_solution import PhaseSolution, piecewise
-from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.solution import Solution, Statistics
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.transcription.quadrature import collocation_rule, interpolation_matrix
-from gnc_opt.transcription.transcription import Transcription, transcribe
 
-LEAST_DEGREE = 8
-STEP = 6
-MOST_DEGREE = 32
-"""Segments start with the first of these degrees, gain the second, and are halved beyond the third."""
-
-MOST_SEGMENTS = 2000
 MAX_PASSES = 12
-MAX_STEPS = 40
 
 CLEAR = 1e-6
 """A quantity nearer than this to a limit (relative to its size) is taken to be held by it."""
@@ -77,21 +71,39 @@ def polish(solution: Solution, *, tol: float = 1e-10) -> Solution:
         name: Mesh(leg.mesh.breaks, tuple(max(LEAST_DEGREE, n) for n in leg.mesh.degrees))
         for name, leg in solution.phases.items()
     }
-    current: Solution | _Polished = solution
+    current: Solution | BoundaryValueSolution = _unwrapped(solution)
     built, iterations = time.perf_counter() - begin, 0
     for _ in range(MAX_PASSES):
-        current = _solve(bvp, meshes, current, solution)
+        current = solve_boundary_values(bvp, meshes, current, solution.problem_name)
         iterations += current.iterations
-        finer = {name: _finer(mesh, current, name, tol) for name, mesh in meshes.items()}
-        if finer == meshes:
+        wanted = {name: finer(mesh, current, name, tol) for name, mesh in meshes.items()}
+        if wanted == meshes:
             break
-        meshes = finer
+        meshes = wanted
     else:
         raise _unresolved(solution, current, tol)
     spent = time.perf_counter() - begin - built
     polished = _assemble(solution, limits, current, Statistics(iterations, built, spent, 0.0, spent), tol)
     _refuse(polished)
     return polished
+
+
+def _unwrapped(solution: Solution) -> Solution:
+    """Take whole turns out of controls that are angles: a solver does not care, interpolation does."""
+    phases = dict(solution.phases)
+    for name, leg in solution.phases.items():
+        functions, times = solution.functions(name), leg.point_times
+        x, u = leg.x(times), np.hstack(leg.u.values)
+        plain = np.vstack([functions.rates(times, x, u), functions.integrands(times, x, u)])
+        sizes = np.max(np.abs(plain), axis=1, keepdims=True, initial=0.0)
+        for i in range(u.shape[0]):
+            turned = u.copy()
+            turned[i] += 2 * np.pi
+            moved = np.vstack([functions.rates(times, x, turned), functions.integrands(times, x, turned)])
+            if np.all(np.abs(moved - plain) <= 1e-10 * sizes):
+                u[i] = np.unwrap(u[i])
+        phases[name] = replace(leg, u=piecewise(leg.breaks, leg.rules, u))
+    return replace(solution, phases=phases)
 
 
 # --- what cannot be polished ------------------------------------------------------------------------
@@ -167,178 +179,9 @@ def _refuse_flat(solution: Solution, leg: PhaseSolution) -> None:
         )
 
 
-# --- the boundary-value problem -----------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Polished:
-    """A solution of the boundary-value problem on one mesh.
-
-    Attributes
-    ----------
-    anchors : dict of array (2,)
-        Initial and final time of each phase.
-    y : dict of PiecewisePolynomial
-        States and costates, by phase.
-    u : dict of PiecewisePolynomial
-    parameters : dict of array
-        The parameters of the boundary-value problem.
-    """
-
-    anchors: dict[str, Array]
-    y: dict[str, PiecewisePolynomial]
-    u: dict[str, PiecewisePolynomial]
-    parameters: dict[str, Array]
-    iterations: int
-
-
-def _solve(
-    bvp: Problem, meshes: dict[str, Mesh], start: Solution | _Polished, original: Solution
-) -> _Polished:
-    transcription = transcribe(bvp, meshes, "LG")
-    x, iterations = _newton(transcription, bvp, _start(transcription, bvp, start), original.problem_name)
-    extended = np.concatenate([x, transcription.fixed_times(bvp)])
-    anchors, y, u = {}, {}, {}
-    for name, part in transcription.parts.items():
-        collocation = part.collocation
-        anchors[name] = extended[part.times]
-        first, last = anchors[name]
-        breaks = first + np.asarray(collocation.mesh.breaks) * (last - first)
-        nodes = tuple(rule.state_nodes for rule in collocation.rules)
-        values = tuple(x[collocation.segment_nodes(k)][:, :-1] for k in range(collocation.mesh.segments))
-        y[name] = PiecewisePolynomial(breaks, nodes, values)
-        u[name] = piecewise(breaks, collocation.rules, x[collocation.point_controls])
-    q = x[transcription.parameter_places]
-    parameters = {name: q[bvp.parameters.slice(name)] for name in bvp.parameters.names}
-    return _Polished(anchors, y, u, parameters, iterations)
-
-
-def _start(transcription: Transcription, bvp: Problem, start: Solution | _Polished) -> Array:
-    x = np.zeros(transcription.n_variables)
-    for name, part in transcription.parts.items():
-        collocation = part.collocation
-        breaks = np.asarray(collocation.mesh.breaks)
-        if isinstance(start, Solution):
-            leg = start.phases[name]
-            first, last = leg.initial_time, leg.final_time
-            points, ends = first + collocation.fractions * (last - first), first + breaks * (last - first)
-            at_points, at_ends = (np.vstack([leg.x(t), leg.lam(t)]) for t in (points, ends))
-            controls = leg.u(points)
-        else:
-            first, last = start.anchors[name]
-            points, ends = first + collocation.fractions * (last - first), first + breaks * (last - first)
-            at_points, at_ends, controls = start.y[name](points), start.y[name](ends), start.u[name](points)
-        x[collocation.point_states], x[collocation.boundary_states] = at_points, at_ends
-        x[collocation.point_controls] = controls
-        for place, value in zip(part.times, (first, last), strict=True):
-            if place < transcription.n_variables:
-                x[place] = value
-    guesses = bvp.parameter_guess if isinstance(start, Solution) else start.parameters
-    for name in bvp.parameters.names:
-        x[transcription.parameter_places[bvp.parameters.slice(name)]] = guesses[name]
-    places = transcription.integral_places
-    if places.size:
-        x[places] -= transcription.evaluate(bvp, x)[0][-places.size :]
-    return x
-
-
-def _newton(transcription: Transcription, bvp: Problem, x: Array, name: str) -> tuple[Array, int]:
-    """Newton's method, damped by the natural monotonicity test (Deuflhard, Newton Methods, 2004, sec. 3.3)."""
-    box = transcription.row_interval(bvp)
-    equations = np.flatnonzero(box.fixed)
-    rows, columns = transcription.constraints.jacobian_pattern
-    sizes = _sizes(transcription, x)
-    last = np.inf
-    for iteration in range(MAX_STEPS):
-        values, _, nonzeros = transcription.evaluate(bvp, x)
-        matrix = sp.csr_array((nonzeros * sizes[columns], (rows, columns)), shape=(box.lower.size, x.size))[
-            equations
-        ]
-        norms = np.asarray(np.abs(matrix).max(axis=1).todense()).ravel()
-        norms = np.where(norms > 0, norms, 1.0)
-        residual = (values - box.lower)[equations] / norms
-        try:
-            factors = splu(sp.csc_array(sp.diags_array(1 / norms) @ matrix))
-            step = factors.solve(-residual)
-        except (RuntimeError, ValueError):
-            break
-        length = float(np.max(np.abs(step)))
-        if not np.isfinite(length):
-            break
-        if length <= 1e-14 or (length < 1e-9 and length > 0.25 * last):
-            return x, iteration
-        damping = 1.0
-        while damping > 1e-3:
-            trial = x + damping * sizes * step
-            moved = (transcription.evaluate(bvp, trial)[0] - box.lower)[equations] / norms
-            simplified = factors.solve(moved)
-            if length < 1e-9 or np.max(np.abs(simplified)) <= (1 - damping / 4) * length:
-                break
-            damping *= 0.5
-        else:
-            break
-        x, last = trial, length
-    raise GncOptError(
-        f"cannot polish the solution of '{name}': Newton's method on its first-order conditions does not converge "
-        "from it; give a more accurate one, e.g. refine(solution, tol=1e-6)."
-    )
-
-
-def _sizes(transcription: Transcription, x: Array) -> Array:
-    """Typical magnitudes of the variables, from their values."""
-    sizes = np.maximum(np.abs(x), 1e-6)
-    for part in transcription.parts.values():
-        collocation = part.collocation
-        for places in (collocation.point_states, collocation.point_controls):
-            here = np.max(np.abs(x[places]), axis=1, initial=0.0)
-            here = np.where(here > 0, here, 1.0)[:, None]
-            sizes[places] = here
-            if places is collocation.point_states:
-                sizes[collocation.boundary_states] = here
-    return sizes
-
-
-# --- accuracy -----------------------------------------------------------------------------------------
-
-
-def _finer(mesh: Mesh, found: _Polished, phase: str, tol: float) -> Mesh:
-    """Raise the degree of segments with a large tail; halve those that are at the highest degree."""
-    tails = _tails(found, phase)
-    if np.all(tails <= tol):
-        return mesh
-    breaks, degrees = [0.0], []
-    for k, degree in enumerate(mesh.degrees):
-        left, right = mesh.breaks[k], mesh.breaks[k + 1]
-        if tails[k] <= tol:
-            pieces, n = 1, degree
-        elif degree + STEP <= MOST_DEGREE:
-            pieces, n = 1, degree + STEP
-        else:
-            pieces, n = 2, MOST_DEGREE // 2
-        breaks += [left + (right - left) * (i + 1) / pieces for i in range(pieces)]
-        degrees += [n] * pieces
-    return Mesh(tuple(breaks), tuple(degrees)) if len(degrees) <= MOST_SEGMENTS else mesh
-
-
-def _tails(found: _Polished, phase: str) -> Array:
-    """Largest of the last two Legendre coefficients of each segment (K,), relative to each quantity's size."""
-    tails = np.zeros(len(found.y[phase].values))
-    for signal in (found.y[phase], found.u[phase]):
-        sizes = np.max(np.abs(np.hstack(signal.values)), axis=1, initial=0.0)
-        sizes = np.where(sizes > 0, sizes, 1.0)
-        for k, (nodes, values) in enumerate(zip(signal.nodes, signal.values, strict=True)):
-            n = nodes.size
-            gauss = collocation_rule("LG", n)
-            at = values @ interpolation_matrix(nodes, gauss.points).T
-            basis = legendre.legvander(gauss.points, n - 1)[:, -2:]
-            coefficients = at @ (gauss.weights[:, None] * basis) * (np.array([n - 2, n - 1]) + 0.5)
-            tails[k] = max(tails[k], float(np.max(np.abs(coefficients) / sizes[:, None], initial=0.0)))
-    return tails
-
-
-def _unresolved(solution: Solution, found: Solution | _Polished, tol: float) -> GncOptError:
-    assert isinstance(found, _Polished), "there was at least one pass"
-    tails = {name: _tails(found, name) for name in found.y}
+def _unresolved(solution: Solution, found: Solution | BoundaryValueSolution, tol: float) -> GncOptError:
+    assert isinstance(found, BoundaryValueSolution), "there was at least one pass"
+    tails = {name: tails_of(found, name) for name in found.y}
     phase = max(tails, key=lambda name: float(np.max(tails[name])))
     k = int(np.argmax(tails[phase]))
     breaks = found.y[phase].breaks
@@ -353,7 +196,7 @@ def _unresolved(solution: Solution, found: Solution | _Polished, tol: float) -> 
 
 
 def _assemble(
-    solution: Solution, limits: Limits, found: _Polished, statistics: Statistics, tol: float
+    solution: Solution, limits: Limits, found: BoundaryValueSolution, statistics: Statistics, tol: float
 ) -> Solution:
     problem = solution.problem
     assert problem is not None, "polish has refused solutions without a problem"
@@ -365,9 +208,11 @@ def _assemble(
         x = leg.x(leg.breaks[[0, -1]])
         ends[name] = [x[:, 0], x[:, 1], leg.initial_time, leg.final_time, leg.integrals, leg.parameters]
     gradients = end_gradients(problem, ends, q, nu)
-    phases = {name: _with_multipliers(solution, leg, gradients) for name, leg in bare.items()}
+    phases = {
+        name: _with_multipliers(problem, leg, limits.phases[name], gradients, q) for name, leg in bare.items()
+    }
     slopes = gradients.parameters.copy()
-    for name, leg in phases.items():
+    for leg in phases.values():
         times, weights = _quadrature(leg)
         functions = replace(solution.functions(name), p=leg.parameters, q=q, weights=leg.integral_weights)
         mu = np.zeros((len(leg.path_labels), times.size))
@@ -396,31 +241,61 @@ def _assemble(
     )
 
 
-def _phase(problem: Problem, old: PhaseSolution, found: _Polished, q: Array) -> PhaseSolution:
-    """The phase without what depends on end-point gradients."""
+def _phase(problem: Problem, old: PhaseSolution, found: BoundaryValueSolution, q: Array) -> PhaseSolution:
+    """The phase with everything but the multipliers at its ends, which need the end-point gradients."""
     y, u = found.y[old.name], found.u[old.name]
     n, (first, last) = old.states.size, found.anchors[old.name]
-    fractions = (y.breaks - first) / (last - first)
     degrees = tuple(nodes.size for nodes in u.nodes)
     lam = y.rows(slice(n, 2 * n))
-    weights = found.parameters.get(f"w_{old.name}", np.zeros(0))
     bare = replace(
-        old, scheme="LG", mesh=Mesh(tuple(fractions), degrees), initial_time=float(first), final_time=float(last),
-        x=y.rows(slice(0, n)), u=u, lam=lam, lam_start=lam(y.breaks[:-1]), lam_end=lam(y.breaks[1:], "left"),
+        old,
+        scheme="LG",
+        mesh=Mesh(tuple((y.breaks - first) / (last - first)), degrees),
+        initial_time=float(first),
+        final_time=float(last),
+        x=y.rows(slice(0, n)),
+        u=u,
+        lam=lam,
+        lam_start=lam(y.breaks[:-1]),
+        lam_end=lam(y.breaks[1:], "left"),
         point_costates=np.hstack([v[:, 1:] for v in lam.values]),
         path_multipliers=np.zeros((len(old.path_labels), sum(degrees))),
         state_multipliers=np.zeros((n, sum(degrees))),
         control_multipliers=np.zeros((old.controls.size, sum(degrees))),
-        state_impulses=np.zeros((n, len(degrees) + 1)), time_multipliers=np.zeros(2), duration_multiplier=0.0,
-        integral_weights=weights, parameters=model_parameters(problem, problem.phases[old.name], q),
-    )  # fmt: skip
-    return bare
+        state_impulses=np.zeros((n, len(degrees) + 1)),
+        time_multipliers=np.zeros(2),
+        duration_multiplier=0.0,
+        integral_weights=found.parameters.get(f"w_{old.name}", np.zeros(0)),
+        parameters=model_parameters(problem, problem.phases[old.name], q),
+    )
+    times, weights = _quadrature(bare)
+    integrands = _functions(problem, bare, q).integrands(times, bare.x(times), bare.u(times))
+    return replace(bare, integrals=np.asarray(integrands @ weights))
+
+
+def _with_multipliers(
+    problem: Problem, leg: PhaseSolution, limits: PhaseLimits, gradients: EndGradients, q: Array
+) -> PhaseSolution:
+    """Multipliers of the values held at the ends: what the transversality conditions leave to them."""
+    impulses = leg.state_impulses.copy()
+    impulses[:, 0] = -(leg.lam_start[:, 0] + gradients.initial_state[leg.name])
+    impulses[:, -1] = leg.lam_end[:, -1] - gradients.final_state[leg.name]
+    impulses[np.isnan(limits.initial), 0] = 0.0
+    impulses[np.isnan(limits.final), -1] = 0.0
+    ends, functions = leg.breaks[[0, -1]], _functions(problem, leg, q)
+    first, last = functions.hamiltonian(ends, leg.x(ends), leg.u(ends), leg.lam(ends))
+    times = np.array([first - gradients.initial_time[leg.name], -last - gradients.final_time[leg.name]])
+    variable = ~np.array([leg.initial_time_bounds.fixed[0], leg.final_time_bounds.fixed[0]])
+    held = np.isfinite(limits.times) & variable
+    return replace(leg, state_impulses=impulses, time_multipliers=np.where(held, times, 0.0))
+
+
+def _functions(problem: Problem, leg: PhaseSolution, q: Array) -> PhaseFunctions:
+    return phase_functions(problem, leg.name, leg.parameters, q, leg.integral_weights)
 
 
 def _quadrature(leg: PhaseSolution) -> tuple[Array, Array]:
     """Times and Gauss weights (s) of the collocation points."""
-    widths = np.diff(leg.breaks)
-    weights = np.concatenate(
-        [0.5 * width * rule.weights for width, rule in zip(widths, leg.rules, strict=True)]
-    )
-    return leg.point_times, weights
+    halves = 0.5 * np.diff(leg.breaks)
+    weights = [half * rule.weights for half, rule in zip(halves, leg.rules, strict=True)]
+    return leg.point_times, np.concatenate(weights)

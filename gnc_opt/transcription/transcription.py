@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.layout import Array
-from gnc_opt.nlp.solver import NlpProblem
+from gnc_opt.nlp.problem import NlpProblem
 from gnc_opt.problem.interval import Interval, free
 from gnc_opt.problem.phase import CLEARANCE, Phase
 from gnc_opt.problem.problem import Problem

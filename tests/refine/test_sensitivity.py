@@ -54,6 +54,7 @@ def brachistochrone() -> go.Problem:
     leg.time(initial=0.0, final=(0.1, 10.0))
     leg.initial(x=0.0, y=0.0, v=0.0)
     leg.final(x=1.0, y=1.0)
+    leg.bounds(angle=(-0.5, 2.0))  # no whole turns
     leg.guess(angle=(0.1, 1.4), x=(0.0, 1.0), y=(0.0, 1.0), v=(0.0, 4.0))
     problem.minimize(leg.final_time)
     return problem
