@@ -1,6 +1,6 @@
 """Solve a set of optimal control problems from a JSON file, each at default settings, and tabulate the results.
 
-    python -m benchmarks.ocp_set FILE.json [--only NAME ...] [--core] [--mesh 20x4] [--scheme LG] [--json OUT]
+    python -m benchmarks.ocp_set FILE.json [--only NAME ...] [--core] [--mesh 20x4 | --tol 1e-8] [--scheme LG] [--json OUT]
 
 Every problem starts from its straight-line guess; nothing is tuned to a single one. A problem passes when it is
 solved and its objective lies within ``accept_rel_tol`` of the reference; an ill-posed one when it ends with the
@@ -27,6 +27,9 @@ import gnc_opt as go
 from benchmarks.ocp_expressions import ExpressionError
 from benchmarks.ocp_json import build_problem, read_documents
 from benchmarks.ocp_reference import costate_error_along, initial_costate_error, relative_error
+
+TOLERANCE = 1e-8
+"""Of the refinement."""
 
 WALL_TIME = 60.0
 """Limit on the solver's time for one problem, s."""
@@ -95,9 +98,14 @@ class Outcome:
 
 
 def run(
-    document: Mapping[str, Any], solutions: Path, *, mesh: str | None = None, scheme: str = "LG"
+    document: Mapping[str, Any],
+    solutions: Path,
+    *,
+    mesh: str | None = None,
+    scheme: str = "LG",
+    tol: float | None = TOLERANCE,
 ) -> tuple[Outcome, go.Solution | None]:
-    """Build, solve, verify and compare one problem; exceptions end in the outcome."""
+    """Build, solve, refine (on a given mesh: not), verify and compare one problem; exceptions end in the outcome."""
     found: dict[str, Any] = {"name": document["name"], "reference": document.get("reference")}
     found["expect"] = document.get("expect")
     solution = None
@@ -107,7 +115,8 @@ def run(
             warnings.simplefilter("ignore", go.ProblemWarning)
             problem = build_problem(document)
             options = go.SolverOptions(max_wall_time=WALL_TIME)
-            solution = go.solve(problem, mesh=mesh, scheme=scheme, options=options, throw=False)  # type: ignore[arg-type]
+            refined = None if mesh else tol
+            solution = go.solve(problem, mesh=mesh, scheme=scheme, tol=refined, options=options, throw=False)
         found["seconds"] = time.perf_counter() - begin
         found |= _solved(document, solution, solutions)
     except (ExpressionError, go.GncOptError, KeyError) as error:
@@ -219,7 +228,8 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--only", nargs="+", metavar="NAME", help="solve these problems")
     parser.add_argument("--core", action="store_true", help="solve the problems marked as core")
-    parser.add_argument("--mesh", help='e.g. "20x4" (default: that of solve)')
+    parser.add_argument("--mesh", help='e.g. "20x4": solve on it, without refinement')
+    parser.add_argument("--tol", type=float, default=TOLERANCE, help="refine to this (default: %(default)g)")
     parser.add_argument("--scheme", default="LG", choices=("LG", "LGR", "LGL"))
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the outcomes to this file")
     return parser.parse_args(argv)
@@ -244,7 +254,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         for i, document in enumerate(chosen, 1):
             status.update(f"{i} of {len(chosen)}: {document['name']}")
             outcome, _ = run(
-                document, arguments.file.parent / "solutions", mesh=arguments.mesh, scheme=arguments.scheme
+                document,
+                arguments.file.parent / "solutions",
+                mesh=arguments.mesh,
+                scheme=arguments.scheme,
+                tol=arguments.tol,
             )
             outcomes.append(outcome)
     console.print(table(outcomes))

@@ -65,7 +65,9 @@ class Minimum:
     starts : tuple of int
         Which ones; 0 is the problem's own guess.
     trajectories : int
-        How many different trajectories with this objective were met on the coarse mesh, e.g. 2 for mirror twins.
+        How many different trajectories with this objective were met, e.g. 2 for mirror twins.
+    coarse_objectives : tuple of float
+        The objectives on the coarse mesh that led here; one minimum may have several discretisations.
     refined : bool
         Whether the solution has been refined, or comes from the coarse mesh.
     verdict_ok : bool
@@ -77,6 +79,7 @@ class Minimum:
     hits: int
     starts: tuple[int, ...]
     trajectories: int
+    coarse_objectives: tuple[float, ...]
     refined: bool = False
     verdict_ok: bool = False
 
@@ -221,13 +224,13 @@ def multistart(
                 lambda ending: show(ending.objective),
             )
         endings = [ending for ending in answers if ending is not None]
-        minima = _merged(_first_minima(endings), SAME)
+        minima = _merged(_first_minima(endings))
         if refine and not force.interrupted:
             chief, rest = minima[:max_refined], minima[max_refined:]
             with search_meter("refinements", len(chief), progress, force.problem.sense) as show:
                 finer = force.run(_Fine(structure, tol), chief, lambda minimum: show(minimum.objective))
             kept = [new or old for new, old in zip(finer, chief, strict=True)]
-            minima = _merged([*kept, *rest], SAME)
+            minima = _merged([*kept, *rest])
     return Multistart(
         force.problem.name,
         tuple(replace(m, solution=m.solution.with_problem(force.problem)) for m in minima),
@@ -324,14 +327,15 @@ def _pass_on_interrupt(solution: Solution, options: SolverOptions) -> None:
 def _first_minima(endings: Iterable[_Ending]) -> Iterator[Minimum]:
     for ending in endings:
         if ending.solution is not None:
-            yield Minimum(ending.solution, ending.solution.objective, 1, (ending.index,), 1)
+            objective = ending.solution.objective
+            yield Minimum(ending.solution, objective, 1, (ending.index,), 1, (objective,))
 
 
-def _merged(minima: Iterable[Minimum], tolerance: float) -> list[Minimum]:
+def _merged(minima: Iterable[Minimum]) -> list[Minimum]:
     """Return the distinct minima, best first, whatever the order they come in."""
     groups: list[list[Minimum]] = []
     for minimum in sorted(minima, key=_rank):
-        if groups and _equal(groups[-1][-1].objective, minimum.objective, tolerance):
+        if groups and _equal(groups[-1][-1].objective, minimum.objective):
             groups[-1].append(minimum)
         else:
             groups.append([minimum])
@@ -343,15 +347,30 @@ def _rank(minimum: Minimum) -> tuple[float, int]:
     return sense * minimum.objective, minimum.starts[0]
 
 
-def _equal(a: float, b: float, tolerance: float) -> bool:
-    return abs(a - b) <= tolerance * max(abs(a), abs(b), tolerance)
+def _equal(a: float, b: float) -> bool:
+    return abs(a - b) <= SAME * max(abs(a), abs(b), SAME)
 
 
 def _one(group: Sequence[Minimum]) -> Minimum:
     """Join equal minima under the most trustworthy solution; among these, that of the earliest start."""
     chief = min(group, key=lambda m: (not m.verdict_ok, not m.refined, m.starts[0]))
     starts = sorted(start for minimum in group for start in minimum.starts)
-    return replace(chief, hits=len(starts), starts=tuple(starts), trajectories=_count_trajectories(group))
+    return replace(
+        chief,
+        hits=len(starts),
+        starts=tuple(starts),
+        trajectories=_count_trajectories(group),
+        coarse_objectives=_distinct(value for minimum in group for value in minimum.coarse_objectives),
+    )
+
+
+def _distinct(objectives: Iterable[float]) -> tuple[float, ...]:
+    """Return values in increasing order, equal ones once."""
+    kept: list[float] = []
+    for value in sorted(objectives):
+        if not (kept and _equal(kept[-1], value)):
+            kept.append(value)
+    return tuple(kept)
 
 
 def _count_trajectories(group: Sequence[Minimum]) -> int:

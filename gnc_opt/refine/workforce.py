@@ -23,14 +23,16 @@ Builder: TypeAlias = Callable[[], Problem]
 Source: TypeAlias = "Problem | bytes | int"
 """How a task gets at the problem: itself, a pickled builder, or its number among those inherited by a fork."""
 
-Item = TypeVar("Item", contravariant=True)
-Answer = TypeVar("Answer", covariant=True)
+Item = TypeVar("Item")
+Answer = TypeVar("Answer")
+_Item = TypeVar("_Item", contravariant=True)
+_Answer = TypeVar("_Answer", covariant=True)
 
 
-class Task(Protocol[Item, Answer]):
+class Task(Protocol[_Item, _Answer]):
     """What is done with the problem and one item; must be picklable, as must be item and answer."""
 
-    def __call__(self, problem: Problem, item: Item) -> Answer:
+    def __call__(self, problem: Problem, item: _Item, /) -> _Answer:
         """Do it."""
 
 
