@@ -1,6 +1,6 @@
 """Solve a set of optimal control problems from a JSON file, each at default settings, and tabulate the results.
 
-    python -m benchmarks.ocp_set FILE.json [--only NAME ...] [--core] [--mesh 20x4 | --tol 1e-8] [--scheme LG] [--json OUT]
+    python -m benchmarks.ocp_set FILE.json [--only NAME ...] [--core] [--mesh 20x4 | --tol 1e-8] [--json OUT]
 
 Every problem starts from its straight-line guess; nothing is tuned to a single one. A problem passes when it is
 solved and its objective lies within ``accept_rel_tol`` of the reference; an ill-posed one when it ends with the
@@ -248,6 +248,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the set; return 0 if every problem passes, else 1."""
     arguments = _arguments(argv)
     console = Console()
+    if not console.is_terminal:
+        console.width = max(console.width, 180)
     outcomes: list[Outcome] = []
     chosen = _chosen(read_documents(arguments.file), arguments)
     with console.status("") as status:

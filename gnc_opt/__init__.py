@@ -13,7 +13,7 @@ from gnc_opt.errors import (
 from gnc_opt.model import Model
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem import Phase, Problem
-from gnc_opt.refine import History, RefinementStatus, refine
+from gnc_opt.refine import History, Minimum, Multistart, RefinementStatus, multistart, polish, refine
 from gnc_opt.solution import PhaseSolution, Solution, load
 from gnc_opt.solve import solve
 from gnc_opt.transcription.mesh import Mesh
@@ -25,8 +25,10 @@ __all__ = [
     "GncOptError",
     "History",
     "Mesh",
+    "Minimum",
     "Model",
     "ModelError",
+    "Multistart",
     "Phase",
     "PhaseSolution",
     "Problem",
@@ -42,6 +44,8 @@ __all__ = [
     "UnknownNameError",
     "Verdict",
     "load",
+    "multistart",
+    "polish",
     "refine",
     "solve",
     "verify",

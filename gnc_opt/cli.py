@@ -1,4 +1,4 @@
-"""The command line: ``gnc-opt solve FILE`` and ``gnc-opt check FILE``."""
+"""The command line: ``gnc-opt solve FILE``, ``gnc-opt multistart FILE`` and ``gnc-opt check FILE``."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from enum import IntEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -103,6 +104,40 @@ def _refine(args: argparse.Namespace, solution: Solution) -> Solution:
         structure=args.structure or "auto",
         progress=not args.quiet,
     )
+
+
+def _multistart(args: argparse.Namespace) -> ExitCode:
+    from gnc_opt.refine import multistart
+    from gnc_opt.report.search import search_text, write_search
+
+    _check_targets(args)
+    options = dict(parse_setting(text) for text in args.set)
+    with _warnings_as_lines():
+        file = load_problem_file(args.file)
+        found = multistart(
+            partial(_built_problem, args.file, options),
+            n=args.n,
+            seed=args.seed,
+            mesh=args.mesh or file.mesh,
+            tol=args.tol or REFINE_TOLERANCE,
+            structure=args.structure or "auto",
+            refine=not args.no_refine,
+            executor="serial" if args.serial else None,
+            progress=not args.quiet,
+        )
+    _say(_console(args), str(found))
+    if args.json == "-":
+        print(search_text(found), end="")
+    elif args.json is not None:
+        write_search(args.json, found)
+    if found.interrupted:
+        return ExitCode.INTERRUPTED
+    return ExitCode.OK if found.minima else ExitCode.NOT_SOLVED
+
+
+def _built_problem(path: str, options: dict[str, Any]) -> Problem:
+    """Build a file's problem, in this process or another one."""
+    return load_problem_file(path).build(options)
 
 
 def _check(args: argparse.Namespace) -> ExitCode:
@@ -257,6 +292,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"gnc-opt {package_version('gnc_opt')}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
     _add_solve(commands)
+    _add_multistart(commands)
     check = commands.add_parser("check", help="look for mistakes in a problem without solving it")
     _add_common(check)
     check.set_defaults(run=_check)
@@ -286,6 +322,21 @@ def _add_solve(commands: Any) -> None:
     add("--no-verify", action="store_true", help="skip the verdict")
     add("--exit-zero", action="store_true", help="exit with 0 even if the verdict fails")
     command.set_defaults(run=_solve)
+
+
+def _add_multistart(commands: Any) -> None:
+    command = commands.add_parser("multistart", help="look for local minima from many random guesses")
+    _add_common(command)
+    add = command.add_argument
+    add("--n", type=int, default=40, help="number of starts, the file's own guess included")
+    add("--seed", type=int, default=0, help="of the random guesses")
+    add("--mesh", metavar="KxN", help="coarse mesh, K equal segments of N points; default: MESH of the file")
+    add("--tol", type=float, metavar="TOL", help="refine the minima until the error is below this")
+    add("--structure", choices=("auto", "bang-bang", "none"), help="how to refine the minima")
+    add("--no-refine", action="store_true", help="leave the minima on the coarse mesh, unjudged")
+    add("--serial", action="store_true", help="use this process only")
+    add("--json", metavar="OUT", help="write the minima as JSON to a file, '-' for standard output")
+    command.set_defaults(run=_multistart, report=None)
 
 
 def _add_common(command: argparse.ArgumentParser) -> None:

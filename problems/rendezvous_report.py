@@ -132,6 +132,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     console = _console()
     cases = list(CASES) if options.case is None else [options.case]
+    if options.search:
+        return _search(console, cases, options)
     equations = EQUATIONS if options.equation is None else (options.equation,)
     try:
         outcomes = list(solve_cases(cases, equations, options.mesh))
@@ -143,6 +145,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _write_json(outcomes, options.json)
     _draw(console, outcomes[0], options.report)
     return 0 if all(outcome.agrees for outcome in outcomes) else 1
+
+
+def _search(console: Console, cases: Sequence[int], options: argparse.Namespace) -> int:
+    from problems import rendezvous_global
+
+    equation = options.equation or "printed"
+    return rendezvous_global.run(
+        console, cases, equation, n=options.n, seed=options.seed, json_path=options.json
+    )
 
 
 def _show(console: Console, outcomes: Sequence[Outcome]) -> None:
@@ -202,4 +213,12 @@ def _parser() -> argparse.ArgumentParser:
         "--report", type=Path, default=Path("report"), metavar="DIR", help="folder of the figures"
     )
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the summaries as a list to a file")
+    parser.add_argument(
+        "--global",
+        dest="search",
+        action="store_true",
+        help="search for local minima and name the published ones",
+    )
+    parser.add_argument("--n", type=int, default=40, help="random starts of each case, with --global")
+    parser.add_argument("--seed", type=int, default=1, help="of these starts")
     return parser

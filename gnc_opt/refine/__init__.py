@@ -1,6 +1,8 @@
-"""Refinement: meshes, control structure, exact switch times."""
+"""Refinement: meshes, control structure, exact switch times, global search."""
 
 from gnc_opt.refine.history import History, RefinementStatus
+from gnc_opt.refine.multistart import Minimum, Multistart, multistart
+from gnc_opt.refine.polish import polish
 from gnc_opt.refine.refine import refine
 
-__all__ = ["History", "RefinementStatus", "refine"]
+__all__ = ["History", "Minimum", "Multistart", "RefinementStatus", "multistart", "polish", "refine"]

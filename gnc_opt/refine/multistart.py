@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -24,11 +25,13 @@ from gnc_opt.refine.random_guess import with_random_guess
 from gnc_opt.refine.refine import StructureChoice
 from gnc_opt.refine.refine import refine as refine_solution
 from gnc_opt.refine.workforce import Builder, Workforce
-from gnc_opt.report.search import search_meter
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solve import MeshLike, solve
 from gnc_opt.verify.propagate import state_magnitudes
 from gnc_opt.verify.verify import verify
+
+if TYPE_CHECKING:
+    from gnc_opt.report.search import ShowEnding
 
 COARSE_MESH = "20x3"
 
@@ -217,7 +220,7 @@ def multistart(
     chosen = SolverOptions(max_iterations=MOST_ITERATIONS) if options is None else options
     with Workforce(problem, executor) as force:
         force.problem.check()
-        with search_meter(f"{force.problem.name}: starts", n, progress, force.problem.sense) as show:
+        with _meter(f"{force.problem.name}: starts", n, progress, force.problem.sense) as show:
             answers = force.run(
                 _Coarse(seed, COARSE_MESH if mesh is None else mesh, chosen),
                 range(n),
@@ -227,7 +230,7 @@ def multistart(
         minima = _merged(_first_minima(endings))
         if refine and not force.interrupted:
             chief, rest = minima[:max_refined], minima[max_refined:]
-            with search_meter("refinements", len(chief), progress, force.problem.sense) as show:
+            with _meter("refinements", len(chief), progress, force.problem.sense) as show:
                 finer = force.run(_Fine(structure, tol), chief, lambda minimum: show(minimum.objective))
             kept = [new or old for new, old in zip(finer, chief, strict=True)]
             minima = _merged([*kept, *rest])
@@ -240,6 +243,14 @@ def multistart(
         seed,
         force.interrupted,
     )
+
+
+def _meter(name: str, total: int, visible: bool, sense: float) -> AbstractContextManager[ShowEnding]:
+    if not visible:
+        return nullcontext(lambda objective: None)
+    from gnc_opt.report.search import search_meter
+
+    return search_meter(name, total, sense)
 
 
 # --- what the workers do ----------------------------------------------------------------------------------

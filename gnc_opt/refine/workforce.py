@@ -10,9 +10,10 @@ import signal
 import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
 from functools import lru_cache
 from types import TracebackType
-from typing import Any, Literal, Protocol, TypeAlias, TypeVar
+from typing import Any, Literal, NoReturn, Protocol, TypeAlias, TypeVar
 
 from gnc_opt.arguments import expect
 from gnc_opt.errors import ArgumentError, GncOptError
@@ -20,7 +21,7 @@ from gnc_opt.problem.problem import Problem
 
 Builder: TypeAlias = Callable[[], Problem]
 
-Source: TypeAlias = "Problem | bytes | int"
+Source: TypeAlias = "_Here | bytes | int"
 """How a task gets at the problem: itself, a pickled builder, or its number among those inherited by a fork."""
 
 Item = TypeVar("Item")
@@ -67,7 +68,7 @@ class Workforce:
         self._number: int | None = None
         self._own: ProcessPoolExecutor | None = None
         self._executor: Executor
-        self._source: Source = self.problem
+        self._source: Source = _Here(self.problem)
         if executor is None:
             self._source = self._travelling(problem)
             self._executor = self._own = ProcessPoolExecutor(
@@ -105,20 +106,20 @@ class Workforce:
         ``show`` is told every answer as it comes. After Ctrl-C `interrupted` is set.
         """
         futures: list[Future[Answer]] = []
+        told: set[Future[Answer]] = set()
         items = list(items)
         try:
             for item in items:
                 futures.append(self._executor.submit(_work, task, self._source, item))
-            for future in as_completed(futures):
+                if futures[-1].done():
+                    show(futures[-1].result())
+                    told.add(futures[-1])
+            for future in as_completed(set(futures) - told):
                 show(future.result())
         except KeyboardInterrupt:
             self.interrupted = True
             for future in futures:
                 future.cancel()
-        except (pickle.PicklingError, TypeError, AttributeError, NotImplementedError) as error:
-            if not isinstance(self._source, Problem) or not _is_about_pickling(error):
-                raise
-            raise GncOptError(_CANNOT_TRAVEL.format(self.problem.name)) from error
         answers = [_answer(future) for future in futures]
         return answers + [None] * (len(items) - len(answers))
 
@@ -129,14 +130,25 @@ class Workforce:
             _INHERITED[self._number] = self.problem
             return self._number
         if isinstance(problem, Problem):
-            raise GncOptError(_CANNOT_TRAVEL.format(self.problem.name))
+            raise _cannot_travel(problem)
         return _pickled(problem)
 
 
-_CANNOT_TRAVEL = (
-    "problem '{}' cannot be sent to another process, because it holds symbols: give a function that builds it, e.g. "
-    'functools.partial(build, case=2), or executor="serial".'
-)
+@dataclass(frozen=True)
+class _Here:
+    """A problem that stays in this process."""
+
+    problem: Problem
+
+    def __reduce__(self) -> NoReturn:
+        raise _cannot_travel(self.problem)
+
+
+def _cannot_travel(problem: Problem) -> GncOptError:
+    return GncOptError(
+        f"problem '{problem.name}' cannot be sent to another process, because it holds symbols: give a function that "
+        'builds it, e.g. functools.partial(build, case=2), or executor="serial".'
+    )
 
 
 class _Serial(Executor):
@@ -152,9 +164,9 @@ class _Serial(Executor):
 
 
 def _work(task: Task[Item, Answer], source: Source, item: Item) -> Answer:
-    if isinstance(source, Problem):
+    if isinstance(source, _Here):
         with _TURN:  # its solver serves one thread at a time
-            return task(source, item)
+            return task(source.problem, item)
     return task(_build(source) if isinstance(source, bytes) else _INHERITED[source], item)
 
 
@@ -181,10 +193,6 @@ def _pickled(builder: Builder) -> bytes:
             f"the function that builds the problem cannot be sent to another process ({error}): define it with def at "
             "the top of a module, and give its arguments by functools.partial."
         ) from error
-
-
-def _is_about_pickling(error: Exception) -> bool:
-    return isinstance(error, pickle.PicklingError) or "pickle" in str(error).lower()
 
 
 def _answer(future: Future[Answer]) -> Answer | None:

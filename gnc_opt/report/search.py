@@ -1,20 +1,25 @@
-"""The progress of a search from many starts: one bar on standard error."""
+"""A search from many starts: its progress, one bar on standard error, and what it found as JSON."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TypeAlias
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+if TYPE_CHECKING:
+    from gnc_opt.refine.multistart import Multistart
 
 ShowEnding: TypeAlias = Callable[["float | None"], None]
 
 
 @contextmanager
 def search_meter(
-    name: str, total: int, visible: bool, sense: float = 1.0, console: Console | None = None
+    name: str, total: int, sense: float = 1.0, console: Console | None = None
 ) -> Iterator[ShowEnding]:
     """Show how many of ``total`` tasks have ended and the best objective among them.
 
@@ -23,8 +28,6 @@ def search_meter(
     name : str
         What is counted.
     total : int
-    visible : bool
-        Whether to show anything.
     sense : float
         Negative where a larger objective is better.
     console : rich.console.Console, optional
@@ -35,9 +38,6 @@ def search_meter(
     callable
         ``show(objective)``; None for a task without one.
     """
-    if not visible:
-        yield lambda objective: None
-        return
     columns = (
         TextColumn("{task.description}", style="bold"),
         BarColumn(),
@@ -59,3 +59,40 @@ def search_meter(
             )
 
         yield show
+
+
+def search_dict(found: Multistart) -> dict[str, Any]:
+    """Return what a search found as plain JSON values; each minimum with the summary of its solution."""
+    from gnc_opt.report.summary_json import summary_dict
+
+    return {
+        "problem": found.problem_name,
+        "starts": found.starts,
+        "finished": found.finished,
+        "seed": found.seed,
+        "interrupted": found.interrupted,
+        "failures": dict(found.failures),
+        "minima": [
+            {
+                "objective": minimum.objective,
+                "hits": minimum.hits,
+                "starts": list(minimum.starts),
+                "trajectories": minimum.trajectories,
+                "coarse_objectives": list(minimum.coarse_objectives),
+                "refined": minimum.refined,
+                "verdict_ok": minimum.verdict_ok,
+                "solution": summary_dict(minimum.solution),
+            }
+            for minimum in found.minima
+        ],
+    }
+
+
+def search_text(found: Multistart) -> str:
+    """Return `search_dict` as indented JSON text with a trailing newline."""
+    return json.dumps(search_dict(found), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def write_search(path: str | Path, found: Multistart) -> None:
+    """Write `search_dict` to a file as UTF-8 JSON."""
+    Path(path).write_text(search_text(found), encoding="utf-8")

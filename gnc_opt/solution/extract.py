@@ -95,7 +95,9 @@ def _point_times(collocation: PhaseCollocation, anchors: Array) -> tuple[Array, 
 
 def _mesh_in_time(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
     """The mesh with its movable boundaries where they ended, and all boundary times (K + 1,)."""
-    spans = np.maximum(np.diff(anchors), _SHORTEST)
+    # Far from t = 0 the shortest span must still be seen by the segments' boundaries.
+    shortest = _SHORTEST + 1e-12 * mesh.segments * float(np.max(np.abs(anchors)))
+    spans = np.maximum(np.diff(anchors), shortest)
     starts = anchors[0] + np.concatenate([[0.0], np.cumsum(spans)])
     breaks = np.append(starts[mesh.segment_arcs] + mesh.arc_starts * spans[mesh.segment_arcs], starts[-1])
     if not mesh.movable:

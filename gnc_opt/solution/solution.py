@@ -22,8 +22,8 @@ from gnc_opt.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.solution.polynomial import Side
 
 if TYPE_CHECKING:
-    from gnc_opt.refine.history import History
     from gnc_opt.refine.derivatives import Sensitivity
+    from gnc_opt.refine.history import History
     from gnc_opt.verify.propagate import Propagation
     from gnc_opt.verify.quality import Quality
 

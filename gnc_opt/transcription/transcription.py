@@ -296,14 +296,19 @@ class Transcription:
 
     @cached_property
     def _symbols(self) -> _Symbols:
-        phases = self.problem.phases
-        sizes = [leg.model.parameters.size for leg in phases.values()]
-        sizes += [2 * len(phases), self.n_variables, self.n_constraints, 1]
-        p = ca.MX.sym("p", sum(sizes))
-        *models, times, scales, row_scales, objective_scale = ca.vertsplit(p, np.cumsum([0, *sizes]).tolist())
-        x = ca.MX.sym("x", self.n_variables)
+        models = {
+            name: ca.MX.sym(f"{name}_parameters", leg.model.parameters.size)
+            for name, leg in self.problem.phases.items()
+        }
+        others = (
+            ca.MX.sym("fixed_times", 2 * len(models)),
+            ca.MX.sym("scales", self.n_variables),
+            ca.MX.sym("row_scales", self.n_constraints),
+            ca.MX.sym("objective_scale"),
+        )
+        # Not one symbol that is split: each function then copies only the pieces that it uses.
         return _Symbols(
-            x, p, dict(zip(phases, models, strict=True)), times, scales, row_scales, objective_scale
+            ca.MX.sym("x", self.n_variables), ca.vertcat(*models.values(), *others), models, *others
         )
 
     @cached_property

@@ -35,8 +35,8 @@ def stationarity(samples: list[PhaseSamples], tolerance: float) -> Condition:
         worst,
         tolerance,
         "Where a control is strictly between its bounds, dH/du (with path multipliers) must vanish (first-order gain "
-        "in H that is left or, if smaller, the share of its range by which the control misses the minimum). A bang-bang "
-        "control smeared over a switch fails here: put a mesh boundary on the switch.",
+        "in H that is left or, if smaller, the share of its range by which the control misses the minimum). A "
+        "bang-bang control smeared over a switch fails here: put a mesh boundary on the switch.",
     )
 
 

@@ -172,7 +172,7 @@ def test_a_polished_solution_is_an_ordinary_one(tmp_path: Path) -> None:
 
 
 def test_refusals_name_the_culprit() -> None:
-    model, a = double_integrator()
+    model, _ = double_integrator()
     problem = go.Problem("minimum time")
     leg = problem.phase("leg", model)
     leg.time(initial=0.0, final=(0.1, 10.0))
