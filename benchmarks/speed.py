@@ -365,7 +365,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         console.print(comparison_table(comparisons[-1]))
     again = resolve("20x3", runs)
     console.print(resolve_table(again))
-    rows = growth([k for k in SEGMENTS if k <= 100 or not arguments.quick], max(2, runs // 2))
+    rows = growth([k for k in SEGMENTS if k <= 100 or not arguments.quick], runs)
     console.print(growth_table(rows))
     met = all(part["met"] for part in (*comparisons, again, *rows))
     console.print("all targets met" if met else "a target is missed")
