@@ -137,20 +137,19 @@ def minima_table(outcomes: Sequence[GlobalOutcome]) -> Table:
 def published_table(outcomes: Sequence[GlobalOutcome]) -> Table:
     """Return, for each published number, which minimum it is and how much slower than the best known."""
     table = _table("The paper's table 4: which minimum is it?")
-    _columns(
-        table, "case", "method", "published", "is minimum", "on the same\nfooting", "exact t_f (s)", "slower than\nbest known"
-    )  # fmt: skip
+    names = ("case", "method", "published", "is minimum", "on the same\nfooting", "exact t_f (s)")
+    _columns(table, *names, "slower than\nbest known")
     for outcome in outcomes:
         for number in outcome.published:
             if number.rank is None or number.ours is None:
-                cells = ("none found", "", "", f"{number.value - outcome.best_known:+.4f}")
+                cells = ("none found", "", "", f"{number.value - outcome.best_known:.4f}")
             else:
                 exact = outcome.found.minima[number.rank - 1].objective
                 cells = (
                     "the best" if number.rank == 1 else f"no. {number.rank}",
                     f"{number.ours:.4f}",
                     f"{exact:.8f}",
-                    f"{exact - outcome.best_known:+.4f}",
+                    f"{exact - outcome.best_known + 0.0:.4f}",
                 )
             table.add_row(str(outcome.case), number.method, f"{number.value:g}", *cells)
     return table

@@ -150,7 +150,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _search(console: Console, cases: Sequence[int], options: argparse.Namespace) -> int:
     from problems import rendezvous_global
 
-    equation = options.equation or "printed"
+    equation: Equation = options.equation or "printed"
     return rendezvous_global.run(
         console, cases, equation, n=options.n, seed=options.seed, json_path=options.json
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,12 +12,14 @@ from scipy.sparse.linalg import splu
 
 from gnc_opt.errors import GncOptError
 from gnc_opt.model.layout import Array
+from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
-from gnc_opt.solution.phase_solution import piecewise
+from gnc_opt.solution.phase_solution import PhaseSolution, piecewise
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.solution import Solution
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.quadrature import collocation_rule, interpolation_matrix
+from gnc_opt.transcription.scaling import phase_magnitudes
 from gnc_opt.transcription.transcription import Transcription, transcribe
 
 LEAST_DEGREE = 8
@@ -26,6 +29,27 @@ MOST_DEGREE = 32
 
 MOST_SEGMENTS = 2000
 MAX_STEPS = 40
+
+LEAST_SHARE = 1e-3
+"""A state, costate or control counts at least this share of its typical magnitude (a costate, of the largest's)."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Typical magnitudes in one phase, by which errors are measured: of (x, lambda), (2 n,), and u, (m,)."""
+
+    y: Array
+    u: Array
+
+    @classmethod
+    def of(cls, leg: PhaseSolution, stated: Phase) -> Sizes:
+        """Take them from a solution; what is zero all along must not be measured by its rounding."""
+        states, controls = phase_magnitudes(stated)
+        x, lam, u = (np.max(np.abs(np.hstack(s.values)), axis=1) for s in (leg.x, leg.lam, leg.u))
+        x, u = np.maximum(x, LEAST_SHARE * states), np.maximum(u, LEAST_SHARE * controls)
+        worth = float(np.max(lam * x))
+        lam = np.maximum(lam, LEAST_SHARE * worth / x) if worth > 0 else np.ones_like(x)
+        return cls(np.concatenate([x, lam]), u)
 
 
 @dataclass(frozen=True)
@@ -51,10 +75,31 @@ class BoundaryValueSolution:
 
 
 def solve_boundary_values(
-    bvp: Problem, meshes: dict[str, Mesh], start: Solution | BoundaryValueSolution, label: str
+    bvp: Problem,
+    meshes: dict[str, Mesh],
+    start: Solution | BoundaryValueSolution,
+    sizes: Mapping[str, Sizes],
+    label: str,
 ) -> BoundaryValueSolution:
+    """Solve on given meshes by Newton's method.
+
+    Parameters
+    ----------
+    bvp : Problem
+        From `gnc_opt.refine.hamiltonian.hamiltonian_problem`.
+    meshes, sizes : mapping by phase
+    start : Solution or BoundaryValueSolution
+        Where to start, on any mesh.
+    label : str
+        Name of the original problem, for messages.
+
+    Raises
+    ------
+    GncOptError
+        Newton's method does not converge.
+    """
     transcription = transcribe(bvp, meshes, "LG")
-    x, iterations = _newton(transcription, bvp, _start(transcription, bvp, start), label)
+    x, iterations = _newton(transcription, bvp, _start(transcription, bvp, start), sizes, label)
     extended = np.concatenate([x, transcription.fixed_times(bvp)])
     anchors, y, u = {}, {}, {}
     for name, part in transcription.parts.items():
@@ -100,12 +145,14 @@ def _start(transcription: Transcription, bvp: Problem, start: Solution | Boundar
     return x
 
 
-def _newton(transcription: Transcription, bvp: Problem, x: Array, name: str) -> tuple[Array, int]:
+def _newton(
+    transcription: Transcription, bvp: Problem, x: Array, magnitudes: Mapping[str, Sizes], name: str
+) -> tuple[Array, int]:
     """Newton's method, damped by the natural monotonicity test (Deuflhard, Newton Methods, 2004, sec. 3.3)."""
     box = transcription.row_interval(bvp)
     equations = np.flatnonzero(box.fixed)
     rows, columns = transcription.constraints.jacobian_pattern
-    sizes = _sizes(transcription, x)
+    sizes = _sizes(transcription, x, magnitudes)
     last = np.inf
     for iteration in range(MAX_STEPS):
         values, _, nonzeros = transcription.evaluate(bvp, x)
@@ -115,6 +162,8 @@ def _newton(transcription: Transcription, bvp: Problem, x: Array, name: str) -> 
         norms = np.asarray(np.abs(matrix).max(axis=1).todense()).ravel()
         norms = np.where(norms > 0, norms, 1.0)
         residual = (values - box.lower)[equations] / norms
+        if not np.all(np.isfinite(nonzeros)):
+            break
         try:
             factors = splu(sp.csc_array(sp.diags_array(1 / norms) @ matrix))
             step = factors.solve(-residual)
@@ -142,26 +191,23 @@ def _newton(transcription: Transcription, bvp: Problem, x: Array, name: str) -> 
     )
 
 
-def _sizes(transcription: Transcription, x: Array) -> Array:
-    """Typical magnitudes of the variables, from their values."""
+def _sizes(transcription: Transcription, x: Array, magnitudes: Mapping[str, Sizes]) -> Array:
+    """Typical magnitudes of all variables."""
     sizes = np.maximum(np.abs(x), 1e-6)
-    for part in transcription.parts.values():
-        collocation = part.collocation
-        for places in (collocation.point_states, collocation.point_controls):
-            here = np.max(np.abs(x[places]), axis=1, initial=0.0)
-            here = np.where(here > 0, here, 1.0)[:, None]
-            sizes[places] = here
-            if places is collocation.point_states:
-                sizes[collocation.boundary_states] = here
+    for name, part in transcription.parts.items():
+        here, collocation = magnitudes[name], part.collocation
+        sizes[collocation.point_states] = here.y[:, None]
+        sizes[collocation.boundary_states] = here.y[:, None]
+        sizes[collocation.point_controls] = here.u[:, None]
     return sizes
 
 
 # --- accuracy -----------------------------------------------------------------------------------------
 
 
-def finer(mesh: Mesh, found: BoundaryValueSolution, phase: str, tol: float) -> Mesh:
+def finer(mesh: Mesh, found: BoundaryValueSolution, phase: str, sizes: Sizes, tol: float) -> Mesh:
     """Raise the degree of segments with a large tail; halve those that are at the highest degree."""
-    tails = tails_of(found, phase)
+    tails = tails_of(found, phase, sizes)
     if np.all(tails <= tol):
         return mesh
     breaks, degrees = [0.0], []
@@ -178,17 +224,15 @@ def finer(mesh: Mesh, found: BoundaryValueSolution, phase: str, tol: float) -> M
     return Mesh(tuple(breaks), tuple(degrees)) if len(degrees) <= MOST_SEGMENTS else mesh
 
 
-def tails_of(found: BoundaryValueSolution, phase: str) -> Array:
+def tails_of(found: BoundaryValueSolution, phase: str, sizes: Sizes) -> Array:
     """Largest of the last two Legendre coefficients of each segment (K,), relative to each quantity's size."""
     tails = np.zeros(len(found.y[phase].values))
-    for signal in (found.y[phase], found.u[phase]):
-        sizes = np.max(np.abs(np.hstack(signal.values)), axis=1, initial=0.0)
-        sizes = np.where(sizes > 0, sizes, 1.0)
+    for signal, size in ((found.y[phase], sizes.y), (found.u[phase], sizes.u)):
         for k, (nodes, values) in enumerate(zip(signal.nodes, signal.values, strict=True)):
             n = nodes.size
             gauss = collocation_rule("LG", n)
             at = values @ interpolation_matrix(nodes, gauss.points).T
             basis = legendre.legvander(gauss.points, n - 1)[:, -2:]
             coefficients = at @ (gauss.weights[:, None] * basis) * (np.array([n - 2, n - 1]) + 0.5)
-            tails[k] = max(tails[k], float(np.max(np.abs(coefficients) / sizes[:, None], initial=0.0)))
+            tails[k] = max(tails[k], float(np.max(np.abs(coefficients) / size[:, None], initial=0.0)))
     return tails

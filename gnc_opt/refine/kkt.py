@@ -19,18 +19,20 @@ and the minimum itself by :math:`\dot f = \mathcal L_p \dot p + \mathcal L_P \do
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.linalg import LinearOperator, onenormest, splu
 
 from gnc_opt.errors import GncOptError, warn_user
 from gnc_opt.model.layout import Array
+from gnc_opt.nlp import SolverOptions
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
+from gnc_opt.refine.saddle import SaddlePoint
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.warm_start import start_from_solution
 from gnc_opt.transcription.guess import start_variables
@@ -42,16 +44,13 @@ Mask = NDArray[np.bool_]
 WEAK = 1e-5
 """A limit is weakly active if both the distance to it and its multiplier are below this (scaled)."""
 
-SINGULAR = 1e13
-"""Condition number of the scaled system from which its solution has no digits to rely on."""
-
-_SHIFT = 1e-9
-"""Relative shift under which a singular system is examined."""
-
 _RESIDUAL = 1e-10
 """Residual of the scaled conditions to which Newton's method must bring them."""
 
 _NEWTON_STEPS = 8
+
+_SHARP = 1e-12
+"""Solver tolerance of a second attempt, where the first leaves the active limits in doubt."""
 
 
 @dataclass(frozen=True)
@@ -107,12 +106,20 @@ class KktPoint:
         assert problem is not None, "the caller has seen to it"
         self.problem: Problem = problem
         self.transcription = _transcription(problem, solution)
-        self._start(solution)
-        self._limits()
-        self._converge()
-        self._check_limits()
+        trouble = self._attempt(solution)
+        if trouble:
+            trouble = self._attempt(_sharper(solution))
+        if trouble:
+            raise GncOptError(trouble)
+        self._warn_of_weak_limits()
 
     # --- the point --------------------------------------------------------------------------------
+
+    def _attempt(self, solution: Solution) -> str:
+        """Take the active limits from a solution and solve the conditions; return what is wrong, or nothing."""
+        self._start(solution)
+        self._limits()
+        return self._converge() or self._wrong_limit()
 
     def _start(self, solution: Solution) -> None:
         transcription, problem = self.transcription, self.problem
@@ -143,8 +150,11 @@ class KktPoint:
         self._x = np.where(self.pinned, self._at, self._x)
         self._lam = np.where(self.held, self._lam, 0.0)
 
-    def _converge(self) -> None:
-        """Newton's method on the conditions, so that derivatives belong to the exact minimum of the program."""
+    def _converge(self) -> str:
+        """Newton's method on the conditions, so that derivatives belong to the exact minimum of the program.
+
+        Returns what is wrong if it fails, else nothing.
+        """
         best = np.inf
         for _ in range(_NEWTON_STEPS):
             residual = self._linearise()
@@ -158,11 +168,12 @@ class KktPoint:
             self._lam[self.held] += step[n:]
         if not best <= _RESIDUAL and not size <= _RESIDUAL:
             worst = int(np.argmax(np.abs(residual)))
-            raise GncOptError(
+            return (
                 f"the first-order conditions of '{self.problem.name}' do not hold at '{self._system.labels[worst]}' "
                 f"(residual {size:.1e}): solve with a tighter tolerance, or refine the solution, before you ask for "
                 "sensitivities."
             )
+        return ""
 
     def _linearise(self) -> Array:
         """Factorise the system at the present point; return the residual of the conditions on F and C."""
@@ -178,42 +189,41 @@ class KktPoint:
         matrix = sp.block_array([[self._hessian[free][:, free], block.T], [block, None]], format="csc")
         labels = [transcription.variable_labels[i] for i in free]
         labels += [transcription.row_labels[i] for i in held]
-        self._system = _System(matrix, free.size, labels, self.problem.name)
+        self._system = SaddlePoint(matrix, free.size, labels, self.problem.name)
         return np.concatenate([self._gradient[free], (g.full().ravel() - self._row_at)[held]])
 
-    def _check_limits(self) -> None:
-        """Warn of limits that are weakly active; refuse the point if other limits are active than was thought."""
-        transcription = self.transcription
-        g = transcription.nlp.jac_g(self._x, self._p)[0].full().ravel()
-        kinds = (
-            (self._box, self._x, -self._gradient, self.pinned, self._variable_weights,
-             transcription.variable_labels),
-            (self._rows, g, self._lam, self.held, self._row_weights, transcription.row_labels),
-        )  # fmt: skip
-        weak: list[str] = []
-        for box, values, multipliers, active, weights, labels in kinds:
-            density = np.where(active & ~box.fixed, multipliers / weights, np.nan)
-            upper = np.abs(values - box.upper) < np.abs(values - box.lower)
-            pull = np.where(upper, density, -density)  # >= 0 where the limit is needed
-            if self._system.redundant:  # multipliers that are not unique tell nothing by their signs
-                pull = np.full(pull.size, np.nan)
-            excess = np.where(active, -np.inf, np.maximum(box.lower - values, values - box.upper))
-            for measure, verb in ((-pull, "wants to leave its limit"), (excess, "breaks its limit")):
-                finite = np.where(np.isfinite(measure), measure, -np.inf)
-                if finite.size and np.max(finite) > WEAK:
-                    raise GncOptError(
-                        f"'{labels[int(np.argmax(finite))]}' of '{self.problem.name}' {verb} once the first-order "
-                        "conditions are solved exactly: solve with a tighter tolerance, or refine the solution, "
-                        "before you ask for sensitivities."
-                    )
-            near = np.where(active, np.inf, np.minimum(values - box.lower, box.upper - values))
-            weak += [labels[i] for i in np.flatnonzero((pull < WEAK) | (near < WEAK))]
+    def _wrong_limit(self) -> str:
+        """What is wrong if a limit pushes the wrong way or is broken, now that the conditions hold; else nothing."""
+        culprits = [label for side in self._sides() for label in side.wrong_labels]
+        if not culprits:
+            return ""
+        return (
+            f"the limit of '{culprits[0]}' of '{self.problem.name}' is neither kept nor left when the first-order "
+            "conditions are solved exactly: refine the solution (bang-bang arcs with structure='auto') before "
+            "you ask for sensitivities."
+        )
+
+    def _warn_of_weak_limits(self) -> None:
+        weak = [label for side in self._sides() for label in side.weak_labels]
         if weak:
             others = f" and {len(weak) - 1} more" if len(weak) > 1 else ""
             warn_user(
                 f"'{weak[0]}'{others} of '{self.problem.name}' is only just at its limit (weakly active), where "
                 "the solution has two one-sided derivatives; the sensitivities are those of one of the sides."
             )
+
+    def _sides(self) -> tuple[_Side, _Side]:
+        """Variables and rows with their limits and multipliers at the present point."""
+        transcription = self.transcription
+        g = transcription.nlp.jac_g(self._x, self._p)[0].full().ravel()
+        # Multipliers that are not unique tell nothing by their signs.
+        unique = np.nan if self._system.redundant else 1.0
+        bound = -unique * self._gradient / self._variable_weights
+        row = unique * self._lam / self._row_weights
+        return (
+            _Side(self._box, self._x, bound, self.pinned, self._at, transcription.variable_labels),
+            _Side(self._rows, g, row, self.held, self._row_at, transcription.row_labels),
+        )
 
     # --- derivatives ------------------------------------------------------------------------------
 
@@ -247,72 +257,54 @@ class KktPoint:
         return self._x * self.scaling.variables
 
 
-class _System:
-    """A symmetric indefinite sparse system; redundant but consistent rows are borne, a free direction is not.
+@dataclass(frozen=True, eq=False)
+class _Side:
+    """Limits of all variables, or of all rows, and which of them are taken for active (scaled)."""
 
-    Attributes
-    ----------
-    redundant : bool
-        Whether the rows leave multipliers undetermined.
-    """
+    box: Interval
+    values: Array
+    multipliers: Array
+    active: Mask
+    at: Array
+    labels: tuple[str, ...]
 
-    def __init__(self, matrix: Any, n_primal: int, labels: list[str], name: str) -> None:
-        self.labels, self._n, self._name = labels, n_primal, name
-        self._scale = _equilibrate(matrix)
-        diagonal = sp.diags_array(self._scale)
-        self._matrix = sp.csc_array(diagonal @ matrix @ diagonal)
-        try:
-            self._factors = splu(self._matrix)
-            self.redundant = not self._condition() < SINGULAR
-        except RuntimeError:  # a pivot is exactly zero
-            self.redundant = True
-        if self.redundant:
-            self._examine()
+    @cached_property
+    def push(self) -> Array:
+        """How much each active limit is needed: its multiplier, > 0 if it pushes inwards; NaN elsewhere."""
+        upper = (self.at == self.box.upper) & (self.box.lower < self.box.upper)
+        push = np.where(upper, self.multipliers, -self.multipliers)
+        return np.where(self.active & ~self.box.fixed, push, np.nan)
 
-    def _condition(self) -> float:
-        n = self._matrix.shape[0]
-        inverse = LinearOperator(
-            (n, n),
-            matvec=self._factors.solve,
-            rmatvec=lambda b: self._factors.solve(b, trans="T"),
-            dtype=float,
-        )
-        return float(onenormest(inverse) * np.max(np.abs(self._matrix).sum(axis=0))) if n > 1 else 1.0
+    @cached_property
+    def room(self) -> Array:
+        """Distance of what is not active to its nearer limit, negative beyond; NaN elsewhere."""
+        room = np.minimum(self.values - self.box.lower, self.box.upper - self.values)
+        return np.where(self.active, np.nan, room)
 
-    def _examine(self) -> None:
-        """Find what the singular system leaves undetermined: variables (refuse) or only multipliers (accept)."""
-        n = self._matrix.shape[0]
-        signs = np.where(np.arange(n) < self._n, 1.0, -1.0)
-        self._factors = splu(sp.csc_array(self._matrix + _SHIFT * sp.diags_array(signs)))
-        null = np.random.default_rng(0).standard_normal(n)
-        for _ in range(6):
-            null = self._factors.solve(null / np.max(np.abs(null)))
-        null /= np.max(np.abs(null))
-        if np.max(np.abs(null[: self._n]), initial=0.0) > 1e-3:
-            culprit = self.labels[int(np.argmax(np.abs(null[: self._n])))]
-            raise GncOptError(
-                f"the first-order conditions of '{self._name}' do not determine '{culprit}' (the KKT system is "
-                "singular): the cost must depend on it; a singular arc needs refine(solution, structure='auto') "
-                "first, and a quantity that nothing depends on must be fixed."
-            )
+    @property
+    def wrong_labels(self) -> list[str]:
+        """What pulls outwards or lies beyond its limit."""
+        return self._labels((self.push < -WEAK) | (self.room < -WEAK))
 
-    def solve(self, right: Array) -> Array:
-        """Solve with iterative refinement, which also undoes the shift of a redundant system."""
-        scaled = self._scale * right
-        solved = self._factors.solve(scaled)
-        for _ in range(6):
-            rest = scaled - self._matrix @ solved
-            if np.max(np.abs(rest), initial=0.0) <= 1e-15 * np.max(np.abs(scaled), initial=1e-300):
-                break
-            solved = solved + self._factors.solve(rest)
-        rest = scaled - self._matrix @ solved
-        if not np.max(np.abs(rest), initial=0.0) <= 1e-7 * np.max(np.abs(scaled), initial=1e-300) + 1e-13:
-            culprit = self.labels[int(np.argmax(np.abs(rest)))]
-            raise GncOptError(
-                f"the constraints of '{self._name}' contradict each other when its data change, at '{culprit}': "
-                "boundary values or bounds are given twice; free one of them."
-            )
-        return np.asarray(solved * self._scale)
+    @property
+    def weak_labels(self) -> list[str]:
+        """What is as good as at its limit without being held there."""
+        return self._labels((self.push < WEAK) | (self.room < WEAK))
+
+    def _labels(self, which: Mask) -> list[str]:
+        return [self.labels[i] for i in np.flatnonzero(which)]
+
+
+def _sharper(solution: Solution) -> Solution:
+    """Solve again, tightly enough to tell active limits from others."""
+    from gnc_opt.solve import solve  # which imports solutions, and those this module
+
+    assert solution.problem is not None, "the caller has seen to it"
+    meshes = {name: leg.mesh for name, leg in solution.phases.items()}
+    scheme = next(iter(solution.phases.values())).scheme
+    options = SolverOptions(tolerance=_SHARP)
+    again = solve(solution.problem, mesh=meshes, scheme=scheme, guess=solution, options=options, throw=False)
+    return again if again.status.solved else solution
 
 
 def _transcription(problem: Problem, solution: Solution) -> Transcription:
@@ -364,14 +356,3 @@ def _sparse(matrix: Any) -> Any:
     """Convert a sparse CasADi DM to scipy."""
     pattern = matrix.sparsity()
     return sp.csc_array((matrix.nonzeros(), pattern.row(), pattern.colind()), shape=matrix.shape)
-
-
-def _equilibrate(matrix: Any) -> Array:
-    """Return symmetric scale factors that bring the largest entry of every row near 1."""
-    scale = np.ones(matrix.shape[0])
-    absolute = sp.coo_array(np.abs(matrix))
-    for _ in range(4):
-        norms = np.zeros(scale.size)
-        np.maximum.at(norms, absolute.row, absolute.data * scale[absolute.row] * scale[absolute.col])
-        scale = scale / np.sqrt(np.where(norms > 0, norms, 1.0))
-    return scale

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 COARSE_MESH = "20x3"
 
-BARRIERS = (None, 1e-5, 1e-5, 1e-5)
+BARRIERS = (None, 1e-5, 1e-4, 1e-5)
 """First barrier parameters, by turns. IPOPT's own (0.1) forgets the guess: it is the most likely to find the best
 minimum, and it finds little else. With a small one the solver stays near the guess, which finds the others."""
 
@@ -231,7 +231,9 @@ def multistart(
         if refine and not force.interrupted:
             chief, rest = minima[:max_refined], minima[max_refined:]
             with _meter("refinements", len(chief), progress, force.problem.sense) as show:
-                finer = force.run(_Fine(structure, tol), chief, lambda minimum: show(minimum.objective))
+                finer = force.run(
+                    _Fine(structure, tol, chosen), chief, lambda minimum: show(minimum.objective)
+                )
             kept = [new or old for new, old in zip(finer, chief, strict=True)]
             minima = _merged([*kept, *rest])
     return Multistart(
@@ -298,13 +300,31 @@ class _Coarse:
 
 @dataclass(frozen=True)
 class _Fine:
-    """Refine a minimum and judge it; it stays as it is if that fails or leads to something spurious."""
+    """Refine a minimum and judge it; it stays as it is if that fails or leads to something spurious.
+
+    A coarse mesh has minima of its own, from which refinement leads to trajectories that are better and not optimal.
+    From there the coarse mesh is tried once more, which leads downhill to a true minimum.
+    """
 
     structure: StructureChoice
     tol: float
+    options: SolverOptions
 
     def __call__(self, problem: Problem, minimum: Minimum) -> Minimum:
         coarse = minimum.solution.with_problem(problem)
+        found = self._refined(minimum, coarse)
+        if not found.refined or found.verdict_ok:
+            return found
+        meshes = {name: leg.mesh for name, leg in coarse.phases.items()}
+        guess = found.solution.with_problem(problem)
+        again = solve(problem, mesh=meshes, guess=guess, options=self.options, throw=False)
+        if not again.status.solved or is_spurious(again) or _equal(again.objective, coarse.objective):
+            _pass_on_interrupt(again, self.options)
+            return found
+        second = self._refined(minimum, again)
+        return second if second.verdict_ok else found
+
+    def _refined(self, minimum: Minimum, coarse: Solution) -> Minimum:
         solution = refine_solution(coarse, structure=self.structure, tol=self.tol)
         if solution.history is not None and solution.history.status is RefinementStatus.INTERRUPTED:
             raise KeyboardInterrupt

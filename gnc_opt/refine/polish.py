@@ -17,6 +17,7 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.boundary_value import (
     LEAST_DEGREE,
     BoundaryValueSolution,
+    Sizes,
     finer,
     solve_boundary_values,
     tails_of,
@@ -71,21 +72,28 @@ def polish(solution: Solution, *, tol: float = 1e-10) -> Solution:
         name: Mesh(leg.mesh.breaks, tuple(max(LEAST_DEGREE, n) for n in leg.mesh.degrees))
         for name, leg in solution.phases.items()
     }
-    current: Solution | BoundaryValueSolution = _unwrapped(solution)
+    unwrapped = _unwrapped(solution)
+    sizes = {name: Sizes.of(leg, _problem(solution).phases[name]) for name, leg in unwrapped.phases.items()}
+    current: Solution | BoundaryValueSolution = unwrapped
     built, iterations = time.perf_counter() - begin, 0
     for _ in range(MAX_PASSES):
-        current = solve_boundary_values(bvp, meshes, current, solution.problem_name)
+        current = solve_boundary_values(bvp, meshes, current, sizes, solution.problem_name)
         iterations += current.iterations
-        wanted = {name: finer(mesh, current, name, tol) for name, mesh in meshes.items()}
+        wanted = {name: finer(mesh, current, name, sizes[name], tol) for name, mesh in meshes.items()}
         if wanted == meshes:
             break
         meshes = wanted
     else:
-        raise _unresolved(solution, current, tol)
+        raise _unresolved(solution, current, sizes, tol)
     spent = time.perf_counter() - begin - built
     polished = _assemble(solution, limits, current, Statistics(iterations, built, spent, 0.0, spent), tol)
     _refuse(polished)
     return polished
+
+
+def _problem(solution: Solution) -> Problem:
+    assert solution.problem is not None, "polish has refused solutions without a problem"
+    return solution.problem
 
 
 def _unwrapped(solution: Solution) -> Solution:
@@ -179,9 +187,11 @@ def _refuse_flat(solution: Solution, leg: PhaseSolution) -> None:
         )
 
 
-def _unresolved(solution: Solution, found: Solution | BoundaryValueSolution, tol: float) -> GncOptError:
+def _unresolved(
+    solution: Solution, found: Solution | BoundaryValueSolution, sizes: dict[str, Sizes], tol: float
+) -> GncOptError:
     assert isinstance(found, BoundaryValueSolution), "there was at least one pass"
-    tails = {name: tails_of(found, name) for name in found.y}
+    tails = {name: tails_of(found, name, sizes[name]) for name in found.y}
     phase = max(tails, key=lambda name: float(np.max(tails[name])))
     k = int(np.argmax(tails[phase]))
     breaks = found.y[phase].breaks
@@ -198,8 +208,7 @@ def _unresolved(solution: Solution, found: Solution | BoundaryValueSolution, tol
 def _assemble(
     solution: Solution, limits: Limits, found: BoundaryValueSolution, statistics: Statistics, tol: float
 ) -> Solution:
-    problem = solution.problem
-    assert problem is not None, "polish has refused solutions without a problem"
+    problem = _problem(solution)
     q = found.parameters.get("q", np.zeros(0))
     nu = found.parameters.get("nu", np.zeros(0))
     bare = {name: _phase(problem, leg, found, q) for name, leg in solution.phases.items()}
