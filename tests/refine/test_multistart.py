@@ -22,6 +22,7 @@ from gnc_opt import Multistart, cli, multistart
 from gnc_opt.refine.multistart import _Coarse
 from gnc_opt.refine.random_guess import with_random_guess
 from problems import rendezvous
+from problems.rendezvous_global import GlobalOutcome
 
 WEIGHT = 0.02
 MESH = "6x3"
@@ -313,3 +314,26 @@ def test_wrong_problems_are_named() -> None:
         search(3)
     with pytest.raises(go.GncOptError, match="what the builder returned"):
         search(list)
+
+
+# --- the rendezvous: published numbers -------------------------------------------------------------------------
+
+
+def test_published_numbers_are_named() -> None:
+    def minimum(exact: float, *coarse: float) -> go.Minimum:
+        return go.Minimum(solution, exact, 1, (0,), 1, coarse, True, True)
+
+    solution = go.solve(wells(), mesh=MESH)
+    minima = (
+        minimum(25.787180768, 25.7892),
+        minimum(26.0335257, 26.0365),
+        minimum(26.1656895, 26.167, 26.1674),
+    )
+    outcome = GlobalOutcome(2, "printed", Multistart("rendezvous", minima, {}, 3, 3, 1))
+    gpm, gpops = outcome.published
+    assert (gpm.rank, gpm.ours) == (3, 26.1674)
+    assert (gpops.rank, gpops.ours) == (2, 26.0335257)
+    assert outcome.agrees
+    lacking = GlobalOutcome(2, "printed", Multistart("rendezvous", minima[:2], {}, 3, 3, 1))
+    assert lacking.published[0].rank is None and not lacking.agrees
+    assert GlobalOutcome(2, "exact", outcome.found).published == ()
