@@ -1,6 +1,6 @@
 """Solve a set of optimal control problems from a JSON file, each at default settings, and tabulate the results.
 
-    python -m benchmarks.ocp_set FILE.json [--only NAME ...] [--core] [--mesh 20x4 | --tol 1e-8] [--json OUT]
+    python -m benchmarks.ocp_set FILE.json [--only NAME ...] [--core] [--mesh 20x4 | --tol 1e-8] [--multistart] [--json OUT]
 
 Every problem starts from its straight-line guess; nothing is tuned to a single one. A problem passes when it is
 solved and its objective lies within ``accept_rel_tol`` of the reference; an ill-posed one when it ends with the
@@ -30,6 +30,9 @@ from benchmarks.ocp_reference import costate_error_along, initial_costate_error,
 
 TOLERANCE = 1e-8
 """Of the refinement."""
+
+STARTS = 12
+"""Of a search."""
 
 WALL_TIME = 60.0
 """Limit on the solver's time for one problem, s."""
@@ -104,6 +107,7 @@ def run(
     mesh: str | None = None,
     scheme: str = "LG",
     tol: float | None = TOLERANCE,
+    multistart: bool = False,
 ) -> tuple[Outcome, go.Solution | None]:
     """Build, solve, refine (on a given mesh: not), verify and compare one problem; exceptions end in the outcome."""
     found: dict[str, Any] = {"name": document["name"], "reference": document.get("reference")}
@@ -116,7 +120,17 @@ def run(
             problem = build_problem(document)
             options = go.SolverOptions(max_wall_time=WALL_TIME)
             refined = None if mesh else tol
-            solution = go.solve(problem, mesh=mesh, scheme=scheme, tol=refined, options=options, throw=False)
+            if multistart and "local-minima" in document.get("category", []):
+                solution = _best_of_many(problem, tol or TOLERANCE)
+            else:
+                solution = go.solve(
+                    problem,
+                    mesh=mesh,
+                    scheme=scheme,  # type: ignore[arg-type]
+                    tol=refined,
+                    options=options,
+                    throw=False,
+                )
         found["seconds"] = time.perf_counter() - begin
         found |= _solved(document, solution, solutions)
     except (ExpressionError, go.GncOptError, KeyError) as error:
@@ -128,6 +142,13 @@ def run(
     outcome = Outcome(**found)
     passed = judge_ill_posed(document, outcome) if outcome.expect else _passed(document, outcome)
     return Outcome(**{**found, "passed": passed}), solution
+
+
+def _best_of_many(problem: go.Problem, tol: float) -> go.Solution:
+    """The best minimum that a short seeded search finds."""
+    search = go.multistart(problem, n=STARTS, seed=1, tol=tol, executor="serial")
+    best = search.best.solution
+    return best if best.problem is not None else best.with_problem(problem)
 
 
 def _solved(document: Mapping[str, Any], solution: go.Solution, solutions: Path) -> dict[str, Any]:
@@ -230,6 +251,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--core", action="store_true", help="solve the problems marked as core")
     parser.add_argument("--mesh", help='e.g. "20x4": solve on it, without refinement')
     parser.add_argument("--tol", type=float, default=TOLERANCE, help="refine to this (default: %(default)g)")
+    parser.add_argument(
+        "--multistart", action="store_true", help="search, where the sheet says that there are local minima"
+    )
     parser.add_argument("--scheme", default="LG", choices=("LG", "LGR", "LGL"))
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the outcomes to this file")
     return parser.parse_args(argv)
@@ -261,6 +285,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 mesh=arguments.mesh,
                 scheme=arguments.scheme,
                 tol=arguments.tol,
+                multistart=arguments.multistart,
             )
             outcomes.append(outcome)
     console.print(table(outcomes))
