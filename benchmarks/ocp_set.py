@@ -1,6 +1,6 @@
 """Solve a set of optimal control problems from a JSON file, each at default settings, and tabulate the results.
 
-    python -m benchmarks.ocp_set FILE.json [--only NAME ...] [--core] [--mesh 20x4 | --tol 1e-8] [--multistart] [--json OUT]
+    python -m benchmarks.ocp_set FILE.json [--only NAME ...] [--mesh 20x4 | --tol 1e-8] [--multistart] [--json OUT]
 
 Every problem starts from its straight-line guess; nothing is tuned to a single one. A problem passes when it is
 solved and its objective lies within ``accept_rel_tol`` of the reference; an ill-posed one when it ends with the
