@@ -219,6 +219,6 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="search for local minima and name the published ones",
     )
-    parser.add_argument("--n", type=int, default=40, help="random starts of each case, with --global")
+    parser.add_argument("--n", type=int, default=100, help="random starts of each case, with --global")
     parser.add_argument("--seed", type=int, default=1, help="of these starts")
     return parser

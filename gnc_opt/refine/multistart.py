@@ -7,27 +7,24 @@ merged, and the distinct minima that remain are refined, judged and merged once 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
-import numpy as np
-
 from gnc_opt.arguments import expect, read_integer, read_positive
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
-from gnc_opt.model.layout import Array
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.history import RefinementStatus
+from gnc_opt.refine.minima import Minimum, equal, merged
 from gnc_opt.refine.random_guess import with_random_guess
 from gnc_opt.refine.refine import StructureChoice
 from gnc_opt.refine.refine import refine as refine_solution
 from gnc_opt.refine.workforce import Builder, Workforce
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solve import MeshLike, solve
-from gnc_opt.verify.propagate import state_magnitudes
 from gnc_opt.verify.verify import verify
 
 if TYPE_CHECKING:
@@ -42,49 +39,10 @@ minimum, and it finds little else. With a small one the solver stays near the gu
 MOST_ITERATIONS = 400
 """Of a coarse solve; a start that needs more is worth less than another start."""
 
-SAME = 1e-6
-"""Relative difference of the objective below which two minima are one."""
-
-SAME_TRAJECTORY = 1e-2
-"""Difference of two trajectories, in shares of the states' magnitudes, beyond which they are distinct."""
-
 MISS = 0.1
 """A collocation solution is spurious if both its propagation misses the end and its defect between the nodes exceed
 this share of the states' magnitudes. (Either one alone may be due to unstable dynamics or to a coarse mesh.) On the
 rendezvous, 10 x 4 points, spurious solutions have 0.3 and 0.8 at least, others 0.03 and 0.4 at most."""
-
-
-@dataclass(frozen=True)
-class Minimum:
-    """A local minimum.
-
-    Attributes
-    ----------
-    solution : Solution
-        The best of those that are equal.
-    objective : float
-    hits : int
-        How many starts ended here.
-    starts : tuple of int
-        Which ones; 0 is the problem's own guess.
-    trajectories : int
-        How many different trajectories with this objective were met, e.g. 2 for mirror twins.
-    coarse_objectives : tuple of float
-        The objectives on the coarse mesh that led here; one minimum may have several discretisations.
-    refined : bool
-        Whether the solution has been refined, or comes from the coarse mesh.
-    verdict_ok : bool
-        Whether it passed the verdict; False if it was not judged.
-    """
-
-    solution: Solution
-    objective: float
-    hits: int
-    starts: tuple[int, ...]
-    trajectories: int
-    coarse_objectives: tuple[float, ...]
-    refined: bool = False
-    verdict_ok: bool = False
 
 
 @dataclass(frozen=True)
@@ -227,7 +185,7 @@ def multistart(
                 lambda ending: show(ending.objective),
             )
         endings = [ending for ending in answers if ending is not None]
-        minima = _merged(_first_minima(endings))
+        minima = merged(_first_minima(endings))
         if refine and not force.interrupted:
             chief, rest = minima[:max_refined], minima[max_refined:]
             with _meter("refinements", len(chief), progress, force.problem.sense) as show:
@@ -235,7 +193,7 @@ def multistart(
                     _Fine(structure, tol, chosen), chief, lambda minimum: show(minimum.objective)
                 )
             kept = [new or old for new, old in zip(finer, chief, strict=True)]
-            minima = _merged([*kept, *rest])
+            minima = merged([*kept, *rest])
     return Multistart(
         force.problem.name,
         tuple(replace(m, solution=m.solution.with_problem(force.problem)) for m in minima),
@@ -318,7 +276,7 @@ class _Fine:
         meshes = {name: leg.mesh for name, leg in coarse.phases.items()}
         guess = found.solution.with_problem(problem)
         again = solve(problem, mesh=meshes, guess=guess, options=self.options, throw=False)
-        if not again.status.solved or is_spurious(again) or _equal(again.objective, coarse.objective):
+        if not again.status.solved or is_spurious(again) or equal(again.objective, coarse.objective):
             _pass_on_interrupt(again, self.options)
             return found
         second = self._refined(minimum, again)
@@ -352,72 +310,8 @@ def _pass_on_interrupt(solution: Solution, options: SolverOptions) -> None:
         raise KeyboardInterrupt
 
 
-# --- merging ----------------------------------------------------------------------------------------------
-
-
 def _first_minima(endings: Iterable[_Ending]) -> Iterator[Minimum]:
     for ending in endings:
         if ending.solution is not None:
             objective = ending.solution.objective
             yield Minimum(ending.solution, objective, 1, (ending.index,), 1, (objective,))
-
-
-def _merged(minima: Iterable[Minimum]) -> list[Minimum]:
-    """Return the distinct minima, best first, whatever the order they come in."""
-    groups: list[list[Minimum]] = []
-    for minimum in sorted(minima, key=_rank):
-        if groups and _equal(groups[-1][-1].objective, minimum.objective):
-            groups[-1].append(minimum)
-        else:
-            groups.append([minimum])
-    return [_one(group) for group in groups]
-
-
-def _rank(minimum: Minimum) -> tuple[float, int]:
-    sense = -1.0 if minimum.solution.maximised else 1.0
-    return sense * minimum.objective, minimum.starts[0]
-
-
-def _equal(a: float, b: float) -> bool:
-    return abs(a - b) <= SAME * max(abs(a), abs(b), SAME)
-
-
-def _one(group: Sequence[Minimum]) -> Minimum:
-    """Join equal minima under the most trustworthy solution; among these, that of the earliest start."""
-    chief = min(group, key=lambda m: (not m.verdict_ok, not m.refined, m.starts[0]))
-    starts = sorted(start for minimum in group for start in minimum.starts)
-    return replace(
-        chief,
-        hits=len(starts),
-        starts=tuple(starts),
-        trajectories=_count_trajectories(group),
-        coarse_objectives=_distinct(value for minimum in group for value in minimum.coarse_objectives),
-    )
-
-
-def _distinct(objectives: Iterable[float]) -> tuple[float, ...]:
-    """Return values in increasing order, equal ones once."""
-    kept: list[float] = []
-    for value in sorted(objectives):
-        if not (kept and _equal(kept[-1], value)):
-            kept.append(value)
-    return tuple(kept)
-
-
-def _count_trajectories(group: Sequence[Minimum]) -> int:
-    """Count different trajectories among equal minima, each of which may stand for several already."""
-    samples: list[Array] = []
-    for minimum in group:
-        sample = _sample(minimum.solution)
-        if all(np.max(np.abs(sample - other)) > SAME_TRAJECTORY for other in samples):
-            samples.append(sample)
-    return max(len(samples), *(minimum.trajectories for minimum in group))
-
-
-def _sample(solution: Solution) -> Array:
-    """Return all states at 21 times of each phase, in shares of their magnitudes."""
-    rows: list[Array] = []
-    for leg in solution.phases.values():
-        times = np.linspace(leg.initial_time, leg.final_time, 21)
-        rows.append((leg.x(times) / state_magnitudes(leg)[:, None]).ravel())
-    return np.concatenate(rows)
