@@ -47,6 +47,9 @@ Mask = NDArray[np.bool_]
 _PUSH = 1e-6
 """A push on a costate counts if it would move it by this share of its size over the segment."""
 
+_TURNED = 1e-3
+"""Pushes of both signs, the smaller one beyond this share of a change of costates, speak against the change."""
+
 _HELD = 1e-7
 """A state that varies over a segment by less than this, relative to its size in the phase, is held."""
 
@@ -264,6 +267,11 @@ class _Pieces:
             rows = self.still[:, k] & np.any(self.bounded[:, here], axis=1)
             change = self.lam[:, here] @ interpolation_matrix(rule.points, [1.0])[0] - self.end[:, k]
             change = np.where(rows, change, 0.0)
+            densities = self.densities[:, here] - np.outer(change, rule.end_values[1:]) / self.weights[here]
+            # A segment that a bound only touches is nearly still too; there the change would turn pushes around.
+            pushes = densities * self.weights[here]
+            turned = np.minimum(-np.min(pushes, axis=1), np.max(pushes, axis=1)) > _TURNED * np.abs(change)
+            change = np.where(turned, 0.0, change)
             self.end[:, k] += change
             self.start[:, k] += change * rule.end_values[0]
             self.densities[:, here] -= np.outer(change, rule.end_values[1:]) / self.weights[here]

@@ -27,9 +27,7 @@ def stationarity(samples: list[PhaseSamples], tolerance: float) -> Condition:
     worst = NOTHING
     for s in samples:
         loss, on_bound = _offences(s)
-        # Where H curves strongly, a large slope means only that the control misses its minimum by slope / curvature.
-        miss = loss / np.maximum(1.0, _curvature(s))
-        worst = worst.or_worse(_worst_control(s, np.where(on_bound, 0.0, miss)))
+        worst = worst.or_worse(_worst_control(s, np.where(on_bound, 0.0, np.minimum(loss, _miss(s)))))
     return judge(
         "stationarity",
         worst,
@@ -38,6 +36,18 @@ def stationarity(samples: list[PhaseSamples], tolerance: float) -> Condition:
         "in H that is left or, if smaller, the share of its range by which the control misses the minimum). A "
         "bang-bang control smeared over a switch fails here: put a mesh boundary on the switch.",
     )
+
+
+def _miss(s: PhaseSamples) -> Array:
+    """Share of its range by which each control misses the minimum of H; infinite where H does not curve upwards.
+
+    Where H curves strongly, a large slope means only that the minimum is slope / curvature away.
+    """
+    slope, curvature = (
+        np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale,
+        _curvature(s),
+    )
+    return np.divide(slope, curvature, out=np.full_like(slope, np.inf), where=curvature > 0)
 
 
 def control_signs(samples: list[PhaseSamples], tolerance: float) -> Condition:

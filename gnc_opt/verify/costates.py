@@ -3,7 +3,8 @@ r"""Pontryagin's minimum principle: costates, Hamiltonian and multipliers.
 With :math:`H = w^T L + \lambda^T f`, :math:`H_a = H + \mu^T c` and :math:`\tilde\Phi = \Phi + \nu^T\psi`, a minimum
 satisfies (Bryson & Ho, Applied Optimal Control, 1975, ch. 2-3; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995)
 
-* :math:`\dot\lambda = -\partial H_a/\partial x - z_x` with jumps only where a state bound pushes,
+* :math:`\dot\lambda = -\partial H_a/\partial x - z_x` with jumps only where a state
+  constraint pushes (module `pushes`),
 * :math:`\lambda(t_0) = -\partial\tilde\Phi/\partial x_0` and :math:`\lambda(t_f) = \partial\tilde\Phi/\partial x_f`
   in components that are free there, :math:`H(t_f) = -\partial\tilde\Phi/\partial t_f` and
   :math:`H(t_0) = \partial\tilde\Phi/\partial t_0` at free times,
@@ -24,6 +25,8 @@ from gnc_opt.model.layout import Array
 from gnc_opt.problem.functions import EndGradients
 from gnc_opt.problem.interval import Interval
 from gnc_opt.verify.feasibility import judge
+from gnc_opt.verify.magnitude import parameter_scale
+from gnc_opt.verify.pushes import unexplained_jumps
 from gnc_opt.verify.quality import NOTHING, Worst, worst_index
 from gnc_opt.verify.samples import AT_BOUND, PhaseSamples
 from gnc_opt.verify.verdict import Condition
@@ -33,38 +36,30 @@ if TYPE_CHECKING:
 
 
 def adjoint(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """The costates satisfy their differential equation, and jump only where a state bound pushes."""
+    """The costates satisfy their differential equation, and jump only where a state constraint pushes."""
     worst = NOTHING
     for s in samples:
-        gradient = s.functions.state_gradient(s.times, s.x, s.u, s.lam, s.mu)
-        worth = s.state_scale[:, None] / s.cost_scale
-        residual = s.per_segment(s.lam_rate + gradient + s.state_multiplier) * worth
+        residual = s.adjoint_residual
         i, k = worst_index(residual)
         worst = worst.or_worse(
             Worst(float(residual[i, k]), s.segment_place(k, f"costate of {s.leg.states.labels[i]}"))
         )
-        breaks = s.leg.breaks[1:-1]
-        if breaks.size:
-            jump = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right") - s.leg.state_impulses[:, 1:-1]
-            jump = np.abs(jump) * worth
-            i, k = worst_index(jump)
-            place = (
-                f"phase {s.leg.name}, t = {breaks[k]:.6g} s, jump of the costate of {s.leg.states.labels[i]}"
-            )
-            worst = worst.or_worse(Worst(float(jump[i, k]), place))
+        if s.leg.mesh.segments > 1:
+            jumps = np.abs(unexplained_jumps(s)) * s.state_scale[:, None] / s.cost_scale
+            i, k = worst_index(jumps)
+            place = f"phase {s.leg.name}, t = {s.leg.breaks[k + 1]:.6g} s, jump of the costate of "
+            worst = worst.or_worse(Worst(float(jumps[i, k]), place + s.leg.states.labels[i]))
     return judge(
         "adjoint equation",
         worst,
         tolerance,
         "The costates must satisfy d(lambda)/dt = -dH/dx (integral of the residual over a segment, in shares of the "
-        "cost) and be continuous but for the pushes of state bounds; where not, refine the mesh or move its "
-        "boundaries to the entries and exits of constrained arcs.",
+        "cost) and jump only as active state constraints push, in the right direction; where not, refine the mesh or "
+        "move its boundaries to the entries and exits of constrained arcs.",
     )
 
 
-def transversality(
-    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
-) -> Condition:
+def transversality(samples: list[PhaseSamples], ends: EndGradients, tolerance: float) -> Condition:
     """Costates at free end values and H at free times match the gradients of cost and constraints."""
     worst = NOTHING
     for s in samples:
@@ -94,7 +89,10 @@ def transversality(
 
 def _time_transversality(s: PhaseSamples, ends: EndGradients) -> Worst:
     leg, name = s.leg, s.leg.name
-    duration = leg.duration_multiplier
+    limits, lasts = leg.duration_bounds, np.array([leg.duration])
+    # A multiplier of the duration counts only if a bound of the duration can exert it.
+    exerted = np.array([leg.duration_multiplier])
+    duration = float((exerted - np.copysign(_unexplained(exerted, lasts, limits, lasts), exerted))[0])
     gaps = np.array(
         [
             s.hamiltonian[0] - ends.initial_time[name] + duration,
@@ -106,7 +104,8 @@ def _time_transversality(s: PhaseSamples, ends: EndGradients) -> Worst:
         np.concatenate([leg.initial_time_bounds.upper, leg.final_time_bounds.upper]),
     )
     times = np.array([leg.initial_time, leg.final_time])
-    span = np.full(2, max(leg.duration, 1e-9))
+    reach = box.upper - box.lower
+    span = np.maximum(s.span, np.where(np.isfinite(reach), reach, 0.0))
     offence = _unexplained(gaps / s.hamiltonian_scale, times, box, span)
     i = int(np.argmax(offence))
     return Worst(float(offence[i]), f"phase {name}, H at its {('start', 'end')[i]}")
@@ -120,7 +119,8 @@ def _unexplained(multipliers: Array, values: Array, box: Interval, scale: Array)
     """Size of bound multipliers that the bounds cannot exert: >= 0 needs the upper, <= 0 the lower bound."""
     near = AT_BOUND * scale
     at_upper, at_lower = values >= box.upper - near, values <= box.lower + near
-    allowed = np.where(multipliers > 0, at_upper, at_lower)
+    # A given value takes any multiplier; whether it is met is for the boundary conditions to say.
+    allowed = np.where(multipliers > 0, at_upper, at_lower) | box.fixed
     return np.where(allowed, 0.0, np.abs(multipliers))
 
 
@@ -145,16 +145,17 @@ def hamiltonian(samples: list[PhaseSamples], tolerance: float) -> Condition:
     )
 
 
-def complementarity(samples: list[PhaseSamples], tolerance: float) -> Condition:
+def complementarity(
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
+) -> Condition:
     """Multipliers push only at limits, and inwards."""
-    worst = NOTHING
+    worst = _end_multipliers(solution, samples, ends)
     for s in samples:
+        worst = worst.or_worse(_impulses(s))
         leg = s.leg
         times = leg.point_times
         x, u = leg.x(times), np.hstack(leg.u.values)
         paths = s.functions.paths(times, x, u)
-        path_scale = np.maximum(np.max(np.abs(paths), axis=1, initial=0.0), 1e-6)
-        span = leg.duration if leg.duration > 0 else 1.0
         # A density counts by its share of the segment: a tiny cell beside a jump may hold a large one.
         shares = np.concatenate([rule.weights / 2 for rule in leg.rules])
         for labels, multipliers, values, box, scale, worth in (
@@ -164,7 +165,7 @@ def complementarity(samples: list[PhaseSamples], tolerance: float) -> Condition:
                 x,
                 leg.state_bounds,
                 s.state_scale,
-                s.cost_scale / span,
+                s.cost_scale / s.span,
             ),
             (
                 leg.controls.labels,
@@ -174,7 +175,14 @@ def complementarity(samples: list[PhaseSamples], tolerance: float) -> Condition:
                 s.control_scale,
                 s.hamiltonian_scale,
             ),
-            (leg.path_labels, leg.path_multipliers, paths, leg.path_bounds, path_scale, s.hamiltonian_scale),
+            (
+                leg.path_labels,
+                leg.path_multipliers,
+                paths,
+                leg.path_bounds,
+                s.path_scale,
+                s.hamiltonian_scale,
+            ),
         ):
             if labels:
                 offence = _slack_offence(multipliers, values, box, scale) * shares / worth
@@ -187,6 +195,33 @@ def complementarity(samples: list[PhaseSamples], tolerance: float) -> Condition:
         tolerance,
         "Multipliers of bounds and path constraints must vanish away from the limit and push inwards at it; a failure "
         "means a tighter solver tolerance is needed, or that the multipliers belong to another trajectory.",
+    )
+
+
+def _end_multipliers(solution: Solution, samples: list[PhaseSamples], ends: EndGradients) -> Worst:
+    """Multipliers of boundary constraints that are not at the limit which could exert them."""
+    problem, nu = solution.problem, solution.constraint_multipliers
+    assert problem is not None, "verify refuses solutions without a problem"
+    if not (nu.size and samples):
+        return NOTHING
+    box, values = problem.constraint_interval(), ends.constraints
+    scale = np.maximum(1.0, np.abs(values))
+    worth = max(s.cost_scale for s in samples)
+    offence = _slack_offence(nu[:, None], values[:, None], box, scale)[:, 0] / worth
+    i = int(np.argmax(offence))
+    return Worst(float(offence[i]), f"multiplier of constraint {solution.constraint_labels[i]}")
+
+
+def _impulses(s: PhaseSamples) -> Worst:
+    """Impulses of state bounds at inner segment boundaries that are not at the limit which could exert them."""
+    leg, breaks = s.leg, s.leg.breaks[1:-1]
+    if not breaks.size:
+        return NOTHING
+    offence = _slack_offence(leg.state_impulses[:, 1:-1], leg.x(breaks), leg.state_bounds, s.state_scale)
+    offence = offence / s.cost_scale
+    i, k = worst_index(offence)
+    return Worst(
+        float(offence[i, k]), f"phase {leg.name}, t = {breaks[k]:.6g} s, impulse on {leg.states.labels[i]}"
     )
 
 
@@ -203,8 +238,11 @@ def parameters(
     """The cost is stationary in the free parameters."""
     problem = solution.problem
     assert problem is not None, "verify refuses solutions without a problem"
-    gradient = ends.parameters.copy()
-    size = np.abs(gradient)
+    values, box = solution.parameter_values, problem.parameter_interval()
+    scale = parameter_scale(solution)
+    # The end terms cancel at a minimum, hence what the cost amounts to is the yardstick, not their sum.
+    amount = max((s.cost_magnitude for s in samples), default=0.0)
+    gradient, size = ends.parameters.copy(), amount / scale
     for s in samples:
         if gradient.size:
             density = s.functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu)
@@ -212,9 +250,6 @@ def parameters(
             size = size + np.abs(density) @ s.weights
     worst = Worst(0.0, "no free parameter")
     if gradient.size:
-        box = problem.parameter_interval()
-        values = solution.parameter_values
-        scale = np.maximum(np.abs(values), 1e-6)
         # L + z q stationary: the multiplier a bound would have to exert is -gradient.
         offence = _unexplained(-gradient / np.where(size > 0, size, 1.0), values, box, scale)
         i = int(np.argmax(offence))

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 UNSTABLE = 1e6
 """Growth of integration errors beyond which propagating a whole phase in one go says nothing."""
 
+_DRAWN = 1e-8
+"""A phase without length is drawn a little longer than it lasts (s)."""
+
 
 def judge(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
     """Return PASS if the value is within tolerance, FAIL if not (NaN fails)."""
@@ -94,9 +97,12 @@ def _growth(samples: PhaseSamples) -> float:
     return largest
 
 
-def bounds(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """States and controls stay within their bounds between the nodes."""
-    worst = NOTHING
+def bounds(solution: Solution, samples: list[PhaseSamples], tolerance: float) -> Condition:
+    """States and controls stay within their bounds between the nodes, free parameters within theirs."""
+    problem = solution.problem
+    assert problem is not None, "verify refuses solutions without a problem"
+    labels = [f"parameter {label}" for label in solution.free_parameters.labels]
+    worst = _worst_row(solution.parameter_values, problem.parameter_interval(), labels)
     for s in samples:
         worst = worst.or_worse(worst_bound_violation(s))
     return judge(
@@ -138,6 +144,11 @@ def boundary(solution: Solution, ends: EndGradients, tolerance: float) -> Condit
         )
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
         worst = worst.or_worse(_worst_row(times, interval, labels))
+        # The times that the cost and the constraints see must be those at which the trajectory starts and ends.
+        slack = _DRAWN + 1e-12 * max(abs(leg.initial_time), abs(leg.final_time))
+        gaps = np.maximum(np.abs(leg.breaks[[0, -1]] - times[:2]) - slack, 0.0) / np.ptp(leg.breaks)
+        labels = [f"phase {name}, {end} of the trajectory" for end in ("start", "end")]
+        worst = worst.or_worse(_worst_row(gaps, Interval(np.zeros(2), np.zeros(2)), labels))
     problem = solution.problem
     assert problem is not None, "verify refuses solutions without a problem"
     labels = [f"constraint {label}" for label in solution.constraint_labels]

@@ -98,10 +98,7 @@ def worst_path_violation(samples: PhaseSamples) -> Worst:
     if not leg.path_labels:
         return NOTHING
     values = samples.functions.paths(samples.times, samples.x, samples.u_polynomial)
-    bounds = leg.path_bounds
-    limits = [np.where(np.isfinite(b), np.abs(b), 0.0) for b in (bounds.lower, bounds.upper)]
-    scale = np.maximum(np.max(np.abs(values), axis=1), np.maximum(*limits))
-    return _worst_excess(samples, values, bounds, leg.path_labels, np.where(scale > 1e-6, scale, 1.0))
+    return _worst_excess(samples, values, leg.path_bounds, leg.path_labels, samples.path_scale)
 
 
 def worst_terminal_error(samples: PhaseSamples) -> Worst:

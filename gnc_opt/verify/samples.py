@@ -21,6 +21,29 @@ AT_BOUND = 1e-6
 EXTRA = 9
 """Samples per segment beyond the number of collocation points; segment ends come on top."""
 
+_SHORTEST = 1e-9
+"""Phases that vanished are drawn this long (s)."""
+
+NEGLIGIBLE = 1e-4
+"""Costates worth less than this share of what the cost amounts to are rounding: they must not set the scale."""
+
+
+@dataclass(frozen=True)
+class EdgeSegment:
+    """A segment where a state constraint is reached or left, its costate integrated anew (module `pushes`).
+
+    Attributes
+    ----------
+    segment : int
+    costates : array (n_states, n_samples of the segment)
+    offence : array (n_states,)
+        What no legitimate push explains, in shares of the cost.
+    """
+
+    segment: int
+    costates: Array
+    offence: Array
+
 
 @dataclass(frozen=True, eq=False)
 class PhaseSamples:
@@ -35,6 +58,10 @@ class PhaseSamples:
     segments : int array (n_samples,)
     weights : array (n_samples,)
         Quadrature weights in s; zero at segment ends.
+    cost_magnitude : float
+        What the cost amounts to (module `magnitude`); 0 if unknown.
+    edges : tuple of EdgeSegment
+        Segments with other costates than the polynomials'.
     """
 
     leg: PhaseSolution
@@ -42,13 +69,15 @@ class PhaseSamples:
     times: Array
     segments: NDArray[np.int64]
     weights: Array
+    cost_magnitude: float = 0.0
+    edges: tuple[EdgeSegment, ...] = ()
 
     @classmethod
     def of(cls, leg: PhaseSolution, functions: PhaseFunctions) -> PhaseSamples:
         """Sample a phase."""
         times, segments, weights = [], [], []
         for k, degree in enumerate(leg.mesh.degrees):
-            rule = _sampling_rule(degree)
+            rule = sampling_rule(degree)
             half = 0.5 * (leg.breaks[k + 1] - leg.breaks[k])
             inside = leg.breaks[k] + half * (1 + rule.points)
             times.append(np.concatenate([[leg.breaks[k]], inside, [leg.breaks[k + 1]]]))
@@ -92,7 +121,10 @@ class PhaseSamples:
     @cached_property
     def lam(self) -> Array:
         """Costates (n, n_samples)."""
-        return self.sample(self.leg.lam)
+        values = self.sample(self.leg.lam)
+        for edge in self.edges:
+            values[:, self.segments == edge.segment] = edge.costates
+        return values
 
     @cached_property
     def lam_rate(self) -> Array:
@@ -135,18 +167,64 @@ class PhaseSamples:
     @cached_property
     def cost_scale(self) -> float:
         """Largest |lambda_i| x_i along the phase: what the states are worth in units of the cost."""
-        worth = np.max(np.abs(self.lam) * self.state_scale[:, None], initial=0.0)
-        return float(worth) if worth > 0 else 1.0
+        worth = float(np.max(np.abs(self.sample(self.leg.lam)) * self.state_scale[:, None], initial=0.0))
+        worth = max(worth, NEGLIGIBLE * self.cost_magnitude)
+        return worth if worth > 0 else 1.0
 
     @cached_property
     def hamiltonian_scale(self) -> float:
         """Largest sum of the magnitudes of H's terms along the phase (cost per second)."""
         rates = self.functions.rates(self.times, self.x, self.u)
-        terms = np.sum(np.abs(self.lam * rates), axis=0)
+        terms = np.sum(np.abs(self.sample(self.leg.lam) * rates), axis=0)
         integrands = self.functions.integrands(self.times, self.x, self.u)
         terms = terms + np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
         # Where H vanishes altogether, as on a singular arc of zero cost, rounding must not set the scale.
-        return max(float(np.max(terms, initial=0.0)), 1e-9)
+        least = NEGLIGIBLE * self.cost_magnitude / self.span if self.cost_magnitude > 0 else 1e-9
+        return max(float(np.max(terms, initial=0.0)), least)
+
+    @property
+    def span(self) -> float:
+        """Duration between the first and last sample, s; positive even for a phase without length."""
+        return float(self.times[-1] - self.times[0])
+
+    @property
+    def has_length(self) -> bool:
+        """Whether the phase lasts: its duration does not sit on a lower bound of zero."""
+        leg = self.leg
+        least = max(
+            leg.duration_bounds.lower[0], leg.final_time_bounds.lower[0] - leg.initial_time_bounds.upper[0]
+        )
+        most = min(
+            leg.duration_bounds.upper[0], leg.final_time_bounds.upper[0] - leg.initial_time_bounds.lower[0]
+        )
+        near = AT_BOUND * most if np.isfinite(most) else 0.0
+        return bool(least > 0 or leg.duration > max(near, _SHORTEST))
+
+    @cached_property
+    def pure_paths(self) -> NDArray[np.int64]:
+        """Path constraints that do not depend on controls."""
+        jacobian = self.functions.path_control_jacobian(self.times, self.x, self.u)
+        return np.flatnonzero(~np.any(jacobian != 0, axis=(1, 2)))
+
+    @cached_property
+    def path_scale(self) -> Array:
+        """Magnitude of each path constraint along the phase and at its limits (n_paths,)."""
+        values, bounds = self.functions.paths(self.times, self.x, self.u), self.leg.path_bounds
+        limits = [np.where(np.isfinite(b), np.abs(b), 0.0) for b in (bounds.lower, bounds.upper)]
+        scale = np.maximum(np.max(np.abs(values), axis=1, initial=0.0), np.maximum(*limits))
+        return np.where(scale > 1e-6, scale, 1.0)
+
+    @cached_property
+    def adjoint_residual(self) -> Array:
+        """Integral of |d(lambda)/dt + dH/dx + z| over each segment, in shares of the cost (n_states, K)."""
+        gradient = self.functions.state_gradient(
+            self.times, self.x, self.u, self.sample(self.leg.lam), self.mu
+        )
+        residual = self.per_segment(self.lam_rate + gradient + self.state_multiplier)
+        residual = residual * self.state_scale[:, None] / self.cost_scale
+        for edge in self.edges:
+            residual[:, edge.segment] = edge.offence
+        return np.asarray(residual)
 
     def place(self, column: int, what: str = "") -> str:
         """Return "phase leg, t = 1.23 s, v[2]" for a sample."""
@@ -161,7 +239,7 @@ class PhaseSamples:
         """Integrate values (n_samples,) over time from the phase's start to every sample."""
         result, total = np.empty(self.times.size), 0.0
         for k, degree in enumerate(self.leg.mesh.degrees):
-            rule, here = _sampling_rule(degree), np.flatnonzero(self.segments == k)
+            rule, here = sampling_rule(degree), np.flatnonzero(self.segments == k)
             half = 0.5 * (self.leg.breaks[k + 1] - self.leg.breaks[k])
             inside = values[here[1:-1]]
             result[here[0]] = total
@@ -177,5 +255,6 @@ class PhaseSamples:
         return np.add.reduceat(weighted, starts, axis=1)
 
 
-def _sampling_rule(degree: int) -> CollocationRule:
+def sampling_rule(degree: int) -> CollocationRule:
+    """Return the quadrature whose points are the samples within a segment of a given degree."""
     return collocation_rule("LG", min(degree + EXTRA, 64))

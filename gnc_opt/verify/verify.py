@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.problem.functions import EndGradients, end_gradients
 from gnc_opt.solution.solution import Solution
 from gnc_opt.verify import controls, costates, feasibility, second_order
+from gnc_opt.verify.magnitude import cost_magnitude
+from gnc_opt.verify.pushes import settle_edges
 from gnc_opt.verify.samples import PhaseSamples
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 
@@ -47,29 +50,35 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
     if not (np.isfinite(tol) and tol > 0):
         raise ProblemError(f"the tolerance of verify() is {tol!r}: give a positive number.")
     samples = [PhaseSamples.of(leg, solution.functions(name)) for name, leg in solution.phases.items()]
-    ends = _ends(solution)
+    ends, amount = _ends(solution), cost_magnitude(solution, samples)
+    samples = [settle_edges(replace(s, cost_magnitude=amount), tol) for s in samples]
     conditions = [
         feasibility.dynamics(samples, tol),
         feasibility.propagation(samples, tol),
-        feasibility.bounds(samples, tol),
+        feasibility.bounds(solution, samples, tol),
         feasibility.paths(samples, tol),
         feasibility.boundary(solution, ends, tol),
         feasibility.cost(solution, samples, ends, tol),
     ]
-    judged = [
-        costates.adjoint(samples, tol),
-        costates.transversality(solution, samples, ends, tol),
-        costates.hamiltonian(samples, tol),
-        controls.stationarity(samples, tol),
-        controls.control_signs(samples, tol),
-        controls.minimum(samples, tol),
-        costates.complementarity(samples, tol),
-        controls.legendre_clebsch(samples, tol),
-        controls.singular_arcs(samples, tol),
-        costates.parameters(solution, samples, ends, tol),
+    lasting = [s for s in samples if s.has_length]
+    along = [
+        costates.adjoint(lasting, tol),
+        costates.transversality(lasting, ends, tol),
+        costates.hamiltonian(lasting, tol),
+        controls.stationarity(lasting, tol),
+        controls.control_signs(lasting, tol),
+        controls.minimum(lasting, tol),
+        costates.complementarity(solution, lasting, ends, tol),
+        controls.legendre_clebsch(lasting, tol),
+        controls.singular_arcs(lasting, tol),
     ]
+    switches = []
     if solution.structure:
-        judged += [second_order.strict_switches(samples), second_order.second_order(solution, samples, ends)]
+        switches = [second_order.strict_switches(lasting), second_order.second_order(solution, samples, ends)]
+    if len(lasting) < len(samples):
+        vanished = next(s.leg.name for s in samples if not s.has_length)
+        along, switches = ([_without_length(c, vanished) for c in part] for part in (along, switches))
+    judged = [*along, costates.parameters(solution, samples, ends, tol), *switches]
     if not _has_costates(solution):
         judged = [_untold(c) for c in judged]
     return Verdict(solution.problem_name, (*conditions, *judged))
@@ -102,4 +111,18 @@ def _untold(condition: Condition) -> Condition:
         condition.tolerance,
         "everywhere",
         "The solution has no costates (none finite and non-zero), so that the minimum principle cannot be checked.",
+    )
+
+
+def _without_length(condition: Condition, phase: str) -> Condition:
+    if condition.result is Result.FAIL:  # in another phase
+        return condition
+    return Condition(
+        condition.name,
+        Result.CANNOT_TELL,
+        float("nan"),
+        condition.tolerance,
+        f"phase {phase}",
+        "The phase has no length: its duration sits on its lower bound of zero, and there is no time along which "
+        "costates and controls could be judged. Leave the phase out, or ask for a positive duration.",
     )

@@ -1,0 +1,202 @@
+r"""State constraints push costates: which jumps, and which measures within a segment, are legitimate.
+
+A constraint without controls, :math:`c(t, x) \le 0` or a state bound, enters the adjoint equation through a measure
+(Hartl, Sethi & Vickson, SIAM Review 37(2), 1995, theorem 4.1),
+
+.. math:: d\lambda = -\Big(\frac{\partial H}{\partial x}\Big)dt - \frac{\partial c}{\partial x}\,d\eta,
+          \qquad d\eta \ge 0 \text{ at an upper, } \le 0 \text{ at a lower limit, } 0 \text{ away from both,}
+
+hence :math:`\lambda(t^-) = \lambda(t^+) + \eta\,\partial c/\partial x` where it has an atom, as at the ends of an arc
+along the limit or where the limit is touched. Two things follow for the verifier.
+
+* At a segment boundary, a jump is right if the constraints that are active there explain it with the right signs.
+* In a segment where the limit is reached or left, polynomials can follow neither a jump nor a kink. There the
+  costate is integrated anew from the segment's start, with the measure that best meets the costate at the
+  segment's end and the stationarity of H in between. What remains at the end is the offence against the adjoint
+  equation, and the integrated costate takes the polynomial's place in all other conditions. If no measure of
+  the right sign on the active part explains the costates, nothing is excused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from gnc_opt.model.layout import Array
+from gnc_opt.verify.samples import AT_BOUND, EdgeSegment, PhaseSamples, sampling_rule
+
+Mask = NDArray[np.bool_]
+
+_PUSHES = 1e-3
+"""A multiplier counts as pushing at a point if it reaches this share of its largest in the segment."""
+
+
+@dataclass(frozen=True)
+class Pushers:
+    """Pure state constraints at some times.
+
+    Attributes
+    ----------
+    directions : array (n_states, n_sides, n_times)
+        Gradient of each side of each constraint, outwards: a legitimate push moves lambda against it.
+    active : bool array (n_sides, n_times)
+    """
+
+    directions: Array
+    active: Mask
+
+    @classmethod
+    def at(cls, s: PhaseSamples, times: Array, x: Array, u: Array) -> Pushers:
+        """Evaluate state bounds and the path constraints that do not depend on controls."""
+        leg, n = s.leg, s.leg.states.size
+        gradients = [np.repeat(np.eye(n)[:, :, None], times.size, axis=2)]
+        values, scales = [x], [s.state_scale]
+        lower, upper = [leg.state_bounds.lower], [leg.state_bounds.upper]
+        pure = s.pure_paths
+        if pure.size:
+            gradients.append(_path_gradients(s, times, x, u)[:, pure])
+            values.append(s.functions.paths(times, x, u)[pure])
+            scales.append(s.path_scale[pure])
+            lower.append(leg.path_bounds.lower[pure])
+            upper.append(leg.path_bounds.upper[pure])
+        value, near = np.vstack(values), (AT_BOUND * np.concatenate(scales))[:, None]
+        at_upper = value >= np.concatenate(upper)[:, None] - near
+        at_lower = value <= np.concatenate(lower)[:, None] + near
+        outward = np.concatenate(gradients, axis=1)
+        return cls(np.concatenate([outward, -outward], axis=1), np.vstack([at_upper, at_lower]))
+
+
+def _path_gradients(s: PhaseSamples, times: Array, x: Array, u: Array) -> Array:
+    """dc/dx, (n_states, n_paths, n_times)."""
+    paths, zero = len(s.leg.path_labels), np.zeros_like(x)
+    mu = np.zeros((paths, times.size))
+    without = s.functions.state_gradient(times, x, u, zero, mu)
+    columns = []
+    for i in range(paths):
+        mu[i] = 1.0
+        columns.append(s.functions.state_gradient(times, x, u, zero, mu) - without)
+        mu[i] = 0.0
+    return np.stack(columns, axis=1)
+
+
+def unexplained_jumps(s: PhaseSamples) -> Array:
+    """Costate jumps at the inner segment boundaries (n_states, K - 1) that no active constraint explains."""
+    breaks = s.leg.breaks[1:-1]
+    jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
+    pushers = Pushers.at(s, breaks, s.leg.x(breaks), s.leg.flown(breaks))
+    rest = jumps.copy()
+    scale = s.state_scale
+    for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
+        directions = pushers.directions[:, pushers.active[:, k], k]
+        sizes, _ = nnls(directions * scale[:, None], jumps[:, k] * scale)
+        rest[:, k] -= directions @ sizes
+    return rest
+
+
+def settle_edges(s: PhaseSamples, tolerance: float) -> PhaseSamples:
+    """Integrate the costates anew in segments where a state constraint is reached or left."""
+    residual = s.adjoint_residual
+    edges = []
+    for k in np.flatnonzero(_reached_or_left(s)):
+        if np.max(residual[:, k]) > tolerance:
+            edge = _integrate_anew(s, int(k), tolerance)
+            if edge is not None:
+                edges.append(edge)
+    return replace(s, edges=tuple(edges)) if edges else s
+
+
+def _reached_or_left(s: PhaseSamples) -> Mask:
+    """Segments (K,) at some but not all points of which a pure state constraint pushes."""
+    rows = np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_paths]])
+    found = np.zeros(s.leg.mesh.segments, dtype=bool)
+    for k in range(s.leg.mesh.segments):
+        here = np.abs(rows[:, s.leg.mesh.offsets[k] : s.leg.mesh.offsets[k + 1]])
+        pushing = here > _PUSHES * np.max(here, axis=1, keepdims=True)
+        found[k] = bool(np.any(pushing.any(axis=1) & ~pushing.all(axis=1)))
+    return found
+
+
+def _integrate_anew(s: PhaseSamples, k: int, tolerance: float) -> EdgeSegment | None:
+    """The costate of a segment from its start, with the measure that explains most; None if that is not it."""
+    here = np.flatnonzero(s.segments == k)
+    times, x, u, lam = s.times[here], s.x[:, here], s.u[:, here], s.lam[:, here]
+    free, fundamental = _without_pushes(s, k, here)
+    pushers = Pushers.at(s, times, x, u)
+    responses = _responses(pushers, fundamental)
+    if not responses.shape[2]:
+        return None
+    worth = s.state_scale / s.cost_scale
+    slopes = _control_slopes(s, times, x, u)
+    bounds, near = s.leg.control_bounds, (AT_BOUND * s.control_scale)[:, None]
+    inside = (u > bounds.lower[:, None] + near) & (u < bounds.upper[:, None] - near)
+    share = inside * (s.control_scale / s.hamiltonian_scale)[:, None] / np.sqrt(here.size)
+    gradient = s.functions.control_gradient(times, x, u, free, s.mu[:, here]) * share
+    moved = np.einsum("imt,ita->mta", slopes, responses) * share[:, :, None]
+    matrix = np.vstack([responses[:, -1] * worth[:, None], moved.reshape(-1, moved.shape[2])])
+    target = np.concatenate([(lam[:, -1] - free[:, -1]) * worth, -gradient.ravel()])
+    sizes = np.linalg.norm(matrix, axis=0)
+    if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(target)) and np.any(sizes > 0)):
+        return None
+    sizes = np.where(sizes > 0, sizes, 1.0)
+    weights = nnls(matrix / sizes, target)[0] / sizes
+    costates = free + responses @ weights
+    # A polynomial through a jump is off by about the jump; one that is further off is another costate.
+    reach = np.max(np.abs(responses) @ weights, axis=1)
+    if np.any(np.abs(costates - lam) * worth[:, None] > (reach * worth + tolerance)[:, None]):
+        return None
+    return EdgeSegment(k, costates, np.abs(costates[:, -1] - lam[:, -1]) * worth)
+
+
+def _without_pushes(s: PhaseSamples, k: int, here: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Costates (n, m) from the segment's start without pushes, and the fundamental matrices (n, n, m) of their ODE."""
+    leg, n = s.leg, s.leg.states.size
+    rule = sampling_rule(leg.mesh.degrees[k])
+    half = 0.5 * (leg.breaks[k + 1] - leg.breaks[k])
+    inner = here[1:-1]
+    times, x, u, mu = s.times[inner], s.x[:, inner], s.u[:, inner], s.mu[:, inner].copy()
+    mu[s.pure_paths] = 0.0
+    matrices = -np.transpose(s.functions.state_jacobian(times, x, u), (2, 1, 0))
+    forcing = -s.functions.state_gradient(times, x, u, np.zeros_like(x), mu)
+    # Collocation of the linear equation y' = M y + g at the samples, for all right sides at once.
+    m = inner.size
+    blocks = half * np.einsum("jl,lab->jalb", rule.integration, matrices).reshape(m * n, m * n)
+    starts = np.hstack([np.eye(n), s.lam[:, here[:1]]])
+    right = np.tile(starts, (m, 1)).reshape(m, n, n + 1)
+    right[:, :, -1] += half * rule.integration @ forcing.T
+    values = np.linalg.solve(np.eye(m * n) - blocks, right.reshape(m * n, n + 1)).reshape(m, n, n + 1)
+    rates = np.einsum("jab,jbc->jac", matrices, values)
+    rates[:, :, -1] += forcing.T
+    last = starts + half * np.einsum("j,jac->ac", rule.weights, rates)
+    every = np.concatenate([starts[None], values, last[None]])
+    return every[:, :, -1].T, np.transpose(every[:, :, :-1], (1, 2, 0))
+
+
+def _responses(pushers: Pushers, fundamental: Array) -> Array:
+    """Costates (n, m, n_pushes) that a unit push between two neighbouring samples causes."""
+    n, _, m = fundamental.shape
+    columns = []
+    at_start = np.stack(
+        [np.linalg.solve(fundamental[:, :, j], pushers.directions[:, :, j]) for j in range(m)]
+    )
+    for j in range(m - 1):
+        for side in np.flatnonzero(pushers.active[:, j] | pushers.active[:, j + 1]):
+            push = 0.5 * (at_start[j, :, side] + at_start[j + 1, :, side])
+            response = np.zeros((n, m))
+            response[:, j + 1 :] = -np.einsum("abt,b->at", fundamental[:, :, j + 1 :], push)
+            columns.append(response)
+    return np.stack(columns, axis=2) if columns else np.zeros((n, m, 0))
+
+
+def _control_slopes(s: PhaseSamples, times: Array, x: Array, u: Array) -> Array:
+    """d2H/(dlambda du) = df/du, (n_states, n_controls, n_times)."""
+    mu, lam = np.zeros((len(s.leg.path_labels), times.size)), np.zeros_like(x)
+    without = s.functions.control_gradient(times, x, u, lam, mu)
+    rows = []
+    for i in range(x.shape[0]):
+        lam[i] = 1.0
+        rows.append(s.functions.control_gradient(times, x, u, lam, mu) - without)
+        lam[i] = 0.0
+    return np.stack(rows)

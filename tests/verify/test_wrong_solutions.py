@@ -1,0 +1,260 @@
+"""Every condition of the verdict sees what it should see: a solution that is wrong by one part in a thousand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from wrong import (
+    added,
+    bang_bang,
+    ceiling,
+    design_problem,
+    designed,
+    energy,
+    failed,
+    free_time,
+    hilltop,
+    mixed_limit,
+    moved,
+    nothing_to_gain,
+    nowhere_to_go,
+    one_switch,
+    scaled,
+    shifted,
+    two_valleys,
+    upper,
+    with_leg,
+)
+
+import gnc_opt as go
+from gnc_opt.problem.interval import Interval
+from gnc_opt.verify.pushes import settle_edges, unexplained_jumps
+from gnc_opt.verify.samples import PhaseSamples
+
+SMALL = 1e-3
+
+Q, V, A = 0, 1, 0
+
+
+@dataclass(frozen=True)
+class Case:
+    """A correct solution, a mistake of relative size e, the condition that must see it, and those that may."""
+
+    condition: str
+    what: str
+    correct: Callable[[], go.Solution]
+    wrong: Callable[[go.Solution, float], go.Solution]
+    others: frozenset[str] = frozenset()
+
+    def __str__(self) -> str:
+        return f"{self.condition}: {self.what}"
+
+
+def case(condition: str, what: str, correct: object, wrong: object, *others: str) -> Case:
+    return Case(condition, what, correct, wrong, frozenset(others))  # type: ignore[arg-type]
+
+
+def without_time(solution: go.Solution, e: float) -> go.Solution:
+    """The optimum for a final time that is off by e, passed off as that for a free one."""
+    right = free_time()
+    late = free_time(float(right.phase().final_time) * (1 + e))
+    leg = right.phase()
+    return replace(
+        with_leg(late, final_time_bounds=leg.final_time_bounds, duration_bounds=leg.duration_bounds),
+        problem=right.problem,
+    )
+
+
+def hidden_by_duration(solution: go.Solution, e: float) -> go.Solution:
+    """The same, with a multiplier of a limit on the duration that the problem does not have."""
+    late = without_time(solution, e)
+    gap = -1.0 - float(late.hamiltonian(late.phase().final_time, side="left"))
+    return with_leg(late, duration_multiplier=gap)
+
+
+def fixed_end_passed_off_as_free(solution: go.Solution, e: float) -> go.Solution:
+    """nu on an inactive constraint takes up a costate that should vanish: q_f <= 5 does not hold q_f at 1."""
+    return replace(solution, constraint_multipliers=solution.constraint_multipliers + e * 12.0)
+
+
+CASES = [
+    case("dynamics", "position off between two nodes", energy, lambda s, e: added(s, "x", Q, e, 1, 2)),
+    case("dynamics", "jump between two segments", energy, lambda s, e: added(s, "x", Q, e, 1)),
+    case(
+        "propagation", "control off in a segment", energy, lambda s, e: added(s, "u", A, 20 * e, 1),
+        "dynamics", "stationarity", "Hamiltonian", "minimum principle", "cost",
+    ),
+    case("bounds", "speed limit just below the top speed", energy,
+         lambda s, e: with_leg(s, state_bounds=upper(s.phase().state_bounds, V, 1.5 - 10 * e))),
+    case("bounds", "parameter beyond its limit", designed,
+         lambda s, e: replace(s, problem=design_problem(1.5 * (1 - e)))),
+    case("path constraints", "limit just below the top speed", energy,
+         lambda s, e: with_leg(s, path_bounds=upper(s.phase().path_bounds, 0, 1.5 * (1 - e)))),
+    case("boundary conditions", "final position off", energy,
+         lambda s, e: with_leg(s, final_bounds=shifted(s.phase().final_bounds, e))),
+    case("boundary conditions", "final time that is not the trajectory's", bang_bang,
+         lambda s, e: replace(with_leg(s, final_time=2.0 * (1 + e)), objective=2.0 * (1 + e))),
+    case("cost", "objective off", energy, lambda s, e: replace(s, objective=s.objective * (1 + e))),
+    case("adjoint equation", "costate off in a segment", energy, lambda s, e: scaled(s, "lam", 1 + e, 1),
+         "stationarity", "Hamiltonian"),
+    case("adjoint equation", "costate bent between two nodes", energy,
+         lambda s, e: added(s, "lam", V, 6 * e, 1, 2), "stationarity", "Hamiltonian"),
+    case("adjoint equation", "jump of a costate whose state no constraint holds", ceiling,
+         lambda s, e: added(s, "lam", V, 6 * e, 1), "stationarity", "Hamiltonian"),
+    case("transversality", "costates too large for the cost", bang_bang, lambda s, e: scaled(s, "lam", 1 + e)),
+    case("transversality", "final time not optimal", free_time, without_time),
+    case("transversality", "final time not optimal, hidden by a multiplier", free_time, hidden_by_duration),
+    case("Hamiltonian", "costate shifted: a switch at another time", bang_bang,
+         lambda s, e: added(s, "lam", V, e), "control signs", "minimum principle", "transversality"),
+    case("stationarity", "control off in a segment", energy, lambda s, e: added(s, "u", A, 20 * e, 1),
+         "dynamics", "propagation", "Hamiltonian", "minimum principle", "cost"),
+    case("stationarity", "costate too large for the control", energy, lambda s, e: scaled(s, "lam", 1 + e),
+         "Hamiltonian"),
+    case("stationarity", "path multiplier off", mixed_limit,
+         lambda s, e: with_leg(s, path_multipliers=s.phase().path_multipliers * (1 + e)),
+         "adjoint equation"),
+    case("stationarity", "jump at a limit too large: its size is free, the control's answer is not", ceiling,
+         lambda s, e: scaled(s, "lam", 1 + e, 0), "Hamiltonian"),
+    case("control signs", "costate shifted: a switch at another time", bang_bang,
+         lambda s, e: added(s, "lam", V, e), "Hamiltonian", "minimum principle", "transversality"),
+    case("minimum principle", "the shallower of two valleys", lambda: two_valleys(-SMALL),
+         lambda s, e: two_valleys(e)),
+    case("complementarity", "multiplier of a control between its bounds", energy,
+         lambda s, e: with_leg(s, control_multipliers=moved(s.phase().control_multipliers, (A, 7), 12 * e))),
+    case("complementarity", "multiplier of a bound that pushes outwards", bang_bang,
+         lambda s, e: with_leg(s, control_multipliers=-e * s.phase().control_multipliers)),
+    case("complementarity", "impulse of a bound that is not active", energy,
+         lambda s, e: with_leg(s, state_impulses=moved(s.phase().state_impulses, (V, 2), 6 * e))),
+    case("complementarity", "boundary constraint that is not active", energy, fixed_end_passed_off_as_free),
+    case("Legendre-Clebsch", "a maximum of H, barely curved", lambda: hilltop(-SMALL),
+         lambda s, e: hilltop(e)),
+    case("second order", "a maximum over the switch time", lambda: one_switch(1 - SMALL),
+         lambda s, e: one_switch(1 + e)),
+    case("strict switches", "costates reversed", bang_bang, lambda s, e: scaled(s, "lam", -e),
+         "control signs", "minimum principle", "transversality", "Hamiltonian", "second order"),
+    case("parameters", "parameter off", designed,
+         lambda s, e: replace(s, parameter_values=s.parameter_values * (1 + e)), "cost", "transversality"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", CASES, ids=str)
+def test_condition_sees_what_it_should_and_others_do_not(wrong: Case) -> None:
+    correct = wrong.correct()
+    before = go.verify(correct)
+    assert before.proven, before.explain()
+    found = failed(wrong.wrong(correct, SMALL))
+    assert wrong.condition in found
+    assert found <= {wrong.condition} | wrong.others
+
+
+def test_errors_too_small_for_a_segment_add_up_in_the_propagation() -> None:
+    """A constant control error of 3e-5 m/s^2 is 5e-6 of the speed in each of four segments, and 2e-5 at the end."""
+    assert failed(added(energy(), "u", A, 3e-5)) == {"propagation"}
+
+
+@pytest.mark.parametrize("scheme", ["LG", "LGR", "LGL"])
+@pytest.mark.parametrize("path", [False, True])
+def test_jumps_of_the_right_sign_at_an_active_limit_are_right(scheme: str, path: bool) -> None:
+    """A path constraint has no field for impulses: its activity and the sign of the jump are what counts."""
+    if path and scheme == "LG":
+        pytest.skip(
+            "LG does not enforce path constraints at segment boundaries, so that this mesh is too coarse"
+        )
+    solution = ceiling(scheme, path=path)  # type: ignore[arg-type]
+    verdict = go.verify(solution)
+    assert verdict.proven, verdict.explain()
+    jump = solution.costate("q")(0.3, "left") - solution.costate("q")(0.3)
+    assert jump == pytest.approx(200 / 9, rel=1e-5)
+
+
+@pytest.mark.parametrize("path", [False, True])
+def test_jump_of_the_wrong_sign_or_at_a_limit_that_is_not_active_is_not_explained(path: bool) -> None:
+    right = ceiling("LGR", path=path)
+    leg, s = right.phase(), samples_of(right)
+    assert np.max(np.abs(unexplained_jumps(s))) < 1e-4  # 1e-11 in shares of the cost would be too much to ask
+    box = leg.path_bounds if path else leg.state_bounds
+    reversed_sign = Interval(
+        np.where(np.isfinite(box.upper), box.upper, box.lower), np.full(box.upper.size, np.inf)
+    )
+    absent = shifted(box, 0.01)
+    for wrong in (reversed_sign, absent):
+        changed = with_leg(right, **{"path_bounds" if path else "state_bounds": wrong})
+        rest = unexplained_jumps(samples_of(changed))
+        assert rest[0] == pytest.approx([200 / 9, 200 / 9], rel=1e-4)
+        assert go.verify(changed)["adjoint equation"].result is go.Result.FAIL
+
+
+EDGES = (0.299, 0.3002, 0.6998, 0.701)
+
+
+def test_limit_reached_within_a_segment_is_no_adjoint_violation() -> None:
+    """Polynomials cannot follow the jump at 0.3 s within (0.299, 0.3002) s; an atom at the limit explains it."""
+    solution = ceiling(breaks=EDGES, degree=10)
+    polynomials = samples_of(solution)
+    assert np.max(polynomials.adjoint_residual) > 5e-5
+    settled = settle_edges(polynomials, 1e-5)
+    assert {edge.segment for edge in settled.edges} == {1, 3}
+    here = settled.segments == 1
+    assert settled.lam[Q, here][0] == pytest.approx(200 / 9, rel=2e-3)
+    assert settled.lam[Q, here][-1] == pytest.approx(0.0, abs=0.05)
+    assert np.all(np.diff(settled.lam[Q, here]) < 1e-9)  # an upper limit pushes one way only
+    verdict = go.verify(solution)
+    assert verdict.proven, verdict.explain()
+
+
+def test_impulses_push_inwards_where_a_bound_is_only_touched_in_a_segment() -> None:
+    """The state varies by 3e-9 over (0.2995, 0.3005) s; costates must not be shifted as on an arc along the bound."""
+    leg = ceiling(breaks=(0.2995, 0.3005, 0.6995, 0.7005)).phase()
+    assert np.min(leg.state_impulses[Q, 1:-1]) > -1e-6
+    assert np.min(leg.state_multipliers[Q]) > -1e-6
+    assert leg.lam(0.0)[Q] == pytest.approx(200 / 9, rel=1e-4)
+    assert leg.lam(0.5)[Q] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_limit_reached_within_a_segment_excuses_nothing_else() -> None:
+    right = ceiling(breaks=EDGES, degree=10)
+    leg = right.phase()
+    for wrong in (
+        added(right, "lam", V, 6 * SMALL, 1),  # a jump of the other costate
+        added(right, "lam", V, 6 * SMALL, 1, 2),  # a bend of it that no push causes
+        with_leg(right, state_bounds=shifted(leg.state_bounds, 0.01)),  # a limit that is not reached
+    ):
+        assert go.verify(wrong)["adjoint equation"].result is go.Result.FAIL
+
+
+def test_costates_that_vanish_are_judged_by_what_the_cost_amounts_to() -> None:
+    """Shares of rounding are no shares of the cost; a costate that is worth a thousandth of the cost is."""
+    right = nothing_to_gain()
+    assert go.verify(right).ok, go.verify(right).explain()
+    assert failed(added(right, "lam", Q, 1e-14)) == set()
+    assert "transversality" in failed(added(right, "lam", Q, 1e-3))
+
+
+def test_nothing_is_claimed_about_a_phase_without_length() -> None:
+    verdict = go.verify(nowhere_to_go())
+    assert verdict.ok and not verdict.proven, verdict.explain()
+    assert verdict["Hamiltonian"].result is go.Result.CANNOT_TELL
+    assert "no length" in verdict["Hamiltonian"].meaning
+    assert verdict["boundary conditions"].result is go.Result.PASS
+
+
+def samples_of(solution: go.Solution) -> PhaseSamples:
+    leg = solution.phase()
+    return PhaseSamples.of(leg, solution.functions(leg.name))
+
+
+def test_every_condition_of_the_verdict_has_a_wrong_solution() -> None:
+    """Of those that can fail; 'singular arcs' can only be untold."""
+    names = {c.name for c in go.verify(bang_bang()).conditions}
+    assert names - {"singular arcs"} == {case.condition for case in CASES}
+
+
+def test_barely_curved_hamiltonian_is_told_from_a_singular_one() -> None:
+    """u^2 over the square of its range must be worth a share of H that is above the tolerance."""
+    for curvature, result in ((1e-3, go.Result.PASS), (1e-7, go.Result.CANNOT_TELL)):
+        verdict = go.verify(hilltop(-curvature))
+        assert verdict["singular arcs"].result is result
+        assert verdict["Legendre-Clebsch"].result is result

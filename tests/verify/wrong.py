@@ -1,0 +1,274 @@
+"""Correct solutions of problems with closed forms, and ways of making them a little wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+import gnc_opt as go
+from gnc_opt.problem.interval import Interval
+from gnc_opt.solution.arc import Arc, ArcKind
+from gnc_opt.solution.polynomial import PiecewisePolynomial
+from gnc_opt.transcription.quadrature import Scheme
+
+Array = NDArray[np.float64]
+Piece = Literal["x", "u", "lam"]
+
+
+def double_integrator() -> go.Model:
+    model = go.Model("double integrator")
+    q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
+    a = model.control("a", unit="m/s^2")
+    model.ode({q: v, v: a})
+    return model
+
+
+# --- correct solutions --------------------------------------------------------------------------------
+
+
+@cache
+def energy() -> go.Solution:
+    """Rest to rest in 1 s with the least energy: a = 6 - 12 t, every limit far away."""
+    model = double_integrator()
+    problem = go.Problem("minimum energy")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    leg.bounds(a=(-10.0, 10.0), v=(-5.0, 5.0))
+    leg.path("speed", model.symbol("v"), upper=5.0)
+    problem.constrain("reach", leg.final_state("q"), upper=5.0)
+    problem.minimize(0.5 * leg.integral(model.symbol("a") ** 2))
+    return go.solve(problem, mesh="4x5")
+
+
+@cache
+def free_time(final: float | None = None) -> go.Solution:
+    """The same with t_f + energy as the cost: t_f^4 = 18; ``final`` fixes another time."""
+    model = double_integrator()
+    problem = go.Problem("time and energy")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.5, 10.0) if final is None else final)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    problem.minimize(leg.final_time + 0.5 * leg.integral(model.symbol("a") ** 2))
+    return go.solve(problem, mesh="4x5")
+
+
+@cache
+def bang_bang() -> go.Solution:
+    """Rest to rest over 1 m in minimum time: t_f = 2 s, one switch at 1 s, optimised."""
+    problem = go.Problem("minimum time")
+    leg = problem.phase("leg", double_integrator())
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(q=1.0, v=0.0)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    mesh = go.Mesh.at_times([0.0, 0.9, 2.0], 5, movable=True)
+    return go.refine(go.solve(problem.with_arcs(arcs=[[-1, 1]]), mesh=mesh))
+
+
+@cache
+def ceiling(
+    scheme: Scheme = "LG", *, path: bool = False, breaks: tuple[float, ...] = (0.3, 0.7), degree: int = 5
+) -> go.Solution:
+    """Bryson and Denham's problem, q <= 0.1: an arc from 0.3 s to 0.7 s; q's costate jumps from 200/9 to 0 to -200/9.
+
+    Unless told otherwise, segment boundaries lie at the ends of the arc. The limit is a state bound or, with ``path``,
+    a path constraint.
+    """
+    model = double_integrator()
+    problem = go.Problem("ceiling")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0, v=1.0)
+    leg.final(q=0.0, v=-1.0)
+    if path:
+        leg.path("ceiling", model.symbol("q"), upper=0.1)
+    else:
+        leg.bounds(q=(None, 0.1))
+    problem.minimize(0.5 * leg.integral(model.symbol("a") ** 2))
+    mesh = go.Mesh((0.0, *breaks, 1.0), (degree,) * (len(breaks) + 1))
+    return go.solve(problem, mesh=mesh, scheme=scheme, options=go.SolverOptions(tolerance=1e-11))
+
+
+@cache
+def mixed_limit() -> go.Solution:
+    """x' = u, min of the integral of (u - 2)^2 / 2 under u + x <= 1, active throughout: x = 1 - exp(-t)."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("mixed limit")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.path("limit", u + x, upper=1.0)
+    problem.minimize(leg.integral(0.5 * (u - 2) ** 2))
+    return go.solve(problem, mesh="4x6", options=go.SolverOptions(tolerance=1e-11))
+
+
+def design_problem(most: float = 5.0) -> go.Problem:
+    """Minimum energy with a free parameter k that costs (k - 1)^2 and is weighed by the end value: k = 1.5."""
+    model = double_integrator()
+    problem = go.Problem("designed")
+    k = problem.parameter("k", lower=0.0, upper=most)
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    problem.minimize(0.5 * leg.integral(model.symbol("a") ** 2) + (k - 1) ** 2 - k * leg.final_state("q"))
+    return problem
+
+
+@cache
+def designed() -> go.Solution:
+    """The solution of `design_problem`."""
+    return go.solve(design_problem(), mesh="4x5")
+
+
+@cache
+def nothing_to_gain() -> go.Solution:
+    """x_f^2 is zero at its least, for many controls: costates vanish."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("nothing to gain")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=1.0)
+    leg.bounds(u=(-2.0, 2.0))
+    problem.minimize(leg.final_state("x") ** 2)
+    return go.solve(problem, mesh="3x4")
+
+
+@cache
+def nowhere_to_go() -> go.Solution:
+    """Minimum time from a point to itself: the phase has no length."""
+    model = double_integrator()
+    problem = go.Problem("nowhere to go")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.0, 10.0))
+    leg.initial(q=1.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    return go.solve(problem, mesh="3x4", throw=False)
+
+
+@cache
+def two_valleys(tilt: float) -> go.Solution:
+    """min of the integral of (u^2 - 1)^2 + tilt u: the valley at u = 1 is the shallower one if tilt > 0."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("two valleys")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-2.0, 2.0))
+    problem.minimize(leg.integral((u**2 - 1) ** 2 + tilt * u))
+    one = go.solve(problem.with_bounds(u=(0.5, 2.0)), mesh="3x4")
+    box = Interval(np.array([-2.0]), np.array([2.0]))
+    return replace(with_leg(one, control_bounds=box), problem=problem)
+
+
+@cache
+def hilltop(steepness: float) -> go.Solution:
+    """min of the integral of 1 - steepness u^2 / 2 + u^4, held at u = 0: a maximum of H."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("hilltop")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.integral(1 - 0.5 * steepness * u**2 + u**4))
+    one = go.solve(problem.with_bounds(u=(0.0, 0.0)), mesh="3x4")
+    box = Interval(np.array([-1.0]), np.array([1.0]))
+    return replace(with_leg(one, control_bounds=box), problem=problem)
+
+
+@cache
+def one_switch(bend: float) -> go.Solution:
+    """x' = u, |u| <= 1 over 2 s; u switches from 1 to -1 at 1 s, an extremal for every bend, a minimum for bend < 1.
+
+    The cost is x_f plus the integral of (bend / 3 - 1) x - bend x^2 / 3. The costate rises through zero at 1 s, and
+    as a function of the switch time the cost has the second derivative 2 - 2 bend there.
+    """
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("one switch")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.integral((bend / 3 - 1) * x - bend / 3 * x**2) + leg.final_state("x"))
+    held = go.solve(problem.with_arcs(arcs=[[1, -1]]), mesh=go.Mesh.at_times([0.0, 1.0, 2.0], 4))
+    arcs = (Arc("leg", "u", ArcKind.UPPER, 0.0, 1.0), Arc("leg", "u", ArcKind.LOWER, 1.0, 2.0))
+    return replace(with_leg(held, mesh=go.Mesh.at_times([0.0, 1.0, 2.0], 4, movable=True)), structure=arcs)
+
+
+# --- ways of being wrong ------------------------------------------------------------------------------
+
+
+def with_leg(solution: go.Solution, **changes: Any) -> go.Solution:
+    """Replace fields of the only phase."""
+    leg = solution.phase()
+    return replace(solution, phases={leg.name: replace(leg, **changes)})
+
+
+def shifted(box: Interval, amount: float) -> Interval:
+    """Both limits moved."""
+    return Interval(box.lower + amount, box.upper + amount)
+
+
+def upper(box: Interval, row: int, value: float) -> Interval:
+    """One upper limit replaced."""
+    limits = box.upper.copy()
+    limits[row] = value
+    return Interval(box.lower, limits)
+
+
+def added(
+    solution: go.Solution,
+    piece: Piece,
+    row: int,
+    amount: float,
+    segment: int | None = None,
+    node: int | None = None,
+) -> go.Solution:
+    """Add a number to a component of states, controls or costates: everywhere, in a segment, or at one of its nodes."""
+    polynomial: PiecewisePolynomial = getattr(solution.phase(), piece)
+    values = [v.copy() for v in polynomial.values]
+    for k in range(len(values)) if segment is None else [segment]:
+        values[k][row, slice(None) if node is None else node] += amount
+    return with_leg(
+        solution, **{piece: PiecewisePolynomial(polynomial.breaks, polynomial.nodes, tuple(values))}
+    )
+
+
+def scaled(solution: go.Solution, piece: Piece, factor: float, segment: int | None = None) -> go.Solution:
+    """Multiply states, controls or costates, everywhere or in a segment."""
+    polynomial: PiecewisePolynomial = getattr(solution.phase(), piece)
+    factors = [factor if segment in (None, k) else 1.0 for k in range(len(polynomial.values))]
+    values = tuple(f * v for f, v in zip(factors, polynomial.values, strict=True))
+    return with_leg(solution, **{piece: PiecewisePolynomial(polynomial.breaks, polynomial.nodes, values)})
+
+
+def moved(values: Array, place: tuple[int, int], amount: float) -> Array:
+    """A copy with one entry changed."""
+    result = values.copy()
+    result[place] += amount
+    return result
+
+
+def failed(solution: go.Solution) -> set[str]:
+    """The conditions that fail."""
+    return {c.name for c in go.verify(solution).failed}
