@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import casadi as ca
@@ -38,6 +38,7 @@ class Model(Strict):
     """
 
     __slots__ = (
+        "_differences",
         "_equations",
         "_functions",
         "_in_use_by",
@@ -54,6 +55,7 @@ class Model(Strict):
         self._parameter_values: dict[str, Array] = {}
         self._equations: dict[str, Any] = {}
         self._outputs: dict[str, tuple[Variable, Any]] = {}
+        self._differences: dict[str, Callable[[Any, Any], Any]] = {}
         self._time = ca.SX.sym("t")
         self._in_use_by: str | None = None
         self._functions: dict[str, Any] = {}
@@ -133,6 +135,26 @@ class Model(Strict):
         self._outputs[name] = (Variable(name, value.shape[0], unit), value)
         return value
 
+    def difference(self, state: Symbol | str, function: Callable[[Any, Any], Any]) -> None:
+        """Declare how far a state is from a reference, where subtraction is not the answer (attitudes).
+
+        Parameters
+        ----------
+        state : Symbol or str
+        function : callable
+            ``function(x, x_ref)`` of two SX columns returns the error, an SX column: zero for equal attitudes,
+            first order in small differences. It may have fewer components than the state (3 for a quaternion).
+
+        Raises
+        ------
+        ModelError
+            The result is not a column of SX, or it uses other symbols.
+        """
+        self._refuse_if_in_use("difference")
+        name = self._state_name(state)
+        self._differences[name] = function
+        self.error_expression(self.symbols("state"), ca.SX.sym("x_ref", self.states.size))
+
     def with_parameters(self, **values: ArrayLike) -> Model:
         """Return a copy of the model with other parameter values (same symbols, same equations)."""
         changed = copy.copy(self)
@@ -172,6 +194,21 @@ class Model(Strict):
     def parameter_values(self) -> Array:
         """Stacked parameter values, shape (n_parameters,)."""
         return self.parameters.stack(self._parameter_values)
+
+    @property
+    def errors(self) -> Layout:
+        """Names, sizes and units of the errors of the states; see `difference`."""
+        x, reference = self.symbols("state"), ca.SX.sym("x_ref", self.states.size)
+        parts = self._errors(x, reference)
+        variables = [
+            Variable(v.name, part.shape[0], v.unit)
+            for v, part in zip(self.states.variables, parts, strict=True)
+        ]
+        return Layout("error", tuple(variables), f"model '{self.name}'")
+
+    def error_expression(self, x: Any, x_ref: Any) -> Any:
+        """Return the stacked SX errors of states x relative to x_ref, both SX (n_states, 1)."""
+        return ca.vertcat(*self._errors(x, x_ref))
 
     def symbols(self, kind: str) -> Any:
         """Return the stacked SX vector of "state", "control" or "parameter" symbols."""
@@ -249,6 +286,18 @@ class Model(Strict):
     def mark_in_use(self, user: str) -> None:
         """Freeze the declarations: a problem now rests on them."""
         self._in_use_by = self._in_use_by or user
+
+    def _errors(self, x: Any, x_ref: Any) -> list[Any]:
+        parts = []
+        for name in self.states.names:
+            rows = self.states.slice(name)
+            own, reference = x[rows], x_ref[rows]
+            if name not in self._differences:
+                parts.append(own - reference)
+                continue
+            what = f"the difference of state '{name}' in model '{self.name}'"
+            parts.append(as_expression(self._differences[name](own, reference), what))
+        return parts
 
     def _function(self, name: str, expressions: Any, *names: str) -> Any:
         if name not in self._functions:

@@ -1,6 +1,7 @@
-"""Spacecraft dynamics, symbolic and numeric alike: attitude, rigid body, relative orbit."""
+"""Spacecraft dynamics, symbolic and numeric alike; each module begins with a page of equations and sources."""
 
 from gnc_opt.spacecraft.attitude import (
+    mrp_difference,
     mrp_from_axis_angle,
     mrp_rate,
     mrp_shadow,
@@ -9,6 +10,35 @@ from gnc_opt.spacecraft.attitude import (
     mrp_to_euler,
     mrp_to_quaternion,
     mrp_to_rotation,
+)
+from gnc_opt.spacecraft.flexible import FlexibleBody
+from gnc_opt.spacecraft.gravity import (
+    J2_EARTH,
+    angular_momentum_about_axis,
+    gravity_gradient_torque,
+    gravity_potential,
+    j2_gravity,
+    orbital_energy,
+    point_mass_gravity,
+)
+from gnc_opt.spacecraft.quaternion import (
+    quaternion_angle,
+    quaternion_conjugate,
+    quaternion_difference,
+    quaternion_error,
+    quaternion_from_euler,
+    quaternion_product,
+    quaternion_rate,
+    quaternion_to_dcm,
+    quaternion_to_rotation,
+)
+from gnc_opt.spacecraft.relative_motion import (
+    differential_j2,
+    inertial_from_relative,
+    radial_frame,
+    radial_frame_rate,
+    relative_acceleration,
+    relative_from_inertial,
 )
 from gnc_opt.spacecraft.relative_orbit import (
     MU_EARTH,
@@ -23,20 +53,42 @@ from gnc_opt.spacecraft.rigid_body import (
     divide_by_inertia,
     relative_angular_acceleration,
 )
+from gnc_opt.spacecraft.tether import TetherAccelerations, TetheredPair, TetherMotion
 from gnc_opt.spacecraft.vector import apply, cross, dot, scale, stack, stack_rows, transpose
+from gnc_opt.spacecraft.wheels import (
+    PYRAMID_ELEVATION,
+    array_momentum,
+    total_momentum,
+    wheel_body_acceleration,
+    wheel_pyramid,
+)
 
 __all__ = [
+    "J2_EARTH",
     "MU_EARTH",
+    "PYRAMID_ELEVATION",
     "RADIUS_EARTH",
+    "FlexibleBody",
+    "TetherAccelerations",
+    "TetherMotion",
+    "TetheredPair",
     "angular_acceleration",
     "angular_momentum",
+    "angular_momentum_about_axis",
     "apply",
+    "array_momentum",
     "cross",
+    "differential_j2",
     "divide_by_inertia",
     "dot",
+    "gravity_gradient_torque",
+    "gravity_potential",
     "hill_acceleration",
+    "inertial_from_relative",
+    "j2_gravity",
     "lvlh_rate",
     "mean_motion",
+    "mrp_difference",
     "mrp_from_axis_angle",
     "mrp_rate",
     "mrp_shadow",
@@ -45,9 +97,27 @@ __all__ = [
     "mrp_to_euler",
     "mrp_to_quaternion",
     "mrp_to_rotation",
+    "orbital_energy",
+    "point_mass_gravity",
+    "quaternion_angle",
+    "quaternion_conjugate",
+    "quaternion_difference",
+    "quaternion_error",
+    "quaternion_from_euler",
+    "quaternion_product",
+    "quaternion_rate",
+    "quaternion_to_dcm",
+    "quaternion_to_rotation",
+    "radial_frame",
+    "radial_frame_rate",
+    "relative_acceleration",
     "relative_angular_acceleration",
+    "relative_from_inertial",
     "scale",
     "stack",
     "stack_rows",
+    "total_momentum",
     "transpose",
+    "wheel_body_acceleration",
+    "wheel_pyramid",
 ]

@@ -41,13 +41,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.model.layout import Array
-from gnc_opt.spacecraft.vector import Matrix, Vector, cross, dot, scale, stack, stack_rows
+from gnc_opt.spacecraft.vector import Matrix, Vector, cross, dot, is_symbolic, scale, stack, stack_rows
 
 
 def mrp_to_dcm(sigma_BL: Vector) -> Matrix:
@@ -95,6 +96,44 @@ def mrp_rate(sigma_BL: Vector, omega_BL_B: Vector) -> Vector:
 def mrp_shadow(sigma_BL: Vector) -> Vector:
     """Return the other MRP of the same attitude; singular at ``sigma = 0``."""
     return scale(-1 / dot(sigma_BL, sigma_BL), sigma_BL)
+
+
+def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
+    r"""Return four times the MRP from the reference to sigma: the turn (rad) between them, to first order.
+
+    For `Model.difference`: the error of attitudes by composition, by the short way round,
+
+    .. math:: \delta\sigma = \frac{(1 - \sigma_r^2)\, \sigma - (1 - \sigma^2)\, \sigma_r + 2\, \sigma \times \sigma_r}
+       {1 + \sigma^2 \sigma_r^2 + 2\, \sigma \cdot \sigma_r} .
+
+    Parameters
+    ----------
+    sigma, sigma_ref : casadi (3, 1), array (3,) or (3, n_times)
+        MRP of B and of the reference R relative to the same frame; either of the two sets.
+
+    Returns
+    -------
+    casadi (3, 1), array (3,) or (3, n_times)
+        Components the same in R and B; of length 4 tan(angle / 4) <= 4.
+    """
+    square, square_ref = dot(sigma, sigma), dot(sigma_ref, sigma_ref)
+    across = cross(sigma, sigma_ref)
+    numerator = stack(
+        [(1 - square_ref) * sigma[i] - (1 - square) * sigma_ref[i] + 2 * across[i] for i in range(3)]
+    )
+    denominator = 1 + square * square_ref + 2 * dot(sigma, sigma_ref)
+    # |delta sigma| = |numerator| / denominator; where that is > 1 the shadow is shorter, which is
+    # -numerator * denominator / |numerator|^2: no zero to divide by on either side.
+    length = dot(numerator, numerator)
+    if is_symbolic(numerator):
+        far = length > denominator * denominator
+        factor = ca.if_else(
+            far, -denominator / ca.if_else(far, length, 1), 1 / ca.if_else(far, 1, denominator)
+        )
+    else:
+        far = np.asarray(length > denominator**2)
+        factor = np.where(far, -denominator / np.where(far, length, 1), 1 / np.where(far, 1, denominator))
+    return scale(4 * factor, numerator)
 
 
 def mrp_to_quaternion(sigma_BL: Vector) -> Vector:

@@ -1,0 +1,94 @@
+r"""Gravity of an oblate planet, inertial and differential.
+
+Point mass and second zonal harmonic at the inertial position :math:`r = (X, Y, Z)`, Z along the planet's
+axis:
+
+.. math::
+   a = -\frac{\mu}{|r|^3} r + \frac{3 \mu J_2 R^2}{2 |r|^5}
+   \begin{pmatrix} (5 Z^2/|r|^2 - 1)\, X \\ (5 Z^2/|r|^2 - 1)\, Y \\ (5 Z^2/|r|^2 - 3)\, Z \end{pmatrix} .
+
+Both have a potential, :math:`a = -\nabla U`,
+
+.. math:: U = -\frac{\mu}{|r|} \left[ 1 - \frac{J_2 R^2}{2 |r|^2} \left( \frac{3 Z^2}{|r|^2} - 1 \right) \right],
+
+so the energy :math:`\tfrac12 |v|^2 + U` of a free orbit is constant, and so is the component of
+:math:`r \times v` along Z.
+
+**Gravity gradient** torque on a body at ``r_B`` from the planet's centre (B components), to first order in
+size over distance: :math:`T = 3 \mu\, |r|^{-5}\, r \times J r`.
+
+SI units. Vectors are CasADi columns or arrays (3,) and (3, n_times), time last.
+
+References
+----------
+D. A. Vallado, Fundamentals of Astrodynamics and Applications, chapter 8.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.spacecraft.relative_orbit import MU_EARTH, RADIUS_EARTH
+from gnc_opt.spacecraft.rigid_body import angular_momentum
+from gnc_opt.spacecraft.vector import Vector, cross, dot, scale, stack
+
+J2_EARTH = 0.0010826
+"""Second zonal harmonic of the Earth, not normalised."""
+
+
+def point_mass_gravity(r: Vector, mu: Any = MU_EARTH) -> Vector:
+    """Return the acceleration at the inertial position r (m) by a point mass, m/s^2."""
+    square = dot(r, r)
+    return scale(-mu / (square * square**0.5), r)
+
+
+def j2_gravity(r: Vector, mu: Any = MU_EARTH, j2: Any = J2_EARTH, radius: Any = RADIUS_EARTH) -> Vector:
+    """Return the acceleration at the inertial position r (m) by the oblateness alone, m/s^2.
+
+    Parameters
+    ----------
+    r : casadi (3, 1), array (3,) or (3, n_times)
+        Position, Z along the planet's axis, m.
+    mu, j2, radius : float or casadi scalar
+        m^3/s^2, 1 and m (equatorial).
+    """
+    square = dot(r, r)
+    ratio = 5 * r[2] * r[2] / square
+    factor = 1.5 * mu * j2 * radius**2 / (square * square * square**0.5)
+    return stack([factor * (ratio - 1) * r[0], factor * (ratio - 1) * r[1], factor * (ratio - 3) * r[2]])
+
+
+def gravity_potential(r: Vector, mu: Any = MU_EARTH, j2: Any = J2_EARTH, radius: Any = RADIUS_EARTH) -> Any:
+    """Return the potential U of point mass and oblateness at the inertial position r (m), m^2/s^2."""
+    square = dot(r, r)
+    flattening = 0.5 * j2 * radius**2 / square * (3 * r[2] * r[2] / square - 1)
+    return -mu / square**0.5 * (1 - flattening)
+
+
+def gravity_gradient_torque(inertia: Any, r_B: Vector, mu: Any = MU_EARTH) -> Vector:
+    """Return the torque of gravity on an extended body, N m.
+
+    Parameters
+    ----------
+    inertia : casadi or array, (3,) principal moments or (3, 3)
+        kg m^2.
+    r_B : casadi (3, 1), array (3,) or (3, n_times)
+        Position of the body relative to the planet's centre in body components, m.
+    mu : float or casadi scalar
+        m^3/s^2.
+    """
+    square = dot(r_B, r_B)
+    factor = 3 * mu / (square * square * square**0.5)
+    return scale(factor, cross(r_B, angular_momentum(inertia, r_B)))
+
+
+def orbital_energy(r: Vector, v: Vector, **gravity: Any) -> Any:
+    """Return the specific energy of an orbit, m^2/s^2; keywords as in `gravity_potential`."""
+    return 0.5 * dot(v, v) + gravity_potential(r, **gravity)
+
+
+def angular_momentum_about_axis(r: Vector, v: Vector) -> Any:
+    """Return the component of r x v along the planet's axis, m^2/s: constant without thrust."""
+    return np.asarray(cross(r, v)[2]) if isinstance(r, np.ndarray) else cross(r, v)[2]

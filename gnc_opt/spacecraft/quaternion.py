@@ -1,0 +1,126 @@
+r"""Unit quaternions, scalar part first: :math:`q = (\cos(\Phi/2),\; e \sin(\Phi/2))`.
+
+Frame B is reached from frame A by turning A through :math:`\Phi` about the unit axis e; ``q_BA`` and
+``-q_BA`` are the same attitude.
+
+**Product.** With Hamilton's product
+
+.. math:: p \otimes q = (p_0 q_0 - p_v \cdot q_v,\; p_0 q_v + q_0 p_v + p_v \times q_v)
+
+turns about the axes of the *moving* frame compose from left to right: ``q_CA = product(q_BA, q_CB)``.
+
+**Direction cosine matrix** (passive, A components to B components, see `gnc_opt.spacecraft.attitude`)
+
+.. math:: C_{BA} = (q_0^2 - q_v \cdot q_v)\, I + 2 q_v q_v^T - 2 q_0 [q_v \times] .
+
+**Kinematics**, with ``omega_BA_B`` the rate of B relative to A in B components,
+
+.. math:: \dot q_0 = -\tfrac12 q_v \cdot \omega, \qquad \dot q_v = \tfrac12 (q_0\, \omega + q_v \times \omega) .
+
+**Error** of q relative to a reference: :math:`\delta q = q_r^{-1} \otimes q`, the turn from the reference
+frame R to B with the same components in both; the sign is chosen so that :math:`\delta q_0 \ge 0`, the
+short way round.
+
+Every function takes CasADi columns or arrays (n,) and (n, n_times), time last, unless it says "numeric".
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from gnc_opt.model.layout import Array
+from gnc_opt.spacecraft.vector import Matrix, Vector, cross, dot, is_symbolic, stack, stack_rows
+
+Quaternion = Any
+"""CasADi (4, 1), or an array (4,) or (4, n_times), scalar part first."""
+
+
+def quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Return Hamilton's product of two quaternions."""
+    pv, qv = _vector(p), _vector(q)
+    across = cross(pv, qv)
+    scalar = p[0] * q[0] - dot(pv, qv)
+    return stack([scalar, *(p[0] * qv[i] + q[0] * pv[i] + across[i] for i in range(3))])
+
+
+def quaternion_conjugate(q: Quaternion) -> Quaternion:
+    """Return the quaternion of the turn back (the inverse of a unit quaternion)."""
+    return stack([q[0], -q[1], -q[2], -q[3]])
+
+
+def quaternion_to_dcm(q_BA: Quaternion) -> Matrix:
+    """Return ``dcm_BA``, which takes A components to B components: (3, 3) or (3, 3, n_times)."""
+    s, x, y, z = q_BA[0], q_BA[1], q_BA[2], q_BA[3]
+    return stack_rows(
+        [
+            [s * s + x * x - y * y - z * z, 2 * (x * y + s * z), 2 * (x * z - s * y)],
+            [2 * (x * y - s * z), s * s - x * x + y * y - z * z, 2 * (y * z + s * x)],
+            [2 * (x * z + s * y), 2 * (y * z - s * x), s * s - x * x - y * y + z * z],
+        ]
+    )
+
+
+def quaternion_rate(q_BA: Quaternion, omega_BA_B: Vector) -> Quaternion:
+    """Return the time derivative of the quaternion, 1/s.
+
+    Parameters
+    ----------
+    q_BA : casadi (4, 1), array (4,) or (4, n_times)
+    omega_BA_B : casadi (3, 1), array (3,) or (3, n_times)
+        Rate of B relative to A in B components, rad/s.
+    """
+    vector = _vector(q_BA)
+    across = cross(vector, omega_BA_B)
+    scalar = -0.5 * dot(vector, omega_BA_B)
+    return stack([scalar, *(0.5 * (q_BA[0] * omega_BA_B[i] + across[i]) for i in range(3))])
+
+
+def quaternion_error(q: Quaternion, q_ref: Quaternion) -> Quaternion:
+    """Return the quaternion from the reference to q by the short way, scalar part >= 0."""
+    error = quaternion_product(quaternion_conjugate(q_ref), q)
+    if is_symbolic(error):
+        return ca.if_else(error[0] < 0, -error, error)
+    return np.where(np.asarray(error)[0] < 0, -error, error)
+
+
+def quaternion_difference(q: Quaternion, q_ref: Quaternion) -> Vector:
+    """Return twice the vector part of the error, (3,): the turn (rad) from the reference to q, to first order.
+
+    For `Model.difference`.
+    """
+    error = quaternion_error(q, q_ref)
+    return stack([2 * error[i] for i in (1, 2, 3)])
+
+
+def quaternion_angle(q: ArrayLike, q_ref: ArrayLike) -> Any:
+    """Return the angle between two attitudes in [0, pi], rad; numeric, exact near 0 and near pi."""
+    error = np.asarray(quaternion_error(q, q_ref), dtype=float)
+    return 2 * np.arctan2(np.linalg.norm(error[1:], axis=0), np.abs(error[0]))
+
+
+def quaternion_to_rotation(q_BA: ArrayLike) -> Any:
+    """Return scipy's (active) `Rotation` from the axes of A to those of B; numeric."""
+    return Rotation.from_quat(np.asarray(q_BA, dtype=float).T, scalar_first=True)
+
+
+def quaternion_from_euler(angles: ArrayLike, sequence: str) -> Array:
+    """Return the quaternion (4,), scalar part >= 0, of turns about the axes of the moving frame; numeric.
+
+    Parameters
+    ----------
+    angles : array (3,)
+        rad, in the order of the sequence.
+    sequence : str
+        Three capital letters, first turn first: ``"ZYX"`` is the 3-2-1 sequence.
+    """
+    rotation = Rotation.from_euler(sequence, np.asarray(angles, dtype=float))
+    return np.asarray(rotation.as_quat(canonical=True, scalar_first=True))
+
+
+def _vector(q: Quaternion) -> Vector:
+    return stack([q[1], q[2], q[3]])

@@ -1,0 +1,147 @@
+r"""Nonlinear motion relative to a leader, in the leader's radial frame, and its inertial truth.
+
+**Frame R** sits in the leader: x radial outward, y along the motion, z along the orbit normal. The LVLH
+frame L of `gnc_opt.spacecraft.relative_orbit` has the same origin and other axes,
+:math:`(x, y, z)_L = (y, -z, -x)_R`.
+
+**Circular Keplerian leader** at radius :math:`r_l`, mean motion n. For the follower at
+:math:`\rho = (x, y, z)` in R, with :math:`q = ((r_l + x)^2 + y^2 + z^2)^{3/2}` and an acceleration f beyond
+the point mass's gravity,
+
+.. math::
+   \ddot x &= \phantom{-}2 n \dot y + n^2 x - \mu \left( \frac{r_l + x}{q} - \frac{1}{r_l^2} \right) + f_x \\
+   \ddot y &= -2 n \dot x + n^2 y - \mu\, y / q + f_y \\
+   \ddot z &= -\mu\, z / q + f_z ,
+
+exact; to first order they are Hill's equations.
+
+**Differential oblateness**: the acceleration of the follower by :math:`J_2` minus that of the leader, in R.
+It depends on where the leader is, given by its inertial attitude ``dcm_RI`` and position.
+
+**Truth**: leader and follower as two inertial orbits. `relative_from_inertial` measures
+:math:`\rho, \dot\rho` in the leader's true frame, which turns at :math:`h/r^2` about z and, where the
+leader is pushed out of its plane by :math:`a_h`, at :math:`r\, a_h/h` about x.
+
+SI units. Vectors are CasADi columns or arrays (3,) and (3, n_times), time last.
+
+References
+----------
+K. T. Alfriend et al., Spacecraft Formation Flying, Elsevier 2010, chapters 4 and 7.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gnc_opt.spacecraft.gravity import J2_EARTH, j2_gravity
+from gnc_opt.spacecraft.relative_orbit import MU_EARTH, RADIUS_EARTH
+from gnc_opt.spacecraft.vector import Matrix, Vector, apply, cross, dot, scale, stack, stack_rows, transpose
+
+
+def relative_acceleration(
+    rho_R: Vector, rho_rate_R: Vector, leader_radius: Any, n: Any, mu: Any = MU_EARTH
+) -> Vector:
+    """Return the follower's acceleration without thrust as seen in R, m/s^2; circular Keplerian leader.
+
+    Parameters
+    ----------
+    rho_R, rho_rate_R : casadi (3, 1), array (3,) or (3, n_times)
+        Position (m) relative to the leader and its rate of change seen in R (m/s).
+    leader_radius, n : float or casadi scalar
+        Radius (m) and mean motion (rad/s) of the leader's orbit.
+    mu : float or casadi scalar
+        m^3/s^2.
+    """
+    radial = leader_radius + rho_R[0]
+    square = radial * radial + rho_R[1] * rho_R[1] + rho_R[2] * rho_R[2]
+    pull = mu / (square * square**0.5)
+    return stack(
+        [
+            2 * n * rho_rate_R[1] + n * n * rho_R[0] - (pull * radial - mu / leader_radius**2),
+            -2 * n * rho_rate_R[0] + n * n * rho_R[1] - pull * rho_R[1],
+            -pull * rho_R[2],
+        ]
+    )
+
+
+def differential_j2(
+    rho_R: Vector,
+    leader_radius: Any,
+    dcm_RI: Matrix,
+    mu: Any = MU_EARTH,
+    j2: Any = J2_EARTH,
+    radius: Any = RADIUS_EARTH,
+) -> Vector:
+    """Return the follower's acceleration by the oblateness minus the leader's, in R, m/s^2.
+
+    Parameters
+    ----------
+    rho_R : casadi (3, 1), array (3,) or (3, n_times)
+        Position relative to the leader, m.
+    leader_radius : float or casadi scalar
+        Of the leader, m.
+    dcm_RI : casadi (3, 3), array (3, 3) or (3, 3, n_times)
+        Takes inertial components (z along the planet's axis) to R. For an equatorial leader any turn about
+        z will do, the identity included.
+    mu, j2, radius : float or casadi scalar
+        m^3/s^2, 1 and m (equatorial).
+    """
+    dcm_IR = transpose(dcm_RI)
+    leader = apply(dcm_IR, stack([leader_radius, 0.0 * leader_radius, 0.0 * leader_radius]))
+    follower = apply(dcm_IR, stack([leader_radius + rho_R[0], rho_R[1], rho_R[2]]))
+    own, base = j2_gravity(follower, mu, j2, radius), j2_gravity(leader, mu, j2, radius)
+    return apply(dcm_RI, stack([own[i] - base[i] for i in range(3)]))
+
+
+def radial_frame(r: Vector, v: Vector) -> Matrix:
+    """Return ``dcm_RI`` of the radial frame of an orbit, from the inertial position (m) and velocity (m/s)."""
+    normal = cross(r, v)
+    x = scale(1 / dot(r, r) ** 0.5, r)
+    z = scale(1 / dot(normal, normal) ** 0.5, normal)
+    y = cross(z, x)
+    return stack_rows([[e[0], e[1], e[2]] for e in (x, y, z)])
+
+
+def radial_frame_rate(r: Vector, v: Vector, acceleration: Vector) -> Vector:
+    """Return ``omega_RI_R``, the rate of the radial frame in its own axes, rad/s.
+
+    Parameters
+    ----------
+    r, v, acceleration : casadi (3, 1), array (3,) or (3, n_times)
+        Inertial position (m), velocity (m/s) and total acceleration (m/s^2) of the leader.
+    """
+    normal = cross(r, v)
+    h = dot(normal, normal) ** 0.5
+    distance = dot(r, r) ** 0.5
+    return stack([distance * dot(acceleration, normal) / (h * h), 0.0 * h, h / dot(r, r)])
+
+
+def relative_from_inertial(
+    r_leader: Vector, v_leader: Vector, r_follower: Vector, v_follower: Vector, acceleration: Vector
+) -> tuple[Vector, Vector]:
+    """Return position (m) and rate (m/s) of the follower as seen in the leader's true radial frame.
+
+    Parameters
+    ----------
+    r_leader, v_leader, r_follower, v_follower : casadi (3, 1), array (3,) or (3, n_times)
+        Inertial, m and m/s.
+    acceleration : like the others
+        Total acceleration of the leader, m/s^2: it turns the frame.
+    """
+    dcm_RI = radial_frame(r_leader, v_leader)
+    rho = apply(dcm_RI, stack([r_follower[i] - r_leader[i] for i in range(3)]))
+    velocity = apply(dcm_RI, stack([v_follower[i] - v_leader[i] for i in range(3)]))
+    turning = cross(radial_frame_rate(r_leader, v_leader, acceleration), rho)
+    return rho, stack([velocity[i] - turning[i] for i in range(3)])
+
+
+def inertial_from_relative(
+    r_leader: Vector, v_leader: Vector, rho_R: Vector, rho_rate_R: Vector, acceleration: Vector
+) -> tuple[Vector, Vector]:
+    """Return the follower's inertial position (m) and velocity (m/s): the inverse of `relative_from_inertial`."""
+    dcm_IR = transpose(radial_frame(r_leader, v_leader))
+    turning = cross(radial_frame_rate(r_leader, v_leader, acceleration), rho_R)
+    away = apply(dcm_IR, rho_R)
+    faster = apply(dcm_IR, stack([rho_rate_R[i] + turning[i] for i in range(3)]))
+    position = stack([r_leader[i] + away[i] for i in range(3)])
+    return position, stack([v_leader[i] + faster[i] for i in range(3)])
