@@ -1,0 +1,125 @@
+"""The ``main`` that the problem files share: solve, refine, judge, compare with the reference, report."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+import gnc_opt as go
+from gnc_opt.report import summary_dict, write_report
+from gnc_opt.report.verdict_table import verdict_table
+from problems.reference import Reference
+
+TOLERANCE = 1e-8
+"""Of the refinement."""
+
+_WIDTH = 120
+"""Columns where the output is no terminal."""
+
+
+def run(
+    build: Callable[[], go.Problem],
+    reference: Reference,
+    arguments: Sequence[str] | None = None,
+    *,
+    explained: Mapping[str, str] | None = None,
+) -> int:
+    """Solve a problem at default settings, refine, and say how the answer compares.
+
+    Parameters
+    ----------
+    build : callable
+        Of the problem file.
+    reference : Reference
+    arguments : sequence of str, optional
+        Of the command line, without the program's name; default ``sys.argv[1:]``.
+    explained : mapping, optional
+        Conditions of the verdict that are known to fail, with the reason. They are shown as failed, with
+        the reason beside them, but do not count in the exit code.
+
+    Returns
+    -------
+    int
+        0; 1 if there is no solution, the reference is missed, or the verdict fails for no known reason.
+    """
+    options = _parser(build).parse_args(arguments)
+    console = _console()
+    try:
+        solution = go.solve(build(), tol=TOLERANCE)
+    except go.SolveError as error:
+        print(error, file=sys.stderr)
+        return 1
+    verdict = go.verify(solution)
+    known = explained or {}
+    _show(console, solution, verdict, known)
+    _say(console, comparison(solution.objective, reference))
+    if options.json is not None:
+        _write_json(options.json, solution, verdict, reference)
+    if options.report is not None:
+        paths = write_report(solution, verdict, options.report)
+        _say(console, f"report: {len(paths)} files in {options.report}")
+    unexplained = [condition for condition in verdict.failed if condition.name not in known]
+    return 0 if reference.agrees(solution.objective) and not unexplained else 1
+
+
+def comparison(objective: float, reference: Reference) -> str:
+    """Return the line that compares an objective with its reference."""
+    unit = f" {reference.unit}" if reference.unit else ""
+    return (
+        f"objective {objective:.12g}{unit}, reference {reference.value:.12g}{unit} ({reference.source}), "
+        f"difference {reference.difference(objective):+.1e} (tolerance {reference.tolerance:.0e}): "
+        f"{'pass' if reference.agrees(objective) else 'FAIL'}"
+    )
+
+
+def _show(console: Console, solution: go.Solution, verdict: go.Verdict, explained: Mapping[str, str]) -> None:
+    _say(console, str(solution))
+    console.print(verdict_table(verdict))
+    for condition in verdict.failed:
+        reason = explained.get(condition.name)
+        _say(console, f"{condition.name}: {f'expected. {reason}' if reason else condition.meaning}")
+
+
+def _write_json(path: Path, solution: go.Solution, verdict: go.Verdict, reference: Reference) -> None:
+    """Write the summary of `summary_dict` with one more key, ``reference``."""
+    told: dict[str, Any] = summary_dict(solution, verdict)
+    told["reference"] = {
+        "value": reference.value,
+        "source": reference.source,
+        "tolerance": reference.tolerance,
+        "unit": reference.unit,
+        "difference": reference.difference(solution.objective),
+        "agrees": reference.agrees(solution.objective),
+    }
+    path.write_text(json.dumps(told, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _say(console: Console, text: str) -> None:
+    console.print(text, markup=False, soft_wrap=True)
+
+
+def _console() -> Console:
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = max(console.width, _WIDTH)
+    return console
+
+
+def _parser(build: Callable[[], go.Problem]) -> argparse.ArgumentParser:
+    file = Path(inspect.getfile(build))
+    description = (inspect.getmodule(build).__doc__ or "").partition("\n")[0]
+    parser = argparse.ArgumentParser(prog=f"python -m problems.{file.stem}", description=description)
+    parser.add_argument(
+        "--report", type=Path, metavar="DIR", help="write summary, verdict, solution and figures to a folder"
+    )
+    parser.add_argument(
+        "--json", type=Path, metavar="OUT", help="write the summary and the comparison to a file"
+    )
+    return parser

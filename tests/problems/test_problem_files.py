@@ -1,0 +1,346 @@
+"""The problem files: reference values, closed forms along the trajectory, structures, the shared ``main``."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import gnc_opt as go
+from gnc_opt import cli
+from problems import (
+    bilimoria_wie,
+    bryson_denham,
+    delta3,
+    goddard,
+    hypersensitive,
+    minimum_fuel,
+    moon_landing,
+    robot_arm,
+    shuttle,
+    speed_limit,
+    van_der_pol,
+    zermelo,
+)
+from problems.reference import Reference
+from problems.run import TOLERANCE, comparison, run
+
+Array = NDArray[np.float64]
+
+FOLDER = Path(goddard.__file__).parent
+NAMES = sorted(
+    path.stem
+    for path in FOLDER.glob("*.py")
+    if path.stem not in ("__init__", "reference", "run") and not path.stem.startswith("rendezvous")
+)
+CLOSED = {
+    # Tolerances of states, controls and costates: the accuracy asked for, larger where a cost is flat
+    # (control errors of 1e-6 change it by 1e-12), next to nothing where switch times were optimised.
+    "brachistochrone": (1e-8, 1e-6, 1e-7),
+    "zermelo": (1e-7, 1e-6, 1e-7),
+    "minimum_fuel": (1e-9, 1e-9, 1e-8),
+    "speed_limit": (1e-8, 1e-8, 1e-7),
+    "bryson_denham": (1e-6, 1e-3, 2e-3),
+    "moon_landing": (1e-8, 1e-8, 1e-8),
+    "hypersensitive": (1e-6, 1e-6, 1e-6),
+    "interior_point": (1e-6, 1e-5, 1e-5),
+    "periodic": (1e-7, 1e-6, 1e-6),
+}
+
+
+@cache
+def solved(name: str) -> go.Solution:
+    """The solution of a problem file at default settings, as its ``main`` gets it."""
+    return go.solve(module(name).build(), tol=TOLERANCE)
+
+
+def module(name: str) -> ModuleType:
+    return importlib.import_module(f"problems.{name}")
+
+
+def inner_times(leg: go.PhaseSolution, number: int = 61) -> Array:
+    """Times strictly inside a phase: at a seam a costate has two values."""
+    return np.linspace(leg.initial_time, leg.final_time, number)[1:-1]
+
+
+# --- reference values and verdicts ----------------------------------------------------------------------
+
+
+def test_every_problem_file_is_here() -> None:
+    assert len(NAMES) >= 15
+    assert set(CLOSED) == {name for name in NAMES if hasattr(module(name), "closed_form")}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_reference_at_default_settings(name: str) -> None:
+    solution, reference = solved(name), module(name).REFERENCE
+    assert solution.status is go.Status.OPTIMAL
+    assert solution.history is not None
+    assert solution.history.status is go.RefinementStatus.CONVERGED
+    assert solution.objective == pytest.approx(reference.value, rel=0, abs=reference.tolerance)
+    assert reference.tolerance <= 1e-6 * max(1.0, abs(reference.value))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_verdict_fails_nowhere_without_an_explanation(name: str) -> None:
+    verdict = go.verify(solved(name))
+    assert {condition.name for condition in verdict.failed} <= set(getattr(module(name), "EXPLAINED", {}))
+
+
+# --- closed forms ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", CLOSED)
+def test_trajectory_and_costates_are_the_closed_form(name: str) -> None:
+    solution, tolerances = solved(name), CLOSED[name]
+    for leg in solution.phases.values():
+        t = inner_times(leg)
+        if name == "bryson_denham":  # at entry and exit lam_x jumps and the control has a kink
+            edge = 3 * bryson_denham.LIMIT
+            t = t[np.minimum(np.abs(t - edge), np.abs(t - 1 + edge)) > 0.01]
+        wanted = module(name).closed_form(t)
+        found = (leg.state, leg.control, leg.costate)
+        kinds = (wanted.states, wanted.controls, wanted.costates)
+        for values, signal, tolerance in zip(kinds, found, tolerances, strict=True):
+            assert values
+            for variable, value in values.items():
+                np.testing.assert_allclose(signal(variable)(t), value, rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize("name", [n for n in CLOSED if n != "bryson_denham"])
+def test_closed_form_satisfies_the_dynamics(name: str) -> None:
+    """The closed forms are judged too: differences of the states over 2e-6 s are the rates of the model."""
+    problem = module(name).build()
+    for key, leg in problem.phases.items():
+        span = solved(name).phases[key]
+        t = inner_times(span, 23)
+        at, before, after = (module(name).closed_form(t + step) for step in (0.0, -1e-6, 1e-6))
+        x = np.stack([at.states[label] for label in leg.model.states.names])
+        u = np.stack([at.controls[label] for label in leg.model.controls.names])
+        slope = np.stack(
+            [(after.states[label] - before.states[label]) / 2e-6 for label in leg.model.states.names]
+        )
+        rates = np.stack([leg.model.f(t[i], x[:, i], u[:, i]) for i in range(t.size)], axis=1)
+        np.testing.assert_allclose(slope, rates, rtol=0, atol=1e-7)
+
+
+def test_zermelos_boat_has_the_published_headings_and_steers_by_its_costates() -> None:
+    np.testing.assert_allclose(np.degrees(zermelo.headings()), (105.0, 240.0), atol=0.1)
+    leg = solved("zermelo").phase()
+    t = inner_times(leg)
+    theta = leg.control("theta")(t)
+    cross = leg.costate("x")(t) * np.sin(theta) - leg.costate("y")(t) * np.cos(theta)
+    np.testing.assert_allclose(cross, 0.0, atol=1e-6)
+
+
+# --- other data: other optima ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("limit", [0.3, 0.8])
+def test_time_with_another_speed_limit(limit: float) -> None:
+    """On the default mesh, whose segments do not end at the switches: hence the tolerance."""
+    solution = go.solve(speed_limit.build(limit))
+    assert solution.objective == pytest.approx(1 / limit + limit, abs=2e-3)
+
+
+def test_fuel_with_more_time() -> None:
+    solution = go.solve(minimum_fuel.build(4.0), tol=TOLERANCE)
+    assert solution.objective == pytest.approx(4 - np.sqrt(12), abs=1e-8)
+
+
+def test_landing_from_another_altitude() -> None:
+    """Energy: v^2 + 2 g h = 2 (u - g) h_burn + 2 g h_burn, with u = 3 and h_burn the height of ignition."""
+    h, v, g = 20.0, -3.0, moon_landing.GRAVITY
+    ignition_height = (v**2 + 2 * g * h) / (2 * moon_landing.MAX_THRUST)
+    burn = np.sqrt(2 * ignition_height / (moon_landing.MAX_THRUST - g))
+    solution = go.solve(moon_landing.build(altitude=h, speed=v), tol=TOLERANCE)
+    assert solution.objective == pytest.approx(moon_landing.MAX_THRUST * burn, abs=1e-8)
+
+
+def test_long_times_do_not_matter_to_the_hypersensitive_problem() -> None:
+    solution = go.solve(hypersensitive.build(50.0), tol=TOLERANCE)
+    assert solution.objective == pytest.approx(hypersensitive.REFERENCE.value, abs=1e-8)
+
+
+# --- structures -----------------------------------------------------------------------------------------
+
+
+def switches(name: str, channel: str) -> tuple[float, ...]:
+    return tuple(arc.start for arc in solved(name).structure if arc.channel == channel and arc.start > 0)
+
+
+def test_switch_times_of_the_robot_arm() -> None:
+    for channel, times in robot_arm.SWITCH_TIMES.items():
+        assert switches("robot_arm", channel) == pytest.approx(times, abs=1e-7)
+
+
+def test_reorientation_is_faster_than_the_turn_about_one_axis() -> None:
+    times = sorted(t for i in range(3) for t in switches("bilimoria_wie", f"torque[{i}]"))
+    assert times == pytest.approx(bilimoria_wie.SWITCH_TIMES, abs=1e-7)
+    solution = solved("bilimoria_wie")
+    assert solution.objective / bilimoria_wie.EIGENAXIS_TIME == pytest.approx(1 - 0.085, abs=5e-4)
+    t = inner_times(solution.phase())
+    np.testing.assert_allclose(np.linalg.norm(solution.state("q")(t), axis=0), 1.0, atol=1e-8)
+
+
+def test_singular_arc_of_van_der_pol_follows_its_feedback_law() -> None:
+    leg = solved("van_der_pol").phase()
+    first, entry = switches("van_der_pol", "u")
+    assert first == pytest.approx(van_der_pol.SWITCH_TIMES[0], abs=1e-6)
+    # Where the singular arc is entered, the cost is flat: 5e-5 s change it by less than 1e-10.
+    assert entry == pytest.approx(van_der_pol.SWITCH_TIMES[1], abs=1e-4)
+    t = np.linspace(van_der_pol.SWITCH_TIMES[1] + 0.01, leg.final_time - 0.01, 40)
+    law = van_der_pol.singular_control(leg.state("x")(t), leg.state("y")(t))
+    np.testing.assert_allclose(leg.control("u")(t), law, atol=1e-4)
+    np.testing.assert_allclose(leg.costate("y")(t), 0.0, atol=1e-6)
+    np.testing.assert_allclose(leg.costate("x")(t), -leg.state("y")(t), atol=1e-5)
+
+
+def test_goddards_singular_arc_lies_on_its_surface() -> None:
+    leg = solved("goddard").phase()
+    first, last = switches("goddard", "thrust")
+    assert (first, last) == pytest.approx((13.751270159, 21.987362617), abs=1e-4)
+    inside = np.linspace(first, last, 42)[1:-1]
+    outside = np.array([first - 2.0, last + 2.0])
+    on, off = (
+        goddard.singular_surface(*(leg.state(name)(t) for name in ("h", "v", "m"))) for t in (inside, outside)
+    )
+    np.testing.assert_allclose(on, 0.0, atol=1e-4)
+    assert np.all(np.abs(off) > 0.05)
+
+
+# --- costates at the start, from independent calculations -----------------------------------------------
+
+FOOT, SLUG = goddard.FOOT, goddard.SLUG
+INITIAL_COSTATES: dict[str, dict[str, Any]] = {
+    # Derivatives of the objective as stated with respect to the initial state.
+    "van_der_pol": {"x": -0.495293564, "y": 2.588365502},
+    "robot_arm": {
+        "rho": 1.200071173, "rho_rate": 1.837410893, "theta": -1.368581093, "theta_rate": -6.255039492,
+        "phi": 3.482556413, "phi_rate": 6.729004748,
+    },
+    "orbit_raising": {"r": 1.877335986, "v_r": 0.928933659, "v_t": 2.025156223},
+    "hang_glider": {"x": 1.019342001, "y": 10.273834801, "v_x": 14.053757394},
+    "shuttle": {
+        "h": 0.0080327396 / (1e5 * FOOT), "latitude": 0.253500032, "v": 0.7412965136 / (1e4 * FOOT),
+        "gamma": 0.270618578, "psi": -0.967335377,
+    },
+    "delta3": {"v": [3.225904231, 1.260968039, 1.748245681]},
+    # By central differences of simulations, to 1e-6 or so.
+    "goddard": {"h": 1.2396511, "v": 29.4086592, "m": 7748.89999 * FOOT / SLUG},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", INITIAL_COSTATES)
+def test_initial_costates(name: str) -> None:
+    solution = solved(name)
+    leg = next(iter(solution.phases.values()))
+    sign = -1.0 if solution.maximised else 1.0
+    for state, wanted in INITIAL_COSTATES[name].items():
+        found = sign * np.asarray(leg.costate(state)(leg.initial_time))
+        np.testing.assert_allclose(found, wanted, rtol=2e-4 if name == "goddard" else 1e-5)
+
+
+def test_initial_costate_of_the_reorientation() -> None:
+    """H = -1 at rest: the costates of the rates add up to 1; axes 1 and 2 are mirror images."""
+    leg = solved("bilimoria_wie").phase()
+    lam = np.abs(leg.costate("omega")(0.0))
+    assert np.sum(lam) == pytest.approx(1.0, abs=1e-8)
+    assert sorted(lam[:2]) == pytest.approx((0.0760048229, 0.2303298292), abs=1e-6)
+
+
+# --- physics --------------------------------------------------------------------------------------------
+
+
+def test_delta3_drops_what_it_should_and_reaches_its_orbit() -> None:
+    legs = list(solved("delta3").phases.values())
+    for first, second, data in zip(legs, legs[1:], delta3.LEGS[1:], strict=False):
+        drop = first.state("m")(first.final_time) - second.state("m")(second.initial_time)
+        assert drop == pytest.approx(data.dropped, abs=1e-3)
+    r, v = (np.asarray(legs[-1].state(name)(legs[-1].final_time)) for name in ("r", "v"))
+    semi_major = 1 / (2 / np.linalg.norm(r) - v @ v / delta3.MU)
+    h = np.cross(r, v)
+    eccentricity = np.linalg.norm(np.cross(v, h) / delta3.MU - r / np.linalg.norm(r))
+    assert semi_major == pytest.approx(24361140.0, rel=1e-7)
+    assert eccentricity == pytest.approx(0.7308, abs=1e-7)
+    assert np.degrees(np.arccos(h[2] / np.linalg.norm(h))) == pytest.approx(28.5, abs=1e-6)
+
+
+def test_shuttle_reaches_the_published_latitude_in_the_published_time() -> None:
+    solution = solved("shuttle")
+    assert math.degrees(solution.objective) == pytest.approx(34.1412, abs=1e-4)
+    assert solution.phase().final_time == pytest.approx(2008.59, abs=0.01)
+    assert solution.state("v")(solution.phase().final_time) == pytest.approx(2500 * shuttle.FOOT)
+
+
+# --- the shared main ------------------------------------------------------------------------------------
+
+
+def test_main_writes_what_it_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, folder = tmp_path / "out.json", tmp_path / "report"
+    assert moon_landing.main(["--json", str(out), "--report", str(folder)]) == 0
+    told = json.loads(out.read_text(encoding="utf-8"))
+    assert told["verdict"]["ok"]
+    assert told["reference"]["agrees"]
+    assert told["reference"]["value"] == pytest.approx(2 * math.sqrt(17), rel=1e-15)
+    assert {"summary.txt", "verdict.txt", "states.png"} <= {path.name for path in folder.iterdir()}
+    printed = capsys.readouterr().out
+    assert "pass" in printed.splitlines()[-2]
+    assert "soft landing on the Moon" in printed
+
+
+def test_main_fails_where_the_reference_is_missed(capsys: pytest.CaptureFixture[str]) -> None:
+    wrong = Reference(8.2463, "misprint", 1e-6, "m/s")
+    assert run(moon_landing.build, wrong, []) == 1
+    assert "FAIL" in capsys.readouterr().out.splitlines()[-1]
+
+
+def test_main_fails_where_a_problem_cannot_be_solved(capsys: pytest.CaptureFixture[str]) -> None:
+    def build() -> go.Problem:
+        return minimum_fuel.build(duration=1.5)  # less than the least time, 2 s
+
+    assert run(build, minimum_fuel.REFERENCE, []) == 1
+    assert "minimum fuel" in capsys.readouterr().err
+
+
+def test_a_failing_condition_counts_unless_it_is_explained(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    spoilt = go.Condition("adjoint equation", go.Result.FAIL, 1.0, 1e-5, "everywhere", "It does not hold.")
+    monkeypatch.setattr("problems.run.go.verify", lambda _: go.Verdict("soft landing on the Moon", (spoilt,)))
+    assert run(moon_landing.build, moon_landing.REFERENCE, []) == 1
+    assert "It does not hold." in capsys.readouterr().out
+    explained = {"adjoint equation": "Known."}
+    assert run(moon_landing.build, moon_landing.REFERENCE, [], explained=explained) == 0
+    assert "adjoint equation: expected. Known." in capsys.readouterr().out
+
+
+def test_a_nan_agrees_with_nothing() -> None:
+    assert not Reference(1.0, "x", 1.0).agrees(math.nan)
+    assert comparison(math.nan, Reference(1.0, "x", 1.0)).endswith("FAIL")
+
+
+def test_problem_files_work_with_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in NAMES:
+        assert cli.main(["check", str(FOLDER / f"{name}.py")]) == 0
+    assert capsys.readouterr().out.count("well stated") == len(NAMES)
+    file = str(FOLDER / "minimum_fuel.py")
+    assert cli.main(["solve", file, "--tol", "1e-8", "--set", "duration=2.5", "--quiet"]) == 0
+
+
+@pytest.mark.parametrize("name", [*NAMES])
+def test_the_index_lists_every_file(name: str) -> None:
+    index = (FOLDER.parent / "docs" / "problems.md").read_text(encoding="utf-8")
+    row = next(line for line in index.splitlines() if line.startswith(f"| [`{name}`]"))
+    value = module(name).REFERENCE.value
+    shown = row.split("|")[4].split()[0]
+    digits = len(shown.replace(".", "").lstrip("0"))
+    assert float(shown) == pytest.approx(value, rel=10.0 ** (1 - digits))
