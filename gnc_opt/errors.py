@@ -7,6 +7,7 @@ import reprlib
 import sys
 import warnings
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -41,11 +42,22 @@ class UnknownAttributeError(GncOptError, AttributeError):
 
 
 class SolveError(GncOptError, RuntimeError):
-    """The solver did not reach a solution; `solution` holds the last iterate and its status."""
+    """The solver did not reach a solution; `solution` holds the last iterate and its status.
+
+    On its way to another process the iterate loses its problem, whose symbols cannot travel;
+    ``error.solution.with_problem(problem)`` joins the two again.
+    """
 
     def __init__(self, message: str, solution: Solution) -> None:
         super().__init__(message)
         self.solution = solution
+
+    def __reduce__(self) -> tuple[type[SolveError], tuple[str, Solution]]:
+        return type(self), (str(self), replace(self.solution, problem=None))
+
+
+class DesignError(GncOptError, ValueError):
+    """A controller cannot be designed: the plant, the weights or the authority do not allow it."""
 
 
 class ProblemWarning(UserWarning):

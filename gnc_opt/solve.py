@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import math
 import platform
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gnc_opt.arguments import expect
 from gnc_opt.diagnosis import failure_message, find_violations
 from gnc_opt.errors import ProblemError, SolveError, shown
+from gnc_opt.feasible import feasibility_starts, knows_trajectory
 from gnc_opt.model.layout import Array
-from gnc_opt.nlp import IterationInfo, NlpResult, NlpSolver, SolverOptions
+from gnc_opt.nlp import IterationInfo, NlpResult, NlpSolver, SolverOptions, Status
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.refine import StructureChoice, refine
+from gnc_opt.second_opinion import at_rest, better_of_two
 from gnc_opt.solution.extract import Iterate, extract_phases
 from gnc_opt.solution.solution import Solution, Statistics
 from gnc_opt.solution.warm_start import start_from_solution
@@ -31,6 +35,9 @@ from gnc_opt.transcription.transcription import Transcription, transcribe
 MeshLike: TypeAlias = "Mesh | str"
 
 DEFAULT_MESH = Mesh.uniform(20, 4)
+
+INFEASIBLE = (Status.INFEASIBLE, Status.RESTORATION_FAILED)
+"""Endings that are looked into once more where the guess is not a trajectory; see `gnc_opt.feasible`."""
 
 
 def solve(
@@ -56,9 +63,11 @@ def solve(
         Collocation points: Legendre-Gauss, -Radau or -Lobatto.
     guess : Solution, optional
         Start from states, controls and multipliers of an earlier solution, on any mesh. Without it the
-        problem's own guess and straight lines are used.
+        problem's own guess and straight lines are used; where these end as infeasible, the constraints are met
+        first and the cost is lowered afterwards, see `gnc_opt.feasible`.
     tol : float, optional
         Refine until the error between the nodes is below this; see `refine`. Without it the given mesh is final.
+        A solution that does not come to rest is compared with another one; see `gnc_opt.second_opinion`.
     structure : {"auto", "bang-bang", "none"}
         How to refine; see `refine`.
     options : SolverOptions, optional
@@ -94,7 +103,10 @@ def solve(
     solver = _solver(problem, transcription, _suited(options, transcription))
     start, scaling, warm = _start(transcription, problem, guess)
     build_s = time.perf_counter() - begin
-    result = _run(transcription, problem, solver, start, scaling, warm, progress)
+    attempt = _Attempt(transcription, problem, solver, scaling, progress)
+    result = attempt.run(start, warm)
+    if result.status in INFEASIBLE and guess is None and not knows_trajectory(problem):
+        result = _by_feasibility(attempt, start, result)
     statistics = Statistics(
         result.iterations,
         build_s,
@@ -108,7 +120,14 @@ def solve(
         raise SolveError(failure_message(solution), solution)
     if tol is None or not solution.status.solved:
         return solution
-    return refine(solution, tol=tol, structure=structure, progress=progress)
+
+    def refined(found: Solution) -> Solution:
+        return refine(found, tol=tol, structure=structure, progress=progress)
+
+    final = refined(solution)
+    if at_rest(final) or guess is not None:
+        return final
+    return better_of_two(problem, solution, final, refined, options, {"mesh": mesh, "scheme": scheme})
 
 
 def _meshes(
@@ -176,41 +195,71 @@ def _with_integrals(transcription: Transcription, problem: Problem, start: Array
     return start
 
 
-def _run(
-    transcription: Transcription,
-    problem: Problem,
-    solver: NlpSolver,
-    start: Array,
-    scaling: Scaling,
-    warm: tuple[Array, Array] | None,
-    progress: bool,
-) -> NlpResult:
-    variables, rows = transcription.variable_interval(problem), transcription.row_interval(problem)
-    scales = scaling.variables
-    lam_x = lam_g = None
-    if warm is not None:
-        lam_x = warm[0] * scales * scaling.objective
-        lam_g = warm[1] / scaling.rows * scaling.objective
-    arguments = (
-        start / scales,
-        variables.lower / scales,
-        variables.upper / scales,
-        rows.lower * scaling.rows,
-        rows.upper * scaling.rows,
-        transcription.parameter_vector(problem, scales, scaling.rows, scaling.objective),
-        lam_x,
-        lam_g,
-    )
-    if not progress:
-        return solver.solve(*arguments)
-    from gnc_opt.report.progress import solve_meter
+@dataclass(frozen=True, eq=False)
+class _Attempt:
+    """The program, ready to be solved from one start or another."""
 
-    with solve_meter(problem.name) as show:
+    transcription: Transcription
+    problem: Problem
+    solver: NlpSolver
+    scaling: Scaling
+    progress: bool
 
-        def callback(info: IterationInfo) -> None:
-            show(info.iteration, info.objective / scaling.objective, info.infeasibility)
+    def run(
+        self,
+        start: Array,
+        warm: tuple[Array, Array] | None = None,
+        *,
+        held: NDArray[np.int64] | None = None,
+        with_cost: bool = True,
+    ) -> NlpResult:
+        """Solve from physical variables and multipliers, some variables held, with or without the cost."""
+        transcription, problem, scaling = self.transcription, self.problem, self.scaling
+        variables, rows = transcription.variable_interval(problem), transcription.row_interval(problem)
+        if held is not None:
+            variables.lower[held] = variables.upper[held] = start[held]
+        scales, worth = scaling.variables, scaling.objective if with_cost else 0.0
+        lam_x = lam_g = None
+        if warm is not None:
+            lam_x = warm[0] * scales * worth
+            lam_g = warm[1] / scaling.rows * worth
+        arguments = (
+            start / scales,
+            variables.lower / scales,
+            variables.upper / scales,
+            rows.lower * scaling.rows,
+            rows.upper * scaling.rows,
+            transcription.parameter_vector(problem, scales, scaling.rows, worth),
+            lam_x,
+            lam_g,
+        )
+        if not self.progress:
+            return self.solver.solve(*arguments)
+        from gnc_opt.report.progress import solve_meter
 
-        return solver.solve(*arguments, callback=callback)
+        with solve_meter(problem.name) as show:
+
+            def callback(info: IterationInfo) -> None:
+                show(info.iteration, info.objective / (worth or 1.0), info.infeasibility)
+
+            return self.solver.solve(*arguments, callback=callback)
+
+
+def _by_feasibility(attempt: _Attempt, start: Array, failed: NlpResult) -> NlpResult:
+    """Return a solution by way of a point that meets the constraints, or else the failure; with all the effort."""
+    spent = [failed]
+    begin, limit = time.perf_counter(), attempt.solver.options.max_wall_time or math.inf
+    for point in feasibility_starts(attempt.transcription, attempt.problem, start):
+        if failed.wall_time + time.perf_counter() - begin > limit:
+            break
+        spent.append(attempt.run(point.variables, held=point.held, with_cost=False))
+        if spent[-1].status.solved:
+            spent.append(attempt.run(spent[-1].x * attempt.scaling.variables))
+            if spent[-1].status not in INFEASIBLE:
+                return spent[-1].with_effort(spent)
+        elif spent[-1].status is Status.INTERRUPTED:
+            break
+    return failed.with_effort(spent)
 
 
 def _solution(

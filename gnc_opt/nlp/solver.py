@@ -11,7 +11,7 @@ import contextlib
 import io
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -89,6 +89,16 @@ class NlpResult:
     wall_time: float
     function_time: float
     linear_solver_time: float
+
+    def with_effort(self, attempts: Sequence[NlpResult]) -> NlpResult:
+        """Return this result with the iterations and times of all attempts that led to it."""
+        return replace(
+            self,
+            iterations=sum(r.iterations for r in attempts),
+            wall_time=sum(r.wall_time for r in attempts),
+            function_time=sum(r.function_time for r in attempts),
+            linear_solver_time=sum(r.linear_solver_time for r in attempts),
+        )
 
 
 class NlpSolver:
@@ -173,9 +183,11 @@ class NlpSolver:
             arguments["lam_x0"] = vector("lam_x0", lam_x0, nx)
         if lam_g0 is not None:
             arguments["lam_g0"] = vector("lam_g0", lam_g0, ng)
+        way: Start = "warm" if len(arguments) > len(_COLD) else "cold"
+        self._instance(way)  # the limit is on solving, not on setting up
         limit = math.inf if self.options.max_wall_time is None else self.options.max_wall_time
         run = Run(box_x, box_g, callback, time.perf_counter() + limit)
-        result = self._attempt("warm" if len(arguments) > len(_COLD) else "cold", arguments, run)
+        result = self._attempt(way, arguments, run)
         if (
             result.status in _ROUNDING
             and self.options.solver == "ipopt"
@@ -259,14 +271,7 @@ class NlpSolver:
 
 def _joined(first: NlpResult, second: NlpResult) -> NlpResult:
     """The better of two attempts, with the cost of both."""
-    better = first if second.status in _GAVE_UP else second
-    return replace(
-        better,
-        iterations=first.iterations + second.iterations,
-        wall_time=first.wall_time + second.wall_time,
-        function_time=first.function_time + second.function_time,
-        linear_solver_time=first.linear_solver_time + second.linear_solver_time,
-    )
+    return (first if second.status in _GAVE_UP else second).with_effort([first, second])
 
 
 @contextlib.contextmanager

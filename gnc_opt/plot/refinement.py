@@ -29,8 +29,15 @@ _CHOSEN: dict[str, Any] = {
     "fillstyle": "none",
     "linestyle": "none",
 }
+_UNSOLVED: dict[str, Any] = {"color": "black", "marker": "x", "markersize": 7, "linestyle": "none"}
 _TOLERANCE: dict[str, Any] = {"color": "black", "linestyle": "--", "linewidth": 1.0}
 
+
+_NUMBER: dict[str, Any] = {
+    "fontsize": 9,
+    "color": QUIET,
+    "bbox": {"facecolor": "white", "edgecolor": "none", "pad": 0.6},
+}
 
 _NARROW = 3e-3
 """End segments narrower than this share of their phase are drawn on an axis that stretches both ends."""
@@ -39,7 +46,8 @@ _NARROW = 3e-3
 def plot_refinement(history: History) -> Figure:
     """Draw how a refinement went.
 
-    Above, the estimated error of each pass over its number of collocation points, in order, with the tolerance.
+    Above, the estimated error of each pass over its number of collocation points, in order, with the tolerance;
+    passes whose solve failed are crossed out.
     Below, for each phase, one row per pass: its segments over time, coloured by their degrees. Where the first
     or last segments are too narrow to be seen, time is the share of the phase on a logit axis,
     which stretches both ends.
@@ -76,11 +84,14 @@ def _draw_errors(ax: Axes, history: History) -> None:
     errors = [min(max(p.error, _LEAST), _MOST) for p in history.passes]
     ax.plot(points, errors, zorder=2, **_PATH)
     ax.plot(points[history.chosen], errors[history.chosen], zorder=3, **_CHOSEN)
+    unsolved = [i for i, p in enumerate(history.passes) if not p.solved]
+    ax.plot([points[i] for i in unsolved], [errors[i] for i in unsolved], zorder=4, **_UNSOLVED)
     ax.axhline(history.tolerance, zorder=1, **_TOLERANCE)
     for i, at in enumerate(zip(points, errors, strict=True)):
-        ax.annotate(str(i), at, xytext=(4, 4), textcoords="offset points", fontsize=9, color=QUIET)
+        ax.annotate(str(i), at, xytext=(5, 5), textcoords="offset points", zorder=5, **_NUMBER)
     ax.set_yscale("log")
     ax.margins(0.06, 0.12)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     ax.set_xlabel("collocation points")
     ax.set_ylabel("estimated error")
 
@@ -110,13 +121,16 @@ def _draw_meshes(ax: Axes, history: History, phase: str, norm: Normalize) -> Non
         ax.margins(x=0.0)
     ax.set_xlabel("share of the phase" if stretched else "time (s)")
     ax.set_ylim(len(history.passes) - 0.5, -0.5)
-    ax.yaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.yaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     ax.grid(False)
 
 
 def _legend(history: History) -> list[Any]:
-    return [
+    handles = [
         Line2D([], [], label="passes in order", **_PATH),
         Line2D([], [], label=f"returned: {history.status.value.replace('_', ' ')}", **_CHOSEN),
         Line2D([], [], label="tolerance", **_TOLERANCE),
     ]
+    if not all(p.solved for p in history.passes):
+        handles.insert(2, Line2D([], [], label="not solved", **_UNSOLVED))
+    return handles

@@ -29,7 +29,7 @@ from gnc_opt.plot.style import (
     per_unit,
     style,
 )
-from gnc_opt.solution.phase_solution import PhaseSolution
+from gnc_opt.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.solution.solution import Solution
 
 Labels = Mapping[str, Sequence[str]]
@@ -79,15 +79,15 @@ def plot_states(
     UnknownNameError
         There is no such phase or state.
     """
-    legs = chosen_phases(solution, phase)
-
-    def draw(ax: Axes, leg: PhaseSolution, name: str) -> str:
-        signal = leg.state(name)
-        _draw_components(ax, *sample(signal, leg.breaks), _labels(name, signal, labels))
-        _draw_bounds_in_view(ax, leg, name)
-        return axis_label(name_text(name), signal.unit)
-
-    return _draw_each(legs, chosen_names(legs, "states", names), draw)
+    return _draw_each(
+        solution,
+        phase,
+        names,
+        labels,
+        lambda leg, name: leg.state(name),
+        lambda name, unit: axis_label(name_text(name), unit),
+        _draw_bounds_in_view,
+    )
 
 
 def plot_costates(
@@ -121,14 +121,14 @@ def plot_costates(
     UnknownNameError
         There is no such phase or state.
     """
-    legs = chosen_phases(solution, phase)
-
-    def draw(ax: Axes, leg: PhaseSolution, name: str) -> str:
-        signal = leg.costate(name)
-        _draw_components(ax, *sample(signal, leg.breaks), _labels(name, signal, labels))
-        return axis_label(f"costate of {name_text(name)}", per_unit(cost_unit, leg.state(name).unit))
-
-    return _draw_each(legs, chosen_names(legs, "states", names), draw)
+    return _draw_each(
+        solution,
+        phase,
+        names,
+        labels,
+        lambda leg, name: leg.costate(name),
+        lambda name, unit: axis_label(f"costate of {name_text(name)}", per_unit(cost_unit, unit)),
+    )
 
 
 def plot_controls(
@@ -245,16 +245,32 @@ def plot_hamiltonian(
 
 
 def _draw_each(
-    legs: Sequence[PhaseSolution], names: Sequence[str], draw: Callable[[Axes, PhaseSolution, str], str]
+    solution: Solution,
+    phase: str | None,
+    names: Sequence[str] | None,
+    labels: Labels | None,
+    signal_of: Callable[[PhaseSolution, str], Signal],
+    label_of: Callable[[str, str], str],
+    decorate: Callable[[Axes, PhaseSolution, str], None] | None = None,
 ) -> Figure:
-    """One axis per state, the phases that have it one after the other; ``draw`` returns the axis' label."""
+    """One axis per state, the phases that have it one after the other.
+
+    ``signal_of(leg, name)`` is what to draw, ``label_of(name, unit of the state)`` names its axis, and ``decorate`` may
+    add to it.
+    """
+    legs = chosen_phases(solution, phase)
+    names = chosen_names(legs, "states", names)
     with style():
         figure = new_figure(0.4 + 2.6 * len(names))
         axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
         for ax, name in zip(axes, names, strict=True):
             for leg in legs:
                 if name in leg.states:
-                    ax.set_ylabel(draw(ax, leg, name))
+                    signal = signal_of(leg, name)
+                    _draw_components(ax, *sample(signal, leg.breaks), _labels(name, signal, labels))
+                    ax.set_ylabel(label_of(name, leg.state(name).unit))
+                    if decorate is not None:
+                        decorate(ax, leg, name)
             _span(ax, legs)
             legend_above(ax)
         axes[-1].set_xlabel("time (s)")

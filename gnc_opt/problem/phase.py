@@ -11,44 +11,20 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_label, read_numbers
+from gnc_opt.arguments import read_label
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.layout import Array, Layout, Variable, as_vector
+from gnc_opt.model.layout import Array, Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol, as_expression
+from gnc_opt.problem.constraint import Constraint, make_constraint
 from gnc_opt.problem.guess import GuessValue, read_guess_times, sample_guess
-from gnc_opt.problem.interval import Interval, free, intersect, read_interval, read_range
+from gnc_opt.problem.held import HOLDS, Held, Smooth, read_signs
+from gnc_opt.problem.interval import Interval, free, intersect, read_interval
 from gnc_opt.problem.symbols import refuse_foreign_along
 from gnc_opt.strict import Strict
 
 if TYPE_CHECKING:
     from gnc_opt.problem.problem import Problem
-
-
-CLEARANCE = 0.02
-"""How far a control on a singular arc is kept from its bounds, as a share of their range.
-
-Without it a free control between movable boundaries swallows the neighbouring bang arcs, whose switches its
-polynomial then smears to a cost that is too good."""
-
-
-@dataclass(frozen=True)
-class Constraint:
-    """``lower <= expression <= upper``, the expression an SX column vector of ``size`` rows."""
-
-    name: str
-    expression: Any
-    interval: Interval
-
-    @property
-    def size(self) -> int:
-        """Number of rows."""
-        return int(self.interval.lower.size)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Row names."""
-        return Variable(self.name, self.size).labels
 
 
 @dataclass(frozen=True)
@@ -72,7 +48,7 @@ class PhaseNumbers:
     controls: Interval
     guess: PhaseGuess = PhaseGuess()
     scales: Mapping[str, Array] = field(default_factory=dict)
-    arcs: tuple[tuple[int, ...], ...] | None = None
+    arcs: Held | None = None
 
 
 class Phase(Strict):
@@ -250,34 +226,46 @@ class Phase(Strict):
             scales[name] = vector
         self.numbers = replace(self.numbers, scales=scales)
 
-    def hold(self, arcs: ArrayLike | None) -> None:
-        """Hold controls on their bounds, segment by segment, for a mesh of as many segments.
+    def hold(
+        self,
+        arcs: ArrayLike | None,
+        *,
+        paths: ArrayLike | None = None,
+        states: ArrayLike | None = None,
+        smooth: tuple[Smooth, ...] = (),
+    ) -> None:
+        """Hold controls on their bounds, segment by segment, for a mesh of K segments.
 
         Parameters
         ----------
         arcs : int array (n_controls, K) or None
-            -1: on the lower bound, +1: on the upper bound, 0: free, 2: clear of both bounds by `CLEARANCE` of their
-            range, as a singular control is. With movable mesh boundaries the switch times are then what is left to
-            optimise. ``None`` lets all controls go.
+            -1: on the lower bound, +1: on the upper bound, 0: free, 3: released from its bounds. With movable mesh
+            boundaries the switch times are then what is left to optimise. ``None`` lets everything go.
+        paths : int array (n_paths, K), optional
+            The same for the rows of the path constraints.
+        states : int array (n_states, K), optional
+            -1 or +1: on that bound, 0: within bounds. The bound must be of first order: the state's own derivative
+            depends on a control that is free there.
+        smooth : tuple of Smooth
+            Controls that are one polynomial over several segments.
         """
         if arcs is None:
             self.numbers = replace(self.numbers, arcs=None)
             return
-        signs = np.atleast_2d(read_numbers(arcs, f"the arcs of {self.where}", ProblemError))
-        labels = self.model.controls.labels
-        if signs.ndim != 2 or signs.shape[0] != len(labels) or not np.all(np.isin(signs, (-1, 0, 1, 2))):
-            raise ProblemError(
-                f"arcs of {self.where} must be -1, 0, +1 or 2 in an array of {len(labels)} rows (controls "
-                f"{', '.join(labels)}) and one column per segment; got shape {signs.shape}."
+        model, box = self.model, self.numbers
+        signs = read_signs(arcs, model.controls.labels, box.controls, HOLDS, "controls", self.where)
+        held = Held(signs, smooth=tuple(smooth))
+        if paths is not None:
+            labels, limits = self.path_labels, self.path_interval()
+            held = replace(
+                held, paths=read_signs(paths, labels, limits, HOLDS, "path constraints", self.where)
             )
-        bounds = self.numbers.controls
-        for sign, limits in ((-1, bounds.lower), (1, bounds.upper), (2, bounds.upper - bounds.lower)):
-            endless = np.flatnonzero(np.any(signs == sign, axis=1) & ~np.isfinite(limits))
-            if endless.size:
-                raise ProblemError(
-                    f"{self.where} cannot hold '{labels[endless[0]]}' on a bound that it does not have."
-                )
-        self.numbers = replace(self.numbers, arcs=tuple(tuple(int(v) for v in row) for row in signs))
+        if states is not None:
+            labels = model.states.labels
+            held = replace(
+                held, states=read_signs(states, labels, box.states, (-1, 0, 1), "states", self.where)
+            )
+        self.numbers = replace(self.numbers, arcs=held)
 
     # --- internals --------------------------------------------------------------------------------
 
@@ -382,19 +370,3 @@ class Phase(Strict):
                 "optimise it or with_parameters() to change it."
             )
         raise unknown_name("state or control", name, f"{what}() of {self.where}", known)
-
-
-def make_constraint(name: str, expression: Any, lower: Any, upper: Any, equals: Any, what: str) -> Constraint:
-    """Build a `Constraint`, refusing contradictory or missing limits."""
-    value = as_expression(expression, what, None, ProblemError)
-    if equals is not None and (lower is not None or upper is not None):
-        raise ProblemError(f"{what} has both equals and lower/upper: give one or the other.")
-    if equals is None and lower is None and upper is None:
-        raise ProblemError(f"{what} has no limit: give lower, upper or equals.")
-    size = value.shape[0]
-    if equals is not None:
-        return Constraint(name, value, read_interval(as_vector(equals, size, what), size, what))
-    return Constraint(name, value, read_range(lower, upper, size, what))
-
-
-__all__ = ["Constraint", "GuessValue", "Phase", "PhaseGuess", "PhaseNumbers", "make_constraint"]

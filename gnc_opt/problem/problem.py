@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -17,9 +16,13 @@ from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.layout import Array, Layout, Variable, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol, as_expression
+from gnc_opt.problem.constraint import Constraint, make_constraint
+from gnc_opt.problem.fingerprint import problem_fingerprint
+from gnc_opt.problem.guess import GuessValue
+from gnc_opt.problem.held import Smooth
 from gnc_opt.problem.interval import Interval, free, read_range
 from gnc_opt.problem.link import link_phases
-from gnc_opt.problem.phase import Constraint, GuessValue, Phase, make_constraint
+from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.symbols import refuse_foreign_ends, refuse_other_size
 from gnc_opt.strict import Strict
 
@@ -254,10 +257,19 @@ class Problem(Strict):
         twin.get_phase(phase).scale(**magnitudes)
         return twin
 
-    def with_arcs(self, phase: str | None = None, /, *, arcs: ArrayLike | None) -> Problem:
+    def with_arcs(
+        self,
+        phase: str | None = None,
+        /,
+        *,
+        arcs: ArrayLike | None,
+        paths: ArrayLike | None = None,
+        states: ArrayLike | None = None,
+        smooth: tuple[Smooth, ...] = (),
+    ) -> Problem:
         """Return a copy whose controls are held on their bounds segment by segment; see ``Phase.hold``."""
         twin = self._clone()
-        twin.get_phase(phase).hold(arcs)
+        twin.get_phase(phase).hold(arcs, paths=paths, states=states, smooth=smooth)
         return twin
 
     def with_parameters(self, **values: ArrayLike) -> Problem:
@@ -346,23 +358,7 @@ class Problem(Strict):
 
     def fingerprint(self) -> str:
         """Return a hash of the functions, names and numbers that define the problem (hex, 16 digits)."""
-        digest = hashlib.sha256()
-        for leg in self.phases.values():
-            pieces = [leg.model.derivative(), leg.path_expression(), leg.integrand_expression()]
-            digest.update(b"".join(map(_exact, pieces)))
-            digest.update(
-                str((leg.name, leg.model.states, leg.model.controls, leg.model.parameters)).encode()
-            )
-            for vector in (
-                leg.model.parameter_values,
-                *_vectors(leg.numbers),
-                *_vectors(leg.path_interval()),
-            ):
-                digest.update(vector.tobytes())
-        digest.update(_exact(self.cost) + _exact(self.constraint_expression()) + str(self.sense).encode())
-        for vector in (*_vectors(self.constraint_interval()), *_vectors(self.parameter_interval())):
-            digest.update(vector.tobytes())
-        return digest.hexdigest()[:16]
+        return problem_fingerprint(self)
 
     # --- internals --------------------------------------------------------------------------------
 
@@ -386,18 +382,3 @@ class Problem(Strict):
         refuse_foreign_ends(self, expression, f"the cost of problem '{self.name}'")
         self.cost, self.sense = expression, sense
         self.changed()
-
-
-def _vectors(box: Any) -> Iterable[Array]:
-    """Yield every float vector of a dataclass of intervals, depth first."""
-    for value in vars(box).values():
-        if isinstance(value, Interval):
-            yield from (value.lower, value.upper)
-        elif isinstance(value, np.ndarray):
-            yield value
-
-
-def _exact(expression: Any) -> bytes:
-    """Return an expression with every digit of its constants; printed, they would be rounded to six."""
-    symbols = ca.vertcat(ca.SX(0, 1), *ca.symvar(expression))
-    return bytes(ca.Function("exact", [symbols], [expression]).serialize(), "ascii")

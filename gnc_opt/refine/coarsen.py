@@ -11,11 +11,14 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gnc_opt.model.layout import Array
-from gnc_opt.refine.error import Pieces, Yardstick
+from gnc_opt.refine.adjoint import costate_rates, costate_worth, unconstrained
+from gnc_opt.refine.error import PhaseError, Pieces, Yardstick
 from gnc_opt.transcription.quadrature import Scheme, collocation_rule, interpolation_matrix
 from gnc_opt.verify.samples import EXTRA
 
@@ -32,6 +35,9 @@ control affects the cost in second order only."""
 SEGMENT_COST = 1.0
 """What a segment costs beyond its points, in points: its start state."""
 
+Span: TypeAlias = tuple[int, int]
+"""The first segment of a merger, and the one after its last."""
+
 
 @dataclass(frozen=True)
 class Piece:
@@ -43,13 +49,13 @@ class Piece:
 
 
 def coarsened(
-    yardstick: Yardstick, run: Sequence[Piece], tol: float, max_degree: int, departure: float
+    error: PhaseError, run: Sequence[Piece], tol: float, max_degree: int, departure: float
 ) -> list[Piece]:
     """Return the cheapest pieces on the given boundaries whose trial errors stay below ``tol``.
 
     Parameters
     ----------
-    yardstick : Yardstick
+    error : PhaseError
     run : sequence of Piece
         Neighbouring segments in which the trajectory is known accurately.
     tol : float
@@ -59,7 +65,7 @@ def coarsened(
     """
     cost = [0.0]
     chosen: list[tuple[int, int]] = []
-    degrees = _smallest_degrees(yardstick, run, tol, max_degree, departure)
+    degrees = _smallest_degrees(error, run, tol, max_degree, departure)
     for j in range(1, len(run) + 1):
         options = [
             (cost[i] + degrees[i, j] + SEGMENT_COST, i)
@@ -78,23 +84,19 @@ def coarsened(
 
 
 def _smallest_degrees(
-    yardstick: Yardstick, run: Sequence[Piece], tol: float, max_degree: int, departure: float
-) -> dict[tuple[int, int], int]:
+    error: PhaseError, run: Sequence[Piece], tol: float, max_degree: int, departure: float
+) -> dict[Span, int]:
     """Return the smallest sufficient degree of each merger (first, last + 1) that saves points."""
     found = {(i, i + 1): piece.degree for i, piece in enumerate(run)}
     trials: list[Piece] = []
-    keys: list[tuple[int, int]] = []
-    for i in range(len(run)):
-        for j in range(i + 1, min(i + REACH, len(run)) + 1):
-            now = sum(p.degree for p in run[i:j]) + (j - i - 1)
-            for degree in LADDER:
-                if degree < now if j == i + 1 else degree <= min(now, max_degree):
-                    trials.append(Piece(run[i].start, run[j - 1].end, degree))
-                    keys.append((i, j))
-    if not trials:
-        return found
-    errors, departures, slopes = trial_errors(yardstick, trials)
-    good = (errors <= tol) & (departures <= departure) & (slopes <= STEEPEST * np.sqrt(tol))
+    keys: list[Span] = []
+    for i, j in _mergeable(error, run, tol, max_degree, departure):
+        now = sum(p.degree for p in run[i:j]) + (j - i - 1)
+        for degree in LADDER:
+            if degree < now if j == i + 1 else degree <= min(now, max_degree):
+                trials.append(Piece(run[i].start, run[j - 1].end, degree))
+                keys.append((i, j))
+    good = _acceptable(error, trials, tol, departure)
     for trial, key in sorted(
         itertools.compress(zip(trials, keys, strict=True), good), key=lambda e: -e[0].degree
     ):
@@ -102,21 +104,76 @@ def _smallest_degrees(
     return found
 
 
-def trial_errors(yardstick: Yardstick, trials: Sequence[Piece]) -> tuple[Array, Array, Array]:
+def _mergeable(
+    error: PhaseError, run: Sequence[Piece], tol: float, max_degree: int, departure: float
+) -> list[Span]:
+    """Return the spans that one segment of the highest degree can hold: no others are worth trying.
+
+    What two neighbouring segments cannot be merged into is not part of a longer merger either.
+    """
+    spans = [(i, i + 1) for i in range(len(run))]
+    shorter = set(spans)
+    for length in range(2, REACH + 1):
+        ends = [(i, i + length) for i in range(len(run) - length + 1)]
+        hopeful = [(i, j) for i, j in ends if {(i, j - 1), (i + 1, j)} <= shorter]
+        probes = [Piece(run[i].start, run[j - 1].end, max_degree) for i, j in hopeful]
+        shorter = set(itertools.compress(hopeful, _acceptable(error, probes, tol, departure)))
+        spans += sorted(shorter)
+    return spans
+
+
+def _acceptable(
+    error: PhaseError, trials: Sequence[Piece], tol: float, departure: float
+) -> NDArray[np.bool_]:
+    """Return which trials are as good as the known trajectory, (n_trials,)."""
+    if not trials:
+        return np.zeros(0, dtype=bool)
+    errors, departures, slopes = trial_errors(error, trials)
+    return np.asarray((errors <= tol) & (departures <= departure) & (slopes <= STEEPEST * np.sqrt(tol)))
+
+
+def trial_errors(error: PhaseError, trials: Sequence[Piece]) -> tuple[Array, Array, Array]:
     """Return what speaks against each trial, (n_trials,) each.
 
     The largest error; the states' largest departure from the known ones (a trial could skip a transient that
     neither residual nor cost notice); the largest dH/du (its control could be poor between the points where
     neither dynamics nor cost tell).
     """
+    yardstick = error.yardstick
     pieces = trial_pieces(yardstick, trials)
     departures = np.abs(pieces.x - yardstick.leg.x(pieces.times)) / yardstick.state[:, None]
     slopes = pieces.largest(yardstick.stationarity(pieces))
     return (
-        yardstick.judge(pieces).worst,
+        yardstick.judge(pieces, _adjoint(error, trials, pieces)).worst,
         np.max(pieces.largest(departures), axis=0),
         np.max(slopes, axis=0, initial=0.0),
     )
+
+
+def _adjoint(error: PhaseError, trials: Sequence[Piece], pieces: Pieces) -> Array:
+    """Return the residual of the costates' equation at the trials' samples, (n_states, n_samples).
+
+    A trial's costates follow the interpolant of their known rates.
+    """
+    samples, leg = error.samples, error.samples.leg
+    rules = [collocation_rule(leg.scheme, t.degree) for t in trials]
+    points = np.concatenate(
+        [t.start + 0.5 * (t.end - t.start) * (1 + r.points) for t, r in zip(trials, rules, strict=True)]
+    )
+
+    def rates(times: Array) -> Array:
+        return costate_rates(samples, times, leg.x(times), leg.flown.clipped(times), leg.lam(times))
+
+    known, offset, interpolants = rates(points), 0, []
+    for trial, rule in zip(trials, rules, strict=True):
+        interpolants.append(
+            known[:, offset : offset + rule.n] @ _tables(leg.scheme, trial.degree).interpolate
+        )
+        offset += rule.n
+    segments = np.clip(np.searchsorted(leg.breaks, pieces.times, "right") - 1, 0, leg.mesh.segments - 1)
+    counts = unconstrained(samples, error.yardstick.pure_paths)[segments]
+    residual = np.abs(np.hstack(interpolants) - rates(pieces.times)) * costate_worth(samples)[:, None]
+    return np.where(counts, residual, 0.0)
 
 
 def trial_pieces(yardstick: Yardstick, trials: Sequence[Piece]) -> Pieces:

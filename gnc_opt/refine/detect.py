@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from gnc_opt.model.layout import Array
-from gnc_opt.refine.structure import PhaseStructure, Signs, merged
+from gnc_opt.refine.structure import PhaseStructure, Signs
 from gnc_opt.verify.samples import PhaseSamples
 
 NEAR = 0.02
@@ -18,34 +19,61 @@ NEAR = 0.02
 SMALL = 2e-2
 """A switching function this small over whole segments, in shares of H, marks a singular arc."""
 
+SHORT = 2.0
+"""Bangs beside a singular arc that are shorter than this many segments belong to it."""
+
+CONVEX = 1e-6
+"""Least second derivative of H in a control, over its range and in shares of H, that determines the control."""
+
 
 def detect(samples: PhaseSamples) -> PhaseStructure:
     """Return the structure of a phase.
 
     Controls that enter H linearly follow the sign of their switching function, except where it stays near
     zero over whole segments with the control between its bounds (a singular arc, or one on a state
-    constraint). Other controls are judged by their nearness to the bounds.
+    constraint). Other controls are judged by their nearness to the bounds, path constraints and states by theirs and
+    by their multipliers.
     """
-    rows, changes = [], set()
-    for i in range(samples.leg.controls.size):
-        labels = _linear_labels(samples, i) if affine_channels(samples)[i] else _nonlinear_labels(samples, i)
+    leg, regular, affine = samples.leg, regular_channels(samples), affine_channels(samples)
+    rows, changes = [], []
+    for i in range(leg.controls.size):
+        labels = _linear_labels(samples, i) if affine[i] else _nonlinear_labels(samples, i)
         rows.append(labels)
-        changes |= set(_change_times(samples, i, labels))
-    first, last = samples.leg.breaks[0], samples.leg.breaks[-1]
-    times = [first, *sorted(t for t in changes if first < t < last), last]
+        changes.append(_change_times(samples, i, labels))
+    mixed = _mixed_paths(samples, regular)
+    for labels in [*_path_labels(samples, mixed), *_state_labels(samples, np.asarray(rows))]:
+        rows.append(labels)
+        changes.append(_middles(samples, labels))
+    first, last = leg.breaks[0], leg.breaks[-1]
+    times = [first, *sorted({t for row in changes for t in row if first < t < last}), last]
     middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
-    signs = np.stack([_labels_at(samples, i, row, middles) for i, row in enumerate(rows)])
-    return merged(tuple(float(t) for t in times), tuple(tuple(int(v) for v in column) for column in signs.T))
+    signs = np.stack([_labels_at(row, at, middles) for row, at in zip(rows, changes, strict=True)])
+    return PhaseStructure(
+        tuple(float(t) for t in times),
+        tuple(tuple(int(v) for v in column) for column in signs.T),
+        (*(bool(r) for r in regular), *(bool(r) for r in mixed), *(False,) * leg.states.size),
+        leg.controls.size,
+        len(leg.path_labels),
+    ).merged()
 
 
 def affine_channels(samples: PhaseSamples) -> NDArray[np.bool_]:
     """Return which controls enter H linearly and have two finite bounds, (m,)."""
-    hessians = samples.functions.control_hessian(samples.times, samples.x, samples.u, samples.lam, samples.mu)
-    scale = samples.control_scale
-    curvature = np.abs(np.einsum("iij->ij", hessians)) * scale[:, None] ** 2 / samples.hamiltonian_scale
     bounds = samples.leg.control_bounds
     bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
-    return np.asarray((np.max(curvature, axis=1, initial=0.0) < 1e-9) & bounded)
+    return np.asarray((np.max(np.abs(_curvature(samples)), axis=1, initial=0.0) < 1e-9) & bounded)
+
+
+def regular_channels(samples: PhaseSamples) -> NDArray[np.bool_]:
+    """Return in which controls H is strictly convex all along the phase, (m,)."""
+    return np.asarray(np.min(_curvature(samples), axis=1, initial=np.inf) > CONVEX)
+
+
+def _curvature(samples: PhaseSamples) -> Array:
+    """Second derivative of H in each control over its range, in shares of H, (m, n_samples)."""
+    hessians = samples.functions.control_hessian(samples.times, samples.x, samples.u, samples.lam, samples.mu)
+    scale = samples.control_scale
+    return np.asarray(np.einsum("iij->ij", hessians) * scale[:, None] ** 2 / samples.hamiltonian_scale)
 
 
 def switching(samples: PhaseSamples, i: int) -> Callable[[float], float]:
@@ -65,7 +93,39 @@ def _linear_labels(samples: PhaseSamples, i: int) -> Signs:
     labels = np.where(gradient > 0, -1, 1)
     for k in _singular_segments(samples, i, gradient):
         labels[samples.segments == k] = 2
+    _absorb(samples, i, labels, gradient)
     return labels
+
+
+def _absorb(samples: PhaseSamples, i: int, labels: Signs, gradient: Array) -> None:
+    """Give short bangs beside a singular arc to it that are noise or chatter.
+
+    Along those the switching function stays small, or the control is nowhere near the bound that its sign asks for.
+    """
+    bounds = samples.leg.control_bounds
+    wanted = np.where(labels < 0, bounds.lower[i], bounds.upper[i])
+    miss = np.abs(samples.u[i] - wanted) / samples.control_scale[i]
+    noise = np.empty(labels.size, dtype=bool)
+    edges = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1), labels.size]
+    for first, last in itertools.pairwise(edges):
+        noise[first:last] = np.max(np.abs(gradient[first:last])) < SMALL or np.mean(miss[first:last]) > 0.5
+    _spread(samples, labels, 2, noise)
+
+
+def _spread(samples: PhaseSamples, labels: Signs, label: int, candidates: NDArray[np.bool_]) -> None:
+    """Let arcs of a label swallow neighbours shorter than `SHORT` segments, if all of those are candidates."""
+    lengths = np.diff(samples.leg.breaks)[samples.segments]
+    grown = True
+    while grown:
+        grown = False
+        keys = 2 * labels + candidates
+        edges = [0, *(np.flatnonzero(keys[1:] != keys[:-1]) + 1), labels.size]
+        for first, last in itertools.pairwise(edges):
+            beside = label in labels[max(first - 1, 0) : first] or label in labels[last : last + 1]
+            short = samples.times[last - 1] - samples.times[first] < SHORT * np.max(lengths[first:last])
+            if labels[first] != label and candidates[first] and beside and short:
+                labels[first:last], grown = label, True
+                break
 
 
 def _singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> list[int]:
@@ -93,6 +153,70 @@ def _nonlinear_labels(samples: PhaseSamples, i: int) -> Signs:
     return np.where(at_lower, -1, np.where(at_upper, 1, 0))
 
 
+def _mixed_paths(samples: PhaseSamples, regular: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which path constraints are inequalities on controls that H determines: they become active with a kink."""
+    leg = samples.leg
+    slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
+    depends = np.any(slopes != 0, axis=2)
+    inequality = leg.path_bounds.lower < leg.path_bounds.upper
+    return np.asarray(inequality & np.any(depends, axis=1) & ~np.any(depends & ~regular, axis=1))
+
+
+def _path_labels(samples: PhaseSamples, mixed: NDArray[np.bool_]) -> list[Signs]:
+    """-1, 0 or +1 at each sample for every path constraint; 0 for all but mixed ones."""
+    if not mixed.size:
+        return []
+    values = samples.functions.paths(samples.times, samples.x, samples.u)
+    bounds, margin = samples.leg.path_bounds, 1e-3 * np.max(np.abs(values), axis=1)
+    at_lower = (values < (bounds.lower + margin)[:, None]) & (samples.mu < 0)
+    at_upper = (values > (bounds.upper - margin)[:, None]) & (samples.mu > 0)
+    return list(np.where(mixed[:, None], np.where(at_lower, -1, np.where(at_upper, 1, 0)), 0))
+
+
+def _state_labels(samples: PhaseSamples, controls: Signs) -> list[Signs]:
+    """-1, 0 or +1 at each sample for every state.
+
+    A state counts as held along segments on which it stays on its bound while some singular control could move
+    it at once (a bound of first order).
+    """
+    leg, rows = samples.leg, []
+    for i in range(leg.states.size):
+        labels = np.zeros(samples.times.size, dtype=np.int64)
+        margin = 1e-4 * samples.state_scale[i]
+        for sign, distance in (
+            (1, leg.state_bounds.upper[i] - samples.x[i]),
+            (-1, samples.x[i] - leg.state_bounds.lower[i]),
+        ):
+            for k in range(leg.mesh.segments):
+                here = samples.segments == k
+                if np.all(distance[here] < margin) and _commanded(samples, i, controls, here):
+                    labels[here] = sign
+            if np.any(labels == sign):
+                _spread(samples, labels, sign, np.any(controls == 2, axis=0))
+        rows.append(labels)
+    return rows
+
+
+def _commanded(samples: PhaseSamples, state: int, controls: Signs, here: NDArray[np.bool_]) -> bool:
+    """Whether a singular control enters the rate of a state."""
+    columns = np.flatnonzero(here)
+    j = columns[columns.size // 2]
+    x, u = samples.x[:, j], samples.u[:, j]
+    rate = samples.functions.rates(samples.times[j], x, u)[state]
+    for channel in np.flatnonzero(controls[:, j] == 2):
+        moved = u.copy()
+        moved[channel] += 1e-3 * samples.control_scale[channel]
+        if samples.functions.rates(samples.times[j], x, moved)[state] != rate:
+            return True
+    return False
+
+
+def _middles(samples: PhaseSamples, labels: Signs) -> list[float]:
+    """Times between samples of different labels."""
+    jumps = np.flatnonzero(labels[1:] != labels[:-1])
+    return [float(t) for t in 0.5 * (samples.times[jumps] + samples.times[jumps + 1])]
+
+
 def _change_times(samples: PhaseSamples, i: int, labels: Signs) -> list[float]:
     """Times at which a channel's label changes; sign changes of the switching function are polished."""
     changes = []
@@ -110,8 +234,7 @@ def root(function: Callable[[float], float], left: float, right: float) -> float
     return float(brentq(function, left, right, xtol=1e-14 * max(1.0, abs(right))))
 
 
-def _labels_at(samples: PhaseSamples, i: int, labels: Signs, times: Array) -> Signs:
+def _labels_at(labels: Signs, changes: list[float], times: Array) -> Signs:
     """Labels of a channel at times that lie between its changes."""
-    changes = np.asarray(_change_times(samples, i, labels))
     starts = np.concatenate([[0], np.flatnonzero(labels[1:] != labels[:-1]) + 1])
-    return labels[starts][np.searchsorted(changes, times)] if changes.size else np.full(times.size, labels[0])
+    return np.asarray(labels[starts][np.searchsorted(changes, times)])

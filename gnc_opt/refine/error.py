@@ -1,6 +1,6 @@
 """How far a trajectory is from satisfying its problem between the nodes: an estimate per segment.
 
-Three errors, none of which the solver sees, each of them dimensionless:
+Four errors, none of which the solver sees, each of them dimensionless:
 
 * dynamics: the integral over the segment of |dx/dt - f(t, x, u)|, relative to the state's magnitude;
 * integrals: a finer quadrature of each integrand along the polynomials minus the collocation rule's,
@@ -8,10 +8,11 @@ Three errors, none of which the solver sees, each of them dimensionless:
 * overshoot: how far bounds and path constraints are left between the nodes, where collocation does not look.
   What depends on the states alone counts with its largest value, relative to the constrained quantity's
   magnitude. What depends on the controls counts with its mean over the phase, which is what it contributes to
-  the states and the cost: the peak beside a kink can be narrow without doing harm.
+  the states and the cost: the peak beside a kink can be narrow without doing harm;
+* costates: the square of the residual of their differential equation (an error of theirs affects the cost in second
+  order only), where no state constraint sets in: see `gnc_opt.refine.adjoint`.
 
-Optimality is not judged here: where a state constraint sets in, costates and multipliers need not be smooth, and an
-error of theirs affects the cost in second order only. `gnc_opt.verify` judges it.
+The other conditions of optimality are not judged here but by `gnc_opt.verify`.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 from gnc_opt.model.layout import Array
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.problem.interval import Interval
+from gnc_opt.refine.adjoint import WORTH, adjoint_density
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.solution import Solution
 from gnc_opt.verify.samples import PhaseSamples
@@ -136,8 +138,20 @@ class Yardstick:
             samples.hamiltonian_scale,
         )
 
-    def judge(self, pieces: Pieces) -> SegmentErrors:
-        """Return the errors of each piece."""
+    @property
+    def pure_paths(self) -> Array:
+        """Magnitude of each path constraint that depends on the states alone; 0 for the others."""
+        return np.where(self.path_has_control, 0.0, self.path)
+
+    def judge(self, pieces: Pieces, adjoint: Array) -> SegmentErrors:
+        """Return the errors of each piece.
+
+        Parameters
+        ----------
+        pieces : Pieces
+        adjoint : array (n_states, n_samples)
+            Residual of the costates' equation at the samples; see `gnc_opt.refine.adjoint`.
+        """
         f = self.functions
         rates = f.rates(pieces.times, pieces.x, pieces.u)
         dynamics = pieces.total(np.abs(pieces.x_rate - rates)) / self.state[:, None]
@@ -152,7 +166,8 @@ class Yardstick:
             mean = pieces.total(_excess(values, leg.path_bounds, self.path)) / span
             peak = pieces.largest(_excess(values, leg.path_bounds, self.path, pieces.times))
             overshoot.append(np.where(self.path_has_control[:, None], mean, peak))
-        return SegmentErrors(dynamics, integrals, np.concatenate(overshoot))
+        costates = (WORTH * pieces.total(adjoint)) ** 2
+        return SegmentErrors(dynamics, integrals, np.concatenate(overshoot), costates)
 
     def stationarity(self, pieces: Pieces) -> Array:
         """Return |dH/du|, path and bound multipliers included, in shares of H: (n_controls, n_samples)."""
@@ -173,22 +188,30 @@ class SegmentErrors:
     integrals : array (n_integrals, K)
     overshoot : array (n_states + n_controls + n_paths, K)
         Of state bounds, control bounds and path constraints.
+    costates : array (n_states, K)
     """
 
     dynamics: Array
     integrals: Array
     overshoot: Array
+    costates: Array
 
     @property
     def table(self) -> Array:
         """All kinds below each other, NaN as infinity."""
-        rows = np.concatenate([self.dynamics, self.integrals, self.overshoot])
+        rows = np.concatenate([self.dynamics, self.integrals, self.overshoot, self.costates])
         return np.where(np.isnan(rows), np.inf, rows)
 
     @property
     def worst(self) -> Array:
         """The largest error of each segment, (K,)."""
         return np.asarray(np.max(self.table, axis=0))
+
+    def decades(self, aim: float) -> Array:
+        """Return by how many decades residuals and excesses must fall for errors of ``aim``, (K,)."""
+        table = np.log10(np.clip(self.table, 1e-99, 1e6) / aim)
+        table[-self.costates.shape[0] :] /= 2.0  # they are squares
+        return np.asarray(np.max(table, axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,24 +224,28 @@ class PhaseError:
     yardstick : Yardstick
     pieces : Pieces
     errors : SegmentErrors
+    adjoint : array (n_states, n_samples)
+        Residual of the costates' equation, per second.
     """
 
     samples: PhaseSamples
     yardstick: Yardstick
     pieces: Pieces
     errors: SegmentErrors
+    adjoint: Array
 
     @classmethod
     def of(cls, leg: PhaseSolution, functions: PhaseFunctions) -> PhaseError:
         """Estimate the error of each segment of a phase."""
         samples = PhaseSamples.of(leg, functions)
         yardstick, pieces = Yardstick.of(samples), Pieces.of(samples)
-        errors = yardstick.judge(pieces)
+        adjoint = adjoint_density(samples, yardstick.pure_paths)
+        errors = yardstick.judge(pieces, adjoint)
         inner = leg.breaks[1:-1]
         if inner.size:
             jumps = np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / yardstick.state[:, None]
             errors.dynamics[:, :-1] += jumps
-        return cls(samples, yardstick, pieces, errors)
+        return cls(samples, yardstick, pieces, errors, adjoint)
 
     @property
     def worst(self) -> Array:
@@ -235,6 +262,7 @@ class PhaseError:
         names += [f"integral {label}" for label in leg.integral_labels]
         names += [f"bounds of {label}" for label in (*states, *controls)]
         names += [f"path constraint {label}" for label in leg.path_labels]
+        names += [f"costate of {label}" for label in states]
         return self.samples.segment_place(int(k), names[int(row)])
 
 

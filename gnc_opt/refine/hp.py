@@ -129,7 +129,7 @@ class _Refinement:
     def __init__(
         self, solution: Solution, tol: float, max_points: int, options: SolverOptions | None
     ) -> None:
-        self._problem = _problem(solution)
+        self._problem = solution.need_problem("refine")
         self._scheme = next(iter(solution.phases.values())).scheme
         self._tol, self._max_points = tol, max_points
         self._options = options or SolverOptions(tolerance=min(1e-9, 0.1 * tol))
@@ -327,15 +327,6 @@ def _cost_scale(error: PhaseError) -> float:
     return (
         float(np.sum(np.abs(leg.integral_weights) * error.yardstick.integral)) if leg.integral_labels else 0.0
     )
-
-
-def _problem(solution: Solution) -> Problem:
-    if solution.problem is None:
-        raise GncOptError(
-            f"cannot refine the solution of '{solution.problem_name}' without its problem: "
-            "load it with load(path, problem=...)."
-        )
-    return solution.problem
 
 
 def _with_trajectory(problem: Problem, solution: Solution) -> Problem:

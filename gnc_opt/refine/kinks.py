@@ -32,9 +32,17 @@ class Kink:
     end: float
 
 
-def find_kinks(error: PhaseError, k: int) -> list[Kink]:
-    """Return the kinks in segment k, in order and not overlapping; none if they cannot be told from noise."""
-    found = _switches(error, k) or _junctions(error, k)
+def find_kinks(error: PhaseError, k: int, active: NDArray[np.bool_]) -> list[Kink]:
+    """Return the kinks in segment k, in order and not overlapping; none if they cannot be told from noise.
+
+    Parameters
+    ----------
+    error : PhaseError
+    k : int
+    active : bool array (rows, N)
+        The phase's `activity`, which is dear and the same for all segments.
+    """
+    found = _switches(error, k) or _junctions(error, k, active)
     found.sort(key=lambda kink: kink.start)
     merged: list[Kink] = []
     for kink in found:
@@ -92,10 +100,9 @@ def _crossings(gradient: Callable[[Array], Array], times: Array, unit: float) ->
     ]
 
 
-def _junctions(error: PhaseError, k: int) -> list[Kink]:
+def _junctions(error: PhaseError, k: int, active: NDArray[np.bool_]) -> list[Kink]:
     """Gaps between neighbouring points on and off a bound or path constraint."""
     leg = error.samples.leg
-    active = _activity(error)
     points, offsets = leg.point_times, leg.mesh.offsets
     first, last = max(offsets[k] - 1, 0), min(offsets[k + 1], points.size - 1)
     left, right = leg.breaks[k], leg.breaks[k + 1]
@@ -104,8 +111,8 @@ def _junctions(error: PhaseError, k: int) -> list[Kink]:
     return [kink for kink in kinks if kink.end > kink.start]
 
 
-def _activity(error: PhaseError) -> NDArray[np.bool_]:
-    """Which bound or path constraint is active at which collocation point, (rows, N).
+def activity(error: PhaseError) -> NDArray[np.bool_]:
+    """Return which bound or path constraint is active at which collocation point, (rows, N).
 
     Of slack, in shares of the quantity's magnitude, and multiplier, in shares of H, the larger one tells.
     """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -49,6 +50,13 @@ class Minimum:
     coarse_objectives: tuple[float, ...]
     refined: bool = False
     verdict_ok: bool = False
+
+    @property
+    def standing(self) -> Literal["ok", "NOT ok", "coarse"]:
+        """What the objective is worth: refined and accepted by the verdict, rejected by it, or of the coarse mesh."""
+        if self.verdict_ok:
+            return "ok"
+        return "NOT ok" if self.refined else "coarse"
 
 
 def merged(minima: Iterable[Minimum]) -> list[Minimum]:

@@ -13,6 +13,8 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
+import numpy as np
+
 from gnc_opt.arguments import expect, read_integer, read_positive
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
 from gnc_opt.nlp import SolverOptions, Status
@@ -25,6 +27,7 @@ from gnc_opt.refine.refine import refine as refine_solution
 from gnc_opt.refine.workforce import Builder, Workforce
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solve import MeshLike, solve
+from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.verify.verify import verify
 
 if TYPE_CHECKING:
@@ -38,6 +41,16 @@ minimum, and it finds little else. With a small one the solver stays near the gu
 
 MOST_ITERATIONS = 400
 """Of a coarse solve; a start that needs more is worth less than another start."""
+
+MOST_POINTS = 1000
+"""Of a phase on a refined mesh."""
+
+MOST_PASSES = 20
+"""Of one refinement. Structures that are worth anything stand after fewer."""
+
+WORTHWHILE = 4
+"""Growth of the mesh beyond which a minimum is left unrefined whose controls switch without a structure that the
+verdict accepts: the mesh would grow for minutes and prove nothing."""
 
 MISS = 0.1
 """A collocation solution is spurious if both its propagation misses the end and its defect between the nodes exceed
@@ -97,10 +110,10 @@ class Multistart:
         lines = [f"{heading}, seed {self.seed}{', interrupted' if self.interrupted else ''}"]
         lines.append(f"{'objective':>18} {'above best':>11} {'hits':>5} {'ways':>5}  verdict")
         for minimum in self.minima:
-            judged = "ok" if minimum.verdict_ok else "NOT ok" if minimum.refined else "not refined"
+            digits = f"{minimum.objective:.10g}" if minimum.verdict_ok else f"{minimum.objective:.6g}"
             lines.append(
-                f"{minimum.objective:18.10g} {abs(minimum.objective - self.minima[0].objective):11.3g} "
-                f"{minimum.hits:5d} {minimum.trajectories:5d}  {judged}"
+                f"{digits:>18} {abs(minimum.objective - self.minima[0].objective):11.3g} "
+                f"{minimum.hits:5d} {minimum.trajectories:5d}  {minimum.standing}"
             )
         if self.failures:
             lines.append(f"without a minimum: {_listed(self.failures)}")
@@ -260,8 +273,8 @@ class _Coarse:
 class _Fine:
     """Refine a minimum and judge it; it stays as it is if that fails or leads to something spurious.
 
-    A coarse mesh has minima of its own, from which refinement leads to trajectories that are better and not optimal.
-    From there the coarse mesh is tried once more, which leads downhill to a true minimum.
+    Exact switch times are tried first; where controls do not switch or the verdict rejects the outcome, the mesh is
+    refined ("auto").
     """
 
     structure: StructureChoice
@@ -269,21 +282,60 @@ class _Fine:
     options: SolverOptions
 
     def __call__(self, problem: Problem, minimum: Minimum) -> Minimum:
-        coarse = minimum.solution.with_problem(problem)
-        found = self._refined(minimum, coarse)
-        if not found.refined or found.verdict_ok:
-            return found
-        meshes = {name: leg.mesh for name, leg in coarse.phases.items()}
-        guess = found.solution.with_problem(problem)
-        again = solve(problem, mesh=meshes, guess=guess, options=self.options, throw=False)
-        if not again.status.solved or is_spurious(again) or equal(again.objective, coarse.objective):
-            _pass_on_interrupt(again, self.options)
-            return found
-        second = self._refined(minimum, again)
-        return second if second.verdict_ok else found
+        known = set(problem.builds)
+        try:
+            return self._refine(problem, minimum)
+        finally:
+            for key in set(problem.builds) - known:  # its meshes are its own, and no other minimum needs them
+                del problem.builds[key]
 
-    def _refined(self, minimum: Minimum, coarse: Solution) -> Minimum:
-        solution = refine_solution(coarse, structure=self.structure, tol=self.tol)
+    def _refine(self, problem: Problem, minimum: Minimum) -> Minimum:
+        coarse = minimum.solution.with_problem(problem)
+        if self.structure == "none":
+            return self._refined(minimum, coarse, "none")
+        try:
+            found = self._switched(minimum, coarse)
+        except ProblemError:
+            if self.structure == "bang-bang":
+                raise
+            return self._refined(minimum, coarse, "none")  # no control switches
+        if self.structure == "bang-bang" or found.verdict_ok:
+            return found
+        points = max(leg.mesh.size for leg in coarse.phases.values())
+        return self._refined(minimum, coarse, "none", max_points=WORTHWHILE * points)
+
+    def _switched(self, minimum: Minimum, coarse: Solution) -> Minimum:
+        """Refine to exact switch times, from up to three places.
+
+        A coarse mesh cannot tell short arcs: its solution on a mesh of halved segments shows more of the structure.
+        And it has minima of its own, from which refinement leads to trajectories that are better and not optimal:
+        solved once more from there, the coarse mesh leads downhill to a true minimum.
+        """
+        first = self._refined(minimum, coarse, "bang-bang")
+        problem = coarse.problem
+        if first.verdict_ok or problem is None:
+            return first
+        meshes = {name: leg.mesh for name, leg in coarse.phases.items()}
+        halved = {name: _halved(mesh) for name, mesh in meshes.items()}
+        places = [(coarse, halved), (first.solution.with_problem(problem), meshes)]
+        for guess, mesh in places if first.refined else places[:1]:
+            solution = solve(problem, mesh=mesh, guess=guess, options=self.options, throw=False)
+            _pass_on_interrupt(solution, self.options)
+            if not solution.status.solved or is_spurious(solution):
+                continue
+            if mesh is meshes and equal(solution.objective, coarse.objective):
+                continue  # back where it came from
+            second = self._refined(minimum, solution, "bang-bang")
+            if second.verdict_ok:
+                return second
+        return first
+
+    def _refined(
+        self, minimum: Minimum, coarse: Solution, structure: StructureChoice, max_points: int = MOST_POINTS
+    ) -> Minimum:
+        solution = refine_solution(
+            coarse, structure=structure, tol=self.tol, max_passes=MOST_PASSES, max_points=max_points
+        )
         if solution.history is not None and solution.history.status is RefinementStatus.INTERRUPTED:
             raise KeyboardInterrupt
         if not solution.status.solved or is_spurious(solution):
@@ -295,6 +347,13 @@ class _Fine:
             refined=True,
             verdict_ok=verify(solution).ok,
         )
+
+
+def _halved(mesh: Mesh) -> Mesh:
+    """Return the mesh with every segment cut in two."""
+    breaks = np.asarray(mesh.breaks)
+    middles = 0.5 * (breaks[:-1] + breaks[1:])
+    return Mesh(tuple(np.sort(np.concatenate([breaks, middles]))), tuple(np.repeat(mesh.degrees, 2).tolist()))
 
 
 def is_spurious(solution: Solution) -> bool:

@@ -118,14 +118,10 @@ def _unwrapped(solution: Solution) -> Solution:
 
 
 def _refuse(solution: Solution) -> None:
-    name = solution.problem_name
-    if solution.problem is None:
-        raise GncOptError(
-            f"cannot polish the solution of '{name}' without its problem: load it with load(path, problem=...)."
-        )
+    solution.need_problem("polish")
     if not solution.status.solved:
         raise GncOptError(
-            f"the solution of '{name}' ended as {solution.status.value}: polish one that is solved."
+            f"the solution of '{solution.problem_name}' ended as {solution.status.value}: polish one that is solved."
         )
     for leg in solution.phases.values():
         _refuse_limits(solution, leg)

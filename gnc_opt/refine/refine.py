@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -10,7 +12,7 @@ import numpy as np
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
 from gnc_opt.nlp import SolverOptions
-from gnc_opt.refine.detect import affine_channels, detect
+from gnc_opt.refine.detect import affine_channels, detect, regular_channels
 from gnc_opt.refine.history import History
 from gnc_opt.refine.hp import refine_mesh
 from gnc_opt.refine.switching import optimise_switches
@@ -19,6 +21,9 @@ from gnc_opt.verify.samples import PhaseSamples
 from gnc_opt.verify.verify import verify
 
 StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]
+
+PATIENCE = 25
+"""Passes after which a control structure that nobody asked for is given up."""
 
 ACCEPTED = 1e-5
 """Tolerance of the verdict on a control structure that is chosen without being asked for."""
@@ -45,7 +50,10 @@ def refine(
     structure : {"auto", "bang-bang", "none"}
         ``"none"``: hp refinement of the mesh. ``"bang-bang"``: recognise which control sits on which bound when,
         make the switch times variables, and mend the structure until the switching functions agree with it.
-        ``"auto"``: the latter where controls enter linearly and switch, if the result passes the verdict; else hp.
+        The same for kinks, where controls enter and leave their bounds or mixed path constraints, and for singular
+        arcs and arcs on state bounds.
+        ``"auto"``: the latter where the structure has more than one piece, if the result passes the verdict; else hp,
+        and the structure once more from there if that does not pass.
     max_passes : int
         At most so many solves.
     max_points : int
@@ -53,7 +61,7 @@ def refine(
     options : SolverOptions, optional
         For the solves.
     progress : bool
-        Show one line per pass (hp).
+        Show one line per pass.
 
     Returns
     -------
@@ -75,22 +83,19 @@ def refine(
             f"refine() knows no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
         )
     _check(solution)
+    switch = partial(optimise_switches, tol=min(tol, 1e-9), options=options, progress=progress)
     if structure == "bang-bang":
         if not _switches(solution, at_least=0):
             raise ProblemError(
                 f"no control of '{solution.problem_name}' enters the Hamiltonian linearly between two finite bounds: "
                 'use structure="none".'
             )
-        return _with_history(
-            *optimise_switches(solution, tol=min(tol, 1e-9), max_passes=max_passes, options=options)
-        )
-    if structure == "auto" and _switches(solution, at_least=1):
-        candidate = _with_history(
-            *optimise_switches(solution, tol=min(tol, 1e-9), max_passes=max_passes, options=options)
-        )
-        if _convincing(candidate):
-            return candidate
-    return _with_history(
+        return _with_history(*switch(solution, max_passes=max_passes))
+    attempt = partial(_convincing, switch=partial(switch, max_passes=min(max_passes, PATIENCE)))
+    candidate = attempt(solution) if structure == "auto" else None
+    if candidate is not None:
+        return candidate
+    refined = _with_history(
         *refine_mesh(
             solution,
             tol=tol,
@@ -100,14 +105,14 @@ def refine(
             progress=progress,
         )
     )
+    # A fine mesh shows arcs that the first one was too coarse for.
+    if structure == "auto" and not verify(refined, tol=ACCEPTED).ok:
+        return attempt(refined) or refined
+    return refined
 
 
 def _check(solution: Solution) -> None:
-    if solution.problem is None:
-        raise GncOptError(
-            f"cannot refine the solution of '{solution.problem_name}' without its problem: "
-            "load it with load(path, problem=...)."
-        )
+    solution.need_problem("refine")
     if not solution.status.solved:
         raise GncOptError(
             f"the solution of '{solution.problem_name}' ended as {solution.status.value}: refine one that is solved."
@@ -119,15 +124,23 @@ def _with_history(solution: Solution, history: History) -> Solution:
 
 
 def _switches(solution: Solution, at_least: int) -> bool:
-    """Whether some control enters H linearly and the structure has at least so many switches."""
+    """Whether some control can have switches or kinks and the structure has more pieces than that."""
     for name, leg in solution.phases.items():
         samples = PhaseSamples.of(leg, solution.functions(name))
-        if np.any(affine_channels(samples)) and detect(samples).pieces > at_least:
+        pieces = detect(samples).pieces
+        if np.any(affine_channels(samples)) and pieces > at_least:
+            return True
+        # Controls that H determines have nothing to settle if they stay between their bounds.
+        if np.any(regular_channels(samples)) and pieces > 1:
             return True
     return False
 
 
-def _convincing(candidate: Solution) -> bool:
-    """Whether a structure that nobody asked for passes the verdict."""
-    assert candidate.history is not None, "optimise_switches has just made one"
-    return candidate.history.converged and verify(candidate, tol=ACCEPTED).ok
+def _convincing(start: Solution, switch: Callable[[Solution], tuple[Solution, History]]) -> Solution | None:
+    """Return the solution with a structure that nobody asked for, if there is one and it passes the verdict."""
+    if not _switches(start, at_least=1):
+        return None
+    candidate, history = switch(start)
+    if history.converged and verify(candidate, tol=ACCEPTED).ok:
+        return _with_history(candidate, history)
+    return None

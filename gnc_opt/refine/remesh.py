@@ -14,12 +14,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gnc_opt.model.layout import Array
 from gnc_opt.refine.coarsen import Piece, coarsened
 from gnc_opt.refine.error import PhaseError
 from gnc_opt.refine.history import Actions
-from gnc_opt.refine.kinks import Kink, bracketed, find_kinks
+from gnc_opt.refine.kinks import Kink, activity, bracketed, find_kinks
 from gnc_opt.refine.smoothness import decay_rates, error_density, quantiles
 from gnc_opt.transcription.mesh import Mesh
 
@@ -77,7 +78,9 @@ class Remesh:
     def __post_init__(self) -> None:
         self._leg = self.error.samples.leg
         self._worst = self.error.worst
+        self._decades = self.error.errors.decades(SAFETY * self.tol)
         self._density: Array | None = None
+        self._active: NDArray[np.bool_] | None = None
         self.raised = self.split = 0
 
     def mesh(self) -> tuple[Mesh, Actions]:
@@ -102,7 +105,7 @@ class Remesh:
         if run:
             slim = list(run)
             if self.merge_tol is not None:
-                slim = coarsened(self.error.yardstick, run, self.merge_tol, self.max_degree, self.departure)
+                slim = coarsened(self.error, run, self.merge_tol, self.max_degree, self.departure)
             pieces += slim
             merged += len(run) - len(slim)
             known = {(p.start, p.end): p.degree for p in run}
@@ -115,13 +118,15 @@ class Remesh:
         narrow = (own.end - own.start) < NARROWEST * self._leg.duration
         if narrow:
             return [own]
-        kinks = find_kinks(self.error, k)
+        if self._active is None:
+            self._active = activity(self.error)
+        kinks = find_kinks(self.error, k, self._active)
         if kinks:
             cuts = bracketed(self._leg, k, kinks)
             if len(cuts) > 2:
                 self.split += 1
                 return self._around(cuts, kinks, own.degree)
-        excess = math.log10(min(float(self._worst[k]), 1e6) / (SAFETY * self.tol))
+        excess = float(self._decades[k])
         wanted = own.degree + max(1, math.ceil(excess / rate))
         if own.degree < TELLING and self._worst[k] < UNRESOLVED:
             wanted = min(wanted, 2 * own.degree)

@@ -23,7 +23,8 @@ from gnc_opt.solution.extract import model_parameters, state_polynomial
 from gnc_opt.solution.phase_solution import PhaseSolution, Signal, piecewise
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.solution import Solution
-from gnc_opt.transcription.transcription import PhasePart, Transcription
+from gnc_opt.transcription.numbering import PhasePart
+from gnc_opt.transcription.transcription import Transcription
 
 FLAT = 1e-10
 """Curvature of H in a free control, relative to the largest, that counts as none."""
@@ -64,11 +65,7 @@ def sensitivity(
 
 
 def _check(solution: Solution) -> None:
-    if solution.problem is None:
-        raise GncOptError(
-            f"cannot differentiate the solution of '{solution.problem_name}' without its problem: "
-            "load it with load(path, problem=...)."
-        )
+    solution.need_problem("differentiate")
     if not solution.status.solved:
         raise GncOptError(
             f"the solution of '{solution.problem_name}' ended as {solution.status.value}: "

@@ -50,7 +50,10 @@ def _decay(values: Array, tau: Array) -> float:
 
 
 def error_density(error: PhaseError) -> Array:
-    """Return where in its segment the error arises, (n_samples,) per second: residuals of rates and integrands."""
+    """Return where in its segment the error arises, (n_samples,) per second: residuals of rates and integrands.
+
+    Where the costates' error is the largest, their residuals.
+    """
     pieces, yardstick, functions = error.pieces, error.yardstick, error.samples.functions
     at = pieces.times, pieces.x, pieces.u
     residual = np.abs(pieces.x_rate - functions.rates(*at)) / yardstick.state[:, None]
@@ -61,6 +64,8 @@ def error_density(error: PhaseError) -> Array:
         interpolant = error.samples.sample(piecewise(leg.breaks, leg.rules, known))
         gap = np.abs(functions.integrands(*at) - interpolant) / yardstick.integral[:, None]
         density = density + np.max(gap, axis=0)
+    costates = np.max(error.errors.costates, axis=0) >= error.worst
+    density = np.where(costates[error.samples.segments], np.max(error.adjoint, axis=0), density)
     return np.asarray(np.nan_to_num(density, nan=0.0, posinf=0.0))
 
 

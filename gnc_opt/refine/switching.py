@@ -10,84 +10,38 @@ when signs and structure agree everywhere and the error between the nodes is sma
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from gnc_opt.model.layout import Array
 from gnc_opt.nlp import SolverOptions
 from gnc_opt.problem.problem import Problem
-from gnc_opt.refine.detect import affine_channels, detect, root, switching
+from gnc_opt.refine.detect import affine_channels, detect
 from gnc_opt.refine.error import estimate_errors, largest_error
 from gnc_opt.refine.history import History, Pass, RefinementStatus
+from gnc_opt.refine.junctions import move_kinks
+from gnc_opt.refine.plan import Plan
+from gnc_opt.refine.progress import pass_meter
 from gnc_opt.refine.structure import PhaseStructure, Signs
 from gnc_opt.solution.arc import Arc
 from gnc_opt.solution.solution import Solution
-from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.verify.samples import PhaseSamples
 
-FIRST_DEGREE, MAX_DEGREE = 6, 12
-"""Collocation points of a piece to begin with, and of one segment at most; a piece that needs more is split."""
+PATIENCE = 4
+"""Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
 
-SINGULAR_DEGREE = 4
-"""Collocation points of the segments of a singular piece; high-degree controls chatter where H does not fix them."""
-
-MAX_SEGMENTS = 32
-"""Segments of a piece at most."""
+KINKS_MOVED, RAISED = "kinks moved", "resolution raised"
 
 VANISHED = 1e-6
 """A piece shorter than this share of its phase has vanished."""
 
+STATIONARY = 1e-9
+"""First-order gain in H, in shares of H, that may be left along a singular arc."""
+
 WRONG_SIGN = 1e-7
 """First-order gain in H, in shares of H, beyond which a wrong sign asks for another arc."""
-
-
-@dataclass(frozen=True)
-class Resolution:
-    """Equal segments of a piece and their degree."""
-
-    segments: int = 1
-    degree: int = FIRST_DEGREE
-    singular: bool = False
-
-    def finer(self) -> Resolution:
-        """Return the next finer resolution; the finest one is itself."""
-        if self.singular:
-            return replace(self, segments=min(2 * self.segments, MAX_SEGMENTS))
-        if self.degree < MAX_DEGREE:
-            return Resolution(self.segments, min(self.degree + 3, MAX_DEGREE))
-        return Resolution(min(2 * self.segments, MAX_SEGMENTS), self.degree)
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Structure and resolution of one phase."""
-
-    structure: PhaseStructure
-    resolutions: tuple[Resolution, ...]
-
-    @classmethod
-    def of(cls, structure: PhaseStructure) -> Plan:
-        """Return a plan that starts with the coarsest resolution."""
-        singular = Resolution(2, SINGULAR_DEGREE, singular=True)
-        return cls(structure, tuple(singular if 2 in signs else Resolution() for signs in structure.signs))
-
-    def mesh(self) -> Mesh:
-        """Return the mesh whose boundaries between pieces are movable."""
-        times, movable = [self.structure.times[0]], []
-        degrees: list[int] = []
-        for k, r in enumerate(self.resolutions):
-            left, right = self.structure.times[k], self.structure.times[k + 1]
-            times += [left + (right - left) * (i + 1) / r.segments for i in range(r.segments)]
-            degrees += [r.degree] * r.segments
-            movable.append(len(degrees))
-        fractions = (np.asarray(times) - times[0]) / (times[-1] - times[0])
-        return Mesh(tuple(fractions), tuple(degrees), tuple(movable[:-1]))
-
-    def arcs(self) -> Signs:
-        """Return the signs of all controls in every segment (n_controls, K)."""
-        return np.repeat(self.structure.matrix(), [r.segments for r in self.resolutions], axis=1)
 
 
 def optimise_switches(
@@ -96,6 +50,7 @@ def optimise_switches(
     tol: float = 1e-9,
     max_passes: int = 40,
     options: SolverOptions | None = None,
+    progress: bool = False,
 ) -> tuple[Solution, History]:
     """Return the solution with exact switch times and its `structure`, and the history of the loop.
 
@@ -108,48 +63,94 @@ def optimise_switches(
     max_passes : int
         At most so many solves.
     options : SolverOptions, optional
+    progress : bool
+        Show one line per pass.
     """
-    problem = solution.problem
-    assert problem is not None, "refine() refuses solutions without a problem"
+    problem = solution.need_problem("refine")
     chosen = options or SolverOptions(tolerance=1e-11, max_iterations=200)
     plans = {name: Plan.of(detect(s)) for name, s in _samples(solution).items()}
+    with pass_meter(solution.problem_name, tol, progress) as show:
+        solution, plans, status, records = _loop(problem, solution, plans, tol, max_passes, chosen, show)
+    best = max(k for k in range(len(records)) if k == 0 or records[k].solved)
+    history = History(status, tol, tuple(records), best, f"{status.value}: {records[-1].actions}")
+    return replace(solution, structure=_arcs(solution, plans)), history
+
+
+def _loop(
+    problem: Problem,
+    solution: Solution,
+    plans: dict[str, Plan],
+    tol: float,
+    max_passes: int,
+    options: SolverOptions,
+    show: Callable[[Pass], None],
+) -> tuple[Solution, dict[str, Plan], RefinementStatus, list[Pass]]:
+    """Solve and mend until nothing is left to mend; return the last solution with its plans and the record."""
     swapped: set[tuple[str, PhaseStructure]] = set()
     records: list[Pass] = []
-    status = RefinementStatus.PASS_LIMIT
+    current = plans
     for _ in range(max_passes):
         begin = time.perf_counter()
-        found = _solve(problem, plans, solution, chosen)
+        found = _solve(problem, plans, solution, options)
         if not found.status.solved:
             records.append(_record(found, begin, f"not solved ({found.status.value})"))
+            show(records[-1])
             interrupted = found.status.value == "interrupted"
-            status = RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
-            break
+            ending = RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
+            return solution, plans, ending, records
         solution = found
-        plans = {name: _at_solution(plan, solution, name) for name, plan in plans.items()}
-        plans, action = _improve(solution, plans, swapped, tol)
+        current = {name: _at_solution(plan, solution, name) for name, plan in plans.items()}
+        plans, action = _improve(solution, current, swapped, tol)
         records.append(_record(solution, begin, action or "structure stands"))
+        show(records[-1])
         if not action:
-            status = RefinementStatus.CONVERGED
-            break
-    history = History(status, tol, tuple(records), len(records) - 1, f"{status.value}: {records[-1].actions}")
-    return replace(solution, structure=_arcs(solution, plans)), history
+            return solution, current, RefinementStatus.CONVERGED, records
+        if _restless(records):
+            return solution, current, RefinementStatus.STALLED, records
+    return solution, current, RefinementStatus.PASS_LIMIT, records
+
+
+def _restless(records: list[Pass]) -> bool:
+    """Whether the structure stays, but neither moving kinks nor finer meshes reduce the error."""
+    last = records[-PATIENCE:]
+    adjusting = all(set(str(r.actions).split(", ")) <= {KINKS_MOVED, RAISED} for r in last)
+    if not adjusting or len(records) <= PATIENCE:
+        return False
+    return min(r.error for r in last) > 0.5 * min(r.error for r in records[:-PATIENCE])
 
 
 def _improve(
     solution: Solution, plans: dict[str, Plan], swapped: set[tuple[str, PhaseStructure]], tol: float
 ) -> tuple[dict[str, Plan], str]:
-    """Mend one phase; return the plans and what was done, or nothing."""
-    for name, s in _samples(solution).items():
-        plan = plans[name]
-        structure, action = _collapse(s, plan.structure, swapped)
-        if structure is None:
-            finer = _finer(s, plan, tol)
-            if finer is not None:
-                return {**plans, name: finer}, "resolution raised"
-            structure, action = _complete(s, plan.structure)
+    """Mend the structure of one phase, or kinks and resolution of all; return the plans and what was done."""
+    samples = _samples(solution)
+    for name, s in samples.items():
+        structure, action = _collapse(s, plans[name].structure, swapped)
+        if structure is not None:
+            return {**plans, name: Plan.of(structure)}, action
+    adjusted = {name: _adjust(s, plans[name], tol) for name, s in samples.items()}
+    actions = dict.fromkeys(action for _, action in adjusted.values() if action)
+    if actions:
+        return {name: plan for name, (plan, _) in adjusted.items()}, ", ".join(actions)
+    for name, s in samples.items():
+        structure, action = _complete(s, plans[name])
         if structure is not None:
             return {**plans, name: Plan.of(structure)}, action
     return plans, ""
+
+
+def _adjust(samples: PhaseSamples, plan: Plan, tol: float) -> tuple[Plan, str]:
+    """Move kinks and raise resolutions where the solution asks for it."""
+    moved, finer = move_kinks(samples, plan), _finer(samples, plan, tol)
+    if moved is not None:
+        emptied = np.flatnonzero(moved.lengths < VANISHED * (moved.times[-1] - moved.times[0]))
+        if emptied.size:
+            return Plan.of(plan.structure.without(int(emptied[0]))), f"piece {emptied[0] + 1} dropped"
+    actions = (KINKS_MOVED if moved else "", RAISED if finer else "")
+    resolutions = finer.resolutions if finer else plan.resolutions
+    return replace(plan, structure=moved or plan.structure, resolutions=resolutions), ", ".join(
+        filter(None, actions)
+    )
 
 
 def _samples(solution: Solution) -> dict[str, PhaseSamples]:
@@ -161,7 +162,7 @@ def _solve(problem: Problem, plans: Mapping[str, Plan], guess: Solution, options
 
     held = problem
     for name, plan in plans.items():
-        held = held.with_arcs(name, arcs=plan.arcs())
+        held = plan.hold(held, name)
     meshes = {name: plan.mesh() for name, plan in plans.items()}
     found = solve(held, mesh=meshes, guess=guess, options=options, throw=False)
     return replace(found, problem=problem)
@@ -170,7 +171,7 @@ def _solve(problem: Problem, plans: Mapping[str, Plan], guess: Solution, options
 def _at_solution(plan: Plan, solution: Solution, name: str) -> Plan:
     """Return the plan with the switch times of the solution."""
     leg = solution.phases[name]
-    times = tuple(float(t) for t in leg.breaks[list(leg.mesh.anchors)])
+    times = tuple(float(t) for t in leg.breaks[list(plan.piece_ends)])
     return replace(plan, structure=plan.structure.at(times))
 
 
@@ -192,7 +193,8 @@ def _record(solution: Solution, begin: float, action: str) -> Pass:
 def _arcs(solution: Solution, plans: Mapping[str, Plan]) -> tuple[Arc, ...]:
     arcs: list[Arc] = []
     for name, s in _samples(solution).items():
-        arcs += plans[name].structure.arcs(name, s.leg.controls.labels)
+        labels = (*s.leg.controls.labels, *s.leg.path_labels, *s.leg.states.labels)
+        arcs += plans[name].structure.arcs(name, labels)
     return tuple(arcs)
 
 
@@ -229,20 +231,45 @@ def _spread(structure: PhaseStructure, piece: int) -> PhaseStructure:
 # --- arcs that are missing --------------------------------------------------------------------------------
 
 
-def _complete(samples: PhaseSamples, structure: PhaseStructure) -> tuple[PhaseStructure | None, str]:
+def _complete(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None, str]:
     """Return the structure with the arc that a wrong sign asks for and what was done, or None if all agree."""
-    affine = affine_channels(samples)
-    gradient = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
-    signs = structure.matrix()[:, samples.leg.mesh.segment_arcs[samples.segments]]
-    offence = np.where(affine[:, None] & (np.abs(signs) == 1), signs * gradient, 0.0)
+    signs = plan.structure.matrix()[:, plan.segment_pieces[samples.segments]]
+    offence, asked = _offences(samples, plan.structure, signs)
     for i in range(offence.shape[0]):
         _forgive_own_switches(offence[i], signs[i])
     if not offence.size or offence.max() < WRONG_SIGN:
         return None, ""
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
-    start, end = _wrong_interval(samples, offence[i], i, j)
-    label = samples.leg.controls.labels[i]
-    return structure.with_arc(i, start, end, -int(signs[i, j])), f"arc of {label} added at {start:.4g} s"
+    start, end = _wrong_interval(samples, offence[i])
+    label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
+    structure = plan.structure.with_arc(i, start, end, int(asked[i, j]))
+    return structure, f"arc of {label} added at {start:.4g} s"
+
+
+def _offences(samples: PhaseSamples, structure: PhaseStructure, signs: Signs) -> tuple[Array, Signs]:
+    """How much each control and path constraint offends where it is, and the place that it asks for.
+
+    A control on a bound with a switching function of the wrong sign offends by the gain in H; it asks for the other
+    bound, or to become interior where H is strictly convex in it. An interior control offends by the share of
+    its range by which it leaves its bounds, and asks for the bound. Mixed path constraints likewise.
+    """
+    bounds, paths = samples.leg.control_bounds, samples.leg.path_bounds
+    values = samples.functions.paths(samples.times, samples.x, samples.u_polynomial)
+    scales = np.concatenate(
+        [samples.control_scale, np.maximum(np.max(np.abs(values), axis=1, initial=0.0), 1e-6)]
+    )
+    # At an upper limit both the switching function and the reversed multiplier must be negative.
+    pull = np.vstack([samples.control_gradient, -samples.mu]) * scales[:, None] / samples.hamiltonian_scale
+    above = np.vstack([samples.u_polynomial - bounds.upper[:, None], values - paths.upper[:, None]])
+    below = np.vstack([bounds.lower[:, None] - samples.u_polynomial, paths.lower[:, None] - values])
+    signs = signs[: pull.shape[0]]
+    regular = np.asarray(structure.regular[: pull.shape[0]], dtype=bool)[:, None]
+    affine = np.append(affine_channels(samples), np.zeros(len(values), dtype=bool))[:, None]
+    judged = (affine | regular) & (np.abs(signs) == 1)
+    excess = np.maximum(above, below) / scales[:, None]
+    offence = np.where(judged, signs * pull, np.where(regular & (signs == 0), excess, 0.0))
+    asked = np.where(judged, np.where(regular, 0, -signs), np.where(above > below, 1, -1))
+    return offence, asked
 
 
 def _forgive_own_switches(offence: Array, signs: Signs) -> None:
@@ -261,14 +288,19 @@ def _forgive_own_switches(offence: Array, signs: Signs) -> None:
             offence[k] = 0.0
 
 
-def _wrong_interval(samples: PhaseSamples, offence: Array, channel: int, j: int) -> tuple[float, float]:
-    """Return where the switching function has the wrong sign around sample j."""
-    right_signs = np.flatnonzero(offence <= 0)
-    before, after = right_signs[right_signs < j], right_signs[right_signs > j]
-    times, value = samples.times, switching(samples, channel)
-    start = root(value, times[before[-1]], times[before[-1] + 1]) if before.size else times[0]
-    end = root(value, times[after[0] - 1], times[after[0]]) if after.size else times[-1]
+def _wrong_interval(samples: PhaseSamples, offence: Array) -> tuple[float, float]:
+    """Return where there is an offence around the worst one: its zeros, from the samples beside them."""
+    times, j = samples.times, int(np.argmax(offence))
+    fine = np.flatnonzero(offence <= 0)
+    before, after = fine[fine < j], fine[fine > j]
+    start = _zero(times, offence, before[-1], before[-1] + 1) if before.size else times[0]
+    end = _zero(times, offence, after[0] - 1, after[0]) if after.size else times[-1]
     return float(start), float(end)
+
+
+def _zero(times: Array, values: Array, left: int, right: int) -> float:
+    """Zero of a straight line between two samples whose values do not have the same sign."""
+    return float(times[left] - values[left] * (times[right] - times[left]) / (values[right] - values[left]))
 
 
 # --- resolution ---------------------------------------------------------------------------------------------
@@ -278,11 +310,26 @@ def _finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
     """Return higher resolutions where dynamics or costates are not met between the nodes, or None."""
     rates = samples.functions.rates(samples.times, samples.x, samples.u_polynomial)
     errors = samples.per_segment(samples.x_rate - rates) / samples.state_scale[:, None]
-    gradient = samples.functions.state_gradient(samples.times, samples.x, samples.u, samples.lam, samples.mu)
+    gradient = samples.functions.state_gradient(
+        samples.times, samples.x, samples.u_polynomial, samples.lam, samples.mu
+    )
     residual = samples.per_segment(samples.lam_rate + gradient + samples.state_multiplier)
     worth = samples.state_scale[:, None] / samples.cost_scale
     per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
-    worst = np.zeros(plan.structure.pieces)
-    np.maximum.at(worst, samples.leg.mesh.segment_arcs, per_segment)
-    wanted = tuple(r.finer() if e > tol else r for r, e in zip(plan.resolutions, worst, strict=True))
+    worst, open_gradient = np.zeros(plan.structure.pieces), _open_gradient(samples, plan)
+    np.maximum.at(worst, plan.segment_pieces, per_segment)
+    wanted = tuple(
+        r.finer() if e > tol else r.smoother(g) if g > STATIONARY else r
+        for r, e, g in zip(plan.resolutions, worst, open_gradient, strict=True)
+    )
     return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
+
+
+def _open_gradient(samples: PhaseSamples, plan: Plan) -> Array:
+    """The largest |dH/du| of singular controls in every piece (A,), in shares of H."""
+    signs = plan.structure.controls[:, plan.segment_pieces[samples.segments]]
+    gain = np.abs(samples.control_gradient) * samples.control_scale[:, None] / samples.hamiltonian_scale
+    per_sample = np.max(np.where(signs == 2, gain, 0.0), axis=0, initial=0.0)
+    worst = np.zeros(plan.structure.pieces)
+    np.maximum.at(worst, plan.segment_pieces[samples.segments], per_sample)
+    return worst

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import multiprocessing
 import os
@@ -9,7 +10,14 @@ import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterable
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures import (
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    as_completed,
+)
 from dataclasses import dataclass
 from functools import lru_cache
 from types import TracebackType
@@ -67,12 +75,15 @@ class Workforce:
         self.problem = _built(problem)
         self._number: int | None = None
         self._own: ProcessPoolExecutor | None = None
+        self._workers: Any = None
         self._executor: Executor
         self._source: Source = _Here(self.problem)
         if executor is None:
             self._source = self._travelling(problem)
+            context = _context()
+            self._workers = context.SimpleQueue()
             self._executor = self._own = ProcessPoolExecutor(
-                os.cpu_count() or 1, mp_context=_context(), initializer=_prepare_worker
+                os.cpu_count() or 1, context, initializer=_prepare_worker, initargs=(self._workers,)
             )
             return
         if executor == "serial":
@@ -94,7 +105,9 @@ class Workforce:
         self, kind: type[BaseException] | None, error: BaseException | None, place: TracebackType | None
     ) -> None:
         if self._own is not None:
-            self._own.shutdown(wait=not self.interrupted and kind is None, cancel_futures=True)
+            if self.interrupted or kind is not None:
+                self._stop_workers()
+            self._own.shutdown(cancel_futures=True)
         if self._number is not None:
             _INHERITED.pop(self._number, None)
 
@@ -104,6 +117,11 @@ class Workforce:
         """Do a task with every item; return the answers in order, None for those that Ctrl-C prevented.
 
         ``show`` is told every answer as it comes. After Ctrl-C `interrupted` is set.
+
+        Raises
+        ------
+        GncOptError
+            A process has died.
         """
         futures: list[Future[Answer]] = []
         told: set[Future[Answer]] = set()
@@ -120,8 +138,19 @@ class Workforce:
             self.interrupted = True
             for future in futures:
                 future.cancel()
+        except BrokenExecutor as error:
+            raise GncOptError(
+                "a process of multistart() has died, perhaps for want of memory: try a coarser mesh, or "
+                'executor="serial".'
+            ) from error
         answers = [_answer(future) for future in futures]
         return answers + [None] * (len(items) - len(answers))
+
+    def _stop_workers(self) -> None:
+        """End the processes, whatever they are at: a solve may take long, and nobody waits for it any more."""
+        while not self._workers.empty():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._workers.get(), signal.SIGTERM)
 
     def _travelling(self, problem: Problem | Builder) -> Source:
         """Return how processes of our own get at the problem."""
@@ -208,8 +237,9 @@ def _context() -> Any:
     return multiprocessing.get_context("fork" if _forks() else None)
 
 
-def _prepare_worker() -> None:
-    """Ctrl-C is the parent's business, and the processes share the processors already."""
+def _prepare_worker(workers: Any) -> None:
+    """Tell who one is; Ctrl-C is the parent's business, and the processes share the processors already."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    workers.put(os.getpid())
     for name in _THREAD_COUNTS:
         os.environ[name] = "1"

@@ -81,6 +81,7 @@ def search_dict(found: Multistart) -> dict[str, Any]:
                 "coarse_objectives": list(minimum.coarse_objectives),
                 "refined": minimum.refined,
                 "verdict_ok": minimum.verdict_ok,
+                "standing": minimum.standing,
                 "solution": summary_dict(minimum.solution),
             }
             for minimum in found.minima

@@ -7,17 +7,22 @@ from enum import Enum
 
 
 class ArcKind(Enum):
-    """Where a control is during an arc."""
+    """Where a control is during an arc.
+
+    A constrained control is between its bounds, where a state on its bound or an active path constraint determines it;
+    the arcs of the latter are LOWER or UPPER under their own names.
+    """
 
     LOWER = "lower"
     UPPER = "upper"
     INTERIOR = "interior"
     SINGULAR = "singular"
+    CONSTRAINED = "constrained"
 
 
 @dataclass(frozen=True)
 class Arc:
-    """One control between two of its switches.
+    """One control between two of its switches, or a state or path constraint at its limit.
 
     Attributes
     ----------

@@ -16,7 +16,8 @@ from gnc_opt.solution.phase_solution import PhaseSolution, piecewise
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.transcription.collocation import PhaseCollocation
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.transcription.transcription import PhasePart, Transcription
+from gnc_opt.transcription.numbering import PhasePart
+from gnc_opt.transcription.transcription import Transcription
 
 _SHORTEST = 1e-9
 """Phases shorter than this (s) are drawn this long, so that a vanishing phase can still be evaluated."""

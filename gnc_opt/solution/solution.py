@@ -192,7 +192,7 @@ class Solution:
         t : float or array (n_times,), s
         """
         leg = self.phase(phase)
-        problem = self._need_problem("evaluate")
+        problem = self.need_problem("evaluate")
         function = evaluator(problem, leg.name, expression)
         values = function(t, leg.x(t, side), leg.u(t, side), leg.parameters, self.parameter_values)
         if values.shape[0] > 1:
@@ -202,7 +202,7 @@ class Solution:
     def functions(self, phase: str) -> PhaseFunctions:
         """Return dynamics, Hamiltonian and derivatives of a phase at this solution's parameters."""
         leg = self.phase(phase)
-        problem = self._need_problem("evaluate functions of")
+        problem = self.need_problem("evaluate functions of")
         return phase_functions(problem, leg.name, leg.parameters, self.parameter_values, leg.integral_weights)
 
     # --- quality ----------------------------------------------------------------------------------
@@ -326,10 +326,22 @@ class Solution:
             )
         return replace(self, problem=problem)
 
-    def _need_problem(self, what: str) -> Problem:
+    def need_problem(self, action: str) -> Problem:
+        """Return the problem.
+
+        Parameters
+        ----------
+        action : str
+            What it is needed for, a verb whose object is the solution: ``"refine"``.
+
+        Raises
+        ------
+        GncOptError
+            The solution was loaded without it.
+        """
         if self.problem is None:
             raise GncOptError(
-                f"cannot {what} the solution of '{self.problem_name}' without its problem: "
+                f"cannot {action} the solution of '{self.problem_name}' without its problem: "
                 "load it with load(path, problem=...)."
             )
         return self.problem

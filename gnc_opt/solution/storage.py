@@ -19,7 +19,7 @@ from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 
@@ -140,13 +140,11 @@ def _umask() -> int:
 
 def _read(path: Path) -> tuple[Any, dict[str, Array]]:
     with path.open("rb") as stream:
-        if not zipfile.is_zipfile(stream):
-            raise GncOptError(f"'{path}' is not a solution of gnc_opt, or only part of one.")
-        stream.seek(0)
         try:
-            with np.load(stream, allow_pickle=False) as archive:
-                entries = {name: archive[name] for name in archive.files}
+            entries = _entries(stream)
             header = json.loads(str(entries.pop("header"))) if "header" in entries else {}
+        except _NoArchive:
+            raise GncOptError(f"'{path}' is not a solution of gnc_opt, or only part of one.") from None
         except Exception as error:  # zipfile, zlib, NumPy and JSON each have their own
             raise _damaged(path) from error
     if not isinstance(header, dict) or header.get("format") != FORMAT:
@@ -157,6 +155,23 @@ def _read(path: Path) -> tuple[Any, dict[str, Array]]:
             f"but this gnc_opt reads version {VERSION}: load it with the version that wrote it."
         )
     return header, entries
+
+
+class _NoArchive(Exception):
+    """Not a zip file at all."""
+
+
+def _entries(stream: BinaryIO) -> dict[str, Array]:
+    """Return all arrays of an archive after looking at every checksum: NumPy may stop reading before the last byte."""
+    if not zipfile.is_zipfile(stream):
+        raise _NoArchive
+    with zipfile.ZipFile(stream) as archive:
+        broken = archive.testzip()
+        if broken is not None:
+            raise zipfile.BadZipFile(broken)
+    stream.seek(0)
+    with np.load(stream, allow_pickle=False) as arrays:
+        return {name: arrays[name] for name in arrays.files}
 
 
 def _damaged(path: str | Path) -> GncOptError:

@@ -15,7 +15,8 @@ from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import Side
 from gnc_opt.solution.solution import Solution
 from gnc_opt.transcription.collocation import PhaseCollocation
-from gnc_opt.transcription.transcription import PhasePart, Transcription
+from gnc_opt.transcription.numbering import PhasePart
+from gnc_opt.transcription.transcription import Transcription
 
 
 def start_from_solution(

@@ -10,41 +10,30 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.errors import unknown_name
 from gnc_opt.model.layout import Array
 from gnc_opt.nlp.problem import NlpProblem
 from gnc_opt.problem.interval import Interval, free
-from gnc_opt.problem.phase import CLEARANCE, Phase
+from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.problem.symbols import parameter_arguments
-from gnc_opt.transcription.collocation import PhaseCollocation, weight_matrix
+from gnc_opt.transcription.collocation import weight_matrix
+from gnc_opt.transcription.holding import (
+    check_segments,
+    hold_controls,
+    hold_paths,
+    hold_states,
+    smooth_controls,
+    smooth_entries,
+)
 from gnc_opt.transcription.mesh import Mesh
+from gnc_opt.transcription.numbering import Indices, Numbering, PhasePart, time_is_fixed
 from gnc_opt.transcription.quadrature import Scheme
 from gnc_opt.transcription.separable import Block, PointFunction, SeparableProgram
 
-Indices = NDArray[np.int64]
-
 SHORTEST_ARC = 1e-9
 """Least length (s) of an arc between movable mesh boundaries; an arc that short has vanished."""
-
-
-@dataclass(frozen=True)
-class PhasePart:
-    """Where a phase lives in the program.
-
-    Attributes
-    ----------
-    collocation : PhaseCollocation
-    times : int array (n_arcs + 1,)
-        Places of initial time, movable mesh boundaries and final time in the extended variables; >= n_variables
-        where fixed.
-    """
-
-    name: str
-    collocation: PhaseCollocation
-    times: Indices
 
 
 @dataclass(frozen=True)
@@ -60,7 +49,7 @@ class _Symbols:
     objective_scale: Any
 
 
-class Transcription:
+class Transcription(Numbering):
     """The nonlinear program of a problem on given meshes; numbers (bounds, guesses, scales) come later.
 
     Parameters
@@ -68,109 +57,16 @@ class Transcription:
     problem : Problem
     meshes : mapping from phase name to Mesh
     scheme : {"LG", "LGR", "LGL"}
-
-    Notes
-    -----
-    Variables: per phase states and controls in time order; then free times, parameters, integrals.
-    Rows: per phase dynamics and path constraints; then durations, boundary constraints, integrals.
     """
 
     def __init__(self, problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> None:
-        self.problem = problem
-        self.scheme = scheme
-        self.parts: dict[str, PhasePart] = {}
-        self._movable = {name: mesh.movable for name, mesh in meshes.items()}
-        self._place_phases(meshes)
-        self._place_end_block()
+        super().__init__(problem, meshes, scheme)
         phase_blocks = [block for leg in problem.phases.values() for block in self._phase_blocks(leg)]
         self.program = SeparableProgram(self._linear(), (*phase_blocks, self._end_block()))
         self.objective, self.constraints = (
             self.program.rows(0, 1),
             self.program.rows(1, 1 + self.n_constraints),
         )
-
-    # --- numbering --------------------------------------------------------------------------------
-
-    def _place_phases(self, meshes: Mapping[str, Mesh]) -> None:
-        variable = row = 0
-        collocations = {}
-        for name, leg in self.problem.phases.items():
-            collocation = PhaseCollocation(
-                self.scheme,
-                meshes[name],
-                leg.model.states.size,
-                leg.model.controls.size,
-                len(leg.path_labels),
-                variable,
-                row,
-            )
-            collocations[name] = collocation
-            variable += collocation.n_variables
-            row += collocation.n_rows
-        free_times = [
-            (name, anchor)
-            for name, collocation in collocations.items()
-            for anchor in collocation.mesh.anchors
-            if not self._is_fixed(name, anchor)
-        ]
-        time_place = {key: variable + i for i, key in enumerate(free_times)}
-        variable += len(free_times)
-        self.parameter_places = variable + np.arange(self.problem.parameters.size)
-        variable += self.problem.parameters.size
-        self._direct, self._defined = self._sort_integrals()
-        self.integral_places = variable + np.arange(len(self._defined))
-        self.n_variables = variable + len(self._defined)
-        self._time_labels = [
-            f"{'initial' if anchor == 0 else 'final' if anchor == meshes[name].segments else f'boundary {anchor}'} "
-            f"time, phase {name}"
-            for name, anchor in free_times
-        ]
-        self._first_end_row = row
-        for k, (name, collocation) in enumerate(collocations.items()):
-            places = [
-                time_place.get((name, anchor), self.n_variables + 2 * k + min(anchor, 1))
-                for anchor in collocation.mesh.anchors
-            ]
-            self.parts[name] = PhasePart(name, collocation, np.asarray(places, dtype=np.int64))
-
-    def _is_fixed(self, name: str, anchor: int) -> bool:
-        if anchor in self._movable[name]:
-            return False
-        return time_is_fixed(self.problem.phases[name], min(anchor, 1))
-
-    def _place_end_block(self) -> None:
-        self._durations = [
-            name for name, part in self.parts.items() if np.all(part.times[[0, -1]] < self.n_variables)
-        ]
-        self._arcs = [
-            (name, arc)
-            for name, movable in self._movable.items()
-            if movable
-            for arc in range(len(movable) + 1)
-        ]
-        self._end_labels = [f"duration of phase {name}" for name in self._durations]
-        self._end_labels += [f"length of arc {arc + 1}, phase {name}" for name, arc in self._arcs]
-        self._end_labels += [f"constraint {label}" for label in self.problem.constraint_labels()]
-        self._end_labels += [f"integral {label}, phase {name}" for name, label in self._defined]
-        self.n_constraints = self._first_end_row + len(self._end_labels)
-        first = self._first_end_row + len(self._durations) + len(self._arcs)
-        self.constraint_rows = first + np.arange(len(self.problem.constraint_labels()))
-
-    # --- integrals --------------------------------------------------------------------------------
-
-    def _sort_integrals(self) -> tuple[dict[tuple[str, str], Array], list[tuple[str, str]]]:
-        """Split integrals into those with constant coefficients in (cost, constraints) and the others."""
-        outputs = ca.vertcat(self.problem.sense * self.problem.cost, self.problem.constraint_expression())
-        direct: dict[tuple[str, str], Array] = {}
-        defined = []
-        for leg in self.problem.phases.values():
-            for label, (symbol, _) in leg.integrands.items():
-                coefficients = ca.jacobian(outputs, symbol)
-                if coefficients.is_constant():
-                    direct[leg.name, label] = np.asarray(ca.DM(coefficients).full()).ravel()
-                else:
-                    defined.append((leg.name, label))
-        return direct, defined
 
     # --- blocks -----------------------------------------------------------------------------------
 
@@ -289,6 +185,7 @@ class Transcription:
 
     def _linear(self) -> Any:
         entries = [part.collocation.linear for part in self.parts.values()]
+        entries.append(smooth_entries(self._smooth, self._first_smooth_row))
         rows, columns, values = (np.concatenate([e[i] for e in entries]) for i in range(3))
         return sp.coo_array((values, (1 + rows, columns)), shape=(1 + self.n_constraints, self.n_variables))
 
@@ -357,12 +254,12 @@ class Transcription:
         (_, gradient), (g, jacobian) = self.nlp.grad_f(x, p), self.nlp.jac_g(x, p)
         return g.full().ravel(), gradient.full().ravel(), np.asarray(jacobian.nonzeros())
 
+    # --- numbers ----------------------------------------------------------------------------------
+
     def numbers(self, problem: Problem) -> Array:
         """Model parameters and fixed times of a problem."""
         models = [leg.model.parameter_values for leg in problem.phases.values()]
         return np.concatenate([*models, self.fixed_times(problem)])
-
-    # --- numbers ----------------------------------------------------------------------------------
 
     def parameter_vector(
         self, problem: Problem, scales: Array, row_scales: Array, objective_scale: float
@@ -392,8 +289,9 @@ class Transcription:
             (collocation.point_controls, numbers.controls),
         ):
             box.lower[places], box.upper[places] = bounds.lower[:, None], bounds.upper[:, None]
+        check_segments(leg, collocation)
         if numbers.arcs is not None:
-            self._hold_controls(box, leg, collocation)
+            hold_controls(box, numbers.arcs, numbers.controls, collocation)
         for places, values in ((collocation.boundary_states[:, 0], numbers.initial),
                                (collocation.boundary_states[:, -1], numbers.final)):  # fmt: skip
             # Not max and min: a value that rounding puts beyond a bound must not cross it.
@@ -402,26 +300,11 @@ class Transcription:
                 np.clip(values.lower, lower, upper),
                 np.clip(values.upper, lower, upper),
             )
+        if numbers.arcs is not None:
+            hold_states(box, numbers.arcs, numbers.states, collocation)
         for place, time in zip(part.times[[0, -1]], leg.times(), strict=True):
             if place < self.n_variables:
                 box.lower[place], box.upper[place] = time.lower[0], time.upper[0]
-
-    def _hold_controls(self, box: Interval, leg: Phase, collocation: PhaseCollocation) -> None:
-        arcs = np.asarray(leg.numbers.arcs)
-        if arcs.shape[1] != collocation.mesh.segments:
-            raise ProblemError(
-                f"arcs of {leg.where} are given for {arcs.shape[1]} segments, but its mesh has "
-                f"{collocation.mesh.segments}: give one column per segment."
-            )
-        signs = np.repeat(arcs, collocation.mesh.degrees, axis=1)
-        bounds, places = leg.numbers.controls, collocation.point_controls
-        for sign, limits in ((-1, bounds.lower), (1, bounds.upper)):
-            held = np.broadcast_to(limits[:, None], signs.shape)[signs == sign]
-            box.lower[places[signs == sign]] = box.upper[places[signs == sign]] = held
-        margin = CLEARANCE * (bounds.upper - bounds.lower)
-        clear = signs == 2
-        box.lower[places[clear]] = np.broadcast_to((bounds.lower + margin)[:, None], signs.shape)[clear]
-        box.upper[places[clear]] = np.broadcast_to((bounds.upper - margin)[:, None], signs.shape)[clear]
 
     def row_interval(self, problem: Problem) -> Interval:
         """Bounds of all rows, in physical units."""
@@ -430,6 +313,9 @@ class Transcription:
             paths = problem.phases[name].path_interval()
             rows = part.collocation.path_rows
             box.lower[rows], box.upper[rows] = paths.lower[:, None], paths.upper[:, None]
+            held = problem.phases[name].numbers.arcs
+            if held is not None:
+                hold_paths(box, held, paths, part.collocation)
         for i, name in enumerate(self._durations):
             duration = problem.phases[name].numbers.duration
             box.lower[self._first_end_row + i] = duration.lower[0]
@@ -447,32 +333,6 @@ class Transcription:
             return 0.0
         return float(lam_g[self._first_end_row + self._durations.index(phase)])
 
-    @property
-    def end_rows(self) -> dict[str, int]:
-        """Rows of durations, arc lengths, boundary constraints and integrals, by their names."""
-        return {label: self._first_end_row + i for i, label in enumerate(self._end_labels)}
-
-    @cached_property
-    def row_labels(self) -> tuple[str, ...]:
-        """The name of every constraint row."""
-        labels: list[str] = []
-        for name, part in self.parts.items():
-            leg = self.problem.phases[name]
-            labels += part.collocation.row_labels(name, leg.model.states.labels, leg.path_labels)
-        return (*labels, *self._end_labels)
-
-    @cached_property
-    def variable_labels(self) -> tuple[str, ...]:
-        """The name of every variable."""
-        labels: list[str] = []
-        for name, part in self.parts.items():
-            model = self.problem.phases[name].model
-            labels += part.collocation.variable_labels(name, model.states.labels, model.controls.labels)
-        labels += self._time_labels
-        labels += [f"parameter {label}" for label in self.problem.parameters.labels]
-        labels += [f"integral {label}, phase {name}" for name, label in self._defined]
-        return tuple(labels)
-
 
 def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> Transcription:
     """Return the transcription of a problem, re-using an earlier one of the same structure and meshes."""
@@ -480,16 +340,12 @@ def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> 
         if name not in problem.phases:
             raise unknown_name("phase", name, f"mesh of problem '{problem.name}'", problem.phases)
     fixed = tuple(time_is_fixed(leg, end) for leg in problem.phases.values() for end in (0, 1))
-    key = (scheme, tuple(meshes[name] for name in problem.phases), fixed)
+    smooth = tuple(smooth_controls(leg) for leg in problem.phases.values())
+    key = (scheme, tuple(meshes[name] for name in problem.phases), fixed, smooth)
     if key not in problem.builds:
         problem.builds[key] = Transcription(problem, meshes, scheme)
     built: Transcription = problem.builds[key]
     return built
-
-
-def time_is_fixed(leg: Phase, end: int) -> bool:
-    """Whether the phase's initial (0) or final (1) time is a given number."""
-    return bool(leg.times()[end].fixed[0])
 
 
 def _sparse(n_rows: int, n_columns: int, rows: Indices, columns: Indices, nonzeros: Any) -> Any:

@@ -208,12 +208,12 @@ def test_merging_shrinks_a_mesh_that_is_too_fine() -> None:
 def test_tighter_tolerances_cost_points_and_bring_accuracy() -> None:
     first, exact = go.solve(layered()), np.tanh(100.0) / 200.0
     errors, points = [], []
-    for tol in (1e-4, 1e-7):
+    for tol in (1e-4, 1e-8):
         solution, history = refine_mesh(first, tol=tol)
         check(history, tol)
         errors.append(abs(solution.objective / exact - 1))
         points.append(history.final.points)
-    assert errors[0] < 1e-4 and errors[1] < 1e-7 and points[0] < points[1]
+    assert errors[0] < 1e-4 and errors[1] < 1e-8 and points[0] < points[1]
 
 
 def test_state_constraint_from_both_sides() -> None:

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import itertools
 import json
+import multiprocessing
+import os
 import signal
+import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -19,7 +24,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt import Multistart, cli, multistart
-from gnc_opt.refine.multistart import _Coarse
+from gnc_opt.refine.multistart import _Coarse, _Fine
 from gnc_opt.refine.random_guess import with_random_guess
 from problems import rendezvous
 from problems.rendezvous_global import GlobalOutcome
@@ -198,6 +203,24 @@ def test_the_aircraft_is_freed_from_its_local_minimum() -> None:
     assert own.objective > 5.5
 
 
+def test_a_minimum_whose_short_arcs_the_coarse_mesh_hides_is_refined_all_the_same() -> None:
+    # The fourth minimum of case 2. From its 20x3 solution the switch times lead to a structure that lacks an
+    # arc and that the verdict rejects; on halved segments the arc is seen.
+    problem = rendezvous.build(case=2)
+    options = go.SolverOptions(max_iterations=400)
+    endings = [_Coarse(1, "20x3", options)(problem, start) for start in (41, 59)]
+    # Where a start ends may depend on the machine's rounding, hence two of them.
+    coarse = next(e for e in endings if e.objective is not None and abs(e.objective - 26.2288) < 1e-3)
+    assert coarse.solution is not None and coarse.objective is not None
+    known = set(problem.builds)
+    minimum = go.Minimum(coarse.solution, coarse.objective, 1, (coarse.index,), 1, (coarse.objective,))
+    assert minimum.standing == "coarse"
+    fine = _Fine("bang-bang", 1e-8, options)(problem, minimum)
+    assert fine.standing == "ok"
+    assert fine.objective == pytest.approx(26.22674, abs=1e-5)
+    assert set(problem.builds) == known  # what was built for it is released
+
+
 # --- interrupts ------------------------------------------------------------------------------------------------
 
 
@@ -229,6 +252,45 @@ def test_an_interrupted_solve_ends_the_search(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(module, "solve", _interrupting_solve(at=4))
     found = search(wells(), n=400)
     assert found.interrupted and found.finished == 3
+
+
+def test_ctrl_c_stops_running_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Solves that would go on for very long end with the search, and so do their processes."""
+    monkeypatch.setattr(sys.modules[multistart.__module__], "solve", lambda *_, **__: time.sleep(1000.0))
+
+    def press_ctrl_c() -> None:
+        while not multiprocessing.active_children():
+            time.sleep(0.01)
+        time.sleep(0.5)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=press_ctrl_c).start()
+    found = search(wells(), n=3, executor=None)
+    assert found.interrupted and found.finished == 0 and not found.minima
+    assert not multiprocessing.active_children()
+
+
+def test_ctrl_c_at_the_shell_keeps_what_is_found(tmp_path: Path) -> None:
+    target = tmp_path / "found.json"
+    arguments = ["multistart", __file__, "--n", "100000", "--mesh", MESH, "--json", str(target)]
+    run = subprocess.Popen([sys.executable, "-m", "gnc_opt.cli", *arguments], stderr=subprocess.DEVNULL)
+    time.sleep(4.0)
+    run.send_signal(signal.SIGINT)
+    assert run.wait(60) == cli.ExitCode.INTERRUPTED
+    told = json.loads(target.read_text())
+    assert told["interrupted"] and 0 < told["finished"] < 100000
+    assert told["minima"] and {m["standing"] for m in told["minima"]} == {"coarse"}
+
+
+def test_a_dead_worker_is_told() -> None:
+    with pytest.raises(go.GncOptError, match="a process of multistart\\(\\) has died"):
+        search(partial(_dies_elsewhere, os.getpid()), executor=ProcessPoolExecutor(1))
+
+
+def _dies_elsewhere(home: int) -> go.Problem:
+    if os.getpid() != home:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return wells()
 
 
 def test_a_time_limit_does_not_end_the_search() -> None:

@@ -131,4 +131,6 @@ def test_differential_oblateness():
     assert 1e-6 < np.max(np.abs(full)) < 5e-6
     np.testing.assert_allclose(differential_j2(np.zeros(3), LEADER, np.eye(3), MU), 0, atol=1e-15)
     turn = np.array([[np.cos(1), np.sin(1), 0], [-np.sin(1), np.cos(1), 0], [0, 0, 1]])
-    np.testing.assert_allclose(differential_j2(rho, LEADER, turn, MU), full, rtol=1e-7, atol=1e-16)  # axisymmetric
+    np.testing.assert_allclose(
+        differential_j2(rho, LEADER, turn, MU), full, rtol=1e-7, atol=1e-16
+    )  # axisymmetric

@@ -21,8 +21,11 @@ from gnc_opt.plot import (
     plot_states,
     save_figure,
 )
+from gnc_opt.plot.refinement import plot_refinement
 from gnc_opt.plot.sampling import sample, zero_crossings
 from gnc_opt.plot.style import name_text, number_text, per_unit, unit_text
+from gnc_opt.refine.history import Pass
+from gnc_opt.transcription.mesh import Mesh
 
 
 @pytest.fixture(scope="module")
@@ -208,3 +211,30 @@ def test_zero_crossings_are_interpolated() -> None:
 )
 def test_typesetting(text: str, expected: str) -> None:
     assert text == expected
+
+
+def refinement(*solved: bool) -> go.History:
+    """A history of one pass per argument, on ever finer meshes of one phase."""
+    passes = []
+    for i, ok in enumerate(solved):
+        mesh = Mesh.uniform(2 + i, 3)
+        passes.append(Pass({"leg": mesh}, {"leg": mesh.breaks}, 10.0**-i, "", 1.0, ok, 5, 0.1, "-"))
+    return go.History(go.RefinementStatus.FAILED, 1e-9, tuple(passes), 0, "")
+
+
+def test_a_single_pass_has_whole_numbers_at_its_axes() -> None:
+    errors, meshes, _ = plot_refinement(refinement(True)).axes
+    low, high = sorted(meshes.get_ylim())
+    assert [tick for tick in meshes.get_yticks() if low <= tick <= high] == [0.0]
+    low, high = errors.get_xlim()
+    assert [tick for tick in errors.get_xticks() if low <= tick <= high] == [6.0]
+
+
+def test_passes_that_were_not_solved_are_crossed_out() -> None:
+    figure = plot_refinement(refinement(True, False, True))
+    crosses = [line for line in figure.axes[0].get_lines() if line.get_marker() == "x"]
+    assert [list(line.get_xydata()[:, 0]) for line in crosses] == [[9.0]]
+    assert "not solved" in [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "not solved" not in [
+        t.get_text() for t in plot_refinement(refinement(True)).legends[0].get_texts()
+    ]

@@ -268,6 +268,51 @@ def test_flipped_bytes_are_noticed(file: Path) -> None:
     assert refused >= 20
 
 
+def test_flipped_bits_of_the_archive_itself_are_noticed(file: Path) -> None:
+    """Flags (encryption, patches) and method in the directory of the zip format: refused in our words, or harmless."""
+    content = file.read_bytes()
+    original = go.load(file)
+    place = content.index(b"PK\x01\x02") + 8
+    refused = 0
+    for bit in range(32):
+        broken = bytearray(content)
+        broken[place + bit // 8] ^= 1 << bit % 8
+        file.write_bytes(bytes(broken))
+        try:
+            assert_same(original, go.load(file))
+        except GncOptError as error:
+            refused += 1
+            assert str(file) in str(error)
+    assert refused >= 16 + 3  # every other method; encryption, patched data, strong encryption
+
+
+@pytest.mark.parametrize(
+    "failure", [NotImplementedError, RuntimeError, MemoryError, ValueError, EOFError, zipfile.BadZipFile]
+)
+@pytest.mark.parametrize("place", ["is_zipfile", "ZipFile"])
+def test_whatever_a_damaged_file_raises_becomes_our_error(
+    file: Path, monkeypatch: pytest.MonkeyPatch, place: str, failure: type[Exception]
+) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        raise failure("from below")
+
+    monkeypatch.setattr(zipfile, place, fail)
+    with pytest.raises(GncOptError, match=r"swing\.npz' is damaged"):
+        go.load(file)
+
+
+def test_an_entry_that_does_not_match_its_checksum_is_noticed(file: Path) -> None:
+    """NumPy reads as many numbers as the entry's own header announces, and so may never reach the checksum."""
+    with np.load(file) as archive:
+        entries = {name: archive[name] for name in archive.files}
+    entries["surplus"] = np.zeros(9999)
+    np.savez(file, **entries)  # not compressed
+    go.load(file)
+    file.write_bytes(file.read_bytes().replace(b"'shape': (9999,)", b"'shape': (1111,)"))
+    with pytest.raises(GncOptError, match="is damaged"):
+        go.load(file)
+
+
 def test_other_versions_are_refused(file: Path) -> None:
     edit_header(file, lambda header: header.update(version=99, written_by="7.0"))
     with pytest.raises(GncOptError, match=r"format version 99 \(gnc_opt 7\.0\).*reads version 1"):

@@ -1,0 +1,137 @@
+"""What one pass of the structure loop solves: pieces, how finely each is collocated, which boundaries may move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gnc_opt.problem.held import RELEASED, Smooth
+from gnc_opt.problem.problem import Problem
+from gnc_opt.refine.structure import PhaseStructure
+from gnc_opt.transcription.mesh import Mesh
+
+FIRST_DEGREE, MAX_DEGREE = 6, 12
+"""Collocation points of a piece to begin with, and of one segment at most; a piece that needs more is split."""
+
+SINGULAR_DEGREE, MAX_SINGULAR_DEGREE = 4, 28
+"""Degree of the polynomial that a control is over a singular piece, to begin with and at most."""
+
+HELPED = 0.3
+"""A higher degree of a singular control has helped if it leaves at most this share of dH/du."""
+
+INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
+"""First degree of an interior piece, and the number of its segments if it were the whole phase."""
+
+MAX_SEGMENTS = 32
+"""Segments of a piece at most."""
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """How finely a piece is collocated.
+
+    Attributes
+    ----------
+    segments, degree : int
+        Equal segments and their collocation points.
+    smooth : int
+        Degree of the polynomials that singular controls are over the whole piece; 0: no such polynomials.
+    gradient : float
+        Largest dH/du that was left along the piece with the degree before; see `smoother`.
+    """
+
+    segments: int = 1
+    degree: int = FIRST_DEGREE
+    smooth: int = 0
+    gradient: float = np.inf
+
+    def finer(self) -> Resolution:
+        """Return the next finer resolution of states and costates; the finest one is itself."""
+        if self.degree < MAX_DEGREE:
+            return replace(self, degree=min(self.degree + 3, MAX_DEGREE))
+        return replace(self, segments=min(2 * self.segments, MAX_SEGMENTS))
+
+    def smoother(self, gradient: float) -> Resolution:
+        """Return the resolution with singular controls of a higher degree, and points enough for them.
+
+        It is itself where the last higher degree did not help much: what is left of dH/du is rounding, or no smooth
+        control can remove it.
+        """
+        if self.smooth == 0 or gradient > HELPED * self.gradient:
+            return self
+        smooth = min(self.smooth + 4, MAX_SINGULAR_DEGREE)
+        segments = max(self.segments, int(np.ceil(2 * smooth / self.degree)))
+        return replace(self, smooth=smooth, segments=segments, gradient=gradient)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Structure and resolution of one phase."""
+
+    structure: PhaseStructure
+    resolutions: tuple[Resolution, ...]
+
+    @classmethod
+    def of(cls, structure: PhaseStructure) -> Plan:
+        """Return a plan that starts with the coarsest resolution."""
+        return cls(structure, tuple(_first_resolution(structure, k) for k in range(structure.pieces)))
+
+    @property
+    def segment_pieces(self) -> NDArray[np.int64]:
+        """The piece of every segment (K,)."""
+        return np.repeat(np.arange(self.structure.pieces), [r.segments for r in self.resolutions])
+
+    @property
+    def piece_ends(self) -> tuple[int, ...]:
+        """Indices of the mesh breaks at which pieces start and end; A + 1 of them."""
+        return (0, *(int(n) for n in np.cumsum([r.segments for r in self.resolutions])))
+
+    def mesh(self) -> Mesh:
+        """Return the mesh whose boundaries between pieces are movable, but for kinks, which stay where they are."""
+        times = [self.structure.times[0]]
+        degrees: list[int] = []
+        for k, r in enumerate(self.resolutions):
+            left, right = self.structure.times[k], self.structure.times[k + 1]
+            times += [left + (right - left) * (i + 1) / r.segments for i in range(r.segments)]
+            degrees += [r.degree] * r.segments
+        fractions = (np.asarray(times) - times[0]) / (times[-1] - times[0])
+        inner = range(1, self.structure.pieces)
+        movable = tuple(self.piece_ends[k] for k in inner if not self.structure.kinked(k))
+        return Mesh(tuple(fractions), tuple(degrees), movable)
+
+    def hold(self, problem: Problem, phase: str) -> Problem:
+        """Return the problem with controls, path constraints and states held as the structure says."""
+        structure, segments = self.structure, self.segment_pieces
+        controls, paths, states = structure.controls, structure.paths, structure.states
+        regular = np.asarray(structure.regular, dtype=bool)[:, None]
+        # An interior control may leave its bounds: by how much tells where its arc has to end.
+        released = (controls == 0) & regular[: len(controls)]
+        loose = (paths == 0) & regular[len(controls) : len(controls) + len(paths)]
+        return problem.with_arcs(
+            phase,
+            arcs=np.where(released, RELEASED, np.where(controls == 2, 0, controls))[:, segments],
+            paths=np.where(loose, RELEASED, paths)[:, segments] if paths.size else None,
+            states=states[:, segments] if np.any(states) else None,
+            smooth=self._smooth(),
+        )
+
+    def _smooth(self) -> tuple[Smooth, ...]:
+        """One polynomial for every control that nothing determines, over each of its pieces."""
+        found, ends = [], self.piece_ends
+        for i, row in enumerate(self.structure.controls):
+            for k in np.flatnonzero(row == 2):
+                r = self.resolutions[k]
+                if r.smooth and r.smooth < r.segments * r.degree - 1:
+                    found.append(Smooth(i, ends[k], ends[k + 1], r.smooth))
+        return tuple(found)
+
+
+def _first_resolution(structure: PhaseStructure, piece: int) -> Resolution:
+    signs, share = structure.signs[piece], structure.lengths[piece] / structure.lengths.sum()
+    if 2 in signs and not structure.constrained(piece):
+        return Resolution(2, FIRST_DEGREE, SINGULAR_DEGREE)
+    if 0 in structure.controls[:, piece]:
+        return Resolution(int(np.ceil(INTERIOR_SEGMENTS * share)), INTERIOR_DEGREE)
+    return Resolution()

@@ -1,0 +1,104 @@
+"""What held arcs mean for the program: bounds of its variables and rows, and rows that keep controls smooth."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from gnc_opt.errors import ProblemError
+from gnc_opt.model.layout import Array
+from gnc_opt.problem.held import RELEASED, Held, Smooth
+from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.phase import Phase
+from gnc_opt.transcription.collocation import PhaseCollocation
+
+Indices = NDArray[np.int64]
+
+
+def check_segments(leg: Phase, collocation: PhaseCollocation) -> None:
+    """Refuse arcs that are given for another number of segments."""
+    held, segments = leg.numbers.arcs, collocation.mesh.segments
+    for signs in (held.controls, held.paths, held.states) if held else ():
+        if signs and len(signs[0]) != segments:
+            raise ProblemError(
+                f"arcs of {leg.where} are given for {len(signs[0])} segments, but its mesh has {segments}: "
+                "give one column per segment."
+            )
+
+
+def hold_controls(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
+    """Put the bounds of controls at the points of their arcs."""
+    _put(box, collocation.point_controls, _at_points(held.controls, collocation), bounds)
+
+
+def hold_paths(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
+    """Put the bounds of path constraint rows at the points of their arcs."""
+    if held.paths:
+        _put(box, collocation.path_rows, _at_points(held.paths, collocation), bounds)
+
+
+def hold_states(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
+    """Put the bounds of states at the start and the points of their arcs.
+
+    The state polynomial of a segment is fixed by its start and its points, so that the ends of the segments follow: a
+    bound there would be one too many.
+    """
+    if not held.states:
+        return
+    _put(box, collocation.point_states, _at_points(held.states, collocation), bounds)
+    signs = np.asarray(held.states)
+    for i, k in zip(*np.nonzero(signs), strict=True):
+        start, end = collocation.boundary_states[i, k : k + 2]
+        if k == 0 or signs[i, k - 1] != signs[i, k]:
+            box.lower[start] = box.upper[start] = bounds.upper[i] if signs[i, k] > 0 else bounds.lower[i]
+        box.lower[end], box.upper[end] = -np.inf, np.inf
+
+
+def _at_points(signs: tuple[tuple[int, ...], ...], collocation: PhaseCollocation) -> Indices:
+    return np.repeat(np.asarray(signs, dtype=np.int64), collocation.mesh.degrees, axis=1)
+
+
+def _put(box: Interval, places: Indices, signs: Indices, limits: Interval) -> None:
+    for sign, ends in ((-1, limits.lower), (1, limits.upper)):
+        here = signs == sign
+        box.lower[places[here]] = box.upper[places[here]] = np.broadcast_to(ends[:, None], signs.shape)[here]
+    released = places[signs == RELEASED]
+    box.lower[released], box.upper[released] = -np.inf, np.inf
+
+
+# --- smooth controls ----------------------------------------------------------------------------------------
+
+
+def smooth_controls(leg: Phase) -> tuple[Smooth, ...]:
+    """Return the controls of a phase that are one polynomial over several segments."""
+    return () if leg.numbers.arcs is None else leg.numbers.arcs.smooth
+
+
+def smooth_rows(smooth: Smooth, collocation: PhaseCollocation) -> tuple[Indices, Array]:
+    """Return the control variables of some segments (N,), and rows (N - degree - 1, N) that annihilate polynomials.
+
+    The rows are an orthonormal basis of what is orthogonal, over the points, to all polynomials in time of the degree.
+    """
+    mesh = collocation.mesh
+    points = slice(mesh.offsets[smooth.first], mesh.offsets[smooth.last])
+    left = mesh.arc_starts[smooth.first]
+    right = mesh.arc_starts[smooth.last - 1] + mesh.arc_widths[smooth.last - 1]
+    places = 2 * (collocation.arc_fractions[points] - left) / (right - left) - 1
+    basis = np.linalg.qr(legendre.legvander(places, smooth.degree), mode="complete")[0]
+    return collocation.point_controls[smooth.control, points], basis[:, smooth.degree + 1 :].T
+
+
+def smooth_entries(rows: list[tuple[Indices, Array]], first_row: int) -> tuple[Indices, Indices, Array]:
+    """Return rows, columns and values of all smoothness rows, numbered from ``first_row``."""
+    entries: list[Any] = []
+    for columns, values in rows:
+        numbers = first_row + np.arange(values.shape[0])
+        entries.append((np.repeat(numbers, columns.size), np.tile(columns, values.shape[0]), values.ravel()))
+        first_row += values.shape[0]
+    if not entries:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
+    stacked = [np.concatenate([e[i] for e in entries]) for i in range(3)]
+    return stacked[0], stacked[1], stacked[2]

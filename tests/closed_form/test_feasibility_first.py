@@ -1,0 +1,137 @@
+"""Problems whose default guess leads into an infeasible corner: constraints first, cost afterwards.
+
+The oscillator x'' = -x + u, |u| <= 1, brought to rest in minimum time is the classic one (Pontryagin et al., The
+Mathematical Theory of Optimal Processes, 1962, section 5): bang-bang, with switches exactly pi apart.
+"""
+
+from __future__ import annotations
+
+import cmath
+import itertools
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import gnc_opt as go
+from gnc_opt.feasible import STRETCHES, feasibility_starts, knows_trajectory
+from gnc_opt.nlp import Status
+from gnc_opt.solve import DEFAULT_MESH
+from gnc_opt.transcription.guess import start_variables
+from gnc_opt.transcription.transcription import transcribe
+
+
+def oscillator(displacement: float, final: tuple[float, float | None] = (0.1, None)) -> go.Problem:
+    """Bring x'' = -x + u, |u| <= 1, from (displacement, 0) to rest in minimum time."""
+    model = go.Model("oscillator")
+    x, v, u = model.state("x"), model.state("v"), model.control("u")
+    model.ode({x: v, v: -x + u})
+    problem = go.Problem("oscillator")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=final)
+    leg.initial(x=displacement, v=0.0)
+    leg.final(x=0.0, v=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    return problem
+
+
+def minimum_time(displacement: float) -> float:
+    """The least time over all controls of +1 and -1 that switch pi apart.
+
+    With z = x + i v, z - u turns clockwise at 1 rad/s. After a first arc and m arcs of length pi, the last arc must
+    lie on the unit circle around its u that leads through the origin.
+    """
+    times = []
+    for sign, m in itertools.product((-1.0, 1.0), range(int(displacement) + 2)):
+
+        def last(first: float, sign: float = sign, m: int = m) -> tuple[complex, float]:
+            z, u = sign + (displacement - sign) * cmath.exp(-1j * first), sign
+            for _ in range(m):
+                u = -u
+                z = 2 * u - z
+            return z, -u
+
+        def miss(first: float) -> float:
+            z, u = last(first)
+            return abs(z - u) - 1.0
+
+        grid = np.linspace(0.0, np.pi, 400)
+        values = [miss(t) for t in grid]
+        firsts = [t for t, value in zip(grid, values, strict=True) if abs(value) < 1e-12]
+        firsts += [
+            float(brentq(miss, grid[j], grid[j + 1], xtol=1e-15))
+            for j in range(grid.size - 1)
+            if values[j] * values[j + 1] < 0
+        ]
+        for first in firsts:
+            z, u = last(first)
+            angle = cmath.phase((z - u) / (0.0 - u)) % (2 * np.pi)
+            angle = 0.0 if angle > 2 * np.pi - 1e-9 else angle
+            if angle <= np.pi + 1e-9:
+                times.append(first + m * np.pi + angle)
+    return min(times)
+
+
+@pytest.mark.parametrize(("displacement", "half_turns"), [(2.0, 1), (4.0, 2), (8.0, 4)])
+def test_theory_even_displacements_take_half_turns(displacement: float, half_turns: int) -> None:
+    """From 2 n each half turn about -1 or +1 takes 2 off the displacement: t = n pi."""
+    assert minimum_time(displacement) == pytest.approx(half_turns * np.pi, rel=1e-7)
+
+
+@pytest.mark.parametrize("final", [(0.1, None), (0.1, 50.0)])
+@pytest.mark.parametrize("displacement", [1.5, 3.0, 5.0, 15.0])
+def test_oscillator_from_the_default_guess(displacement: float, final: tuple[float, float | None]) -> None:
+    """20 x 4 points meet switches within a cell, and only feasible controls: a little slower than the optimum."""
+    solution = go.solve(oscillator(displacement, final))
+    assert solution.status is Status.OPTIMAL
+    exact = minimum_time(displacement)
+    assert exact * (1 - 1e-9) < solution.objective < 1.01 * exact
+
+
+def test_oscillator_refined() -> None:
+    """Switch times become variables: the minimum time to many digits, and the verdict holds."""
+    solution = go.solve(oscillator(5.0), tol=1e-8)
+    assert solution.objective == pytest.approx(minimum_time(5.0), rel=1e-8)
+    assert solution.structure is not None
+    switches = sorted({arc.end for arc in solution.structure})[:-1]
+    np.testing.assert_allclose(np.diff(switches), np.pi, rtol=1e-6)
+    assert go.verify(solution).ok
+
+
+def test_too_little_time_is_still_infeasible() -> None:
+    """A displacement of 5 needs 7.9 s; the violation is that of the first attempt, its effort that of all."""
+    problem = oscillator(5.0, (0.1, 7.0))
+    failed = go.solve(problem, throw=False)
+    assert failed.status is Status.INFEASIBLE and failed.violations
+    once = go.solve(problem, guess=failed, throw=False)  # a given trajectory is not second-guessed
+    assert failed.statistics.iterations > once.statistics.iterations
+    with pytest.raises(go.SolveError, match="no point satisfies all constraints"):
+        go.solve(problem)
+
+
+def test_starts_hold_times_at_multiples_of_the_guess() -> None:
+    problem = oscillator(5.0, (0.1, 50.0))
+    transcription = transcribe(problem, {"leg": DEFAULT_MESH}, "LG")
+    start = start_variables(transcription, problem)
+    starts = list(feasibility_starts(transcription, problem, start))
+    held = [s for s in starts if s.held.size]
+    times = [float(s.variables[s.held[0]]) for s in held]
+    guess = 0.5 * (0.1 + 50.0)
+    assert times == pytest.approx([guess, 50.0]), "longer ones are all clipped to the bound, and tried once"
+    assert len(starts) == 1 + len(held) + 2
+    boxless = oscillator(5.0)
+    transcription = transcribe(boxless, {"leg": DEFAULT_MESH}, "LG")
+    start = start_variables(transcription, boxless)
+    held = [s for s in feasibility_starts(transcription, boxless, start) if s.held.size]
+    assert [s.variables[s.held[0]] for s in held] == pytest.approx(STRETCHES), "of 1 s, the default duration"
+
+
+def test_a_guessed_trajectory_is_the_users_own() -> None:
+    """End values and constants are no trajectory; functions and tables are, and their failure is reported at once."""
+    problem = oscillator(5.0)
+    times = np.linspace(0.0, 3.0, 5)
+    assert not knows_trajectory(problem)
+    assert not knows_trajectory(problem.with_guess("leg", time=(0.0, 3.0), x=(5.0, 0.0), u=0.0))
+    assert knows_trajectory(problem.with_guess("leg", x=lambda t: 5.0 - t))
+    assert knows_trajectory(problem.with_guess("leg", time=times, x=5.0 - times))

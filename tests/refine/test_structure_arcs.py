@@ -1,0 +1,223 @@
+"""Kinks, arcs on state bounds and singular arcs, found by themselves, against closed forms."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+import gnc_opt as go
+from gnc_opt.problem.held import Smooth
+from gnc_opt.refine.structure import PhaseStructure
+from gnc_opt.solution.arc import ArcKind
+
+
+def kinds(solution: go.Solution, channel: str) -> list[ArcKind]:
+    return [arc.kind for arc in solution.structure if arc.channel == channel]
+
+
+def junctions(solution: go.Solution, channel: str) -> list[float]:
+    arcs = [arc for arc in solution.structure if arc.channel == channel]
+    return [arc.end for arc in arcs[:-1]]
+
+
+# --- arcs on a state bound ----------------------------------------------------------------------------------
+
+
+def speed_limited(limit: float, length: float = 1.0) -> go.Problem:
+    """Rest to rest over some length in minimum time, |acceleration| <= 1, |speed| <= limit."""
+    model = go.Model("double integrator")
+    x, v = model.state("x"), model.state("v")
+    u = model.control("u")
+    model.ode({x: v, v: u})
+    problem = go.Problem("speed limit")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.5, 10.0))
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=length, v=0.0)
+    leg.bounds(u=(-1.0, 1.0), v=(-limit, limit))
+    problem.minimize(leg.final_time)
+    return problem
+
+
+@pytest.mark.parametrize(("limit", "length"), [(0.5, 1.0), (0.8, 1.0), (0.5, -1.0)])
+def test_speed_limit(limit: float, length: float) -> None:
+    """Bang, cruise at the limit, bang: t_f = |L| / V + V; costates p_x = -1 / V and p_v = V p_x (V - t), 0, ..."""
+    solution = go.solve(speed_limited(limit, length), tol=1e-8)
+    t_f, sign = abs(length) / limit + limit, np.sign(length)
+    assert solution.objective == pytest.approx(t_f, abs=1e-9)
+    assert junctions(solution, "u") == pytest.approx([limit, t_f - limit], abs=1e-8)
+    bangs = [ArcKind.UPPER, ArcKind.LOWER] if sign > 0 else [ArcKind.LOWER, ArcKind.UPPER]
+    assert kinds(solution, "u") == [bangs[0], ArcKind.CONSTRAINED, bangs[1]]
+    (cruise,) = [arc for arc in solution.structure if arc.channel == "v"]
+    assert cruise.kind is bangs[0]
+    assert (cruise.start, cruise.end) == pytest.approx((limit, t_f - limit), abs=1e-8)
+    times = np.linspace(0.0, t_f, 31)
+    expected = np.where(times < limit, times - limit, np.where(times > t_f - limit, times - t_f + limit, 0.0))
+    np.testing.assert_allclose(solution.costate("v")(times), sign * expected / limit, atol=1e-8)
+    np.testing.assert_allclose(solution.costate("x")(times), -sign / limit, atol=1e-8)
+    verdict = go.verify(solution, tol=1e-8)
+    assert verdict.ok, verdict.explain()
+
+
+def test_a_limit_out_of_reach_leaves_two_bangs() -> None:
+    solution = go.solve(speed_limited(1.5), tol=1e-8)
+    assert solution.objective == pytest.approx(2.0, abs=1e-9)
+    assert kinds(solution, "u") == [ArcKind.UPPER, ArcKind.LOWER]
+    assert not kinds(solution, "v")
+
+
+# --- singular arcs ------------------------------------------------------------------------------------------
+
+
+def test_singular_arc_between_bangs() -> None:
+    """x' = u, |u| <= 2, min of half the integral of (x - sin t)^2, x(0) = 1, x(3) = 3/2.
+
+    The singular arc is x = sin t, u = cos t; the bangs meet it where 1 - 2 t = sin t and 3/2 - 2 (3 - t) = sin t.
+    """
+    model = go.Model("pursuit")
+    x = model.state("x")
+    u = model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("pursuit")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 3.0)
+    leg.initial(x=1.0)
+    leg.final(x=1.5)
+    leg.bounds(u=(-2.0, 2.0))
+    problem.minimize(0.5 * leg.integral((x - ca.sin(model.time)) ** 2))
+    solution = go.solve(problem, tol=1e-8)
+    first = brentq(lambda t: 1 - 2 * t - np.sin(t), 0.0, 1.0, xtol=1e-14)
+    last = brentq(lambda t: 1.5 - 2 * (3 - t) - np.sin(t), 2.0, 3.0, xtol=1e-14)
+    start = quad(lambda t: 0.5 * (1 - 2 * t - np.sin(t)) ** 2, 0.0, first)[0]
+    end = quad(lambda t: 0.5 * (1.5 - 2 * (3 - t) - np.sin(t)) ** 2, last, 3.0)[0]
+    assert kinds(solution, "u") == [ArcKind.LOWER, ArcKind.SINGULAR, ArcKind.UPPER]
+    assert junctions(solution, "u") == pytest.approx([first, last], abs=1e-8)
+    assert solution.objective == pytest.approx(start + end, abs=1e-12)
+    times = np.linspace(first + 1e-3, last - 1e-3, 40)
+    np.testing.assert_allclose(solution.control("u")(times), np.cos(times), atol=1e-6)
+    assert go.verify(solution, tol=1e-7).ok
+
+
+# --- kinks --------------------------------------------------------------------------------------------------
+
+
+def saturated_regulator() -> go.Problem:
+    """x' = u, |u| <= 1, half the integral of x^2 + u^2 over 4 s, x(0) = 3."""
+    model = go.Model("integrator")
+    x = model.state("x")
+    u = model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("saturated regulator")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 4.0)
+    leg.initial(x=3.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(0.5 * leg.integral(x**2 + u**2))
+    return problem
+
+
+def test_kink_of_a_saturated_regulator() -> None:
+    """Off the bound x = c cosh(T - t), lambda = c sinh(T - t) = 1 at the kink: x0 - t_k = coth(T - t_k)."""
+    solution = go.solve(saturated_regulator(), tol=1e-8)
+    kink = brentq(lambda t: 3.0 - t - 1 / np.tanh(4.0 - t), 0.5, 3.0, xtol=1e-14)
+    bound = 0.5 * ((27.0 - (3.0 - kink) ** 3) / 3 + kink)
+    cost = bound + 0.5 * (3.0 - kink) ** 2 * np.tanh(4.0 - kink)
+    assert kinds(solution, "u") == [ArcKind.LOWER, ArcKind.INTERIOR]
+    assert junctions(solution, "u") == pytest.approx([kink], abs=1e-8)
+    assert solution.objective == pytest.approx(cost, abs=1e-10)
+    assert solution.costate("x")(0.0) == pytest.approx(1.0 + 3.0 * kink - 0.5 * kink**2, abs=1e-8)
+    verdict = go.verify(solution, tol=1e-7)
+    assert verdict.ok, verdict.explain()
+
+
+def test_kink_does_not_depend_on_the_first_mesh() -> None:
+    times = [
+        junctions(go.refine(go.solve(saturated_regulator(), mesh=mesh)), "u")
+        for mesh in ("7x3", "12x4", "31x2")
+    ]
+    np.testing.assert_allclose(times, times[0] * np.ones((3, 1)), atol=1e-8)
+
+
+def test_kink_on_a_mixed_constraint() -> None:
+    r"""x' = u from 0 to L in T, least half integral of u^2 with u + x <= a.
+
+    Free with u = c until c (1 + t_k) = a, then x = a - c exp(-(t - t_k)) to x(T) = L; mu = c sinh(t - t_k).
+    """
+    a, span, length = 2.0, 2.0, 1.5
+    model = go.Model("integrator")
+    x = model.state("x")
+    u = model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("mixed constraint")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, span)
+    leg.initial(x=0.0)
+    leg.final(x=length)
+    leg.bounds(u=(-10.0, 10.0))
+    leg.path("slope", u + x, upper=a)
+    problem.minimize(0.5 * leg.integral(u**2))
+    solution = go.solve(problem, tol=1e-8)
+    c = brentq(lambda c: a - c * np.exp(-(span - a / c + 1)) - length, 0.7, 0.9, xtol=1e-15)
+    kink = a / c - 1
+    assert kinds(solution, "u") == [ArcKind.INTERIOR, ArcKind.CONSTRAINED]
+    (active,) = [arc for arc in solution.structure if arc.channel == "slope"]
+    assert (active.kind, active.end) == (ArcKind.UPPER, span)
+    assert active.start == pytest.approx(kink, abs=1e-8)
+    assert solution.objective == pytest.approx(
+        0.5 * c**2 * (kink + (1 - np.exp(-2 * (span - kink))) / 2), abs=1e-10
+    )
+    times = np.linspace(kink + 0.01, span, 20)
+    mu = solution.phase().path_multiplier(times)[0]
+    np.testing.assert_allclose(mu, c * np.sinh(times - kink), atol=1e-7)
+    assert go.verify(solution, tol=1e-7).ok
+
+
+# --- the pieces of it ---------------------------------------------------------------------------------------
+
+
+def test_kinks_are_told_from_switches() -> None:
+    structure = PhaseStructure((0.0, 1.0, 2.0, 3.0), ((1, 0), (1, 1), (0, 1)), regular=(True, False))
+    assert not structure.kinked(1)
+    assert structure.kinked(2)
+
+
+def test_a_smooth_control_is_one_polynomial_and_costs_what_it_must() -> None:
+    """Rest to rest in unit time: the optimum u = 6 - 12 t is smooth of degree 1; of degree 0 there is none."""
+    model = go.Model("double integrator")
+    x, v = model.state("x"), model.state("v")
+    u = model.control("u")
+    model.ode({x: v, v: u})
+    problem = go.Problem("smooth")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0, v=0.0)
+    leg.final(v=0.0)
+    problem.minimize(leg.integral(u**2) - 24.0 * leg.final_state("x"))
+
+    def cost(degree: int) -> float:
+        smooth = (Smooth(0, 0, 4, degree),)
+        return go.solve(problem.with_arcs(arcs=np.zeros((1, 4)), smooth=smooth), mesh="4x5").objective
+
+    assert cost(0) == pytest.approx(0.0, abs=1e-10)
+    assert cost(1) == pytest.approx(-12.0, abs=1e-10)
+    assert cost(3) == pytest.approx(-12.0, abs=1e-10)
+
+
+def test_progress_shows_the_passes_of_the_structure_loop(capsys: pytest.CaptureFixture[str]) -> None:
+    solution = go.refine(go.solve(saturated_regulator()), progress=True)
+    assert solution.structure and solution.history is not None
+    shown = capsys.readouterr().err
+    assert f"pass {len(solution.history.passes) - 1}" in shown
+
+
+def test_held_arcs_are_checked() -> None:
+    problem = speed_limited(0.5)
+    with pytest.raises(go.ProblemError, match="one column per segment"):
+        go.solve(problem.with_arcs(arcs=[[1, 0]], states=[[0, 0, 0], [0, 1, 0]]), mesh="2x4")
+    with pytest.raises(go.ProblemError, match="cannot hold 'x'"):
+        problem.with_arcs(arcs=[[1]], states=[[1], [0]])
+    with pytest.raises(go.ProblemError, match="2 rows"):
+        problem.with_arcs(arcs=[[1]], states=[[1]])
