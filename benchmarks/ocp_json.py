@@ -20,10 +20,21 @@ Names = dict[str, Any]
 
 
 def read_documents(path: str | Path) -> list[dict[str, Any]]:
-    """Return the problem documents of a file."""
-    documents = json.loads(Path(path).read_text(encoding="utf-8"))
-    if not isinstance(documents, list) or not all(isinstance(d, dict) and "name" in d for d in documents):
-        raise ValueError(f"{path} is not a list of problems, each with a name.")
+    """Return the problem documents of a file.
+
+    Raises
+    ------
+    OSError
+        The file cannot be read.
+    ValueError
+        It is not JSON, or no list of objects.
+    """
+    try:
+        documents = json.loads(Path(path).read_text(encoding="utf-8"))
+    except ValueError as error:  # JSON, or bytes that are no UTF-8
+        raise ValueError(f"{path} is not JSON ({error}).") from error
+    if not isinstance(documents, list) or not all(isinstance(d, dict) for d in documents):
+        raise ValueError(f"{path} is not a list of problems.")
     return documents
 
 

@@ -15,12 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gnc_opt as go
+from benchmarks.ocp_expressions import evaluate
+from benchmarks.ocp_json import read_constants
 
 Array = NDArray[np.float64]
 
 MINOR = 1e-3
 """Costates whose share of the cost, |costate| * |state|, is less than this part of the largest one are compared
 with that part instead of their own size: a costate of exactly zero has no relative error."""
+
+SAMPLES = 61
+"""Times at which closed forms are compared."""
 
 
 def relative_error(objective: float, reference: float) -> float:
@@ -53,11 +58,46 @@ def costate_error_along(path: Path, solution: go.Solution) -> float | None:
         times = np.asarray(reference["t"])
         fractions = (times - times[0]) / (times[-1] - times[0])
         at = np.clip(leg.initial_time + fractions * leg.duration, leg.initial_time, leg.final_time)
-        wanted = np.array(list(reference["lam"].values()), dtype=float)
-        found = np.array([leg.costate(name)(at) for name in reference["lam"]])
-        states = np.array([leg.state(name)(at) for name in reference["lam"]])
-        worst = max(worst, float(np.max(np.mean(_errors(_sense(solution) * found, wanted, states), axis=1))))
+        wanted = {name: np.asarray(values, dtype=float) for name, values in reference["lam"].items()}
+        worst = max(worst, _mean_error(solution, leg, wanted, at))
     return worst
+
+
+def closed_form_costate_error(document: Mapping[str, Any], solution: go.Solution) -> float | None:
+    """Mean over time of the relative errors of the costates against ``closed``, worst state and phase.
+
+    Its keys are ``lam_<state>`` in the first phase, or ``phase<k>.lam_<state>``, its values expressions in t and the
+    constants. None without any.
+    """
+    constants = read_constants(document)
+    worst: float | None = None
+    for k, leg in enumerate(solution.phases.values(), 1):
+        prefixes = (f"phase{k}.lam_", "lam_") if k == 1 else (f"phase{k}.lam_",)
+        forms = {
+            key.removeprefix(prefix): expression
+            for key, expression in (document.get("closed") or {}).items()
+            for prefix in prefixes
+            if key.startswith(prefix)
+        }
+        at = np.linspace(leg.initial_time, leg.final_time, SAMPLES)
+        wanted = {
+            name: np.array([float(evaluate(form, {**constants, "t": float(t)}, name)) for t in at])
+            for name, form in forms.items()
+            if name in leg.states
+        }
+        if wanted:
+            worst = max(worst or 0.0, _mean_error(solution, leg, wanted, at))
+    return worst
+
+
+def _mean_error(
+    solution: go.Solution, leg: go.PhaseSolution, wanted: Mapping[str, Array], at: Array
+) -> float:
+    """Mean over the times ``at`` (n_times,) of the errors of a phase's costates, worst state."""
+    found = np.array([leg.costate(name)(at) for name in wanted])
+    states = np.array([leg.state(name)(at) for name in wanted])
+    errors = _errors(_sense(solution) * found, np.array(list(wanted.values())), states)
+    return float(np.max(np.mean(errors, axis=1)))
 
 
 def _errors(found: Array, wanted: Array, states: Array) -> Array:

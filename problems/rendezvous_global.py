@@ -123,12 +123,12 @@ def minima_table(outcomes: Sequence[GlobalOutcome]) -> Table:
             table.add_row(
                 str(outcome.case) if rank == 1 else "",
                 str(rank),
-                f"{minimum.objective:.8f}" if minimum.refined else f"{minimum.objective:.4f}",
+                _time(minimum),
                 f"{minimum.objective - outcome.best_known:+.2e}",
                 str(minimum.hits),
                 str(minimum.trajectories),
                 ", ".join(f"{value:.4f}" for value in minimum.coarse_objectives),
-                "ok" if minimum.verdict_ok else "NOT ok" if minimum.refined else "not refined",
+                minimum.standing,
             )
         table.add_section()
     return table
@@ -144,20 +144,30 @@ def published_table(outcomes: Sequence[GlobalOutcome]) -> Table:
             if number.rank is None or number.ours is None:
                 cells = ("none found", "", "", f"{number.value - outcome.best_known:.4f}")
             else:
-                exact = outcome.found.minima[number.rank - 1].objective
+                minimum = outcome.found.minima[number.rank - 1]
                 cells = (
                     "the best" if number.rank == 1 else f"no. {number.rank}",
                     f"{number.ours:.4f}",
-                    f"{exact:.8f}",
-                    f"{abs(exact - outcome.best_known):.4f}",
+                    _time(minimum),
+                    f"{abs(minimum.objective - outcome.best_known):.4f}",
                 )
             table.add_row(str(outcome.case), number.method, f"{number.value:g}", *cells)
     return table
 
 
+def _time(minimum: go.Minimum) -> str:
+    """Minimum time (s), with as many digits as it deserves."""
+    return f"{minimum.objective:.8f}" if minimum.verdict_ok else f"about {minimum.objective:.3f}"
+
+
 def report(console: Console, outcomes: Sequence[GlobalOutcome]) -> None:
     """Print both tables and what gave no minimum."""
     console.print(minima_table(outcomes))
+    if any(minimum.standing != "ok" for outcome in outcomes for minimum in outcome.found.minima):
+        console.print(
+            "NOT ok: refined, but the optimality conditions do not hold. Coarse: not refined, the number is that of "
+            "the 20x3 mesh. Neither is proven to be a minimum."
+        )
     if any(outcome.published for outcome in outcomes):
         console.print(published_table(outcomes))
         console.print(
