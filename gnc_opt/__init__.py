@@ -1,7 +1,23 @@
 """gnc_opt: trajectory optimisation for guidance, navigation and control, with a proof of optimality."""
 
+from gnc_opt.control import (
+    Controller,
+    Explanation,
+    Reference,
+    bryson,
+    design_feedback_linearization,
+    design_hierarchical_sliding_mode,
+    design_integral_sliding_mode,
+    design_lqr,
+    design_mpc,
+    design_sliding_mode,
+    design_tvlqr,
+    export_c,
+    feedforward,
+)
 from gnc_opt.errors import (
     ArgumentError,
+    DesignError,
     GncOptError,
     ModelError,
     ProblemError,
@@ -14,6 +30,7 @@ from gnc_opt.model import Model
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem import Phase, Problem
 from gnc_opt.refine import History, Minimum, Multistart, RefinementStatus, multistart, polish, refine
+from gnc_opt.simulation import ClosedLoop, Outcome, Run, RunStatus
 from gnc_opt.solution import PhaseSolution, Solution, load
 from gnc_opt.solve import solve
 from gnc_opt.transcription.mesh import Mesh
@@ -21,7 +38,11 @@ from gnc_opt.verify import Condition, Result, Verdict, verify
 
 __all__ = [
     "ArgumentError",
+    "ClosedLoop",
     "Condition",
+    "Controller",
+    "DesignError",
+    "Explanation",
     "GncOptError",
     "History",
     "Mesh",
@@ -29,13 +50,17 @@ __all__ = [
     "Model",
     "ModelError",
     "Multistart",
+    "Outcome",
     "Phase",
     "PhaseSolution",
     "Problem",
     "ProblemError",
     "ProblemWarning",
+    "Reference",
     "RefinementStatus",
     "Result",
+    "Run",
+    "RunStatus",
     "Solution",
     "SolveError",
     "SolverOptions",
@@ -43,6 +68,16 @@ __all__ = [
     "UnknownAttributeError",
     "UnknownNameError",
     "Verdict",
+    "bryson",
+    "design_feedback_linearization",
+    "design_hierarchical_sliding_mode",
+    "design_integral_sliding_mode",
+    "design_lqr",
+    "design_mpc",
+    "design_sliding_mode",
+    "design_tvlqr",
+    "export_c",
+    "feedforward",
     "load",
     "multistart",
     "polish",

@@ -1,0 +1,61 @@
+"""Controllers from the model that the trajectory came from: each a symbolic discrete-time law with its reasons."""
+
+from gnc_opt.control.controller import Controller, first_memory, law
+from gnc_opt.control.deviation import Deviation
+from gnc_opt.control.explanation import Explanation, Fact
+from gnc_opt.control.feedback_linearization import design_feedback_linearization
+from gnc_opt.control.feedforward import feedforward
+from gnc_opt.control.flight_code import FlightCode, export_c
+from gnc_opt.control.hierarchical import design_hierarchical_sliding_mode
+from gnc_opt.control.integral_sliding_mode import design_integral_sliding_mode
+from gnc_opt.control.lie import decoupling_matrix, lie_derivative, relative_degrees, zero_dynamics
+from gnc_opt.control.lqr import design_lqr
+from gnc_opt.control.mpc import design_mpc
+from gnc_opt.control.reaching import (
+    ConstantRate,
+    ExponentialRate,
+    PowerRate,
+    SaturationLayer,
+    Sign,
+    SuperTwisting,
+    TanhLayer,
+)
+from gnc_opt.control.reference import Reference, trim
+from gnc_opt.control.sliding_mode import design_sliding_mode
+from gnc_opt.control.super_twisting import SuperTwistingObserver
+from gnc_opt.control.tvlqr import design_tvlqr
+from gnc_opt.control.weights import bryson
+
+__all__ = [
+    "ConstantRate",
+    "Controller",
+    "Deviation",
+    "Explanation",
+    "ExponentialRate",
+    "Fact",
+    "FlightCode",
+    "PowerRate",
+    "Reference",
+    "SaturationLayer",
+    "Sign",
+    "SuperTwisting",
+    "SuperTwistingObserver",
+    "TanhLayer",
+    "bryson",
+    "decoupling_matrix",
+    "design_feedback_linearization",
+    "design_hierarchical_sliding_mode",
+    "design_integral_sliding_mode",
+    "design_lqr",
+    "design_mpc",
+    "design_sliding_mode",
+    "design_tvlqr",
+    "export_c",
+    "feedforward",
+    "first_memory",
+    "law",
+    "lie_derivative",
+    "relative_degrees",
+    "trim",
+    "zero_dynamics",
+]

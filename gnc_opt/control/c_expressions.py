@@ -1,0 +1,131 @@
+"""C statements of a CasADi function of scalar operations, one line for each operation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.errors import ArgumentError
+
+_FORMS: dict[str, str] = {
+    "ASSIGN": "{0}",
+    "ADD": "{0} + {1}",
+    "SUB": "{0} - {1}",
+    "MUL": "{0} * {1}",
+    "DIV": "{0} / {1}",
+    "NEG": "-{0}",
+    "INV": "1.0 / {0}",
+    "SQ": "{0} * {0}",
+    "TWICE": "2.0 * {0}",
+    "SQRT": "sqrt({0})",
+    "POW": "pow({0}, {1})",
+    "CONSTPOW": "pow({0}, {1})",
+    "EXP": "exp({0})",
+    "EXPM1": "expm1({0})",
+    "LOG": "log({0})",
+    "LOG1P": "log1p({0})",
+    "SIN": "sin({0})",
+    "COS": "cos({0})",
+    "TAN": "tan({0})",
+    "ASIN": "asin({0})",
+    "ACOS": "acos({0})",
+    "ATAN": "atan({0})",
+    "ATAN2": "atan2({0}, {1})",
+    "SINH": "sinh({0})",
+    "COSH": "cosh({0})",
+    "TANH": "tanh({0})",
+    "ASINH": "asinh({0})",
+    "ACOSH": "acosh({0})",
+    "ATANH": "atanh({0})",
+    "HYPOT": "hypot({0}, {1})",
+    "ERF": "erf({0})",
+    "FABS": "fabs({0})",
+    "FLOOR": "floor({0})",
+    "CEIL": "ceil({0})",
+    "FMOD": "fmod({0}, {1})",
+    "REMAINDER": "remainder({0}, {1})",
+    "COPYSIGN": "copysign({0}, {1})",
+    "FMIN": "fmin({0}, {1})",
+    "FMAX": "fmax({0}, {1})",
+    # the sign of 0 is 0, that of what is not a number is itself
+    "SIGN": "{0} < 0 ? -1.0 : {0} > 0 ? 1.0 : {0}",
+    "LT": "{0} < {1} ? 1.0 : 0.0",
+    "LE": "{0} <= {1} ? 1.0 : 0.0",
+    "EQ": "{0} == {1} ? 1.0 : 0.0",
+    "NE": "{0} != {1} ? 1.0 : 0.0",
+    "NOT": "{0} != 0 ? 0.0 : 1.0",
+    "AND": "{0} != 0 && {1} != 0 ? 1.0 : 0.0",
+    "OR": "{0} != 0 || {1} != 0 ? 1.0 : 0.0",
+    "IF_ELSE_ZERO": "{0} != 0 ? {1} : 0.0",
+}
+_OPERATIONS: dict[int, str] = {getattr(ca, f"OP_{name}"): form for name, form in _FORMS.items()}
+
+
+def c_statements(function: Any, inputs: list[str], outputs: list[str]) -> list[str]:
+    """Return the body of a C function that evaluates a CasADi function.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Of class SXFunction.
+    inputs, outputs : list of str
+        C names: a scalar ``double`` for the first input, pointers for the others.
+
+    Raises
+    ------
+    ArgumentError
+        An operation has no form in C.
+    """
+    dense = [function.sparsity_out(k).row() for k in range(function.n_out())]
+    read = _input_names(function, inputs)
+    body, used_inputs, written = [], set(), set()
+    for k in range(function.n_instructions()):
+        operation = function.instruction_id(k)
+        source, target = function.instruction_input(k), function.instruction_output(k)
+        if operation == ca.OP_CONST:
+            body.append(f"w[{target[0]}] = {_constant(function.instruction_constant(k))};")
+        elif operation == ca.OP_INPUT:
+            used_inputs.add(source[0])
+            body.append(f"w[{target[0]}] = {read[source[0]][source[1]]};")
+        elif operation == ca.OP_OUTPUT:
+            row = dense[target[0]][target[1]]
+            written.add((target[0], row))
+            body.append(f"{outputs[target[0]]}[{row}] = w[{source[0]}];")
+        elif operation in _OPERATIONS:
+            form = _OPERATIONS[operation].format(*(f"w[{i}]" for i in source))
+            body.append(f"w[{target[0]}] = {form};")
+        else:
+            raise ArgumentError(
+                f"operation {operation} of function '{function.name()}' has no form in C: "
+                "write the law with elementary functions."
+            )
+    zeros = [
+        f"{outputs[k]}[{row}] = 0.0;"
+        for k in range(function.n_out())
+        for row in range(function.size1_out(k))
+        if (k, row) not in written
+    ]
+    touched = {k for k, _ in written} | {k for k in range(function.n_out()) if function.size1_out(k)}
+    unused = [f"(void){inputs[k]};" for k in range(function.n_in()) if k not in used_inputs]
+    unused += [f"(void){outputs[k]};" for k in range(function.n_out()) if k not in touched]
+    work = [f"double w[{function.sz_w()}];"] if body else []
+    return [*work, *unused, *body, *zeros]
+
+
+def _input_names(function: Any, inputs: list[str]) -> list[list[str]]:
+    """The C expression of each nonzero of each input."""
+    names = []
+    for k, name in enumerate(inputs):
+        rows = function.sparsity_in(k).row()
+        names.append([name] if k == 0 else [f"{name}[{row}]" for row in rows])
+    return names
+
+
+def _constant(value: float) -> str:
+    if np.isnan(value):
+        return "NAN"
+    if np.isinf(value):
+        return "INFINITY" if value > 0 else "-INFINITY"
+    return repr(float(value))

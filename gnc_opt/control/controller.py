@@ -1,0 +1,149 @@
+"""Controller: a discrete-time law as one symbolic function, with its memory, its schedule and its reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_positive
+from gnc_opt.control.explanation import Explanation
+from gnc_opt.errors import ArgumentError
+from gnc_opt.model.layout import Array, Layout, as_vector
+
+Schedule: TypeAlias = Callable[[Array, float], Array]
+"""``schedule(times, dt)`` returns what the law needs to know beforehand, (n_signals, n_times), for control steps that
+begin at ``times`` (n,) and last ``dt`` (s)."""
+
+_INPUTS, _OUTPUTS = ["t", "x", "r", "z"], ["u", "z_next"]
+
+
+@dataclass(frozen=True, eq=False)
+class Controller:
+    """A discrete-time control law ``(t, x, r, z) -> (u, z_next)``.
+
+    The law is a CasADi function without side effects, so it can be simulated, differentiated, mapped over a
+    campaign and written as C. At a control step that begins at t it gets the measured state x, the row r of its
+    schedule (reference, feedforward, gains: whatever is known beforehand) and its memory z; it returns the command u,
+    held until the next step, and the memory of the next step.
+
+    Attributes
+    ----------
+    name : str
+    step : casadi.Function
+        ``(t, x, r, z) -> (u, z_next)``, columns.
+    start : casadi.Function
+        ``(t, x, r) -> z``: the memory at the first step, from the first measurement. An integral surface, for
+        example, begins at zero this way.
+    states, commands, signals, memory : Layout
+        Names, sizes and units of x, u, r and z.
+    schedule : callable
+        See `Schedule`.
+    dt : float or None
+        Length of a control step that the law was designed for, s; ``None``: any.
+    alarms : tuple of str
+        Entries of the memory that are 0 as long as all is well, and something else from the first step on at which
+        the law had to give up what it promises (a singular decoupling matrix, a failed QP, a measurement that is
+        not a number).
+    explanation : Explanation
+    span : tuple of two floats, optional
+        Times (s) between which the schedule changes; after the second it stays as it is. Without it, nobody knows.
+    """
+
+    name: str
+    step: Any
+    start: Any
+    states: Layout
+    commands: Layout
+    signals: Layout
+    memory: Layout
+    schedule: Schedule
+    explanation: Explanation
+    dt: float | None = None
+    alarms: tuple[str, ...] = ()
+    span: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        sizes = (1, self.states.size, self.signals.size, self.memory.size)
+        _check_shape(f"the law of '{self.name}'", self.step, sizes, (self.commands.size, self.memory.size))
+        _check_shape(f"the first memory of '{self.name}'", self.start, sizes[:3], (self.memory.size,))
+        for alarm in self.alarms:
+            self.memory.slice(alarm)
+
+    def explain(self) -> Explanation:
+        """Return the facts of the design: gains, poles or margins, bounds and reserves; print them to read them."""
+        return self.explanation
+
+    def signal(self, t: float, dt: float | None = None) -> Array:
+        """Return the row r (n_signals,) of the schedule for a control step that begins at t (s)."""
+        return self.schedule(np.array([float(t)]), self.step_length(dt))[:, 0]
+
+    def step_length(self, dt: float | None = None) -> float:
+        """Return the length of a control step (s), the given one or the design's own.
+
+        Raises
+        ------
+        ArgumentError
+            The law was designed for another step, or for any and none is given.
+        """
+        if dt is None:
+            if self.dt is None:
+                raise ArgumentError(f"controller '{self.name}' fits any control step: give dt, in s.")
+            return self.dt
+        dt = read_positive(dt, f"the control step of '{self.name}'")
+        if self.dt is not None and not np.isclose(dt, self.dt, rtol=1e-9):
+            raise ArgumentError(
+                f"controller '{self.name}' was designed for control steps of {self.dt:g} s, not {dt:g} s: "
+                "design it again with this dt."
+            )
+        return dt
+
+    def initial_memory(self, t: float, x: ArrayLike, dt: float | None = None) -> Array:
+        """Return the memory (n_memory,) at a first step at t (s) with the measured state x (n_states,)."""
+        state = as_vector(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
+        return np.asarray(self.start(float(t), state, self.signal(t, dt)).full()[:, 0])
+
+    def __call__(
+        self, t: float, x: ArrayLike, z: ArrayLike | None = None, dt: float | None = None
+    ) -> tuple[Array, Array]:
+        """Evaluate one step: return the command (n_commands,) and the next memory (n_memory,).
+
+        Parameters
+        ----------
+        t : float
+            Beginning of the step, s.
+        x : array (n_states,)
+            Measured state.
+        z : array (n_memory,), optional
+            Memory; without it the step is the first.
+        dt : float, optional
+            Length of the step, s; see `step_length`.
+        """
+        state = as_vector(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
+        row = self.signal(t, dt)
+        memory = np.asarray(self.start(float(t), state, row).full()[:, 0]) if z is None else z
+        u, after = self.step(float(t), state, row, memory)
+        return np.asarray(u.full()[:, 0]), np.asarray(after.full()[:, 0])
+
+
+def law(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any) -> Any:
+    """Return the CasADi function of a control law from its symbols and expressions (SX or MX columns)."""
+    return ca.Function("law", [t, x, r, z], [u, z_next], _INPUTS, _OUTPUTS)
+
+
+def first_memory(t: Any, x: Any, r: Any, z: Any) -> Any:
+    """Return the CasADi function of the first memory from its symbols and the expression z."""
+    return ca.Function("start", [t, x, r], [z], _INPUTS[:3], ["z"])
+
+
+def _check_shape(what: str, function: Any, inputs: tuple[int, ...], outputs: tuple[int, ...]) -> None:
+    found = tuple(function.size1_in(i) for i in range(function.n_in()))
+    found_out = tuple(function.size1_out(i) for i in range(function.n_out()))
+    if (found, found_out) != (inputs, outputs):
+        raise ArgumentError(
+            f"{what} takes {found} rows and returns {found_out}: its layouts ask for {inputs} and {outputs}."
+        )

@@ -1,0 +1,105 @@
+r"""Deviation from a reference: errors on the right manifold, and how they move to first order.
+
+With the model's error :math:`e = d(x, x_r)` (subtraction unless `Model.difference` says otherwise),
+
+.. math:: \dot e = \frac{\partial d}{\partial x} f(t, x, u) + \frac{\partial d}{\partial x_r} f(t, x_r, u_r)
+   \approx A\, e + B\, (u - u_r),
+
+.. math:: A = \left.\frac{\partial \dot e}{\partial x}\right|_r T, \qquad
+   B = \left.\frac{\partial \dot e}{\partial u}\right|_r,
+
+where T takes an error to the change of state that causes it, :math:`(\partial d/\partial x)\, T = 1`. The
+pseudo-inverse is that T: it leaves out the directions that are no change of state (the length of a quaternion).
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.errors import DesignError
+from gnc_opt.model.layout import Array, Layout
+from gnc_opt.model.model import Model
+
+
+class Deviation:
+    """Errors of a model's states and their linear dynamics along a reference.
+
+    Attributes
+    ----------
+    model : Model
+    errors : Layout
+        Of e; ``n_errors`` in the shapes below.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self.errors: Layout = model.errors
+        _, xs, us, _ = model.arguments()
+        self._x, self._u = xs, us
+        self._x_ref = ca.SX.sym("x_ref", model.states.size)
+
+    def expression(self, x: Any, x_ref: Any) -> Any:
+        """Return e as an SX expression of SX columns x and x_ref."""
+        return self.model.error_expression(x, x_ref)
+
+    def __call__(self, x: ArrayLike, x_ref: ArrayLike) -> Array:
+        """Return e, (n_errors,) or (n_errors, n_times), for states of shape (n_states,) or (n_states, n_times)."""
+        return evaluate_columns(self._error, x, x_ref)
+
+    def linearize(self, t: float, x_ref: ArrayLike, u_ref: ArrayLike) -> tuple[Array, Array]:
+        """Return A (n_errors, n_errors) and B (n_errors, n_controls) on the reference at one time."""
+        jacobian, x_jacobian, u_jacobian = (
+            np.asarray(m.full()) for m in self._jacobians(t, x_ref, u_ref, self.model.parameter_values)
+        )
+        return x_jacobian @ np.linalg.pinv(jacobian), u_jacobian
+
+    def output(self, name: str, t: Any, x: Any) -> Any:
+        """Return an output as an SX expression of the SX scalar t and column x.
+
+        Raises
+        ------
+        DesignError
+            It depends on a control, which a law cannot know before it has commanded it.
+        """
+        time, xs, us, p = self.model.arguments()
+        y = self.model.output_expression(name)
+        if any(ca.which_depends(y, us, 1, True)):
+            raise DesignError(
+                f"output '{name}' of model '{self.model.name}' depends on a control: name one of states alone."
+            )
+        return ca.substitute(y, ca.vertcat(time, xs, p), ca.vertcat(t, x, self.model.parameter_values))
+
+    def linearize_output(self, name: str, t: float, x_ref: ArrayLike, u_ref: ArrayLike) -> Array:
+        """Return C (n_rows, n_errors): how an output changes with the errors on the reference at one time."""
+        y = self.output(name, self.model.time, self._x)
+        slope = ca.Function("slope", [self.model.time, self._x], [ca.jacobian(y, self._x)])
+        jacobian = np.asarray(self._jacobians(t, x_ref, u_ref, self.model.parameter_values)[0].full())
+        return np.asarray(slope(t, x_ref).full() @ np.linalg.pinv(jacobian))
+
+    @cached_property
+    def _error(self) -> Any:
+        return ca.Function("e", [self._x, self._x_ref], [self.expression(self._x, self._x_ref)])
+
+    @cached_property
+    def _jacobians(self) -> Any:
+        t, x, u, p = self.model.arguments()
+        x_ref, u_ref = self._x_ref, ca.SX.sym("u_ref", u.shape)
+        f = self.model.derivative()
+        f_ref = ca.substitute(f, ca.vertcat(x, u), ca.vertcat(x_ref, u_ref))
+        e = self.expression(x, x_ref)
+        rate = ca.jtimes(e, x, f) + ca.jtimes(e, x_ref, f_ref)
+        outputs = [ca.jacobian(e, x), ca.jacobian(rate, x), ca.jacobian(rate, u)]
+        here = [ca.substitute(o, ca.vertcat(x, u), ca.vertcat(x_ref, u_ref)) for o in outputs]
+        return ca.Function("jacobians", [t, x_ref, u_ref, p], here)
+
+
+def evaluate_columns(function: Any, *columns: ArrayLike) -> Array:
+    """Evaluate a CasADi function of columns for one time or, time last, for many."""
+    arrays = [np.asarray(c, dtype=float) for c in columns]
+    value = np.asarray(function(*arrays).full())
+    return value if any(a.ndim == 2 for a in arrays) else value[:, 0]

@@ -1,0 +1,69 @@
+"""What a design can say about itself: facts with names, values and units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from gnc_opt.errors import unknown_name
+from gnc_opt.strict import Strict
+
+
+@dataclass(frozen=True)
+class Fact:
+    """One statement about a design.
+
+    Attributes
+    ----------
+    name : str
+        What it is, e.g. ``"closed-loop poles"``.
+    value : float, complex, str, or an array of them
+    unit : str
+    remark : str
+        What it means, or where it comes from.
+    """
+
+    name: str
+    value: object
+    unit: str = ""
+    remark: str = ""
+
+    def __str__(self) -> str:
+        value = self.value if isinstance(self.value, str) else _numbers(self.value)
+        line = f"{self.name}: {value}{' ' + self.unit if self.unit else ''}"
+        return f"{line} ({self.remark})" if self.remark else line
+
+
+@dataclass(frozen=True)
+class Explanation(Strict):
+    """The facts of one design; ``explanation["closed-loop poles"]`` returns a value, ``print`` shows all.
+
+    Attributes
+    ----------
+    title : str
+    facts : tuple of Fact
+    """
+
+    title: str
+    facts: tuple[Fact, ...] = ()
+
+    def __getitem__(self, name: str) -> object:
+        for fact in self.facts:
+            if fact.name == name:
+                return fact.value
+        raise unknown_name("fact", name, f"the explanation of {self.title}", [f.name for f in self.facts])
+
+    def __iter__(self) -> Iterator[Fact]:
+        return iter(self.facts)
+
+    def __str__(self) -> str:
+        return "\n".join([self.title, *(f"  {fact}" for fact in self.facts)])
+
+
+def _numbers(value: object) -> str:
+    array = np.asarray(value)
+    if array.ndim == 0:
+        return f"{array[()]:.6g}"
+    return np.array2string(array, precision=6, max_line_width=100, separator=", ")

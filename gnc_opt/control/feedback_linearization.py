@@ -1,0 +1,311 @@
+r"""Feedback linearisation: outputs that move like chains of integrators.
+
+With output errors e of relative degrees r and :math:`e^{(r)} = a + E u`,
+
+.. math:: u = E^{-1}(v - a), \qquad v = -K \eta, \qquad \eta = (e,\ \dot e,\ \dots),
+
+makes every error follow the poles of K, exactly, wherever E can be inverted. What the outputs do not see, the zero
+dynamics, is left to itself and has to be stable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import expm, solve_continuous_are
+
+from gnc_opt.arguments import read_numbers, read_positive
+from gnc_opt.control.controller import Controller
+from gnc_opt.control.explanation import Explanation, Fact
+from gnc_opt.control.guard import GUARD, Inverse, guarded_controller, guarded_inverse, read_plant
+from gnc_opt.control.lie import OutputErrors, Outputs, output_errors, sample_times
+from gnc_opt.control.lqr import Limits, read_limits
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.sliding_mode import GROWTH, check_zero_dynamics
+from gnc_opt.errors import DesignError
+from gnc_opt.model.layout import Array, as_vector
+from gnc_opt.model.model import Model
+
+_REHEARSAL = 20.0
+"""A rehearsal lasts this many time constants of the slowest pole."""
+_FINENESS = 0.02
+"""Step of a rehearsal, in time constants of the fastest pole."""
+_LONGEST = 20_000
+
+
+def design_feedback_linearization(
+    model: Model,
+    reference: Reference | ArrayLike,
+    *,
+    outputs: Outputs,
+    poles: Sequence[complex] | Mapping[str, Sequence[complex]] | None = None,
+    gains: Sequence[ArrayLike] | None = None,
+    Q: ArrayLike | None = None,
+    R: ArrayLike | None = None,
+    guard: float = GUARD,
+    growth: float = GROWTH,
+    fallback: ArrayLike | None = None,
+    limits: Limits | None = None,
+    start: ArrayLike | None = None,
+    dt: float | None = None,
+    name: str = "feedback linearisation",
+) -> Controller:
+    """Design a controller that makes output errors decay with chosen poles.
+
+    Give one of ``poles``, ``gains`` and ``Q``, ``R``.
+
+    Parameters
+    ----------
+    model : Model
+        Affine in its controls.
+    reference : Reference or array (n_states,)
+    outputs : name, names, expressions or mapping
+        See `Outputs`. For attitudes prefer a state with a declared difference: its only singular point is the
+        half turn from the *reference*.
+    poles : sequence (r,), or mapping from outputs to them
+        1/s.
+    gains : sequence (r,) of float or array (n_outputs,)
+        K1 on e, K2 on its rate, ...
+    Q, R : float or array
+        Weights of eta, ordered by derivative (all e, then all rates, ...), and of v; numbers weigh all alike.
+    guard : float
+        Smallest determinant of E, relative to its largest on the reference, with which the law works.
+    growth : float
+        Fastest growth of the zero dynamics that is accepted, 1/s.
+    fallback : array (n_controls, n_errors), optional
+        Gain K of u = u_ref - K e where E is singular; without it the last command is held. The alarm
+        ``singular`` is raised either way.
+    limits : (lower, upper), optional
+        Authority; the reserve is reported.
+    start : array (n_states,), optional
+        State from which the closed loop is rehearsed: designs that meet a singular E on the way are refused.
+    dt : float, optional
+        Length of a control step, s: the sampled chains have to be stable.
+
+    Raises
+    ------
+    DesignError
+        Undefined relative degree, singular decoupling matrix on the reference or on the way to it, unstable poles or
+        zero dynamics, steps too long.
+    """
+    reference = read_plant(model, reference, "design_feedback_linearization")
+    errors = output_errors(model, reference, outputs)
+    pair = errors.pair
+    inverse = guarded_inverse(errors, reference, guard)
+    zeros = check_zero_dynamics(errors, reference, growth)
+    gain = _gain(errors, poles, gains, Q, R)
+    closed = _poles(errors, gain)
+    facts = [
+        Fact("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
+        Fact("K", gain, remark="rows: outputs; columns: all e, then all rates, ..."),
+        Fact("closed-loop poles", closed, "1/s"),
+        Fact("smallest determinant on the reference", inverse.lowest, remark=f"largest {inverse.scale:.6g}"),
+        *zeros,
+        *_sampling_facts(errors, gain, dt),
+        *_reserve_facts(errors, reference, limits),
+    ]
+    u = inverse(-ca.DM(gain) @ _ordered(errors) - errors.drift)
+    if start is not None:
+        facts.append(_rehearse(errors, reference, inverse, u, closed, start, guard))
+    spare = None
+    if fallback is not None:
+        shape = (pair.u.numel(), model.errors.size)
+        spare_gain = read_numbers(fallback, "the fallback gain", DesignError)
+        if spare_gain.shape != shape:
+            raise DesignError(
+                f"the fallback gain has the shape {spare_gain.shape}: give {shape}, controls by errors."
+            )
+        spare = pair.u_ref - ca.DM(spare_gain) @ model.error_expression(pair.x, pair.x_ref)
+    return guarded_controller(
+        name,
+        pair,
+        reference,
+        command=u,
+        fallback=spare,
+        regular=inverse.regular,
+        memory=[],
+        dt=dt,
+        explanation=Explanation(f"feedback linearisation of '{model.name}'", tuple(facts)),
+    )
+
+
+def _places(errors: OutputErrors) -> list[tuple[int, int]]:
+    """Return (component, order) of the entries of eta: by order, then by component."""
+    return [(i, k) for k in range(max(errors.degrees)) for i, r in enumerate(errors.degrees) if k < r]
+
+
+def _ordered(errors: OutputErrors) -> Any:
+    return ca.vertcat(*[errors.chains[i][k] for i, k in _places(errors)])
+
+
+def _chains(errors: OutputErrors) -> tuple[Array, Array]:
+    """Return A and B of the chains of integrators, in the order of eta."""
+    places = _places(errors)
+    a, b = np.zeros((len(places), len(places))), np.zeros((len(places), errors.size))
+    for row, (i, k) in enumerate(places):
+        if k + 1 < errors.degrees[i]:
+            a[row, places.index((i, k + 1))] = 1.0
+        else:
+            b[row, i] = 1.0
+    return a, b
+
+
+def _gain(
+    errors: OutputErrors,
+    poles: Sequence[complex] | Mapping[str, Sequence[complex]] | None,
+    gains: Sequence[ArrayLike] | None,
+    q: ArrayLike | None,
+    r: ArrayLike | None,
+) -> Array:
+    """Return K (n_outputs, sum of the relative degrees)."""
+    given = [poles is not None, gains is not None, q is not None or r is not None]
+    if sum(given) != 1:
+        raise DesignError("the errors need one choice of dynamics: give poles, or gains, or Q and R.")
+    a, b = _chains(errors)
+    if q is not None or r is not None:
+        return _optimal_gain(a, b, q, r)
+    gain = np.zeros((errors.size, len(_places(errors))))
+    for column, (i, k) in enumerate(_places(errors)):
+        label, degree = errors.labels[i], errors.degrees[i]
+        if gains is not None:
+            if len(gains) != degree:
+                raise DesignError(
+                    f"output '{label}' has relative degree {degree}: give {degree} gains, not {len(gains)}."
+                )
+            gain[i, column] = as_vector(gains[k], errors.size, f"gain K{k + 1}", DesignError)[i]
+        else:
+            gain[i, column] = _polynomial(label, degree, poles)[k]
+    if np.max(np.linalg.eigvals(a - b @ gain).real) >= 0:
+        raise DesignError(
+            f"the errors would not decay: the poles are {np.linalg.eigvals(a - b @ gain)} 1/s; "
+            "give poles with negative real parts."
+        )
+    return gain
+
+
+def _polynomial(label: str, degree: int, poles: Any) -> Array:
+    """Return the gains (degree,) of one chain, lowest order first."""
+    if isinstance(poles, Mapping):
+        base = label.partition("[")[0]
+        if label not in poles and base not in poles:
+            raise DesignError(f"output '{label}' has no poles: give {degree}.")
+        poles = poles[label] if label in poles else poles[base]
+    row = np.atleast_1d(np.asarray(poles, dtype=complex))
+    if row.shape != (degree,):
+        raise DesignError(
+            f"output '{label}' has relative degree {degree}: give {degree} poles, not {row.size}."
+        )
+    polynomial = np.poly(row)
+    if np.any(np.abs(polynomial.imag) > 1e-9 * np.abs(polynomial)):
+        raise DesignError(f"the poles {row} of output '{label}' are not in conjugate pairs.")
+    return np.asarray(polynomial.real[:0:-1], dtype=float)
+
+
+def _optimal_gain(a: Array, b: Array, q: ArrayLike | None, r: ArrayLike | None) -> Array:
+    if q is None or r is None:
+        raise DesignError("an optimal gain needs both weights: give Q and R.")
+    weights = []
+    for value, size, what in ((q, a.shape[0], "Q"), (r, b.shape[1], "R")):
+        matrix = read_numbers(value, f"the weight {what}", DesignError)
+        matrix = np.diag(np.full(size, matrix)) if matrix.ndim == 0 else matrix
+        if matrix.shape != (size, size):
+            raise DesignError(
+                f"the weight {what} has the shape {matrix.shape}: give a number, or {(size, size)}."
+            )
+        weights.append(matrix)
+    try:
+        p = solve_continuous_are(a, b, *weights)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise DesignError(
+            f"the Riccati equation of Q and R has no solution ({error}): give Q >= 0, R > 0."
+        ) from error
+    return np.asarray(np.linalg.solve(weights[1], b.T @ p))
+
+
+def _poles(errors: OutputErrors, gain: Array) -> Array:
+    a, b = _chains(errors)
+    return np.asarray(np.linalg.eigvals(a - b @ gain))
+
+
+def _sampling_facts(errors: OutputErrors, gain: Array, dt: float | None) -> list[Fact]:
+    if dt is None:
+        return []
+    dt = read_positive(dt, "the control step dt", DesignError)
+    a, b = _chains(errors)
+    n, m = b.shape
+    both = expm(np.block([[a, b], [np.zeros((m, n + m))]]) * dt)
+    radius = float(np.max(np.abs(np.linalg.eigvals(both[:n, :n] - both[:n, n:] @ gain))))
+    if radius >= 1:
+        raise DesignError(
+            f"control steps of {dt:g} s are too long for these poles: the sampled errors have the spectral radius "
+            f"{radius:.4g}; give a shorter dt or slower poles."
+        )
+    return [Fact("sampled spectral radius", radius, remark=f"steps of {dt:g} s")]
+
+
+def _reserve_facts(errors: OutputErrors, reference: Reference, limits: Limits | None) -> list[Fact]:
+    """Return the authority that the feedforward leaves; raise `DesignError` where it leaves none."""
+    controls = errors.pair.model.controls
+    authority = read_limits(errors.pair.model, limits)
+    if authority is None:
+        return []
+    times = sample_times(reference)
+    u = reference.u(times)
+    left = np.minimum(authority[1][:, None] - u, u - authority[0][:, None])
+    row, column = np.unravel_index(int(np.argmin(left)), left.shape)
+    remark = f"control '{controls.labels[row]}' at t = {times[column]:.6g} s, beside the feedforward"
+    if left[row, column] < 0:
+        raise DesignError(
+            f"the reference is beyond the authority: control '{controls.labels[row]}' is {u[row, column]:.6g} at t = "
+            f"{times[column]:.6g} s, its limits are {authority[0][row]:.6g} and {authority[1][row]:.6g}."
+        )
+    return [Fact("saturation reserve", float(left[row, column]), controls.units[row], remark)]
+
+
+def _rehearse(
+    errors: OutputErrors,
+    reference: Reference,
+    inverse: Inverse,
+    u: Any,
+    poles: Array,
+    start: ArrayLike,
+    guard: float,
+) -> Fact:
+    """Return the smallest determinant that the undisturbed loop meets from ``start``; refuse below the guard.
+
+    Classical Runge-Kutta with the law evaluated continuously: a rehearsal of the design, not of its sampling.
+    """
+    pair = errors.pair
+    x = as_vector(start, pair.x.numel(), "the state at the start", DesignError)
+    span = max(_REHEARSAL / float(np.min(-poles.real)), reference.duration)
+    steps = int(np.clip(np.ceil(span * float(np.max(np.abs(poles))) / _FINENESS), 100, _LONGEST))
+    h = span / steps
+    x_dot = ca.substitute(pair.f, pair.u, u)
+    loop = ca.Function(
+        "loop", [pair.t, pair.x, pair.x_ref, pair.u_ref], [x_dot, errors.determinant, inverse.regular]
+    )
+    t0, lowest, where = reference.initial_time, np.inf, reference.initial_time
+    times = t0 + h * np.arange(2 * steps + 1) / 2
+    x_ref, u_ref = reference.x(times), reference.u(times)
+    for i in range(0, 2 * steps, 2):
+        k1, determinant, regular = loop(times[i], x, x_ref[:, i], u_ref[:, i])
+        size = abs(float(determinant))
+        if size < lowest:
+            lowest, where = size, float(times[i])
+        if not float(regular):
+            raise DesignError(
+                f"from this start the decoupling matrix becomes singular: |det E| = {size:.3g} at t = {times[i]:.4g} s "
+                f"falls below {guard:g} times its largest value {inverse.scale:.3g} on the reference; choose other "
+                "outputs (errors instead of absolute attitudes), less overshoot, or a detour."
+            )
+        k2 = loop(times[i + 1], x + h / 2 * k1, x_ref[:, i + 1], u_ref[:, i + 1])[0]
+        k3 = loop(times[i + 1], x + h / 2 * k2, x_ref[:, i + 1], u_ref[:, i + 1])[0]
+        k4 = loop(times[i + 2], x + h * k3, x_ref[:, i + 2], u_ref[:, i + 2])[0]
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return Fact(
+        "smallest determinant on the way", lowest, remark=f"at t = {where:.4g} s, from the given start"
+    )

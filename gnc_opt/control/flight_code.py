@@ -1,0 +1,338 @@
+"""Flight code: a controller as self-contained C99, with its schedule, a header that names everything and a driver.
+
+Three files: ``<name>.h`` (sizes, indices, names, units), ``<name>.c`` (the law and the schedule's table) and
+``<name>_main.c`` (a driver for tests). No library beside the C mathematics is needed, no memory is allocated, and
+no loop depends on data. The order of operations is that of the symbolic law, so results agree to rounding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arguments import expect, read_name
+from gnc_opt.control.c_expressions import c_statements
+from gnc_opt.control.controller import Controller
+from gnc_opt.errors import ArgumentError
+from gnc_opt.model.layout import Array, Layout
+
+_TAIL_TOLERANCE = 1e-12
+_LINE = 8
+"""Numbers on a line of the table."""
+
+
+@dataclass(frozen=True)
+class FlightCode:
+    """Where the code was written.
+
+    Attributes
+    ----------
+    header, source, driver : Path
+    name : str
+        Prefix of every C identifier.
+    rows : int
+        Of the schedule's table.
+    dt : float
+        Control step, s.
+    """
+
+    header: Path
+    source: Path
+    driver: Path
+    name: str
+    rows: int
+    dt: float
+
+
+def export_c(
+    controller: Controller,
+    directory: str | Path,
+    *,
+    dt: float | None = None,
+    name: str | None = None,
+    span: tuple[float, float] | None = None,
+) -> FlightCode:
+    """Write a controller as C99 into a directory.
+
+    ``<name>_start(t, x, z)`` sets the memory from the first measurement, ``<name>_step(t, x, z, u)`` returns the
+    command and updates the memory. The row of the schedule is that of the control step that t (s) lies in: rows at
+    multiples of dt from the beginning of the controller's span; after the last row, that row.
+
+    Parameters
+    ----------
+    controller : Controller
+        With a law of elementary operations (all but `design_mpc`).
+    directory : path
+        Made if it is not there.
+    dt : float, optional
+        Control step, s; by default the controller's own.
+    name : str, optional
+        Prefix of the C identifiers, by default the controller's name in small letters.
+    span : (initial_time, final_time), optional
+        Times between which the schedule changes, if the controller does not tell.
+
+    Raises
+    ------
+    ArgumentError
+        The law holds operations that have no C (a QP), the schedule still changes after the span, or nobody knows dt or
+        the span.
+    """
+    expect(controller, Controller, "what export_c() got", "give what a design function returned")
+    dt = controller.step_length(dt)
+    prefix = read_name(_identifier(controller.name) if name is None else name, "C function")
+    step = _elementary(controller.step, controller.name)
+    start = _elementary(controller.start, controller.name)
+    first, table = _table(controller, dt, span)
+    folder = Path(directory)
+    folder.mkdir(parents=True, exist_ok=True)
+    files = {
+        f"{prefix}.h": _header(controller, prefix, dt, first, table.shape[0]),
+        f"{prefix}.c": _source(controller, prefix, table, step, start),
+        f"{prefix}_main.c": _driver(controller, prefix),
+    }
+    for file, text in files.items():
+        (folder / file).write_text(text, encoding="ascii")
+    paths = [folder / file for file in files]
+    return FlightCode(paths[0], paths[1], paths[2], prefix, table.shape[0], dt)
+
+
+def _elementary(function: Any, name: str) -> Any:
+    """The function as scalar operations."""
+    remedy = "only closed laws can be written as C, for example design_tvlqr()."
+    what = f"the law of '{name}' is not made of elementary operations (it solves a problem at every step)"
+    try:
+        scalar = function if function.is_a("SXFunction") else function.expand()
+    except RuntimeError as error:
+        raise ArgumentError(f"{what}: {remedy}") from error
+    # CasADi may keep a solver as one call among scalar operations
+    if any(scalar.instruction_id(k) == ca.OP_CALL for k in range(scalar.n_instructions())):
+        raise ArgumentError(f"{what}: {remedy}")
+    return scalar
+
+
+def _table(controller: Controller, dt: float, span: tuple[float, float] | None) -> tuple[float, Array]:
+    """The time of the first row and the rows (n_rows, n_signals), the last of them good for ever."""
+    if controller.signals.size == 0:
+        return 0.0, np.zeros((1, 0))
+    found = controller.span if span is None else span
+    if found is None:
+        raise ArgumentError(
+            f"the schedule of '{controller.name}' does not tell when it ends: give export_c(..., span=(t_0, t_f))."
+        )
+    first, last = (float(t) for t in found)
+    if not (np.isfinite(first) and np.isfinite(last) and first <= last):
+        raise ArgumentError(f"the span of a schedule is {found}: give finite times (t_0, t_f), t_0 <= t_f.")
+    # rounding: a row at the end itself is of the tail; a little before it is not
+    count = int(np.ceil((last - first) / dt - 1e-9)) + 1
+    times = first + dt * np.append(np.arange(count + 1), count + 1000)
+    rows = controller.schedule(times, dt).T
+    change = np.max(np.abs(rows[count:] - rows[count - 1]), initial=0.0)
+    if change > _TAIL_TOLERANCE * max(np.max(np.abs(rows[count - 1]), initial=0.0), 1.0):
+        raise ArgumentError(
+            f"the schedule of '{controller.name}' still changes by {change:.3g} after {last:g} s: "
+            "give a span that holds all its changes."
+        )
+    return first, rows[:count]
+
+
+def _header(controller: Controller, prefix: str, dt: float, first: float, rows: int) -> str:
+    upper = prefix.upper()
+    sizes = {
+        "N_STATES": controller.states.size,
+        "N_COMMANDS": controller.commands.size,
+        "N_SIGNALS": controller.signals.size,
+        "N_MEMORY": controller.memory.size,
+        "N_ROWS": rows,
+    }
+    lines = [
+        f"/* {_plain(controller.name)}: discrete-time control law, written by gnc_opt. */",
+        f"#ifndef {upper}_H",
+        f"#define {upper}_H",
+        "",
+        *(f"#define {upper}_{key} {value}" for key, value in sizes.items()),
+        f"#define {upper}_DT {_number(dt)} /* control step, s */",
+        f"#define {upper}_T0 {_number(first)} /* time of the first row of the schedule, s */",
+        "",
+        "/* What the arrays hold, with units:",
+    ]
+    parts = {
+        "x (states, measured)": controller.states,
+        "u (commands)": controller.commands,
+        "r (schedule)": controller.signals,
+        "z (memory)": controller.memory,
+    }
+    for title, layout in parts.items():
+        lines.append(f" * {title}: {layout.size}")
+        lines += [f" *   {entry}" for entry in _entries(layout)]
+    if controller.alarms:
+        lines.append(f" * alarms (not 0: the law gave up): {', '.join(controller.alarms)}, entries of z")
+    lines += [
+        " */",
+        "",
+        "/* Arrays of no entries may be passed as null pointers. */",
+        "/* Look up the row r of the schedule for the control step that t (s) lies in. */",
+        f"void {prefix}_signal(double t, double *r);",
+        "/* Set the memory z from the first measurement x at t (s). */",
+        f"void {prefix}_start(double t, const double *x, double *z);",
+        "/* Return the command u for the control step that begins at t (s), and update the memory z. */",
+        f"void {prefix}_step(double t, const double *x, double *z, double *u);",
+        "",
+        "#endif",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _source(controller: Controller, prefix: str, table: Array, step: Any, start: Any) -> str:
+    upper = prefix.upper()
+    signals, memory = controller.signals.size, controller.memory.size
+    lines = [f'#include "{prefix}.h"', "", "#include <math.h>", ""]
+    if signals:
+        numbers = ["{" + _wrapped(_number(v) for v in row) + "}" for row in table]
+        lines += [
+            f"static const double schedule[{upper}_N_ROWS][{upper}_N_SIGNALS] = {{",
+            ",\n".join(numbers),
+            "};",
+            "",
+        ]
+    lines += _function("start", ["t", "x", "r"], ["z"], start)
+    lines += _function("step", ["t", "x", "r", "z"], ["u", "z_next"], step)
+    lines += [f"void {prefix}_signal(double t, double *r)", "{"]
+    if signals:
+        lines += [
+            f"    const double place = floor((t - {upper}_T0) / {upper}_DT + 1e-6);",
+            "    long row = 0;",
+            "    int i;",
+            "    /* written so that a time which is not a number takes the first row */",
+            f"    if (place >= {upper}_N_ROWS - 1)",
+            f"        row = {upper}_N_ROWS - 1;",
+            "    else if (place > 0)",
+            "        row = (long)place;",
+            f"    for (i = 0; i < {upper}_N_SIGNALS; ++i)",
+            "        r[i] = schedule[row][i];",
+        ]
+    else:
+        lines += ["    (void)t;", "    (void)r;"]
+    lines += [
+        "}",
+        "",
+        f"void {prefix}_start(double t, const double *x, double *z)",
+        "{",
+        f"    double r[{max(signals, 1)}];",
+        f"    {prefix}_signal(t, r);",
+        "    start(t, x, r, z);",
+        "}",
+        "",
+        f"void {prefix}_step(double t, const double *x, double *z, double *u)",
+        "{",
+        f"    double r[{max(signals, 1)}];",
+        f"    double z_next[{max(memory, 1)}];",
+    ]
+    if memory:
+        lines.append("    int i;")
+    lines += [f"    {prefix}_signal(t, r);", "    step(t, x, r, z, u, z_next);"]
+    if memory:
+        lines += [f"    for (i = 0; i < {upper}_N_MEMORY; ++i)", "        z[i] = z_next[i];"]
+    return "\n".join([*lines, "}", ""])
+
+
+def _function(name: str, inputs: list[str], outputs: list[str], function: Any) -> list[str]:
+    arguments = [f"double {inputs[0]}", *(f"const double *{i}" for i in inputs[1:])]
+    arguments += [f"double *{o}" for o in outputs]
+    return [
+        f"static void {name}({', '.join(arguments)})",
+        "{",
+        *(f"    {line}" for line in c_statements(function, inputs, outputs)),
+        "}",
+        "",
+    ]
+
+
+def _driver(controller: Controller, prefix: str) -> str:
+    upper = prefix.upper()
+    memory = max(controller.memory.size, 1)
+    return "\n".join(
+        [
+            "/* Test driver: reads lines of a time and a state, writes the commands of successive steps.",
+            " * With an argument it runs a built-in case instead: three steps with all states at 0.1. */",
+            "#include <stdio.h>",
+            "",
+            f'#include "{prefix}.h"',
+            "",
+            "static int read_line(double *t, double *x)",
+            "{",
+            "    int i;",
+            '    if (scanf("%lf", t) != 1)',
+            "        return 0;",
+            f"    for (i = 0; i < {upper}_N_STATES; ++i)",
+            '        if (scanf("%lf", &x[i]) != 1)',
+            "            return 0;",
+            "    return 1;",
+            "}",
+            "",
+            "static void run(double t, const double *x, double *z, int *begun)",
+            "{",
+            f"    double u[{upper}_N_COMMANDS];",
+            "    int i;",
+            "    if (!*begun)",
+            f"        {prefix}_start(t, x, z);",
+            "    *begun = 1;",
+            f"    {prefix}_step(t, x, z, u);",
+            f"    for (i = 0; i < {upper}_N_COMMANDS; ++i)",
+            f'        printf("%.17g%s", u[i], i + 1 < {upper}_N_COMMANDS ? " " : "\\n");',
+            "}",
+            "",
+            "int main(int argc, char **argv)",
+            "{",
+            f"    double x[{upper}_N_STATES];",
+            f"    double z[{memory}] = {{0.0}};",
+            f"    double t = {upper}_T0;",
+            "    int begun = 0, k;",
+            "    (void)argv;",
+            "    if (argc > 1) {",
+            f"        for (k = 0; k < {upper}_N_STATES; ++k)",
+            "            x[k] = 0.1;",
+            "        for (k = 0; k < 3; ++k)",
+            f"            run({upper}_T0 + k * {upper}_DT, x, z, &begun);",
+            "        return 0;",
+            "    }",
+            "    while (read_line(&t, x))",
+            "        run(t, x, z, &begun);",
+            "    return 0;",
+            "}",
+            "",
+        ]
+    )
+
+
+def _entries(layout: Layout) -> list[str]:
+    pairs = zip(layout.labels, layout.units, strict=True)
+    return [_plain(f"[{i}] {label}, {unit or '-'}") for i, (label, unit) in enumerate(pairs)]
+
+
+def _wrapped(numbers: Iterable[str]) -> str:
+    entries = list(numbers)
+    lines = [", ".join(entries[i : i + _LINE]) for i in range(0, len(entries), _LINE)]
+    return ",\n    ".join(lines)
+
+
+def _number(value: float) -> str:
+    text = repr(float(value))
+    if not np.isfinite(value):
+        raise ArgumentError(f"the flight code would hold the number {text}: a schedule must be finite.")
+    return text
+
+
+def _identifier(name: str) -> str:
+    text = "".join(c.lower() if c.isascii() and c.isalnum() else "_" for c in name).strip("_")
+    return f"law_{text}" if not text or text[0].isdigit() else text
+
+
+def _plain(text: str) -> str:
+    """Text that can stand in a comment of any compiler."""
+    return text.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *")

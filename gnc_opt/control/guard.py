@@ -1,0 +1,270 @@
+"""Laws that invert a decoupling matrix, and what they do where they cannot: no division passes silently.
+
+At a control step a guarded law does one of three things:
+
+* all is well: it commands ``u``;
+* the decoupling matrix is (nearly) singular: alarm ``singular``, it commands the fallback, its memory stands still;
+* the measurement (or the memory) is not finite: alarm ``invalid``, it repeats the last command, its memory stands
+  still.
+
+Alarms stay at 1 once raised; the law itself goes back to work as soon as it can.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect
+from gnc_opt.control.controller import Controller, Schedule, first_memory, law
+from gnc_opt.control.explanation import Explanation
+from gnc_opt.control.lie import OutputErrors, Pair, sample_times
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
+from gnc_opt.errors import DesignError
+from gnc_opt.model.layout import Array, Layout, Variable
+from gnc_opt.model.model import Model
+
+ALARMS = ("singular", "invalid")
+GUARD = 0.05
+"""Smallest |det E|, relative to its largest on the reference, with which a law works."""
+
+_FINITE = 1e300
+_RANK = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """One part of a law's memory: its symbol, first value and next value, SX columns."""
+
+    name: str
+    symbol: Any
+    start: Any
+    after: Any
+    unit: str = ""
+
+    @property
+    def variable(self) -> Variable:
+        """Name and size."""
+        return Variable(self.name, self.symbol.numel(), self.unit)
+
+
+@dataclass(frozen=True, eq=False)
+class Inverse:
+    """E^+ y of a decoupling matrix that may become singular at run time.
+
+    Attributes
+    ----------
+    matrix : SX
+    regular : SX
+        1 where E may be inverted, 0 where not (or where E is not a number).
+    scale : float
+        The largest |det E| on the reference.
+    lowest : float
+        The smallest |det E| on the reference.
+    """
+
+    matrix: Any
+    regular: Any
+    scale: float
+    lowest: float
+
+    def __call__(self, y: Any) -> Any:
+        """Return E^+ y, SX; an arbitrary finite value where E is singular."""
+        return _solve(self.matrix, y)
+
+
+def guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) -> Inverse:
+    """Return the inverse of the decoupling matrix of outputs.
+
+    Raises
+    ------
+    DesignError
+        det E vanishes, changes its sign or falls below ``guard`` times its largest value on the reference.
+    """
+    pair, matrix, determinant = errors.pair, errors.decoupling, errors.determinant
+    times = sample_times(reference)
+    values = np.array([v[0, 0] for v in pair.along(reference, times, determinant)])
+    scale = float(np.max(np.abs(values)))
+    signed = values * np.sign(values[int(np.argmax(np.abs(values)))])
+    worst = int(np.argmin(signed))
+    lost = not np.all(np.isfinite(values)) or signed[worst] < guard * scale
+    if lost or _dependent(pair.along(reference, times[[worst]], matrix)[0]):
+        raise DesignError(
+            f"the decoupling matrix of outputs {', '.join(errors.labels)} is singular on the reference: det E = "
+            f"{values[worst]:.3g} at t = {times[worst]:.6g} s, where its largest value is {scale:.3g}; "
+            "choose other outputs, or a reference that keeps clear."
+        )
+    if matrix.is_constant():
+        return Inverse(ca.SX(matrix), ca.SX(1), scale, scale)
+    sign = float(np.sign(values[worst]))
+    regular = sign * determinant >= guard * scale
+    size = matrix.shape[0]
+    harmless = ca.DM.eye(size) if matrix.shape[1] == size else ca.DM.ones(size, matrix.shape[1])
+    if matrix.shape[1] != size:
+        harmless[:, :size] += ca.DM.eye(size)
+    safe = ca.if_else(regular, matrix, ca.SX(harmless))
+    return Inverse(ca.densify(safe), regular, scale, float(signed[worst]))
+
+
+def guarded_controller(
+    name: str,
+    pair: Pair,
+    reference: Reference,
+    *,
+    command: Any,
+    fallback: Any,
+    regular: Any,
+    memory: list[Memory],
+    dt: float | None,
+    explanation: Explanation,
+    nominal: Nominal | None = None,
+) -> Controller:
+    """Return the controller of a law with its guards.
+
+    Parameters
+    ----------
+    command, fallback : SX (n_controls,)
+        What it commands where it may invert, and where not; ``fallback=None`` repeats the last command.
+    regular : SX
+        See `Inverse`.
+    memory : list of Memory
+        The law's own; the last command and the alarms are added.
+    nominal : Nominal, optional
+        Another controller that the law builds upon, with its memory and signals.
+    """
+    last = ca.SX.sym("u_last", pair.u.numel())
+    singular, invalid = (ca.SX.sym(alarm) for alarm in ALARMS)
+    valid = _all_finite(ca.vertcat(pair.x, *[part.symbol for part in memory]))
+    works = ca.logic_and(valid, regular)
+    u = ca.if_else(valid, ca.if_else(regular, command, last if fallback is None else fallback), last)
+    own = [
+        *memory,
+        Memory("u_last", last, pair.u_ref, u),
+        Memory("singular", singular, ca.SX(0), _or(singular, ca.logic_and(valid, ca.logic_not(regular)))),
+        Memory("invalid", invalid, ca.SX(0), _or(invalid, ca.logic_not(valid))),
+    ]
+    z = ca.vertcat(*[part.symbol for part in own])
+    start = ca.vertcat(*[part.start for part in own])
+    frozen = [ca.if_else(works, part.after, part.symbol) for part in memory]
+    after = ca.vertcat(*frozen, *[part.after for part in own[len(memory) :]])
+    inner_signals: list[Variable] = []
+    variables = [part.variable for part in own]
+    r = ca.vertcat(pair.x_ref, pair.u_ref)
+    schedule: Schedule = ReferenceSchedule(reference)
+    alarms: tuple[str, ...] = ALARMS
+    if nominal is not None:
+        variables += nominal.variables
+        inner_signals = nominal.signals
+        alarms += tuple(f"nominal_{alarm}" for alarm in nominal.controller.alarms)
+        schedule = _Stacked(schedule, nominal.controller.schedule)
+        z, r = ca.vertcat(z, nominal.z), ca.vertcat(r, nominal.r)
+        start = ca.vertcat(start, nominal.start)
+        after = ca.vertcat(after, ca.if_else(valid, nominal.after, nominal.z))
+    model = pair.model
+    return Controller(
+        name=name,
+        step=law(pair.t, pair.x, r, z, u, after),
+        start=first_memory(pair.t, pair.x, r, start),
+        states=model.states,
+        commands=model.controls,
+        signals=reference_signals(reference, *inner_signals),
+        memory=Layout("memory", tuple(variables), f"controller '{name}'"),
+        schedule=schedule,
+        explanation=explanation,
+        dt=dt,
+        span=(reference.initial_time, reference.final_time),
+        alarms=alarms,
+    )
+
+
+class Nominal:
+    """A controller inside another one: its law on the symbols of the outer law."""
+
+    def __init__(self, controller: Controller, pair: Pair) -> None:
+        if controller.states.labels != pair.model.states.labels:
+            raise DesignError(
+                f"the nominal controller '{controller.name}' is for other states than model '{pair.model.name}'."
+            )
+        if controller.commands.labels != pair.model.controls.labels:
+            raise DesignError(
+                f"the nominal controller '{controller.name}' commands other controls than model "
+                f"'{pair.model.name}' has."
+            )
+        if not controller.step.is_a("SXFunction"):
+            raise DesignError(
+                f"the nominal controller '{controller.name}' solves a program at every step: "
+                "integral sliding mode needs a nominal law in closed form, such as LQR."
+            )
+        self.controller = controller
+        self.r = ca.SX.sym("r_nominal", controller.signals.size)
+        self.z = ca.SX.sym("z_nominal", controller.memory.size)
+        self.command, self.after = controller.step(pair.t, pair.x, self.r, self.z)
+        self.start = controller.start(pair.t, pair.x, self.r)
+
+    @property
+    def variables(self) -> list[Variable]:
+        """The memory of the inner controller, renamed."""
+        return [_renamed(v) for v in self.controller.memory.variables]
+
+    @property
+    def signals(self) -> list[Variable]:
+        """The signals of the inner controller, renamed."""
+        return [_renamed(v) for v in self.controller.signals.variables]
+
+
+def read_plant(model: Model, reference: Reference | ArrayLike, designer: str) -> Reference:
+    """Return the reference of a design; a state becomes a constant one."""
+    expect(model, Model, f"the plant of {designer}()", "give the Model to control")
+    return reference if isinstance(reference, Reference) else Reference.constant(model, reference)
+
+
+def clip(u: Any, limits: tuple[Array, Array] | None) -> Any:
+    """Return what an actuator with these limits makes of a command, SX."""
+    return u if limits is None else ca.fmax(limits[0], ca.fmin(limits[1], u))
+
+
+@dataclass(frozen=True, eq=False)
+class _Stacked:
+    """Two schedules, one above the other."""
+
+    upper: Schedule
+    lower: Schedule
+
+    def __call__(self, times: Array, dt: float) -> Array:
+        return np.vstack([self.upper(times, dt), self.lower(times, dt)])
+
+
+def _dependent(matrix: Array) -> bool:
+    """Whether the rows of a matrix depend on each other but for rounding."""
+    singular = np.linalg.svd(matrix, compute_uv=False)
+    return bool(singular[-1] <= _RANK * singular[0])
+
+
+def _renamed(variable: Variable) -> Variable:
+    return Variable(f"nominal_{variable.name}", variable.size, variable.unit)
+
+
+def _or(flag: Any, now: Any) -> Any:
+    return ca.fmax(flag, now)
+
+
+def _all_finite(x: Any) -> Any:
+    """Return 1 if all entries are finite; a comparison with NaN is false."""
+    flag = ca.SX(1)
+    for entry in ca.vertsplit(x):
+        flag = ca.logic_and(flag, ca.fabs(entry) <= _FINITE)
+    return flag
+
+
+def _solve(matrix: Any, y: Any) -> Any:
+    rows, columns = matrix.shape
+    if matrix.is_constant():
+        return ca.DM(np.linalg.pinv(np.asarray(ca.DM(matrix).full()))) @ y
+    if rows == columns:
+        return ca.solve(matrix, y)
+    return matrix.T @ ca.solve(matrix @ matrix.T, y)

@@ -1,0 +1,267 @@
+"""Reference: the states and controls that a controller follows."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect, read_numbers
+from gnc_opt.errors import ArgumentError, did_you_mean, shown
+from gnc_opt.model.layout import Array, Layout, as_vector
+from gnc_opt.model.model import Model
+from gnc_opt.solution.phase_solution import PhaseSolution
+from gnc_opt.solution.solution import Solution
+from gnc_opt.strict import Strict
+
+Tail: TypeAlias = Literal["trim", "hold", "none"]
+
+TRIM_TOLERANCE = 1e-6
+"""A state counts as one to rest at if, with the best control, no rate is above this (1/s), relative to the
+largest state if that is above 1."""
+
+_GAUSS_POINTS = 8
+_EDGE = 1e-9
+"""Times this close to the ends, relative to the duration, count as the ends."""
+
+
+class Reference(Strict):
+    """States and controls over time, from a solution, from functions or constant.
+
+    Between ``initial_time`` and ``final_time`` it is what it was made from. After ``final_time`` it rests at its
+    final state with the ``tail`` control. Multi-phase solutions are followed phase by phase; all phases must have the
+    same states and controls.
+
+    Parameters
+    ----------
+    solution : Solution
+        A solved one; its *flown* controls are followed, which respect their bounds.
+    tail : {"trim", "hold", "none"}
+        The control after the end: ``"trim"`` finds the one that keeps the final state at rest (least squares),
+        ``"hold"`` keeps the final control, ``"none"`` refuses times after the end.
+
+    Raises
+    ------
+    ArgumentError
+        The solution is not solved, its phases differ in states or controls, or no control keeps its final state
+        at rest and ``tail`` is ``"trim"``.
+    """
+
+    __slots__ = (
+        "_breaks",
+        "_tail",
+        "_u",
+        "_x",
+        "controls",
+        "final_time",
+        "initial_time",
+        "jumps",
+        "model",
+        "states",
+    )
+
+    def __init__(self, solution: Solution, *, tail: Tail = "trim") -> None:
+        expect(solution, Solution, "what Reference() got", "write Reference(solve(problem))")
+        problem = solution.need_problem("follow")
+        if not solution.status.solved:
+            raise ArgumentError(
+                f"the solution of '{solution.problem_name}' ended as {solution.status.value}: "
+                "follow one that is solved."
+            )
+        legs = list(solution.phases.values())
+        model = problem.phases[legs[0].name].model
+        _check_alike(legs)
+        names = model.parameters.names
+        free = {n: legs[0].parameters[legs[0].model_parameters.slice(n)] for n in names}
+        self._set(
+            model.with_parameters(**free) if names else model,
+            [leg.x for leg in legs],
+            [leg.flown for leg in legs],
+            [leg.initial_time for leg in legs] + [legs[-1].final_time],
+            np.unique(np.concatenate([leg.flown.jumps for leg in legs])),
+            tail,
+        )
+
+    @classmethod
+    def constant(cls, model: Model, x: ArrayLike, u: ArrayLike | None = None) -> Reference:
+        """Return a state to rest at, for all times.
+
+        Parameters
+        ----------
+        model : Model
+        x : array (n_states,)
+        u : array (n_controls,), optional
+            The control there; without it the one that keeps the state at rest.
+        """
+        expect(model, Model, "the model of a reference", "give the Model of the plant")
+        state = as_vector(x, model.states.size, "the state of a constant reference", ArgumentError)
+        control = (
+            trim(model, 0.0, state)
+            if u is None
+            else as_vector(u, model.controls.size, "the control of a constant reference", ArgumentError)
+        )
+        return cls.from_functions(model, lambda _: state, lambda _: control, 0.0, 0.0, tail="hold")
+
+    @classmethod
+    def from_functions(
+        cls,
+        model: Model,
+        x: Callable[[float], ArrayLike],
+        u: Callable[[float], ArrayLike],
+        initial_time: float,
+        final_time: float,
+        *,
+        jumps: Sequence[float] = (),
+        tail: Tail = "hold",
+    ) -> Reference:
+        """Return the reference of two functions of time, states (n_states,) and controls (n_controls,).
+
+        ``jumps`` lists the times (s) at which the control jumps.
+        """
+        reference = cls.__new__(cls)
+        span = [float(initial_time), float(final_time)]
+        if not (np.all(np.isfinite(span)) and span[0] <= span[1]):
+            raise ArgumentError(
+                f"a reference from {span[0]} s to {span[1]} s is none: give increasing times."
+            )
+        reference._set(
+            model,
+            [_over_times(x, model.states)],
+            [_over_times(u, model.controls)],
+            span,
+            np.unique([span[0], *jumps, span[1]]),
+            tail,
+        )
+        return reference
+
+    def _set(
+        self,
+        model: Model,
+        x: list[Callable[[Array], Array]],
+        u: list[Callable[[Array], Array]],
+        breaks: list[float],
+        jumps: Array,
+        tail: Tail,
+    ) -> None:
+        if tail not in get_args(Tail):
+            raise ArgumentError(
+                f"a reference has no tail {shown(tail)}: {did_you_mean(str(tail), get_args(Tail))}"
+            )
+        self.model, self.states, self.controls = model, model.states, model.controls
+        self._x, self._u, self._breaks = x, u, np.asarray(breaks, dtype=float)
+        self.initial_time, self.final_time, self.jumps = float(breaks[0]), float(breaks[-1]), jumps
+        self._tail: Array | None = None
+        if tail == "hold":
+            self._tail = self.u(self.final_time)
+        elif tail == "trim":
+            self._tail = trim(model, self.final_time, self.x(self.final_time))
+
+    def __repr__(self) -> str:
+        return f"Reference({self.model.name!r}, {self.initial_time:g} s to {self.final_time:g} s)"
+
+    @property
+    def duration(self) -> float:
+        """final_time - initial_time, s."""
+        return self.final_time - self.initial_time
+
+    @property
+    def tail_control(self) -> Array | None:
+        """The control after the end (n_controls,), or ``None`` where there is no after."""
+        return self._tail
+
+    def x(self, t: ArrayLike) -> Array:
+        """Return the states, (n_states,) at one time t (s), (n_states, n_times) at many."""
+        return self._evaluate(self._x, t, None)
+
+    def u(self, t: ArrayLike) -> Array:
+        """Return the controls, (n_controls,) at one time t (s), (n_controls, n_times) at many."""
+        return self._evaluate(self._u, t, self._tail)
+
+    def mean_control(self, times: ArrayLike, dt: float) -> Array:
+        """Return the mean of the controls over the steps from ``times`` (n,) to ``times + dt``, (n_controls, n).
+
+        A held command with this value has the same impulse as the reference, wherever its switches lie.
+        """
+        starts = np.atleast_1d(read_numbers(times, "the times of a reference"))
+        return np.stack([self._mean(float(t), float(t) + dt) for t in starts], axis=1)
+
+    def _mean(self, left: float, right: float) -> Array:
+        marks = np.concatenate([self.jumps, self._breaks])
+        inner = np.unique(marks[(marks > left) & (marks < right)])
+        edges = np.concatenate([[left], inner, [right]])
+        tau, weights = leggauss(_GAUSS_POINTS)
+        total = np.zeros(self.controls.size)
+        for a, b in itertools.pairwise(edges):
+            total += 0.5 * (b - a) * self.u(0.5 * (a + b) + 0.5 * (b - a) * tau) @ weights
+        return total / (right - left)
+
+    def _evaluate(self, parts: list[Callable[[Array], Array]], t: ArrayLike, tail: Array | None) -> Array:
+        times = np.atleast_1d(read_numbers(t, "the time of a reference"))
+        slack = _EDGE * max(self.duration, 1.0)
+        late = times > self.final_time + slack
+        if np.any(times < self.initial_time - slack) or (np.any(late) and self._tail is None):
+            raise ArgumentError(
+                f"the reference runs from {self.initial_time:g} s to {self.final_time:g} s, not at "
+                f"{shown(float(times[-1] if np.any(late) else times[0]))} s: ask within, or give it a tail."
+            )
+        within = np.clip(times, self.initial_time, self.final_time)
+        part = np.clip(np.searchsorted(self._breaks, within, "right") - 1, 0, len(parts) - 1)
+        first = parts[int(part[0])](within[:1])
+        values = np.empty((first.shape[0], times.size))
+        for k in np.unique(part):
+            here = part == k
+            values[:, here] = parts[int(k)](np.clip(within[here], self._breaks[k], self._breaks[k + 1]))
+        if tail is not None:
+            values[:, late] = tail[:, None]
+        return values if np.ndim(t) else values[:, 0]
+
+
+def trim(model: Model, t: float, x: ArrayLike) -> Array:
+    """Return the control (n_controls,) for which the state x stays at rest at time t.
+
+    Solves ``f(t, x, u) = 0`` for u by Newton's method in the least-squares sense, from u = 0.
+
+    Raises
+    ------
+    ArgumentError
+        No control does; the message names the state that moves most.
+    """
+    state = as_vector(x, model.states.size, "the state to rest at", ArgumentError)
+    u = np.zeros(model.controls.size)
+    for _ in range(20):
+        step = np.linalg.lstsq(model.linearize(t, state, u)[1], -model.f(t, state, u), rcond=None)[0]
+        u = u + step
+        if np.max(np.abs(step), initial=0.0) <= 1e-14 * (1 + np.max(np.abs(u), initial=0.0)):
+            break
+    left = np.abs(model.f(t, state, u))
+    worst = int(np.argmax(left))
+    if left[worst] > TRIM_TOLERANCE * max(float(np.max(np.abs(state), initial=0.0)), 1.0):
+        raise ArgumentError(
+            f"no control keeps the final state of '{model.name}' at rest: '{model.states.labels[worst]}' still moves "
+            f'at {left[worst]:.3g} per second; give the reference tail="hold" or tail="none".'
+        )
+    return u
+
+
+def _over_times(function: Callable[[float], ArrayLike], layout: Layout) -> Callable[[Array], Array]:
+    def many(times: Array) -> Array:
+        columns = [
+            as_vector(function(float(t)), layout.size, f"the {layout.kind}s of a reference") for t in times
+        ]
+        return np.stack(columns, axis=1)
+
+    return many
+
+
+def _check_alike(legs: Sequence[PhaseSolution]) -> None:
+    first = legs[0]
+    for leg in legs[1:]:
+        if (leg.states.labels, leg.controls.labels) != (first.states.labels, first.controls.labels):
+            raise ArgumentError(
+                f"phases '{first.name}' and '{leg.name}' have other states or controls: "
+                "follow each by its own reference."
+            )

@@ -1,0 +1,98 @@
+r"""Sampling: the plant and its cost over a step in which the command is held, without approximation in time.
+
+With :math:`\dot\xi = M \xi`, :math:`\xi = (e, v)`, M = [[A, B], [0, 0]] and the cost rate :math:`\xi^T W \xi`,
+the flow of
+
+.. math:: \dot Z = \begin{pmatrix} -M^T & W \\ 0 & M \end{pmatrix} Z, \qquad Z(0) = 1,
+
+has the blocks :math:`Z_{22} = \Psi` (the step) and :math:`\Psi^T Z_{12} = \int \Psi^T W \Psi` (its cost).
+
+References
+----------
+C. F. Van Loan, Computing integrals involving the matrix exponential, IEEE Trans. Automatic Control 23 (1978).
+S. Blanes, F. Casas, J. A. Oteo, J. Ros, The Magnus expansion and some of its applications, Physics Reports 470
+(2009), eq. 253 (fourth order with two Gauss points).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from gnc_opt.model.layout import Array
+
+Linearization = Callable[[float], tuple[Array, Array]]
+"""A (n, n) and B (n, m) at a time."""
+
+_SUBSTEPS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """``e_next = a e + b v`` with the cost ``e'q e + v'r v + 2 e'n v`` over one control step."""
+
+    a: Array
+    b: Array
+    q: Array
+    r: Array
+    n: Array
+
+
+def sample(a: Array, b: Array, q: Array, r: Array, n: Array, dt: float) -> Step:
+    """Return the exact step of constant A, B and cost over dt (s)."""
+    flow = _generator(a, b, _stacked(q, r, n))
+    size = float(np.linalg.norm(flow[flow.shape[0] // 2 :], 1)) * dt  # of M alone: the cost enters linearly
+    halvings = max(0, int(np.ceil(np.log2(max(size, 1.0)))))
+    phi, cost = _blocks(expm(flow * (dt / 2**halvings)))
+    for _ in range(halvings):  # doubling: no growing and decaying exponentials in one matrix
+        cost = cost + phi.T @ cost @ phi
+        phi = phi @ phi
+    return _step(phi, cost, a.shape[0])
+
+
+def sample_along(
+    linearize: Linearization, q: Array, r: Array, n: Array, t: float, dt: float, jumps: Array
+) -> Step:
+    """Return the step from t to t + dt of A(t), B(t), which may jump at ``jumps`` (fourth order in dt)."""
+    inner = jumps[(jumps > t) & (jumps < t + dt)]
+    edges = np.concatenate([[t], inner, [t + dt]])
+    weight = _stacked(q, r, n)
+    phi, cost = np.eye(weight.shape[0]), np.zeros_like(weight)
+    for left, right in itertools.pairwise(edges):
+        h = (right - left) / _SUBSTEPS
+        for k in range(_SUBSTEPS):
+            middle = left + (k + 0.5) * h
+            first, second = (
+                _generator(*linearize(middle + s * h * np.sqrt(3) / 6), weight) for s in (-1.0, 1.0)
+            )
+            commutator = second @ first - first @ second
+            step, part = _blocks(expm(0.5 * h * (first + second) + np.sqrt(3) / 12 * h**2 * commutator))
+            cost = cost + phi.T @ part @ phi
+            phi = step @ phi
+    return _step(phi, cost, q.shape[0])
+
+
+def _stacked(q: Array, r: Array, n: Array) -> Array:
+    return np.block([[q, n], [n.T, r]])
+
+
+def _generator(a: Array, b: Array, weight: Array) -> Array:
+    size = weight.shape[0]
+    m = np.zeros((size, size))
+    m[: a.shape[0]] = np.hstack([a, b])
+    return np.block([[-m.T, weight], [np.zeros((size, size)), m]])
+
+
+def _blocks(flow: Array) -> tuple[Array, Array]:
+    size = flow.shape[0] // 2
+    phi = flow[size:, size:]
+    cost = phi.T @ flow[:size, size:]
+    return phi, 0.5 * (cost + cost.T)
+
+
+def _step(phi: Array, cost: Array, n: int) -> Step:
+    return Step(phi[:n, :n], phi[:n, n:], cost[:n, :n], cost[n:, n:], cost[:n, n:])

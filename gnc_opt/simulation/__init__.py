@@ -1,0 +1,64 @@
+"""Closed loops: plant, controller, actuators, sensors and disturbances as one compiled function."""
+
+from gnc_opt.simulation.actuators import (
+    Deadband,
+    Delay,
+    Hold,
+    Lag,
+    MinimumImpulse,
+    Pwm,
+    Pwpf,
+    Quantisation,
+    RateLimit,
+    Saturation,
+    ScaleFactor,
+    SchmittTrigger,
+)
+from gnc_opt.simulation.allocation import Allocation, Mixer, WheelArray
+from gnc_opt.simulation.block import Block
+from gnc_opt.simulation.disturbances import Constant, Disturbance, Expression, RandomHold, Sinusoid
+from gnc_opt.simulation.flight import Ending, Flight
+from gnc_opt.simulation.loop import ClosedLoop
+from gnc_opt.simulation.outcome import Outcome, RunStatus
+from gnc_opt.simulation.run import Run
+from gnc_opt.simulation.sensors import Bias, Noise, Outage, RandomWalk, Sampling, Scale, SensorDelay
+from gnc_opt.simulation.thrusters import NonNegativeAllocation, ThrusterSet
+
+__all__ = [
+    "Allocation",
+    "Bias",
+    "Block",
+    "ClosedLoop",
+    "Constant",
+    "Deadband",
+    "Delay",
+    "Disturbance",
+    "Ending",
+    "Expression",
+    "Flight",
+    "Hold",
+    "Lag",
+    "MinimumImpulse",
+    "Mixer",
+    "Noise",
+    "NonNegativeAllocation",
+    "Outage",
+    "Outcome",
+    "Pwm",
+    "Pwpf",
+    "Quantisation",
+    "RandomHold",
+    "RandomWalk",
+    "RateLimit",
+    "Run",
+    "RunStatus",
+    "Sampling",
+    "Saturation",
+    "Scale",
+    "ScaleFactor",
+    "SchmittTrigger",
+    "SensorDelay",
+    "Sinusoid",
+    "ThrusterSet",
+    "WheelArray",
+]

@@ -1,0 +1,375 @@
+"""Actuators: what becomes of a command on its way to the plant.
+
+Every block turns the command of a minor step (held) into the *mean* of its output over the minor step, so that the
+impulse is exact where the output varies within the step.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_integer, read_positive
+from gnc_opt.errors import ArgumentError
+from gnc_opt.simulation.block import (
+    Block,
+    Defaults,
+    Parameters,
+    Step,
+    Tick,
+    clip,
+    differs,
+    rows,
+    scalar,
+    values,
+    whole_steps,
+)
+
+_INSTANT = 1e-12
+"""A time constant below this (s) is none."""
+
+
+@dataclass(frozen=True)
+class Saturation(Block):
+    """Limits ``lower <= u <= upper`` (units of the command; one for all components, or one each)."""
+
+    lower: ArrayLike = -math.inf
+    upper: ArrayLike = math.inf
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        lower = values(self.lower, size, f"the lower limit of '{self.name}'")
+        upper = values(self.upper, size, f"the upper limit of '{self.name}'")
+        if not (lower <= upper).all():
+            raise ArgumentError(
+                f"'{self.name}' has lower limits {lower} above the upper ones {upper}: swap them."
+            )
+        return {"lower": (lower, unit), "upper": (upper, unit)}
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        limited = clip(signal, p["lower"], p["upper"])
+        return Step(limited, state, differs(limited, signal))
+
+
+@dataclass(frozen=True)
+class ScaleFactor(Block):
+    """Output ``factor * u + bias``: calibration errors, a weak thruster, a dead one (factor 0)."""
+
+    factor: ArrayLike = 1.0
+    bias: ArrayLike = 0.0
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {
+            "factor": (values(self.factor, size, f"the factor of '{self.name}'"), ""),
+            "bias": (values(self.bias, size, f"the bias of '{self.name}'"), unit),
+        }
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        return Step(p["factor"] * signal + p["bias"], state)
+
+
+@dataclass(frozen=True)
+class Deadband(Block):
+    """Commands smaller than ``width`` (units of the command) are dropped; larger ones pass unchanged."""
+
+    width: ArrayLike
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {"width": (values(self.width, size, f"the width of '{self.name}'"), unit)}
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"width": (0.0, math.inf)}
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        return Step(ca.if_else(ca.fabs(signal) < p["width"], 0.0, signal), state)
+
+
+@dataclass(frozen=True)
+class Quantisation(Block):
+    """Commands are rounded to multiples of ``step_size`` (units of the command, > 0)."""
+
+    step_size: ArrayLike
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {"step_size": (values(self.step_size, size, f"the step size of '{self.name}'"), unit)}
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"step_size": (1e-300, math.inf)}
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        return Step(p["step_size"] * ca.floor(signal / p["step_size"] + 0.5), state)
+
+
+@dataclass(frozen=True)
+class MinimumImpulse(Block):
+    """Commands whose impulse over a control step, ``|u| dt``, is below ``impulse`` (unit of u times s) are dropped."""
+
+    impulse: ArrayLike
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {"impulse": (values(self.impulse, size, f"the impulse of '{self.name}'"), f"{unit} s".strip())}
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"impulse": (0.0, math.inf)}
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        return Step(ca.if_else(ca.fabs(signal) * tick.dt < p["impulse"], 0.0, signal), state)
+
+
+@dataclass(frozen=True)
+class Lag(Block):
+    r"""First-order lag :math:`\tau \dot y = u - y`, from rest; ``tau`` in s (0: none).
+
+    Over a minor step the mean :math:`u + (y_0 - u)(1 - e^{-h/\tau})\tau/h` is applied: the impulse is exact.
+    """
+
+    tau: ArrayLike
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {"tau": (values(self.tau, size, f"the time constant of '{self.name}'"), "s")}
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"tau": (0.0, math.inf)}
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        return signal
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        ratio = tick.h / ca.fmax(p["tau"], _INSTANT)
+        gap = state - signal
+        return Step(signal - gap * ca.expm1(-ratio) / ratio, signal + gap * ca.exp(-ratio))
+
+
+@dataclass(frozen=True)
+class RateLimit(Block):
+    """The output follows the command with at most ``rate`` (unit of the command per s), from zero.
+
+    The mean over a minor step of the ramp and the plateau after it is applied.
+    """
+
+    rate: ArrayLike
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {"rate": (values(self.rate, size, f"the rate of '{self.name}'"), f"{unit}/s")}
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"rate": (1e-300, math.inf)}
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        return signal
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        reach = p["rate"] * tick.h
+        wanted = signal - state
+        change = clip(wanted, -reach, reach)
+        mean = state + change * (1 - 0.5 * ca.fabs(change) / reach)
+        return Step(mean, state + change, differs(change, wanted))
+
+
+@dataclass(frozen=True)
+class Delay(Block):
+    """The command arrives ``delay`` (s) later, zero before; any delay up to ``maximum`` (default: the delay itself).
+
+    Exact for commands held over minor steps: a delay between two multiples of the minor step gives the mean of the
+    two commands that share the step.
+    """
+
+    delay: float
+    maximum: float | None = None
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {"delay": (scalar(self.delay, f"the delay of '{self.name}'"), "s")}
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"delay": (0.0, self._length(h) * h * (1 + 1e-12))}
+
+    def _length(self, h: float) -> int:
+        longest = self.delay if self.maximum is None else self.maximum
+        longest = read_positive(longest, f"the longest delay of '{self.name}'", or_zero=True)
+        return math.ceil(longest / h - 1e-9)
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        return ca.repmat(signal, self._length(tick.h), 1)
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        size = signal.shape[0]
+        line = ca.vertcat(signal, state)  # newest first
+        steps = p["delay"] / tick.h
+        count = line.shape[0] // size
+        late = ca.SX.zeros(size)
+        for i in range(count):
+            weight = ca.fmax(0.0, 1 - ca.fabs(steps - i))
+            # not multiplied by a zero weight: a command that is not a number must not arrive early
+            late += ca.if_else(weight > 1e-9, weight * line[i * size : (i + 1) * size], 0.0)
+        return Step(late, rows(line, 0, state.shape[0]))
+
+
+@dataclass(frozen=True)
+class Pwm(Block):
+    """On-off thrusters by pulse width: full ``thrust`` (unit of the command) for a share of every period.
+
+    The command at the beginning of a period sets the on-time, ``|u| / thrust`` of the period, rounded to minor steps
+    (with m of them per period the mean is right to ``thrust / (2 m)``); the pulse comes first. Pulses shorter than
+    ``minimum_on`` (s) are dropped.
+
+    Parameters
+    ----------
+    thrust : float or one per component
+    period : float, optional
+        A multiple of the minor step, s; default the control step.
+    minimum_on : float
+    """
+
+    thrust: ArrayLike
+    period: float | None = None
+    minimum_on: float = 0.0
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {
+            "thrust": (values(self.thrust, size, f"the thrust of '{self.name}'"), unit),
+            "minimum_on": (scalar(self.minimum_on, f"the minimum on-time of '{self.name}'"), "s"),
+        }
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"thrust": (1e-300, math.inf), "minimum_on": (0.0, math.inf)}
+
+    def check(self, size: int, h: float, dt: float) -> None:
+        if self._steps(h, dt) < 2:
+            raise ArgumentError(
+                f"the period of '{self.name}' is one minor step of {h:g} s, which leaves nothing to modulate: give "
+                "the loop more minor_steps."
+            )
+
+    def _steps(self, h: float, dt: float) -> int:
+        return whole_steps(dt if self.period is None else self.period, h, f"the period of '{self.name}'")
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        return ca.vertcat(ca.SX.zeros(signal.shape[0]), 0.0)
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        size, count = signal.shape[0], self._steps(tick.h, tick.dt)
+        held, phase = state[:size], state[size]
+        command = ca.if_else(phase < 0.5, signal, held)
+        on_steps = ca.floor(clip(ca.fabs(command) / p["thrust"], 0.0, 1.0) * count + 0.5)
+        on_steps = ca.if_else(on_steps * tick.h < p["minimum_on"], 0.0, on_steps)
+        pulse = ca.if_else(phase + 0.5 < on_steps, ca.sign(command) * p["thrust"], 0.0)
+        # 0 * command carries a command that is not a number into the plant, where it is reported
+        following = ca.if_else(phase > count - 1.5, 0.0, phase + 1)
+        saturated = ca.if_else(ca.fabs(command) > p["thrust"], 1.0, 0.0)
+        return Step(pulse + 0 * _finite_or_nan(command), ca.vertcat(command, following), saturated)
+
+
+def _finite_or_nan(signal: Any) -> Any:
+    """0 for numbers, not-a-number for others; written so that it is not simplified away."""
+    return ca.if_else(ca.fabs(signal) < math.inf, 0.0, math.nan)
+
+
+@dataclass(frozen=True)
+class SchmittTrigger(Block):
+    """On-off thrusters with hysteresis: on above ``on_level``, off below ``off_level``, output +-``thrust``.
+
+    All in the unit of the command; works once per minor step.
+    """
+
+    thrust: ArrayLike
+    on_level: ArrayLike
+    off_level: ArrayLike
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        on = values(self.on_level, size, f"the on-level of '{self.name}'")
+        off = values(self.off_level, size, f"the off-level of '{self.name}'")
+        if not ((off > 0) & (off <= on)).all():
+            raise ArgumentError(
+                f"'{self.name}' switches on at {on} and off at {off}: give 0 < off_level <= on_level."
+            )
+        return {
+            "thrust": (values(self.thrust, size, f"the thrust of '{self.name}'"), unit),
+            "on_level": (on, unit),
+            "off_level": (off, unit),
+        }
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        return ca.SX.zeros(signal.shape[0])
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        polarity = trigger(signal, state, p["on_level"], p["off_level"])
+        return Step(p["thrust"] * polarity + _finite_or_nan(signal), polarity)
+
+
+def trigger(signal: Any, polarity: Any, on: Any, off: Any) -> Any:
+    """Return the polarity (-1, 0, 1) of a Schmitt trigger after a signal, from the polarity before (SX)."""
+    fresh = ca.if_else(signal > on, 1.0, ca.if_else(signal < -on, -1.0, 0.0))
+    holds = ca.logic_and(ca.fabs(signal) >= off, polarity * signal > 0)
+    return ca.if_else(holds, polarity, fresh)
+
+
+@dataclass(frozen=True)
+class Pwpf(Block):
+    r"""Pulse-width pulse-frequency modulation: a lag and a Schmitt trigger with the output fed back.
+
+    :math:`\tau \dot y = K (u - F) - y`; the thruster gives :math:`F = \pm` ``thrust`` from ``|y| > on_level`` until
+    ``|y| < off_level``. The lag is solved exactly over each minor step, the trigger acts once per minor step.
+
+    Parameters
+    ----------
+    thrust, on_level, off_level : float or one per component
+        In the unit of the command.
+    tau : float
+        s, > 0.
+    gain : float
+        K; must be enough to reach ``on_level``.
+    """
+
+    thrust: ArrayLike
+    on_level: ArrayLike
+    off_level: ArrayLike
+    tau: float
+    gain: float = 1.0
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        levels = SchmittTrigger(self.name, self.thrust, self.on_level, self.off_level).parameters(size, unit)
+        tau = read_positive(self.tau, f"the time constant of '{self.name}'")
+        return {
+            **levels,
+            "tau": (scalar(tau, self.name), "s"),
+            "gain": (scalar(self.gain, f"the gain of '{self.name}'"), ""),
+        }
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"tau": (_INSTANT, math.inf)}
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        return ca.SX.zeros(2 * signal.shape[0])
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        size = signal.shape[0]
+        y, polarity = state[:size], trigger(state[:size], state[size:], p["on_level"], p["off_level"])
+        target = p["gain"] * (signal - p["thrust"] * polarity)
+        after = target + (y - target) * ca.exp(-tick.h / p["tau"])
+        return Step(p["thrust"] * polarity + _finite_or_nan(signal), ca.vertcat(after, polarity))
+
+
+@dataclass(frozen=True)
+class Hold(Block):
+    """The actuator takes a new command only every ``period`` (s, a multiple of the minor step)."""
+
+    period: float
+
+    def check(self, size: int, h: float, dt: float) -> None:
+        self._steps(h)
+
+    def _steps(self, h: float) -> int:
+        count = whole_steps(self.period, h, f"the period of '{self.name}'")
+        return read_integer(count, f"the number of minor steps in the period of '{self.name}'", 1)
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        return ca.vertcat(signal, 0.0)
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        size = signal.shape[0]
+        output = ca.if_else(state[size] < 0.5, signal, state[:size])
+        following = ca.if_else(state[size] > self._steps(tick.h) - 1.5, 0.0, state[size] + 1)
+        return Step(output, ca.vertcat(output, following))

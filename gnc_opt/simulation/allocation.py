@@ -1,0 +1,321 @@
+r"""Allocation: which of many actuators does how much; arrays of reaction wheels.
+
+With the actuators' effects in the columns of B, a command w asks for outputs u with :math:`B u = w`. The
+pseudo-inverse gives the one of least length; with one actuator more than needed, :math:`u + \lambda n`, B n = 0, does
+as well, and "min-max" takes the :math:`\lambda` with the smallest peak :math:`\max_i |u_i + \lambda n_i|`: it lies
+where two components have equal size, so all pairs are tried.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias, get_args
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import null_space
+
+from gnc_opt.arguments import read_name, read_numbers
+from gnc_opt.errors import DesignError, did_you_mean, shown
+from gnc_opt.model.layout import Array
+from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, Tick, clip, differs, values
+
+Method: TypeAlias = Literal["pseudo-inverse", "min-max"]
+Balance: TypeAlias = Literal["none", "torque", "momentum"]
+
+_SINGULAR = 1e-10
+
+
+def pseudo_inverse(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the allocation") -> Array:
+    """Return the pseudo-inverse (n, k) of the effects (k, n) of n actuators; rows of failed ones are zero.
+
+    Raises
+    ------
+    DesignError
+        The actuators left cannot produce every command; the message gives the direction and the singular value.
+    """
+    effects = effect_matrix(matrix, failed, what)
+    left, sizes, _ = np.linalg.svd(effects)
+    rank = int(np.sum(sizes > _SINGULAR * max(float(sizes[0]), 1e-300)))
+    if rank < effects.shape[0]:
+        least = float(sizes[rank]) if rank < sizes.size else 0.0
+        lost = f" after the loss of {', '.join(map(str, failed))}" if len(failed) else ""
+        raise DesignError(
+            f"{what}: {effects.shape[1] - len(failed)} actuators{lost} span {rank} of {effects.shape[0]} directions, "
+            f"none acts along {np.round(left[:, -1], 4)} (singular value {least:.1e}): add actuators or command less."
+        )
+    inverse = np.asarray(np.linalg.pinv(effects, rcond=_SINGULAR))
+    inverse[list(failed)] = 0.0
+    return inverse
+
+
+def null_vector(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the allocation") -> Array | None:
+    """Return the outputs (n,) without effect, largest entry 1, or ``None`` if there are none.
+
+    Raises
+    ------
+    DesignError
+        There is more than one direction of such outputs.
+    """
+    effects = effect_matrix(matrix, failed, what)
+    alive = [i for i in range(effects.shape[1]) if i not in failed]
+    basis = null_space(effects[:, alive], rcond=_SINGULAR)
+    if basis.shape[1] == 0:
+        return None
+    if basis.shape[1] > 1:
+        raise DesignError(
+            f"{what} has {basis.shape[1]} null directions where min-max allocation handles one: use the pseudo-inverse."
+        )
+    n = np.zeros(effects.shape[1])
+    n[alive] = basis[:, 0] / basis[np.argmax(np.abs(basis[:, 0])), 0]
+    return np.where(np.abs(n) < 1e-12, 0.0, n)
+
+
+def min_max_shift(u: Any, n: Array) -> Any:
+    """Return the SX factor lambda for which the largest ``|u + lambda n|`` is smallest."""
+    best, peak = ca.SX(0), ca.mmax(ca.fabs(u))
+    for i, j in itertools.combinations(range(n.size), 2):
+        for sign in (1.0, -1.0):
+            slope = n[i] - sign * n[j]
+            if abs(slope) < 1e-12:
+                continue
+            shift = -(u[i] - sign * u[j]) / slope
+            here = ca.mmax(ca.fabs(u + shift * n))
+            best, peak = ca.if_else(here < peak, shift, best), ca.if_else(here < peak, here, peak)
+    return best
+
+
+@dataclass(frozen=True)
+class Allocation(Block):
+    """Distributes a command over actuators.
+
+    Parameters
+    ----------
+    matrix : array (k, n)
+        Effects of n actuators on the k components of the command.
+    to : str
+        Name of the outputs, for the blocks that follow.
+    method : {"pseudo-inverse", "min-max"}
+    failed : sequence of int
+        Actuators known to be lost; they are not used.
+    unit : str
+        Of the outputs.
+
+    Raises
+    ------
+    DesignError
+        The actuators that are left cannot produce every command.
+    """
+
+    matrix: ArrayLike
+    to: str = "outputs"
+    method: Method = "pseudo-inverse"
+    failed: Sequence[int] = ()
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        read_name(self.to, "signal")
+        if self.method not in get_args(Method):
+            raise DesignError(
+                f"'{self.name}' cannot allocate by {shown(self.method)}: "
+                f"{did_you_mean(str(self.method), get_args(Method))}"
+            )
+        pseudo_inverse(self.matrix, self.failed, f"'{self.name}'")
+        if self.method == "min-max":
+            null_vector(self.matrix, self.failed, f"'{self.name}'")
+
+    def outputs(self, sizes: Mapping[str, int], units: Mapping[str, str]) -> dict[str, tuple[int, str]]:
+        return {self.to: (np.shape(self.matrix)[1], self.unit)}
+
+    def check(self, size: int, h: float, dt: float) -> None:
+        check_rows(self.matrix, size, self.name)
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        u = pseudo_inverse(self.matrix, self.failed) @ signal
+        n = null_vector(self.matrix, self.failed) if self.method == "min-max" else None
+        return Step(u if n is None else u + min_max_shift(u, n) * n, state)
+
+
+@dataclass(frozen=True)
+class Mixer(Block):
+    """What actuators do to the plant together: ``matrix @ outputs``, cut into controls.
+
+    Parameters
+    ----------
+    matrix : array (k, n)
+    to : str or mapping of str to int
+        Name of the control, or names and sizes of several, in the order of the rows.
+    unit : str
+    """
+
+    matrix: ArrayLike
+    to: str | Mapping[str, int] = "outputs"
+    unit: str = ""
+
+    def outputs(self, sizes: Mapping[str, int], units: Mapping[str, str]) -> dict[str, tuple[int, str]]:
+        rows = np.shape(self.matrix)[0]
+        parts = {self.to: rows} if isinstance(self.to, str) else dict(self.to)
+        if sum(parts.values()) != rows:
+            raise DesignError(
+                f"'{self.name}' has {rows} rows for {sum(parts.values())} components: give as many."
+            )
+        return {name: (size, self.unit) for name, size in parts.items()}
+
+    def check(self, size: int, h: float, dt: float) -> None:
+        columns = np.shape(self.matrix)[1]
+        if columns != size:
+            raise DesignError(f"'{self.name}' mixes {columns} outputs, but gets {size}.")
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        return Step(read_numbers(self.matrix, f"the matrix of '{self.name}'") @ signal, state)
+
+
+@dataclass(frozen=True)
+class WheelArray(Block):
+    r"""Reaction wheels: allocation, torque limits and momentum (speed) limits.
+
+    A commanded body torque (3, N m) becomes motor torques T, :math:`A T = T_{body}`; the wheels' momenta change by
+    :math:`\dot h = -T`. A torque that would take a wheel beyond its momentum within a minor step is cut.
+
+    Parameters
+    ----------
+    axes : array (3, n)
+        Spin axes as columns, body components.
+    max_torque : float or one per wheel
+        N m.
+    max_momentum : float or one per wheel
+        Inertia of the wheel times its largest rate, N m s.
+    balance : {"none", "torque", "momentum"}
+        Use of the null space: least length of T, smallest peak of the torques, or smallest peak of the momenta (as
+        far as the torque limits allow).
+    momenta : str, optional
+        State of the plant that holds the wheels' momenta (n). Without it the block keeps them, beginning at
+        ``"<name>.momentum"``.
+    to : str, optional
+        Control of the plant that takes the motor torques (n); without it the body torque :math:`A T` goes on under
+        the command's own name.
+    failed : sequence of int
+        Wheels known to be lost. (An unknown loss: ``"<name>.health"`` 0 of that wheel.)
+
+    Raises
+    ------
+    DesignError
+        The wheels left do not span all axes.
+    """
+
+    axes: ArrayLike
+    max_torque: ArrayLike = math.inf
+    max_momentum: ArrayLike = math.inf
+    balance: Balance = "none"
+    momenta: str | None = None
+    to: str | None = None
+    failed: Sequence[int] = ()
+    initial: ArrayLike = field(default=0.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.balance not in get_args(Balance):
+            raise DesignError(
+                f"'{self.name}' cannot balance {shown(self.balance)}: "
+                f"{did_you_mean(str(self.balance), get_args(Balance))}"
+            )
+        pseudo_inverse(self.axes, self.failed, f"wheel array '{self.name}'")
+        if self.balance != "none":
+            null_vector(self.axes, self.failed, f"wheel array '{self.name}'")
+
+    @property
+    def n(self) -> int:
+        """Number of wheels."""
+        return int(np.shape(self.axes)[1])
+
+    def outputs(
+        self, sizes: Mapping[str, int], units: Mapping[str, str]
+    ) -> dict[str, tuple[int, str]] | None:
+        return None if self.to is None else {self.to: (self.n, "N m")}
+
+    def check(self, size: int, h: float, dt: float) -> None:
+        check_rows(self.axes, size, self.name)
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {
+            "max_torque": (values(self.max_torque, self.n, f"the torque limit of '{self.name}'"), "N m"),
+            "max_momentum": (
+                values(self.max_momentum, self.n, f"the momentum limit of '{self.name}'"),
+                "N m s",
+            ),
+            "momentum": (values(self.initial, self.n, f"the initial momenta of '{self.name}'"), "N m s"),
+            "health": (np.ones(self.n), ""),
+        }
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"max_torque": (0.0, math.inf), "max_momentum": (0.0, math.inf), "health": (0.0, 1.0)}
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        return ca.SX(0, 1) if self.momenta is not None else p["momentum"]
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        h_w = self._momenta(tick, state)
+        wanted = pseudo_inverse(self.axes, self.failed) @ signal
+        n = None if self.balance == "none" else null_vector(self.axes, self.failed)
+        if n is not None and self.balance == "torque":
+            wanted = wanted + min_max_shift(wanted, n) * n
+        elif n is not None:
+            # h - T step: a null torque of -lambda / step shifts the momenta by lambda n
+            shift = -min_max_shift(h_w - wanted * tick.h, n) / tick.h
+            wanted = wanted + _within(shift, wanted, n, p["max_torque"]) * n
+        torque = clip(wanted, -p["max_torque"], p["max_torque"])
+        torque = clip(torque, (h_w - p["max_momentum"]) / tick.h, (h_w + p["max_momentum"]) / tick.h)
+        # a wheel beyond its momentum limit may come back no faster than its motor allows
+        torque = clip(torque, -p["max_torque"], p["max_torque"])
+        saturated = differs(torque, wanted)
+        torque = torque * p["health"]
+        after = state if self.momenta is not None else h_w - torque * tick.h
+        return Step(torque if self.to is not None else np.asarray(self.axes) @ torque, after, saturated)
+
+    def _momenta(self, tick: Tick, state: Any) -> Any:
+        if self.momenta is None:
+            return state
+        if self.momenta not in tick.x:
+            raise DesignError(
+                f"wheel array '{self.name}' looks for its momenta in state '{self.momenta}', which the plant does not "
+                f"have: {did_you_mean(self.momenta, tick.x)}"
+            )
+        momenta = tick.x[self.momenta]
+        if momenta.shape[0] != self.n:
+            raise DesignError(f"state '{self.momenta}' holds {momenta.shape[0]} momenta for {self.n} wheels.")
+        return momenta
+
+
+def _within(shift: Any, torque: Any, n: Array, limit: Any) -> Any:
+    """Return the shift along n, cut so that no torque within its limit leaves it."""
+    for i in range(n.size):
+        if n[i] == 0:
+            continue
+        room_up = ca.fmax(0.0, limit[i] - torque[i]) / abs(n[i])
+        room_down = ca.fmax(0.0, limit[i] + torque[i]) / abs(n[i])
+        up, down = (room_up, room_down) if n[i] > 0 else (room_down, room_up)
+        shift = clip(shift, -down, up)
+    return shift
+
+
+def effect_matrix(matrix: ArrayLike, failed: Sequence[int], what: str) -> Array:
+    """Return the effects (k, n) as numbers, those of failed actuators zero."""
+    effects = read_numbers(matrix, f"the matrix of {what}", DesignError)
+    if effects.ndim != 2 or not np.all(np.isfinite(effects)):
+        raise DesignError(f"the matrix of {what} has the shape {effects.shape}: give finite numbers (k, n).")
+    for i in failed:
+        if not 0 <= i < effects.shape[1]:
+            raise DesignError(f"{what} has no actuator {i}: it has 0 to {effects.shape[1] - 1}.")
+        effects[:, i] = 0.0
+    return effects
+
+
+def check_rows(matrix: ArrayLike, size: int, name: str) -> None:
+    """Refuse a command whose size is not that of the effects."""
+    if np.shape(matrix)[0] != size:
+        raise DesignError(f"'{name}' allocates {np.shape(matrix)[0]} components, but gets {size}.")

@@ -1,0 +1,159 @@
+"""Block: one effect in the loop, between sensor and controller or between controller and plant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_label, read_numbers
+from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.model.layout import Array, as_vector
+
+Parameters: TypeAlias = Mapping[str, Any]
+"""The SX columns of a block's parameters by name."""
+
+Defaults: TypeAlias = dict[str, tuple[Array, str]]
+"""Values and units of a block's parameters by name."""
+
+
+@dataclass(frozen=True)
+class Tick:
+    """What a block may know of the moment.
+
+    Attributes
+    ----------
+    t : SX
+        Beginning of the minor step, s (for sensors: of the control step).
+    h, dt : float
+        Length of a minor step and of a control step, s; for sensors both are the control step.
+    index : int or SX
+        Number of the minor step within its control step, 0 first.
+    x : mapping
+        State of the plant by name, SX columns.
+    """
+
+    t: Any
+    h: float
+    dt: float
+    index: Any = 0
+    x: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Step:
+    """What a block makes of a signal.
+
+    Attributes
+    ----------
+    signal : SX
+        Mean over the minor step, so that impulses are right; a sensor's is the sample.
+    state : SX
+        Memory of the next step.
+    saturated : SX or None
+        1 where a limit acts, else 0; one per component of the input, or ``None`` for blocks without limits.
+    """
+
+    signal: Any
+    state: Any = field(default_factory=lambda: ca.SX(0, 1))
+    saturated: Any = None
+
+
+@dataclass(frozen=True)
+class Block:
+    """Base of actuators and sensors: a symbolic step with a memory, parameters and random numbers.
+
+    Attributes
+    ----------
+    name : str
+        Unique in a loop; its parameters are called ``"<name>.<parameter>"``.
+    on : str or tuple of str, optional
+        The commands (sensors: states) it acts on; default all.
+    """
+
+    name: str
+    on: str | tuple[str, ...] | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        read_label(self.name, "block")
+        if "." in self.name or self.name in ("plant", "initial"):
+            raise ArgumentError(
+                f"a block cannot be called '{self.name}': choose a name without dots that is not 'plant' or 'initial'."
+            )
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        """Return the values and units of the parameters, for a signal of ``size`` components in ``unit``."""
+        return {}
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        """Return the least and the largest permitted value of parameters by name."""
+        return {}
+
+    def noise(self, size: int) -> int:
+        """Return how many standard normal numbers a step needs."""
+        return 0
+
+    def outputs(
+        self, sizes: Mapping[str, int], units: Mapping[str, str]
+    ) -> dict[str, tuple[int, str]] | None:
+        """Return sizes and units of the signals that replace those of `on`; ``None``: the same."""
+        return None
+
+    def check(self, size: int, h: float, dt: float) -> None:
+        """Raise `ArgumentError` if the block cannot act on ``size`` components with these steps (s)."""
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        """Return the memory at the beginning, SX; ``signal`` is the first sample (sensors) or zero (actuators)."""
+        return ca.SX(0, 1)
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        """Return what becomes of the signal during one step."""
+        raise NotImplementedError
+
+
+def values(value: ArrayLike, size: int, what: str) -> Array:
+    """Return a block's values as ``size`` numbers; not-a-number is refused."""
+    vector = as_vector(value, size, what, ArgumentError)
+    if np.any(np.isnan(vector)):
+        raise ArgumentError(f"{what} is {vector}: give numbers.")
+    return vector
+
+
+def scalar(value: ArrayLike, what: str) -> Array:
+    """Return one number as an array (1,)."""
+    number = read_numbers(value, what)
+    if number.size != 1 or np.isnan(number).any():
+        raise ArgumentError(f"{what} is {shown(value)}: give one number.")
+    return number.reshape(1)
+
+
+def whole_steps(duration: float, step: float, what: str) -> int:
+    """Return how many steps make up a duration (s); refuse what is no multiple."""
+    count = round(duration / step)
+    if count < 0 or abs(count * step - duration) > 1e-9 * max(step, duration):
+        raise ArgumentError(
+            f"{what} is {duration:g} s, not a multiple of the step of {step:g} s: choose one."
+        )
+    return count
+
+
+def rows(column: Any, begin: int, end: int) -> Any:
+    """Return rows of a symbolic column, as a column also if there are none (CasADi makes that a row of a scalar)."""
+    return column[begin:end] if end > begin else type(column)(0, 1)
+
+
+def clip(value: Any, lower: Any, upper: Any) -> Any:
+    """Return the SX value between its limits; not-a-number stays not-a-number.
+
+    (The minimum and maximum functions of C return the other operand instead.)
+    """
+    return ca.if_else(value > upper, upper, ca.if_else(value < lower, lower, value))
+
+
+def differs(a: Any, b: Any) -> Any:
+    """Return 1 where a clipped SX value differs from the original, else 0."""
+    return ca.if_else(a != b, 1.0, 0.0)

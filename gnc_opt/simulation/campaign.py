@@ -1,0 +1,334 @@
+"""Campaign: what became of many runs, and what that says of all possible ones."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
+from gnc_opt.model.layout import Array, Layout
+from gnc_opt.simulation.flight import Flight
+from gnc_opt.simulation.metrics import rotation_angle
+from gnc_opt.simulation.outcome import Outcome, RunStatus
+from gnc_opt.simulation.run import Run
+from gnc_opt.simulation.statistics import CONFIDENCE, PassRate, Percentile, pass_rate, percentile
+from gnc_opt.strict import Strict
+
+_COMPONENT_SUMS = {"effort": " s", "energy": "^2 s", "variation": ""}
+"""Costs that are summed over the components of a command or control, and what follows the unit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign(Strict):
+    """Many runs of a closed loop; arrays have one column per run that is there, m in all.
+
+    Attributes
+    ----------
+    seed : int
+        Run i has the random numbers of ``SeedSequence([seed, i])``.
+    asked : int
+        Runs asked for; more than m after Ctrl-C.
+    indices : int array (m,)
+        Numbers of the runs.
+    parameters : array (n_parameters, m)
+        What was drawn, in the order of ``layouts["parameter"]``.
+    states : array (n_states, m)
+        Of the plant at the end.
+    errors : array (n_errors, m)
+        Of the states at the end, relative to the reference or target, by the plant's own difference.
+    target : array (n_states,)
+        What the errors are relative to; not-a-number where there is nothing.
+    effort, energy : array (n_controls, m)
+    saturation_time, variation : array (n_commands, m)
+        As in `Run`.
+    integration_error : array (m,)
+    outcomes : tuple of m Outcome
+    span : tuple of two floats
+        First and last time, s.
+    limits : mapping
+        Largest permitted value by `measure`.
+    measured : mapping
+        Values (m,) of measures of one's own by name.
+    interrupted : bool
+        Whether Ctrl-C ended the campaign before its time.
+    layouts : mapping
+        Names, sizes and units by kind: parameter, state, error, applied, command.
+    flight : Flight or None
+        What was flown; not stored in files.
+    """
+
+    seed: int
+    asked: int
+    indices: Any
+    parameters: Array
+    states: Array
+    errors: Array
+    target: Array
+    effort: Array
+    energy: Array
+    saturation_time: Array
+    variation: Array
+    integration_error: Array
+    outcomes: tuple[Outcome, ...]
+    span: tuple[float, float]
+    limits: Mapping[str, float]
+    measured: Mapping[str, Array]
+    interrupted: bool
+    layouts: Mapping[str, Layout] = field(repr=False)
+    flight: Flight | None = field(default=None, repr=False)
+
+    def __len__(self) -> int:
+        return len(self.outcomes)
+
+    def __str__(self) -> str:
+        from gnc_opt.report.campaign import campaign_table
+
+        return campaign_table(self)
+
+    # --- values per run -----------------------------------------------------------------------------------
+
+    def state(self, name: str) -> Array:
+        """Return a state at the end, (size, m)."""
+        return self.states[self.layouts["state"].slice(name)]
+
+    def error(self, name: str) -> Array:
+        """Return the error of a state at the end, (size, m)."""
+        return self.errors[self.layouts["error"].slice(name)]
+
+    def parameter(self, name: str) -> Array:
+        """Return what was drawn for a parameter, (size, m)."""
+        return self.parameters[self.layouts["parameter"].slice(name)]
+
+    def measure(self, name: str) -> Array:
+        """Return a number per run, (m,); not-a-number for runs that have none.
+
+        Parameters
+        ----------
+        name : str
+            ``"r_L"``, the name of a state: Euclidean norm of its error at the end (unit of the error).
+            ``"angle(sigma)"``: angle between an attitude and its target at the end, rad.
+            ``"effort(F_B)"``, ``"energy(F_B)"``: integral of \\|u\\| or u^2, summed over the components.
+            ``"variation(F_B)"``: chattering, summed; ``"saturation(F_B)"``: saturation time of the worst component, s.
+            Or the name of one's own measure.
+
+        Raises
+        ------
+        UnknownNameError
+            There is no such measure.
+        ArgumentError
+            The error is relative to nothing.
+        """
+        if name in self.measured:
+            return self.measured[name]
+        if name not in self._values:
+            self._values[name] = self._evaluate(*self._parse(name))
+        return self._values[name]
+
+    @cached_property
+    def _values(self) -> dict[str, Array]:
+        return {}
+
+    def _evaluate(self, kind: str, subject: str) -> Array:
+        if kind == "error":
+            return np.asarray(np.linalg.norm(self.error(subject), axis=0))
+        if kind == "angle":
+            place = self.layouts["state"].slice(subject)
+            columns = self.states[place].T
+            return np.array(
+                [rotation_angle(c, self.target[place]) if np.isfinite(c).all() else np.nan for c in columns]
+            )
+        if kind == "saturation":
+            return np.asarray(np.max(self.saturation_time[self.layouts["command"].slice(subject)], axis=0))
+        layout = self.layouts["command" if kind == "variation" else "applied"]
+        return np.asarray(np.sum(getattr(self, kind)[layout.slice(subject)], axis=0))
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a measure."""
+        if name in self.measured:
+            return ""
+        kind, subject = self._parse(name)
+        if kind in ("angle", "saturation"):
+            return "rad" if kind == "angle" else "s"
+        if kind == "error":
+            return self.layouts["error"][subject].unit
+        unit = self.layouts["command" if kind == "variation" else "applied"][subject].unit
+        bracketed = f"({unit})" if kind == "energy" and set(unit) & set(" /*") else unit
+        return f"{bracketed}{_COMPONENT_SUMS[kind]}".strip()
+
+    @property
+    def measures(self) -> tuple[str, ...]:
+        """Names of all measures that have values."""
+        controls, commands = self.layouts["applied"].names, self.layouts["command"].names
+        states = [n for n in self.layouts["state"].names if self._has_target(n)]
+        own = tuple(self.measured)
+        costs = [f"effort({n})" for n in controls] + [f"energy({n})" for n in controls]
+        costs += [f"saturation({n})" for n in commands] + [f"variation({n})" for n in commands]
+        return (*states, *own, *costs)
+
+    def _has_target(self, name: str) -> bool:
+        return bool(np.all(np.isfinite(self.target[self.layouts["state"].slice(name)])))
+
+    def _parse(self, name: str) -> tuple[str, str]:
+        kind, _, rest = name.partition("(") if isinstance(name, str) else ("", "", "")
+        subject = rest[:-1] if rest.endswith(")") else ""
+        if isinstance(name, str) and name in self.layouts["state"]:
+            kind, subject = "error", name
+        elif kind == "angle" and subject in self.layouts["state"]:
+            if self.layouts["state"][subject].size not in (3, 4):
+                raise ArgumentError(
+                    f"'{subject}' has {self.layouts['state'][subject].size} component(s): an attitude has three "
+                    "(modified Rodrigues parameters) or four (quaternion)."
+                )
+        elif not (
+            (kind in ("effort", "energy") and subject in self.layouts["applied"])
+            or (kind in ("saturation", "variation") and subject in self.layouts["command"])
+        ):
+            states = self.layouts["state"].names
+            known = [*self.measures, *(n for n in states if n not in self.measures)]
+            known += [f"angle({n})" for n in states if self.layouts["state"][n].size in (3, 4)]
+            raise unknown_name("measure", name, "the campaign", known)
+        if kind in ("error", "angle") and not self._has_target(subject):
+            raise ArgumentError(
+                f"the controller follows no reference of '{subject}': give target={{'{subject}': ...}}."
+            )
+        return kind, subject
+
+    # --- what passed --------------------------------------------------------------------------------------
+
+    @cached_property
+    def ok(self) -> Any:
+        """Whether each run's outcome is OK, bool array (m,)."""
+        return np.array([outcome.ok for outcome in self.outcomes], dtype=bool)
+
+    def passed(self, name: str | None = None) -> Any:
+        """Return whether each run is OK and within one limit, or all of them: bool array (m,)."""
+        names = self.limits if name is None else [name]
+        passed = self.ok.copy()
+        for each in names:
+            if each not in self.limits:
+                raise unknown_name("limit", each, "the campaign", self.limits)
+            passed &= self.measure(each) <= self.limits[each]  # false for not-a-number
+        return passed
+
+    def pass_rate(self, name: str | None = None, confidence: float = CONFIDENCE) -> PassRate:
+        """Return the share of runs that are OK and within one limit, or all; see `statistics.pass_rate`.
+
+        Raises
+        ------
+        GncOptError
+            No run has ended.
+        """
+        return pass_rate(int(np.sum(self.passed(name))), self._need_runs(), confidence)
+
+    def percentile(self, name: str, level: float, confidence: float = CONFIDENCE) -> Percentile:
+        """Return a percentile of a measure; ``level`` in (0, 1). Runs without a value count as infinite."""
+        self._need_runs()
+        return percentile(self.measure(name), level, confidence)
+
+    def maximum(self, name: str) -> float:
+        """Return the largest value of a measure; infinite if a run has none."""
+        self._need_runs()
+        return float(np.max(_or_infinite(self.measure(name))))
+
+    @property
+    def counts(self) -> dict[RunStatus, int]:
+        """How many runs ended with each status."""
+        found = Counter(outcome.status for outcome in self.outcomes)
+        return {status: found[status] for status in RunStatus if found[status]}
+
+    @property
+    def failures(self) -> dict[int, Outcome]:
+        """Outcomes of the runs that are not OK, by number of the run."""
+        pairs = zip(self.indices, self.outcomes, strict=True)
+        return {int(i): outcome for i, outcome in pairs if not outcome.ok}
+
+    def worst(self, name: str, count: int = 5) -> list[int]:
+        """Return the numbers of the runs with the largest values of a measure, the worst first."""
+        order = np.argsort(-_or_infinite(self.measure(name)), kind="stable")
+        return [int(i) for i in self.indices[order[:count]]]
+
+    def with_limits(self, **limits: float) -> Campaign:
+        """Return the same runs judged by other limits; names with brackets: ``**{"angle(sigma)": 0.01}``."""
+        changed = replace(self, limits=dict(limits))
+        for name in limits:
+            changed.measure(name)
+        return changed
+
+    # --- one run ------------------------------------------------------------------------------------------
+
+    def rerun(self, index: int) -> Run:
+        """Fly one run again, with everything logged; it ends with the same bits.
+
+        Parameters
+        ----------
+        index : int
+            Number of the run.
+
+        Raises
+        ------
+        ArgumentError
+            There is no such run, or it cannot be flown.
+        GncOptError
+            The campaign was loaded from a file: use ``Campaign.load(path, flight=loop.flight(...))``.
+        """
+        places = np.flatnonzero(self.indices == index)
+        if not places.size:
+            raise ArgumentError(f"the campaign has no run {index}: its {len(self)} runs count from 0.")
+        if self.flight is None:
+            raise GncOptError(
+                "the campaign came from a file and cannot fly: load it with flight=loop.flight(x0, tf=...)."
+            )
+        return self.flight.run(self.parameters[:, places[0]], [self.seed, int(index)])
+
+    # --- files --------------------------------------------------------------------------------------------
+
+    def to_json(self, path: str | Path | None = None) -> str:
+        """Return the statistics and what failed as JSON text; with a path also write it."""
+        from gnc_opt.report.campaign import campaign_text
+
+        text = campaign_text(self)
+        if path is not None:
+            Path(path).write_text(text, encoding="utf-8")
+        return text
+
+    def save(self, path: str | Path) -> Path:
+        """Write all runs to a file (``.npz`` is appended if it has no suffix); every bit is kept."""
+        from gnc_opt.simulation.campaign_storage import save
+
+        return save(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path, flight: Flight | None = None) -> Campaign:
+        """Read a campaign that `save` wrote.
+
+        Parameters
+        ----------
+        path : str or Path
+        flight : Flight, optional
+            ``loop.flight(x0, tf=...)`` of the same loop, for `rerun`.
+
+        Raises
+        ------
+        FileNotFoundError
+            There is no such file.
+        GncOptError
+            The file holds no campaign or a damaged one, or the flight is another one.
+        """
+        from gnc_opt.simulation.campaign_storage import load
+
+        return load(path, flight)
+
+    def _need_runs(self) -> int:
+        if not self.outcomes:
+            raise GncOptError("no run of the campaign has ended: let it fly longer.")
+        return len(self.outcomes)
+
+
+def _or_infinite(values: Array) -> Array:
+    return np.where(np.isnan(values), np.inf, values)

@@ -1,0 +1,134 @@
+"""Disturbances: what acts on the plant besides its controls.
+
+``on`` names a state (the disturbance adds to its rate, unit of the state per s) or a control (it adds to what the
+actuators apply, unit of the control).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_numbers
+from gnc_opt.errors import ArgumentError
+from gnc_opt.simulation.block import Block, Defaults, Parameters, Tick, scalar, values, whole_steps
+
+
+@dataclass(frozen=True)
+class Disturbance(Block):
+    """Base of disturbances: a continuous function of time and state, with a memory that changes at control steps."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.on, str):
+            raise ArgumentError(f"disturbance '{self.name}' acts on nothing: give on= a state or a control.")
+
+    def update(self, tick: Tick, state: Any, p: Parameters, noise: Any) -> Any:
+        """Return the memory during this control step, SX."""
+        return state
+
+    def value(self, t: Any, x: Mapping[str, Any], state: Any, p: Parameters) -> Any:
+        """Return the disturbance at time t (s) and the plant's state x (by name), SX column."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Constant(Disturbance):
+    """The same ``level`` all the time."""
+
+    level: ArrayLike
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {"level": (values(self.level, size, f"the level of '{self.name}'"), unit)}
+
+    def value(self, t: Any, x: Mapping[str, Any], state: Any, p: Parameters) -> Any:
+        return p["level"]
+
+
+@dataclass(frozen=True)
+class Sinusoid(Disturbance):
+    """``amplitude * sin(frequency * t + phase)``, frequency in rad/s, phase in rad."""
+
+    amplitude: ArrayLike
+    frequency: float
+    phase: ArrayLike = 0.0
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {
+            "amplitude": (values(self.amplitude, size, f"the amplitude of '{self.name}'"), unit),
+            "frequency": (scalar(self.frequency, f"the frequency of '{self.name}'"), "rad/s"),
+            "phase": (values(self.phase, size, f"the phase of '{self.name}'"), "rad"),
+        }
+
+    def value(self, t: Any, x: Mapping[str, Any], state: Any, p: Parameters) -> Any:
+        return p["amplitude"] * ca.sin(p["frequency"] * t + p["phase"])
+
+
+@dataclass(frozen=True)
+class RandomHold(Disturbance):
+    """Normal random values with standard deviation ``sigma``, each held for ``period`` (s).
+
+    Parameters
+    ----------
+    sigma : float or one per component
+    period : float, optional
+        A multiple of the control step, s; default one control step.
+    """
+
+    sigma: ArrayLike
+    period: float | None = None
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {"sigma": (values(self.sigma, size, f"sigma of '{self.name}'"), unit)}
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"sigma": (0.0, math.inf)}
+
+    def noise(self, size: int) -> int:
+        return size
+
+    def _steps(self, dt: float) -> int:
+        return max(
+            1, whole_steps(dt if self.period is None else self.period, dt, f"the period of '{self.name}'")
+        )
+
+    def check(self, size: int, h: float, dt: float) -> None:
+        self._steps(dt)
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        return ca.SX.zeros(signal.shape[0] + 1)
+
+    def update(self, tick: Tick, state: Any, p: Parameters, noise: Any) -> Any:
+        size = state.shape[0] - 1
+        drawn = ca.if_else(state[size] < 0.5, noise, state[:size])
+        return ca.vertcat(drawn, ca.if_else(state[size] > self._steps(tick.dt) - 1.5, 0.0, state[size] + 1))
+
+    def value(self, t: Any, x: Mapping[str, Any], state: Any, p: Parameters) -> Any:
+        return p["sigma"] * state[:-1]
+
+
+@dataclass(frozen=True)
+class Expression(Disturbance):
+    """Any function ``function(t, x, p)`` of time (s), the plant's states and the block's parameters, by name.
+
+    Examples
+    --------
+    >>> drag = Expression("drag", lambda t, x, p: -p["c"] * x["v"], {"c": 0.1}, on="v")
+    """
+
+    function: Callable[[Any, Mapping[str, Any], Mapping[str, Any]], Any]
+    constants: Mapping[str, ArrayLike] = field(default_factory=dict)
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {
+            name: (read_numbers(value, f"'{name}' of '{self.name}'").reshape(-1), "")
+            for name, value in self.constants.items()
+        }
+
+    def value(self, t: Any, x: Mapping[str, Any], state: Any, p: Parameters) -> Any:
+        return self.function(t, x, p)

@@ -1,0 +1,273 @@
+"""Flight: a closed loop over one time span, numeric and picklable: what single runs and campaigns are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.errors import ArgumentError
+from gnc_opt.model.layout import Array, Layout
+from gnc_opt.simulation.kernel import Kernel
+from gnc_opt.simulation.outcome import Outcome, RunStatus
+from gnc_opt.simulation.run import Run
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How n runs ended, and what they cost.
+
+    Attributes
+    ----------
+    states : array (n_states, n)
+        At the last time.
+    errors : array (n_errors, n) or None
+        Of the states relative to the reference at the last time, by the plant's own difference.
+    memory : array (n_memory, n)
+        Of the controller.
+    effort, energy : array (n_controls, n)
+        Integrals of \\|u\\| and u^2 of what the actuators applied (unit s, unit^2 s).
+    saturation_time : array (n_commands, n)
+        Time in which a limit acted on a command, s.
+    variation : array (n_commands, n)
+        Sum of the changes of the commands: chattering.
+    integration_error : array (n,)
+        Estimated, relative to max(1, \\|x\\|).
+    outcomes : tuple of n Outcome
+    """
+
+    states: Array
+    errors: Array | None
+    memory: Array
+    effort: Array
+    energy: Array
+    saturation_time: Array
+    variation: Array
+    integration_error: Array
+    outcomes: tuple[Outcome, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """A closed loop ready for many runs; see `ClosedLoop.flight`.
+
+    Attributes
+    ----------
+    layout : Layout
+        Of the columns P.
+    nominal : array (n_parameters,)
+        The nominal P.
+    ranges : tuple of two arrays (n_parameters,)
+        Permitted values of P.
+    times : array (n_steps + 1,)
+        Beginnings of the control steps and the end, s.
+    reference : array (n, n_steps + 1) or None
+        What the controller follows, in its own states.
+    substeps : int
+        Integration steps per minor step.
+    """
+
+    kernel: Kernel
+    substeps: int
+    nominal: Array
+    layout: Layout
+    ranges: tuple[Array, Array]
+    times: Array
+    schedule: Array
+    reference: Array | None
+    states: Layout
+    measured: Layout
+    commands: Layout
+    controls: Layout
+    memory: Layout
+    errors: Any
+    error_layout: Layout
+    watched: tuple[str, ...]
+    alarms: tuple[str, ...]
+    accuracy: float
+    minor_steps: int
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in vars(self).items() if not k.startswith("_")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+
+    @property
+    def n_steps(self) -> int:
+        """Number of control steps."""
+        return int(self.times.size - 1)
+
+    def final(self, P: Array, seeds: Sequence[Any]) -> Ending:
+        """Fly n runs and return how they ended; failed ones are flagged, never dropped.
+
+        Parameters
+        ----------
+        P : array (n_parameters, n)
+            One column per run, in the order of `layout`.
+        seeds : sequence of n seeds
+            Each anything that ``numpy.random.SeedSequence`` takes (an int, a list of ints), or one itself.
+        """
+        P = np.asarray(P, dtype=float)
+        if P.shape != (self.layout.size, len(seeds)):
+            raise ArgumentError(
+                f"the parameters of {len(seeds)} runs have the shape {P.shape}: "
+                f"give ({self.layout.size}, {len(seeds)})."
+            )
+        final = np.full((P.shape[1], self.kernel.state.size), np.nan)
+        known, column = self._fixed.copy(), np.empty(self.layout.size)
+        fly, evaluate = self._fold.buffer()  # reads and writes these arrays themselves: no conversion per run
+        fly.set_arg(0, memoryview(known.data))
+        fly.set_arg(1, memoryview(column.data))
+        refused: dict[int, str] = {}
+        for i, seed in enumerate(seeds):
+            culprit = self.refusal(P[:, i])
+            if culprit:
+                refused[i] = culprit
+                continue
+            self._draw(known, seed)
+            column[:] = P[:, i]
+            fly.set_res(0, memoryview(final[i].data))
+            evaluate()
+        return self._ending(final.T, refused)
+
+    def run(self, P: Array, seed: Any) -> Run:
+        """Fly one run and return all of it; its last state has the bits of `final`.
+
+        Raises
+        ------
+        ArgumentError
+            A parameter is outside its permitted range.
+        """
+        P = np.asarray(P, dtype=float)
+        culprit = self.refusal(P)
+        if culprit:
+            raise ArgumentError(f"the run cannot be flown: {culprit}.")
+        known = self._fixed.copy()
+        self._draw(known, seed)
+        first, columns, log = (o.full() for o in self._logged(known.T, P))
+        X = np.hstack([first, columns])
+        parts, logs = self.kernel.state.split(X), self.kernel.log.split(log)
+        ending = self._ending(X[:, -1:], {})
+        return Run(
+            times=self.times.copy(),
+            states=parts["plant"],
+            measured=logs["measured"],
+            commands=logs["commands"],
+            applied=logs["applied"],
+            memory=parts["memory"],
+            reference=self.reference,
+            errors=self._relative(parts["plant"], slice(None)),
+            parameters=P.copy(),
+            effort=ending.effort[:, 0],
+            energy=ending.energy[:, 0],
+            saturation=ending.saturation_time[:, 0],
+            variation=ending.variation[:, 0],
+            integration_error=float(ending.integration_error[0]),
+            outcome=ending.outcomes[0],
+            seed=str(seed),
+            layouts={
+                "state": self.states,
+                "measured": self.measured,
+                "command": self.commands,
+                "applied": self.controls,
+                "memory": self.memory,
+                "error": self.error_layout,
+                "parameter": self.layout,
+            },
+        )
+
+    def refusal(self, P: Array) -> str:
+        """Return what is wrong with a column P (n_parameters,), "" if nothing is."""
+        lower, upper = self.ranges
+        bad = np.flatnonzero(~((lower <= P) & (upper >= P)))
+        if not bad.size:
+            return ""
+        i = int(bad[0])
+        return f"'{self.layout.labels[i]}' is {P[i]:g}, outside [{lower[i]:g}, {upper[i]:g}]"
+
+    # --- internals ----------------------------------------------------------------------------------------
+
+    @cached_property
+    def _fold(self) -> Any:
+        """``(w of all steps, P) -> X at the end``."""
+        return self._whole(lambda x, w, p: [_without_log(self.kernel.step).fold(self.n_steps)(x, w, p)])
+
+    @cached_property
+    def _logged(self) -> Any:
+        """``(w of all steps, P) -> X at the start, X after every step, log of every step``."""
+        return self._whole(lambda x, w, p: [x, *self.kernel.step.mapaccum(self.n_steps)(x, w, p)])
+
+    def _whole(self, outputs: Callable[[Any, Any, Any], list[Any]]) -> Any:
+        w, p = ca.MX.sym("w", self.kernel.known.size, self.n_steps), ca.MX.sym("P", self.layout.size)
+        first = self.kernel.start(w[:, 0], p)
+        return ca.Function("whole", [w, p], outputs(first, w, ca.repmat(p, 1, self.n_steps)))
+
+    @cached_property
+    def _fixed(self) -> Array:
+        """Times and schedule, one row per step; the places of the random numbers are zero."""
+        known = np.zeros((self.n_steps, self.kernel.known.size))
+        known[:, 0] = self.times[:-1]
+        known[:, 1 : 1 + self.schedule.shape[0]] = self.schedule.T
+        return known
+
+    def _draw(self, known: Array, seed: Any) -> None:
+        """Put the random numbers of a seed in their places."""
+        first = 1 + self.schedule.shape[0]
+        sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+        generator = np.random.Generator(np.random.Philox(sequence))
+        known[:, first:] = generator.standard_normal((self.n_steps, known.shape[1] - first))
+
+    def _ending(self, final: Array, refused: dict[int, str]) -> Ending:
+        parts = self.kernel.state.split(final)
+        outcomes = tuple(
+            Outcome(RunStatus.REFUSED, refused[i]) if i in refused else self._outcome(parts, i)
+            for i in range(final.shape[1])
+        )
+        return Ending(
+            parts["plant"],
+            self._relative(parts["plant"], slice(-1, None)),
+            parts["memory"],
+            parts["effort"],
+            parts["energy"],
+            parts["saturation"],
+            parts["variation"],
+            parts["error"][0],
+            outcomes,
+        )
+
+    def _outcome(self, parts: dict[str, Array], i: int) -> Outcome:
+        if parts["fault"][0, i] != 0:
+            return Outcome(
+                RunStatus.NOT_FINITE,
+                self.watched[int(parts["fault"][0, i]) - 1],
+                float(parts["fault time"][0, i]),
+            )
+        if parts["alarm"][0, i] != 0:
+            return Outcome(
+                RunStatus.ALARM, self.alarms[int(parts["alarm"][0, i]) - 1], float(parts["alarm time"][0, i])
+            )
+        error = float(parts["error"][0, i])
+        if not error <= self.accuracy:
+            return Outcome(RunStatus.INACCURATE, f"integration error {error:.2g}")
+        return Outcome(RunStatus.OK)
+
+    def _relative(self, states: Array, columns: slice) -> Array | None:
+        """Return the errors of plant states relative to the reference; states without one are not-a-number."""
+        if self.reference is None:
+            return None
+        follow = np.full((self.states.size, self.times[columns].size), np.nan)
+        for name in self.measured.names:
+            follow[self.states.slice(name)] = self.reference[self.measured.slice(name)][:, columns]
+        wide = np.broadcast_to(follow, states.shape) if follow.shape[1] == 1 else follow
+        return np.asarray(self.errors(states, wide).full())
+
+
+def _without_log(step: Any) -> Any:
+    """Return the step without its log, so that what only the log needs is not computed."""
+    symbols = step.sx_in() if step.is_a("SXFunction") else step.mx_in()
+    return ca.Function("only", symbols, [step(*symbols)[0]], ["X", "w", "P"], ["X_next"])

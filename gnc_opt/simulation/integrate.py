@@ -1,0 +1,79 @@
+r"""Fixed-step integration by the Runge-Kutta pair of Dormand and Prince, as symbolic expressions.
+
+The fifth-order solution is carried on; its distance to the embedded fourth-order one,
+
+.. math:: e = h \sum_i (b_i - \hat b_i) k_i,
+
+estimates the error of the *fourth*-order solution over one step, and so is a safe estimate of what is carried on.
+
+Source: Dormand and Prince, "A family of embedded Runge-Kutta formulae", J. Comp. Appl. Math. 6 (1), 19-26, 1980,
+table 2 (RK5(4)7M).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+
+NODES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
+
+STAGES: tuple[tuple[float, ...], ...] = (
+    (),
+    (1 / 5,),
+    (3 / 40, 9 / 40),
+    (44 / 45, -56 / 15, 32 / 9),
+    (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
+    (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
+    (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
+)
+"""The last row is the fifth-order solution: the last stage is the first one of the next step."""
+
+ERROR_WEIGHTS = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
+"""b - b_hat."""
+
+
+def dormand_prince(
+    f: Callable[[Any, Any], Any], t: Any, x: Any, length: Any, steps: int = 1
+) -> tuple[Any, Any]:
+    """Integrate ``dx/dt = f(t, x)`` over ``length`` in equal steps.
+
+    Parameters
+    ----------
+    f : callable
+        ``f(t, x)`` of a scalar and a column, SX or numbers.
+    t, x : scalar and column
+        Where to begin (s and the units of the state).
+    length : scalar
+        s.
+    steps : int
+
+    Returns
+    -------
+    x : column
+        The state at the end.
+    error : scalar
+        Sum over the steps of the largest component of ``|e| / max(1, |x|)``.
+    """
+    h = length / steps
+    rate = f(t, x)
+    total = 0.0
+    for i in range(steps):
+        start = t + i * h
+        k = [rate]
+        for node, row in zip(NODES[1:], STAGES[1:], strict=True):
+            after = x + h * _combine(row, k)
+            k.append(f(start + node * h, after))
+        error = h * _combine(ERROR_WEIGHTS, k)
+        total = total + ca.mmax(ca.fabs(error) / ca.fmax(1.0, ca.fabs(after)))
+        x, rate = after, k[-1]
+    return x, total
+
+
+def _combine(weights: tuple[float, ...], k: list[Any]) -> Any:
+    terms = [w * rate for w, rate in zip(weights, k, strict=True) if w != 0.0]
+    total = terms[0]
+    for term in terms[1:]:
+        total = total + term
+    return total

@@ -1,0 +1,344 @@
+r"""Kernel: one control step of the closed loop as a CasADi function, the stuff of runs and campaigns.
+
+At a control step that begins at :math:`t_k`: the sensors sample the plant, the controller computes the command, which
+is held; then m minor steps follow, in each of which the actuators advance and the plant is integrated with what they
+apply on average. Everything that changes is in one column X (`Places`), everything that can be dispersed in one
+column P (`ClosedLoop.layout`), everything known or drawn beforehand in one column w: time, schedule, random numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+
+from gnc_opt.model.layout import Layout
+from gnc_opt.simulation.block import Step, Tick, rows
+from gnc_opt.simulation.integrate import dormand_prince
+from gnc_opt.simulation.signals import Link, kinds, put, take
+
+if TYPE_CHECKING:
+    from gnc_opt.simulation.loop import ClosedLoop
+
+_LARGE = 1e300
+"""What is not below this in size counts as not finite."""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Names and sizes of consecutive parts of a column; ``split`` takes it apart, ``join`` puts it together."""
+
+    parts: tuple[tuple[str, int], ...]
+
+    @property
+    def size(self) -> int:
+        """Length of the column."""
+        return sum(n for _, n in self.parts)
+
+    def split(self, column: Any) -> dict[str, Any]:
+        """Return the parts (rows) of a column or an array by name."""
+        out, at = {}, 0
+        for name, n in self.parts:
+            out[name] = (
+                rows(column, at, at + n) if isinstance(column, (ca.SX, ca.MX)) else column[at : at + n]
+            )
+            at += n
+        return out
+
+    def join(self, values: Mapping[str, Any]) -> Any:
+        """Return the column of all parts."""
+        return ca.vertcat(*[values[name] for name, _ in self.parts])
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """The functions of a loop and the layout of their columns.
+
+    Attributes
+    ----------
+    start : casadi.Function
+        ``(w, P) -> X`` at the first control step.
+    step : casadi.Function
+        ``(X, w, P) -> (X_next, log)``.
+    state, known, log : Places
+        Of X, w and log.
+    """
+
+    start: Any
+    step: Any
+    state: Places
+    known: Places
+    log: Places
+
+
+def build_kernel(loop: ClosedLoop, substeps: int) -> Kernel:
+    """Return the kernel with the plant integrated in ``substeps`` per minor step."""
+    return _Builder(loop, substeps).kernel()
+
+
+class _Builder:
+    """Makes the symbols, then the pieces of a step in order."""
+
+    def __init__(self, loop: ClosedLoop, substeps: int) -> None:
+        self.loop, self.substeps = loop, substeps
+        self.h = loop.dt / loop.minor_steps
+        self.P = ca.SX.sym("P", loop.layout.size)
+        self.p = {name: self.P[loop.layout.slice(name)] for name in loop.layout.names}
+        self.plant_p = take(self.p, [f"plant.{n}" for n in loop.plant.parameters.names])
+        self.measured = Layout("state", loop.controller.states.variables)
+        groups = (
+            ("sensor", loop.sensor_links),
+            ("actuator", loop.actuator_links),
+            ("push", loop.disturbance_links),
+        )
+        zero = {k: self._memory_sizes(links, k) for k, links in groups}
+        m = loop.minor_steps
+        noises = {
+            k: [link.block.noise(link.size) * (m if k == "actuator" else 1) for link in links]
+            for k, links in groups
+        }
+        controls, commands = loop.plant.controls.size, loop.controller.commands.size
+        self.state = Places(
+            (
+                ("plant", loop.plant.states.size),
+                *((f"{k} {i}", n) for k, sizes in zero.items() for i, n in enumerate(sizes)),
+                ("memory", loop.controller.memory.size),
+                ("command", commands),
+                ("effort", controls),
+                ("energy", controls),
+                ("saturation", commands),
+                ("variation", commands),
+                ("steps", 1),
+                ("error", 1),
+                ("fault", 1),
+                ("fault time", 1),
+                ("alarm", 1),
+                ("alarm time", 1),
+            )
+        )
+        self.known = Places(
+            (
+                ("t", 1),
+                ("r", loop.controller.signals.size),
+                *((f"{k} {i}", n) for k, sizes in noises.items() for i, n in enumerate(sizes)),
+            )
+        )
+        self.log = Places(
+            (("measured", self.measured.size), ("commands", commands), ("applied", controls), ("error", 1))
+        )
+
+    # --- pieces -------------------------------------------------------------------------------------------
+
+    def _memory_sizes(self, links: Sequence[Link], kind: str) -> list[int]:
+        x = ca.SX.zeros(self.loop.plant.states.size)
+        length = self.h if kind == "actuator" else self.loop.dt
+        tick = Tick(0.0, length, self.loop.dt, 0, self._by_state(x))
+        return [
+            link.block.start(ca.SX.zeros(link.size), self._parameters(link), tick).shape[0] for link in links
+        ]
+
+    def _parameters(self, link: Link) -> dict[str, Any]:
+        prefix = f"{link.block.name}."
+        return {n[len(prefix) :]: s for n, s in self.p.items() if n.startswith(prefix)}
+
+    def _by_state(self, x: Any) -> dict[str, Any]:
+        states = self.loop.plant.states
+        return {n: x[states.slice(n)] for n in states.names}
+
+    def _sense(
+        self, x: Any, t: Any, memory: dict[str, Any] | None, w: dict[str, Any]
+    ) -> tuple[Any, dict[str, Any]]:
+        """Return the measured state and the sensors' memories; without memories they begin."""
+        by_name = self._by_state(x)
+        signals = {n: by_name[n] for n in self.measured.names}
+        tick = Tick(t, self.loop.dt, self.loop.dt, 0, by_name)
+        after = {}
+        for i, link in enumerate(self.loop.sensor_links):
+            key, p, signal = f"sensor {i}", self._parameters(link), take(signals, link.on)
+            before = link.block.start(signal, p, tick) if memory is None else memory[key]
+            step = link.block.step(tick, signal, before, p, w[key])
+            signals = put(signals, link, step.signal)
+            after[key] = before if memory is None else step.state
+        return take(signals, self.measured.names), after
+
+    def _actuate(
+        self, tick: Tick, u: Any, memory: dict[str, Any], w: dict[str, Any], minor: int
+    ) -> tuple[Any, Any]:
+        """Return what is applied to the plant's controls and which commands are saturated; updates ``memory``."""
+        commands, controls = self.loop.controller.commands, self.loop.plant.controls
+        signals = {n: u[commands.slice(n)] for n in commands.names}
+        origin = {n: {n} for n in commands.names}
+        saturated = {n: ca.SX.zeros(commands[n].size) for n in commands.names}
+        for i, link in enumerate(self.loop.actuator_links):
+            key, count = f"actuator {i}", link.block.noise(link.size)
+            noise = w[key][minor * count : (minor + 1) * count]
+            signal = take(signals, link.on)
+            step = link.block.step(tick, signal, memory[key], self._parameters(link), noise)
+            memory[key] = step.state
+            _mark(saturated, step, link, origin)
+            signals = put(signals, link, step.signal)
+            sources = set().union(*(origin[n] for n in link.on))
+            origin.update({n: origin[n] if n in link.on else sources for n in link.outputs})
+        missing = {n: ca.SX.zeros(controls[n].size) for n in controls.names if n not in signals}
+        return take({**signals, **missing}, controls.names), take(saturated, commands.names)
+
+    def _rate(self, u: Any, pushes: dict[str, Any]) -> Any:
+        """Return f(t, x) of the plant under applied controls and disturbances."""
+        plant, links = self.loop.plant, self.loop.disturbance_links
+
+        def f(t: Any, x: Any) -> Any:
+            by_name = self._by_state(x)
+            extra_u, extra_x = ca.SX.zeros(plant.controls.size), ca.SX.zeros(plant.states.size)
+            for i, link in enumerate(links):
+                value = link.block.value(t, by_name, pushes[f"push {i}"], self._parameters(link))  # type: ignore[attr-defined]
+                if link.on[0] in plant.controls:
+                    extra_u[plant.controls.slice(link.on[0])] += value
+                else:
+                    extra_x[plant.states.slice(link.on[0])] += value
+            return plant.function(t, x, u + extra_u, self.plant_p) + extra_x
+
+        return f
+
+    # --- functions ----------------------------------------------------------------------------------------
+
+    def kernel(self) -> Kernel:
+        """Return the finished functions."""
+        start, step = self._start(), self._step()
+        return Kernel(start, step, self.state, self.known, self.log)
+
+    def _start(self) -> Any:
+        loop = self.loop
+        column = ca.SX.sym("w", self.known.size)
+        w = self.known.split(column)
+        x = take(self.p, [f"initial.{n}" for n in loop.plant.states.names])
+        y, sensors = self._sense(x, w["t"], None, w)
+        tick = Tick(w["t"], self.h, loop.dt, 0, self._by_state(x))
+        parts: dict[str, Any] = {name: ca.SX.zeros(n) for name, n in self.state.parts}
+        parts |= {"plant": x, **sensors}
+        for key, links in (("actuator", loop.actuator_links), ("push", loop.disturbance_links)):
+            for i, link in enumerate(links):
+                parts[f"{key} {i}"] = link.block.start(ca.SX.zeros(link.size), self._parameters(link), tick)
+        before = ca.Function("before", [column, self.P], [y, self.state.join(parts)])
+        kind = _symbol_kind(loop.controller.start)
+        w_, p_ = kind.sym("w", self.known.size), kind.sym("P", self.P.shape[0])
+        y_, state = before(w_, p_)
+        values = self.state.split(state)
+        known = self.known.split(w_)
+        values["memory"] = loop.controller.start(known["t"], y_, known["r"])
+        return ca.Function("start", [w_, p_], [self.state.join(values)], ["w", "P"], ["X"])
+
+    def _step(self) -> Any:
+        loop = self.loop
+        sense, act = self._sense_function(), self._act_function()
+        kind = _symbol_kind(loop.controller.step)
+        x_, w_, p_ = (
+            kind.sym(n, s)
+            for n, s in (("X", self.state.size), ("w", self.known.size), ("P", self.P.shape[0]))
+        )
+        y, sensed = sense(x_, w_, p_)
+        known = self.known.split(w_)
+        u, memory = loop.controller.step(known["t"], y, known["r"], self.state.split(x_)["memory"])
+        after, log = act(sensed, w_, p_, y, u, memory)
+        return ca.Function("step", [x_, w_, p_], [after, log], ["X", "w", "P"], ["X_next", "log"])
+
+    def _sense_function(self) -> Any:
+        x, column = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
+        state, w = self.state.split(x), self.known.split(column)
+        y, sensors = self._sense(state["plant"], w["t"], state, w)
+        return ca.Function("sense", [x, column, self.P], [y, self.state.join(state | sensors)])
+
+    def _act_function(self) -> Any:
+        """The minor steps and the book-keeping: ``(X, w, P, y, u, z_next) -> (X_next, log)``."""
+        loop, h = self.loop, self.h
+        column_x, column = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
+        y, u = ca.SX.sym("y", self.measured.size), ca.SX.sym("u", loop.controller.commands.size)
+        z = ca.SX.sym("z", loop.controller.memory.size)
+        state, w = self.state.split(column_x), self.known.split(column)
+        new = dict(state)
+        for i, link in enumerate(loop.disturbance_links):
+            key = f"push {i}"
+            tick = Tick(w["t"], loop.dt, loop.dt, 0, self._by_state(state["plant"]))
+            new[key] = link.block.update(tick, state[key], self._parameters(link), w[key])  # type: ignore[attr-defined]
+        x, mean, error = state["plant"], ca.SX.zeros(loop.plant.controls.size), ca.SX(0)
+        for i in range(loop.minor_steps):
+            tick = Tick(w["t"] + i * h, h, loop.dt, i, self._by_state(x))
+            applied, saturated = self._actuate(tick, u, new, w, i)
+            x, estimate = dormand_prince(self._rate(applied, new), tick.t, x, h, self.substeps)
+            error += estimate
+            mean += applied / loop.minor_steps
+            new["effort"] += h * ca.fabs(applied)
+            new["energy"] += h * applied**2
+            new["saturation"] += h * saturated
+        new |= {
+            "plant": x,
+            "memory": z,
+            "command": u,
+            "steps": state["steps"] + 1,
+            "error": state["error"] + error,
+        }
+        new["variation"] += ca.if_else(state["steps"] > 0.5, ca.fabs(u - state["command"]), 0.0)
+        self._watch(new, state, w["t"], ca.vertcat(y, u, mean, x), z)
+        log = self.log.join({"measured": y, "commands": u, "applied": mean, "error": error})
+        return ca.Function("act", [column_x, column, self.P, y, u, z], [self.state.join(new), log])
+
+    def _watch(self, new: dict[str, Any], state: dict[str, Any], t: Any, watched: Any, z: Any) -> None:
+        """Keep the first thing that is not finite and the first alarm, and their times."""
+        loop = self.loop
+        fault = ca.SX(0)
+        for i in reversed(range(watched.shape[0])):
+            fault = ca.if_else(ca.fabs(watched[i]) < _LARGE, fault, i + 1.0)
+        places = [loop.controller.memory.slice(name) for name in loop.controller.alarms]
+        flags = [z[k] for place in places for k in range(place.start, place.stop)]
+        alarm = ca.SX(0)
+        for i, flag in reversed(list(enumerate(flags))):
+            alarm = ca.if_else(
+                ca.fabs(flag) <= 0, alarm, i + 1.0
+            )  # not "!= 0": that is false for NaN in some VMs
+        for name, code in (("fault", fault), ("alarm", alarm)):
+            fresh = ca.logic_and(state[name] < 0.5, code > 0.5)
+            new[name] = ca.if_else(fresh, code, state[name])
+            new[f"{name} time"] = ca.if_else(fresh, t, state[f"{name} time"])
+
+
+def watched_labels(loop: ClosedLoop) -> list[str]:
+    """Return what the codes of the first non-finite quantity mean, code 1 first."""
+    groups = (
+        ("measured", loop.controller.states),
+        ("command", loop.controller.commands),
+        ("applied", loop.plant.controls),
+        ("state", loop.plant.states),
+    )
+    return [f"{kind} '{label}'" for kind, layout in groups for label in layout.labels]
+
+
+def alarm_labels(loop: ClosedLoop) -> list[str]:
+    """Return the controller's alarms by code, code 1 first."""
+    memory = loop.controller.memory
+    return [label for name in loop.controller.alarms for label in memory[name].labels]
+
+
+def _mark(saturated: dict[str, Any], step: Step, link: Link, origin: Mapping[str, set[str]]) -> None:
+    """Note where a limit acts: at the same component, or at every component that led to it."""
+    if step.saturated is None:
+        return
+    at = 0
+    sizes = {n: saturated[n].shape[0] for n in saturated}
+    straight = link.size == step.saturated.shape[0] and all(n in sizes for n in link.on)
+    if straight:
+        for name in link.on:
+            part = step.saturated[at : at + sizes[name]]
+            saturated[name] = ca.fmax(saturated[name], part)
+            at += sizes[name]
+        return
+    any_at_all = ca.mmax(step.saturated)
+    for name in set().union(*(origin[n] for n in link.on)):
+        saturated[name] = ca.fmax(saturated[name], any_at_all)
+
+
+def _symbol_kind(function: Any) -> Any:
+    return ca.SX if function.is_a("SXFunction") else ca.MX
+
+
+__all__ = ["Kernel", "Places", "alarm_labels", "build_kernel", "kinds", "watched_labels"]

@@ -1,0 +1,380 @@
+"""ClosedLoop: a plant, its controller, and what lies between them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect, read_integer, read_numbers, read_positive
+from gnc_opt.control.controller import Controller
+from gnc_opt.errors import ArgumentError, unknown_name
+from gnc_opt.model.layout import Array, Layout, Variable, as_vector
+from gnc_opt.model.model import Model
+from gnc_opt.simulation.block import Block
+from gnc_opt.simulation.disturbances import Disturbance
+from gnc_opt.simulation.fit import check_applied, check_measured, check_names
+from gnc_opt.simulation.flight import Flight
+from gnc_opt.simulation.kernel import Kernel, alarm_labels, build_kernel, watched_labels
+from gnc_opt.simulation.run import Run
+from gnc_opt.simulation.signals import Link, chain, kinds
+
+MAX_SUBSTEPS = 64
+"""Integration steps per minor step at most; a plant that needs more is too fast for this step."""
+
+_STABLE = 3.0
+"""The Runge-Kutta method damps a real mode up to 3.3 times the inverse of its step."""
+
+_MAX_STEPS = 2_000_000
+
+_MAX_UNROLLED = 2000
+"""Integration steps per control step at most: they are written out one by one in the compiled function."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """A plant under a discrete-time controller, with actuators, sensors and disturbances.
+
+    Every control step of ``dt`` begins with a measurement and a command, which is held; it has ``minor_steps``
+    equal parts, at which the actuators advance and between which the plant is integrated.
+
+    Parameters
+    ----------
+    plant : Model
+        May differ from the one the controller was designed with, as long as it has the controller's states and
+        the applied controls by name; its other controls are zero.
+    controller : Controller
+    actuators, sensors : sequence of Block
+        In the order in which the signal passes them.
+    disturbances : sequence of Disturbance
+    dt : float, optional
+        Control step, s; default the controller's own.
+    minor_steps : int
+        Parts of a control step.
+    accuracy : float
+        Of the integration over a run, relative to max(1, \\|x\\|) per state: as many integration steps per minor step
+        are taken as the nominal run needs by its own error estimate, a safe one: the true error is often orders of
+        magnitude smaller. Runs that miss it are flagged.
+    substeps : int, optional
+        Integration steps per minor step; default: chosen by ``accuracy``.
+
+    Raises
+    ------
+    ArgumentError, UnknownNameError
+        Something does not fit; the message names it.
+    """
+
+    plant: Model
+    controller: Controller
+    actuators: Sequence[Block] = ()
+    sensors: Sequence[Block] = ()
+    disturbances: Sequence[Disturbance] = ()
+    dt: float = field(default=None, kw_only=True)  # type: ignore[assignment]
+    minor_steps: int = field(default=1, kw_only=True)
+    accuracy: float = field(default=1e-9, kw_only=True)
+    substeps: int | None = field(default=None, kw_only=True)
+    actuator_links: tuple[Link, ...] = field(init=False, repr=False)
+    sensor_links: tuple[Link, ...] = field(init=False, repr=False)
+    disturbance_links: tuple[Link, ...] = field(init=False, repr=False)
+    _kernels: dict[int, Kernel] = field(init=False, repr=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        expect(self.plant, Model, "the plant of a closed loop", "give a Model")
+        expect(
+            self.controller, Controller, "the controller of a closed loop", "design one or use feedforward()"
+        )
+        set_ = object.__setattr__
+        set_(self, "dt", self.controller.step_length(self.dt))
+        set_(self, "minor_steps", read_integer(self.minor_steps, "minor_steps of a closed loop", 1))
+        set_(self, "accuracy", read_positive(self.accuracy, "the accuracy of a closed loop"))
+        if self.substeps is not None:
+            read_integer(self.substeps, "substeps of a closed loop", 1)
+        self.plant.derivative()
+        for name, kind in (("actuators", Block), ("sensors", Block), ("disturbances", Disturbance)):
+            given = getattr(self, name)
+            set_(self, name, tuple([given] if isinstance(given, Block) else given))
+            for block in getattr(self, name):
+                expect(
+                    block,
+                    kind,
+                    f"one of the {name} of a closed loop",
+                    f"use those of gnc_opt.simulation.{name}",
+                )
+        check_measured(self.plant, self.controller)
+        check_names((*self.actuators, *self.sensors, *self.disturbances))
+        commands = kinds(self.controller.commands)
+        links, applied = chain(self.actuators, commands, "command")
+        set_(self, "actuator_links", tuple(links))
+        check_applied(self.plant, applied)
+        sensors, seen = chain(self.sensors, kinds(self.controller.states), "measured state")
+        if seen != kinds(self.controller.states):
+            raise ArgumentError(
+                "the sensors of a closed loop change names or sizes of the states: keep them."
+            )
+        set_(self, "sensor_links", tuple(sensors))
+        targets = kinds(self.plant.controls) | {
+            n: (size, f"{unit}/s") for n, (size, unit) in kinds(self.plant.states).items()
+        }
+        pushes = [chain([d], targets, "state or control")[0][0] for d in self.disturbances]
+        set_(self, "disturbance_links", tuple(pushes))
+        for group, step in ((links, self.dt / self.minor_steps), (sensors, self.dt), (pushes, self.dt)):
+            for link in group:
+                link.block.check(link.size, step, self.dt)
+
+    # --- what can be dispersed ----------------------------------------------------------------------------
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Names, sizes and units of everything that can differ between runs.
+
+        ``"plant.<parameter>"``, ``"initial.<state>"`` and ``"<block>.<parameter>"``.
+        """
+        return Layout("parameter", tuple(v for v, _ in self._entries()), "the closed loop")
+
+    @cached_property
+    def defaults(self) -> Array:
+        """Values of `layout`, shape (n,); initial states are not-a-number until they are given."""
+        return np.concatenate([value for _, value in self._entries()])
+
+    @cached_property
+    def ranges(self) -> tuple[Array, Array]:
+        """Least and largest permitted values of `layout`, each of shape (n,)."""
+        lower, upper = np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf)
+        for link, h in self._links():
+            for name, (least, largest) in link.block.limits(h, self.dt).items():
+                place = self.layout.slice(f"{link.block.name}.{name}")
+                lower[place], upper[place] = least, largest
+        return lower, upper
+
+    def parameters(
+        self,
+        x0: ArrayLike | Mapping[str, ArrayLike] | None = None,
+        changes: Mapping[str, ArrayLike] | None = None,
+    ) -> Array:
+        """Return the column P (n,) of a run: the defaults, the initial states and the changes by dotted name.
+
+        Parameters
+        ----------
+        x0 : array (n_states,) or mapping by name
+            Initial state of the plant.
+        changes : mapping
+            E.g. ``{"plant.mass": 3100.0, "initial.r_L": [20.0, 0.0, 0.0], "thrusters.tau": 0.05}``.
+
+        Raises
+        ------
+        ArgumentError, UnknownNameError
+            No such parameter, wrong sizes, no numbers, or an initial state is missing.
+        """
+        P = self.defaults.copy()
+        states = self.plant.states
+        if isinstance(x0, Mapping):
+            changes = {**{f"initial.{n}": v for n, v in x0.items()}, **(changes or {})}
+        elif x0 is not None:
+            x = as_vector(x0, states.size, "the initial state of a run", ArgumentError)
+            for name in states.names:
+                P[self.layout.slice(f"initial.{name}")] = x[states.slice(name)]
+        for name, value in (changes or {}).items():
+            if name not in self.layout:
+                raise unknown_name("parameter", name, "the closed loop", self.layout.names)
+            P[self.layout.slice(name)] = as_vector(
+                value, self.layout[name].size, f"parameter '{name}' of a run", ArgumentError
+            )
+        bad = np.flatnonzero(np.isnan(P))
+        if bad.size:
+            label = self.layout.labels[bad[0]]
+            raise ArgumentError(f"'{label}' of a run is not a number: give x0= every state, and numbers.")
+        return P
+
+    # --- runs ---------------------------------------------------------------------------------------------
+
+    def flight(
+        self,
+        x0: ArrayLike | Mapping[str, ArrayLike],
+        *,
+        t0: float = 0.0,
+        tf: float,
+        parameters: Mapping[str, ArrayLike] | None = None,
+    ) -> Flight:
+        """Return the loop made ready for many runs over one time span; it can be sent to other processes.
+
+        Parameters
+        ----------
+        x0 : array (n_states,) or mapping by name
+            Nominal initial state.
+        t0, tf : float
+            First time and last time, s. The last control step ends at ``tf`` or up to one step after it.
+        parameters : mapping
+            Nominal changes of parameters by dotted name.
+
+        Raises
+        ------
+        ArgumentError
+            Bad times or parameters; or the plant is too fast for ``accuracy`` at this step.
+        """
+        nominal = self.parameters(x0, parameters)
+        times = self._times(t0, tf)
+        rows = self._schedule(times)
+        if self.substeps is not None:
+            return self._flight(nominal, times, rows, self.substeps)
+        substeps = self._stable_substeps(nominal, times[0])
+        while True:
+            flight = self._flight(nominal, times, rows, substeps)
+            ending = flight.final(nominal[:, None], [0])
+            error = float(ending.integration_error[0])
+            # a run that leaves the finite numbers is not one whose accuracy could be had by more steps
+            if error <= self.accuracy or not np.isfinite(error) or ending.outcomes[0].not_finite:
+                return flight
+            if substeps >= MAX_SUBSTEPS:
+                raise self._too_fast(f"leave an error of {error:.1e} where {self.accuracy:.1e} is asked for")
+            # the local error of the embedded fourth-order solution, summed over a run, falls with h^4
+            needed = substeps * (error / self.accuracy) ** 0.25 * 1.1
+            substeps = int(min(MAX_SUBSTEPS, max(substeps + 1, np.ceil(needed))))
+
+    def simulate(
+        self,
+        x0: ArrayLike | Mapping[str, ArrayLike],
+        *,
+        t0: float = 0.0,
+        tf: float,
+        seed: Any = 0,
+        parameters: Mapping[str, ArrayLike] | None = None,
+    ) -> Run:
+        """Run the loop once and log everything.
+
+        Parameters
+        ----------
+        x0 : array (n_states,) or mapping by name
+            Initial state of the plant.
+        t0, tf : float
+            s; see `flight`.
+        seed : int or sequence of int
+            Of the random numbers: the same seed gives the same bits.
+        parameters : mapping
+            Changes by dotted name, see `layout`.
+
+        Returns
+        -------
+        Run
+            Also of a run that fails: ``run.outcome`` says what happened and when.
+        """
+        flight = self.flight(x0, t0=t0, tf=tf, parameters=parameters)
+        return flight.run(flight.nominal, seed)
+
+    def kernel(self, substeps: int) -> Kernel:
+        """Return the symbolic step with that many integration steps per minor step."""
+        if substeps * self.minor_steps > _MAX_UNROLLED:
+            raise ArgumentError(
+                f"a control step of {self.dt:g} s with {self.minor_steps} minor steps of {substeps} integration steps "
+                f"each has more than {_MAX_UNROLLED}: give a shorter dt, fewer minor_steps or a coarser accuracy."
+            )
+        if substeps not in self._kernels:
+            self._kernels[substeps] = build_kernel(self, substeps)
+        return self._kernels[substeps]
+
+    # --- internals ----------------------------------------------------------------------------------------
+
+    def _stable_substeps(self, nominal: Array, t: float) -> int:
+        """Return how many integration steps the fastest mode of the plant at the start needs to stay stable."""
+        plant, p = self.plant, {n: nominal[self.layout.slice(n)] for n in self.layout.names}
+        x = np.concatenate([p[f"initial.{n}"] for n in plant.states.names])
+        constants = np.concatenate([np.empty(0), *[p[f"plant.{n}"] for n in plant.parameters.names]])
+        a, _ = plant.linearize(t, x, np.zeros(plant.controls.size), constants)
+        if not np.all(np.isfinite(a)):
+            return 1  # the run itself will say what is not finite
+        fastest = float(np.max(np.abs(np.linalg.eigvals(a))))
+        substeps = max(1, int(np.ceil(fastest * self.dt / self.minor_steps / _STABLE)))
+        if substeps > MAX_SUBSTEPS:
+            raise self._too_fast(f"cannot follow its mode of {fastest:.3g} rad/s")
+        return substeps
+
+    def _too_fast(self, why: str) -> ArgumentError:
+        return ArgumentError(
+            f"the plant '{self.plant.name}' is too fast for minor steps of {self.dt / self.minor_steps:g} s: "
+            f"{MAX_SUBSTEPS} integration steps in each {why}; give more minor_steps, a coarser accuracy, or substeps."
+        )
+
+    def _flight(self, nominal: Array, times: Array, rows: Array, substeps: int) -> Flight:
+        return Flight(
+            kernel=self.kernel(substeps),
+            substeps=substeps,
+            nominal=nominal,
+            layout=self.layout,
+            ranges=self.ranges,
+            times=times,
+            schedule=rows[:, :-1],
+            reference=self._followed(rows),
+            states=self.plant.states,
+            measured=self.controller.states,
+            commands=self.controller.commands,
+            controls=self.plant.controls,
+            memory=self.controller.memory,
+            errors=self._error_function(),
+            error_layout=self.plant.errors,
+            watched=tuple(watched_labels(self)),
+            alarms=tuple(alarm_labels(self)),
+            accuracy=self.accuracy,
+            minor_steps=self.minor_steps,
+        )
+
+    def _times(self, t0: float, tf: float) -> Array:
+        begin = float(read_numbers(t0, "t0 of a run").reshape(-1)[0])
+        end = float(read_numbers(tf, "tf of a run").reshape(-1)[0])
+        if not (np.isfinite([begin, end]).all() and end > begin):
+            raise ArgumentError(
+                f"a run from t0 = {begin:g} s to tf = {end:g} s is none: give finite times, tf > t0."
+            )
+        count = max(1, int(np.ceil((end - begin) / self.dt - 1e-6)))
+        if count > _MAX_STEPS:
+            raise ArgumentError(
+                f"a run of {count} control steps is too long: give a larger dt or an earlier tf."
+            )
+        return np.asarray(begin + self.dt * np.arange(count + 1), dtype=np.float64)
+
+    def _schedule(self, times: Array) -> Array:
+        rows = np.asarray(self.controller.schedule(times, self.dt), dtype=float)
+        if rows.shape != (self.controller.signals.size, times.size):
+            raise ArgumentError(
+                f"the schedule of '{self.controller.name}' has the shape {rows.shape} where "
+                f"({self.controller.signals.size}, {times.size}) is needed."
+            )
+        return rows
+
+    def _followed(self, rows: Array) -> Array | None:
+        """Return the states the controller follows (n_states, n_times), if its schedule has them."""
+        signals, states = self.controller.signals, self.controller.states
+        if all(f"{n}_ref" in signals for n in states.names):
+            places = np.concatenate([np.r_[signals.slice(f"{n}_ref")] for n in states.names])
+        elif "x_ref" in signals and signals["x_ref"].size == states.size:
+            places = np.r_[signals.slice("x_ref")]
+        else:
+            return None
+        return np.asarray(rows[places])
+
+    def _error_function(self) -> Any:
+        x, x_ref = (ca.SX.sym(n, self.plant.states.size) for n in ("x", "x_ref"))
+        return ca.Function("e", [x, x_ref], [self.plant.error_expression(x, x_ref)])
+
+    def _links(self) -> list[tuple[Link, float]]:
+        h = self.dt / self.minor_steps
+        links = [(link, h) for link in self.actuator_links]
+        return links + [(link, self.dt) for link in (*self.sensor_links, *self.disturbance_links)]
+
+    def _entries(self) -> list[tuple[Variable, Array]]:
+        parameters, states = self.plant.parameters, self.plant.states
+        numbers = self.plant.parameter_values
+        entries = [
+            (Variable(f"plant.{v.name}", v.size, v.unit), numbers[parameters.slice(v.name)])
+            for v in parameters.variables
+        ]
+        entries += [
+            (Variable(f"initial.{v.name}", v.size, v.unit), np.full(v.size, np.nan)) for v in states.variables
+        ]
+        for link, _ in self._links():
+            for name, (value, unit) in link.block.parameters(link.size, link.unit).items():
+                entries.append((Variable(f"{link.block.name}.{name}", value.size, unit), value))
+        return entries

@@ -1,0 +1,228 @@
+"""monte_carlo: many runs of a closed loop whose parameters, initial states and noise are drawn at random."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect, read_integer, read_positive
+from gnc_opt.errors import ArgumentError, GncOptError
+from gnc_opt.model.layout import Array, as_vector
+from gnc_opt.simulation.campaign import Campaign
+from gnc_opt.simulation.crew import Crew, Flown, Mission
+from gnc_opt.simulation.dispersion import Dispersions, check_dispersions
+from gnc_opt.simulation.flight import Flight
+from gnc_opt.simulation.loop import ClosedLoop
+from gnc_opt.simulation.outcome import Outcome, RunStatus
+
+Judge = Callable[[Campaign], ArrayLike]
+"""A measure of one's own: returns a number per run, (m,)."""
+
+LOST = RunStatus.REFUSED
+"""Status of runs that have no ending, because their process died; the outcome's ``what`` says so."""
+
+
+def monte_carlo(
+    loop: ClosedLoop,
+    n: int,
+    *,
+    x0: ArrayLike | Mapping[str, ArrayLike],
+    tf: float,
+    t0: float = 0.0,
+    seed: int = 0,
+    dispersions: Dispersions | None = None,
+    parameters: Mapping[str, ArrayLike] | None = None,
+    target: Mapping[str, ArrayLike] | None = None,
+    limits: Mapping[str, float] | None = None,
+    judge: Mapping[str, Judge] | None = None,
+    executor: Executor | Literal["serial"] | None = None,
+    progress: bool = False,
+) -> Campaign:
+    """Fly a closed loop n times with dispersed parameters and initial states, and fresh random numbers.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    n : int
+        Number of runs.
+    x0 : array (n_states,) or mapping by name
+        Nominal initial state.
+    t0, tf : float
+        First and last time, s.
+    seed : int
+        Run i has the random numbers of ``SeedSequence([seed, i])``: the same bits on any executor, and alone.
+    dispersions : mapping
+        By dotted name of ``loop.layout``, e.g. ``{"plant.m": Normal(0.01, relative=True), "initial.r_L":
+        Sphere(0.2), "initial.sigma": Turn(0.035)}``.
+    parameters : mapping
+        Nominal changes of parameters by dotted name.
+    target : mapping
+        What states are compared with at the end, by name; default the reference at the end.
+    limits : mapping
+        Largest permitted values by measure (see `Campaign.measure`), e.g. ``{"r_L": 0.05, "angle(sigma)": 0.0087}``.
+    judge : mapping
+        Measures of one's own: functions of the campaign that return a number per run, by name. They can have limits.
+    executor : concurrent.futures.Executor or "serial", optional
+        Default: one process per processor. A Dask cluster: ``client.get_executor()``.
+    progress : bool
+        Show how many runs have ended and how many of them failed.
+
+    Returns
+    -------
+    Campaign
+        Runs that failed are in it and count as not passed. Ctrl-C ends the campaign and returns what has ended.
+
+    Raises
+    ------
+    ArgumentError, UnknownNameError
+        Something does not fit; the message names it.
+    GncOptError
+        The campaign cannot be sent to the executor's processes, or not a single run could be flown.
+    """
+    expect(loop, ClosedLoop, "what monte_carlo() flies", "give a ClosedLoop")
+    read_integer(n, "the number of runs of monte_carlo()", 1)
+    read_integer(seed, "the seed of monte_carlo()", 0)
+    dispersions = {} if dispersions is None else dispersions
+    flight = loop.flight(x0, t0=t0, tf=tf, parameters=parameters)
+    check_dispersions(dispersions, flight.layout, flight.nominal)
+    empty = _campaign(flight, seed, n, _goal(flight, target), [], False)
+    checked = _limits(empty, limits or {}, judge or {})
+    mission = Mission(flight, dict(dispersions), int(seed))
+    with _meter(n, progress) as show, Crew(mission, executor) as crew:
+        flown = crew.fly(n, lambda part: show(*_tally(part)))
+    _refuse_total_loss(flown)
+    campaign = _campaign(
+        flight, int(seed), n, empty.target, _with_parameters(flown, mission), crew.interrupted
+    )
+    return _judged(replace(campaign, limits=checked), judge or {})
+
+
+# --- before -----------------------------------------------------------------------------------------------
+
+
+def _goal(flight: Flight, target: Mapping[str, ArrayLike] | None) -> Array:
+    goal = np.full(flight.states.size, np.nan)
+    if flight.reference is not None:
+        for name in flight.measured.names:
+            goal[flight.states.slice(name)] = flight.reference[flight.measured.slice(name), -1]
+    for name, value in (target or {}).items():
+        place = flight.states.slice(name)
+        goal[place] = as_vector(value, flight.states[name].size, f"the target of '{name}'", ArgumentError)
+    return goal
+
+
+def _limits(empty: Campaign, limits: Mapping[str, float], judge: Mapping[str, Judge]) -> dict[str, float]:
+    for name in limits:
+        if name not in judge:
+            empty.measure(name)
+    for name, function in judge.items():
+        if not callable(function):
+            raise ArgumentError(f"the measure '{name}' is no function: give one of the campaign.")
+    return {
+        name: read_positive(value, f"the limit of '{name}'", or_zero=True) for name, value in limits.items()
+    }
+
+
+def _meter(total: int, visible: bool) -> AbstractContextManager[Callable[[int, int], None]]:
+    if not visible:
+        return nullcontext(lambda runs, failed: None)
+    from gnc_opt.report.campaign import campaign_meter
+
+    return campaign_meter(total)
+
+
+def _tally(part: Flown) -> tuple[int, int]:
+    outcomes = () if part.ending is None else part.ending.outcomes
+    return len(part.batch), len(part.batch) - sum(outcome.ok for outcome in outcomes)
+
+
+# --- after ------------------------------------------------------------------------------------------------
+
+
+def _refuse_total_loss(flown: Sequence[Flown]) -> None:
+    if flown and all(part.ending is None for part in flown):
+        raise GncOptError(
+            f"not one run could be flown ({flown[0].mishap}): simulate() one of them to see why."
+        )
+
+
+def _with_parameters(flown: Sequence[Flown], mission: Mission) -> list[Flown]:
+    """Return the batches with the parameters of those that never came back drawn again."""
+    found = []
+    for part in flown:
+        P = part.parameters
+        if P is None:
+            try:
+                P = mission.parameters(part.batch)
+            except Exception:  # the draw itself is what failed
+                P = np.full((mission.flight.layout.size, len(part.batch)), np.nan)
+        found.append(replace(part, parameters=P))
+    return found
+
+
+def _campaign(
+    flight: Flight, seed: int, asked: int, goal: Array, flown: Sequence[Flown], interrupted: bool
+) -> Campaign:
+    def joined(attribute: str, size: int) -> Array:
+        parts = [
+            np.full((size, len(p.batch)), np.nan)
+            if p.ending is None
+            else np.asarray(getattr(p.ending, attribute)).reshape(size, -1)
+            for p in flown
+        ]
+        return np.hstack([np.empty((size, 0)), *parts])
+
+    states = joined("states", flight.states.size)
+    outcomes: list[Outcome] = []
+    for part in flown:
+        lost = [Outcome(LOST, part.mishap)] * len(part.batch)
+        outcomes += lost if part.ending is None else part.ending.outcomes
+    errors = np.full((flight.error_layout.size, states.shape[1]), np.nan)
+    if states.shape[1]:
+        errors = np.asarray(flight.errors(states, np.repeat(goal[:, None], states.shape[1], axis=1)).full())
+    drawn = [p.parameters for p in flown if p.parameters is not None]
+    return Campaign(
+        seed=seed,
+        asked=asked,
+        indices=np.array([i for part in flown for i in part.batch], dtype=np.int64),
+        parameters=np.hstack([np.empty((flight.layout.size, 0)), *drawn]),
+        states=states,
+        errors=errors,
+        target=goal,
+        effort=joined("effort", flight.controls.size),
+        energy=joined("energy", flight.controls.size),
+        saturation_time=joined("saturation_time", flight.commands.size),
+        variation=joined("variation", flight.commands.size),
+        integration_error=joined("integration_error", 1)[0],
+        outcomes=tuple(outcomes),
+        span=(float(flight.times[0]), float(flight.times[-1])),
+        limits={},
+        measured={},
+        interrupted=interrupted,
+        layouts={
+            "parameter": flight.layout,
+            "state": flight.states,
+            "error": flight.error_layout,
+            "applied": flight.controls,
+            "command": flight.commands,
+        },
+        flight=flight,
+    )
+
+
+def _judged(campaign: Campaign, judge: Mapping[str, Judge]) -> Campaign:
+    measured: dict[str, Any] = {}
+    for name, function in judge.items():
+        values = np.asarray(function(campaign), dtype=float)
+        if values.shape != (len(campaign),):
+            raise ArgumentError(
+                f"the measure '{name}' has the shape {values.shape}: return one number per run, ({len(campaign)},)."
+            )
+        measured[name] = values
+    return replace(campaign, measured=measured)

@@ -1,0 +1,57 @@
+"""Outcome: how a run ended, and when something first went wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class RunStatus(Enum):
+    """What became of a run; each run has exactly one, the gravest.
+
+    Members
+    -------
+    OK : everything stayed finite, no alarm, the integration as accurate as asked for.
+    INACCURATE : the integration's own error estimate exceeds the accuracy asked for.
+    ALARM : the controller reported that it could not keep its promise.
+    NOT_FINITE : a measurement, command, applied control or state is not a finite number.
+    REFUSED : a parameter is outside its permitted range; the run was not flown.
+    """
+
+    OK = "ok"
+    INACCURATE = "inaccurate"
+    ALARM = "alarm"
+    NOT_FINITE = "not finite"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Status of a run with its cause.
+
+    Attributes
+    ----------
+    status : RunStatus
+    what : str
+        The culprit, e.g. ``"measured 'omega[1]'"`` or the name of the alarm.
+    time : float
+        Beginning of the control step at which it happened, s; not-a-number where it has no time.
+    """
+
+    status: RunStatus
+    what: str = ""
+    time: float = float("nan")
+
+    @property
+    def ok(self) -> bool:
+        """Whether all is well."""
+        return self.status is RunStatus.OK
+
+    @property
+    def not_finite(self) -> bool:
+        """Whether the run left the finite numbers."""
+        return self.status is RunStatus.NOT_FINITE
+
+    def __str__(self) -> str:
+        at = f" at {self.time:.6g} s" if self.time == self.time else ""
+        return f"{self.status.value}: {self.what}{at}" if self.what else self.status.value

@@ -1,0 +1,238 @@
+"""Run: everything a closed loop did, and what it was worth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.model.layout import Array, Layout
+from gnc_opt.simulation import metrics
+from gnc_opt.simulation.outcome import Outcome
+from gnc_opt.strict import Strict
+
+
+@dataclass(frozen=True)
+class Logged:
+    """One logged signal.
+
+    Attributes
+    ----------
+    name, unit : str
+    times : array (n_times,)
+        s; for commands, measurements and applied controls the beginnings of the control steps.
+    values : array (size, n_times)
+    held : bool
+        Held from its time to the next (commands), or linear in between (states).
+    """
+
+    name: str
+    unit: str
+    times: Array
+    values: Array
+    held: bool
+    labels: tuple[str, ...]
+
+    def __call__(self, t: ArrayLike) -> Array:
+        """Return the signal, (size,) at one time t (s), (size, n) at many; states are interpolated linearly."""
+        at = np.asarray(t, dtype=float)
+        first, last = self.times[0], np.inf if self.held else self.times[-1]
+        if not np.all((at >= first) & (at <= last * (1 + 1e-12))):
+            raise ArgumentError(
+                f"'{self.name}' is logged from {first:g} s to {self.times[-1]:g} s, not at {shown(t)} s."
+            )
+        if self.held:
+            index = np.searchsorted(self.times, at + 1e-9 * (1 + np.abs(at)), side="right") - 1
+            return np.asarray(self.values[:, index])
+        rows = [np.interp(at, self.times, row) for row in self.values]
+        return np.stack(rows)
+
+
+@dataclass(frozen=True)
+class Run(Strict):
+    """A closed-loop run over N control steps.
+
+    Attributes
+    ----------
+    times : array (N + 1,)
+        Beginnings of the control steps and the end, s.
+    states : array (n_states, N + 1)
+        Of the plant.
+    measured : array (n, N)
+        What the controller saw.
+    commands : array (n_commands, N)
+        Held over a step.
+    applied : array (n_controls, N)
+        Means over the steps of what the actuators applied to the plant, without disturbances.
+    memory : array (n_memory, N + 1)
+        Of the controller.
+    reference : array (n, N + 1) or None
+        What the controller follows.
+    errors : array (n_errors, N + 1) or None
+        States relative to the reference, by the plant's own difference; not-a-number for states without one.
+    parameters : array (n_parameters,)
+    effort, energy : array (n_controls,)
+        Integrals of \\|u\\| and u^2 of what was applied, over minor steps.
+    saturation, variation : array (n_commands,)
+    integration_error : float
+        Estimated error of the integration, relative to max(1, \\|x\\|).
+    outcome : Outcome
+        Whether all is well; otherwise what went wrong first, and when.
+    seed : str
+    layouts : dict
+        Names, sizes and units by kind: state, measured, command, applied, memory, error, parameter.
+    """
+
+    times: Array
+    states: Array
+    measured: Array
+    commands: Array
+    applied: Array
+    memory: Array
+    reference: Array | None
+    errors: Array | None
+    parameters: Array
+    effort: Array
+    energy: Array
+    saturation: Array
+    variation: Array
+    integration_error: float
+    outcome: Outcome
+    seed: str
+    layouts: Mapping[str, Layout] = field(repr=False)
+
+    def __str__(self) -> str:
+        lines = [
+            f"run of {self.times[-1] - self.times[0]:g} s in {self.times.size - 1} control steps: {self.outcome}",
+            f"  integration error about {self.integration_error:.1e}, seed {self.seed}",
+        ]
+        return "\n".join(lines)
+
+    # --- signals ------------------------------------------------------------------------------------------
+
+    def state(self, name: str) -> Logged:
+        """Return a state of the plant."""
+        return self._logged("state", name, self.states, False)
+
+    def measurement(self, name: str) -> Logged:
+        """Return what the controller saw of a state."""
+        return self._logged("measured", name, self.measured, True)
+
+    def command(self, name: str) -> Logged:
+        """Return a command of the controller."""
+        return self._logged("command", name, self.commands, True)
+
+    def control(self, name: str) -> Logged:
+        """Return what was applied to a control of the plant, mean over each control step."""
+        return self._logged("applied", name, self.applied, True)
+
+    def remembered(self, name: str) -> Logged:
+        """Return an entry of the controller's memory."""
+        return self._logged("memory", name, self.memory, False)
+
+    def error(self, name: str) -> Logged:
+        """Return the error of a state relative to the reference."""
+        return self._logged("error", name, self._need_errors(), False)
+
+    def parameter(self, name: str) -> Array:
+        """Return a parameter of the run by its dotted name, (size,)."""
+        return self.parameters[self.layouts["parameter"].slice(name)]
+
+    def _logged(self, kind: str, name: str, values: Array, held: bool) -> Logged:
+        layout = self.layouts[kind]
+        place = layout.slice(name)
+        variable = layout[name]
+        return Logged(
+            name, variable.unit, self.times[: values.shape[1]], values[place], held, variable.labels
+        )
+
+    def _need_errors(self) -> Array:
+        if self.errors is None:
+            raise ArgumentError(
+                "the controller of this run follows no reference: give target= a value to measure the error from."
+            )
+        return self.errors
+
+    # --- metrics ------------------------------------------------------------------------------------------
+
+    def _deviation(self, name: str, target: ArrayLike | None) -> Array:
+        if target is None:
+            return self.error(name).values
+        signal = self.state(name).values
+        return signal - metrics.as_column(target, signal.shape[0], f"the target of '{name}'")
+
+    def miss(self, name: str, target: ArrayLike | None = None) -> float:
+        """Return the Euclidean norm of a state's error at the end (unit of the state).
+
+        ``target`` is the value to compare with, (size,); default the reference at the end.
+        """
+        return float(np.linalg.norm(self._deviation(name, target)[:, -1]))
+
+    def attitude_error(self, name: str, at: float | None = None) -> float:
+        """Return the angle (rad) between an attitude and its reference at the end, or ``at`` a logged time (s).
+
+        The attitude is four components, a unit quaternion (scalar anywhere), or three, modified Rodrigues
+        parameters; the angle is in [0, pi].
+        """
+        index = -1 if at is None else int(np.argmin(np.abs(self.times - at)))
+        self._need_errors()
+        assert self.reference is not None
+        place = self.layouts["measured"].slice(name)
+        return metrics.rotation_angle(self.state(name).values[:, index], self.reference[place, index])
+
+    def settling_time(self, name: str, band: float, target: ArrayLike | None = None) -> float:
+        """Return how long (s) after the start the norm of a state's error enters the band (unit of the state) for good.
+
+        Infinite if it is outside at the end; resolved to control steps.
+        """
+        return metrics.settling_time(self.times, np.linalg.norm(self._deviation(name, target), axis=0), band)
+
+    def control_effort(self, name: str) -> Array:
+        """Return the integral of \\|u\\| of an applied control, (size,), in its unit times s."""
+        return self.effort[self.layouts["applied"].slice(name)]
+
+    def control_energy(self, name: str) -> Array:
+        """Return the integral of u^2 of an applied control, (size,), in its unit squared times s."""
+        return self.energy[self.layouts["applied"].slice(name)]
+
+    def delta_v(self, name: str, mass: float) -> float:
+        """Return the sum over the axes of the integral of \\|F\\| of an applied force, over the mass (kg): m/s.
+
+        One thruster pair per axis spends this much.
+        """
+        return float(np.sum(self.control_effort(name)) / mass)
+
+    def saturation_time(self, name: str) -> Array:
+        """Return for how long (s) a limit acted on a command, (size,)."""
+        return self.saturation[self.layouts["command"].slice(name)]
+
+    def chattering(self, name: str) -> Array:
+        """Return the total variation of a command, (size,): the sum of its changes (unit of the command)."""
+        return self.variation[self.layouts["command"].slice(name)]
+
+    # --- files --------------------------------------------------------------------------------------------
+
+    def save(self, path: str | Path) -> Path:
+        """Write the run to a file (``.npz`` is appended if it has no suffix); every bit is kept."""
+        from gnc_opt.simulation.storage import save
+
+        return save(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Run:
+        """Read a run that `save` wrote.
+
+        Raises
+        ------
+        FileNotFoundError
+            There is no such file.
+        GncOptError
+            The file holds no run, or a damaged one.
+        """
+        from gnc_opt.simulation.storage import load
+
+        return load(path)

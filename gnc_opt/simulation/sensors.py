@@ -1,0 +1,169 @@
+"""Sensors: what the controller gets to see of the state of the plant, once per control step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_integer, read_numbers
+from gnc_opt.simulation.block import (
+    Block,
+    Defaults,
+    Parameters,
+    Step,
+    Tick,
+    rows,
+    scalar,
+    values,
+    whole_steps,
+)
+
+
+@dataclass(frozen=True)
+class Noise(Block):
+    """White noise: every sample is off by ``sigma`` (1 sigma, units of the state) times a standard normal number.
+
+    Parameters
+    ----------
+    sigma : float or one per component
+    retraction : callable, optional
+        ``retraction(x, e)`` of SX columns returns the state x moved by the error e, where addition is not the answer
+        (attitudes); ``sigma`` then has the components of e.
+    """
+
+    sigma: ArrayLike
+    retraction: Callable[[Any, Any], Any] | None = None
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {"sigma": (values(self.sigma, self.noise(size), f"sigma of '{self.name}'"), unit)}
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"sigma": (0.0, math.inf)}
+
+    def noise(self, size: int) -> int:
+        if self.retraction is None:
+            return size
+        return int(np.size(read_numbers(self.sigma, f"sigma of '{self.name}'")))
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        error = p["sigma"] * noise
+        return Step(signal + error if self.retraction is None else self.retraction(signal, error), state)
+
+
+@dataclass(frozen=True)
+class Bias(Block):
+    """A constant error ``bias`` (units of the state), added, or by a ``retraction`` as in `Noise`."""
+
+    bias: ArrayLike
+    retraction: Callable[[Any, Any], Any] | None = None
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        count = size if self.retraction is None else int(np.size(read_numbers(self.bias, self.name)))
+        return {"bias": (values(self.bias, count, f"the bias of '{self.name}'"), unit)}
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        return Step(
+            signal + p["bias"] if self.retraction is None else self.retraction(signal, p["bias"]), state
+        )
+
+
+@dataclass(frozen=True)
+class RandomWalk(Block):
+    """A drifting error that starts at 0 and grows by ``sigma`` per square root of a second (unit/s^0.5)."""
+
+    sigma: ArrayLike
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {"sigma": (values(self.sigma, size, f"sigma of '{self.name}'"), f"{unit}/s^0.5")}
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"sigma": (0.0, math.inf)}
+
+    def noise(self, size: int) -> int:
+        return size
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        return ca.SX.zeros(signal.shape[0])
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        return Step(signal + state, state + p["sigma"] * math.sqrt(tick.dt) * noise)
+
+
+@dataclass(frozen=True)
+class Scale(Block):
+    """A wrong scale: the measured value is ``factor`` times the true one."""
+
+    factor: ArrayLike
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {"factor": (values(self.factor, size, f"the factor of '{self.name}'"), "")}
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        return Step(p["factor"] * signal, state)
+
+
+@dataclass(frozen=True)
+class Sampling(Block):
+    """A slow sensor: a new sample every ``period`` (s, a multiple of the control step), held in between."""
+
+    period: float
+
+    def check(self, size: int, h: float, dt: float) -> None:
+        read_integer(self._steps(dt), f"the number of control steps in the period of '{self.name}'", 1)
+
+    def _steps(self, dt: float) -> int:
+        return whole_steps(self.period, dt, f"the period of '{self.name}'")
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        return ca.vertcat(signal, 0.0)
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        size = signal.shape[0]
+        sample = ca.if_else(state[size] < 0.5, signal, state[:size])
+        following = ca.if_else(state[size] > self._steps(tick.dt) - 1.5, 0.0, state[size] + 1)
+        return Step(sample, ca.vertcat(sample, following))
+
+
+@dataclass(frozen=True)
+class SensorDelay(Block):
+    """Samples arrive ``delay`` (s, a multiple of the control step) late; until then the first one is there."""
+
+    delay: float
+
+    def check(self, size: int, h: float, dt: float) -> None:
+        self._steps(dt)
+
+    def _steps(self, dt: float) -> int:
+        return whole_steps(self.delay, dt, f"the delay of '{self.name}'")
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        return ca.repmat(signal, self._steps(tick.dt), 1)
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        kept = state.shape[0]
+        line = ca.vertcat(signal, state)  # newest first
+        return Step(line[kept:], rows(line, 0, kept))
+
+
+@dataclass(frozen=True)
+class Outage(Block):
+    """The sensor fails: not-a-number from ``begin`` until before ``end`` (s)."""
+
+    begin: float
+    end: float = math.inf
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {
+            "begin": (scalar(self.begin, f"the begin of '{self.name}'"), "s"),
+            "end": (scalar(self.end, f"the end of '{self.name}'"), "s"),
+        }
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        out = ca.logic_and(tick.t >= p["begin"] - 1e-9 * tick.dt, tick.t < p["end"] - 1e-9 * tick.dt)
+        return Step(ca.if_else(out, math.nan, signal), state)

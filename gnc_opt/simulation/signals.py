@@ -1,0 +1,94 @@
+"""Signals: named columns that a chain of blocks acts on, and the places of their parameters and memories."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from gnc_opt.errors import ArgumentError, unknown_name
+from gnc_opt.model.layout import Layout
+from gnc_opt.simulation.block import Block
+
+Kinds = dict[str, tuple[int, str]]
+"""Sizes and units of signals by name."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """A block with what it acts on and what it leaves.
+
+    Attributes
+    ----------
+    block : Block
+    on : tuple of str
+        Names of the signals it takes.
+    size : int
+        Components of them.
+    unit : str
+        Theirs, "" if they differ.
+    outputs : dict
+        Sizes and units of the signals that replace them.
+    """
+
+    block: Block
+    on: tuple[str, ...]
+    size: int
+    unit: str
+    outputs: Kinds
+
+
+def kinds(layout: Layout) -> Kinds:
+    """Return sizes and units of a layout's variables by name."""
+    return {v.name: (v.size, v.unit) for v in layout.variables}
+
+
+def chain(blocks: Sequence[Block], signals: Kinds, what: str) -> tuple[list[Link], Kinds]:
+    """Return the links of a chain of blocks and the signals that leave it.
+
+    Raises
+    ------
+    UnknownNameError
+        A block acts on a signal that is not there.
+    """
+    links = []
+    for block in blocks:
+        on = tuple(signals) if block.on is None else (block.on,) if isinstance(block.on, str) else block.on
+        for name in on:
+            if name not in signals:
+                raise unknown_name(what, name, f"the loop at '{block.name}'", signals)
+        sizes = {n: signals[n][0] for n in on}
+        units = {n: signals[n][1] for n in on}
+        new = block.outputs(sizes, units)
+        outputs = {n: signals[n] for n in on} if new is None else new
+        links.append(
+            Link(
+                block, on, sum(sizes.values()), units[on[0]] if len(set(units.values())) == 1 else "", outputs
+            )
+        )
+        if new is not None:
+            rest = {n: k for n, k in signals.items() if n not in on}
+            taken = [n for n in new if n in rest]
+            if taken:
+                raise ArgumentError(f"'{block.name}' makes a second '{taken[0]}': choose another name.")
+            signals = {**rest, **new}
+    return links, signals
+
+
+def take(signals: Mapping[str, Any], names: Sequence[str]) -> Any:
+    """Return the stacked SX column of named signals."""
+    return ca.vertcat(*[signals[n] for n in names])
+
+
+def put(signals: Mapping[str, Any], link: Link, column: Any) -> dict[str, Any]:
+    """Return the signals with a link's outputs in the place of its inputs."""
+    rest = dict(signals)
+    if tuple(link.outputs) != link.on:
+        rest = {n: s for n, s in signals.items() if n not in link.on}
+    at = 0
+    for name, (size, _) in link.outputs.items():
+        rest[name] = column[at : at + size]
+        at += size
+    return rest

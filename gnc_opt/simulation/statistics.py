@@ -1,0 +1,140 @@
+"""Statistics of campaigns: shares and percentiles with confidence intervals that assume no distribution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import binom, binomtest
+
+from gnc_opt.arguments import read_integer, read_numbers
+from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.model.layout import Array
+
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class PassRate:
+    """How many of n runs passed.
+
+    Attributes
+    ----------
+    passed, runs : int
+    low, high : float
+        Interval that holds the true rate with at least ``confidence``.
+    """
+
+    passed: int
+    runs: int
+    low: float
+    high: float
+    confidence: float
+
+    @property
+    def rate(self) -> float:
+        """Share of the runs that passed."""
+        return self.passed / self.runs
+
+    def __str__(self) -> str:
+        return f"{_percent(self.rate)} ({_percent(self.low)} to {_percent(self.high)})"
+
+
+@dataclass(frozen=True)
+class Percentile:
+    """A value that a share ``level`` of runs does not exceed.
+
+    Attributes
+    ----------
+    level : float
+        In (0, 1).
+    value : float
+        Of the sample: one of its members.
+    low, high : float
+        Interval that holds the true percentile with at least ``confidence``; infinite where the sample is too small
+        to say.
+    """
+
+    level: float
+    value: float
+    low: float
+    high: float
+    confidence: float
+
+
+def pass_rate(passed: int, runs: int, confidence: float = CONFIDENCE) -> PassRate:
+    """Return a rate with its Clopper-Pearson interval.
+
+    Raises
+    ------
+    ArgumentError
+        No runs, more passed than runs, or a confidence outside (0, 1).
+    """
+    runs = read_integer(runs, "the number of runs", 1)
+    passed = read_integer(passed, "the number of runs passed", 0)
+    if passed > runs:
+        raise ArgumentError(f"{passed} of {runs} runs cannot have passed: count again.")
+    interval = binomtest(passed, runs).proportion_ci(_share(confidence, "the confidence"), method="exact")
+    return PassRate(passed, runs, float(interval.low), float(interval.high), confidence)
+
+
+def percentile(values: ArrayLike, level: float, confidence: float = CONFIDENCE) -> Percentile:
+    r"""Return a percentile with an interval between order statistics.
+
+    Of n sorted values the number below the true percentile is binomial (n, level), whatever the (continuous)
+    distribution, so :math:`P(x_{(l)} \le q < x_{(u)}) = \sum_{k=l}^{u-1} \binom{n}{k} p^k (1-p)^{n-k}`.
+
+    Parameters
+    ----------
+    values : array (n,)
+        Not-a-number counts as infinite: what failed is worse than all that did not.
+    level : float
+        In (0, 1).
+    confidence : float
+        In (0, 1).
+
+    References
+    ----------
+    H. A. David, H. N. Nagaraja, Order Statistics, 3rd ed., Wiley (2003), section 7.1.
+    """
+    ordered = _ordered(values)
+    p, alpha = _share(level, "the level of a percentile"), 1 - _share(confidence, "the confidence")
+    n = ordered.size
+    lower = int(binom.ppf(alpha / 2, n, p))  # the largest l with P(fewer than l below) <= alpha / 2
+    upper = int(binom.ppf(1 - alpha / 2, n, p)) + 1
+    return Percentile(
+        level,
+        float(ordered[max(int(np.ceil(n * p - 1e-9)), 1) - 1]),
+        float(ordered[lower - 1]) if lower >= 1 else -np.inf,
+        float(ordered[upper - 1]) if upper <= n else np.inf,
+        confidence,
+    )
+
+
+def share_below_maximum(runs: int, confidence: float = CONFIDENCE) -> float:
+    r"""Return the share of all possible runs that do not exceed the largest of n, with that confidence.
+
+    :math:`\alpha^{1/n}`, :math:`\alpha = 1 - \text{confidence}`; n = 59 gives 95 % (Wilks).
+    """
+    runs = read_integer(runs, "the number of runs", 1)
+    return float((1 - _share(confidence, "the confidence")) ** (1 / runs))
+
+
+def _ordered(values: ArrayLike) -> Array:
+    array = read_numbers(values, "the values of a percentile").reshape(-1)
+    if not array.size:
+        raise ArgumentError("there are no values to take a percentile of: give some.")
+    return np.sort(np.where(np.isnan(array), np.inf, array))
+
+
+def _share(value: float, what: str) -> float:
+    if not 0 < value < 1:
+        raise ArgumentError(f"{what} is {shown(value)}: give a number between 0 and 1.")
+    return float(value)
+
+
+def _percent(share: float) -> str:
+    # three digits of what is missing from 100 %: 99.97 % must not print as 100 %
+    digits = 1 if share in (0, 1) else int(np.clip(1 - np.floor(np.log10(100 * min(share, 1 - share))), 1, 4))
+    return f"{100 * share:.{digits}f} %"

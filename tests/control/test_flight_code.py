@@ -1,0 +1,199 @@
+"""Flight code: compiles without warnings and agrees with Python."""
+
+import shutil
+import subprocess
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.control.c_expressions import _FORMS
+from gnc_opt.control.controller import Controller, first_memory, law
+from gnc_opt.control.explanation import Explanation
+from gnc_opt.control.flight_code import export_c
+from gnc_opt.control.lqr import design_lqr
+from gnc_opt.control.mpc import design_mpc
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.tvlqr import design_tvlqr
+from gnc_opt.errors import ArgumentError
+from gnc_opt.model.layout import Layout, Variable
+
+COMPILER = shutil.which("cc")
+FLAGS = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O2"]
+needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler (cc) on this machine")
+
+
+def pendulum() -> tuple[go.Model, Reference]:
+    model = go.Model("pendulum")
+    q, v = model.state("q", unit="rad"), model.state("v", unit="rad/s")
+    a = model.control("a", unit="1/s^2")
+    model.ode({q: v, v: a - ca.sin(q)})
+    model.difference(q, lambda x, ref: 2 * ca.sin((x - ref) / 2))
+    reference = Reference.from_functions(
+        model,
+        lambda t: [np.cos(t), -np.sin(t)],
+        lambda t: [np.sin(np.cos(t)) - np.cos(t)],
+        0.5,
+        3.53,
+    )
+    return model, reference
+
+
+def follower(dt=None):
+    model, reference = pendulum()
+    return design_tvlqr(model, reference, Q=1, R=1, dt=dt)
+
+
+def holder(dt=None):
+    model, _ = pendulum()
+    return design_lqr(
+        model, [0.3, 0], Q=1, R=1, dt=dt, integral={"q": 0.5}, limits=(-0.5, 0.5), name="Hold & trim"
+    )
+
+
+def compiled(code):
+    program = code.header.parent / "driver"
+    subprocess.run(
+        [COMPILER, *FLAGS, "-o", str(program), str(code.source), str(code.driver), "-lm"],
+        check=True,
+        capture_output=True,
+    )
+    return program
+
+
+def run(program, times, states) -> np.ndarray:
+    lines = [" ".join(repr(float(v)) for v in (t, *x)) for t, x in zip(times, states, strict=True)]
+    found = subprocess.run([str(program)], input="\n".join(lines), check=True, capture_output=True, text=True)
+    return np.array([[float(v) for v in line.split()] for line in found.stdout.splitlines()])
+
+
+def python(controller, times, states, dt) -> np.ndarray:
+    z, commands = None, []
+    for t, x in zip(times, states, strict=True):
+        u, z = controller(t, x, z, dt)
+        commands.append(u)
+    return np.array(commands)
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("design", "own", "dt"),
+    [(follower, None, 0.1), (follower, 0.2, None), (holder, None, 0.05), (holder, 0.1, None)],
+)
+def test_compiled_law_agrees_with_python(tmp_path, design, own, dt):
+    controller = design(own)
+    code = export_c(controller, tmp_path / "flight", dt=dt)
+    program = compiled(code)
+    rng = np.random.default_rng(5)
+    times = 0.5 + code.dt * np.arange(80)  # beyond the end of the reference
+    states = rng.normal(size=(80, 2))
+    expected = python(controller, times, states, code.dt)
+    assert np.ptp(expected) > 1
+    assert np.allclose(run(program, times, states), expected, rtol=1e-12, atol=1e-12)
+    example = subprocess.run([str(program), "example"], check=True, capture_output=True, text=True)
+    first = controller.span[0]
+    same = python(controller, first + code.dt * np.arange(3), np.full((3, 2), 0.1), code.dt)
+    assert np.allclose(np.array(example.stdout.split(), dtype=float), same.ravel(), rtol=1e-12, atol=1e-12)
+
+
+@needs_compiler
+def test_times_between_the_rows_take_the_row_of_their_step(tmp_path):
+    controller = follower(0.2)
+    program = compiled(export_c(controller, tmp_path))
+    x = np.array([0.4, 0.1])
+    late = run(program, [0.9 + 0.19, 0.9, 99.0, 0.0], [x] * 4)
+    assert np.array_equal(late[0], late[1])
+    assert np.allclose(late[1], controller(0.9, x)[0], atol=1e-12)
+    assert np.allclose(late[2], controller(99.0, x)[0], atol=1e-12)
+    assert np.allclose(late[3], controller(0.5, x)[0], atol=1e-12)  # before the beginning: the first row
+
+
+def every_operation() -> Controller:
+    """A law that holds every operation there is, in safe ranges; no schedule, and a memory it does not use."""
+    t, x = ca.SX.sym("t"), ca.SX.sym("x", 2)
+    r, z = ca.SX.sym("r", 0), ca.SX.sym("z", 1)
+    a, b = x[0], x[1]
+    inside, above = ca.tanh(a), 2 + a**2
+    values = [
+        a + b, a - b, a * b, a / above, -a, 1 / above, a**2, 2 * a, ca.sqrt(above), above**b, above**1.7,
+        ca.exp(a), ca.expm1(a), ca.log(above), ca.log1p(above), ca.sin(a), ca.cos(a), ca.tan(inside), ca.asin(inside),
+        ca.acos(inside), ca.atan(a), ca.atan2(a, b), ca.sinh(a), ca.cosh(a), inside, ca.asinh(a), ca.acosh(above),
+        ca.atanh(inside), ca.hypot(a, b), ca.erf(a), ca.fabs(a), ca.floor(3 * a), ca.ceil(3 * a), ca.fmod(a, b),
+        ca.remainder(5 * a, above), ca.copysign(a, b), ca.fmin(a, b), ca.fmax(a, b), ca.sign(a), a < b, a <= b,
+        ca.eq(ca.floor(a), 0), ca.ne(ca.floor(a), 0), ca.logic_not(a > b), ca.logic_and(a > 0, b > 0),
+        ca.logic_or(a > 0, b > 0), ca.if_else(a > 0, a, b), ca.SX(3.5), ca.SX(0), t,
+    ]  # fmt: skip
+    u = ca.vertcat(*values)
+    return Controller(
+        name="every operation",
+        step=law(t, x, r, z, u, ca.SX(1, 1)),
+        start=first_memory(t, x, r, ca.SX(1, 1)),
+        states=Layout("state", (Variable("x", 2),)),
+        commands=Layout("command", (Variable("u", u.shape[0]),)),
+        signals=Layout("signal"),
+        memory=Layout("memory", (Variable("unused", 1),)),
+        schedule=lambda times, dt: np.zeros((0, np.size(times))),
+        explanation=Explanation("every operation"),
+    )
+
+
+@needs_compiler
+def test_every_operation_agrees(tmp_path):
+    controller = every_operation()
+    program = compiled(export_c(controller, tmp_path, dt=0.1))
+    times, states = 0.1 * np.arange(60), 2 * np.random.default_rng(8).normal(size=(60, 2))
+    states[-1] = 0.0
+    expected = python(controller, times, states, 0.1)
+    finite = np.isfinite(expected)
+    found = run(program, times, states)
+    assert np.allclose(found[finite], expected[finite], rtol=1e-12, atol=1e-12)
+    assert np.all(np.isnan(found[~finite]) == np.isnan(expected[~finite]))
+
+
+def test_the_forms_cover_the_law_of_every_operation():
+    step = every_operation().step
+    used = {step.instruction_id(k) for k in range(step.n_instructions())}
+    known = {getattr(ca, f"OP_{name}") for name in _FORMS}
+    missing = known - used
+    # CONSTPOW and ASSIGN arise, or not, as CasADi simplifies
+    assert missing <= {ca.OP_ASSIGN, ca.OP_CONSTPOW, ca.OP_POW}
+
+
+def test_header_names_sizes_and_units(tmp_path):
+    code = export_c(holder(0.1), tmp_path)
+    assert code.name == "hold___trim"
+    text = code.header.read_text()
+    for line in (
+        "#define HOLD___TRIM_N_STATES 2",
+        "#define HOLD___TRIM_N_MEMORY 1",
+        "#define HOLD___TRIM_N_ROWS 1",
+        "#define HOLD___TRIM_DT 0.1 /* control step, s */",
+        " *   [1] v, rad/s",
+        " *   [0] a, 1/s^2",
+        " *   [0] integral_q, rad s",
+        " *   [2] a_ff, 1/s^2",
+        "void hold___trim_step(double t, const double *x, double *z, double *u);",
+    ):
+        assert line in text
+    assert all(ord(c) < 128 for c in text + code.source.read_text())
+
+
+def test_table_ends_with_the_tail(tmp_path):
+    code = export_c(follower(), tmp_path, dt=0.1, name="swing")
+    assert code.rows == 32  # 30.3 steps: 31 rows of the reference and one of the tail
+
+
+def test_refusals(tmp_path):
+    model, reference = pendulum()
+    horizon = design_mpc(model, reference, Q=1, R=1, horizon=0.2, dt=0.1, limits=(-9, 9))
+    with pytest.raises(ArgumentError, match="'MPC' is not made of elementary operations"):
+        export_c(horizon, tmp_path)
+    with pytest.raises(ArgumentError, match="fits any control step: give dt"):
+        export_c(follower(), tmp_path)
+    with pytest.raises(ArgumentError, match="still changes by"):
+        export_c(follower(), tmp_path, dt=0.1, span=(0.5, 2.0))
+    with pytest.raises(ArgumentError, match="cannot be the name of a C function"):
+        export_c(follower(), tmp_path, dt=0.1, name="no name")
+    with pytest.raises(ArgumentError, match="what a design function returned"):
+        export_c(model, tmp_path)

@@ -1,0 +1,420 @@
+"""Linear-quadratic regulators: closed forms, published gains, sampling, integral action, margins, refusals."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+import gnc_opt as go
+from gnc_opt.control.lqr import design_lqr
+from gnc_opt.control.margins import margins
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.riccati import steady, unreached
+from gnc_opt.control.sampling import sample, sample_along
+from gnc_opt.control.weights import bryson
+from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
+
+ORBIT_RATE = np.sqrt(398600.0 / 7171.0**3)
+"""rad/s, of the formation's leader."""
+
+
+def cart() -> go.Model:
+    model = go.Model("cart")
+    q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
+    a = model.control("a", unit="m/s^2")
+    model.ode({q: v, v: a})
+    return model
+
+
+def wheels(inertia: tuple[float, ...] = (4.0, 4.0, 3.0)) -> go.Model:
+    """Attitude by reaction wheels from rest: the gyroscopic term vanishes; quaternion with the scalar last."""
+    model = go.Model("wheels")
+    w, q = model.state("omega", 3, unit="rad/s"), model.state("q", 4)
+    torque = model.control("T", 3, unit="N m")
+    vector, scalar = q[:3], q[3]
+    model.ode(
+        {
+            w: torque / ca.DM(inertia),
+            q: 0.5 * ca.vertcat(scalar * w + ca.cross(vector, w), -ca.dot(vector, w)),
+        }
+    )
+    model.difference(
+        q, lambda x, ref: ref[3] * x[:3] - x[3] * ref[:3] - ca.cross(ref[:3], x[:3])
+    )  # vector part of ref^-1 (x) q
+    return model
+
+
+def formation() -> go.Model:
+    n = ORBIT_RATE
+    model = go.Model("formation")
+    r, v = model.state("r", 3, unit="m"), model.state("v", 3, unit="m/s")
+    u = model.control("u", 3, unit="m/s^2")
+    pull = ca.vertcat(2 * n * v[1] + 3 * n**2 * r[0], -2 * n * v[0], -(n**2) * r[2])
+    model.ode({r: v, v: pull + u})
+    return model
+
+
+def gain(controller) -> np.ndarray:
+    return np.asarray(controller.explain()["gain"])
+
+
+# --- published gains ----------------------------------------------------------------------------------
+
+
+def test_wheel_gains_equal_the_closed_form_in_quaternion_errors():
+    model = wheels()
+    assert model.errors.size == 6
+    rest = [0, 0, 0, 0, 0, 0, 1]
+    k = gain(design_lqr(model, rest, Q={"omega": 13131, "q": 170}, R={"T": 2500}))
+    proportional = np.sqrt(170 / 2500)
+    rate = np.sqrt(13131 / 2500 + np.array([4, 4, 3]) * proportional)
+    assert np.allclose(k, np.hstack([np.diag(rate), proportional * np.eye(3)]), rtol=0, atol=1e-12)
+    # as printed: 0.2608, 2.5091, 2.4566; and six digits of the independent computation
+    assert np.round(k[0, 3], 6) == 0.260768
+    assert np.round([k[0, 0], k[2, 2]], 6).tolist() == [2.509078, 2.456564]
+    assert np.round([k[0, 3], k[0, 0], k[2, 2]], 4).tolist() == [0.2608, 2.5091, 2.4566]
+
+
+def test_wheel_gains_do_not_depend_on_the_attitude_of_rest():
+    model, half = wheels((4.0, 4.0, 4.0)), 0.35
+    turned = [0, 0, 0, 0, np.sin(half), 0, np.cos(half)]
+    weights = {"Q": {"omega": 13131, "q": 170}, "R": 2500}
+    k, k_turned = (gain(design_lqr(model, x, **weights)) for x in ([0] * 6 + [1], turned))
+    assert np.allclose(k, k_turned, atol=1e-12)
+
+
+def test_double_integrator_gains_equal_the_closed_form():
+    k = gain(design_lqr(cart(), [0, 0], Q=0.1, R=100))
+    root = np.sqrt(0.001)
+    assert np.allclose(k, [[root, np.sqrt(root**2 + 2 * root)]], rtol=1e-14)
+    assert np.round(k, 7).tolist() == [[0.0316228, 0.2534671]]
+
+
+def test_formation_gains_and_poles_equal_the_published_digits():
+    controller = design_lqr(formation(), np.zeros(6), Q={"r": 0.2, "v": 1e5}, R=1e10)
+    printed = np.array(
+        [
+            [7.94113e-6, -2.35212e-6, 0, 4.99387e-3, 2.15700e-4, 0],
+            [2.90541e-6, 3.80362e-6, 0, 2.15700e-4, 4.29625e-3, 0],
+            [0, 0, 3.51998e-6, 0, 0, 4.12795e-3],
+        ]
+    )
+    half_digit = np.where(
+        printed == 0, 1e-15, 0.5 * 10.0 ** (np.floor(np.log10(np.abs(printed) + 1e-99)) - 5)
+    )
+    assert np.all(np.abs(gain(controller) - printed) <= half_digit * (1 + 1e-9))
+    poles = np.asarray(controller.explain()["closed-loop poles"])
+    known = [-1.25818e-3 + 4.36e-6j, -2.06397e-3 + 5.83886e-4j, -3.38688e-3 + 2.03344e-3j]
+    for pole in known:
+        assert np.min(np.abs(poles - pole)) < 8e-9
+        assert np.min(np.abs(poles - np.conj(pole))) < 8e-9
+
+
+def test_a_moving_reference_with_constant_linear_dynamics_is_followed():
+    model, n = formation(), ORBIT_RATE
+
+    def circle(t):
+        c, s, f = np.cos(n * t), np.sin(n * t), 500 * np.sqrt(3)
+        return [500 * c, -1000 * s, f * c, -500 * n * s, -1000 * n * c, -f * n * s]
+
+    reference = Reference.from_functions(model, circle, lambda t: np.zeros(3), 0.0, 6000.0)
+    controller = design_lqr(model, reference, Q={"r": 0.2, "v": 1e5}, R=1e10)
+    u, _ = controller(0.0, [300, -200, 500, 0, 0, 0], dt=1.0)
+    assert np.allclose(u, [0.000894, -0.003125, 0.001288], atol=6e-7)  # formation sheet, at the start
+
+
+# --- sampling -----------------------------------------------------------------------------------------
+
+
+def test_sampled_plant_and_cost_are_exact():
+    rng = np.random.default_rng(3)
+    a, b = rng.normal(size=(4, 4)), rng.normal(size=(4, 2))
+    root = rng.normal(size=(6, 6))
+    weight = root @ root.T
+    q, n, r = weight[:4, :4], weight[:4, 4:], weight[4:, 4:]
+    dt, e, v = 1.7, rng.normal(size=4), rng.normal(size=2)
+
+    def rate(t, y):
+        both = np.concatenate([y[:4], v])
+        return np.append(a @ y[:4] + b @ v, both @ weight @ both)
+
+    flown = solve_ivp(rate, (0, dt), np.append(e, 0), rtol=1e-12, atol=1e-12, method="DOP853").y[:, -1]
+    step = sample(a, b, q, r, n, dt)
+    assert np.allclose(step.a, expm(a * dt), rtol=1e-11)
+    assert np.allclose(step.a @ e + step.b @ v, flown[:4], rtol=1e-9)
+    assert e @ step.q @ e + v @ step.r @ v + 2 * e @ step.n @ v == pytest.approx(flown[4], rel=1e-9)
+
+
+def test_sampling_along_a_reference_is_of_fourth_order_and_sees_jumps():
+    def linearize(t):
+        slow = 1.0 if t < 0.3 else 3.0
+        return np.array([[0, 1], [-1 - np.cos(3 * t), -0.1]]), np.array([[0], [slow + np.sin(t)]])
+
+    q, r, n, jumps = np.eye(2), np.eye(1), np.zeros((2, 1)), np.array([0.3])
+
+    def flown(t, dt):
+        def rate(s, y):
+            a, b = linearize(s)
+            return np.append(a @ y[:2] + b[:, 0], y[:2] @ y[:2] + 1.0)
+
+        y = np.array([0.0, 0.0, 0.0])
+        for left, right in ((t, 0.3 - 1e-15), (0.3, t + dt)):
+            y = solve_ivp(rate, (left, right), y, rtol=1e-12, atol=1e-13, method="DOP853").y[:, -1]
+        return y
+
+    errors = []
+    for dt in (0.4, 0.2):
+        t = 0.3 - dt / 2
+        step = sample_along(linearize, q, r, n, t, dt, jumps)
+        exact = flown(t, dt)
+        errors.append(max(np.max(np.abs(step.b[:, 0] - exact[:2])), abs(step.r[0, 0] - exact[2])))
+    assert errors[0] < 1e-4
+    assert errors[1] < errors[0] / 2**3.5  # the steps are one half as long; order four of the method
+    constant = sample(*linearize(0.1), q, r, n, 0.1)
+    same = sample_along(lambda t: linearize(0.1), q, r, n, 5.0, 0.1, np.zeros(0))
+    assert np.allclose(same.q, constant.q, rtol=1e-12)
+    assert np.allclose(same.b, constant.b, rtol=1e-12)
+
+
+def test_sampled_gain_tends_to_the_continuous_one():
+    model = cart()
+    exact = gain(design_lqr(model, [0, 0], Q=1, R=1))
+    coarse, fine = (
+        np.max(np.abs(gain(design_lqr(model, [0, 0], Q=1, R=1, dt=h)) - exact)) for h in (0.02, 0.01)
+    )
+    assert coarse < 0.03
+    assert fine == pytest.approx(coarse / 2, rel=0.05)  # first order: the mean delay of half a step
+
+
+def test_sampled_regulator_costs_what_its_riccati_matrix_says():
+    a, b = np.array([[0.0, 1.0], [0.5, -0.2]]), np.array([[0.0], [2.0]])
+    step = sample(a, b, np.diag([2.0, 1.0]), np.eye(1), np.zeros((2, 1)), 0.3)
+    found = steady(step.a, step.b, step.q, step.r, step.n, ("p", "w"), sampled=True)
+    e, cost = np.array([1.0, -0.7]), 0.0
+    start = e
+    for _ in range(400):
+        v = -found.gain @ e
+        cost += e @ step.q @ e + v @ step.r @ v + 2 * e @ step.n @ v
+        e = step.a @ e + step.b @ v
+    assert cost == pytest.approx(start @ found.cost @ start, rel=1e-12)
+
+
+def test_units_do_not_change_the_law():
+    n, scale = ORBIT_RATE, np.diag([1e3, 1.0, 1e-4])
+    a = np.array([[0, 1, 0], [-(n**2), 0, n], [0, 0, -n]])
+    b = np.array([[0.0], [0], [n]])
+    q, r, labels = np.diag([1.0, 2.0, 0.0]), np.array([[1e4]]), ("a", "b", "c")
+    inverse = np.linalg.inv(scale)
+    k = steady(a, b, q, r, np.zeros((3, 1)), labels).gain
+    other = steady(scale @ a @ inverse, scale @ b, inverse @ q @ inverse, r, np.zeros((3, 1)), labels).gain
+    assert np.allclose(other @ scale, k, rtol=1e-9)
+
+
+# --- integral action ----------------------------------------------------------------------------------
+
+
+def fly(controller, dt, disturbance, limit=np.inf, steps=600, start=(0.0, 0.0)):
+    x, z, path = np.array(start), None, []
+    a, b = np.array([[1, dt], [0, 1]]), np.array([dt**2 / 2, dt])
+    for k in range(steps):
+        u, z = controller(k * dt, x, z, dt)
+        x = a @ x + b * (np.clip(u[0], -limit, limit) + disturbance)
+        path.append(x)
+    return np.array(path)
+
+
+@pytest.mark.parametrize("dt", [0.1, None])
+def test_integral_action_removes_the_error_of_a_constant_disturbance(dt):
+    without = design_lqr(cart(), [0, 0], Q=1, R=1, dt=dt)
+    with_integral = design_lqr(cart(), [0, 0], Q=1, R=1, dt=dt, integral={"q": 1.0})
+    stiffness = gain(without)[0, 0]
+    assert fly(without, 0.1, 0.2)[-1, 0] == pytest.approx(0.2 / stiffness, rel=1e-8)
+    assert abs(fly(with_integral, 0.1, 0.2)[-1, 0]) < 1e-10
+    assert with_integral.memory.labels == ("integral_q",)
+    assert with_integral.memory.units == ("m s",)
+
+
+def test_integral_of_an_output():
+    model = cart()
+    model.output("range", 2 * model.symbol("q") + 1, unit="m")
+    by_output = design_lqr(model, [0, 0], Q=1, R=1, dt=0.1, integral={"range": 0.25})
+    by_state = design_lqr(model, [0, 0], Q=1, R=1, dt=0.1, integral={"q": 1.0})
+    assert np.allclose(fly(by_output, 0.1, 0.2), fly(by_state, 0.1, 0.2), atol=1e-10)
+
+
+def test_anti_windup_halves_the_overshoot():
+    settings = {"Q": 1, "R": 1, "dt": 0.1, "integral": {"q": 1.0}}
+    plain = design_lqr(cart(), [0, 0], **settings)
+    guarded = design_lqr(cart(), [0, 0], **settings, limits=(-0.3, 0.3))
+    overshoot = [-fly(c, 0.1, 0.0, 0.3, start=(10.0, 0.0))[:, 0].min() for c in (plain, guarded)]
+    assert overshoot[1] < 0.5 * overshoot[0]
+    # the memory is set back so that the next command of the same error is just at its limit
+    x = np.array([10.0, 0.0])
+    _, z = guarded(0.0, x)
+    u, _ = guarded(0.0, x, z - 0.1 * x[0])
+    assert u[0] == pytest.approx(-0.3, abs=1e-12)
+
+
+def test_integral_of_an_output_with_feedthrough_is_refused():
+    model = cart()
+    model.output("felt", model.symbol("a") + model.symbol("q"))
+    with pytest.raises(DesignError, match=r"'felt'.*depends on a control"):
+        design_lqr(model, [0, 0], Q=1, R=1, integral={"felt": 1.0})
+    with pytest.raises(UnknownNameError, match="state or output 'p'"):
+        design_lqr(model, [0, 0], Q=1, R=1, integral={"p": 1.0})
+
+
+# --- margins ------------------------------------------------------------------------------------------
+
+
+def test_margins_of_a_known_loop():
+    # L = 4 / (s (s + 1) (s + 2)): phase crossover at sqrt 2, |L| = 2/3 there
+    a = np.array([[0, 1, 0], [0, 0, 1], [0, -2, -3.0]])
+    found = margins(a, np.array([[0], [0], [1.0]]), np.array([[4.0, 0, 0]]))
+    assert found.gain_up[0] == pytest.approx(1.5, rel=1e-9)
+    assert found.gain_down[0] == 0
+    w = np.sqrt(np.roots([1, 5, 4, -16]).real.max())  # |L| = 1
+    phase = np.pi / 2 - np.arctan(w) - np.arctan(w / 2)
+    assert found.phase[0] == pytest.approx(phase, rel=1e-9)
+    assert found.delay[0] == pytest.approx(phase / w, rel=1e-9)
+
+
+def test_delay_margin_is_where_the_loop_becomes_unstable():
+    controller = design_lqr(cart(), [0, 0], Q=1, R=1)
+    k, delay = gain(controller)[0], float(np.asarray(controller.explain()["delay margin"])[0])
+
+    def grows(tau):
+        """Whether |L(jw) e^(-j w tau)| passes -1 the wrong way: sign of the growth of s + ... near the axis."""
+        s = 1j * 1.0
+        for _ in range(100):  # Newton on s^2 + (k1 s + k0) e^(-s tau) from the crossover
+            g = s**2 + (k[1] * s + k[0]) * np.exp(-s * tau)
+            slope = 2 * s + (k[1] - tau * (k[1] * s + k[0])) * np.exp(-s * tau)
+            s = s - g / slope
+        return s.real
+
+    assert grows(delay * 0.99) < 0 < grows(delay * 1.01)
+
+
+def test_gain_margin_of_a_sampled_loop_is_where_a_pole_meets_the_circle():
+    controller = design_lqr(cart(), [0, 0], Q=1, R=1, dt=0.5)
+    up = float(np.asarray(controller.explain()["gain margin up"])[0])
+    step = sample(
+        np.array([[0, 1.0], [0, 0]]), np.array([[0], [1.0]]), np.eye(2), np.eye(1), np.zeros((2, 1)), 0.5
+    )
+    poles = np.linalg.eigvals(step.a - up * step.b @ gain(controller))
+    assert np.max(np.abs(poles)) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_the_regulator_has_the_margins_that_theory_promises():
+    facts = design_lqr(formation(), np.zeros(6), Q={"r": 0.2, "v": 1e5}, R=1e10).explain()
+    assert np.all(np.isinf(facts["gain margin up"]))
+    assert np.all(np.asarray(facts["gain margin down"]) <= 0.5)
+    assert np.all(np.asarray(facts["phase margin"]) >= 60 - 1e-6)
+    # |S| <= 1 (Kalman's inequality) bounds the disk of S - 1/2 from below by 2/3
+    assert facts["disk margin"] >= 2 / 3
+    assert facts["Riccati residual"] < 1e-10
+
+
+def test_disk_margin_of_a_single_loop():
+    # L = 1/s: S = s/(s+1), |S - 1/2| = 1/2 at every frequency: the whole right half plane
+    found = margins(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)))
+    assert found.disk == pytest.approx(2.0, rel=1e-12)
+
+
+# --- weights and refusals -----------------------------------------------------------------------------
+
+
+def test_bryson_makes_the_largest_errors_cost_the_same():
+    model = formation()
+    weights = bryson(model.states, r=[0.1, 0.2, 0.5], v=0.01)
+    assert np.allclose(weights["r"], [100, 25, 4])
+    assert weights["v"] == pytest.approx(1e4)
+    assert np.allclose(
+        gain(design_lqr(model, np.zeros(6), Q=weights, R=bryson(model.controls, u=1e-3))),
+        gain(design_lqr(model, np.zeros(6), Q=np.diag([100, 25, 4, 1e4, 1e4, 1e4]), R=1e6)),
+    )
+    with pytest.raises(UnknownNameError, match="'vv'"):
+        bryson(model.states, vv=1.0)
+    with pytest.raises(ArgumentError, match="largest acceptable 'v'"):
+        bryson(model.states, v=0.0)
+
+
+def test_a_plant_that_is_not_stabilisable_is_refused_by_mode():
+    model = go.Model("drifting")
+    q, v, p = model.state("q"), model.state("v"), model.state("p")
+    a = model.control("a")
+    model.ode({q: v, v: a, p: 0.25 * p})
+    with pytest.raises(
+        DesignError, match=r"not stabilisable: no control reaches .* eigenvalue 0\.25 1/s in 'p'"
+    ):
+        design_lqr(model, [0, 0, 0], Q=1, R=1)
+    with pytest.raises(DesignError, match=r"eigenvalue 0\.25 1/s in 'p'"):
+        design_lqr(model, [0, 0, 0], Q=1, R=1, dt=0.1)
+
+
+def test_a_stable_mode_out_of_reach_is_no_obstacle():
+    model = go.Model("fading")
+    q, p = model.state("q"), model.state("p")
+    a = model.control("a")
+    model.ode({q: a + p, p: -0.25 * p})
+    assert gain(design_lqr(model, [0, 0], Q=1, R=1))[0, 0] == pytest.approx(1.0)
+
+
+def test_defective_modes_out_of_reach_are_found():
+    a = np.zeros((5, 5))
+    a[0, 1] = a[2, 3] = a[3, 4] = 1.0  # a triple integrator beside a double one that has the control
+    mixing = np.linalg.qr(np.random.default_rng(0).normal(size=(5, 5)))[0]
+    b = np.array([[0], [1.0], [0], [0], [0]])
+    modes = unreached(mixing @ a @ mixing.T, mixing @ b, tuple("abcde"))
+    assert len(modes) == 3
+    assert all(abs(mode.eigenvalue) < 1e-4 and mode.rank_gap < 1e-8 for mode in modes)
+    assert unreached(
+        formation().linearize(0.0, np.zeros(6), np.zeros(3))[0], np.eye(6)[:, [4]], tuple("xyzuvw")
+    )
+
+
+def test_a_cost_that_does_not_see_a_mode_is_refused():
+    with pytest.raises(DesignError, match=r"not detectable.*eigenvalue 0 1/s in 'q'"):
+        design_lqr(cart(), [0, 0], Q={"v": 1}, R=1)
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        ({"Q": {"q": -1}, "R": 1}, "weight Q of 'q' is -1"),
+        ({"Q": [[1, 2], [2, 1]], "R": 1}, "weight Q is not positive semidefinite.*-1"),
+        ({"Q": [[0, 1e-3], [1e-3, 1]], "R": 1}, "weight Q is not positive semidefinite"),
+        ({"Q": [[1, 1], [0, 1]], "R": 1}, "not symmetric"),
+        ({"Q": 1, "R": 0}, "weight R of 'a' is 0"),
+        ({"Q": 1, "R": 1, "N": [[5], [0]]}, r"\[\[Q, N\], \[N', R\]\] is not positive semidefinite"),
+        ({"Q": 1, "R": 1, "limits": (1, 1)}, "'a' has no authority"),
+    ],
+)
+def test_impossible_weights_are_refused_with_numbers(weights, message):
+    with pytest.raises(DesignError, match=message):
+        design_lqr(cart(), [0, 0], **weights)
+
+
+def test_weights_of_a_wrong_shape_or_name_are_refused():
+    with pytest.raises(ArgumentError, match=r"shape \(3, 3\)"):
+        design_lqr(cart(), [0, 0], Q=np.eye(3), R=1)
+    with pytest.raises(UnknownNameError, match="'w'"):
+        design_lqr(cart(), [0, 0], Q={"w": 1}, R=1)
+
+
+def test_a_reference_with_changing_dynamics_is_refused():
+    model = go.Model("pendulum")
+    q, v = model.state("q"), model.state("v")
+    a = model.control("a")
+    model.ode({q: v, v: a - ca.sin(q)})
+    reference = Reference.from_functions(model, lambda t: [t, 1], lambda t: [np.sin(t)], 0, 1)
+    with pytest.raises(DesignError, match=r"A of 'pendulum' changes along the reference.*design_tvlqr"):
+        design_lqr(model, reference, Q=1, R=1)
+
+
+def test_saturation_reserve():
+    model = cart()
+    reference = Reference.from_functions(model, lambda t: [0, 0], lambda t: [0.6], 0, 1)
+    facts = design_lqr(model, reference, Q=1, R=1, limits=(-1, 1)).explain()
+    assert np.asarray(facts["saturation reserve"]) == pytest.approx([0.4])

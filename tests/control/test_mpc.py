@@ -1,0 +1,249 @@
+"""Model predictive control: the regulator where no limit is met, optimality where one is, and failing safely."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import LinearConstraint, minimize
+
+import gnc_opt as go
+from gnc_opt.control.lqr import design_lqr
+from gnc_opt.control.mpc import NOT_A_NUMBER, QP_FAILED, design_mpc
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.riccati import steady
+from gnc_opt.control.sampling import sample
+from gnc_opt.control.tvlqr import design_tvlqr
+from gnc_opt.errors import ArgumentError, DesignError
+
+DT = 0.1
+A, B = np.array([[1, DT], [0, 1]]), np.array([DT**2 / 2, DT])
+
+
+def cart() -> go.Model:
+    model = go.Model("cart")
+    q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
+    a = model.control("a", unit="m/s^2")
+    model.ode({q: v, v: a})
+    return model
+
+
+def pendulum() -> tuple[go.Model, Reference]:
+    model = go.Model("pendulum")
+    q, v = model.state("q"), model.state("v")
+    a = model.control("a")
+    model.ode({q: v, v: a - ca.sin(q)})
+    reference = Reference.from_functions(
+        model,
+        lambda t: [np.cos(t), -np.sin(t)],
+        lambda t: [np.sin(np.cos(t)) - np.cos(t)],
+        0.0,
+        3.0,
+    )
+    return model, reference
+
+
+def tracker(**options):
+    model = cart()
+    settings = {"Q": 1, "R": 1, "horizon": 2.0, "dt": DT, "limits": (-1, 1)} | options
+    return design_mpc(model, Reference.constant(model, [0, 0]), **settings)
+
+
+def fly(controller, x, steps, disturbance=0.0):
+    z, states, commands = None, [], []
+    for k in range(steps):
+        u, z = controller(k * DT, x, z)
+        x = A @ x + B * (u[0] + disturbance)
+        states.append(x)
+        commands.append(u[0])
+    return np.array(states), np.array(commands), z
+
+
+# --- without limits in reach --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("solver", ["daqp", "qrqp", "osqp"])
+def test_without_limits_it_is_the_sampled_regulator(solver):
+    regulator = design_lqr(cart(), [0, 0], Q=1, R=1, dt=DT)
+    controller = tracker(limits=(-100, 100), rate_limits=1e4, state_limits={"v": (-50, 50)}, solver=solver)
+    for x in np.random.default_rng(1).normal(size=(10, 2)):
+        assert controller(0.0, x)[0] == pytest.approx(regulator(0.0, x)[0], abs=1e-9)
+
+
+def test_without_limits_it_is_the_time_varying_regulator_along_a_reference():
+    model, reference = pendulum()
+    controller = design_mpc(model, reference, Q=1, R=1, horizon=1.0, dt=DT, limits=(-100, 100))
+    regulator = design_tvlqr(model, reference, Q=1, R=1, dt=DT)
+    assert controller.explain()["dynamics along the horizon"] == "from the schedule"
+    for t in (0.0, 1.3, 2.5, 2.9, 3.0, 8.0):
+        x = reference.x(t) + np.array([0.1, -0.2])
+        assert controller(t, x)[0] == pytest.approx(regulator(t, x)[0], abs=1e-9)
+
+
+def test_terminal_weight_of_ones_own():
+    """One step ahead the optimum is a formula: v = -(r + B'SB)^-1 (B'SA + n') e."""
+    end = np.diag([3.0, 0.5])
+    controller = tracker(horizon=DT, terminal=end, limits=(-100, 100))
+    s = sample(
+        np.array([[0, 1.0], [0, 0]]), np.array([[0], [1.0]]), np.eye(2), np.eye(1), np.zeros((2, 1)), DT
+    )
+    x = np.array([0.4, -0.3])
+    v = -np.linalg.solve(s.r + s.b.T @ end @ s.b, (s.b.T @ end @ s.a + s.n.T) @ x)
+    assert controller(0.0, x)[0] == pytest.approx(v, rel=1e-10)
+    limited = tracker(horizon=DT, rate_limits=2.0, state_limits={"v": (-1, 1)}, terminal=end)
+    assert limited(0.0, [2.0, 0.6])[0] == pytest.approx([-0.2], abs=1e-12)
+
+
+# --- with limits --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("previous", "expected"), [(0.0, -0.4), (-0.9, -1.0), (0.9, 0.5)])
+def test_with_limits_the_first_command_is_that_of_an_independent_optimisation(previous, expected):
+    """The same programme, written in controls and states and solved by scipy."""
+    steps = 8
+    s = sample(
+        np.array([[0, 1.0], [0, 0]]), np.array([[0], [1.0]]), np.eye(2), np.eye(1), np.zeros((2, 1)), DT
+    )
+    p = steady(s.a, s.b, s.q, s.r, s.n, ("q", "v"), sampled=True).cost
+    x_0 = np.array([2.0, 0.6])
+
+    def cost(v):
+        e, total = x_0, 0.0
+        for u in v:
+            total += e @ s.q @ e + s.r[0, 0] * u**2 + 2 * (e @ s.n)[0] * u
+            e = s.a @ e + s.b[:, 0] * u
+        return total + e @ p @ e
+
+    before = previous * np.eye(steps)[0]
+    rates = LinearConstraint(np.eye(steps) - np.eye(steps, k=-1), before - 0.4, before + 0.4)
+    best = minimize(
+        cost,
+        np.full(steps, previous),
+        bounds=[(-1, 1)] * steps,
+        constraints=rates,
+        method="SLSQP",
+        options={"ftol": 1e-14, "maxiter": 500},
+    )
+    controller = tracker(horizon=steps * DT, rate_limits=4.0)
+    z = controller.initial_memory(0.0, x_0)
+    z[controller.memory.slice("previous_command")] = previous
+    u, z = controller(0.0, x_0, z)
+    assert u[0] == pytest.approx(best.x[0], abs=1e-6)
+    assert u[0] == pytest.approx(expected, abs=1e-9)
+    assert z[0] == u[0]
+    # the limits matter: in later steps the plan meets that of the control
+    assert np.max(np.abs(best.x)) > 0.99
+
+
+def test_limits_of_control_rate_and_state_are_kept():
+    controller = tracker(rate_limits=5.0, state_limits={"v": (-0.5, np.inf)})
+    states, commands, z = fly(controller, np.array([3.0, 0.0]), 150)
+    assert np.max(np.abs(commands)) <= 1.0
+    assert np.max(np.abs(np.diff(np.append(0.0, commands)))) <= 0.5 + 1e-12
+    assert states[:, 1].min() == pytest.approx(-0.5, abs=1e-9)  # met, and kept
+    assert np.allclose(states[-1], 0, atol=1e-4)
+    assert z[controller.memory.slice("qp_alarm")] == 0
+
+
+def test_a_state_limit_that_cannot_be_kept_is_left_as_little_as_possible():
+    controller = tracker(state_limits={"v": (-0.5, 0.5)})
+    states, commands, z = fly(controller, np.array([0.0, 2.0]), 40)
+    assert z[controller.memory.slice("qp_alarm")] == 0
+    assert np.allclose(commands[:14], -1.0)  # with all authority back to the limit
+    assert np.max(np.abs(states[16:, 1])) <= 0.5 + 1e-9
+
+
+def test_prediction_avoids_the_overshoot_of_a_clipped_regulator():
+    regulator = design_lqr(cart(), [0, 0], Q=[100, 0], R=0.01, dt=DT)
+    x, clipped = np.array([5.0, 0.0]), []
+    for _ in range(150):
+        x = A @ x + B * np.clip(regulator(0.0, x)[0][0], -1, 1)
+        clipped.append(x[0])
+    states, _, _ = fly(tracker(Q=[100, 0], R=0.01, horizon=4.0), np.array([5.0, 0.0]), 150)
+    assert min(clipped) < -0.5
+    assert states[:, 0].min() > 0.3 * min(clipped)
+
+
+def test_upcoming_change_of_the_reference_is_anticipated():
+    model = cart()
+    step = Reference.from_functions(
+        model, lambda t: [0, 0], lambda t: [0.0 if t < 1.0 else 0.9], 0, 2, jumps=[1.0], tail="hold"
+    )
+    controller = design_mpc(model, step, Q=1, R=1, horizon=1.5, dt=DT, limits=(-1, 1), rate_limits=2.0)
+    u, _ = controller(0.8, [0, 0], np.r_[0.0, controller.initial_memory(0.8, [0, 0])[1:]])
+    assert u[0] > 0.01  # the feedforward will jump by more than the rate allows: it begins before
+
+
+# --- inside CasADi, and when it fails -----------------------------------------------------------------
+
+
+def test_many_steps_are_one_function():
+    controller = tracker(rate_limits=5.0, state_limits={"v": (-0.5, 0.5)})
+    x, z = ca.MX.sym("x", 2), ca.MX.sym("z", controller.memory.size)
+    u, z_next = controller.step(0.0, x, controller.signal(0.0), z)
+    x_next = ca.DM(A) @ x + ca.DM(B) * u
+    loop = ca.Function("loop", [ca.vertcat(x, z)], [ca.vertcat(x_next, z_next), u]).mapaccum(60)
+    start = np.array([3.0, 0.0])
+    path, commands = loop(ca.vertcat(start, controller.initial_memory(0.0, start)))
+    states, expected, _ = fly(controller, start, 60)
+    assert np.allclose(commands.full()[0], expected, atol=1e-12)
+    assert np.allclose(path.full()[:2].T, states, atol=1e-12)
+
+
+def test_a_measurement_that_is_no_number_raises_the_alarm_and_gives_the_feedforward():
+    controller = tracker()
+    u, z = controller(0.0, [np.nan, 0.0])
+    alarm = controller.memory.slice("qp_alarm")
+    assert (u[0], z[alarm]) == (0.0, NOT_A_NUMBER)
+    u, z = controller(DT, [0.1, 0.0], z)  # it recovers, but the alarm stays
+    assert u[0] < 0
+    assert z[alarm] == NOT_A_NUMBER
+    assert controller(0.0, [np.inf, 0.0])[1][alarm] == NOT_A_NUMBER
+
+
+def test_a_programme_that_is_not_solved_raises_the_alarm_and_gives_the_clipped_regulator(monkeypatch):
+    import gnc_opt.control.mpc as module
+
+    starved = {"verbose": False, "max_iter": 1, "polish": False, "check_termination": 1}
+    monkeypatch.setitem(module._OPTIONS, "osqp", {"osqp": starved})
+    controller = tracker(solver="osqp", rate_limits=5.0)
+    regulator = design_lqr(cart(), [0, 0], Q=1, R=1, dt=DT)
+    x = np.array([3.0, 0.0])
+    u, z = controller(0.0, x)
+    alarm = controller.memory.slice("qp_alarm")
+    assert z[alarm] == QP_FAILED
+    assert u[0] == -0.5  # what limit and rate leave of the regulator's command
+    near = np.array([0.3, 0.0])
+    assert controller(0.0, near, np.r_[-0.3, z[1:]])[0] == pytest.approx(regulator(0.0, near)[0], abs=1e-6)
+    assert controller.alarms == ("qp_alarm",)
+
+
+def test_refusals():
+    model = cart()
+    with pytest.raises(ArgumentError, match=r"horizon of 0\.25 s is no whole number"):
+        tracker(horizon=0.25)
+    with pytest.raises(DesignError, match="'a' has no authority"):
+        tracker(limits=(1, 1))
+    with pytest.raises(DesignError, match="rate limit of control 'a' is 0"):
+        tracker(rate_limits=0.0)
+    with pytest.raises(DesignError, match="state 'v' leave no room"):
+        tracker(state_limits={"v": (1, -1)})
+    with pytest.raises(ArgumentError, match="no QP solver 'dapq': did you mean 'daqp'"):
+        tracker(solver="dapq")
+    with pytest.raises(ArgumentError, match="terminal is 'ricatti'"):
+        tracker(terminal="ricatti")
+    with pytest.raises(ArgumentError, match="Reference"):
+        design_mpc(model, [0, 0], Q=1, R=1, horizon=1.0, dt=DT, limits=(-1, 1))
+    angles = go.Model("turning")
+    q, w = angles.state("q"), angles.control("w")
+    angles.ode({q: w})
+    angles.difference(q, lambda x, ref: ca.sin(x - ref))
+    with pytest.raises(DesignError, match="error of state 'q' is not a difference"):
+        design_mpc(
+            angles,
+            Reference.constant(angles, [0]),
+            Q=1,
+            R=1,
+            horizon=1.0,
+            dt=DT,
+            limits=(-1, 1),
+            state_limits={"q": (-1, 1)},
+        )

@@ -1,0 +1,148 @@
+"""References: from solutions, functions and constants; their means, jumps and tails."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+import gnc_opt as go
+from gnc_opt.control.reference import Reference, trim
+from gnc_opt.errors import ArgumentError
+
+
+def cart() -> go.Model:
+    model = go.Model("cart")
+    q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
+    a = model.control("a", unit="m/s^2")
+    model.ode({q: v, v: a})
+    return model
+
+
+def fastest(bound: float = 1.0) -> go.Solution:
+    """Rest to rest over 1 m in least time 2 / sqrt(bound), with one switch in the middle."""
+    ocp = go.Problem("rest to rest")
+    leg = ocp.phase("leg", cart())
+    leg.time(initial=0.0, final=(0.1, 10.0))
+    leg.initial(q=1.0, v=0.0)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(a=(-bound, bound))
+    ocp.minimize(leg.final_time)
+    return go.solve(ocp)
+
+
+@pytest.fixture(scope="module")
+def solution() -> go.Solution:
+    return fastest()
+
+
+def test_follows_the_solution_and_rests_after_it(solution):
+    reference = Reference(solution)
+    assert reference.final_time == pytest.approx(2.0, abs=1e-2)
+    times = np.linspace(0, reference.final_time, 7)
+    assert np.allclose(reference.x(times), solution.phases["leg"].x(times))
+    assert np.allclose(reference.u(times), solution.phases["leg"].flown(times))
+    assert np.allclose(reference.x(50.0), 0, atol=1e-8)
+    assert np.allclose(reference.u(50.0), 0, atol=1e-8)
+    assert reference.x(1.0).shape == (2,)
+    assert reference.x(np.zeros(5)).shape == (2, 5)
+
+
+def test_mean_control_has_the_impulse_of_the_reference(solution):
+    reference = Reference(solution)
+    dt = 0.23  # no multiple fits: steps straddle the switch and the end
+    times = dt * np.arange(12)
+    means = reference.mean_control(times, dt)
+    v_end = reference.x(0.0)[1] + dt * means[0].sum()
+    assert v_end == pytest.approx(0.0, abs=1e-7)
+    k = 4  # the step with the switch near 1 s
+    marks = [float(t) for t in reference.jumps if times[k] < t < times[k] + dt]
+    exact = quad(lambda t: reference.u(t)[0], times[k], times[k] + dt, points=marks, limit=400)[0] / dt
+    assert means[0, k] == pytest.approx(exact, abs=1e-6)
+
+
+def test_mean_control_of_functions_is_exact_across_jumps_and_the_end():
+    reference = Reference.from_functions(
+        cart(), lambda t: [0, 0], lambda t: [t**3 if t < 1 else 2.0], 0, 1.5, jumps=[1.0], tail="hold"
+    )
+    assert reference.mean_control([0.6], 0.8)[0, 0] == pytest.approx(
+        ((1 - 0.6**4) / 4 + 2 * 0.4) / 0.8, rel=1e-14
+    )
+    assert reference.mean_control([1.4, 7.0], 0.2)[0] == pytest.approx([2.0, 2.0], rel=1e-14)
+    trimmed = Reference.from_functions(cart(), lambda t: [0, 0], lambda t: [3.0], 0, 1.0, tail="trim")
+    assert trimmed.mean_control([0.9], 0.4)[0, 0] == pytest.approx(0.75, rel=1e-14)
+
+
+def test_phases_are_followed_one_after_the_other():
+    ocp = go.Problem("two legs")
+    first, second = ocp.phase("first", cart()), ocp.phase("second", cart())
+    for leg, start, end in ((first, 0.0, 1.0), (second, 1.0, 3.0)):
+        leg.time(initial=start, final=end)
+        leg.bounds(a=(-9, 9))
+    first.initial(q=0.0, v=0.0)
+    first.final(q=1.0, v=0.5)
+    second.initial(q=1.0, v=0.5)
+    second.final(q=0.0, v=0.0)
+    ocp.minimize(_effort(first) + _effort(second))
+    solution = go.solve(ocp)
+    reference = Reference(solution)
+    assert (reference.initial_time, reference.final_time) == (0.0, 3.0)
+    assert np.allclose(reference.x(1.0), [1.0, 0.5], atol=1e-7)
+    # least squares: on each leg the control is linear in time
+    u = reference.u(np.array([0.2, 0.5, 0.8, 1.4, 2.0, 2.6]))[0]
+    assert u[1] - u[0] == pytest.approx(u[2] - u[1], abs=1e-6)
+    assert u[4] - u[3] == pytest.approx(u[5] - u[4], abs=1e-6)
+
+
+def _effort(leg):
+    return leg.integral(leg.model.symbol("a") ** 2)
+
+
+def test_tails(solution):
+    held = Reference(solution, tail="hold")
+    assert held.u(9.0) == pytest.approx(held.u(held.final_time))
+    none = Reference(solution, tail="none")
+    assert none.tail_control is None
+    with pytest.raises(ArgumentError, match=r"runs from 0 s to .* not at 9\.0 s"):
+        none.x(9.0)
+    with pytest.raises(ArgumentError, match="give it a tail"):
+        none.u([0.0, 9.0])
+    with pytest.raises(ArgumentError, match="no tail 'trimm': did you mean 'trim'"):
+        Reference(solution, tail="trimm")
+    with pytest.raises(ArgumentError, match=r"not at -1\.0 s"):
+        held.x(-1.0)
+
+
+def test_trim_finds_the_control_that_holds_a_state():
+    model = go.Model("pendulum")
+    q, v = model.state("q"), model.state("v")
+    a = model.control("a")
+    model.ode({q: v, v: a + 0.1 * a**3 - ca.sin(q)})
+    u = trim(model, 0.0, [0.5, 0.0])
+    assert u[0] + 0.1 * u[0] ** 3 == pytest.approx(np.sin(0.5), abs=1e-14)
+    assert Reference.constant(model, [0.5, 0.0]).u(3.0) == pytest.approx(u)
+    with pytest.raises(ArgumentError, match=r"no control keeps.*'q' still moves at 0.2"):
+        trim(model, 0.0, [0.5, 0.2])
+    with pytest.raises(ArgumentError, match="no control keeps"):
+        Reference.from_functions(model, lambda t: [t, 1], lambda t: [0], 0, 1, tail="trim")
+
+
+def test_a_solution_that_is_not_solved_is_refused():
+    ocp = go.Problem("too far")
+    leg = ocp.phase("leg", cart())
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(q=100.0, v=0.0)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(a=(-1, 1))
+    ocp.minimize(_effort(leg))
+    failed = go.solve(ocp, throw=False)
+    with pytest.raises(ArgumentError, match=r"'too far' ended as .*: follow one that is solved"):
+        Reference(failed)
+
+
+def test_bad_references_are_refused():
+    with pytest.raises(ArgumentError, match="Solution"):
+        Reference("solution")
+    with pytest.raises(ArgumentError, match=r"from 2\.0 s to 1\.0 s is none"):
+        Reference.from_functions(cart(), lambda t: [0, 0], lambda t: [0], 2, 1)
+    with pytest.raises(ArgumentError, match="3 values"):
+        Reference.constant(cart(), [1, 2, 3])

@@ -1,0 +1,401 @@
+"""Sliding-mode theory: reaching time, invariance, boundary layer, chattering, refusals; a published formation."""
+
+from __future__ import annotations
+
+import casadi as ca
+import formation
+import numpy as np
+import pytest
+from stepping import step_through
+
+from gnc_opt.control.reaching import (
+    ConstantRate,
+    ExponentialRate,
+    PowerRate,
+    SaturationLayer,
+    Sign,
+    SuperTwisting,
+    TanhLayer,
+)
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.sliding_mode import design_sliding_mode
+from gnc_opt.control.super_twisting import SuperTwistingObserver
+from gnc_opt.errors import DesignError
+from gnc_opt.model.model import Model
+
+DT, SLOPE = 1e-3, 2.0
+START = np.array([1.0, 0.5])
+
+
+def integrators(order: int = 2) -> Model:
+    model = Model("integrators")
+    names = [f"x{i}" for i in range(order)]
+    x = [model.state(n) for n in names]
+    u = model.control("u", unit="N")
+    model.ode(dict(zip(x, [*x[1:], u], strict=True)))
+    return model
+
+
+def design(reaching, boundary, **options):
+    model = integrators()
+    options = {"slopes": SLOPE, "dt": DT, "start": START} | options
+    return design_sliding_mode(
+        model,
+        Reference.constant(model, [0, 0]),
+        outputs="x0",
+        reaching=reaching,
+        boundary=boundary,
+        **options,
+    )
+
+
+def surface(run, slope=SLOPE):
+    return run.x[1] + slope * run.x[0]
+
+
+def constant(value):
+    return lambda t: np.full((1, t.size), value)
+
+
+@pytest.mark.parametrize(
+    ("law", "bound"),
+    [
+        (ConstantRate(1.0), 0.0),
+        (ConstantRate(1.0), 0.6),
+        (ExponentialRate(0.5, 1.5), 0.3),
+        (PowerRate(1.0, 0.5), 0.0),
+    ],
+)
+def test_surface_is_reached_at_the_bound_on_the_reaching_time_and_not_later(law, bound):
+    """The disturbance that works hardest against the law makes the bound an equality, up to the step."""
+    controller = design(law, Sign(), bound=bound)
+    bounded = controller.explain()["reaching time"][0]
+    run = step_through(controller, integrators(), START, dt=DT, tf=bounded + 1, disturbance=constant(bound))
+    s = surface(run)
+    assert controller.explain()["s at the start"] == pytest.approx([s[0]])
+    reached = run.times[np.argmax(s <= 0.002)]
+    assert 0.95 * bounded < reached <= bounded + 2 * DT
+    assert np.max(np.abs(s[run.times > bounded + 2 * DT])) < 3 * DT
+
+
+def test_sliding_is_invariant_to_matched_disturbances_below_the_gain():
+    """On s = 0 the error follows exp(-lambda t) whatever the disturbance."""
+    controller = design(ConstantRate(1.0), Sign(), bound=0.8)
+    runs = [
+        step_through(controller, integrators(), [1.0, -SLOPE], dt=DT, tf=3.0, disturbance=d)
+        for d in (
+            None,
+            constant(0.8),
+            lambda t: 0.8 * np.sin(7 * t)[None],
+            lambda t: 0.8 * np.sign(np.cos(3 * t))[None],
+        )
+    ]
+    for run in runs:
+        assert run.x[0] == pytest.approx(np.exp(-SLOPE * run.times), abs=2 * DT)
+
+
+def test_there_is_no_invariance_above_the_gain():
+    """s runs away at the rate by which the disturbance exceeds the gain."""
+    run = step_through(
+        design(ConstantRate(1.0), Sign()), integrators(), [0.0, 0.0], dt=DT, tf=3.0, disturbance=constant(1.5)
+    )
+    assert surface(run)[-1] == pytest.approx(0.5 * 3.0, rel=0.01)
+
+
+@pytest.mark.parametrize("boundary", [SaturationLayer(0.05), TanhLayer(0.05)])
+@pytest.mark.parametrize("law", [ConstantRate(1.0), ExponentialRate(1.0, 0.01)])
+def test_boundary_layer_bounds_the_steady_error(boundary, law):
+    """A constant disturbance at its bound ends at the stated width; a smaller one stays inside."""
+    controller = design(law, boundary, bound=0.7)
+    stated = controller.explain()["steady error bound"][0]
+    at_bound, inside = (
+        step_through(controller, integrators(), 0.05 * START, dt=DT, tf=8.0, disturbance=constant(d)).x[0, -1]
+        for d in (0.7, 0.35)
+    )
+    assert at_bound == pytest.approx(stated, rel=2e-3)
+    assert at_bound <= stated * (1 + 1e-6)
+    assert inside < 0.55 * stated
+    width = 0.05 * (0.7 if isinstance(boundary, SaturationLayer) else np.arctanh(0.7))
+    assert stated == pytest.approx(width / SLOPE)
+
+
+def test_power_rate_stays_in_the_band_that_the_disturbance_leaves_it():
+    law = PowerRate(1.0, 0.5)
+    controller = design(law, SaturationLayer(0.01), bound=0.3)
+    band = controller.explain()["band of s"][0]
+    assert band**0.5 * min(band / 0.01, 1) == pytest.approx(0.3)
+    run = step_through(controller, integrators(), START, dt=DT, tf=12.0, disturbance=constant(0.3))
+    assert surface(run)[-1] == pytest.approx(band, rel=1e-3)
+
+
+def test_chattering_falls_more_than_a_hundredfold_from_sign_to_saturation():
+    variation = {}
+    for boundary in (Sign(), SaturationLayer(0.02), TanhLayer(0.02)):
+        run = step_through(
+            design(ConstantRate(1.0), boundary, bound=0.5),
+            integrators(),
+            START,
+            dt=DT,
+            tf=10.0,
+            disturbance=lambda t: 0.5 * np.sin(t)[None],
+        )
+        variation[type(boundary)] = np.sum(np.abs(np.diff(run.u[0])))
+    assert variation[Sign] > 100 * variation[SaturationLayer]
+    assert variation[Sign] > 100 * variation[TanhLayer]
+
+
+def test_the_sampling_limit_is_where_the_sampled_surface_begins_to_grow():
+    """Inside the layer s+ = (1 - gain dt / phi) s; designed for any step, the law is run on either side of 2."""
+    grown = {}
+    for ratio in (1.9, 2.1):
+        controller = design(ConstantRate(1.0), SaturationLayer(1.0), dt=None, slopes=1e-3)
+        run = step_through(controller, integrators(), [0.0, 1e-3], dt=ratio, tf=60 * ratio)
+        grown[ratio] = abs(surface(run, 1e-3)[-1]) / 1e-3
+    assert grown[1.9] < 0.01 < 100 < grown[2.1]
+    with pytest.raises(DesignError, match=r"gain \* dt / phi = 2.1 is not below 2"):
+        design(ConstantRate(1.0), SaturationLayer(1.0), dt=2.1)
+    assert design(ConstantRate(1.0), SaturationLayer(1.0), dt=1.9).explain()[
+        "sampling limit"
+    ] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("poles", [[-1.0, -2.0, -3.0], [-2.0, -1 + 1j, -1 - 1j]])
+def test_surfaces_of_higher_relative_degree_have_the_poles_asked_for(poles):
+    model = integrators(4)
+    controller = design_sliding_mode(
+        model,
+        Reference.constant(model, np.zeros(4)),
+        outputs="x0",
+        slopes={"x0": poles},
+        reaching=ExponentialRate(1.0, 5.0),
+        boundary=SaturationLayer(0.01),
+        bound=0.5,
+        dt=DT,
+    )
+    c = np.poly(poles)[::-1].real
+    run = step_through(controller, model, [1, 0, 0, 0], dt=DT, tf=16.0, disturbance=constant(0.5))
+    s = c @ run.x
+    facts = controller.explain()
+    assert np.sort_complex(facts["surface poles of x0"]) == pytest.approx(np.sort_complex(np.array(poles)))
+    assert abs(s[-1]) <= facts["band of s"][0]
+    # a constant s makes a constant error s / c_0, which is the bound for real poles and below it for the others
+    assert run.x[0, -1] == pytest.approx(s[-1] / c[0], rel=2e-3)
+    assert s[-1] / c[0] <= facts["steady error bound"][0] * (1 + 1e-9)
+
+
+def test_steady_error_bound_with_complex_poles_is_the_integral_of_the_impulse_response():
+    """1 / (p^2 + 2 p + 2): the integral of |exp(-t) sin t| is coth(pi / 2) / 2."""
+    model = integrators(3)
+    controller = design_sliding_mode(
+        model,
+        Reference.constant(model, np.zeros(3)),
+        outputs="x0",
+        slopes={"x0": [-1 + 1j, -1 - 1j]},
+        reaching=ConstantRate(1.0),
+        boundary=SaturationLayer(1.0),
+        bound=0.5,
+    )
+    assert controller.explain()["steady error bound"] == pytest.approx([0.25 / np.tanh(np.pi / 2)], rel=1e-4)
+
+
+def test_super_twisting_law_holds_a_ramp_with_a_continuous_command():
+    """A disturbance that grows at a bounded rate is cancelled exactly, without switching of the command."""
+    controller = design(SuperTwisting(1.5, 1.1), Sign(), bound=0.7)
+    run = step_through(
+        controller, integrators(), START, dt=DT, tf=20.0, disturbance=lambda t: (1 + 0.7 * np.cos(t))[None]
+    )
+    late = run.times > 15
+    assert np.max(np.abs(surface(run)[late])) < 1e-4
+    assert np.max(np.abs(np.diff(run.u[0]))) < 0.1  # a switching law of the same strength jumps by 3.4
+    disturbance = 1 + 0.7 * np.cos(run.times[:-1])
+    assert run.u[0][late[:-1]] == pytest.approx((-disturbance - SLOPE * run.x[1, :-1])[late[:-1]], abs=0.03)
+
+
+def test_an_observer_cancels_what_the_reaching_law_could_not_hold():
+    """A disturbance of 2 against a gain of 0.2: with the observer s still ends at zero."""
+    observer = SuperTwistingObserver(3.0, 2.0, bound=1.0)
+    plain, helped = (
+        step_through(
+            design(ConstantRate(0.2), SaturationLayer(0.05), observer=o),
+            integrators(),
+            [0.0, 0.0],
+            dt=DT,
+            tf=12.0,
+            disturbance=lambda t: (2 + np.sin(t))[None],
+        )
+        for o in (None, observer)
+    )
+    assert abs(surface(plain)[-1]) > 1
+    assert abs(surface(helped)[-1]) < 2e-3
+    estimate = helped.memory("disturbance")[0, -1]
+    assert estimate == pytest.approx(2 + np.sin(12.0), abs=0.02)
+
+
+def test_formation_keeping_agrees_with_the_published_run():
+    """Imani & Bahrami, Table 1, SMC: 1.11 m and 2.358 m/s; the law evaluated continuously, Runge-Kutta of 1 s."""
+    model, plant = formation.nonlinear(j2=False), formation.nonlinear(j2=True)
+    reference = formation.formation(model)
+    controller = design_sliding_mode(
+        model,
+        reference,
+        outputs="r",
+        slopes=1e-3,
+        reaching=ConstantRate(0.96),
+        boundary=SaturationLayer(10.0),
+        bound=1e-5,
+        dt=1.0,
+        start=formation.START,
+    )
+    facts = controller.explain()
+    assert facts["s at the start"] == pytest.approx([-0.2, 0.8397, -0.3660], abs=5e-5)
+    assert facts["sampling limit"] == pytest.approx(20.83, abs=0.01)
+    assert facts["dimension of the zero dynamics"] == 0
+    assert controller(0.0, formation.START, dt=1.0)[0] == pytest.approx(
+        [0.01769, -0.08165, 0.03474], abs=2e-5
+    )
+
+    n, h = 6043, formation.PERIOD / 6043
+    half = h / 2 * np.arange(2 * n + 1)
+    x_ref, u_ref = reference.x(half), reference.u(half)
+    rows = np.vstack([x_ref, u_ref])
+    z = controller.initial_memory(0.0, formation.START)
+    x, t = ca.SX.sym("x", 7), ca.SX.sym("t")  # the seventh state is Delta-V
+    r = ca.SX.sym("r", 9)
+    u = controller.step(t, x[:6], r, z)[0]
+    rate = ca.Function("rate", [t, x, r], [ca.vertcat(plant.function(t, x[:6], u, []), ca.sum1(ca.fabs(u)))])
+    r3 = ca.SX.sym("r", 27)
+    k1 = rate(t, x, r3[:9])
+    k2 = rate(t + h / 2, x + h / 2 * k1, r3[9:18])
+    k3 = rate(t + h / 2, x + h / 2 * k2, r3[9:18])
+    k4 = rate(t + h, x + h * k3, r3[18:])
+    step = ca.Function("step", [x, t, r3], [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+    stacked = np.vstack([rows[:, :-1:2], rows[:, 1::2], rows[:, 2::2]])
+    end = step.mapaccum(n)(np.append(formation.START, 0.0), half[:-1:2], stacked).full()[:, -1]
+    assert np.linalg.norm(end[:3] - x_ref[:3, -1]) == pytest.approx(1.1098, abs=2e-4)
+    assert end[6] == pytest.approx(2.3583, abs=2e-4)
+
+
+def test_a_moving_reference_is_followed_with_its_feedforward():
+    """A pendulum swung through large angles: on the surface from the start, it stays on the reference."""
+    model = Model("pendulum")
+    angle, rate, torque = model.state("angle"), model.state("rate"), model.control("torque")
+    model.ode({angle: rate, rate: -9.81 * ca.sin(angle) + torque})
+
+    def x(t):
+        return [2 * np.sin(t), 2 * np.cos(t)]
+
+    reference = Reference.from_functions(
+        model, x, lambda t: [-2 * np.sin(t) + 9.81 * np.sin(2 * np.sin(t))], 0.0, 6.0
+    )
+    controller = design_sliding_mode(
+        model,
+        reference,
+        outputs="angle",
+        slopes=3.0,
+        reaching=ConstantRate(2.0),
+        boundary=SaturationLayer(0.02),
+        bound=1.5,
+        dt=DT,
+        limits=(-20.0, 20.0),
+    )
+    run = step_through(
+        controller, model, x(0.0), dt=DT, tf=6.0, disturbance=lambda t: 1.5 * np.sin(5 * t)[None]
+    )
+    errors = run.x[0] - 2 * np.sin(run.times)
+    assert np.max(np.abs(errors)) < controller.explain()["steady error bound"][0]
+
+
+def test_reserve_is_what_the_limits_leave_beside_feedforward_and_gain():
+    assert design(ConstantRate(1.0), Sign(), limits=(-1.5, 2.0)).explain()[
+        "saturation reserve"
+    ] == pytest.approx(0.5)
+    with pytest.raises(
+        DesignError, match=r"control 'u' needs 1 besides its feedforward 0 .* limits are -0.9 and 2"
+    ):
+        design(ConstantRate(1.0), Sign(), limits=(-0.9, 2.0))
+    with pytest.raises(DesignError, match="no authority"):
+        design(ConstantRate(1.0), Sign(), limits=(0.0, 0.0))
+
+
+def test_hopeless_designs_are_refused_with_numbers():
+    with pytest.raises(DesignError, match=r"disturbed by 1.2, not less than the gain 1 "):
+        design(ConstantRate(1.0), Sign(), bound=1.2)
+    with pytest.raises(DesignError, match=r"k2 = 0\.5"):
+        design(SuperTwisting(2.0, 0.5), Sign(), bound=0.5)
+    with pytest.raises(DesignError, match=r"k1 = 1 .* sqrt"):
+        design(SuperTwisting(1.0, 1.0), Sign(), bound=0.5)
+    with pytest.raises(DesignError, match="give dt"):
+        design(SuperTwisting(2.0, 1.0), Sign(), dt=None)
+    with pytest.raises(DesignError, match="lambda > 0"):
+        design(ConstantRate(1.0), Sign(), slopes=-1.0)
+    with pytest.raises(DesignError, match="not 2"):
+        design(ConstantRate(1.0), Sign(), slopes={"x0": [-1.0, -2.0]})
+    with pytest.raises(DesignError, match="finite numbers >= 0"):
+        design(ConstantRate(1.0), Sign(), bound=np.nan)
+    with pytest.raises(DesignError, match="the reaching law is 1"):
+        design(1.0, Sign())
+    with pytest.raises(DesignError, match="the boundary is 0"):
+        design(ConstantRate(1.0), 0.1)
+    with pytest.raises(DesignError, match="between 0 and 1"):
+        PowerRate(1.0, 1.5)
+
+
+def swinging() -> Model:
+    """A control that loses its grip at x0 = 0: dx1/dt = x0 u."""
+    model = Model("swinging")
+    x, v, u = model.state("x"), model.state("v"), model.control("u")
+    model.ode({x: v, v: x * u})
+    return model
+
+
+def singular_design(reference):
+    return design_sliding_mode(
+        reference.model,
+        reference,
+        outputs="x",
+        slopes=1.0,
+        reaching=ConstantRate(1.0),
+        boundary=SaturationLayer(0.1),
+        dt=DT,
+    )
+
+
+def test_singular_decoupling_on_the_reference_is_refused_with_its_time():
+    model = swinging()
+    with pytest.raises(DesignError, match="singular on the reference"):
+        singular_design(Reference.constant(model, [0.0, 0.0], [0.0]))
+    line = Reference.from_functions(model, lambda t: [1 - t, -1.0], lambda t: [0.0], 0.0, 2.0)
+    with pytest.raises(DesignError, match=r"det E = -1 at t = 2 s"):
+        singular_design(line)
+
+
+def test_run_time_guards_hold_the_command_and_raise_alarms():
+    model = swinging()
+    controller = singular_design(Reference.constant(model, [1.0, 0.0], [0.0]))
+    u, z = controller(0.0, [1.2, 0.1])
+    held = {name: controller.memory.slice(name) for name in ("singular", "invalid", "u_last", "s")}
+    assert z[held["singular"]] == z[held["invalid"]] == 0
+    for x, alarm, other in (([0.01, 0.0], "singular", "invalid"), ([np.nan, 0.0], "invalid", "singular")):
+        again, after = controller(DT, x, z)
+        assert again == pytest.approx(u)
+        assert np.all(np.isfinite(after))
+        assert after[held[alarm]] == 1
+        assert after[held[other]] == 0
+        assert after[held["s"]] == z[held["s"]]
+        recovered, later = controller(2 * DT, [1.1, 0.0], after)
+        assert later[held[alarm]] == 1
+        assert recovered == pytest.approx(controller(2 * DT, [1.1, 0.0])[0])
+
+
+def test_unstable_zero_dynamics_are_refused_with_their_eigenvalue():
+    """y = x0 - x1 of a double integrator: (1 - p) / p^2 has its zero at +1."""
+    model = integrators()
+    x0, x1 = model.symbol("x0"), model.symbol("x1")
+    with pytest.raises(DesignError, match="unstable: eigenvalue 1"):
+        design_sliding_mode(
+            model,
+            Reference.constant(model, [0, 0]),
+            outputs={"y": x0 - x1},
+            reaching=ConstantRate(1.0),
+            boundary=Sign(),
+        )

@@ -1,0 +1,271 @@
+"""Time-varying regulators: analytic Riccati solutions, the steady limit, optimality, sampling, tails."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm, solve_continuous_are
+
+import gnc_opt as go
+from gnc_opt.control.deviation import Deviation
+from gnc_opt.control.gains import riccati_defect, riccati_gains
+from gnc_opt.control.lqr import design_lqr
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.tvlqr import design_tvlqr
+from gnc_opt.errors import ArgumentError, DesignError
+
+
+def cart() -> go.Model:
+    model = go.Model("cart")
+    q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
+    a = model.control("a", unit="m/s^2")
+    model.ode({q: v, v: a})
+    return model
+
+
+def pendulum() -> go.Model:
+    model = go.Model("pendulum")
+    q, v = model.state("q", unit="rad"), model.state("v", unit="rad/s")
+    a = model.control("a", unit="1/s^2")
+    model.ode({q: v, v: a - ca.sin(q)})
+    return model
+
+
+def swing(model: go.Model, duration: float = 4.0, **options) -> Reference:
+    """q = cos t on the pendulum."""
+    return Reference.from_functions(
+        model,
+        lambda t: [np.cos(t), -np.sin(t)],
+        lambda t: [np.sin(np.cos(t)) - np.cos(t)],
+        0.0,
+        duration,
+        **options,
+    )
+
+
+def rest(model: go.Model, duration: float, **options) -> Reference:
+    return Reference.from_functions(model, lambda t: [0, 0], lambda t: [0], 0.0, duration, **options)
+
+
+def gains(controller):
+    return controller.schedule.gains
+
+
+@pytest.mark.parametrize("jumps", [(), (0.7, 2.9)])
+def test_double_integrator_without_state_weight(jumps):
+    """Q = 0, R = 1: inverse of P is linear in the costs: P = Phi' (S^-1 + W)^-1 Phi with the Gramian W to go."""
+    weight, t_f = np.array([[3.0, 0.5], [0.5, 2.0]]), 5.0
+    controller = design_tvlqr(cart(), rest(cart(), t_f, jumps=jumps), Q=0, R=1, terminal=weight)
+    for t in np.linspace(0, t_f, 23):
+        left = t_f - t
+        phi = np.array([[1, left], [0, 1]])
+        gramian = np.array([[left**3 / 3, left**2 / 2], [left**2 / 2, left]])
+        p = phi.T @ np.linalg.inv(np.linalg.inv(weight) + gramian) @ phi
+        assert np.allclose(gains(controller).P(t), p, rtol=0, atol=1e-10)  # 1e-8 is asked for
+        assert np.allclose(gains(controller).K(t), p[[1]], rtol=0, atol=1e-10)
+
+
+def test_scalar_plant_with_all_weights():
+    """x' = a x + u: dp/dtau = 2 a p - p^2 + q has a closed form by its two fixed points."""
+    model = go.Model("scalar")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: 0.4 * x + u})
+    reference = Reference.from_functions(model, lambda t: [0], lambda t: [0], 0.0, 3.0)
+    controller = design_tvlqr(model, reference, Q=2.0, R=1.0, terminal=0.1)
+    root = np.sqrt(0.4**2 + 2)
+    high, low = 0.4 + root, 0.4 - root
+    for t in np.linspace(0, 3, 11):
+        ratio = (0.1 - high) / (0.1 - low) * np.exp(-2 * root * (3 - t))
+        exact = (high - low * ratio) / (1 - ratio)
+        assert gains(controller).P(t)[0, 0] == pytest.approx(exact, rel=1e-10)
+
+
+@pytest.mark.parametrize("dt", [None, 0.1])
+def test_long_constant_references_give_the_steady_regulator(dt):
+    steady = np.asarray(design_lqr(cart(), [0, 0], Q=1, R=1, dt=dt).explain()["gain"])
+    controller = design_tvlqr(cart(), rest(cart(), 25.0), Q=1, R=1, terminal=50.0, dt=dt)
+    assert np.allclose(gains(controller).K(0.0), steady, rtol=0, atol=1e-9)
+    assert not np.allclose(gains(controller).K(24.8), steady, rtol=0, atol=1e-2)
+    # with the default terminal weight the gain is steady all along, and continuous at the end
+    default = design_tvlqr(cart(), rest(cart(), 5.0), Q=1, R=1, dt=dt)
+    for t in (0.0, 2.5, 5.0, 60.0):
+        assert np.allclose(gains(default).K(t), steady, rtol=0, atol=1e-10)
+
+
+def test_gain_is_continuous_at_the_end_of_a_swing():
+    controller = design_tvlqr(pendulum(), swing(pendulum(), tail="trim", duration=np.pi), Q=1, R=1)
+    k = [gains(controller).K(t) for t in (np.pi - 1e-7, np.pi, np.pi + 1e-7)]
+    assert np.allclose(k[0], k[1], atol=1e-6)
+    assert np.allclose(k[1], k[2], atol=1e-12)
+    a = np.array([[0, 1], [-np.cos(-1.0), 0]])
+    p = solve_continuous_are(a, [[0], [1]], np.eye(2), np.eye(1))
+    assert np.allclose(gains(controller).P(10.0), p, rtol=1e-10)
+
+
+def test_riccati_solution_is_the_cost_to_go_along_a_reference():
+    """Fly the linear error dynamics with the law and add up the cost by quadrature."""
+    model = pendulum()
+    reference = swing(model)
+    controller = design_tvlqr(model, reference, Q=[2.0, 1.0], R=0.5, terminal=[1.0, 3.0])
+    table, start, h = gains(controller), np.array([0.3, -0.2]), 0.01
+
+    def rate(t, y):
+        a, b = table.deviation.linearize(t, reference.x(t), reference.u(t))
+        v = -table.K(t) @ y[:2]
+        return np.append(a @ y[:2] + b @ v, y[:2] @ np.diag([2.0, 1.0]) @ y[:2] + 0.5 * v @ v)
+
+    y = np.append(start, 0.0)
+    for k in range(400):
+        t = k * h
+        k1 = rate(t, y)
+        k2 = rate(t + h / 2, y + h / 2 * k1)
+        k3 = rate(t + h / 2, y + h / 2 * k2)
+        k4 = rate(t + h - 1e-12, y + h * k3)
+        y = y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    cost = y[2] + y[:2] @ np.diag([1.0, 3.0]) @ y[:2]
+    assert cost == pytest.approx(start @ table.P(0.0) @ start, rel=1e-8)
+
+
+def test_dense_gains_satisfy_the_riccati_equation_between_jumps():
+    model = pendulum()
+    reference = Reference.from_functions(
+        model, lambda t: [np.cos(t), -np.sin(t)], lambda t: [1.0 if t < 1.5 else -1.0], 0, 4, jumps=[1.5]
+    )
+    found = riccati_gains(Deviation(model), reference, np.eye(2), np.eye(1), np.zeros((2, 1)), terminal=2.0)
+    assert riccati_defect(found, np.eye(2), np.eye(1), np.zeros((2, 1))) < 1e-7
+    # the measure is no formality: another weight shows up at once
+    assert riccati_defect(found, 1.01 * np.eye(2), np.eye(1), np.zeros((2, 1))) > 1e-3
+
+
+def test_cross_weight_is_a_change_of_feedback():
+    """With N = K0' the problem in v + K0 e has none: the gains differ by K0, the costs to go do not."""
+    k0, model = np.array([[0.3, -0.2]]), cart()
+    reference = rest(model, 3.0)
+    crossed = design_tvlqr(model, reference, Q=np.eye(2) + k0.T @ k0, R=1, N=k0.T, terminal=1.0)
+    shifted = go.Model("shifted")
+    q, v = shifted.state("q"), shifted.state("v")
+    a = shifted.control("a")
+    shifted.ode({q: v, v: a - (0.3 * q - 0.2 * v)})
+    plain = design_tvlqr(shifted, rest(shifted, 3.0), Q=1, R=1, terminal=1.0)
+    assert np.allclose(gains(crossed).P(0.0), gains(plain).P(0.0), rtol=1e-9)
+    assert np.allclose(gains(crossed).K(1.0), gains(plain).K(1.0) + k0, rtol=1e-9)
+
+
+def test_sampled_gains_tend_to_the_continuous_ones():
+    model = pendulum()
+    exact = gains(design_tvlqr(model, swing(model), Q=1, R=1, terminal=2.0)).K(1.0)
+    errors = [
+        np.max(np.abs(gains(design_tvlqr(model, swing(model), Q=1, R=1, terminal=2.0, dt=h)).K(1.0) - exact))
+        for h in (0.02, 0.01)
+    ]
+    assert errors[1] == pytest.approx(errors[0] / 2, rel=0.1)
+
+
+def test_sampled_cost_to_go_is_that_of_small_errors_of_the_nonlinear_plant():
+    """Fly plant and reference with the held commands; the cost rate is integrated with them."""
+    model, h = pendulum(), 0.1
+    reference = swing(model)
+    controller = design_tvlqr(model, reference, Q=1, R=1, terminal=1.0, dt=h)
+    assert controller.explain()["Riccati defect"] < 1e-12
+    e_0 = 1e-4 * np.array([1.0, 0.5])
+    state = np.append(reference.x(0.0) + e_0, 0.0)
+    for gain, k in zip(gains(controller).gains, range(40), strict=True):
+        v = -gain @ (state[:2] - reference.x(k * h))
+
+        def rate(t, y, v=v):
+            e = y[:2] - reference.x(t)
+            return np.append(model.f(t, y[:2], reference.u(t) + v), e @ e + v @ v)
+
+        state = solve_ivp(rate, (k * h, (k + 1) * h), state, rtol=1e-10, atol=1e-16).y[:, -1]
+    e = state[:2] - reference.x(4.0)
+    cost = state[2] + e @ e
+    assert cost == pytest.approx(e_0 @ gains(controller).P(0.0) @ e_0, rel=1e-3)
+
+
+def test_tracking_pulls_the_pendulum_back_and_holds_the_end():
+    model, h = pendulum(), 0.05
+    reference = swing(model, np.pi, tail="trim")
+    controller = design_tvlqr(model, reference, Q=10, R=1, dt=h)
+    x = reference.x(0.0) + np.array([0.2, 0.3])
+    substeps = 4
+    for k in range(round(22 / h)):
+        u, _ = controller(k * h, x)
+        for _ in range(substeps):
+            d = h / substeps
+            k1 = model.f(0.0, x, u)
+            k2 = model.f(0.0, x + d / 2 * k1, u)
+            k3 = model.f(0.0, x + d / 2 * k2, u)
+            x = x + d / 6 * (k1 + 2 * k2 + 2 * k3 + model.f(0.0, x + d * k3, u))
+    assert np.allclose(x, reference.x(np.pi), atol=1e-8)
+
+
+def test_signals_have_names_units_and_places():
+    controller = design_tvlqr(pendulum(), swing(pendulum()), Q=1, R=1)
+    assert controller.signals.labels == ("q_ref", "v_ref", "a_ff", "K[0]", "K[1]")
+    assert controller.signals.units[:3] == ("rad", "rad/s", "1/s^2")
+    row = controller.signal(1.0, 0.1)
+    assert np.allclose(row[:2], [np.cos(1), -np.sin(1)])
+    assert np.allclose(row[3:], gains(controller).K(1.0).ravel())
+    x = np.array([0.7, -0.5])
+    u, z = controller(1.0, x, dt=0.1)
+    assert u[0] == pytest.approx(row[2] - row[3:] @ (x - row[:2]), rel=1e-14)
+    assert z.size == 0
+
+
+def test_gains_in_quaternion_errors_turn_with_the_reference():
+    """A free body about a steady spin: constant in the error coordinates, though the quaternion turns."""
+    model = go.Model("spinner")
+    w, q = model.state("omega", 3, unit="rad/s"), model.state("q", 4)
+    torque = model.control("T", 3, unit="N m")
+    vector, scalar = q[:3], q[3]
+    model.ode({w: torque, q: 0.5 * ca.vertcat(scalar * w + ca.cross(vector, w), -ca.dot(vector, w))})
+    model.difference(q, lambda x, ref: ref[3] * x[:3] - x[3] * ref[:3] - ca.cross(ref[:3], x[:3]))
+    rate = 0.5
+    reference = Reference.from_functions(
+        model,
+        lambda t: [0, 0, rate, 0, 0, np.sin(rate * t / 2), np.cos(rate * t / 2)],
+        lambda t: np.zeros(3),
+        0.0,
+        10.0,
+    )
+    a, b = Deviation(model).linearize(7.0, reference.x(7.0), reference.u(7.0))
+    cross = np.array([[0, rate, 0], [-rate, 0, 0], [0, 0, 0.0]])  # e' = omega/2 - omega_r x e
+    assert np.allclose(
+        a, np.block([[np.zeros((3, 3)), np.zeros((3, 3))], [0.5 * np.eye(3), cross]]), atol=1e-13
+    )
+    assert np.allclose(b, np.vstack([np.eye(3), np.zeros((3, 3))]), atol=1e-14)
+    controller = design_tvlqr(model, reference, Q=1, R=1, terminal=1.0)
+    with_closed_form = _hamiltonian_solution(a, b, np.eye(6), np.eye(3), np.eye(6), 10.0)
+    assert np.allclose(gains(controller).P(0.0), with_closed_form, atol=1e-8)
+
+
+def _hamiltonian_solution(a, b, q, r, s, duration):
+    """P = Y X^-1 with (X, Y)' = [[A, -B R^-1 B'], [-Q, -A']] (X, Y) backward from (1, S)."""
+    h = np.block([[a, -b @ np.linalg.solve(r, b.T)], [-q, -a.T]])
+    x, y = np.eye(a.shape[0]), s
+    for _ in range(50):  # in steps: growing and decaying solutions stay apart
+        flow = expm(-h * duration / 50) @ np.vstack([x, y])
+        y, x = flow[a.shape[0] :] @ np.linalg.inv(flow[: a.shape[0]]), np.eye(a.shape[0])
+    return y
+
+
+def test_refusals():
+    model = pendulum()
+    with pytest.raises(DesignError, match=r"after the end of the reference.*not detectable.*terminal weight"):
+        design_tvlqr(cart(), rest(cart(), 1.0), Q=0, R=1)
+    with pytest.raises(DesignError, match="terminal weight of 'v' is -1"):
+        design_tvlqr(model, swing(model), Q=1, R=1, terminal={"v": -1})
+    with pytest.raises(ArgumentError, match="Reference"):
+        design_tvlqr(model, [0, 0], Q=1, R=1)
+    sampled = design_tvlqr(model, swing(model), Q=1, R=1, dt=0.1)
+    with pytest.raises(ArgumentError, match=r"control steps of 0\.1 s, not 0\.2 s"):
+        sampled.signal(0.0, 0.2)
+
+
+def test_explanation_tells_gains_costs_and_reserve():
+    facts = design_tvlqr(pendulum(), swing(pendulum()), Q=1, R=1, limits=(-1, 1)).explain()
+    assert facts["Riccati defect"] < 1e-7
+    assert 0 < facts["smallest eigenvalue of P"] < facts["largest eigenvalue of P"]
+    times = np.linspace(0, 4, 20001)
+    worst = np.max(np.abs(np.sin(np.cos(times)) - np.cos(times)))
+    assert np.asarray(facts["saturation reserve"])[0] == pytest.approx(1 - worst, abs=1e-4)
