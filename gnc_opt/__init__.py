@@ -30,7 +30,7 @@ from gnc_opt.model import Model
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem import Phase, Problem
 from gnc_opt.refine import History, Minimum, Multistart, RefinementStatus, multistart, polish, refine
-from gnc_opt.simulation import ClosedLoop, Outcome, Run, RunStatus
+from gnc_opt.simulation import Campaign, ClosedLoop, Outcome, Run, RunStatus, monte_carlo
 from gnc_opt.solution import PhaseSolution, Solution, load
 from gnc_opt.solve import solve
 from gnc_opt.transcription.mesh import Mesh
@@ -38,6 +38,7 @@ from gnc_opt.verify import Condition, Result, Verdict, verify
 
 __all__ = [
     "ArgumentError",
+    "Campaign",
     "ClosedLoop",
     "Condition",
     "Controller",
@@ -79,6 +80,7 @@ __all__ = [
     "export_c",
     "feedforward",
     "load",
+    "monte_carlo",
     "multistart",
     "polish",
     "refine",

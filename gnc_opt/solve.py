@@ -98,9 +98,10 @@ def solve(
     expect(options, SolverOptions, "the options of solve()", "write options=SolverOptions(tolerance=1e-9)")
     problem.check()
     begin = time.perf_counter()
-    known = len(problem.builds)
     transcription = transcribe(problem, _meshes(problem, mesh, guess), scheme)
-    solver = _solver(problem, transcription, _suited(options, transcription))
+    suited = _suited(options, transcription)
+    reused = repr(suited) in transcription.built
+    solver = _solver(transcription, suited)
     start, scaling, warm = _start(transcription, problem, guess)
     build_s = time.perf_counter() - begin
     attempt = _Attempt(transcription, problem, solver, scaling, progress)
@@ -113,7 +114,7 @@ def solve(
         result.wall_time,
         result.function_time,
         result.linear_solver_time,
-        len(problem.builds) == known,
+        reused,
     )
     solution = _solution(transcription, problem, result, scaling, statistics, options)
     if throw and not (result.status.solved or result.status.value == "interrupted"):
@@ -161,11 +162,11 @@ def _suited(options: SolverOptions, transcription: Transcription) -> SolverOptio
     return options
 
 
-def _solver(problem: Problem, transcription: Transcription, options: SolverOptions) -> NlpSolver:
-    key = ("solver", id(transcription), repr(options))
-    if key not in problem.builds:
-        problem.builds[key] = NlpSolver(transcription.nlp, options)
-    solver: NlpSolver = problem.builds[key]
+def _solver(transcription: Transcription, options: SolverOptions) -> NlpSolver:
+    key = repr(options)
+    if key not in transcription.built:
+        transcription.built[key] = NlpSolver(transcription.nlp, options)
+    solver: NlpSolver = transcription.built[key]
     return solver
 
 

@@ -20,6 +20,9 @@ import gnc_opt as go
 from gnc_opt.report.search import search_dict
 from problems.rendezvous import PAPER_MESH, REFERENCE, Equation, build
 
+NEARBY = 0.2
+"""Minima that are slower than the best by more than this share of it stay on the coarse mesh."""
+
 AGREES = 1e-7
 """How closely the best minimum must agree with the best known one, s."""
 
@@ -95,6 +98,7 @@ def search_cases(
             seed=seed,
             mesh=PAPER_MESH,
             structure="bang-bang",
+            within=NEARBY,
             progress=True,
         )
         yield GlobalOutcome(case, equation, found)

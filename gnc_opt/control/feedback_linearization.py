@@ -85,6 +85,12 @@ def design_feedback_linearization(
         State from which the closed loop is rehearsed: designs that meet a singular E on the way are refused.
     dt : float, optional
         Length of a control step, s: the sampled chains have to be stable.
+    name : str
+        For messages and reports.
+
+    Returns
+    -------
+    Controller
 
     Raises
     ------

@@ -23,6 +23,11 @@ def feedforward(reference: Reference) -> Controller:
     -------
     Controller
         For any control step; it has no memory and ignores the measured state.
+
+    Raises
+    ------
+    ArgumentError
+        It is no reference.
     """
     expect(reference, Reference, "what feedforward() got", "write feedforward(Reference(solution))")
     signals = reference_signals(reference)

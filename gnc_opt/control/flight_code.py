@@ -76,6 +76,11 @@ def export_c(
     span : (initial_time, final_time), optional
         Times between which the schedule changes, if the controller does not tell.
 
+    Returns
+    -------
+    FlightCode
+        Where the files are, and what they hold.
+
     Raises
     ------
     ArgumentError

@@ -58,6 +58,10 @@ def design_hierarchical_sliding_mode(
 
     Parameters
     ----------
+    model : Model
+        Affine in its controls.
+    reference : Reference or array (n_states,)
+        Its control should keep it on the model's dynamics: it is the feedforward.
     outputs : names, expressions or mapping
         Scalar outputs e_i whose rates no control enters.
     slopes : float or array (n_outputs,)
@@ -68,8 +72,14 @@ def design_hierarchical_sliding_mode(
         k of the second level, 1/s; without effect where S has relative degree 1.
     bound : float
         Largest disturbance of the r-th derivative of S.
+    reaching, boundary, observer, limits, start, dt, guard, growth
+        As in `design_sliding_mode`.
+    name : str
+        For messages and reports.
 
-    Other arguments as in `design_sliding_mode`.
+    Returns
+    -------
+    Controller
 
     Raises
     ------

@@ -89,6 +89,12 @@ def design_integral_sliding_mode(
         Authority, checked along the reference. What limits cut from a command is not taken for a disturbance.
     guard : float
         Smallest determinant of E, relative to its largest on the reference; below, the nominal law works alone.
+    name : str
+        For messages and reports.
+
+    Returns
+    -------
+    Controller
 
     Raises
     ------

@@ -85,6 +85,8 @@ def design_lqr(
         integral, ``1 / (largest acceptable integral)^2``.
     limits : (lower, upper), optional
         Of the controls, for the anti-windup and the statement of the reserve. Commands are not clipped.
+    name : str
+        For messages and reports.
 
     Returns
     -------

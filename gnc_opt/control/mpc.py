@@ -103,6 +103,8 @@ def design_mpc(
     state_penalty : float
         Price of leaving a state limit by half its range, relative to the cost to go of an error as large.
     solver : {"daqp", "qrqp", "osqp"}
+    name : str
+        For messages and reports.
 
     Returns
     -------

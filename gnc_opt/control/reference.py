@@ -118,9 +118,19 @@ class Reference(Strict):
         jumps: Sequence[float] = (),
         tail: Tail = "hold",
     ) -> Reference:
-        """Return the reference of two functions of time, states (n_states,) and controls (n_controls,).
+        """Return the reference of two functions of time.
 
-        ``jumps`` lists the times (s) at which the control jumps.
+        Parameters
+        ----------
+        model : Model
+        x, u : callable
+            Of the time (s): states (n_states,) and controls (n_controls,).
+        initial_time, final_time : float
+            s.
+        jumps : sequence of float
+            Times at which the control jumps, s.
+        tail : {"trim", "hold", "none"}
+            As in the class.
         """
         reference = cls.__new__(cls)
         span = [float(initial_time), float(final_time)]

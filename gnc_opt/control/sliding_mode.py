@@ -102,6 +102,12 @@ def design_sliding_mode(
         Smallest determinant of the decoupling matrix, relative to its largest on the reference.
     growth : float
         Fastest growth of the zero dynamics that is accepted, 1/s; raise it for slow drifts that a mission survives.
+    name : str
+        For messages and reports.
+
+    Returns
+    -------
+    Controller
 
     Raises
     ------

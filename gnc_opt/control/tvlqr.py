@@ -86,6 +86,8 @@ def design_tvlqr(
         continuous gains, for any step that is short beside the closed loop's times.
     limits : (lower, upper), optional
         Of the controls, for the statement of the reserve. Commands are not clipped.
+    name : str
+        For messages and reports.
 
     Returns
     -------

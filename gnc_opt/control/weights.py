@@ -36,6 +36,11 @@ def bryson(layout: Layout, /, **largest: ArrayLike) -> dict[str, float | Array]:
     >>> Q = bryson(model.states, r_L=0.1, v_L=0.01)
     >>> R = bryson(model.controls, F_B=5.0)
 
+    Returns
+    -------
+    dict of float or array
+        Diagonal weights by name, for ``Q=`` and ``R=``.
+
     Raises
     ------
     UnknownNameError

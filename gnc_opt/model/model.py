@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_integer, read_name, read_numbers
-from gnc_opt.errors import ArgumentError, ModelError, did_you_mean, unknown_name
+from gnc_opt.errors import ModelError, did_you_mean, unknown_name
+from gnc_opt.model.evaluation import checked, evaluate
 from gnc_opt.model.layout import Array, Layout, Variable, as_vector
 from gnc_opt.model.symbol import Symbol, as_expression, foreign_symbols
 from gnc_opt.strict import Strict
@@ -278,7 +279,7 @@ class Model(Strict):
         jacobians = self._function(
             "AB", lambda: [ca.jacobian(self.derivative(), xs), ca.jacobian(self.derivative(), us)], "A", "B"
         )
-        a, b = jacobians(*_checked(jacobians, t, x, u, self.parameter_values if p is None else p))
+        a, b = jacobians(*checked(jacobians, t, x, u, self.parameter_values if p is None else p))
         return np.asarray(a.full()), np.asarray(b.full())
 
     # --- internals --------------------------------------------------------------------------------
@@ -378,34 +379,3 @@ class Model(Strict):
                 f"{did_you_mean(foreign[0], known)}"
             )
         return expression
-
-
-def evaluate(function: Any, t: ArrayLike, x: ArrayLike, *others: ArrayLike) -> Array:
-    """Evaluate a CasADi function of (t, x, ...) at one time or many.
-
-    One-dimensional arguments are constant in time; two-dimensional ones have time as the last axis.
-    """
-    times, *columns = _checked(function, t, x, *others)
-    if times.ndim == 0:
-        return np.asarray(function(times, *columns).full()[:, 0])
-    n = times.size
-    wide = [c if c.ndim == 2 else np.tile(c.reshape(-1, 1), (1, n)) for c in columns]
-    return np.asarray(function(times.reshape(1, n), *wide).full())
-
-
-def _checked(function: Any, *arguments: ArrayLike) -> list[Array]:
-    """Return the arguments as arrays; raise `ArgumentError` for those that the function cannot take."""
-    arrays = [
-        read_numbers(a, f"{function.name_in(i)} of {function.name()}()") for i, a in enumerate(arguments)
-    ]
-    n_times = arrays[0].size
-    for i, array in enumerate(arrays[1:], 1):
-        rows = function.size1_in(i)
-        if array.ndim == 0:
-            arrays[i] = array = array.reshape(1)
-        if array.shape[0] != rows or array.shape[1:] not in ((), (n_times,)):
-            raise ArgumentError(
-                f"{function.name_in(i)} of {function.name()}() has the shape {array.shape}: "
-                f"give ({rows},) or ({rows}, {n_times}) for {n_times} time{'s' * (n_times != 1)}."
-            )
-    return arrays

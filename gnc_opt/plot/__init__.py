@@ -1,6 +1,8 @@
-"""Figures of solutions: over time and in space; none opens a window."""
+"""Figures of solutions, runs and campaigns: over time and in space; none opens a window."""
 
+from gnc_opt.plot.campaign import plot_dispersion, plot_distributions
 from gnc_opt.plot.path import plot_curves, plot_path
+from gnc_opt.plot.run import plot_run_controls, plot_run_errors, plot_run_states
 from gnc_opt.plot.style import save_figure
 from gnc_opt.plot.trajectory import plot_controls, plot_costates, plot_hamiltonian, plot_states
 from gnc_opt.plot.verdict import plot_verdict
@@ -9,8 +11,13 @@ __all__ = [
     "plot_controls",
     "plot_costates",
     "plot_curves",
+    "plot_dispersion",
+    "plot_distributions",
     "plot_hamiltonian",
     "plot_path",
+    "plot_run_controls",
+    "plot_run_errors",
+    "plot_run_states",
     "plot_states",
     "plot_verdict",
     "save_figure",

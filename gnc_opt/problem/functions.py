@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.errors import ProblemError
+from gnc_opt.model.evaluation import evaluate
 from gnc_opt.model.layout import Array
-from gnc_opt.model.model import evaluate
 from gnc_opt.model.symbol import as_expression
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem

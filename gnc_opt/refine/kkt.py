@@ -235,8 +235,7 @@ class KktPoint:
         moved = np.where(self.pinned, change.limits, 0.0) / scales
         shifted = np.where(self.held, change.row_limits, 0.0) * rows
         of_lagrangian, of_gradient, of_rows = (
-            v.full().ravel()
-            for v in _derivatives(self.problem, self.transcription)(self._x, self._p, self._lam, direction)
+            v.full().ravel() for v in _derivatives(self.transcription)(self._x, self._p, self._lam, direction)
         )
         free, held = ~self.pinned, self.held
         right = np.concatenate(
@@ -313,17 +312,16 @@ def _transcription(problem: Problem, solution: Solution) -> Transcription:
     return transcribe(problem, meshes, scheme)
 
 
-def _derivatives(problem: Problem, transcription: Transcription) -> Any:
+def _derivatives(transcription: Transcription) -> Any:
     """Return (x, p, lam, dp) -> directional derivatives along dp of L, of its gradient and of g."""
-    key = ("sensitivity", id(transcription))
-    if key not in problem.builds:
+    if "sensitivity" not in transcription.built:
         nlp = transcription.nlp
         lam, dp = ca.MX.sym("lam", nlp.n_constraints), ca.MX.sym("dp", nlp.n_parameters)
         lagrangian = nlp.f + ca.dot(lam, nlp.g)
         gradient = ca.gradient(lagrangian, nlp.x)
         outputs = [ca.densify(ca.jtimes(e, nlp.p, dp)) for e in (lagrangian, gradient, nlp.g)]
-        problem.builds[key] = ca.Function("sensitivity", [nlp.x, nlp.p, lam, dp], outputs)
-    return problem.builds[key]
+        transcription.built["sensitivity"] = ca.Function("sensitivity", [nlp.x, nlp.p, lam, dp], outputs)
+    return transcription.built["sensitivity"]
 
 
 def _active(box: Interval, values: Array, multipliers: Array) -> tuple[Mask, Array]:

@@ -7,7 +7,7 @@ merged, and the distinct minima that remain are refined, judged and merged once 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
@@ -134,6 +134,7 @@ def multistart(
     tol: float = 1e-8,
     refine: bool = True,
     max_refined: int = 12,
+    within: float | None = None,
     executor: Executor | Literal["serial"] | None = None,
     options: SolverOptions | None = None,
     progress: bool = False,
@@ -158,6 +159,9 @@ def multistart(
         Whether to refine and judge the minima, or leave them on the coarse mesh.
     max_refined : int
         Refine at most so many minima, the best ones.
+    within : float, optional
+        Leave minima on the coarse mesh that are worse than the best by more than this share of its objective: they
+        will hardly become the best, and poor minima take longest. For objectives far from zero, such as times.
     executor : concurrent.futures.Executor or "serial", optional
         Default: one process per processor. Threads of one process take turns, since the solver serves one at a time.
     options : SolverOptions, optional
@@ -182,6 +186,8 @@ def multistart(
     read_integer(seed, "the seed of multistart()", 0)
     read_integer(max_refined, "max_refined of multistart()", 0)
     read_positive(tol, "the tolerance of multistart()")
+    if within is not None:
+        read_positive(within, "within of multistart()", or_zero=True)
     if structure not in get_args(StructureChoice):
         raise ProblemError(
             f"multistart() knows no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
@@ -200,7 +206,8 @@ def multistart(
         endings = [ending for ending in answers if ending is not None]
         minima = merged(_first_minima(endings))
         if refine and not force.interrupted:
-            chief, rest = minima[:max_refined], minima[max_refined:]
+            count = min(max_refined, _worth_refining(minima, within))
+            chief, rest = minima[:count], minima[count:]
             with _meter("refinements", len(chief), progress, force.problem.sense) as show:
                 finer = force.run(
                     _Fine(structure, tol, chosen), chief, lambda minimum: show(minimum.objective)
@@ -216,6 +223,14 @@ def multistart(
         seed,
         force.interrupted,
     )
+
+
+def _worth_refining(minima: Sequence[Minimum], within: float | None) -> int:
+    """Return how many of the minima, best first, are not far worse than the best."""
+    if within is None or not minima:
+        return len(minima)
+    best = minima[0].objective
+    return sum(abs(minimum.objective - best) <= within * abs(best) for minimum in minima)
 
 
 def _meter(name: str, total: int, visible: bool, sense: float) -> AbstractContextManager[ShowEnding]:

@@ -27,6 +27,12 @@ INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
 MAX_SEGMENTS = 32
 """Segments of a piece at most."""
 
+COARSE = 100
+"""Collocation points per phase up to which a mesh says nothing about pieces; a finer one was asked for."""
+
+THINNED = 1.5
+"""Points of a finer mesh for one point of the pieces, which converge faster than a mesh that switches fall into."""
+
 
 @dataclass(frozen=True)
 class Resolution:
@@ -68,15 +74,28 @@ class Resolution:
 
 @dataclass(frozen=True)
 class Plan:
-    """Structure and resolution of one phase."""
+    """Structure and resolution of one phase.
+
+    Attributes
+    ----------
+    structure : PhaseStructure
+    resolutions : tuple of Resolution
+        One per piece.
+    points : float
+        Collocation points of the mesh that the structure was found on, if all of it were as coarse as its coarsest
+        segment. Pieces of a fine mesh start with more than the coarsest resolution: oscillations that are many times
+        shorter than a piece are otherwise aliased, and the loop settles on a structure that is none.
+    """
 
     structure: PhaseStructure
     resolutions: tuple[Resolution, ...]
+    points: float = 0.0
 
     @classmethod
-    def of(cls, structure: PhaseStructure) -> Plan:
-        """Return a plan that starts with the coarsest resolution."""
-        return cls(structure, tuple(_first_resolution(structure, k) for k in range(structure.pieces)))
+    def of(cls, structure: PhaseStructure, points: float = 0.0) -> Plan:
+        """Return a plan that starts with the coarsest resolution that suits a mesh of so many points."""
+        first = tuple(_first_resolution(structure, k, points) for k in range(structure.pieces))
+        return cls(structure, first, points)
 
     @property
     def segment_pieces(self) -> NDArray[np.int64]:
@@ -128,10 +147,16 @@ class Plan:
         return tuple(found)
 
 
-def _first_resolution(structure: PhaseStructure, piece: int) -> Resolution:
+def points_of(mesh: Mesh) -> float:
+    """Return how many points a mesh would have if all of it were as coarse as its coarsest segment."""
+    return float(np.min(np.asarray(mesh.degrees) / np.diff(mesh.fractions)))
+
+
+def _first_resolution(structure: PhaseStructure, piece: int, points: float) -> Resolution:
     signs, share = structure.signs[piece], structure.lengths[piece] / structure.lengths.sum()
     if 2 in signs and not structure.constrained(piece):
         return Resolution(2, FIRST_DEGREE, SINGULAR_DEGREE)
     if 0 in structure.controls[:, piece]:
         return Resolution(int(np.ceil(INTERIOR_SEGMENTS * share)), INTERIOR_DEGREE)
-    return Resolution()
+    segments = int(np.ceil(share * points / (THINNED * MAX_DEGREE))) if points > COARSE else 1
+    return Resolution() if segments == 1 else Resolution(min(segments, MAX_SEGMENTS), MAX_DEGREE)

@@ -22,7 +22,7 @@ from gnc_opt.refine.detect import affine_channels, detect
 from gnc_opt.refine.error import estimate_errors, largest_error
 from gnc_opt.refine.history import History, Pass, RefinementStatus
 from gnc_opt.refine.junctions import move_kinks
-from gnc_opt.refine.plan import Plan
+from gnc_opt.refine.plan import Plan, points_of
 from gnc_opt.refine.progress import pass_meter
 from gnc_opt.refine.structure import PhaseStructure, Signs
 from gnc_opt.solution.arc import Arc
@@ -68,7 +68,7 @@ def optimise_switches(
     """
     problem = solution.need_problem("refine")
     chosen = options or SolverOptions(tolerance=1e-11, max_iterations=200)
-    plans = {name: Plan.of(detect(s)) for name, s in _samples(solution).items()}
+    plans = {name: Plan.of(detect(s), points_of(s.leg.mesh)) for name, s in _samples(solution).items()}
     with pass_meter(solution.problem_name, tol, progress) as show:
         solution, plans, status, records = _loop(problem, solution, plans, tol, max_passes, chosen, show)
     best = max(k for k in range(len(records)) if k == 0 or records[k].solved)
@@ -127,7 +127,7 @@ def _improve(
     for name, s in samples.items():
         structure, action = _collapse(s, plans[name].structure, swapped)
         if structure is not None:
-            return {**plans, name: Plan.of(structure)}, action
+            return {**plans, name: Plan.of(structure, plans[name].points)}, action
     adjusted = {name: _adjust(s, plans[name], tol) for name, s in samples.items()}
     actions = dict.fromkeys(action for _, action in adjusted.values() if action)
     if actions:
@@ -135,7 +135,7 @@ def _improve(
     for name, s in samples.items():
         structure, action = _complete(s, plans[name])
         if structure is not None:
-            return {**plans, name: Plan.of(structure)}, action
+            return {**plans, name: Plan.of(structure, plans[name].points)}, action
     return plans, ""
 
 
@@ -145,7 +145,7 @@ def _adjust(samples: PhaseSamples, plan: Plan, tol: float) -> tuple[Plan, str]:
     if moved is not None:
         emptied = np.flatnonzero(moved.lengths < VANISHED * (moved.times[-1] - moved.times[0]))
         if emptied.size:
-            return Plan.of(plan.structure.without(int(emptied[0]))), f"piece {emptied[0] + 1} dropped"
+            return Plan.of(plan.structure.without(int(emptied[0])), plan.points), f"piece {emptied[0] + 1} dropped"
     actions = (KINKS_MOVED if moved else "", RAISED if finer else "")
     resolutions = finer.resolutions if finer else plan.resolutions
     return replace(plan, structure=moved or plan.structure, resolutions=resolutions), ", ".join(

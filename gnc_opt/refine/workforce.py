@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import multiprocessing
 import os
 import pickle
 import signal
@@ -26,6 +25,7 @@ from typing import Any, Literal, NoReturn, Protocol, TypeAlias, TypeVar
 from gnc_opt.arguments import expect
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.problem.problem import Problem
+from gnc_opt.processes import prepare_worker, process_context, processes_fork
 
 Builder: TypeAlias = Callable[[], Problem]
 
@@ -48,8 +48,6 @@ class Task(Protocol[_Item, _Answer]):
 _INHERITED: dict[int, Problem] = {}
 _NUMBERS = itertools.count()
 _TURN = threading.Lock()
-
-_THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Workforce:
@@ -80,10 +78,10 @@ class Workforce:
         self._source: Source = _Here(self.problem)
         if executor is None:
             self._source = self._travelling(problem)
-            context = _context()
+            context = process_context()
             self._workers = context.SimpleQueue()
             self._executor = self._own = ProcessPoolExecutor(
-                os.cpu_count() or 1, context, initializer=_prepare_worker, initargs=(self._workers,)
+                os.cpu_count() or 1, context, initializer=prepare_worker, initargs=(self._workers,)
             )
             return
         if executor == "serial":
@@ -154,7 +152,7 @@ class Workforce:
 
     def _travelling(self, problem: Problem | Builder) -> Source:
         """Return how processes of our own get at the problem."""
-        if _forks():
+        if processes_fork():
             self._number = next(_NUMBERS)
             _INHERITED[self._number] = self.problem
             return self._number
@@ -227,19 +225,3 @@ def _pickled(builder: Builder) -> bytes:
 def _answer(future: Future[Answer]) -> Answer | None:
     done = future.done() and not future.cancelled() and future.exception() is None
     return future.result() if done else None
-
-
-def _forks() -> bool:
-    return os.name == "posix" and os.uname().sysname == "Linux"
-
-
-def _context() -> Any:
-    return multiprocessing.get_context("fork" if _forks() else None)
-
-
-def _prepare_worker(workers: Any) -> None:
-    """Tell who one is; Ctrl-C is the parent's business, and the processes share the processors already."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    workers.put(os.getpid())
-    for name in _THREAD_COUNTS:
-        os.environ[name] = "1"

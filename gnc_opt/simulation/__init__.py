@@ -16,9 +16,12 @@ from gnc_opt.simulation.actuators import (
 )
 from gnc_opt.simulation.allocation import Allocation, Mixer, WheelArray
 from gnc_opt.simulation.block import Block
+from gnc_opt.simulation.campaign import Campaign
+from gnc_opt.simulation.dispersion import Ball, Choice, Normal, Sphere, Turn, Uniform
 from gnc_opt.simulation.disturbances import Constant, Disturbance, Expression, RandomHold, Sinusoid
 from gnc_opt.simulation.flight import Ending, Flight
 from gnc_opt.simulation.loop import ClosedLoop
+from gnc_opt.simulation.monte_carlo import monte_carlo
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.sensors import Bias, Noise, Outage, RandomWalk, Sampling, Scale, SensorDelay
@@ -26,8 +29,11 @@ from gnc_opt.simulation.thrusters import NonNegativeAllocation, ThrusterSet
 
 __all__ = [
     "Allocation",
+    "Ball",
     "Bias",
     "Block",
+    "Campaign",
+    "Choice",
     "ClosedLoop",
     "Constant",
     "Deadband",
@@ -42,6 +48,7 @@ __all__ = [
     "Mixer",
     "Noise",
     "NonNegativeAllocation",
+    "Normal",
     "Outage",
     "Outcome",
     "Pwm",
@@ -59,6 +66,10 @@ __all__ = [
     "SchmittTrigger",
     "SensorDelay",
     "Sinusoid",
+    "Sphere",
     "ThrusterSet",
+    "Turn",
+    "Uniform",
     "WheelArray",
+    "monte_carlo",
 ]

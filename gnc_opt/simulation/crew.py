@@ -11,8 +11,15 @@ import os
 import pickle
 import signal
 import threading
-from collections.abc import Callable, Sequence
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import (
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    TimeoutError,
+    as_completed,
+)
 from dataclasses import dataclass
 from functools import lru_cache
 from types import TracebackType
@@ -23,7 +30,7 @@ import numpy as np
 from gnc_opt.arguments import expect
 from gnc_opt.errors import GncOptError
 from gnc_opt.model.layout import Array
-from gnc_opt.refine.workforce import _context, _prepare_worker
+from gnc_opt.processes import prepare_worker, process_context
 from gnc_opt.simulation.dispersion import Dispersions, dispersed
 from gnc_opt.simulation.flight import Ending, Flight
 
@@ -35,6 +42,9 @@ BATCHES = 32
 
 MOST_CRASHES = 8
 """After so many runs in a row that each killed a process of its own, no more are tried."""
+
+PATIENCE = 10.0
+"""A cluster that has no workers twice in so many seconds (s) is not waited for."""
 
 Batch: TypeAlias = range
 Keep: TypeAlias = "Callable[[list[Flown]], None]"
@@ -164,7 +174,7 @@ class Crew:
     def _fly_all(
         self, batches: Sequence[Batch], futures: dict[Future[list[Flown]], Batch], keep: Keep
     ) -> list[Batch]:
-        """Fly all batches side by side; return those whose process died."""
+        """Fly all batches side by side; return those that a dead process of our own left behind."""
         failed: list[Batch] = []
         for batch in batches:
             if self._here:
@@ -172,14 +182,42 @@ class Crew:
                 continue
             try:
                 futures[self._submit(batch)] = batch
-            except BrokenExecutor:
-                failed.append(batch)
-        for future in as_completed(set(futures)):
-            if _succeeded(future):
+            except BrokenExecutor as error:
+                failed += self._left_behind(batch, error, keep)
+        for future, mishap in self._ended(set(futures)):
+            if mishap is None:
                 keep(future.result())
             else:
-                failed.append(futures[future])
+                failed += self._left_behind(futures[future], mishap, keep)
         return sorted(failed, key=lambda batch: batch.start)
+
+    def _left_behind(self, batch: Batch, error: BaseException, keep: Keep) -> list[Batch]:
+        """Return what can be flown again; an executor that was given has tried as often as it is set to."""
+        if self._own is not None:
+            return [batch]
+        died = isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker"  # Dask's
+        keep([Flown(batch, None, None, "its process died" if died else _in_words(error))])
+        return []
+
+    def _ended(
+        self, pending: set[Future[list[Flown]]]
+    ) -> Iterator[tuple[Future[list[Flown]], BaseException | None]]:
+        """Yield futures with their errors as they end; those that nobody is left to work on have one, too."""
+        lonely = 0
+        while pending:
+            try:
+                for future in as_completed(pending, timeout=PATIENCE):
+                    pending = pending - {future}
+                    lonely = 0
+                    yield future, future.exception()
+            except TimeoutError:
+                lonely = lonely + 1 if _deserted(self._executor) else 0
+                if lonely < 2:  # workers may be on their way back
+                    continue
+                for future in pending:
+                    future.cancel()
+                    yield future, GncOptError("the cluster has no workers left")
+                return
 
     def _submit(self, batch: Batch) -> Future[list[Flown]]:
         if self._own is not None:
@@ -187,9 +225,9 @@ class Crew:
         return self._executor.submit(_fly_packed, self._packed, batch)
 
     def _recover(self, failed: Sequence[Batch], keep: Keep) -> None:
-        """Fly batches whose process died one after the other, halving those that kill it again."""
+        """Fly batches again, each in a new process, halving those that kill it."""
         waiting, crashes = list(reversed(failed)), 0
-        while waiting:
+        while waiting and self._own is not None:
             batch = waiting.pop()
             if crashes == MOST_CRASHES:
                 keep(
@@ -200,22 +238,20 @@ class Crew:
                     ]
                 )
                 continue
-            if self._own is not None:
-                self._own.shutdown()
-                self._own = self._pool(1)
+            self._own.shutdown()
+            self._own = self._pool(1)
             try:
                 keep(self._submit(batch).result())
                 crashes = 0
-            except Exception as error:  # each executor has its own
-                beyond_repair = self._own is None and isinstance(error, BrokenExecutor)
-                if len(batch) > 1 and not beyond_repair:
+            except BrokenExecutor:
+                if len(batch) > 1:
                     waiting += reversed(_halves(batch))
                 else:
-                    crashes += not beyond_repair  # then all fail at once, and need not be tried less
-                    keep([Flown(batch, None, None, f"its process died ({_in_words(error)})")])
+                    crashes += 1
+                    keep([Flown(batch, None, None, "its process died")])
 
     def _pool(self, processes: int) -> ProcessPoolExecutor:
-        context = _context()
+        context = process_context()
         self._pids = context.SimpleQueue()
         return ProcessPoolExecutor(
             processes, context, initializer=_receive, initargs=(self._pids, self._packed)
@@ -231,12 +267,18 @@ def _succeeded(future: Future[Any]) -> bool:
     return future.done() and not future.cancelled() and future.exception() is None
 
 
+def _deserted(executor: Executor) -> bool:
+    """Whether an executor is that of a Dask cluster that has no workers."""
+    client: Any = getattr(executor, "_client", None)
+    return hasattr(client, "scheduler_info") and not client.scheduler_info()["workers"]
+
+
 def _halves(batch: Batch) -> tuple[Batch, Batch]:
     middle = batch.start + len(batch) // 2
     return range(batch.start, middle), range(middle, batch.stop)
 
 
-def _in_words(error: Exception) -> str:
+def _in_words(error: BaseException) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
 
 
@@ -258,7 +300,7 @@ _MISSION: list[Mission] = []
 
 def _receive(pids: Any, packed: bytes) -> None:
     """Get the mission, once per process."""
-    _prepare_worker(pids)
+    prepare_worker(pids)
     _MISSION[:] = [pickle.loads(packed)]
 
 

@@ -24,9 +24,6 @@ from gnc_opt.simulation.outcome import Outcome, RunStatus
 Judge = Callable[[Campaign], ArrayLike]
 """A measure of one's own: returns a number per run, (m,)."""
 
-LOST = RunStatus.REFUSED
-"""Status of runs that have no ending, because their process died; the outcome's ``what`` says so."""
-
 
 def monte_carlo(
     loop: ClosedLoop,
@@ -181,7 +178,7 @@ def _campaign(
     states = joined("states", flight.states.size)
     outcomes: list[Outcome] = []
     for part in flown:
-        lost = [Outcome(LOST, part.mishap)] * len(part.batch)
+        lost = [Outcome(RunStatus.LOST, part.mishap)] * len(part.batch)
         outcomes += lost if part.ending is None else part.ending.outcomes
     errors = np.full((flight.error_layout.size, states.shape[1]), np.nan)
     if states.shape[1]:

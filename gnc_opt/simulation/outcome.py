@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -16,6 +17,7 @@ class RunStatus(Enum):
     ALARM : the controller reported that it could not keep its promise.
     NOT_FINITE : a measurement, command, applied control or state is not a finite number.
     REFUSED : a parameter is outside its permitted range; the run was not flown.
+    LOST : the process that flew it died, or the run raised an exception.
     """
 
     OK = "ok"
@@ -23,6 +25,7 @@ class RunStatus(Enum):
     ALARM = "alarm"
     NOT_FINITE = "not finite"
     REFUSED = "refused"
+    LOST = "lost"
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,14 @@ class Outcome:
 
     status: RunStatus
     what: str = ""
-    time: float = float("nan")
+    time: float = math.nan
+
+    def __post_init__(self) -> None:
+        if math.isnan(self.time):  # one and the same NaN, so that equal outcomes compare equal
+            object.__setattr__(self, "time", math.nan)
+
+    def __reduce__(self) -> tuple[type[Outcome], tuple[RunStatus, str, float]]:
+        return Outcome, (self.status, self.what, self.time)
 
     @property
     def ok(self) -> bool:

@@ -108,8 +108,13 @@ class Run(Strict):
     def __str__(self) -> str:
         lines = [
             f"run of {self.times[-1] - self.times[0]:g} s in {self.times.size - 1} control steps: {self.outcome}",
-            f"  integration error about {self.integration_error:.1e}, seed {self.seed}",
+            f"  integration   error about {self.integration_error:.1e}, seed {self.seed}",
         ]
+        if self.errors is not None:
+            ends = np.abs(self.errors[:, -1])
+            lines.insert(1, "  final errors  " + _listed(self.layouts["error"], ends))
+        lines.insert(-1, "  effort        " + _listed(self.layouts["applied"], self.effort, " s"))
+        lines.insert(-1, "  saturated     " + _listed(self.layouts["command"], self.saturation, None))
         return "\n".join(lines)
 
     # --- signals ------------------------------------------------------------------------------------------
@@ -236,3 +241,13 @@ class Run(Strict):
         from gnc_opt.simulation.storage import load
 
         return load(path)
+
+
+def _listed(layout: Layout, values: Array, suffix: str | None = "") -> str:
+    """Return the norm of every variable with its unit and a suffix; ``None`` stands for values in s."""
+    parts = []
+    for variable in layout.variables:
+        size = np.linalg.norm(values[layout.slice(variable.name)])
+        unit = "s" if suffix is None else f"{variable.unit}{suffix}"
+        parts.append(f"{variable.name} {size:.3g} {unit}".rstrip())
+    return ", ".join(parts)

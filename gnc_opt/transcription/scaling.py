@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gnc_opt.model.evaluation import evaluate
 from gnc_opt.model.layout import Array, Layout
-from gnc_opt.model.model import evaluate
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem

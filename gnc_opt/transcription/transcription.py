@@ -49,6 +49,10 @@ class _Symbols:
     objective_scale: Any
 
 
+KEPT = 8
+"""Programs that a problem keeps for re-use: refining makes many, each with a solver of many megabytes."""
+
+
 class Transcription(Numbering):
     """The nonlinear program of a problem on given meshes; numbers (bounds, guesses, scales) come later.
 
@@ -57,10 +61,16 @@ class Transcription(Numbering):
     problem : Problem
     meshes : mapping from phase name to Mesh
     scheme : {"LG", "LGR", "LGL"}
+
+    Attributes
+    ----------
+    built : dict
+        What has been built on this program and goes with it: solvers, derivatives.
     """
 
     def __init__(self, problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> None:
         super().__init__(problem, meshes, scheme)
+        self.built: dict[Any, Any] = {}
         phase_blocks = [block for leg in problem.phases.values() for block in self._phase_blocks(leg)]
         self.program = SeparableProgram(self._linear(), (*phase_blocks, self._end_block()))
         self.objective, self.constraints = (
@@ -342,9 +352,12 @@ def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> 
     fixed = tuple(time_is_fixed(leg, end) for leg in problem.phases.values() for end in (0, 1))
     smooth = tuple(smooth_controls(leg) for leg in problem.phases.values())
     key = (scheme, tuple(meshes[name] for name in problem.phases), fixed, smooth)
-    if key not in problem.builds:
-        problem.builds[key] = Transcription(problem, meshes, scheme)
-    built: Transcription = problem.builds[key]
+    builds = problem.builds
+    built: Transcription = builds.pop(key, None) or Transcription(problem, meshes, scheme)
+    builds[key] = built  # the last one used is the last in the order
+    programs = [k for k, value in builds.items() if isinstance(value, Transcription)]
+    for old in programs[:-KEPT]:
+        del builds[old]
     return built
 
 

@@ -24,7 +24,17 @@ from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
 from gnc_opt.plot.campaign import plot_dispersion, plot_distributions
 from gnc_opt.report.campaign import campaign_meter
-from gnc_opt.simulation import ClosedLoop, Constant, Lag, Noise, Outage, RandomHold, RunStatus, Saturation
+from gnc_opt.simulation import (
+    ClosedLoop,
+    Constant,
+    Lag,
+    Noise,
+    Outage,
+    RandomHold,
+    RunStatus,
+    Saturation,
+    crew,
+)
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.dispersion import Choice, Dispersion, Normal, Sphere, Turn, Uniform
 from gnc_opt.simulation.monte_carlo import monte_carlo
@@ -102,11 +112,16 @@ def test_any_executor(serial, kind):
         assert_same(fly(executor=executor), serial)
 
 
-def test_local_cluster(serial):
+def test_local_cluster_and_one_without_workers(serial, monkeypatch):
     distributed = pytest.importorskip("distributed")
     options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
     with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
         assert_same(fly(executor=client.get_executor()), serial)
+        monkeypatch.setattr(crew, "PATIENCE", 0.3)
+        client.retire_workers()
+        cluster.scale(0)
+        with pytest.raises(GncOptError, match="no workers left"):
+            fly(executor=client.get_executor(), seed=12)
 
 
 def test_longer_campaigns_begin_with_the_same_runs(serial):
@@ -292,7 +307,7 @@ def test_failed_runs_are_kept_and_count_as_not_passed():
     assert campaign.pass_rate().passed == campaign.counts[RunStatus.OK] and campaign.pass_rate().runs == 60
     assert campaign.percentile("x", 0.99).value == np.inf == campaign.maximum("x")
     text = str(campaign)
-    assert "failed" in text and "'lag.tau' is -1" in text and "large" in text
+    assert "failed" in text and "'lag.tau" in text and "is outside" in text and "large" in text
     assert len(json.loads(campaign.to_json())["failures"]) == 60 - campaign.counts[RunStatus.OK]
     blown = next(i for i, o in campaign.failures.items() if o.status is RunStatus.NOT_FINITE)
     assert campaign.rerun(blown).outcome == campaign.outcomes[blown]

@@ -1,0 +1,215 @@
+"""Figures of campaigns: where the runs end, and how what was measured is distributed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
+from matplotlib.ticker import MaxNLocator, PercentFormatter
+
+from gnc_opt.errors import ArgumentError
+from gnc_opt.plot.style import COLORS, QUIET, axis_label, legend_on_top, name_text, new_figure, style
+from gnc_opt.report.campaign import LEVELS, shown_measures
+from gnc_opt.simulation.campaign import Campaign
+
+_PASSED: dict[str, Any] = {
+    "color": COLORS[0],
+    "marker": "o",
+    "markersize": 3,
+    "linestyle": "none",
+    "alpha": 0.6,
+    "markeredgewidth": 0,
+}
+_FAILED: dict[str, Any] = {
+    "color": COLORS[1],
+    "marker": "x",
+    "markersize": 4,
+    "linestyle": "none",
+    "markeredgewidth": 1.0,
+    "alpha": 0.8,
+}
+_LIMIT: dict[str, Any] = {"color": "black", "linestyle": "--", "linewidth": 1.2}
+_CURVE: dict[str, Any] = {"color": COLORS[0], "linewidth": 1.5}
+_PERCENTILE: dict[str, Any] = {"color": COLORS[1], "marker": "o", "markersize": 4, "linewidth": 1.6}
+_BARS: dict[str, Any] = {"color": COLORS[5], "rwidth": 0.92}
+
+_NOTE: dict[str, Any] = {
+    "fontsize": 10,
+    "bbox": {"facecolor": "white", "edgecolor": QUIET, "linewidth": 0.5, "pad": 2},
+}
+
+_FAR = 2.0
+"""Limits farther from the values than so many times their range are named, not drawn, so that the values stay
+legible."""
+
+
+def plot_dispersion(campaign: Campaign, name: str) -> Figure:
+    """Draw where the runs end: the components of a state's error against each other.
+
+    Dots are runs that passed all limits, crosses those that did not; the circle is the limit on the length of the
+    error. Runs that ended with no finite number are counted in the legend.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    name : str
+        A state with two components or more; of three, the first is drawn against each of the others.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    campaign.measure(name)  # refuses names that nothing is known of
+    errors = campaign.error(name)
+    if errors.shape[0] < 2:
+        raise ArgumentError(
+            f"the error of '{name}' has one component, which makes no plane: use plot_distributions()."
+        )
+    others = range(1, min(errors.shape[0], 3))
+    passed = campaign.passed()
+    limit = campaign.limits.get(name)
+    finite = np.all(np.isfinite(errors), axis=0)
+    reach = 1.1 * max(float(np.max(np.abs(errors[:, finite]), initial=0.0)), np.finfo(float).tiny)
+    drawn = limit is not None and limit <= (1 + _FAR) * reach
+    if limit is not None and drawn:
+        reach = max(reach, 1.1 * limit)
+    with style():
+        figure = new_figure(3.7 if len(others) == 2 else 5.2)
+        unit = campaign.layouts["error"][name].unit
+        for ax, other in zip(figure.subplots(1, len(others), squeeze=False)[0], others, strict=True):
+            for chosen, look in ((passed, _PASSED), (~passed, _FAILED)):
+                ax.plot(errors[0, chosen], errors[other, chosen], **look)
+            if drawn:
+                ax.add_patch(Circle((0, 0), limit, fill=False, **_LIMIT))
+            ax.set_xlabel(axis_label(f"error of {name_text(f'{name}[0]')}", unit))
+            ax.set_ylabel(axis_label(f"error of {name_text(f'{name}[{other}]')}", unit))
+            ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
+            for axis in (ax.xaxis, ax.yaxis):
+                axis.set_major_locator(MaxNLocator(5, symmetric=True))
+        legend_on_top(figure, _dispersion_legend(campaign, name, passed, finite, drawn))
+    return figure
+
+
+def _dispersion_legend(campaign: Campaign, name: str, passed: Any, finite: Any, drawn: bool) -> list[Any]:
+    handles = [Line2D([], [], label=f"{_runs(np.sum(passed))} within all limits", **_PASSED)]
+    if not campaign.limits:
+        handles = [Line2D([], [], label=f"{_runs(np.sum(passed))}", **_PASSED)]
+    if not np.all(passed):
+        unseen = int(np.sum(~finite))
+        beyond = f" ({unseen} without an end)" if unseen else ""
+        handles.append(Line2D([], [], label=f"{_runs(np.sum(~passed))} not{beyond}", **_FAILED))
+    if name in campaign.limits:
+        unit = campaign.layouts["error"][name].unit
+        text = f"limit {campaign.limits[name]:.3g} {unit}".rstrip()
+        handles.append(
+            Line2D([], [], label=text, **_LIMIT)
+            if drawn
+            else Line2D([], [], label=f"{text}, far outside", linestyle="none")
+        )
+    return handles
+
+
+def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -> Figure:
+    """Draw how measures are distributed: a histogram and the empirical distribution of each.
+
+    Percentiles are marked on the distribution, with bars for their confidence intervals. A distribution that ends
+    below 100 % has runs without a value.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    names : sequence of str, optional
+        Measures; default those with limits, or the errors and efforts if there are none.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    chosen = list(names) if names is not None else list(campaign.limits) or list(shown_measures(campaign))
+    if not chosen:
+        raise ArgumentError("the campaign measures nothing: give target= or limits= to monte_carlo().")
+    with style():
+        figure = new_figure(0.5 + 2.0 * len(chosen))
+        axes = figure.subplots(len(chosen), 2, squeeze=False)
+        for (left, right), name in zip(axes, chosen, strict=True):
+            values = campaign.measure(name)
+            finite = np.sort(values[np.isfinite(values)])
+            _draw_histogram(left, finite)
+            _draw_distribution(right, campaign, name, finite)
+            for ax, height in ((left, 0.88), (right, 0.3)):  # where there are rarely data
+                _draw_limit(ax, campaign.limits.get(name), finite, height)
+                ax.set_xlabel(axis_label(measure_text(name), campaign.unit(name)))
+                ax.xaxis.set_major_locator(MaxNLocator(5))
+        handles = [
+            Line2D([], [], label="runs up to a value", **_CURVE),
+            Line2D(
+                [],
+                [],
+                label=", ".join(f"{100 * p:g}" for p in LEVELS) + " %, with confidence",
+                **_PERCENTILE,
+            ),
+        ]
+        if any(name in campaign.limits for name in chosen):
+            handles.append(Line2D([], [], label="limit", **_LIMIT))
+        legend_on_top(figure, handles)
+    return figure
+
+
+def _draw_histogram(ax: Axes, finite: Any) -> None:
+    if finite.size and finite[-1] > finite[0]:
+        ax.hist(finite, bins=int(np.clip(np.sqrt(finite.size), 8, 40)), **_BARS)
+    elif finite.size:
+        ax.plot(finite[[0, 0]], [0, finite.size], color=COLORS[5], linewidth=4)
+    ax.set_ylabel("runs")
+    ax.yaxis.set_major_locator(MaxNLocator(4, integer=True))
+
+
+def _draw_distribution(ax: Axes, campaign: Campaign, name: str, finite: Any) -> None:
+    shares = np.arange(1, finite.size + 1) / len(campaign)
+    if finite.size:
+        ax.step(np.r_[finite[0], finite], np.r_[0.0, shares], where="post", **_CURVE)
+    for level in LEVELS:
+        found = campaign.percentile(name, level)
+        if np.isfinite(found.value):
+            ends = np.clip([found.low, found.high], finite[0], finite[-1])
+            ax.plot(ends, [level, level], zorder=3, **(_PERCENTILE | {"marker": "|", "markersize": 6}))
+            ax.plot(found.value, level, zorder=4, **_PERCENTILE)
+    ax.set_ylim(-0.03, 1.05)
+    ax.yaxis.set_major_formatter(PercentFormatter(1.0))
+    ax.set_ylabel("share of runs")
+
+
+def _draw_limit(ax: Axes, limit: float | None, finite: Any, height: float) -> None:
+    if limit is None:
+        return
+    if finite.size:
+        far = _FAR * (finite[-1] - finite[0])
+        if not finite[0] - far <= limit <= finite[-1] + far:
+            above = limit > finite[-1]
+            ax.annotate(
+                f"limit {limit:.3g} →" if above else f"← limit {limit:.3g}",
+                (0.97 if above else 0.03, height),
+                xycoords="axes fraction",
+                ha="right" if above else "left",
+                **_NOTE,
+            )
+            return
+    ax.axvline(limit, zorder=2, **_LIMIT)
+
+
+def measure_text(name: str) -> str:
+    """Return the name of a measure for an axis: ``"final error of r_L"``, ``"effort of F_B"``."""
+    kind, bracket, rest = name.partition("(")
+    if bracket and rest.endswith(")"):
+        words = {"angle": "final angle of", "saturation": "saturation time of"}.get(kind, f"{kind} of")
+        return f"{words} {name_text(rest[:-1])}"
+    return f"final error of {name_text(name)}"
+
+
+def _runs(count: Any) -> str:
+    return f"{int(count)} run{'s' * (int(count) != 1)}"
