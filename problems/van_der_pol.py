@@ -23,8 +23,8 @@ import gnc_opt as go
 from problems.reference import Array, Reference
 from problems.run import run
 
-SWITCH_TIMES = (1.3667400311, 2.4609275540)
-"""From an independent calculation, s."""
+SWITCH_TIMES = (1.3667400311, 2.4608743843)
+"""By shooting with the feedback law, s: y(4) = 0, and lam_y = 0 at the first switch."""
 
 
 def build(duration: float = 4.0) -> go.Problem:
