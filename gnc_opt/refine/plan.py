@@ -149,7 +149,7 @@ class Plan:
 
 def points_of(mesh: Mesh) -> float:
     """Return how many points a mesh would have if all of it were as coarse as its coarsest segment."""
-    return float(np.min(np.asarray(mesh.degrees) / np.diff(mesh.fractions)))
+    return float(np.min(np.asarray(mesh.degrees) / np.diff(mesh.breaks)))
 
 
 def _first_resolution(structure: PhaseStructure, piece: int, points: float) -> Resolution:

@@ -145,7 +145,9 @@ def _adjust(samples: PhaseSamples, plan: Plan, tol: float) -> tuple[Plan, str]:
     if moved is not None:
         emptied = np.flatnonzero(moved.lengths < VANISHED * (moved.times[-1] - moved.times[0]))
         if emptied.size:
-            return Plan.of(plan.structure.without(int(emptied[0])), plan.points), f"piece {emptied[0] + 1} dropped"
+            return Plan.of(
+                plan.structure.without(int(emptied[0])), plan.points
+            ), f"piece {emptied[0] + 1} dropped"
     actions = (KINKS_MOVED if moved else "", RAISED if finer else "")
     resolutions = finer.resolutions if finer else plan.resolutions
     return replace(plan, structure=moved or plan.structure, resolutions=resolutions), ", ".join(
