@@ -47,6 +47,7 @@ from gnc_opt.spacecraft import (
     hill_acceleration,
     lvlh_rate,
     mean_motion,
+    mrp_difference,
     mrp_from_axis_angle,
     mrp_rate,
     mrp_to_dcm,
@@ -257,6 +258,7 @@ def chaser_model(equation: Equation = "printed") -> go.Model:
             r_L: v_L,
         }
     )
+    chaser.difference(sigma_BL, mrp_difference)
     return chaser
 
 

@@ -58,6 +58,16 @@ class Deviation:
         )
         return x_jacobian @ np.linalg.pinv(jacobian), u_jacobian
 
+    def linearize_many(self, times: Array, x_ref: Array, u_ref: Array) -> tuple[Array, Array]:
+        """Return A (n, n_errors, n_errors) and B (n, n_errors, n_controls) at n times, columns of x_ref and u_ref."""
+        n = times.size
+        parameters = np.repeat(self.model.parameter_values[:, None], n, axis=1)
+        jacobian, x_jacobian, u_jacobian = (
+            np.stack(np.split(np.asarray(m.full()), n, axis=1))
+            for m in self._jacobians(times[None, :], x_ref, u_ref, parameters)
+        )
+        return x_jacobian @ np.linalg.pinv(jacobian), u_jacobian
+
     def output(self, name: str, t: Any, x: Any) -> Any:
         """Return an output as an SX expression of the SX scalar t and column x.
 

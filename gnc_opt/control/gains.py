@@ -18,6 +18,7 @@ from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.riccati import Steady, gain_of, steady
 from gnc_opt.control.sampling import Step, sample, sample_along
+from gnc_opt.control.table import LinearizationTable
 from gnc_opt.control.weights import Weight, read_weight, require_semidefinite
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import Array
@@ -58,6 +59,7 @@ class ContinuousGains:
 
     reference: Reference
     deviation: Deviation
+    table: LinearizationTable
     r: Array
     n: Array
     pieces: tuple[tuple[float, float, Callable[[float], Array]], ...]
@@ -82,7 +84,7 @@ class ContinuousGains:
         """See `Gains`."""
         if t >= self.reference.final_time:
             return self.tail
-        b = self.deviation.linearize(t, self.reference.x(t), self.reference.u(t))[1]
+        b = self.table(t)[1]
         return gain_of(np.zeros_like(self.terminal), b, self.r, self.n, self.P(t), sampled=False)
 
 
@@ -137,8 +139,9 @@ def riccati_gains(
     last = regulator.cost if end is None and regulator is not None else end
     assert last is not None
     tail = regulator.gain if regulator is not None else gain_of(a, b, r, n, last, sampled=False)
-    pieces = _integrate(deviation, reference, (q, r, n), last)
-    return ContinuousGains(reference, deviation, r, n, pieces, last, tail, regulator)
+    table = LinearizationTable(deviation, reference)
+    pieces = _integrate(table, reference, (q, r, n), last)
+    return ContinuousGains(reference, deviation, table, r, n, pieces, last, tail, regulator)
 
 
 def _terminal(terminal: Weight, deviation: Deviation) -> Array:
@@ -173,7 +176,7 @@ def _tail_regulator(
 
 
 def _integrate(
-    deviation: Deviation, reference: Reference, cost: tuple[Array, Array, Array], last: Array
+    linearize: LinearizationTable, reference: Reference, cost: tuple[Array, Array, Array], last: Array
 ) -> tuple[tuple[float, float, Callable[[float], Array]], ...]:
     q, r, n = cost
     size = last.shape[0]
@@ -189,8 +192,7 @@ def _integrate(
         nudge = 1e-9 * (right - left)
 
         def slope(t: float, y: Array, low: float = left + nudge, high: float = right - nudge) -> Array:
-            t = float(np.clip(t, low, high))  # this side of the jumps
-            a, b = deviation.linearize(t, reference.x(t), reference.u(t))
+            a, b = linearize(min(max(t, low), high))  # this side of the jumps
             p = _unpacked(y, size)
             half = b.T @ p + n.T
             flow = a.T @ p
@@ -222,10 +224,10 @@ def _sampled(
     p = regulator.cost if end is None and regulator is not None else end
     assert p is not None
     count = int(np.ceil((t_f - t_0) / dt - 1e-6))
+    table = LinearizationTable(deviation, reference)
 
     def linearize(t: float) -> tuple[Array, Array]:
-        late = t > t_f
-        return (a, b) if late else deviation.linearize(t, reference.x(t), reference.u(t))
+        return (a, b) if t > t_f else table(t)
 
     steps = [
         sample_along(linearize, *cost, t_0 + k * dt, dt, np.append(reference.jumps, t_f))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from typing import Literal, TypeAlias, get_args
 
@@ -197,17 +196,24 @@ class Reference(Strict):
         A held command with this value has the same impulse as the reference, wherever its switches lie.
         """
         starts = np.atleast_1d(read_numbers(times, "the times of a reference"))
-        return np.stack([self._mean(float(t), float(t) + dt) for t in starts], axis=1)
-
-    def _mean(self, left: float, right: float) -> Array:
-        marks = np.concatenate([self.jumps, self._breaks])
-        inner = np.unique(marks[(marks > left) & (marks < right)])
-        edges = np.concatenate([[left], inner, [right]])
+        marks = np.unique(np.concatenate([self.jumps, self._breaks]))
+        owners, lefts, rights = [], [], []  # pieces of the steps without a jump
+        for k, start in enumerate(starts):
+            inner = marks[(marks > start) & (marks < start + dt)]
+            edges = [float(start), *inner, float(start) + dt]
+            owners += [k] * (len(edges) - 1)
+            lefts += edges[:-1]
+            rights += edges[1:]
+        left, right = np.array(lefts), np.array(rights)
         tau, weights = leggauss(_GAUSS_POINTS)
-        total = np.zeros(self.controls.size)
-        for a, b in itertools.pairwise(edges):
-            total += 0.5 * (b - a) * self.u(0.5 * (a + b) + 0.5 * (b - a) * tau) @ weights
-        return total / (right - left)
+        at = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * tau
+        means = (
+            self.u(at.ravel()).reshape(self.controls.size, *at.shape) @ weights * (0.5 * (right - left) / dt)
+        )
+        total = np.zeros((self.controls.size, starts.size))
+        for owner, mean in zip(owners, means.T, strict=True):
+            total[:, owner] += mean
+        return total
 
     def _evaluate(self, parts: list[Callable[[Array], Array]], t: ArrayLike, tail: Array | None) -> Array:
         times = np.atleast_1d(read_numbers(t, "the time of a reference"))

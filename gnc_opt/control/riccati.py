@@ -165,9 +165,9 @@ def unreached(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mode]:
     whose eigenvalues are those modes also where A has multiple eigenvalues.
     """
     size = a.shape[0]
-    balanced, (scale, _) = matrix_balance(a, permute=False, separate=True)
+    balanced, scale = _balanced(a)
     balanced = balanced / max(np.linalg.norm(balanced, 2), np.finfo(float).tiny)
-    rate = np.linalg.norm(matrix_balance(a, permute=False, separate=False)[0], 2)
+    rate = np.linalg.norm(_balanced(a)[0], 2)
     inputs = b / scale[:, None]
     length = np.linalg.norm(inputs, axis=0)
     inputs = inputs[:, length > 0] / length[length > 0]
@@ -195,10 +195,21 @@ def unreached(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mode]:
     return modes
 
 
+def _balanced(a: Array) -> tuple[Array, Array]:
+    """Return a balanced by a diagonal similarity, and its scales (n,), powers of two.
+
+    A matrix that is nilpotent but for rounding gets scales beyond the integers; SciPy warns when it casts them, for
+    a permutation that is not asked for here.
+    """
+    with np.errstate(invalid="ignore"):
+        balanced, (scale, _) = matrix_balance(a, permute=False, separate=True)
+    return balanced, scale
+
+
 def _decays(eigenvalue: complex, a: Array, sampled: bool) -> bool:
     if sampled:
         return abs(eigenvalue) < 1 - _BOUNDARY
-    rate = float(np.linalg.norm(matrix_balance(a, permute=False, separate=False)[0], 2))
+    rate = float(np.linalg.norm(_balanced(a)[0], 2))
     return eigenvalue.real < -_BOUNDARY * rate
 
 

@@ -39,10 +39,12 @@ from problems.run import TOLERANCE, comparison, run
 Array = NDArray[np.float64]
 
 FOLDER = Path(goddard.__file__).parent
+SYSTEMS = ("rendezvous", "formation_flying", "reaction_wheels", "flexible_spacecraft", "tethered_formation")
+"""Of several files each, with tests of their own."""
 NAMES = sorted(
     path.stem
     for path in FOLDER.glob("*.py")
-    if path.stem not in ("__init__", "reference", "run") and not path.stem.startswith("rendezvous")
+    if path.stem not in ("__init__", "reference", "run") and not path.stem.startswith(SYSTEMS)
 )
 CLOSED = {
     # Tolerances of states, controls and costates: the accuracy asked for, larger where a cost is flat

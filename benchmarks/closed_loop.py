@@ -1,0 +1,226 @@
+"""Speed: a campaign of the followed rendezvous against a straightforward Python loop over scipy's solve_ivp.
+
+    python -m benchmarks.closed_loop [--runs 1000] [--plain-runs 5] [--seed 1] [--json OUT]
+
+Workload: `problems.rendezvous_tracking`, case 1, TVLQR, all dispersions, noise, actuators and the disturbance. The
+plain loop states the same closed loop in NumPy, step by step, and integrates the plant over each control step by
+solve_ivp (RK45). It gets the same gains, parameters and random numbers, so the states at the end have to agree; both
+sides have an error per step far below the tolerance of that comparison.
+
+Three questions:
+
+1. Time per run on one processor, plain loop over campaign. The plain loop's time leaves design, gains and random
+   numbers out; the campaign's has random numbers and parameters in. With building the loop, too: "built".
+2. Do the states at the end agree?
+3. How long do the campaigns take with one process per processor, everything included (TVLQR, integral sliding mode,
+   open loop), and do they have the bits of the campaign on one?
+
+Exit code 1 if a target is missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import time
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from scipy.integrate import solve_ivp
+
+from gnc_opt.model.layout import Array
+from gnc_opt.simulation import Campaign, Flight
+from gnc_opt.spacecraft import (
+    RADIUS_EARTH,
+    apply,
+    hill_acceleration,
+    lvlh_rate,
+    mean_motion,
+    mrp_difference,
+    mrp_rate,
+    mrp_to_dcm,
+    relative_angular_acceleration,
+    transpose,
+)
+from problems.rendezvous import ALTITUDE, MAX_FORCE, MAX_TORQUE
+from problems.rendezvous_tracking import DISPERSIONS, DT, FORCE_STEP, NOISE, TORQUE_STEP, Tracking, plan
+
+SPEED_UP = 50.0
+"""Least accepted ratio of times per run."""
+LONGEST = 60.0
+"""Of the campaigns together, s."""
+AGREEMENT = 1e-6
+"""Of the states at the end, in their units."""
+RTOL, ATOL = 1e-8, 1e-9
+"""Of solve_ivp."""
+TOGETHER = ("open loop", "TVLQR", "integral sliding mode")
+
+_LIMIT = np.repeat([MAX_TORQUE, MAX_FORCE], 3)
+_STEP = np.repeat([TORQUE_STEP, FORCE_STEP], 3)
+_N = mean_motion(RADIUS_EARTH + ALTITUDE)
+
+
+def plain_run(flight: Flight, parameters: dict[str, Array], normal: dict[str, Array], rows: Array) -> Array:
+    """Fly one run in plain Python; return the state at the end (n_states,).
+
+    Parameters
+    ----------
+    flight : Flight
+        For the times of the steps alone.
+    parameters : mapping
+        Of the run, by dotted name.
+    normal : mapping
+        Standard normal numbers by sensor, (3, n_steps).
+    rows : array (n_signals, n_steps)
+        Reference states (12), feedforward (6), gains row by row (72).
+    """
+    x = np.concatenate([parameters[f"initial.{name}"] for name in ("omega", "sigma", "v_L", "r_L")])
+    tau = np.concatenate([parameters["torque lag.tau"], parameters["force lag.tau"]])
+    push = parameters["differential force.level"]
+    inertia, mass = parameters["plant.inertia"], parameters["plant.mass"][0]
+    decay = np.exp(-DT / tau)
+    lagged = np.zeros(6)
+
+    def rate(_: float, x: Array, applied: Array) -> Array:
+        omega, sigma, v, r = x[:3], x[3:6], x[6:9], x[9:]
+        dcm = mrp_to_dcm(sigma)
+        spin = relative_angular_acceleration(inertia, omega, apply(dcm, lvlh_rate(_N)), applied[:3])
+        force = apply(transpose(dcm), applied[3:]) / mass
+        return np.concatenate(
+            [spin, mrp_rate(sigma, omega), force + hill_acceleration(r, v, _N) + push, v]
+        ).astype(float)
+
+    for k, t in enumerate(flight.times[:-1]):
+        seen = x + np.concatenate(
+            [
+                NOISE["omega"] * normal["sensor 0"][:, k],
+                mrp_rate(x[3:6], NOISE["sigma"] * normal["sensor 1"][:, k]),
+                NOISE["v_L"] * normal["sensor 2"][:, k],
+                NOISE["r_L"] * normal["sensor 3"][:, k],
+            ]
+        )
+        x_ref, u_ff, gain = rows[:12, k], rows[12:18, k], rows[18:, k].reshape(6, 12)
+        error = seen - x_ref
+        error[3:6] = mrp_difference(seen[3:6], x_ref[3:6])
+        u = np.clip(_STEP * np.floor((u_ff - gain @ error) / _STEP + 0.5), -_LIMIT, _LIMIT)
+        applied = u + (lagged - u) * (1 - decay) * tau / DT
+        lagged = u + (lagged - u) * decay
+        found = solve_ivp(rate, (t, t + DT), x, args=(applied,), rtol=RTOL, atol=ATOL)
+        x = found.y[:, -1]
+    return np.asarray(x)
+
+
+def plain_inputs(campaign: Campaign, flight: Flight, index: int) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return the parameters and the random numbers of a run of the campaign."""
+    layout = flight.layout
+    column = campaign.parameters[:, index]
+    parameters = {name: column[layout.slice(name)] for name in layout.names}
+    first = 1 + flight.schedule.shape[0]
+    generator = np.random.Generator(np.random.Philox(np.random.SeedSequence([campaign.seed, index])))
+    known = np.zeros((flight.kernel.known.size, flight.n_steps))
+    known[first:] = generator.standard_normal((flight.n_steps, known.shape[0] - first)).T
+    return parameters, flight.kernel.known.split(known)
+
+
+def measure(runs: int, plain_runs: int, seed: int) -> dict[str, Any]:
+    """Return all measurements as plain numbers."""
+    tracking = Tracking(plan())
+    begin = time.perf_counter()
+    serial = tracking.campaign("TVLQR", runs, seed, "serial")
+    built = time.perf_counter() - begin
+    assert serial.flight is not None
+    flight = serial.flight
+    begin = time.perf_counter()
+    flight.final(serial.parameters, [[seed, i] for i in range(runs)])
+    flying = time.perf_counter() - begin
+
+    rows, seconds, apart = flight.schedule, [], 0.0
+    for index in range(min(plain_runs, runs)):
+        parameters, normal = plain_inputs(serial, flight, index)
+        begin = time.perf_counter()
+        end = plain_run(flight, parameters, normal, rows)
+        seconds.append(time.perf_counter() - begin)
+        apart = max(apart, float(np.max(np.abs(end - serial.states[:, index]))))
+
+    campaigns, same = {}, True
+    for name in TOGETHER:
+        begin = time.perf_counter()
+        found = tracking.campaign(name, runs, seed)
+        campaigns[name] = time.perf_counter() - begin
+        if name == "TVLQR":
+            same = bool(np.array_equal(found.states, serial.states))
+    plain = float(np.median(seconds))
+    return {
+        "runs": runs,
+        "control_steps": flight.n_steps,
+        "dispersions": len(DISPERSIONS),
+        "plain_s_per_run": plain,
+        "campaign_s_per_run": flying / runs,
+        "built_s_per_run": built / runs,
+        "speed_up": plain * runs / flying,
+        "speed_up_built": plain * runs / built,
+        "apart": apart,
+        "campaigns_s": campaigns,
+        "together_s": sum(campaigns.values()),
+        "same_bits": same,
+        "pass_rate": serial.pass_rate().rate,
+        "processors": os.cpu_count(),
+        "python": platform.python_version(),
+        "versions": {name: version(name) for name in ("casadi", "numpy", "scipy")},
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, print the table; 1 if a target is missed."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.closed_loop", description="Speed of campaigns."
+    )
+    parser.add_argument("--runs", type=int, default=1000)
+    parser.add_argument("--plain-runs", type=int, default=5, help="of the plain loop, median taken")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--json", type=Path, metavar="OUT")
+    options = parser.parse_args(arguments)
+    told = measure(options.runs, options.plain_runs, options.seed)
+    targets = {
+        "times per run, plain / campaign": (
+            told["speed_up"],
+            f">= {SPEED_UP:g}",
+            told["speed_up"] >= SPEED_UP,
+        ),
+        "states at the end apart by": (told["apart"], f"<= {AGREEMENT:g}", told["apart"] <= AGREEMENT),
+        "campaigns together (s)": (told["together_s"], f"<= {LONGEST:g}", told["together_s"] <= LONGEST),
+        "same bits on all processors": (float(told["same_bits"]), "1", told["same_bits"]),
+    }
+    rows = [
+        ("plain loop, s per run", told["plain_s_per_run"]),
+        ("campaign on one processor, s per run", told["campaign_s_per_run"]),
+        ("the same with design and building", told["built_s_per_run"]),
+        ("times per run, plain / built", told["speed_up_built"]),
+        *[(f"{name}, all processors (s)", spent) for name, spent in told["campaigns_s"].items()],
+    ]
+    table = Table(
+        title=f"Closed loop, {told['runs']} runs of {told['control_steps']} control steps",
+        box=box.SIMPLE_HEAD,
+    )
+    for heading in ("", "measured", "target", ""):
+        table.add_column(heading, no_wrap=True)
+    for label, value in rows:
+        table.add_row(label, f"{value:.3g}", "", "")
+    for label, (value, target, met) in targets.items():
+        table.add_row(label, f"{value:.3g}", target, "met" if met else "MISSED")
+    Console(highlight=False).print(table)
+    if options.json is not None:
+        options.json.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+    return 0 if all(met for _, _, met in targets.values()) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,130 @@
+"""The rendezvous followed: pass rates, repeatability, the same statistics on any executor, price of the reserve."""
+
+import json
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from benchmarks.closed_loop import AGREEMENT, plain_inputs, plain_run
+from gnc_opt.spacecraft import mrp_to_dcm
+from problems.rendezvous_tracking import (
+    DISPERSIONS,
+    LIMITS,
+    RESERVE,
+    SETTLING,
+    Tracking,
+    main,
+    plan,
+    turned,
+)
+
+RUNS, SEED = 1000, 1
+FEW = 60
+
+
+@pytest.fixture(scope="module")
+def tracking() -> Tracking:
+    return Tracking(plan())
+
+
+@pytest.fixture(scope="module")
+def regulated(tracking):
+    return tracking.campaign("TVLQR", FEW, SEED, "serial")
+
+
+def test_plan_keeps_its_reserve(tracking):
+    """A rest-to-rest translation takes 1 / sqrt(share) as long; here the turn and the orbit change that by < 0.5 %."""
+    flown = tracking.solution.phase().flown(np.linspace(0.0, tracking.reference.final_time, 500))
+    largest = np.repeat([50.0, 320.0], 3) * RESERVE
+    assert np.all(np.abs(flown) <= largest[:, None] * (1 + 1e-9))
+    fastest = plan(reserve=1.0).objective
+    assert tracking.solution.objective == pytest.approx(fastest / np.sqrt(RESERVE), rel=5e-3)
+    with pytest.raises(go.ProblemError, match="authority"):
+        plan(reserve=1.2)
+
+
+@pytest.mark.parametrize("name", ["TVLQR", "integral sliding mode"])
+def test_feedback_passes_99_percent_of_1000_runs(tracking, name):
+    campaign = tracking.campaign(name, RUNS, SEED)
+    rate = campaign.pass_rate()
+    assert rate.runs == RUNS and not campaign.failures
+    assert rate.rate >= 0.99
+    assert campaign.span[1] >= tracking.reference.final_time + SETTLING - 1e-9
+    assert dict(campaign.limits) == LIMITS
+
+
+def test_open_loop_does_not(tracking):
+    campaign = tracking.campaign("open loop", FEW, SEED, "serial")
+    assert campaign.pass_rate().high < 0.1
+    assert campaign.pass_rate("r_L").high < 0.1
+
+
+def test_predictive_control_follows_too(tracking):
+    campaign = tracking.campaign("MPC", 2, SEED, "serial")
+    assert np.all(campaign.passed())
+
+
+def test_starts_are_dispersed_as_stated(regulated, tracking):
+    away = regulated.parameter("initial.r_L") - tracking.initial[9:, None]
+    assert np.max(np.linalg.norm(away, axis=0)) <= 0.2
+    angle = 4 * np.arctan(np.linalg.norm(regulated.parameter("initial.sigma"), axis=0))
+    assert 1.0 < np.degrees(np.max(angle)) <= 2 + 1e-9
+    assert np.max(np.abs(regulated.parameter("plant.mass") / 3200 - 1)) <= 0.03
+    assert np.std(regulated.parameter("plant.mass") / 3200) == pytest.approx(0.01, rel=0.4)
+    force = 3200 * np.linalg.norm(regulated.parameter("differential force.level"), axis=0)
+    np.testing.assert_allclose(force, 1.0, rtol=1e-12)
+    assert len(DISPERSIONS) == 7
+
+
+def test_every_run_can_be_flown_again_bit_for_bit(regulated):
+    for i in regulated.indices:
+        assert np.array_equal(regulated.rerun(int(i)).states[:, -1], regulated.states[:, i])
+
+
+def test_same_bits_on_one_process_two_and_a_cluster(regulated, tracking):
+    distributed = pytest.importorskip("distributed")
+    spawn = get_context("spawn")
+    for processes in (1, 2):
+        with ProcessPoolExecutor(processes, spawn) as pool:
+            assert same(tracking.campaign("TVLQR", FEW, SEED, pool), regulated)
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
+        assert same(tracking.campaign("TVLQR", FEW, SEED, client.get_executor()), regulated)
+
+
+def same(one, other) -> bool:
+    return one.to_json() == other.to_json() and np.array_equal(one.states, other.states)
+
+
+def test_plain_python_loop_ends_at_the_same_states(regulated):
+    parameters, normal = plain_inputs(regulated, regulated.flight, 3)
+    end = plain_run(regulated.flight, parameters, normal, regulated.flight.schedule)
+    np.testing.assert_allclose(end, regulated.states[:, 3], atol=AGREEMENT, rtol=0)
+
+
+def test_attitude_noise_turns_by_its_angle():
+    """To first order in the angle: what is left is of second order."""
+    sigma, angle = np.array([0.3, -0.2, 0.1]), 1e-4 * np.array([1.0, -2.0, 2.0])
+    relative = mrp_to_dcm(turned(sigma, angle)) @ mrp_to_dcm(sigma).T
+    found = 0.5 * np.array(
+        [relative[1, 2] - relative[2, 1], relative[2, 0] - relative[0, 2], relative[0, 1] - relative[1, 0]]
+    )
+    np.testing.assert_allclose(found, angle, atol=1e-7)
+
+
+def test_main_writes_statistics_and_figures(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(
+        "problems.rendezvous_tracking_report.price_of_robustness", lambda case: [(1.0, 2.0), (0.5, 3.0)]
+    )
+    arguments = ["--runs", "4", "--mpc-runs", "1", "--json", str(tmp_path / "out.json")]
+    assert main([*arguments, "--report", str(tmp_path / "figures")]) == 0
+    told = json.loads((tmp_path / "out.json").read_text())
+    assert set(told["controllers"]) == {"open loop", "TVLQR", "integral sliding mode", "MPC"}
+    assert told["controllers"]["TVLQR"]["passed"]["passed"] == 4
+    assert "Price of robustness" in capsys.readouterr().out
+    assert {"terminal_errors.png", "price_of_robustness.png"} <= {
+        p.name for p in (tmp_path / "figures").iterdir()
+    }
