@@ -1,0 +1,215 @@
+"""Wheel pyramid: optimal slews against theory, tracking, flight code, main."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import simpson, solve_bvp
+
+import gnc_opt as go
+from gnc_opt.control.deviation import Deviation
+from gnc_opt.spacecraft import quaternion_angle
+from problems import reaction_wheels, reaction_wheels_report
+from problems.reaction_wheels import (
+    DESIGN_SPEED,
+    INERTIA,
+    INVERSE,
+    NOMINAL_SPEED,
+    NULL,
+    REFERENCE,
+    REST,
+    RPM,
+    build,
+    published_peak_torque,
+    resting,
+    target_quaternion,
+    wheel_model,
+)
+from problems.reaction_wheels_laws import design_flc, design_quaternion_lqr
+from problems.reaction_wheels_limits import peak_speed
+from problems.reaction_wheels_optimal import (
+    HALF,
+    MANOEUVRE,
+    SLEWS,
+    TRACKED,
+    design_tracker,
+    eigenaxis_energy,
+    fastest_wheel,
+    optimal_slew,
+    track,
+)
+from problems.reaction_wheels_published import STEP, published_slew
+from problems.reaction_wheels_table import Row
+
+COMPILER = shutil.which("cc")
+
+
+# --- optimal slews --------------------------------------------------------------------------------------
+
+
+def boundary_value_energy(manoeuvre: int, duration: float) -> float:
+    """The least energy by the minimum principle alone: T = -(2/3) lam_w / J in body torques, wheels' share 3/4."""
+    moments, target = np.array(INERTIA)[:, None], target_quaternion(manoeuvre)
+    half = np.arccos(target[0])
+    axis = target[1:] / np.sin(half)
+
+    def rates(_: np.ndarray, y: np.ndarray) -> np.ndarray:
+        q, w, lam, mu = y[:4], y[4:7], y[7:10], y[10:13]
+        turn = 0.5 * np.vstack([-np.sum(q[1:] * w, axis=0), q[0] * w + np.cross(q[1:], w, axis=0)])
+        # mu, the attitude's costate, is constant in inertial space
+        return np.vstack([turn, -2 / 3 * lam / moments**2, -mu, -np.cross(w, mu, axis=0)])
+
+    def ends(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.concatenate([a[:4] - REST[:4], a[4:7], b[4:7], b[1:4] - target[1:]])
+
+    t = np.linspace(0, duration, 60)
+    s = t / duration
+    angle, rate = half * (3 * s**2 - 2 * s**3), 12 * half * (s - s**2) / duration
+    lam = -1.5 * moments**2 * np.outer(axis, 2 * half * (6 - 12 * s) / duration**2)
+    mu = -np.outer(lam[:, -1] - lam[:, 0], np.ones_like(t)) / duration
+    guess = np.vstack([np.cos(angle), np.outer(axis, np.sin(angle)), np.outer(axis, rate), lam, mu])
+    found = solve_bvp(rates, ends, t, guess, tol=1e-11, max_nodes=20000)
+    assert found.success
+    fine = np.linspace(0, duration, 20001)
+    torque = -2 / 3 * found.sol(fine)[7:10] / moments
+    return float(simpson(0.75 * np.sum(torque**2, axis=0), x=fine))
+
+
+def test_least_energy_is_that_of_the_boundary_value_problem() -> None:
+    least = boundary_value_energy(3, 34.6)
+    assert least == pytest.approx(REFERENCE.value, rel=1e-11)
+    assert optimal_slew("energy").objective == pytest.approx(least, rel=0, abs=REFERENCE.tolerance)
+    # the best turn about one axis is a little dearer, because the moments differ
+    target = target_quaternion(3)
+    half = np.arccos(target[0])
+    moment = float(np.linalg.norm(np.array(INERTIA) * target[1:]) / np.sin(half))
+    assert least < eigenaxis_energy(moment, 2 * half, 34.6) < 1.01 * least
+
+
+def test_least_energy_of_equal_moments_is_an_eigenaxis_slew_in_closed_form() -> None:
+    ball = build(manoeuvre=2, duration=40.0).with_parameters(inertia=(4.0, 4.0, 4.0))
+    angle = 2 * float(np.arccos(target_quaternion(2)[0]))
+    assert go.solve(ball, tol=1e-8).objective == pytest.approx(eigenaxis_energy(4.0, angle, 40.0), rel=1e-10)
+
+
+@pytest.mark.parametrize("name", SLEWS)
+def test_optimal_slews_obey_the_minimum_principle_and_the_limits(name: str) -> None:
+    solution = optimal_slew(name)
+    verdict = go.verify(solution)
+    assert verdict.ok, verdict.explain()
+    # on the speed limit the torque is between its bounds, and H is linear in it
+    linear = {"Legendre-Clebsch", "singular arcs"} if name == "time, speed limit" else set()
+    assert {c.name for c in verdict.conditions if c.result is not go.Result.PASS} == linear
+    assert fastest_wheel(solution) <= DESIGN_SPEED * (1 + 1e-9)
+    assert (fastest_wheel(solution) > DESIGN_SPEED * (1 - 1e-9)) == ("half" in name or "speed" in name)
+    end = solution.phase().final_time
+    assert quaternion_angle(solution.state("q")(end), target_quaternion(MANOEUVRE[name])) < 1e-9
+    np.testing.assert_allclose(solution.state("omega")(end), 0.0, atol=1e-12)
+    if name.startswith("energy"):
+        np.testing.assert_allclose(solution.state("h")(end), 0.0, atol=1e-12)
+
+
+def test_least_time_beats_the_best_turn_about_one_axis() -> None:
+    """Bang-bang about the eigenaxis with the best null torques: t = 2 (angle / acceleration)^(1/2)."""
+    target = target_quaternion(5)
+    half = np.arccos(target[0])
+    signed = NULL * (INVERSE @ (np.array(INERTIA) * target[1:] / np.sin(half)))
+    acceleration = published_peak_torque(5) / (np.ptp(signed) / 2)
+    eigenaxis = 2 * np.sqrt(2 * half / acceleration)
+    assert optimal_slew("time, small").objective < eigenaxis < 1.2 * optimal_slew("time, small").objective
+
+
+def test_optimal_slews_against_the_published_ones() -> None:
+    published = published_slew(3, "FLC")
+    assert optimal_slew("energy").objective / published.energy == pytest.approx(0.1688, abs=1e-3)
+    assert fastest_wheel(optimal_slew("energy")) < 0.6 * published.peak_speed
+    assert published.settling_time > 2 * HALF
+    assert optimal_slew("time, small").objective < published_slew(5, "FLC").settling_time / 3
+    assert optimal_slew("time, speed limit").objective < published_slew(1, "FLC").settling_time / 2.8
+
+
+@pytest.mark.parametrize("name", TRACKED)
+def test_optimal_slews_are_tracked_despite_errors(name: str) -> None:
+    run, end = track(name)
+    assert run.outcome.status is go.RunStatus.OK
+    assert np.degrees(run.attitude_error("q", at=0.0)) > 0.5
+    assert np.degrees(run.attitude_error("q", at=end)) < 0.02
+    assert np.degrees(run.attitude_error("q")) < 0.002
+    assert peak_speed(run) < NOMINAL_SPEED
+
+
+def test_problem_without_such_a_goal_or_manoeuvre() -> None:
+    with pytest.raises(go.ProblemError, match="no goal 'tme': did you mean 'time'"):
+        build("tme")
+    with pytest.raises(go.ProblemError, match="no manoeuvre 7"):
+        target_quaternion(7)
+
+
+# --- one model, flight code, main -----------------------------------------------------------------------
+
+
+def test_both_drives_are_the_same_dynamics() -> None:
+    wheels, body, random = wheel_model(), wheel_model(drive="body"), np.random.default_rng(5)
+    x, torque = random.normal(size=11), random.normal(size=3)
+    np.testing.assert_allclose(wheels.f(0.0, x, INVERSE @ torque), body.f(0.0, x, torque), rtol=1e-14)
+    a, b = Deviation(body).linearize(0.0, resting(target_quaternion(1)), np.zeros(3))
+    np.testing.assert_allclose(a[:3, 3:6], np.eye(3), atol=1e-14)  # twice the vector part turns with the rate
+    np.testing.assert_allclose(b[3:6], np.diag(1 / np.array(INERTIA)), atol=1e-14)
+
+
+LAWS: dict[str, Callable[[], go.Controller]] = {
+    "flc": lambda: design_flc(target_quaternion(3)),
+    "flc_error": lambda: design_flc(target_quaternion(3), output="error"),
+    "lqr": lambda: design_quaternion_lqr(target_quaternion(3)),
+    "tracker": lambda: design_tracker(optimal_slew("energy"), published_peak_torque(3)),
+}
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C compiler (cc) on this machine")
+@pytest.mark.parametrize("name", LAWS)
+def test_flight_code_agrees(tmp_path, name: str) -> None:
+    controller = LAWS[name]()
+    flown = published_slew(3, "FLC").states[:, :: round(0.5 / STEP)][:, :60].T
+    states = flown + 0.01 * np.random.default_rng(2).normal(size=flown.shape)
+    code = go.export_c(controller, tmp_path, dt=0.5, name=name)
+    program = tmp_path / "driver"
+    flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1"]
+    sources = [str(code.source), str(code.driver), "-lm"]
+    subprocess.run([str(COMPILER), *flags, "-o", str(program), *sources], check=True, capture_output=True)
+    times, memory, expected = 0.5 * np.arange(states.shape[0]), None, []
+    for t, x in zip(times, states, strict=True):
+        u, memory = controller(t, x, memory, 0.5)
+        expected.append(u)
+    lines = "\n".join(" ".join(repr(float(v)) for v in (t, *x)) for t, x in zip(times, states, strict=True))
+    out = subprocess.run([str(program)], input=lines, check=True, capture_output=True, text=True).stdout
+    found = np.array([[float(v) for v in line.split()] for line in out.splitlines()])
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13)
+    assert np.ptp(expected) > 0.01
+
+
+def test_main_writes_all_tables(tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert reaction_wheels.main(["--json", str(tmp_path / "out.json")]) == 0
+    printed = capsys.readouterr().out
+    assert "4 of 4 verdicts ok: pass" in printed
+    told = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
+    asserted = [row for row in told["comparison"] if row["tolerance"] is not None]
+    assert len(asserted) >= 130
+    assert all(row["agrees"] for row in asserted)
+    assert all(row["reason"] for row in told["comparison"] if row["tolerance"] is None)
+    assert {row["name"] for row in told["tracked"]} == set(TRACKED)
+    assert pytest.approx(2 * np.pi) == RPM * 60
+
+
+def test_main_fails_where_one_number_is_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+    missed = Row("EULERINT", "deg s", "converged", 454.58, 455.58, 0.4546)
+    monkeypatch.setattr(reaction_wheels_report, "rows", lambda: [missed])
+    assert reaction_wheels.main([]) == 1
+    monkeypatch.setattr(reaction_wheels_report, "rows", lambda: [replace(missed, ours=454.6)])
+    assert reaction_wheels.main([]) == 0
+    assert not replace(missed, ours=float("nan")).agrees
