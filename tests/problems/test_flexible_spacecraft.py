@@ -1,0 +1,192 @@
+"""The flexible spacecraft: plant, configurations, the law, chattering, optimal slews, tracking, flight code."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.control import export_c
+from problems import flexible_spacecraft_law, flexible_spacecraft_plant
+from problems import flexible_spacecraft_optimal as optimal
+from problems import flexible_spacecraft_published as published
+from problems.flexible_spacecraft_system import (
+    BODY,
+    DISTURBANCE,
+    INERTIAL,
+    INERTIAL_ROBUST,
+    MAX_TORQUE,
+    PublishedDisturbance,
+    build_model,
+    initial_state,
+    quasi_sliding_mode,
+    rest,
+    target,
+)
+from problems.flexible_spacecraft_table import Row, compare
+
+MODEL = build_model()
+
+
+def failures(rows: list[Row]) -> list[Row]:
+    assert rows
+    return [row for row in rows if row.passes is False]
+
+
+@cache
+def gentle() -> go.Solution:
+    return optimal.solved("gentle")
+
+
+# --- the publication ------------------------------------------------------------------------------------
+
+
+def test_plant_facts_energy_momentum_and_open_loop() -> None:
+    rows = flexible_spacecraft_plant.plant_rows()
+    assert failures(rows) == []
+    assert sum(row.quantity.startswith("open loop") for row in rows) == 8
+
+
+@pytest.mark.parametrize("case", published.CASES, ids=lambda case: case.title)
+def test_configurations(case: published.Case) -> None:
+    assert failures(published.configuration_rows((case,))) == []
+
+
+def test_gain_k_makes_the_slew_faster_and_costs_effort() -> None:
+    assert failures(flexible_spacecraft_law._gain_rows()) == []
+
+
+def test_sign_chatters_and_tanh_does_not() -> None:
+    assert failures(flexible_spacecraft_law._chattering_rows()) == []
+
+
+def test_disturbances() -> None:
+    assert failures(flexible_spacecraft_law._disturbance_rows(("J",))) == []
+
+
+def test_printed_sign_diverges_and_the_corrected_one_converges() -> None:
+    assert failures(flexible_spacecraft_law._sign_rows()) == []
+
+
+def test_table_tells_a_miss() -> None:
+    assert compare("a", (1.0, 2.0), (1.0, 2.03), relative=0.01).passes is False
+    assert compare("a", (1.0, 2.0), (1.0, 2.01), relative=0.01).passes is True
+    assert compare("a", 1.0, float("nan"), absolute=1.0).passes is False
+
+
+# --- model, law, disturbance ----------------------------------------------------------------------------
+
+
+def test_target_is_an_equilibrium_and_the_law_rests_there() -> None:
+    x = rest(MODEL, (1.0, 0.0, 0.0, 0.0))
+    np.testing.assert_allclose(MODEL.f(0.0, x, np.zeros(3)), 0.0, atol=1e-18)
+    u, _ = quasi_sliding_mode(MODEL, target(MODEL), INERTIAL)(0.0, x, dt=0.1)
+    np.testing.assert_allclose(u, 0.0, atol=1e-18)
+
+
+def test_law_is_the_same_for_both_signs_of_the_quaternion() -> None:
+    law = quasi_sliding_mode(MODEL, target(MODEL), INERTIAL_ROBUST)
+    x = initial_state(MODEL)
+    x[4:7] += [0.01, -0.02, 0.03]
+    mirrored = np.concatenate([-x[:4], x[4:]])
+    np.testing.assert_allclose(law(0.0, x, dt=0.1)[0], law(0.0, mirrored, dt=0.1)[0], rtol=1e-12)
+
+
+def test_law_makes_the_surface_approach_as_the_reaching_law_says() -> None:
+    """A rigid body with G = J and q near the target: dS/dt = -eps tanh(S / delta) - k S, up to second order."""
+    rigid = replace(BODY, coupling=np.zeros((3, 4)))
+    model = build_model(rigid, 0.0)
+    gains = INERTIAL_ROBUST
+    law = quasi_sliding_mode(model, target(model), gains, body=rigid)
+    x = rest(model, (1.0, 0.0, 0.0, 0.0))
+    v, omega = 1e-8 * np.array([1.0, -2.0, 0.5]), 1e-8 * np.array([0.3, 0.1, -0.2])
+    x[1:4], x[4:7] = v, omega
+    turning = model.f(0.0, x, law(0.0, x, dt=0.1)[0])[4:7]
+    s = -omega - 2 * gains.c * v
+    wanted = -gains.eps * np.tanh(s / gains.delta) - gains.k * s
+    np.testing.assert_allclose(-turning - gains.c * omega, wanted, rtol=1e-6)
+
+
+def test_disturbance_has_the_published_mean_and_range() -> None:
+    pushes = (PublishedDisturbance("T_d", on="torque"),)
+    still = published.fly(replace(INERTIAL, eps=0.0, c=0.0), dt=0.1, tf=62.8, disturbances=pushes)
+    # without gains the momentum in inertial space is the impulse; over ten periods that of sin t vanishes
+    x = still.states[:, -1]
+    q, omega = x[:4], x[4:7]
+    body = BODY.momentum(omega, x[11:15]) - BODY.momentum(still.states[4:7, 0], np.zeros(4))
+    assert np.linalg.norm(body) == pytest.approx(np.sqrt(3) * DISTURBANCE / 2 * 62.8, rel=0.15)
+    assert np.linalg.norm(q) == pytest.approx(1.0, abs=1e-9)
+
+
+# --- optimal slews --------------------------------------------------------------------------------------
+
+
+def test_least_time_is_proven_bang_bang_and_leaves_no_vibration() -> None:
+    """Fifteen switches, H = -1 and the signs of the switching functions, by a verdict that recomputes them all."""
+    solution = optimal.solved("fast")
+    assert solution.objective == pytest.approx(optimal.REFERENCE.value, abs=optimal.REFERENCE.tolerance)
+    assert solution.objective < optimal.eigenaxis_time()
+    assert sum(arc.start > 0 for arc in solution.structure) == 15
+    assert go.verify(solution).ok
+    leg = solution.phase()
+    t = np.linspace(0.05, leg.final_time - 0.05, 300)
+    x, torque = leg.x(t), leg.flown_control("torque")(t)
+    np.testing.assert_allclose(np.abs(torque), MAX_TORQUE, rtol=1e-12)
+    lam = np.vstack([leg.costate(name)(t) for name in MODEL.states.names])
+    np.testing.assert_allclose(np.sum(lam * MODEL.f(t, x, torque), axis=0), -1.0, atol=1e-6)
+    end = leg.x(leg.final_time)
+    assert BODY.modal_energy(end[7:11], end[11:15]) < 1e-20
+
+
+def test_least_vibration_is_proven_and_beats_the_published_slew() -> None:
+    solution = gentle()
+    assert go.verify(solution).ok
+    leg = solution.phase()
+    t = np.linspace(0.0, leg.final_time, 2001)
+    energy = BODY.modal_energy(leg.state("eta")(t), leg.state("eta_rate")(t))
+    assert energy[-1] < 1e-20
+    published_energy = optimal.modal_energy(published.standard("J"))
+    ratio = np.trapezoid(energy, t) / np.trapezoid(published_energy, published.standard("J").times)
+    assert ratio == pytest.approx(0.1867, rel=0.01)
+    assert np.max(np.abs(leg.flown_control("torque")(t))) <= MAX_TORQUE * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("controller", "error"), [("TVLQR", 0.005), ("RQSMC", 0.02)])
+def test_least_vibration_is_tracked_under_the_published_disturbance(controller: str, error: float) -> None:
+    run = optimal.tracked("gentle", controller)
+    for t in (optimal.DURATION, optimal.DURATION + 20.0):
+        end = optimal.ending(run, t)
+        assert end.attitude < error
+        assert end.energy < 1e-7
+    free = optimal.ending(optimal.tracked("gentle", "open loop"), optimal.DURATION)
+    assert free.attitude > 10 * error
+
+
+# --- flight code ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_exported_law_is_the_law(tmp_path: Path) -> None:
+    law = quasi_sliding_mode(MODEL, target(MODEL), INERTIAL_ROBUST)
+    code = export_c(law, tmp_path, dt=0.1, name="rqsmc")
+    library = tmp_path / "librqsmc.so"
+    strict = ["-Wall", "-Wextra", "-Werror", "-std=c99"]
+    subprocess.run(
+        ["cc", *strict, "-shared", "-fPIC", "-O1", str(code.source), "-o", str(library), "-lm"], check=True
+    )
+    import ctypes
+
+    step = ctypes.CDLL(str(library)).rqsmc_step
+    vector = lambda values: (ctypes.c_double * len(values))(*values)  # noqa: E731
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        x = initial_state(MODEL) + 0.1 * rng.standard_normal(MODEL.states.size)
+        u = vector([0.0] * 3)
+        step(ctypes.c_double(0.0), vector(x), None, u)
+        np.testing.assert_allclose(list(u), law(0.0, x, dt=0.1)[0], rtol=1e-12, atol=1e-14)

@@ -1,0 +1,21 @@
+"""How finely the structure loop begins: coarsely, unless the mesh it got is finer than the default."""
+
+from gnc_opt.refine.plan import FIRST_DEGREE, MAX_DEGREE, Plan, points_of
+from gnc_opt.refine.structure import PhaseStructure
+from gnc_opt.transcription.mesh import Mesh
+
+
+def test_points_of_a_mesh_count_its_coarsest_segment() -> None:
+    assert abs(points_of(Mesh.uniform(60, 3)) - 180) < 1e-9
+    assert abs(points_of(Mesh((0.0, 0.5, 0.55, 1.0), (9, 3, 9))) - 18) < 1e-12
+
+
+STRUCTURE = PhaseStructure((0.0, 9.25, 10.0), ((1,), (-1,)))
+"""One control with a long and a short bang arc."""
+
+
+def test_long_pieces_of_a_fine_mesh_get_more_segments() -> None:
+    coarse, fine = Plan.of(STRUCTURE, 80.0), Plan.of(STRUCTURE, 180.0)
+    assert [(r.segments, r.degree) for r in coarse.resolutions] == [(1, FIRST_DEGREE)] * 2
+    assert [(r.segments, r.degree) for r in fine.resolutions] == [(10, MAX_DEGREE), (1, FIRST_DEGREE)]
+    assert fine.points == 180.0
