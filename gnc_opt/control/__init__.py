@@ -20,6 +20,7 @@ from gnc_opt.control.reaching import (
     SuperTwisting,
     TanhLayer,
 )
+from gnc_opt.control.reaching_mpc import PredictiveReaching
 from gnc_opt.control.reference import Reference, trim
 from gnc_opt.control.sliding_mode import design_sliding_mode
 from gnc_opt.control.super_twisting import SuperTwistingObserver
@@ -35,6 +36,7 @@ __all__ = [
     "Fact",
     "FlightCode",
     "PowerRate",
+    "PredictiveReaching",
     "Reference",
     "SaturationLayer",
     "Sign",

@@ -1,0 +1,254 @@
+"""Tethered pair: published structure against independent numbers, optima against theory, flight code."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import gnc_opt as go
+from gnc_opt.control import zero_dynamics
+from problems.tethered_formation import (
+    DURATION,
+    FORCE,
+    MAX_ANGLE,
+    PAIR,
+    RADIUS,
+    REFERENCE,
+    Orbit,
+    build,
+    first_state,
+    reference,
+    solve,
+    tether_model,
+)
+from problems.tethered_formation_control import Gains, design_swing_law, predictive, surface
+from problems.tethered_formation_optimal import DISTURBED, Optimum, ends, track
+from problems.tethered_formation_runs import comparison, fly
+from problems.tethered_formation_table import RESULTS, Row, law_rows, observer_errors, plant_rows, result_rows
+
+COMPILER = shutil.which("cc")
+
+
+@pytest.fixture(scope="module")
+def runs():
+    return comparison()
+
+
+@pytest.fixture(scope="module")
+def fastest():
+    return Optimum.of("time")
+
+
+@pytest.fixture(scope="module")
+def gentlest():
+    return Optimum.of("effort")
+
+
+def missed(rows):
+    return [row for row in rows if row.passes is False]
+
+
+# --- numbers --------------------------------------------------------------------------------------------
+
+
+def test_rows_can_fail():
+    assert Row("a", 1.0, 1.2, 0.1).passes is False
+    assert Row("a", np.inf, 1.0, 0.1).passes is False
+    assert Row("a", 1.0, 1.1, below=True).passes is False
+    assert Row("a", 1.0, np.nan, 0.1).passes is False
+    assert Row("a", 1.0, np.nan, below=True).passes is False
+
+
+def test_plant_reference_surface_and_reaching_law():
+    rows = plant_rows() + law_rows()
+    assert len(rows) > 25
+    assert missed(rows) == []
+
+
+def test_results_table_and_trace(runs):
+    rows = result_rows(runs)
+    assert len(rows) > 11 * len(RESULTS)
+    assert missed(rows) == []
+    for m in runs.values():
+        assert m.run.outcome.ok
+        assert m.run.integration_error < 1e-10
+
+
+def test_stated_tolerances_of_the_published_structure(runs):
+    mpc, switching = runs["MPC"], runs["switching 0.01"]
+    assert mpc.overshoot == pytest.approx(13.06, abs=0.3)
+    assert mpc.late_swing() < 1.0
+    assert mpc.variation() < 1.5
+    assert switching.variation() / mpc.variation() > 100
+
+
+def test_observer_finds_the_unknown_rate(runs):
+    unknown, error, xi = observer_errors(runs["MPC"], 100.0)
+    assert unknown == pytest.approx(1.38e-5, rel=0.02)
+    assert error == pytest.approx(3.6e-6, rel=0.02)
+    assert xi < 5.5e-7
+
+
+def test_swing_alone_costs_the_orbit():
+    m = fly(gains=Gains(k4=0.0, k5=0.0))
+    assert m.last_beyond(1.0) == pytest.approx(81.6, abs=2.0)
+    assert m.height[-1] == pytest.approx(-110.0, abs=1.0)
+
+
+@pytest.mark.parametrize("gains", [Gains(k4=0.005), Gains(k1=0.005, k2=0.03)])
+def test_wrong_signs_or_ratios_of_gains_are_unstable(gains):
+    """The closed form asks for k4 < 0 and k1 > k2."""
+    plan = reference()
+    assert zero_dynamics(surface(plan, gains), DURATION, plan.x(DURATION), plan.u(DURATION)).growth > 1e-3
+    good = zero_dynamics(surface(plan), DURATION, plan.x(DURATION), plan.u(DURATION))
+    assert good.growth < 1e-5
+
+
+def test_zeros_on_the_surface_are_those_of_the_closed_form():
+    """(W + q A) s^3 + (W k1 + q k2 A) s^2 + q B W s + q k2 B W with q = -k4, W the swing frequency squared."""
+    k, plan = Gains(k5=0.0), reference()
+    w = PAIR.kappa * FORCE / (PAIR.reduced_mass * PAIR.length)
+    b, q = FORCE / PAIR.mass, -k.k4
+    a = b + PAIR.kappa * PAIR.length * w
+    expected = np.roots([w + q * a, w * k.k1 + q * k.k2 * a, q * b * w, q * k.k2 * b * w])
+    found = zero_dynamics(surface(plan, k), DURATION, plan.x(DURATION), plan.u(DURATION)).eigenvalues
+    fast = sorted(found, key=abs)[-3:]
+    # the rest of the orbit, left out there, moves them by 1e-3 rad/s squared over the swing's
+    np.testing.assert_allclose(np.sort_complex(fast), np.sort_complex(expected), rtol=0.02)
+    assert np.min(expected.real) == pytest.approx(-0.03257, abs=1e-4)
+
+
+# --- the one model --------------------------------------------------------------------------------------
+
+
+def test_reference_is_a_motion_of_the_model():
+    """Along the polynomials of the orbit the model's rates are their derivatives, and the swing rests."""
+    orbit, model = Orbit.of(), tether_model()
+    for t in (1.0, 77.0, 199.0):
+        rate = (orbit.state(t + 1e-3) - orbit.state(t - 1e-3)) / 2e-3
+        np.testing.assert_allclose(model.f(t, orbit.state(t), [0.0])[:4], rate[:4], rtol=1e-7, atol=1e-8)
+        assert abs(model.f(t, orbit.state(t), [0.0])[5]) < 1e-15
+
+
+def test_model_is_the_pair_in_other_coordinates():
+    from gnc_opt.spacecraft import TetherMotion
+
+    x = np.array([12.0, 0.3, -40.0, 2.0, 0.4, 1e-3, 0.1])
+    n0 = np.sqrt(PAIR.mu / RADIUS**3)
+    motion = TetherMotion(RADIUS + 12.0, 0.3, n0 + 2.0 / RADIUS, 0.4, 1e-3)
+    for gravity, law in (("first order", PAIR.accelerations), ("exact", PAIR.true_accelerations)):
+        expected = law(motion, FORCE, 0.1)
+        found = tether_model(gravity=gravity).f(0.0, x, [0.05])
+        np.testing.assert_allclose(found[[1, 5]], [expected.r, expected.theta], rtol=1e-9, atol=1e-14)
+        assert found[3] == pytest.approx(RADIUS * expected.alpha, abs=1e-8)
+        assert found[6] == 0.05
+
+
+# --- optimal manoeuvres ---------------------------------------------------------------------------------
+
+
+def test_least_time(fastest, runs):
+    assert fastest.verdict.ok
+    assert REFERENCE.agrees(fastest.solution.objective)
+    kinds = [arc.kind.value for arc in fastest.solution.structure if arc.channel == "gamma_rate"]
+    assert kinds == [
+        *("upper", "constrained", "lower", "constrained"),
+        *("upper", "constrained", "lower", "upper"),
+    ]
+    # 20 degrees at 0.1 rad/s, and from limit to limit
+    first, _, turn, _, back, *_ = (
+        a.end - a.start for a in fastest.solution.structure if a.channel == "gamma_rate"
+    )
+    assert [first, turn, back] == pytest.approx([10 * MAX_ANGLE, 20 * MAX_ANGLE, 20 * MAX_ANGLE], rel=1e-8)
+    assert runs["MPC"].last_beyond(1.0) / fastest.leg.final_time == pytest.approx(1.357, abs=2e-3)
+
+
+def test_costate_of_the_swing_is_the_slope_of_the_least_time(fastest):
+    """lam(0) = dJ*/dx(0), by solving for neighbouring first swings."""
+    step = np.radians(0.02)
+    swing = np.radians(30.0)
+    near = [solve("time", swing=swing + s).objective for s in (-step, step)]
+    slope = float(np.squeeze(fastest.leg.costate("theta")(0.0)))
+    assert (near[1] - near[0]) / (2 * step) == pytest.approx(slope, rel=2e-4)
+
+
+def test_least_effort(gentlest, runs):
+    assert gentlest.verdict.ok
+    assert gentlest.solution.objective == pytest.approx(2.93928e-3, rel=1e-5)
+    assert runs["MPC"].effort / gentlest.effort == pytest.approx(61.9, abs=0.5)
+    assert runs["MPC"].loss / gentlest.loss == pytest.approx(5.29, abs=0.02)
+
+
+def test_least_effort_of_a_small_swing_is_the_gramian_s():
+    """Linear theory: J = d' W^-1 d with the free motion's miss d and the controllability Gramian W."""
+    model, orbit, swing = tether_model(), Orbit.of(), 1e-3
+    met = [0, 1, 4, 5, 6]
+
+    def rate(t, y):
+        a, b = model.linearize(t, orbit.state(t), [0.0])
+        gramian = y[7:].reshape(7, 7)
+        return np.concatenate([model.f(t, y[:7], [0.0]), (a @ gramian + gramian @ a.T + b @ b.T).ravel()])
+
+    start = np.concatenate([first_state(swing), np.zeros(49)])
+    end = solve_ivp(rate, (0.0, DURATION), start, "DOP853", rtol=1e-9, atol=1e-14).y[:, -1]
+    miss = end[:7] - orbit.state(DURATION)
+    gramian = end[7:].reshape(7, 7)[np.ix_(met, met)]
+    expected = miss[met] @ np.linalg.solve(gramian, miss[met])
+    assert go.solve(build("effort", swing=swing), tol=1e-8).objective == pytest.approx(expected, rel=1e-5)
+
+
+def test_published_structure_tracks_the_optimum(gentlest):
+    flown = track(gentlest.solution, "published", ("exact gravity", "swing 33 deg at first"))
+    swing, height, climb = ends(flown["exact gravity"])
+    assert max(abs(swing), abs(height), abs(climb)) < 1e-3
+    off = flown["swing 33 deg at first"]
+    assert off.swing[0] == pytest.approx(3.0, abs=1e-9)
+    assert abs(ends(off)[0]) < 0.1
+    assert np.max(np.abs(off.angle)) <= 20.0 + 1e-9
+    assert np.max(np.abs(off.rate)) <= 0.1 + 1e-12
+
+
+def test_optimum_flies_open_loop_on_the_exact_plant(fastest):
+    """First-order gravity is good enough to plan with: centimetres and millidegrees after 100 s without feedback."""
+    plan = go.Reference(fastest.solution, tail="hold")
+    dt = fastest.leg.final_time / 1000
+    loop = go.ClosedLoop(tether_model(gravity="exact"), go.feedforward(plan), dt=dt, substeps=1)
+    run = loop.simulate(first_state(), tf=fastest.leg.final_time)
+    assert abs(run.error("height").values[0, -1]) < 0.05
+    assert abs(np.degrees(run.error("theta").values[0, -1])) < 0.02
+
+
+def test_mistakes_are_named():
+    with pytest.raises(go.ProblemError, match=r"no goal 'tine'.*time"):
+        build("tine")
+    assert set(DISTURBED) == {"exact gravity", "swing 33 deg at first", "follower 20 % heavier"}
+
+
+# --- flight code ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C compiler (cc) on this machine")
+def test_flight_code_agrees(tmp_path, runs):
+    """The whole published law in C: surface, observer and the explicit solution of the quadratic program."""
+    controller = design_swing_law(reference(duration=20.0), predictive(8))
+    code = go.export_c(controller, tmp_path)
+    program = tmp_path / "driver"
+    command = [COMPILER, "-std=c99", "-Wall", "-Wextra", "-O0", "-o", str(program)]
+    done = subprocess.run(
+        [*command, str(code.source), str(code.driver), "-lm"], check=True, capture_output=True, text=True
+    )
+    assert done.stderr == ""
+    count = 200
+    times, states = 0.1 * np.arange(count), runs["MPC"].run.states[:, :count].T
+    lines = [" ".join(repr(float(v)) for v in (t, *x)) for t, x in zip(times, states, strict=True)]
+    found = subprocess.run([str(program)], input="\n".join(lines), check=True, capture_output=True, text=True)
+    z, expected = None, []
+    for t, x in zip(times, states, strict=True):
+        u, z = controller(t, x, z)
+        expected.append(u[0])
+    assert np.ptp(expected) > 0.1
+    np.testing.assert_allclose(np.array(found.stdout.split(), dtype=float), expected, rtol=1e-9, atol=1e-12)
