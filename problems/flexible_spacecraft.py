@@ -16,12 +16,12 @@ from pathlib import Path
 
 from rich.console import Console
 
+from problems.comparison import Row, show
 from problems.flexible_spacecraft_law import law_rows
 from problems.flexible_spacecraft_optimal import REFERENCE, build, build_gentle, optimal_rows
 from problems.flexible_spacecraft_plant import plant_rows
 from problems.flexible_spacecraft_published import configuration_rows
 from problems.flexible_spacecraft_system import build_model, quasi_sliding_mode
-from problems.flexible_spacecraft_table import Row, show
 
 __all__ = ["REFERENCE", "build", "build_gentle", "build_model", "comparison", "main", "quasi_sliding_mode"]
 
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not console.is_terminal:
         console.width = max(console.width, _WIDTH)
     rows = comparison()
-    show(console, rows)
+    show(console, rows, "Flexible spacecraft")
     failed = [row.quantity for row in rows if row.passes is False]
     asserted = sum(row.passes is not None for row in rows)
     console.print(f"{asserted - len(failed)} of {asserted} asserted numbers pass", markup=False)

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 
 from gnc_opt.simulation import Run, Sinusoid
+from problems.comparison import Row, compare, require
 from problems.flexible_spacecraft_published import (
     SPAN,
     attitude_error,
@@ -28,7 +29,6 @@ from problems.flexible_spacecraft_system import (
     build_model,
     flexible_body,
 )
-from problems.flexible_spacecraft_table import Row, compare, require
 
 DISTURBED_STEP = 0.1
 """Control step of the runs with disturbances, s."""

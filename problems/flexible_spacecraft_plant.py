@@ -8,6 +8,7 @@ from gnc_opt.control import Reference, feedforward
 from gnc_opt.model.layout import Array
 from gnc_opt.simulation import ClosedLoop, Run
 from gnc_opt.spacecraft import FlexibleBody
+from problems.comparison import Row, compare, require
 from problems.flexible_spacecraft_system import (
     BODY,
     COUPLING,
@@ -18,7 +19,6 @@ from problems.flexible_spacecraft_system import (
     build_model,
     flexible_body,
 )
-from problems.flexible_spacecraft_table import Row, compare, require
 
 ONE_DIGIT = ((6.4, -1.2, 1.1, 1.2), (1.2, 0.9, 2.5, -2.6), (2.2, -1.7, -0.8, -1.1))
 """The coupling as printed; its first entry may also be 7."""

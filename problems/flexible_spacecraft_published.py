@@ -16,6 +16,7 @@ import numpy as np
 from gnc_opt.model.layout import Array
 from gnc_opt.simulation import Disturbance, Run
 from gnc_opt.spacecraft import FlexibleBody, quaternion_angle
+from problems.comparison import Row, compare, remark, require
 from problems.flexible_spacecraft_system import (
     BODY,
     INERTIAL,
@@ -30,7 +31,6 @@ from problems.flexible_spacecraft_system import (
     quasi_sliding_mode,
     target,
 )
-from problems.flexible_spacecraft_table import Row, compare, remark, require
 
 SPAN = 200.0
 """Of a run, s."""

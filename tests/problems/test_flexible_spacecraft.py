@@ -29,7 +29,7 @@ from problems.flexible_spacecraft_system import (
     rest,
     target,
 )
-from problems.flexible_spacecraft_table import Row, compare
+from problems.comparison import Row, compare
 
 MODEL = build_model()
 

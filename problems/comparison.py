@@ -79,9 +79,9 @@ def numbers(values: ArrayLike) -> str:
     return ", ".join("> span" if np.isinf(v) else f"{v:.5g}" for v in array)
 
 
-def show(console: Console, rows: Sequence[Row]) -> None:
+def show(console: Console, rows: Sequence[Row], title: str) -> None:
     """Print the table."""
-    table = Table(title="Flexible spacecraft", title_justify="left", pad_edge=False, box=None)
+    table = Table(title=title, title_justify="left", pad_edge=False, box=None)
     for heading in ("quantity", "publication", "expected", "ours", "difference", "", "reason"):
         table.add_column(heading, overflow="fold")
     for row in rows:

@@ -1,0 +1,113 @@
+"""Formation flying: the publication's numbers, the inertial truth, the optima and their tracking, flight code."""
+
+import ctypes
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from problems import formation_flying
+from problems.formation_flying_laws import FEW_STEPS, integral_law, optimal_sliding_mode, step_of
+from problems.formation_flying_optimal import LIMIT, RESERVE, miss_at, plan, track
+from problems.formation_flying_published import course_rows, run, switching_rows, table_rows, truth_rows
+from problems.formation_flying_system import (
+    PERIOD,
+    RATE,
+    START,
+    build_model,
+    circle,
+    circle_state,
+    formation,
+    hill_model,
+)
+
+ROWS = {row.quantity: row for rows in (table_rows, course_rows, switching_rows, truth_rows) for row in rows()}
+
+
+@pytest.mark.parametrize("quantity", ROWS)
+def test_number_of_the_publication(quantity: str) -> None:
+    assert ROWS[quantity].passes is not False, ROWS[quantity]
+
+
+def test_the_circle_is_a_free_motion_of_hills_equations() -> None:
+    times = np.linspace(0, PERIOD, 7)
+    _, velocity, acceleration = circle(times)
+    rate = hill_model().f(times, circle_state(times), np.zeros((3, 7)))
+    np.testing.assert_allclose(rate, np.concatenate([velocity, acceleration]), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(circle(times)[0], axis=0), 1000.0)
+
+
+def test_sliding_error_decays_as_its_surface_says() -> None:
+    """On the surface e' = -lambda e: |e(T)| = |e(0)| exp(-lambda T) without oblateness, but for the reaching phase."""
+    flown = run("SMC", oblate=False)
+    first = np.linalg.norm(flown.error("r").values[:, 0])
+    assert first == pytest.approx(462.574, abs=1e-3)
+    assert flown.miss("r") == pytest.approx(first * np.exp(-1e-3 * PERIOD), rel=2e-3)
+
+
+def test_integral_surface_has_no_reaching_phase() -> None:
+    law = optimal_sliding_mode(step_of(FEW_STEPS))
+    memory = law.initial_memory(0.0, START)
+    u, _ = law(0.0, START, memory)
+    gain = np.asarray(run("LQ only").commands[:, 0])
+    np.testing.assert_allclose(u, gain, atol=1e-12)  # s(0) = 0: the first command is the regulator's
+
+
+@pytest.mark.parametrize("name", ["least Delta-V", "least time"])
+def test_optimum_is_proven_and_held(name: str) -> None:
+    best = plan(name)
+    assert best.verdict.ok and not best.verdict.failed
+    planned = plan(name, RESERVE, False)
+    assert planned.solution.objective > best.solution.objective
+    flown = track(planned)
+    assert flown.outcome.ok and miss_at(flown, planned.final_time) < 0.06
+    assert np.max(np.abs(flown.applied)) <= LIMIT * (1 + 1e-12)
+
+
+def test_least_delta_v_falls_with_the_limit() -> None:
+    """The optimum of a larger limit is cheaper, and never below the impulsive change of plane."""
+    solution = plan("least Delta-V").solution
+    assert solution.objective == pytest.approx(formation_flying.REFERENCE.value, abs=1e-6)
+    tighter = go.solve(formation_flying.build(limit=1e-3), tol=1e-8)
+    assert (
+        tighter.objective == pytest.approx(1.479699101, abs=1e-6) and tighter.objective > solution.objective
+    )
+    # Out of the plane z'' + n^2 z = u: the amplitude and phase of z change by this at least, whenever one thrusts.
+    end = circle_state(PERIOD)
+    change = np.hypot(RATE * (end[2] - START[2]), end[5] - START[5])
+    axis = solution.phase().integral("delta_v")
+    assert axis > change
+
+
+def test_one_model_serves_plan_law_and_plant() -> None:
+    rng = np.random.default_rng(3)
+    x, push = rng.normal(size=6) * 100, rng.uniform(size=6) * 1e-3
+    one, two = build_model(), build_model(one_sided=True)
+    np.testing.assert_allclose(two.f(0.0, x, push), one.f(0.0, x, push[:3] - push[3:]), rtol=1e-14)
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_flight_code_commands_what_python_commands(tmp_path: Path) -> None:
+    """A tenth of an orbit of the optimal sliding mode, memory and all, in C."""
+    dt = 10.0
+    model = hill_model()
+    law = integral_law(model, formation(model, 600.0, feedforward=False), dt, layer=0.1)
+    code = go.export_c(law, tmp_path, name="keeper")
+    library = tmp_path / "libkeeper.so"
+    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1", "-shared", "-fPIC"]
+    subprocess.run(["cc", *strict, str(code.source), "-o", str(library), "-lm"], check=True)
+    keeper = ctypes.CDLL(str(library))
+    z, u = ((ctypes.c_double * n)() for n in (law.memory.size, 3))
+    memory, rng = None, np.random.default_rng(2)
+    for k in range(20):
+        t, x = k * dt, START + rng.normal(size=6) * [50, 50, 50, 0.1, 0.1, 0.1]
+        state = (ctypes.c_double * 6)(*x)
+        if memory is None:
+            keeper.keeper_start(ctypes.c_double(t), state, z)
+            memory = law.initial_memory(t, x)
+        keeper.keeper_step(ctypes.c_double(t), state, z, u)
+        command, memory = law(t, x, memory)
+        np.testing.assert_allclose(list(u), command, rtol=1e-12, atol=1e-15)
