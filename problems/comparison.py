@@ -1,14 +1,20 @@
-"""The comparison table: what was expected, what came out, and whether that is good enough."""
+"""Comparison with a publication: expected, ours, good enough or not; and the ``main`` of such a file."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 from rich.console import Console
 from rich.table import Table
+
+_WIDTH = 170
+"""Columns where the output is no terminal."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +83,50 @@ def numbers(values: ArrayLike) -> str:
     """Return numbers with four to seven digits."""
     array = np.atleast_1d(np.asarray(values, dtype=float))
     return ", ".join("> span" if np.isinf(v) else f"{v:.5g}" for v in array)
+
+
+def run_comparison(
+    name: str,
+    title: str,
+    comparison: Callable[[], list[Row]],
+    write_figures: Callable[[Path], list[Path]],
+    arguments: Sequence[str] | None = None,
+) -> int:
+    """Print the table of a published system, and write JSON and figures if asked to.
+
+    Parameters
+    ----------
+    name, title : str
+        Of the module in ``problems``, and of the table.
+    comparison, write_figures : callable
+        The rows, and the figures in a folder.
+    arguments : sequence of str, optional
+        Of the command line, without the program's name; default ``sys.argv[1:]``.
+
+    Returns
+    -------
+    int
+        0; 1 if a number that is asserted misses its tolerance.
+    """
+    parser = argparse.ArgumentParser(prog=f"python -m problems.{name}", description=title)
+    parser.add_argument("--report", type=Path, metavar="DIR", help="write the figures to a folder")
+    parser.add_argument("--json", type=Path, metavar="OUT", help="write the table to a file")
+    options = parser.parse_args(arguments)
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = max(console.width, _WIDTH)
+    rows = comparison()
+    show(console, rows, title)
+    failed = [row.quantity for row in rows if row.passes is False]
+    asserted = sum(row.passes is not None for row in rows)
+    console.print(f"{asserted - len(failed)} of {asserted} asserted numbers pass", markup=False)
+    if options.json is not None:
+        told = {"rows": [asdict(row) for row in rows], "asserted": asserted, "failed": failed}
+        options.json.write_text(json.dumps(told, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    if options.report is not None:
+        paths = write_figures(options.report)
+        console.print(f"report: {len(paths)} figures in {options.report}", markup=False)
+    return 1 if failed else 0
 
 
 def show(console: Console, rows: Sequence[Row], title: str) -> None:

@@ -9,15 +9,9 @@ page is docs/formation_flying.md.
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Sequence
-from dataclasses import asdict
-from pathlib import Path
 
-from rich.console import Console
-
-from problems.comparison import Row, compare, require, show
+from problems.comparison import Row, compare, require, run_comparison
 from problems.formation_flying_laws import delta_v
 from problems.formation_flying_optimal import REFERENCE, RESERVE, build, build_fast, miss_at, plan, track
 from problems.formation_flying_published import (
@@ -32,9 +26,6 @@ from problems.formation_flying_published import (
 from problems.formation_flying_system import build_model
 
 __all__ = ["REFERENCE", "build", "build_fast", "build_model", "comparison", "main"]
-
-_WIDTH = 170
-"""Columns where the output is no terminal."""
 
 
 def comparison() -> list[Row]:
@@ -97,33 +88,9 @@ def optimal_rows() -> list[Row]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table; return 1 if a number that is asserted misses its tolerance."""
-    options = _parser().parse_args(arguments)
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = max(console.width, _WIDTH)
-    rows = comparison()
-    show(console, rows, "Formation flying")
-    failed = [row.quantity for row in rows if row.passes is False]
-    asserted = sum(row.passes is not None for row in rows)
-    console.print(f"{asserted - len(failed)} of {asserted} asserted numbers pass", markup=False)
-    if options.json is not None:
-        told = {"rows": [asdict(row) for row in rows], "asserted": asserted, "failed": failed}
-        options.json.write_text(json.dumps(told, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    if options.report is not None:
-        from problems.formation_flying_figures import write_figures
+    from problems.formation_flying_figures import write_figures
 
-        paths = write_figures(options.report)
-        console.print(f"report: {len(paths)} figures in {options.report}", markup=False)
-    return 1 if failed else 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m problems.formation_flying", description=(__doc__ or "").partition("\n")[0]
-    )
-    parser.add_argument("--report", type=Path, metavar="DIR", help="write the figures to a folder")
-    parser.add_argument("--json", type=Path, metavar="OUT", help="write the table to a file")
-    return parser
+    return run_comparison("formation_flying", "Formation flying", comparison, write_figures, arguments)
 
 
 if __name__ == "__main__":

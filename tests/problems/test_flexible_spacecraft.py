@@ -16,6 +16,7 @@ from gnc_opt.control import export_c
 from problems import flexible_spacecraft_law, flexible_spacecraft_plant
 from problems import flexible_spacecraft_optimal as optimal
 from problems import flexible_spacecraft_published as published
+from problems.comparison import Row, compare
 from problems.flexible_spacecraft_system import (
     BODY,
     DISTURBANCE,
@@ -29,7 +30,6 @@ from problems.flexible_spacecraft_system import (
     rest,
     target,
 )
-from problems.comparison import Row, compare
 
 MODEL = build_model()
 
