@@ -44,7 +44,7 @@ SYSTEMS = ("rendezvous", "formation_flying", "reaction_wheels", "flexible_spacec
 NAMES = sorted(
     path.stem
     for path in FOLDER.glob("*.py")
-    if path.stem not in ("__init__", "reference", "run") and not path.stem.startswith(SYSTEMS)
+    if path.stem not in ("__init__", "comparison", "reference", "run") and not path.stem.startswith(SYSTEMS)
 )
 CLOSED = {
     # Tolerances of states, controls and costates: the accuracy asked for, larger where a cost is flat
