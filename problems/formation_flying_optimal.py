@@ -1,186 +1,164 @@
-r"""The same acquisition by optimal control: least Delta-V in one period, least time; verified and tracked.
+r"""The formation acquired at least cost and in least time, and both flown by the publication's optimal
+sliding mode.
 
-Both start where the publication's laws start and end exactly on the circle, position and rate.
+**Least Delta-V** in one period, with at most `LIMIT` of thrust acceleration on every axis: coast, thrust
+and coast again. Delta-V is the publication's, the sum over the axes (equation 39), so every axis gets a
+thruster each way (``push``, ``pull``), which makes the cost linear and the optimum bang-off-bang.
 
-* **Least Delta-V**, in the publication's period: a pair of one-sided thrusters per axis (`push`, `pull`) makes its
-  measure, the integral of :math:`\sum |u_i|`, smooth. Every thruster up to `THRUST_LIMIT`; control-affine, so thrusters are
-  full on or off, and the switch times are what is optimised.
-* **Least time**: one thruster that points anywhere, :math:`|a| \le` `THRUST_LIMIT`. Three limits axis by axis would leave
-  the answer open: z hardly acts on x and y, and the axes that are not the slowest one could be steered in many ways.
+**Least time** with at most `LIMIT` of thrust acceleration in any direction: the end is any point of the
+circle, at the time at which the formation is there.
 
-**Tracked**: planned without oblateness and with `RESERVE` kept back, flown by the optimal sliding mode (designed on Hill's
-equations, so it knows neither the curvature of gravity nor the oblateness) on the plant with both and the full limit.
+The plans know the nonlinear field and no oblateness; the plant has it. Plans for flying keep `RESERVE` of
+the thrust.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.control import Controller, Reference, feedforward
 from gnc_opt.model.layout import Array
 from gnc_opt.simulation import ClosedLoop, Run, Saturation
-from problems.formation_flying_laws import ETA, delta_v, integral_law
-from problems.formation_flying_system import (
-    PERIOD,
-    START,
-    build_model,
-    circle,
-    circle_state,
-    hill_model,
-)
+from problems.formation_flying_laws import delta_v, integral_law, step_of
+from problems.formation_flying_system import PERIOD, START, build_model, circle, circle_state, formation
+from problems.reference import Reference
 
-THRUST_LIMIT = 3e-3
-"""m/s^2; the optimal sliding mode of the publication, which has no limit, asks for up to 3.1e-3."""
-RESERVE = 1.2 * ETA
-"""Kept back from plans that are to be tracked, m/s^2: the switching gain and a little."""
-TOLERANCE = 1e-8
-TRACKING_STEP = 1.0
-"""Control step of the tracking, s, about: a whole number of them fits the manoeuvre."""
-
-_POSITIONS, _RATES = (-3e3, 3e3), (-5.0, 5.0)
-"""Search region, m and m/s: far from every optimum, it only keeps the iterates from running away."""
+LIMIT = 3e-3
+"""Thrust acceleration, m/s^2: near the largest that the optimal sliding mode asks for, 3.1e-3."""
+RESERVE = 0.2
+"""Share of the limit that plans leave to the controller: its switching gain, 5e-4 m/s^2, and a little more."""
+FAR, FAST = 5000.0, 10.0
+"""Bounds on the states (m, m/s), far from the optimum: without, the first iterates run away."""
 
 
-@dataclass(frozen=True)
-class Tracking:
-    """One way to fly a plan: misses at its end and what was spent.
-
-    Attributes
-    ----------
-    miss, rate_miss : float
-        m and m/s, Euclidean.
-    delta_v : float
-        m/s, sum over the axes.
-    saturated : float
-        Time on the limit, largest of the axes, s.
-    run : Run
-    """
-
-    miss: float
-    rate_miss: float
-    delta_v: float
-    saturated: float
-    run: Run
-
-    @classmethod
-    def of(cls, run: Run) -> Tracking:
-        """Read a run."""
-        saturated = float(np.max(run.saturation_time("a")))
-        return cls(run.miss("r"), run.miss("v"), delta_v(run), saturated, run)
-
-
-@dataclass(frozen=True)
-class Manoeuvre:
-    """An optimal acquisition: its solution, its verdict, and its plan flown without and with feedback."""
-
-    solution: go.Solution
-    verdict: go.Verdict
-    plan: go.Solution
-    open_loop: Tracking
-    closed_loop: Tracking
-
-
-def build(limit: float = THRUST_LIMIT, duration: float = PERIOD, j2: bool = True) -> go.Problem:
-    """Return the acquisition with the least Delta-V.
+def build(limit: float = LIMIT, j2: bool = True) -> go.Problem:
+    """Return the acquisition of the formation in one period with least Delta-V.
 
     Parameters
     ----------
     limit : float
-        Of every thruster, m/s^2.
-    duration : float
-        s.
+        Thrust acceleration on every axis, m/s^2.
     j2 : bool
-        With the differential oblateness.
+        With differential oblateness.
     """
-    model = _with_j2(build_model(one_sided=True), j2)
-    problem = go.Problem("formation acquisition, minimum Delta-V")
-    leg = problem.phase("acquisition", model)
-    leg.time(initial=0.0, final=duration)
-    end = circle_state(duration)
+    model = build_model(one_sided=True)
+    problem = go.Problem("formation, least Delta-V")
+    leg = problem.phase("acquisition", model if j2 else model.with_parameters(J2=0.0))
+    end = circle_state(PERIOD)
+    leg.time(initial=0.0, final=PERIOD)
     leg.initial(r=START[:3], v=START[3:])
     leg.final(r=end[:3], v=end[3:])
-    leg.bounds(r=_POSITIONS, v=_RATES, push=(0.0, limit), pull=(0.0, limit))
-    _guess_circle(leg, duration)
+    leg.bounds(push=(0.0, limit), pull=(0.0, limit), r=(-FAR, FAR), v=(-FAST, FAST))
+    leg.guess(r=(START[:3], end[:3]), v=(START[3:], end[3:]))
     problem.minimize(leg.integral(ca.sum1(model.symbols("control")), "delta_v"))
     return problem
 
 
-def build_fastest(limit: float = THRUST_LIMIT, j2: bool = True) -> go.Problem:
-    """Return the acquisition in the least time; ``limit`` is that of the thrust's norm, m/s^2."""
-    model = _with_j2(build_model(), j2)
-    problem = go.Problem("formation acquisition, minimum time")
-    leg = problem.phase("acquisition", model)
-    leg.time(initial=0.0, final=(60.0, PERIOD))
+def build_fast(limit: float = LIMIT, j2: bool = True) -> go.Problem:
+    """Return the acquisition in least time; ``limit`` (m/s^2) is that of the thrust's magnitude."""
+    model = build_model()
+    problem = go.Problem("formation, least time")
+    leg = problem.phase("acquisition", model if j2 else model.with_parameters(J2=0.0))
+    leg.time(initial=0.0, final=(100.0, PERIOD))
     leg.initial(r=START[:3], v=START[3:])
-    place, rate, _ = circle(leg.final_time)
-    missed = ca.vertcat(leg.final_state("r") - place, leg.final_state("v") - rate)
-    problem.constrain("on the circle", missed, equals=np.zeros(6))
-    leg.bounds(r=_POSITIONS, v=_RATES, a=(-limit, limit))
-    leg.path("thrust", ca.sumsqr(model.symbols("control")) / limit**2, upper=1.0)
+    position, velocity, _ = circle(leg.final_time)
+    arrival = ca.vertcat(leg.final_state("r") - position, leg.final_state("v") - velocity)
+    problem.constrain("on the circle", arrival, equals=np.zeros(6))
+    thrust = model.symbols("control")
+    leg.bounds(a=(-limit, limit), r=(-FAR, FAR), v=(-FAST, FAST))
+    leg.path("thrust", ca.sumsqr(thrust) / limit**2, upper=1.0)
     problem.minimize(leg.final_time)
     return problem
 
 
-def follow(plan: go.Solution) -> Reference:
-    """Return a plan as a reference for the control of `build_model`: of thruster pairs, their difference."""
-    leg = plan.phase()
-    if "a" in leg.controls:
-        return Reference(plan, tail="hold")
-    push, pull = leg.controls.slice("push"), leg.controls.slice("pull")
+REFERENCE = Reference(
+    1.184250594, "own structure-exact solution, all conditions of optimality proven", 1e-6, "m/s"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """An optimal acquisition with its verdict.
+
+    Attributes
+    ----------
+    name : str
+    solution : Solution
+    verdict : Verdict
+    """
+
+    name: str
+    solution: go.Solution
+    verdict: go.Verdict
+
+    @property
+    def final_time(self) -> float:
+        """When the formation is reached, s."""
+        return self.solution.phase().final_time
+
+    def thrust(self, t: Any) -> Array:
+        """Return the thrust acceleration (m/s^2), (3,) or (3, n_times)."""
+        leg = self.solution.phase()
+        if "a" in leg.controls:
+            return np.asarray(leg.flown_control("a")(t))
+        return np.asarray(leg.flown_control("push")(t)) - np.asarray(leg.flown_control("pull")(t))
+
+    def states(self, t: Any) -> Array:
+        """Return r and v, (6,) or (6, n_times)."""
+        return self.solution.phase().x(t)
+
+
+@cache
+def plan(name: str, reserve: float = 0.0, j2: bool = True) -> Plan:
+    """Return the plan "least Delta-V" or "least time", with a share of the thrust in reserve."""
+    builder = {"least Delta-V": build, "least time": build_fast}[name]
+    solution = go.solve(builder((1 - reserve) * LIMIT, j2), tol=1e-8)
+    return Plan(name, solution, go.verify(solution))
+
+
+def track(flown: Plan, steps: int = 6000, after: float = PERIOD / 4) -> Run:
+    """Fly a plan by the optimal sliding mode, on the plant with oblateness and with limited thrust.
+
+    The reference is the plan up to its end and the circle for the time ``after`` it (s).
+    """
+    model = build_model().with_parameters(J2=0.0)
+    end = flown.final_time
+    circling = formation(model, end + after)
+
+    def states(t: float) -> Array:
+        return flown.states(min(t, end)) if t <= end else circling.x(t)
 
     def thrust(t: float) -> Array:
-        flown = leg.flown(t)
-        return np.asarray(flown[push] - flown[pull])
+        return flown.thrust(min(t, end)) if t <= end else circling.u(t)
 
-    jumps = [float(t) for t in leg.flown.jumps]
-    return Reference.from_functions(hill_model(), leg.x, thrust, leg.initial_time, leg.final_time, jumps=jumps)
-
-
-def least_delta_v() -> Manoeuvre:
-    """Solve, judge, plan and fly the acquisition with the least Delta-V."""
-    return _manoeuvre(build)
-
-
-def least_time() -> Manoeuvre:
-    """Solve, judge, plan and fly the fastest acquisition."""
-    return _manoeuvre(build_fastest)
+    jumps = [float(t) for t in flown.solution.phase().breaks if 0 < t < end]
+    reference = go.Reference.from_functions(model, states, thrust, 0.0, end + after, jumps=[*jumps, end])
+    law = integral_law(model, reference, step_of(steps), limits=(-LIMIT, LIMIT))
+    loop = ClosedLoop(
+        build_model(), law, actuators=[Saturation("thrusters", -LIMIT, LIMIT)], dt=step_of(steps), substeps=1
+    )
+    return loop.simulate(START, tf=end + after)
 
 
-def track(plan: go.Solution) -> tuple[Tracking, Tracking]:
-    """Fly a plan on the plant with oblateness and limit: by its controls alone, and by the optimal sliding mode."""
-    reference = follow(plan)
-    dt = reference.final_time / np.ceil(reference.final_time / TRACKING_STEP)
-    law = tracker(reference, dt)
-    return _flown(feedforward(reference), reference, dt), _flown(law, reference, dt)
+def miss_at(run: Run, t: float) -> float:
+    """Return the position error (m) at the control step nearest to t (s)."""
+    return float(np.linalg.norm(run.error("r")(t)))
 
 
-def tracker(reference: Reference, dt: float) -> Controller:
-    """Return the optimal sliding mode along a plan, with the limit of the thrust."""
-    return integral_law(hill_model(), reference, dt, limits=(-THRUST_LIMIT, THRUST_LIMIT))
-
-
-def _manoeuvre(make: Callable[..., go.Problem]) -> Manoeuvre:
-    solution = go.solve(make(), tol=TOLERANCE)
-    plan = go.solve(make(limit=THRUST_LIMIT - RESERVE, j2=False), tol=TOLERANCE)
-    return Manoeuvre(solution, go.verify(solution), plan, *track(plan))
-
-
-def _flown(controller: Controller, reference: Reference, dt: float) -> Tracking:
-    limit = Saturation("limit", -THRUST_LIMIT, THRUST_LIMIT)
-    loop = ClosedLoop(build_model(), controller, actuators=[limit], dt=dt, substeps=1)
-    return Tracking.of(loop.simulate(START, tf=reference.final_time))
-
-
-def _with_j2(model: go.Model, j2: bool) -> go.Model:
-    return model if j2 else model.with_parameters(J2=0.0)
-
-
-def _guess_circle(leg: go.Phase, duration: float) -> None:
-    times = np.linspace(0.0, duration, 50)
-    place, rate, _ = circle(times)
-    leg.guess(times, r=place, v=rate)
+__all__ = [
+    "LIMIT",
+    "REFERENCE",
+    "RESERVE",
+    "Plan",
+    "build",
+    "build_fast",
+    "delta_v",
+    "miss_at",
+    "plan",
+    "track",
+]

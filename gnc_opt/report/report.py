@@ -92,6 +92,10 @@ def _generic_figures(solution: Solution) -> Iterator[tuple[str, Figure]]:
     yield "costates", trajectory.plot_costates(solution)
     if solution.problem is not None:
         yield "hamiltonian", trajectory.plot_hamiltonian(solution)
+    if solution.history is not None:
+        from gnc_opt.plot.refinement import plot_refinement
+
+        yield "refinement", plot_refinement(solution.history)
 
 
 def _own_figures(folder: Path, result: Any) -> list[Path]:

@@ -356,3 +356,18 @@ def test_report_into_a_file_is_refused(good: go.Solution, tmp_path: Path) -> Non
     (tmp_path / "report").write_text("")
     with pytest.raises(GncOptError, match="is a file: name a folder"):
         write_report(good, None, tmp_path / "report")
+
+
+def test_report_of_a_refined_solution_shows_how_it_came_about(tmp_path: Path) -> None:
+    cart = go.Model("cart")
+    q, v, a = cart.state("q"), cart.state("v"), cart.control("a")
+    cart.ode({q: v, v: a})
+    problem = go.Problem("rest to rest")
+    leg = problem.phase("leg", cart)
+    leg.time(initial=0.0, final=(0.1, 10.0))
+    leg.initial(q=1.0, v=0.0)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    names = [path.name for path in write_report(go.solve(problem, tol=1e-8), None, tmp_path / "report")]
+    assert "refinement.png" in names
