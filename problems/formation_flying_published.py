@@ -48,7 +48,7 @@ GAIN = np.array(
 """Of the regulator, to the digits given."""
 
 
-COARSE = "expected on a coarse grid: its own |e| of 8.465 m at 4000 s puts 10 m at 3833.5 s"
+COARSE = "expected on a coarse grid: SMC's |e| of 8.465 m at 4000 s puts its 10 m at 3833.5 s"
 
 
 @cache
