@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import math
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gnc_opt.errors import GncOptError
+from gnc_opt.archive import damaged, read_archive, write_archive
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.run import Run
-from gnc_opt.solution.storage import _write as write_archive
 
 FORMAT = "gnc_opt run"
 VERSION = 1
@@ -23,8 +22,6 @@ VERSION = 1
 
 def save(run: Run, path: str | Path) -> Path:
     """Write a run; return the file written."""
-    target = Path(path)
-    target = target if target.suffix else target.with_suffix(".npz")
     arrays = {
         f.name: getattr(run, f.name) for f in fields(run) if isinstance(getattr(run, f.name), np.ndarray)
     }
@@ -35,47 +32,22 @@ def save(run: Run, path: str | Path) -> Path:
         "seed": run.seed,
         "integration_error": repr(run.integration_error),
         "outcome": [run.outcome.status.value, run.outcome.what, None if math.isnan(time) else time],
-        "layouts": {
-            kind: [layout.kind, layout.owner, [[v.name, v.size, v.unit] for v in layout.variables]]
-            for kind, layout in run.layouts.items()
-        },
+        "layouts": pack_layouts(run.layouts),
     }
-    write_archive(target, {"header": np.array(json.dumps(header, allow_nan=False)), **arrays})
-    return target
+    return write_archive(path, header, arrays)
 
 
 def load(path: str | Path) -> Run:
     """Read a run; see `Run.load`."""
-    with Path(path).open("rb") as stream:
-        try:
-            with np.load(stream, allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in archive.files}
-            header = json.loads(str(arrays.pop("header")))
-            if header["format"] != FORMAT:
-                raise ValueError("another format")
-        except Exception as error:  # zipfile, zlib, NumPy and JSON each have their own
-            raise GncOptError(
-                f"'{path}' is not a run of gnc_opt, or a damaged one: save it again."
-            ) from error
-    if header.get("version") != VERSION:
-        raise GncOptError(
-            f"'{path}' has format version {header.get('version')}, but this gnc_opt reads version {VERSION}: "
-            "load it with the version that wrote it."
-        )
+    header, arrays = read_archive(path, FORMAT, VERSION)
     try:
         return _run(header, arrays)
     except Exception as error:  # whatever it is, this header does not describe a run
-        raise GncOptError(
-            f"'{path}' is damaged: its content does not make up a run; save it again."
-        ) from error
+        raise damaged(path, "run") from error
 
 
 def _run(header: dict[str, Any], arrays: dict[str, Any]) -> Run:
     status, what, time = header["outcome"]
-    layouts = {
-        kind: Layout(entry[0], tuple(Variable(n, size, unit) for n, size, unit in entry[2]), entry[1])
-        for kind, entry in header["layouts"].items()
-    }
     optional = {name: arrays.pop(name, None) for name in ("reference", "errors")}
     return Run(
         **arrays,
@@ -83,5 +55,21 @@ def _run(header: dict[str, Any], arrays: dict[str, Any]) -> Run:
         seed=header["seed"],
         integration_error=float(header["integration_error"]),
         outcome=Outcome(RunStatus(status), what, math.nan if time is None else float(time)),
-        layouts=layouts,
+        layouts=unpack_layouts(header["layouts"]),
     )
+
+
+def pack_layouts(layouts: Mapping[str, Layout]) -> dict[str, Any]:
+    """Return layouts as JSON can hold them."""
+    return {
+        kind: [layout.kind, layout.owner, [[v.name, v.size, v.unit] for v in layout.variables]]
+        for kind, layout in layouts.items()
+    }
+
+
+def unpack_layouts(packed: Mapping[str, Any]) -> dict[str, Layout]:
+    """Return the layouts that `pack_layouts` packed."""
+    return {
+        kind: Layout(own, tuple(Variable(name, size, unit) for name, size, unit in variables), owner)
+        for kind, (own, owner, variables) in packed.items()
+    }

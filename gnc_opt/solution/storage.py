@@ -8,22 +8,17 @@ opening a file from a stranger runs none of the stranger's code.
 
 from __future__ import annotations
 
-import contextlib
-import json
 import math
-import os
-import tempfile
-import zipfile
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cache
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any, cast
 
 import numpy as np
 
-from gnc_opt.errors import GncOptError
+from gnc_opt.archive import damaged, read_archive, write_archive
 from gnc_opt.model.layout import Array, Layout, Variable
 from gnc_opt.nlp.status import Status
 from gnc_opt.problem.interval import Interval
@@ -62,8 +57,6 @@ def save(solution: Solution, path: str | Path) -> Path:
     OSError
         The file cannot be written, e.g. because its folder does not exist.
     """
-    target = Path(path)
-    target = target if target.suffix else target.with_suffix(".npz")
     arrays: dict[str, Array] = {}
     header = {
         "format": FORMAT,
@@ -72,8 +65,7 @@ def save(solution: Solution, path: str | Path) -> Path:
         "solution": _pack(solution, "", arrays),
         "quality": _pack(_quality(solution), "quality", arrays),
     }
-    _write(target, {"header": np.array(json.dumps(header, allow_nan=False)), **arrays})
-    return target
+    return write_archive(path, header, arrays)
 
 
 def load(path: str | Path, problem: Problem | None = None) -> Solution:
@@ -100,82 +92,19 @@ def load(path: str | Path, problem: Problem | None = None) -> Solution:
         ``problem`` is not the one that was solved. (Functions are compared as CasADi writes them down, which
         may change with a new CasADi.)
     """
-    header, arrays = _read(Path(path))
+    header, arrays = read_archive(path, FORMAT, VERSION)
     try:
         solution = _unpack(header["solution"], arrays)
         quality = _unpack(header["quality"], arrays)
         if not isinstance(solution, Solution):
             raise TypeError("no solution")
     except Exception as error:  # whatever it is, this tree does not describe a solution
-        raise _damaged(path) from error
+        raise damaged(path, "solution") from error
     if problem is not None:
         return solution.with_problem(problem)
     if quality is not None:
         vars(solution)["quality"] = quality  # what the cached property would hold
     return solution
-
-
-# --- file ---------------------------------------------------------------------------------------------
-
-
-def _write(target: Path, entries: Mapping[str, Any]) -> None:
-    """Write next to the target, then replace it: a crash leaves the old file."""
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            np.savez_compressed(stream, **entries)
-        os.chmod(name, 0o666 & ~_umask())
-        os.replace(name, target)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.unlink(name)
-        raise
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
-
-
-def _read(path: Path) -> tuple[Any, dict[str, Array]]:
-    with path.open("rb") as stream:
-        try:
-            entries = _entries(stream)
-            header = json.loads(str(entries.pop("header"))) if "header" in entries else {}
-        except _NoArchive:
-            raise GncOptError(f"'{path}' is not a solution of gnc_opt, or only part of one.") from None
-        except Exception as error:  # zipfile, zlib, NumPy and JSON each have their own
-            raise _damaged(path) from error
-    if not isinstance(header, dict) or header.get("format") != FORMAT:
-        raise GncOptError(f"'{path}' is an archive, but not a solution of gnc_opt.")
-    if header.get("version") != VERSION:
-        raise GncOptError(
-            f"'{path}' has format version {header.get('version')} (gnc_opt {header.get('written_by')}), "
-            f"but this gnc_opt reads version {VERSION}: load it with the version that wrote it."
-        )
-    return header, entries
-
-
-class _NoArchive(Exception):
-    """Not a zip file at all."""
-
-
-def _entries(stream: BinaryIO) -> dict[str, Array]:
-    """Return all arrays of an archive after looking at every checksum: NumPy may stop reading before the last byte."""
-    if not zipfile.is_zipfile(stream):
-        raise _NoArchive
-    with zipfile.ZipFile(stream) as archive:
-        broken = archive.testzip()
-        if broken is not None:
-            raise zipfile.BadZipFile(broken)
-    stream.seek(0)
-    with np.load(stream, allow_pickle=False) as arrays:
-        return {name: arrays[name] for name in arrays.files}
-
-
-def _damaged(path: str | Path) -> GncOptError:
-    return GncOptError(f"'{path}' is damaged: its content does not make up a solution; save it again.")
 
 
 # --- tree ---------------------------------------------------------------------------------------------

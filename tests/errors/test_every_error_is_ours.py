@@ -27,10 +27,8 @@ ALLOWED = {
     "FileNotFoundError": "a missing file is what Python says it is",
     "multistart.py: KeyboardInterrupt": "Ctrl-C, passed on to the search, which keeps what it has found",
     "storage.py: TypeError": "caught at once and turned into 'is damaged'",
-    "campaign_storage.py: ValueError": "caught at once and turned into 'is damaged'",
-    "storage.py: ValueError": "caught at once and turned into 'is damaged'",
-    "storage.py: _NoArchive": "caught at once and turned into 'is no archive'",
-    "storage.py: zipfile.BadZipFile": "caught at once and turned into 'is damaged'",
+    "archive.py: _NoArchive": "caught at once and turned into 'is no archive'",
+    "archive.py: zipfile.BadZipFile": "caught at once and turned into 'is damaged'",
 }
 
 
