@@ -1,0 +1,115 @@
+"""Record the map, run a sample, list the survivors."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import tempfile
+from collections import Counter
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from benchmarks.mutants.cover import Cover, record
+from benchmarks.mutants.mutations import Mutant, keys, mutants_of
+from benchmarks.mutants.trial import attempt, check, copy_tree
+
+ROOT = Path(__file__).resolve().parents[2]
+EQUIVALENT = Path(__file__).with_name("equivalent.json")
+
+
+def main() -> None:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.mutants", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    recording = commands.add_parser("record", help="run tests and note which lines each of them runs")
+    recording.add_argument("--map", type=Path, required=True, help="folder of the map; what is there is kept")
+    recording.add_argument("tests", nargs="*", help="files or folders, e.g. tests/verify; default: all of them")
+    running = commands.add_parser("run", help="try a sample of mutants, or go on with one")
+    running.add_argument("--map", type=Path, required=True)
+    running.add_argument("--session", type=Path, required=True, help="JSON lines; what is in it is not repeated")
+    running.add_argument("--package", action="append", required=True, help="e.g. gnc_opt/control; may be repeated")
+    running.add_argument("--sample", type=int, default=30, help="mutants of each package")
+    running.add_argument("--seed", type=int, default=1)
+    running.add_argument("--budget", type=float, default=60.0, help="seconds of tests for each mutant, as recorded")
+    running.add_argument("--again", action="store_true", help="try survivors again, after new tests")
+    listing = commands.add_parser("report", help="print the table and the survivors of a session")
+    listing.add_argument("--session", type=Path, required=True)
+    arguments = parser.parse_args()
+    if arguments.command == "record":
+        record(ROOT, arguments.map, arguments.tests or _all_tests())
+    elif arguments.command == "run":
+        _run(arguments)
+        print(report(arguments.session))
+    else:
+        print(report(arguments.session))
+
+
+def _all_tests() -> list[str]:
+    return [str(p.relative_to(ROOT)) for p in sorted((ROOT / "tests").iterdir()) if any(p.glob("test_*.py"))]
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    done = _read(arguments.session)
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        copy = Path(folder)
+        copy_tree(ROOT, copy)
+        for package in arguments.package:
+            every = list(keys(mutants_of(ROOT, package)))
+            sample = random.Random(arguments.seed).sample(every, min(arguments.sample, len(every)))
+            todo = [(k, m) for k, m in sample if k not in done or (arguments.again and _lives(done[k]))]
+            if not todo:
+                continue
+            cover = Cover.read(ROOT, arguments.map, {m.file for _, m in todo})
+            check(copy, sorted({t for _, m in todo for t in cover.tests(m.file, m.lines, arguments.budget)}))
+            for key, mutant in todo:
+                outcome = attempt(copy, mutant, cover, arguments.budget)
+                entry = {
+                    "key": key,
+                    "package": package,
+                    "of": len(every),
+                    "place": f"{mutant.file}:{mutant.line}",
+                    "diff": mutant.diff((ROOT / mutant.file).read_bytes()),
+                    **asdict(outcome),
+                }
+                with arguments.session.open("a") as session:
+                    session.write(json.dumps(entry) + "\n")
+                print(f"{outcome.result:9} {outcome.seconds:6.1f} s  {entry['place']}", flush=True)
+
+
+def _read(session: Path) -> dict[str, dict[str, Any]]:
+    """Entries by key; the last one counts."""
+    lines = session.read_text().splitlines() if session.exists() else []
+    return {entry["key"]: entry for entry in map(json.loads, lines)}
+
+
+def _lives(entry: dict[str, Any]) -> bool:
+    return entry["result"] in ("survived", "uncovered")
+
+
+def report(session: Path) -> str:
+    """Return the table package x outcomes, and the survivors."""
+    entries = _read(session)
+    reasons: dict[str, str] = json.loads(EQUIVALENT.read_text())
+    lines = [f"{'package':28} {'all':>5} {'sampled':>8} {'killed':>7} {'timeout':>8} {'survived':>9} {'equivalent':>11}"]
+    lines[0] += f" {'share killed':>13}"
+    for package in dict.fromkeys(e["package"] for e in entries.values()):
+        here = {k: e for k, e in entries.items() if e["package"] == package}
+        count = Counter("equivalent" if _lives(e) and k in reasons else e["result"] for k, e in here.items())
+        killed = count["killed"] + count["timeout"]
+        living = count["survived"] + count["uncovered"]
+        share = f"{100 * killed / max(killed + living, 1):.1f} %"
+        every = max(e["of"] for e in here.values())
+        lines.append(
+            f"{package:28} {every:5} {len(here):8} {count['killed']:7} {count['timeout']:8} {living:9} "
+            f"{count['equivalent']:11} {share:>13}"
+        )
+    for key, entry in entries.items():
+        if _lives(entry) and key not in reasons:
+            lines += ["", f"{entry['place']}  {entry['result']} {entry['tests']} tests", entry["diff"]]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
