@@ -57,7 +57,7 @@ def _run(arguments: argparse.Namespace) -> None:
         copy_tree(ROOT, copy)
         for package in arguments.package:
             every = list(keys(mutants_of(ROOT, package)))
-            sample = random.Random(arguments.seed).sample(every, min(arguments.sample, len(every)))
+            sample = random.Random(arguments.seed).sample(every, len(every))[: arguments.sample]  # a larger one goes on
             todo = [(k, m) for k, m in sample if k not in done or (arguments.again and _lives(done[k]))]
             if not todo:
                 continue

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import signal
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -25,13 +26,20 @@ def record(root: Path, folder: Path, tests: list[str]) -> None:
         data, times = folder / f".coverage.{name}", folder / f"{name}.xml"
         options = ["--cov=gnc_opt", "--cov-context=test", "--cov-report=", f"--junitxml={times}", path]
         environment = {**os.environ, **ENVIRONMENT, "PYTHONPATH": str(root), "COVERAGE_FILE": str(data)}
-        code = subprocess.run([*PYTEST, *options], cwd=root, env=environment).returncode
+        code = subprocess.run(
+            [*PYTEST, *options], cwd=root, env=environment, preexec_fn=heed_interrupts
+        ).returncode
         if code > 1:  # tests that fail anyway are left out of the map
             raise SystemExit(f"pytest ended with code {code} in {path}.")
         files = sorted((root / "gnc_opt").rglob("*.py"))
         (folder / f"{name}.json").write_text(
             json.dumps({"root": str(root), "files": {str(f.relative_to(root)): digest(f) for f in files}})
         )
+
+
+def heed_interrupts() -> None:
+    """What runs in the background inherits that interrupts are ignored; some tests send them."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def digest(file: Path) -> str:

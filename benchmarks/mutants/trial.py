@@ -12,7 +12,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.mutants.cover import ENVIRONMENT, PYTEST, Cover
+from benchmarks.mutants.cover import ENVIRONMENT, PYTEST, Cover, heed_interrupts
 from benchmarks.mutants.mutations import Mutant
 
 PARTS = ("gnc_opt", "problems", "benchmarks", "tests", "docs", "README.md", "pyproject.toml")
@@ -82,6 +82,7 @@ def _pytest(copy: Path, arguments: list[str], limit: float) -> tuple[int | None,
         stderr=subprocess.STDOUT,
         text=True,
         start_new_session=True,
+        preexec_fn=heed_interrupts,
     )
     try:
         output, _ = process.communicate(timeout=limit)
