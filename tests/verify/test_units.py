@@ -36,7 +36,15 @@ OTHERS = {
     "path constraints": Units(limits=40.0),
     "parameter": Units(k=25.0),
     "all": Units(30.0, 0.2, 7.0, 0.1, 8.0, 0.3, 0.5),
+    "mirrored": Units(q=-1.0, v=-1.0, a=-1.0),
+    "mirrored limits": Units(limits=-1.0),
 }
+
+
+def limits(lower: float | None, upper: float | None, unit: float) -> tuple[float | None, float | None]:
+    """A range in other units; in negative ones its ends change places."""
+    low, high = (None if value is None else value * unit for value in (lower, upper))
+    return (low, high) if unit > 0 else (high, low)
 
 
 def pendulum(units: Units) -> go.Problem:
@@ -48,14 +56,15 @@ def pendulum(units: Units) -> go.Problem:
     push = 0.2 * ca.sin(3 * t)
     model.ode({q: rate * units.q / units.t, v: (torque - ca.sin(angle) + push) * units.v / units.t})
     problem = go.Problem("swing up")
-    k = problem.parameter("k", lower=0.0, upper=3.0 * units.k)
+    k = problem.parameter("k", lower=limits(0.0, 3.0, units.k)[0], upper=limits(0.0, 3.0, units.k)[1])
     leg = problem.phase("leg", model)
     leg.time(0.0, (1.0 * units.t, 9.0 * units.t))
     leg.initial(q=0.0, v=0.0)
     leg.final(v=0.0)
-    leg.bounds(a=(-0.25 * units.a, 1.2 * units.a), v=(None, 0.75 * units.v))
-    leg.path("power", torque * rate * units.limits, upper=0.42 * units.limits)
-    leg.path("height", (1 - ca.cos(angle)) * units.limits, upper=0.8 * units.limits)
+    leg.bounds(a=limits(-0.25, 1.2, units.a), v=limits(None, 0.75, units.v))
+    for name, value, most in (("power", torque * rate, 0.42), ("height", 1 - ca.cos(angle), 0.8)):
+        lower, upper = limits(None, most, units.limits)
+        leg.path(name, value * units.limits, lower=lower, upper=upper)
     leg.guess(q=(0.0, 1.8 * units.q), v=0.5 * units.v)
     running = leg.integral((torque**2 / 2 + angle**2 / 10) * units.cost / units.t)
     off = (leg.final_state("q") / units.q - k / units.k) ** 2
@@ -80,10 +89,15 @@ def offended(units: Units) -> go.Solution:
         solution,
         lam=PiecewisePolynomial(leg.lam.breaks, leg.lam.nodes, tilted),
         control_multipliers=1.01 * leg.control_multipliers + 0.01 * np.mean(leg.control_multipliers),
-        path_multipliers=leg.path_multipliers + 0.02 * np.max(np.abs(leg.path_multipliers), axis=1)[:, None],
-        state_multipliers=leg.state_multipliers + 0.02 * np.max(leg.state_multipliers, axis=1)[:, None],
+        path_multipliers=leg.path_multipliers + 0.02 * largest(leg.path_multipliers),
+        state_multipliers=leg.state_multipliers + 0.02 * largest(leg.state_multipliers),
     )
     return replace(wrong, parameter_values=wrong.parameter_values + 0.01 * units.k)
+
+
+def largest(values: np.ndarray) -> np.ndarray:
+    """The entry of the largest magnitude in each row, with its sign (n, 1)."""
+    return np.take_along_axis(values, np.argmax(np.abs(values), axis=1)[:, None], axis=1)
 
 
 RELATIVE_TO_ONE = {"propagation", "boundary conditions", "cost", "second order"}
