@@ -15,6 +15,8 @@ from gnc_opt.control.reaching import (
     SuperTwisting,
     TanhLayer,
 )
+from gnc_opt.control.sliding_checks import check_step
+from gnc_opt.errors import DesignError
 
 LAWS = [
     ConstantRate(0.7),
@@ -63,3 +65,19 @@ def test_a_power_rate_balances_the_disturbance_at_its_band(boundary):
     for bound in (0.05, 0.4, 2.0):
         band = law.band(boundary, bound)
         assert rates(law, boundary, [band])[0] == pytest.approx(bound, rel=1e-9)
+
+
+@pytest.mark.parametrize("boundary", [SaturationLayer(0.5), TanhLayer(0.5)], ids=repr)
+def test_a_step_at_which_the_sampled_surface_no_longer_decays_is_refused(boundary):
+    """s+ = (1 - dt slope) s: at dt slope = 2 it only changes its sign; the slope is 3 / 0.5 = 6."""
+    law = ConstantRate(3.0)
+    assert check_step(law, boundary, 0.33, needed=False) == 0.33
+    for dt in (2 / 6, 0.4):
+        with pytest.raises(DesignError, match=r"too long for the switching gain: .* give dt < 0\.3333 s"):
+            check_step(law, boundary, dt, needed=False)
+    assert check_step(law, Sign(), 5.0, needed=False) == 5.0
+    assert check_step(law, boundary, None, needed=False) is None
+    with pytest.raises(DesignError, match="give dt"):
+        check_step(law, boundary, None, needed=True)
+    with pytest.raises(DesignError, match="give dt"):
+        check_step(SuperTwisting(1.5, 1.1), boundary, None, needed=False)
