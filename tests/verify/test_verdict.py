@@ -278,7 +278,7 @@ def test_costates_that_vanish_in_one_phase_only_are_judged() -> None:
     solution = go.solve(problem, mesh=meshes)
     second = solution.phases["second"]
     still = {"first": solution.phases["first"], "second": replace(second, lam=scaled(second.lam, 0.0))}
-    verdict = go.verify(replace(solution, phases=still))
+    verdict = go.verify(replace(solution, phases=still), tol=1e-4)
     assert verdict["adjoint equation"].result is Result.PASS
     assert verdict["transversality"].result is Result.PASS
     none = {name: replace(leg, lam=scaled(leg.lam, 0.0)) for name, leg in still.items()}
