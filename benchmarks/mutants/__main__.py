@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.mutants.cover import Cover, record
-from benchmarks.mutants.mutations import Mutant, keys, mutants_of
+from benchmarks.mutants.mutations import keys, mutants_of
 from benchmarks.mutants.trial import attempt, check, copy_tree
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -25,14 +25,22 @@ def main() -> None:
     commands = parser.add_subparsers(dest="command", required=True)
     recording = commands.add_parser("record", help="run tests and note which lines each of them runs")
     recording.add_argument("--map", type=Path, required=True, help="folder of the map; what is there is kept")
-    recording.add_argument("tests", nargs="*", help="files or folders, e.g. tests/verify; default: all of them")
+    recording.add_argument(
+        "tests", nargs="*", help="files or folders, e.g. tests/verify; default: all of them"
+    )
     running = commands.add_parser("run", help="try a sample of mutants, or go on with one")
     running.add_argument("--map", type=Path, required=True)
-    running.add_argument("--session", type=Path, required=True, help="JSON lines; what is in it is not repeated")
-    running.add_argument("--package", action="append", required=True, help="e.g. gnc_opt/control; may be repeated")
+    running.add_argument(
+        "--session", type=Path, required=True, help="JSON lines; what is in it is not repeated"
+    )
+    running.add_argument(
+        "--package", action="append", required=True, help="e.g. gnc_opt/control; may be repeated"
+    )
     running.add_argument("--sample", type=int, default=30, help="mutants of each package")
     running.add_argument("--seed", type=int, default=1)
-    running.add_argument("--budget", type=float, default=60.0, help="seconds of tests for each mutant, as recorded")
+    running.add_argument(
+        "--budget", type=float, default=60.0, help="seconds of tests for each mutant, as recorded"
+    )
     running.add_argument("--again", action="store_true", help="try survivors again, after new tests")
     listing = commands.add_parser("report", help="print the table and the survivors of a session")
     listing.add_argument("--session", type=Path, required=True)
@@ -57,7 +65,9 @@ def _run(arguments: argparse.Namespace) -> None:
         copy_tree(ROOT, copy)
         for package in arguments.package:
             every = list(keys(mutants_of(ROOT, package)))
-            sample = random.Random(arguments.seed).sample(every, len(every))[: arguments.sample]  # a larger one goes on
+            sample = random.Random(arguments.seed).sample(every, len(every))[
+                : arguments.sample
+            ]  # a larger one goes on
             todo = [(k, m) for k, m in sample if k not in done or (arguments.again and _lives(done[k]))]
             if not todo:
                 continue
@@ -92,8 +102,8 @@ def report(session: Path) -> str:
     """Return the table package x outcomes, and the survivors."""
     entries = _read(session)
     reasons: dict[str, str] = json.loads(EQUIVALENT.read_text())
-    lines = [f"{'package':28} {'all':>5} {'sampled':>8} {'killed':>7} {'timeout':>8} {'survived':>9} {'equivalent':>11}"]
-    lines[0] += f" {'share killed':>13}"
+    columns = ("all", "sampled", "killed", "timeout", "survived", "equivalent", "share killed")
+    lines = [f"{'package':28}" + "".join(f"{column:>13}" for column in columns)]
     for package in dict.fromkeys(e["package"] for e in entries.values()):
         here = {k: e for k, e in entries.items() if e["package"] == package}
         count = Counter("equivalent" if _lives(e) and k in reasons else e["result"] for k, e in here.items())
@@ -101,10 +111,8 @@ def report(session: Path) -> str:
         living = count["survived"] + count["uncovered"]
         share = f"{100 * killed / max(killed + living, 1):.1f} %"
         every = max(e["of"] for e in here.values())
-        lines.append(
-            f"{package:28} {every:5} {len(here):8} {count['killed']:7} {count['timeout']:8} {living:9} "
-            f"{count['equivalent']:11} {share:>13}"
-        )
+        figures = (every, len(here), count["killed"], count["timeout"], living, count["equivalent"], share)
+        lines.append(f"{package:28}" + "".join(f"{figure:>13}" for figure in figures))
     for key, entry in entries.items():
         if _lives(entry) and key not in reasons:
             lines += ["", f"{entry['place']}  {entry['result']} {entry['tests']} tests", entry["diff"]]

@@ -76,7 +76,9 @@ class Cover:
             versions, times = json.loads(part.read_text()), part.with_suffix(".xml")
             for file in files:
                 if versions["files"].get(file) != digest(root / file):
-                    raise SystemExit(f"{part.stem}: '{file}' has changed since it was recorded; record it again.")
+                    raise SystemExit(
+                        f"{part.stem}: '{file}' has changed since it was recorded; record it again."
+                    )
             seconds |= _durations(times)
             data = CoverageData(str(folder / f".coverage.{part.stem}"))
             data.read()
@@ -109,7 +111,9 @@ class Cover:
             module = test.split("::")[0]
             cost[module] = cost.get(module, 0.0) + self.seconds.get(test, 0.0)
         # Module by module: fixtures are shared.
-        return sorted(chosen, key=lambda t: (cost[t.split("::")[0]], t.split("::")[0], self.seconds.get(t, 0.0)))
+        return sorted(
+            chosen, key=lambda t: (cost[t.split("::")[0]], t.split("::")[0], self.seconds.get(t, 0.0))
+        )
 
 
 def _durations(times: Path) -> dict[str, float]:

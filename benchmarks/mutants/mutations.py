@@ -28,7 +28,14 @@ _ARITHMETIC = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult,
     ast.FloorDiv: ast.Mult, ast.Mod: ast.Mult, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd,
 }  # fmt: skip
-_CALLS = {"min": "max", "any": "all", "minimum": "maximum", "fmin": "fmax", "argmin": "argmax", "floor": "ceil"}
+_CALLS = {
+    "min": "max",
+    "any": "all",
+    "minimum": "maximum",
+    "fmin": "fmax",
+    "argmin": "argmax",
+    "floor": "ceil",
+}
 _CALLS |= {new: old for old, new in _CALLS.items()}
 _IDENTITIES = {"abs", "fabs", "absolute", "flip", "cumsum", "sorted", "sort", "unique", "conj"}
 _ARRAY_MODULES = {"np", "ca", "scipy", "linalg"}
@@ -191,7 +198,9 @@ class _Finder(ast.NodeVisitor):
     def visit_Call(self, node: ast.Call) -> None:
         name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
         if name in _CALLS:
-            self._change(node.func, lambda n: setattr(n, "attr" if hasattr(n, "attr") else "id", _CALLS[name]))
+            self._change(
+                node.func, lambda n: setattr(n, "attr" if hasattr(n, "attr") else "id", _CALLS[name])
+            )
         if name in _IDENTITIES and len(node.args) == 1 and not node.keywords:
             self._note(node, node.args[0])
         if _root(node.func) in _ARRAY_MODULES:
@@ -218,7 +227,9 @@ class _Finder(ast.NodeVisitor):
 
     def _drop(self, statement: ast.stmt, last: bool) -> None:
         """Leave a statement out, if what follows can do without."""
-        stores = isinstance(statement, ast.Assign) and all(isinstance(t, ast.Subscript) for t in statement.targets)
+        stores = isinstance(statement, ast.Assign) and all(
+            isinstance(t, ast.Subscript) for t in statement.targets
+        )
         calls = isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Call)
         jumps = isinstance(statement, (ast.Return, ast.Continue, ast.Break)) and not last
         if stores or calls or jumps or isinstance(statement, ast.AugAssign):
@@ -240,7 +251,9 @@ class _Finder(ast.NodeVisitor):
         first = self._starts[node.lineno - 1] + node.col_offset
         last = self._starts[node.end_lineno - 1] + node.end_col_offset
         text = ast.unparse(ast.fix_missing_locations(new))
-        plain = isinstance(new, (ast.Constant, ast.Name, ast.Attribute, ast.Call, ast.Subscript, ast.Slice, ast.Pass))
+        plain = isinstance(
+            new, (ast.Constant, ast.Name, ast.Attribute, ast.Call, ast.Subscript, ast.Slice, ast.Pass)
+        )
         after = text if plain else f"({text})"
         before = self._source[first:last].decode()
         where = ".".join(self._where) or "module"

@@ -123,7 +123,12 @@ def test_a_surface_of_first_order_has_no_poles_to_state():
     """With relative degree one the surface is the error itself; of order two its pole is at -slope."""
     model = integrators(1)
     first = design_sliding_mode(
-        model, Reference.constant(model, [0]), outputs="x0", reaching=ConstantRate(1.0), boundary=Sign(), dt=DT
+        model,
+        Reference.constant(model, [0]),
+        outputs="x0",
+        reaching=ConstantRate(1.0),
+        boundary=Sign(),
+        dt=DT,
     ).explain()
     assert not any("surface poles" in fact.name for fact in first.facts)
     assert design(ConstantRate(1.0), Sign()).explain()["surface poles of x0"] == pytest.approx([-SLOPE])

@@ -32,7 +32,9 @@ def test_effort_energy_and_saturation_are_integrals_over_the_steps():
     limited = flight([Saturation("limit", -3.5, 2.5)])
     assert limited.saturation_time("a")[0] == pytest.approx(3 * DT, rel=1e-14)
     assert limited.control_effort("a")[0] == pytest.approx(DT * (15.5 - 0.5 - 0.5 - 0.5), rel=1e-14)
-    assert limited.chattering("a")[0] == pytest.approx(17.0, rel=1e-14)  # of the command, not of what is applied
+    assert limited.chattering("a")[0] == pytest.approx(
+        17.0, rel=1e-14
+    )  # of the command, not of what is applied
 
 
 def test_settling_is_for_good():
@@ -50,7 +52,9 @@ def test_rotation_angle_is_the_same_for_quaternions_and_rodrigues_parameters_and
     quaternion = np.append(np.sin(angle / 2) * axis, np.cos(angle / 2))
     sigma = np.tan(angle / 4) * axis
     for attitude in (quaternion, -quaternion, 3.0 * quaternion):
-        assert rotation_angle(attitude, np.array([0.0, 0.0, 0.0, 1.0])) == pytest.approx(angle, abs=1e-15, rel=1e-12)
+        assert rotation_angle(attitude, np.array([0.0, 0.0, 0.0, 1.0])) == pytest.approx(
+            angle, abs=1e-15, rel=1e-12
+        )
     shadows = [sigma] if angle == 0 else [sigma, -sigma / (sigma @ sigma)]
     for attitude in shadows:
         assert rotation_angle(attitude, np.zeros(3)) == pytest.approx(angle, abs=1e-15, rel=1e-9)

@@ -133,7 +133,8 @@ def test_least_curvature_with_a_free_start_and_a_cost_that_depends_on_time(start
     hessian = np.array(
         [
             [
-                sum(a * b * cost(point + step * (a * e + b * f)) for a in (1, -1) for b in (1, -1)) / (4 * step**2)
+                sum(a * b * cost(point + step * (a * e + b * f)) for a in (1, -1) for b in (1, -1))
+                / (4 * step**2)
                 for f in units
             ]
             for e in units
@@ -152,7 +153,10 @@ def test_what_forbids_the_induced_problem_is_named(refined: go.Solution) -> None
     between = tuple(0.5 * v for v in leg.u.values)
     for wrong, reason in (
         (replace(leg, state_multipliers=pushed), "an active state bound"),
-        (replace(leg, u=PiecewisePolynomial(leg.u.breaks, leg.u.nodes, between)), "a control between its bounds"),
+        (
+            replace(leg, u=PiecewisePolynomial(leg.u.breaks, leg.u.nodes, between)),
+            "a control between its bounds",
+        ),
     ):
         condition = go.verify(replace(refined, phases={"leg": wrong}))["second order"]
         assert condition.result is Result.CANNOT_TELL

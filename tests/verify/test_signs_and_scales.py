@@ -1,4 +1,4 @@
-"""The verdict's signs and scales: both ends, both limits, any units; what is right passes and its mirror image fails."""
+"""The verdict's signs and scales: both ends, both limits, any units; the right passes and its mirror image fails."""
 
 from __future__ import annotations
 
