@@ -59,16 +59,18 @@ def _all_tests() -> list[str]:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    done = _read(arguments.session)
+    done, reasons = _read(arguments.session), _equivalent()
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         copy = Path(folder)
         copy_tree(ROOT, copy)
         for package in arguments.package:
             every = list(keys(mutants_of(ROOT, package)))
-            sample = random.Random(arguments.seed).sample(every, len(every))[
-                : arguments.sample
-            ]  # a larger one goes on
-            todo = [(k, m) for k, m in sample if k not in done or (arguments.again and _lives(done[k]))]
+            order = random.Random(arguments.seed).sample(
+                every, len(every)
+            )  # a larger sample holds a smaller one
+            todo = [(k, m) for k, m in order[: arguments.sample] if k not in done]
+            if arguments.again:
+                todo += [(k, m) for k, m in order if k in done and _lives(done[k]) and k not in reasons]
             if not todo:
                 continue
             cover = Cover.read(ROOT, arguments.map, {m.file for _, m in todo})
@@ -87,11 +89,18 @@ def _run(arguments: argparse.Namespace) -> None:
                     session.write(json.dumps(entry) + "\n")
                 print(f"{outcome.result:9} {outcome.seconds:6.1f} s  {entry['place']}", flush=True)
 
+                print(f"{outcome.result:9} {outcome.seconds:6.1f} s  {entry['place']}", flush=True)
+
 
 def _read(session: Path) -> dict[str, dict[str, Any]]:
     """Entries by key; the last one counts."""
     lines = session.read_text().splitlines() if session.exists() else []
     return {entry["key"]: entry for entry in map(json.loads, lines)}
+
+
+def _equivalent() -> dict[str, str]:
+    """Reasons by key, of mutants that no test could kill."""
+    return dict(json.loads(EQUIVALENT.read_text()))
 
 
 def _lives(entry: dict[str, Any]) -> bool:
@@ -101,7 +110,7 @@ def _lives(entry: dict[str, Any]) -> bool:
 def report(session: Path) -> str:
     """Return the table package x outcomes, and the survivors."""
     entries = _read(session)
-    reasons: dict[str, str] = json.loads(EQUIVALENT.read_text())
+    reasons = _equivalent()
     columns = ("all", "sampled", "killed", "timeout", "survived", "equivalent", "share killed")
     lines = [f"{'package':28}" + "".join(f"{column:>13}" for column in columns)]
     for package in dict.fromkeys(e["package"] for e in entries.values()):

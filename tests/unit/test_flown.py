@@ -54,6 +54,16 @@ def test_cells_are_as_long_as_the_weights_and_the_side_decides_on_their_edges() 
     assert signal(3.0)[0] == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("first", [True, False])
+def test_a_jump_at_a_boundary_counts_for_the_segment_on_its_side(first: bool) -> None:
+    """Nodes 0, 0, 1 end above 1 and 1, 0, 0 begin there; the other segment, at 1/2, is flown as it is."""
+    over = [0.0, 0.0, 1.0] if first else [1.0, 0.0, 0.0]
+    pieces = [over, [0.5] * 3] if first else [[0.5] * 3, over]
+    signal = flown(pieces, -1.0, 1.0)
+    assert signal.polynomial(1.0, "left" if first else "right")[0] > 1.2
+    assert signal.held.tolist() == [[first, not first]]
+
+
 def test_rounding_beyond_a_bound_is_clipped_and_not_held() -> None:
     signal = flown([[1.0 + 1e-9, 1.0, 1.0], [-1e-9, 0.0, 0.0]], 0.0, 1.0)
     assert not signal.held.any()
