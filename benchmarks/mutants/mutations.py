@@ -206,7 +206,9 @@ class _Finder(ast.NodeVisitor):
         if _root(node.func) in _ARRAY_MODULES:
             for i in range(len(node.keywords)):
                 self._change(node, lambda n, i=i: n.keywords.pop(i))
-        self.generic_visit(node)
+        for child in (node.func, *node.args, *node.keywords):
+            if getattr(child, "arg", "") != "strict":  # an assertion of zip, as those of `assert`
+                self.visit(child)
 
     def visit_Constant(self, node: ast.Constant) -> None:
         value = node.value

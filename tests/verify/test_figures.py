@@ -1,8 +1,8 @@
 """The verdict's figures to many digits: what an offence of known size is worth, by hand.
 
 Minimum energy, rest to rest over 1 m in 1 s: a = 6 - 12 t, v = 6 t (1 - t), costates -12 and 12 t - 6, |v| <= 5,
-|a| <= 10. Hence the scales: 1 m and 1.5 m/s, 20 m/s^2, 12 for the cost (|lam_q| q), and 54 for H (|lam_v a| + a^2 / 2 at
-the ends). Minimum time over 1 m: lam_q = 1, lam_v = 1 - t, all scales of H are 1.
+|a| <= 10. Hence the scales: 1 m and 1.5 m/s, 20 m/s^2, 12 for the cost (|lam_q| q), and 54 for H (|lam_v a| + a^2 / 2,
+at the ends). Minimum time over 1 m: lam_q = 1, lam_v = 1 - t, all scales of H are 1.
 """
 
 from __future__ import annotations
