@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from wrong import added, double_integrator, failed, with_leg
+from wrong import added, double_integrator, failed, free_time, with_leg
 
 import gnc_opt as go
 from gnc_opt.problem.interval import Interval
@@ -43,6 +43,23 @@ def test_end_value_is_held_by_the_limit_that_keeps_it_from_getting_cheaper(reach
         assert failed(passed_off) == (set() if side == outwards else {"transversality"})
 
 
+@pytest.mark.parametrize("end", ["start", "end"])
+def test_end_value_on_its_limit_within_the_reach_of_the_trajectory(end: str) -> None:
+    """The trajectory sets off from, or arrives at, a limit inside the range: what counts is the very end."""
+    model = double_integrator()
+    problem = go.Problem("to the limit")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=(0.0, 2.0) if end == "start" else 0.0, v=2.0)
+    leg.final(q=1.0 if end == "start" else (-1.0, 1.0), v=2.0)
+    tempting = leg.initial_state("q") if end == "start" else -leg.final_state("q")
+    problem.minimize(0.5 * leg.integral(model.symbol("a") ** 2) + 40 * tempting)
+    solution = go.solve(problem, mesh="3x5")
+    found = solution.state("q")(0.0 if end == "start" else 1.0)
+    assert found == pytest.approx(0.0 if end == "start" else 1.0, abs=1e-7)
+    assert failed(solution) == set()
+
+
 @pytest.mark.parametrize(("limits", "right"), [((0.2, 1.0), True), ((1.0, 5.0), False)])
 def test_final_time_is_held_by_the_limit_that_keeps_it_from_getting_cheaper(
     limits: tuple[float, float], right: bool
@@ -53,6 +70,16 @@ def test_final_time_is_held_by_the_limit_that_keeps_it_from_getting_cheaper(
     problem = solution.need_problem("ask").with_time(final=limits)
     passed_off = replace(with_leg(solution, final_time_bounds=box), problem=problem)
     assert failed(passed_off) == (set() if right else {"transversality"})
+
+
+@pytest.mark.parametrize(("distance", "sits"), [(1e-3, True), (1e-2, False)])
+def test_a_time_sits_on_its_limit_within_a_millionth_of_the_range(distance: float, sits: bool) -> None:
+    """At 2.5 s, later than the best 18^(1/4) s, and a millionth of 2000 s above its lower limit."""
+    late, right = free_time(2.5), free_time()
+    box = Interval(np.array([2.5 - distance]), np.array([2000.0]))
+    problem = right.need_problem("ask").with_time(final=(2.5 - distance, 2000.0))
+    passed_off = replace(with_leg(late, final_time_bounds=box), problem=problem)
+    assert failed(passed_off) == (set() if sits else {"transversality"})
 
 
 def chosen(least: float, most: float, best: float) -> go.Problem:
