@@ -89,8 +89,6 @@ def _run(arguments: argparse.Namespace) -> None:
                     session.write(json.dumps(entry) + "\n")
                 print(f"{outcome.result:9} {outcome.seconds:6.1f} s  {entry['place']}", flush=True)
 
-                print(f"{outcome.result:9} {outcome.seconds:6.1f} s  {entry['place']}", flush=True)
-
 
 def _read(session: Path) -> dict[str, dict[str, Any]]:
     """Entries by key; the last one counts."""
