@@ -6,6 +6,7 @@ from loops import memory_of_impulse, scheduled
 
 from gnc_opt.simulation import ClosedLoop, Saturation
 from gnc_opt.simulation.metrics import rotation_angle, settling_time
+from gnc_opt.simulation.statistics import pass_rate
 
 DT = 0.25
 COMMANDS = np.array([3.0, 3.0, -1.0, 2.0, 2.0, 0.5, -4.0, 0.0])
@@ -59,3 +60,13 @@ def test_rotation_angle_is_the_same_for_quaternions_and_rodrigues_parameters_and
     for attitude in shadows:
         assert rotation_angle(attitude, np.zeros(3)) == pytest.approx(angle, abs=1e-15, rel=1e-9)
     assert rotation_angle(sigma, -sigma) == pytest.approx(min(2 * angle, 2 * np.pi - 2 * angle), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("passed", "shown"),
+    [(1, "0.10 %"), (500, "50.0 %"), (994, "99.40 %"), (9997, "99.970 %"), (1000, "100.0 %"), (0, "0.0 %")],
+)
+def test_shares_are_shown_with_the_digits_of_what_is_missing(passed, shown):
+    """99.97 % must not be printed as 100 %; 9997 of 10000, the others of 1000."""
+    runs = 10000 if passed > 1000 else 1000
+    assert str(pass_rate(passed, runs)).startswith(shown)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -31,6 +32,7 @@ from wrong import (
 
 import gnc_opt as go
 from gnc_opt.problem.interval import Interval
+from gnc_opt.verify.propagate import propagate
 from gnc_opt.verify.pushes import settle_edges, unexplained_jumps
 from gnc_opt.verify.samples import PhaseSamples
 
@@ -145,9 +147,13 @@ def test_condition_sees_what_it_should_and_others_do_not(wrong: Case) -> None:
     correct = wrong.correct()
     before = go.verify(correct)
     assert before.proven, before.explain()
-    found = failed(wrong.wrong(correct, SMALL))
+    verdict = go.verify(wrong.wrong(correct, SMALL))
+    found = {c.name for c in verdict.failed}
     assert wrong.condition in found
     assert found <= {wrong.condition} | wrong.others
+    for c in (*before.conditions, *verdict.conditions):  # what is printed beside each other fits together
+        assert c.result is not go.Result.PASS or c.value <= c.tolerance
+        assert c.result is not go.Result.FAIL or not c.value < c.tolerance
 
 
 def test_errors_too_small_for_a_segment_add_up_in_the_propagation() -> None:
@@ -233,8 +239,9 @@ def test_costates_that_vanish_are_judged_by_what_the_cost_amounts_to() -> None:
     assert "transversality" in failed(added(right, "lam", Q, 1e-3))
 
 
-def test_nothing_is_claimed_about_a_phase_without_length() -> None:
-    verdict = go.verify(nowhere_to_go())
+@pytest.mark.parametrize("start", [0.0, 5.0])
+def test_nothing_is_claimed_about_a_phase_without_length(start: float) -> None:
+    verdict = go.verify(nowhere_to_go(start))
     assert verdict.ok and not verdict.proven, verdict.explain()
     assert verdict["Hamiltonian"].result is go.Result.CANNOT_TELL
     assert "no length" in verdict["Hamiltonian"].meaning
@@ -443,3 +450,47 @@ def test_share_and_name_of_the_singular_control_beside_a_regular_one() -> None:
     assert condition.result is go.Result.CANNOT_TELL
     assert condition.value == pytest.approx(0.75, abs=0.03)
     assert ", u, " in condition.where
+
+
+# --- two controls at once -------------------------------------------------------------------------------
+
+
+def test_controls_that_gain_only_together_are_tried_together() -> None:
+    """H = 1 + u w at u = w = 0: no control alone changes it, (1, -1) makes it 0."""
+    model = go.Model("saddle")
+    x, u, w = model.state("x"), model.control("u"), model.control("w")
+    model.ode({x: 0 * u})
+    problem = go.Problem("saddle")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-1.0, 1.0), w=(-1.0, 1.0))
+    problem.minimize(leg.integral(1 + u * w))
+    pinned = go.solve(problem.with_bounds(u=(0.0, 0.0), w=(0.0, 0.0)), mesh="2x3")
+    box = Interval(-np.ones(2), np.ones(2))
+    condition = go.verify(replace(with_leg(pinned, control_bounds=box), problem=problem))["minimum principle"]
+    assert condition.result is go.Result.FAIL
+    assert condition.value == pytest.approx(1.0, rel=1e-6)
+
+
+# --- propagation ----------------------------------------------------------------------------------------
+
+
+def test_propagation_flies_what_respects_the_bounds() -> None:
+    """Cell by cell: v += a h, q += v h + a h^2 / 2. The polynomial, which overshoots, meets its own end better."""
+    problem = bang_bang().need_problem("copy").with_arcs(arcs=None)
+    solution = go.solve(problem, mesh="7x3")
+    leg = solution.phase()
+    jumps = leg.flown.jumps
+    assert jumps.size > 8 and leg.flown.held.any() and not leg.flown.held.all()
+    q, v = 1.0, 0.0
+    for left, right in itertools.pairwise(jumps):
+        inner = np.linspace(left, right, 2001)[1:-1]
+        a, h = float(np.mean(leg.flown(inner))), right - left
+        q, v = q + v * h + a * h**2 / 2, v + a * h
+    miss = max(abs(q), abs(v))
+    assert go.verify(solution)["propagation"].value == pytest.approx(miss, rel=0.02)
+    functions = solution.functions("leg")
+    for control, error in (("flown", [q, v]), ("polynomial", [0.0, 0.0])):
+        run = propagate(leg, functions, control=control)  # type: ignore[arg-type]
+        assert run.error == pytest.approx(error, abs=0.02 * miss)
