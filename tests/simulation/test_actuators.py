@@ -171,6 +171,13 @@ def test_a_chain_passes_its_blocks_in_order_and_on_named_controls():
     assert run.applied[:, 0] == pytest.approx([0.5, 0.4])
 
 
+def test_a_scale_factor_without_numbers_changes_nothing():
+    assert fly([ScaleFactor("ideal")], wave).applied[0] == pytest.approx(wave(np.arange(20) * DT), abs=1e-15)
+    assert fly([ScaleFactor("off", bias=0.2)], wave).applied[0] == pytest.approx(
+        wave(np.arange(20) * DT) + 0.2
+    )
+
+
 def test_levels_that_make_no_sense_are_refused():
     plant = memory_of_impulse()
     for block, message in (

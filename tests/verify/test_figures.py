@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from wrong import added, bang_bang, energy, moved, scaled, shifted, upper, with_leg
+from wrong import added, bang_bang, energy, hilltop, moved, scaled, shifted, upper, with_leg
 
 import gnc_opt as go
 from gnc_opt.problem.interval import Interval
@@ -60,6 +60,8 @@ FIGURES: list[tuple[str, str, Callable[[], go.Solution], float]] = [
         energy(), duration_bounds=Interval(np.array([1.0 + E]), np.array([9.0]))), E),
     ("cost", "objective too large", lambda: replace(energy(), objective=6 * (1 + E)), E / (1 + E)),
     ("cost", "objective too small", lambda: replace(energy(), objective=6 * (1 - E)), E / (1 - E)),
+    ("cost", "objective of 1", lambda: replace(hilltop(-0.5), objective=1 + E), E / (1 + E)),
+    ("cost", "objective of 0.5", lambda: replace(hilltop(-0.5), objective=0.5), 0.5),
     ("adjoint equation", "costates jump there and back", lambda: scaled(energy(), "lam", 1 + E, 1), E / (1 + E)),
     ("Hamiltonian", "costate of q off where v is up to 1.5", lambda: added(energy(), "lam", Q, E, 1), 1.5 * E / 54),
     ("stationarity", "control off its minimum", lambda: added(energy(), "u", A, E, 1), E / 20),
