@@ -46,6 +46,18 @@ def test_pyramid_pseudo_inverse_and_null_vector():
     assert n * np.sign(n[0]) == pytest.approx([1, -1, 1, -1], abs=1e-14)
 
 
+def test_null_vector_leaves_alone_what_no_other_actuator_can_undo():
+    """Two wheels along x, one 1.5 times as strong, can work against each other; those along y and z cannot."""
+    axes = np.array([[1.5, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0]])
+    n = null_vector(axes)
+    assert n / n[3] == pytest.approx([-1 / 1.5, 0, 0, 1], abs=1e-15)
+    assert np.all(n[[1, 2]] == 0) and np.max(n) == 1.0
+    assert null_vector(axes, (1,)) == pytest.approx(n, abs=1e-15)
+    assert null_vector(axes, (0,)) is None
+    with pytest.raises(DesignError, match="2 null directions"):
+        null_vector(np.hstack([axes, axes[:, :1]]))
+
+
 @pytest.mark.parametrize("lost", range(4))
 def test_three_wheels_left_still_span_all_axes(lost):
     inverse = pseudo_inverse(PYRAMID, (lost,))

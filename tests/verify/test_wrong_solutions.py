@@ -395,9 +395,9 @@ def test_push_of_one_path_constraint_among_several() -> None:
     assert verdict.proven, verdict.explain()
 
 
-@pytest.mark.parametrize("unit", [1e-4, 1e4])
+@pytest.mark.parametrize("unit", [1e-4, 1e4, -1.0])
 def test_whether_a_limit_is_reached_does_not_depend_on_units(unit: float) -> None:
-    """A jump at a ceiling is right; at one that is a hundredth higher it is not."""
+    """A jump at a ceiling, or a floor, is right; at one that is a hundredth further away it is not."""
     model = go.Model("double integrator")
     q, v, a = model.state("q"), model.state("v"), model.control("a")
     model.ode({q: v * unit, v: a})
@@ -408,7 +408,7 @@ def test_whether_a_limit_is_reached_does_not_depend_on_units(unit: float) -> Non
         leg.time(0.0, 1.0)
         leg.initial(q=0.0, v=1.0)
         leg.final(q=0.0, v=-1.0)
-        leg.bounds(q=(None, height * unit))
+        leg.bounds(q=(None, height * unit) if unit > 0 else (height * unit, None))
         result.minimize(0.5 * leg.integral(a**2))
         return result
 
