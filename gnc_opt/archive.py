@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from gnc_opt.arguments import Array
+from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError
 
 

@@ -281,7 +281,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parser() -> argparse.ArgumentParser:
-    from gnc_opt.solve import package_version
+    from gnc_opt.versions import package_version
 
     parser = _Parser(
         prog="gnc-opt",

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 if TYPE_CHECKING:
-    from gnc_opt.refine.multistart import Multistart
+    from gnc_opt.refine.search.multistart import Multistart
 
 ShowEnding: TypeAlias = Callable[["float | None"], None]
 

@@ -9,8 +9,8 @@ import numpy as np
 
 if TYPE_CHECKING:
     from gnc_opt.solution.phase_solution import PhaseSolution
+    from gnc_opt.solution.quality import Quality
     from gnc_opt.solution.solution import Solution
-    from gnc_opt.verify.quality import Quality
 
 WIDTH = 13
 WORST = 3

@@ -11,8 +11,8 @@ from gnc_opt.report.summary import known_quality, mesh_text
 
 if TYPE_CHECKING:
     from gnc_opt.model.layout import Layout
-    from gnc_opt.refine.history import History
-    from gnc_opt.solution.arc import Arc
+    from gnc_opt.problem.arc import Arc
+    from gnc_opt.solution.history import History
     from gnc_opt.solution.phase_solution import PhaseSolution
     from gnc_opt.solution.solution import Solution
     from gnc_opt.verify.verdict import Condition, Verdict

@@ -19,11 +19,12 @@ from typing import Any, cast
 import numpy as np
 
 from gnc_opt.archive import damaged, read_archive, write_archive
-from gnc_opt.model.layout import Array, Layout, Variable
+from gnc_opt.arrays import Array
+from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.nlp.status import Status
+from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
-from gnc_opt.solution.arc import Arc, ArcKind
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.solution import Solution, Statistics, Violation
@@ -113,7 +114,7 @@ def load(path: str | Path, problem: Problem | None = None) -> Solution:
 @cache
 def _classes() -> dict[str, type]:
     """The types a file may name; no others are ever made."""
-    from gnc_opt.verify.quality import Quality
+    from gnc_opt.solution.quality import Quality
 
     stored = (
         Solution,

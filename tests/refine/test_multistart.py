@@ -24,8 +24,8 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt import Multistart, cli, multistart
-from gnc_opt.refine.multistart import _Coarse, _Fine
-from gnc_opt.refine.random_guess import with_random_guess
+from gnc_opt.problem.guess.random import with_random_guess
+from gnc_opt.refine.search.multistart import _Coarse, _Fine
 from problems import rendezvous
 from problems.rendezvous_global import GlobalOutcome
 

@@ -172,8 +172,8 @@ def test_exit_code_of_an_interrupted_solve(
 
     original = NlpSolver.solve
 
-    def interrupted(self: NlpSolver, *arguments: Any, callback: Any = None) -> Any:
-        return original(self, *arguments, callback=lambda info: info.iteration >= 2)
+    def interrupted(self: NlpSolver, *arguments: Any, **more: Any) -> Any:
+        return original(self, *arguments, **more | {"callback": lambda info: info.iteration >= 2})
 
     monkeypatch.setattr(NlpSolver, "solve", interrupted)
     assert run("solve", cart) == 130
