@@ -23,10 +23,10 @@ from gnc_opt.control.controller import Controller
 from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.guard import GUARD, Inverse, guarded_controller, guarded_inverse, read_plant
 from gnc_opt.control.lie import OutputErrors, Outputs, output_errors, sample_times
-from gnc_opt.control.lqr import Limits, read_limits
+from gnc_opt.control.linear.lqr import Limits, read_limits
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.sliding_checks import check_zero_dynamics
-from gnc_opt.control.sliding_mode import GROWTH
+from gnc_opt.control.sliding.checks import check_zero_dynamics
+from gnc_opt.control.sliding.sliding_mode import GROWTH
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import Array, as_vector
 from gnc_opt.model.model import Model

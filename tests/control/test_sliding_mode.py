@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from stepping import step_through
 
-from gnc_opt.control.reaching import (
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.sliding.reaching import (
     ConstantRate,
     ExponentialRate,
     PowerRate,
@@ -17,9 +18,8 @@ from gnc_opt.control.reaching import (
     SuperTwisting,
     TanhLayer,
 )
-from gnc_opt.control.reference import Reference
-from gnc_opt.control.sliding_mode import design_sliding_mode
-from gnc_opt.control.super_twisting import SuperTwistingObserver
+from gnc_opt.control.sliding.sliding_mode import design_sliding_mode
+from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
 

@@ -40,10 +40,10 @@ from gnc_opt.control.guard import (
     read_plant,
 )
 from gnc_opt.control.lie import OutputErrors, Pair, chain_errors
-from gnc_opt.control.lqr import Limits, read_limits
-from gnc_opt.control.reaching import Boundary, Law, SuperTwisting, read_bounds
+from gnc_opt.control.linear.lqr import Limits, read_limits
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.sliding_checks import check_step, reserve_facts
+from gnc_opt.control.sliding.checks import check_step, reserve_facts
+from gnc_opt.control.sliding.reaching import Boundary, Law, SuperTwisting, read_bounds
 from gnc_opt.errors import DesignError, did_you_mean
 from gnc_opt.model.layout import Array
 from gnc_opt.model.model import Model

@@ -9,8 +9,8 @@ import numpy as np
 from gnc_opt.arguments import read_positive
 from gnc_opt.control.explanation import Fact
 from gnc_opt.control.lie import OutputErrors, sample_times, zero_dynamics
-from gnc_opt.control.reaching import Boundary, Law, SaturationLayer, Sign, SuperTwisting, TanhLayer
 from gnc_opt.control.reference import Reference
+from gnc_opt.control.sliding.reaching import Boundary, Law, SaturationLayer, Sign, SuperTwisting, TanhLayer
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import Array
 

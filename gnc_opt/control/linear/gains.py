@@ -1,6 +1,6 @@
 """Gains of the time-varying regulator: the Riccati equation backward along a reference.
 
-`gnc_opt.control.tvlqr` states the problem.
+`gnc_opt.control.linear.tvlqr` states the problem.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from scipy.integrate import solve_ivp
 
 from gnc_opt.arguments import read_positive
 from gnc_opt.control.deviation import Deviation
+from gnc_opt.control.linear.linearization_table import LinearizationTable
+from gnc_opt.control.linear.riccati import Steady, gain_of, steady
+from gnc_opt.control.linear.weights import Weight, read_weight, require_semidefinite
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.riccati import Steady, gain_of, steady
 from gnc_opt.control.sampling import Step, sample, sample_along
-from gnc_opt.control.table import LinearizationTable
-from gnc_opt.control.weights import Weight, read_weight, require_semidefinite
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import Array
 

@@ -32,17 +32,17 @@ from gnc_opt.control.guard import (
     read_plant,
 )
 from gnc_opt.control.lie import OutputErrors, Outputs, output_errors
-from gnc_opt.control.lqr import Limits, read_limits
-from gnc_opt.control.reaching import (
+from gnc_opt.control.linear.lqr import Limits, read_limits
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.sliding.checks import check_step, check_zero_dynamics, reserve_facts
+from gnc_opt.control.sliding.reaching import (
     Boundary,
     Law,
     Sign,
     SuperTwisting,
     read_bounds,
 )
-from gnc_opt.control.reference import Reference
-from gnc_opt.control.sliding_checks import check_step, check_zero_dynamics, reserve_facts
-from gnc_opt.control.super_twisting import SuperTwistingObserver
+from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
 from gnc_opt.errors import DesignError, unknown_name
 from gnc_opt.model.layout import Array, as_vector
 from gnc_opt.model.model import Model

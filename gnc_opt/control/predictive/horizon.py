@@ -1,7 +1,7 @@
 """The quadratic programme of a horizon: prediction, limits as rows, and the judgement of its solution.
 
 Its unknowns are omega, (m per step), and one slack for each limited state and step; its cost is half the square of
-their norm and a linear price of the slacks. `gnc_opt.control.mpc` tells why.
+their norm and a linear price of the slacks. `gnc_opt.control.predictive.mpc` tells why.
 """
 
 from __future__ import annotations

@@ -25,11 +25,11 @@ from gnc_opt.arguments import read_positive
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.guard import GUARD, read_plant
 from gnc_opt.control.lie import OutputErrors, Outputs, Pair, chain_errors, error_expressions
-from gnc_opt.control.lqr import Limits
-from gnc_opt.control.reaching import Boundary, Law
+from gnc_opt.control.linear.lqr import Limits
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.sliding_mode import GROWTH, surface_controller
-from gnc_opt.control.super_twisting import SuperTwistingObserver
+from gnc_opt.control.sliding.reaching import Boundary, Law
+from gnc_opt.control.sliding.sliding_mode import GROWTH, surface_controller
+from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import as_vector
 from gnc_opt.model.model import Model

@@ -31,9 +31,10 @@ from gnc_opt.arguments import expect, read_positive
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.explanation import Explanation, Fact
-from gnc_opt.control.margins import margins
+from gnc_opt.control.linear.margins import margins
+from gnc_opt.control.linear.riccati import Steady, require_stabilizable, steady
+from gnc_opt.control.linear.weights import Weight, read_weight, require_definite, require_semidefinite
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.riccati import Steady, require_stabilizable, steady
 from gnc_opt.control.sampling import sample
 from gnc_opt.control.schedule import (
     ReferenceSchedule,
@@ -41,7 +42,6 @@ from gnc_opt.control.schedule import (
     reference_signals,
     reference_times,
 )
-from gnc_opt.control.weights import Weight, read_weight, require_definite, require_semidefinite
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.layout import Array, Layout, Variable, as_vector
 from gnc_opt.model.model import Model

@@ -28,7 +28,7 @@ from gnc_opt.arguments import expect
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.explanation import Explanation, Fact
-from gnc_opt.control.gains import (
+from gnc_opt.control.linear.gains import (
     ContinuousGains,
     Gains,
     SampledGains,
@@ -37,10 +37,17 @@ from gnc_opt.control.gains import (
     riccati_defect,
     riccati_gains,
 )
-from gnc_opt.control.lqr import Limits, margin_facts, read_cost, read_limits, reserve_facts, residual_fact
+from gnc_opt.control.linear.lqr import (
+    Limits,
+    margin_facts,
+    read_cost,
+    read_limits,
+    reserve_facts,
+    residual_fact,
+)
+from gnc_opt.control.linear.weights import Weight
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, reference_times
-from gnc_opt.control.weights import Weight
 from gnc_opt.model.layout import Array, Layout, Variable
 from gnc_opt.model.model import Model
 

@@ -34,13 +34,20 @@ from gnc_opt.arguments import expect, read_positive
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.explanation import Explanation, Fact
-from gnc_opt.control.gains import SampledGains, riccati_gains
-from gnc_opt.control.horizon import Rows, constraints, optimality_residual, prediction
-from gnc_opt.control.lqr import Limits, margin_facts, read_cost, read_limits, reserve_facts, residual_fact
+from gnc_opt.control.linear.gains import SampledGains, riccati_gains
+from gnc_opt.control.linear.lqr import (
+    Limits,
+    margin_facts,
+    read_cost,
+    read_limits,
+    reserve_facts,
+    residual_fact,
+)
+from gnc_opt.control.linear.riccati import gain_of
+from gnc_opt.control.linear.weights import Weight, read_weight, require_semidefinite
+from gnc_opt.control.predictive.horizon import Rows, constraints, optimality_residual, prediction
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.riccati import gain_of
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
-from gnc_opt.control.weights import Weight, read_weight, require_semidefinite
 from gnc_opt.errors import ArgumentError, DesignError, did_you_mean, shown
 from gnc_opt.model.layout import Array, Layout, Variable, as_vector
 from gnc_opt.model.model import Model

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_positive
-from gnc_opt.control.super_twisting import check_gains, convergence_time
+from gnc_opt.control.sliding.super_twisting import check_gains, convergence_time
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import Array, as_vector
 
