@@ -21,7 +21,7 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.control import Explanation, Fact, SuperTwistingObserver
-from gnc_opt.control.guard import GUARD, Memory, guarded_controller, guarded_inverse
+from gnc_opt.control.guard import GUARD, GuardedLaw, Memory, guarded_controller, guarded_inverse
 from gnc_opt.control.lie import OutputErrors, zero_dynamics
 from gnc_opt.control.sliding.hierarchical import hierarchical_errors
 from gnc_opt.control.sliding.reaching_mpc import PredictiveReaching
@@ -155,19 +155,17 @@ def design_swing_law(
     angle = pair.x[pair.model.states.slice("gamma")]
     v = limits.limit(reaching.command(sigma, k.k6 * rate + gamma_hat, effect, angle), angle)
     s_next, q_next = k.observer.update(sigma, s_hat, q, k.k6 * rate + effect * v, dt)
+    memory = (
+        Memory("sigma", ca.SX.sym("sigma"), sigma, sigma),
+        Memory("estimate", old, ca.SX(0), gamma_hat),
+        Memory("sigma_hat", s_hat, sigma, s_next),
+        Memory("q", q, ca.SX(0), q_next),
+    )
     return guarded_controller(
         f"swing control by {type(reaching).__name__}",
         pair,
         reference,
-        command=v,
-        fallback=ca.SX(0),
-        regular=inverse.regular,
-        memory=[
-            Memory("sigma", ca.SX.sym("sigma"), sigma, sigma),
-            Memory("estimate", old, ca.SX(0), gamma_hat),
-            Memory("sigma_hat", s_hat, sigma, s_next),
-            Memory("q", q, ca.SX(0), q_next),
-        ],
+        GuardedLaw(v, inverse.regular, memory, fallback=ca.SX(0)),
         dt=dt,
         explanation=_explain(errors, reference, reaching),
     )

@@ -219,5 +219,5 @@ def test_authority_is_compared_with_the_feedforward():
         model, reference, outputs="v", poles=[-1.0], limits=(-3.0, 3.0)
     )
     assert controller.explain()["saturation reserve"] == pytest.approx(1.0)
-    with pytest.raises(DesignError, match=r"control 'a' is 2 at t = 0 s, its limits are -1\.5 and 1\.5"):
+    with pytest.raises(DesignError, match=r"control 'a' needs 2 at t = 0 s, but its limits are -1\.5 and 1\.5"):
         design_feedback_linearization(model, reference, outputs="v", poles=[-1.0], limits=(-1.5, 1.5))
