@@ -30,11 +30,12 @@ from gnc_opt.control.guard import (
     guarded_controller,
     guarded_inverse,
 )
-from gnc_opt.control.lie import OutputErrors, Outputs, given_for, output_errors, sample_times
+from gnc_opt.control.lie import OutputErrors, Outputs, given_for, output_errors
 from gnc_opt.control.limits import Limits, read_limits, require_reserve
 from gnc_opt.control.poles import real_polynomial
 from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.control.sampling import spectral_radius, zero_order_hold
+from gnc_opt.control.schedule import reference_times
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import Array, as_vector
 from gnc_opt.model.model import Model
@@ -123,7 +124,7 @@ def design_feedback_linearization(
         Fact("smallest determinant on the reference", inverse.lowest, remark=f"largest {inverse.scale:.6g}"),
         *zeros,
         *_sampling_facts(errors, gain, dt),
-        *require_reserve(reference, authority, sample_times(reference)),
+        *require_reserve(reference, authority, reference_times(reference)),
     ]
     u = inverse(-ca.DM(gain) @ _ordered(errors) - errors.drift)
     if start is not None:

@@ -20,9 +20,9 @@ import numpy as np
 
 from gnc_opt.control.controller import Controller, Schedule, first_memory, law
 from gnc_opt.control.explanation import Explanation, Fact
-from gnc_opt.control.lie import OutputErrors, Pair, sample_times, zero_dynamics
+from gnc_opt.control.lie import OutputErrors, Pair, zero_dynamics
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
+from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, reference_times
 from gnc_opt.control.tolerances import LARGEST, dependent
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import Array, Layout, Variable
@@ -84,7 +84,7 @@ def guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) ->
         det E vanishes, changes its sign or falls below ``guard`` times its largest value on the reference.
     """
     pair, matrix, determinant = errors.pair, errors.decoupling, errors.determinant
-    times = sample_times(reference)
+    times = reference_times(reference)
     values = np.array([v[0, 0] for v in pair.along(reference, times, determinant)])
     scale = float(np.max(np.abs(values)))
     signed = values * np.sign(values[int(np.argmax(np.abs(values)))])

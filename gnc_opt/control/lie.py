@@ -33,9 +33,6 @@ Outputs: TypeAlias = str | Sequence[Any] | Mapping[str, Any]
 """What to steer: a name of a state or an output of the model, several of these, SX expressions of (t, x, p), or
 a mapping from names to expressions."""
 
-_SAMPLES = 101
-"""Times at which a design looks at its reference."""
-
 
 @dataclass(frozen=True, eq=False)
 class Pair:
@@ -139,14 +136,6 @@ class OutputErrors:
         """det E, or (det E E^T)^(1/2) where there are more controls than outputs: zero where E is singular."""
         e = self.decoupling
         return ca.det(e) if e.shape[0] == e.shape[1] else ca.sqrt(ca.det(e @ e.T))
-
-
-def sample_times(reference: Reference) -> Array:
-    """Return the times (s) at which a design looks at its reference: dense, with jumps and both ends."""
-    if reference.duration == 0:
-        return np.array([reference.initial_time])
-    grid = np.linspace(reference.initial_time, reference.final_time, _SAMPLES)
-    return np.unique(np.concatenate([grid, reference.jumps]))
 
 
 def lie_derivative(model: Model, expression: Any, order: int = 1) -> Any:

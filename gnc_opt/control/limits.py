@@ -22,6 +22,7 @@ Authority: TypeAlias = tuple[Array, Array]
 """The same, read: lower and upper limits, (n_controls,) each."""
 
 _SAMPLES = 400
+"""Times over a reference at which its shares are looked for."""
 
 
 def read_limits(model: Model, limits: Limits | None) -> Authority | None:

@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_positive
 from gnc_opt.control.explanation import Fact
 from gnc_opt.control.guard import GROWTH, GUARD, Memory
-from gnc_opt.control.lie import OutputErrors, sample_times
+from gnc_opt.control.lie import OutputErrors
 from gnc_opt.control.limits import Authority, Limits, read_limits, require_reserve
 from gnc_opt.control.reference import Reference
+from gnc_opt.control.schedule import reference_times
 from gnc_opt.control.sliding.reaching import (
     Boundary,
     Law,
@@ -85,6 +86,11 @@ class Switching:
         """The |s| within which disturbances at their bounds may hold each surface, continuous control."""
         return np.array([self.reaching.band(self.boundary, float(b)) for b in self.bounds])
 
+    @property
+    def _switched(self) -> float:
+        """By how much ds/dt is switched, units of s per second: nothing by `SuperTwisting`, whose gain is a rate."""
+        return 0.0 if isinstance(self.reaching, SuperTwisting) else self.reaching.gain
+
     def demand(self, s: Any, drift: Any) -> tuple[Any, list[Memory]]:
         """Return E u, so that ``ds/dt = drift + E u`` obeys the reaching law, and the memory that this takes; SX."""
         wanted = -drift - self.reaching.rate(s, self.boundary)
@@ -100,9 +106,10 @@ class Switching:
         """Return the bands of s and the sampling limit."""
         remark = "where a disturbance at its bound may hold s, continuous control"
         facts = [Fact("band of s", self.bands, remark=remark)]
-        if self.dt is not None and isinstance(self.boundary, Sign) and np.isfinite(self.reaching.gain):
-            band = self.reaching.gain * self.dt
-            facts.append(Fact("chattering band of s", band, remark="one control step at full gain"))
+        gain = self._switched
+        if self.dt is not None and isinstance(self.boundary, Sign) and 0 < gain < np.inf:
+            remark = "one control step at full gain"
+            facts.append(Fact("chattering band of s", gain * self.dt, remark=remark))
         slope = self.reaching.slope(self.boundary)
         if np.isfinite(slope):
             remark = "longer control steps chatter in the boundary layer"
@@ -117,13 +124,11 @@ class Switching:
         DesignError
             The feedforward and the gain together ask for more than the limits.
         """
-        if self.limits is None or not np.isfinite(self.reaching.gain):
+        gain = self._switched
+        if self.limits is None or not np.isfinite(gain):
             return []
-        times = sample_times(reference)
+        times = reference_times(reference)
         matrices = errors.pair.along(reference, times, errors.decoupling)
-        gain = (
-            0.0 if isinstance(self.reaching, SuperTwisting) else self.reaching.gain
-        )  # its command is continuous
         need = np.stack([np.sum(np.abs(np.linalg.pinv(m)), axis=1) * gain for m in matrices], axis=1)
         return require_reserve(reference, self.limits, times, gain=need, dt=self.dt)
 
