@@ -98,7 +98,7 @@ def design_hierarchical_sliding_mode(
         errors,
         reference,
         [np.atleast_1d(np.poly(poles))[::-1].astype(float)],
-        SlidingOptions(reaching, boundary, bound, observer, limits, start, dt, guard, growth),
+        SlidingOptions(reaching, boundary, bound, observer, limits, start, dt, guard=guard, growth=growth),
     )
 
 

@@ -100,7 +100,9 @@ def design_sliding_mode(
     errors = output_errors(model, reference, outputs)
     coefficients = _coefficients(errors, slopes)
     title = f"sliding mode of '{model.name}' on {', '.join(errors.labels)}"
-    options = SlidingOptions(reaching, boundary, bound, observer, limits, start, dt, guard, growth)
+    options = SlidingOptions(
+        reaching, boundary, bound, observer, limits, start, dt, guard=guard, growth=growth
+    )
     return surface_controller(name, title, errors, reference, coefficients, options)
 
 
