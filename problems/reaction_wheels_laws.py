@@ -32,7 +32,7 @@ from scipy.linalg import solve_continuous_are
 import gnc_opt as go
 from gnc_opt.control import Explanation, Fact, first_memory, law
 from gnc_opt.control.deviation import Deviation
-from gnc_opt.control.riccati import steady
+from gnc_opt.control.linear.riccati import steady
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
 from gnc_opt.model.layout import Layout
 from gnc_opt.spacecraft import quaternion_error

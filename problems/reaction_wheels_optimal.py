@@ -25,7 +25,7 @@ from scipy.linalg import block_diag
 
 import gnc_opt as go
 from gnc_opt.control.deviation import Deviation
-from gnc_opt.control.riccati import steady
+from gnc_opt.control.linear.riccati import steady
 from gnc_opt.simulation import Constant, Saturation
 from problems.reaction_wheels import (
     INERTIA,

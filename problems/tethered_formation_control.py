@@ -5,9 +5,9 @@ Errors of swing, height and lead make a weighted surface S; with the rate v of t
 .. math:: S = s_\theta + k_4 s_h + k_5 s_\alpha, \quad s_i = k_i e_i + \dot e_i, \qquad
    \sigma = k_6 S + \dot S, \qquad \dot\sigma = k_6 \dot S + \Gamma + G v .
 
-S, its rate and G come from the model by `gnc_opt.control.hierarchical`. :math:`\Gamma` does as well, but the published
+S, its rate and G come from the model by `hierarchical_errors`. :math:`\Gamma` does as well, but the published
 law does not use it: a super-twisting observer estimates it (k_7, k_8). What is left is to bring the scalar
-:math:`\sigma` to zero within the limits of angle and rate: by `gnc_opt.control.reaching_mpc`, or by one of the two laws
+:math:`\sigma` to zero within the limits of angle and rate: by `PredictiveReaching`, or by one of the two laws
 that it is compared with.
 """
 
@@ -21,10 +21,10 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.control import Explanation, Fact, SuperTwistingObserver
-from gnc_opt.control.guard import GUARD, Memory, guarded_controller, guarded_inverse
-from gnc_opt.control.hierarchical import hierarchical_errors
+from gnc_opt.control.guard import GUARD, GuardedLaw, Memory, guarded_controller, guarded_inverse
 from gnc_opt.control.lie import OutputErrors, zero_dynamics
-from gnc_opt.control.reaching_mpc import PredictiveReaching
+from gnc_opt.control.sliding.hierarchical import hierarchical_errors
+from gnc_opt.control.sliding.reaching_mpc import PredictiveReaching
 from problems.tethered_formation import MAX_ANGLE, MAX_RATE, RADIUS
 
 Unknown: TypeAlias = Literal["observed", "ignored", "modelled"]
@@ -155,19 +155,17 @@ def design_swing_law(
     angle = pair.x[pair.model.states.slice("gamma")]
     v = limits.limit(reaching.command(sigma, k.k6 * rate + gamma_hat, effect, angle), angle)
     s_next, q_next = k.observer.update(sigma, s_hat, q, k.k6 * rate + effect * v, dt)
+    memory = (
+        Memory("sigma", ca.SX.sym("sigma"), sigma, sigma),
+        Memory("estimate", old, ca.SX(0), gamma_hat),
+        Memory("sigma_hat", s_hat, sigma, s_next),
+        Memory("q", q, ca.SX(0), q_next),
+    )
     return guarded_controller(
         f"swing control by {type(reaching).__name__}",
         pair,
         reference,
-        command=v,
-        fallback=ca.SX(0),
-        regular=inverse.regular,
-        memory=[
-            Memory("sigma", ca.SX.sym("sigma"), sigma, sigma),
-            Memory("estimate", old, ca.SX(0), gamma_hat),
-            Memory("sigma_hat", s_hat, sigma, s_next),
-            Memory("q", q, ca.SX(0), q_next),
-        ],
+        GuardedLaw(v, inverse.regular, memory, fallback=ca.SX(0)),
         dt=dt,
         explanation=_explain(errors, reference, reaching),
     )

@@ -23,13 +23,14 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_positive
 from gnc_opt.control.controller import Controller
-from gnc_opt.control.guard import GUARD, read_plant
+from gnc_opt.control.guard import GROWTH, GUARD
 from gnc_opt.control.lie import OutputErrors, Outputs, Pair, chain_errors, error_expressions
-from gnc_opt.control.lqr import Limits
-from gnc_opt.control.reaching import Boundary, Law
-from gnc_opt.control.reference import Reference
-from gnc_opt.control.sliding_mode import GROWTH, surface_controller
-from gnc_opt.control.super_twisting import SuperTwistingObserver
+from gnc_opt.control.limits import Limits
+from gnc_opt.control.reference import Reference, read_plant
+from gnc_opt.control.sliding.reaching import Boundary, Law
+from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
+from gnc_opt.control.sliding.surface import surface_controller
+from gnc_opt.control.sliding.switching import SlidingOptions
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import as_vector
 from gnc_opt.model.model import Model
@@ -97,15 +98,7 @@ def design_hierarchical_sliding_mode(
         errors,
         reference,
         [np.atleast_1d(np.poly(poles))[::-1].astype(float)],
-        reaching=reaching,
-        boundary=boundary,
-        bound=bound,
-        observer=observer,
-        limits=limits,
-        start=start,
-        dt=dt,
-        guard=guard,
-        growth=growth,
+        SlidingOptions(reaching, boundary, bound, observer, limits, start, dt, guard=guard, growth=growth),
     )
 
 

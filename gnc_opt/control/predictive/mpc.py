@@ -34,13 +34,15 @@ from gnc_opt.arguments import expect, read_positive
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.explanation import Explanation, Fact
-from gnc_opt.control.gains import SampledGains, riccati_gains
-from gnc_opt.control.horizon import Rows, constraints, optimality_residual, prediction
-from gnc_opt.control.lqr import Limits, margin_facts, read_cost, read_limits, reserve_facts, residual_fact
+from gnc_opt.control.limits import Limits, clip, read_limits, reserve_shares
+from gnc_opt.control.linear.facts import regulator_facts
+from gnc_opt.control.linear.gains import SampledGains, riccati_gains
+from gnc_opt.control.linear.riccati import gain_of
+from gnc_opt.control.linear.weights import Weight, read_cost, read_weight, require_semidefinite
+from gnc_opt.control.predictive.horizon import Rows, prediction, programme
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.riccati import gain_of
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
-from gnc_opt.control.weights import Weight, read_weight, require_semidefinite
+from gnc_opt.control.tolerances import LARGEST, ROUNDING, SAME_TIME, STEP_SLACK, alike
 from gnc_opt.errors import ArgumentError, DesignError, did_you_mean, shown
 from gnc_opt.model.layout import Array, Layout, Variable, as_vector
 from gnc_opt.model.model import Model
@@ -53,9 +55,6 @@ QP_FAILED, NOT_A_NUMBER = 1, 2
 QP_TOLERANCE = 1e-6
 """Largest residual of the optimality conditions, limits scaled to [-1, 1], that counts as solved."""
 
-_CONSTANT = 1e-10
-_LARGEST = 1e30
-"""Measurements above this are taken for none."""
 _OPTIONS: dict[str, dict[str, Any]] = {
     "daqp": {},
     "qrqp": {"print_iter": False, "print_header": False, "print_info": False, "constr_viol_tol": 1e-9},
@@ -127,8 +126,7 @@ def design_mpc(
     dt = read_positive(dt, "the control step dt")
     count = _steps(read_positive(horizon, "the horizon"), dt)
     deviation = Deviation(model)
-    q, r, n = read_cost(model, Q, R, N)
-    gains = riccati_gains(deviation, reference, q, r, n, dt=dt)
+    gains = riccati_gains(deviation, reference, read_cost(model, Q, R, N), dt=dt)
     assert isinstance(gains, SampledGains)
     bounds = read_limits(model, limits)
     assert bounds is not None
@@ -160,7 +158,7 @@ def design_mpc(
         span=(reference.initial_time, reference.final_time),
         explanation=Explanation(
             f"{name} of '{model.name}' along {reference!r}",
-            (*_facts(gains, windows, rows, solver), *reserve_facts(reference, bounds)),
+            (*_facts(gains, windows, rows, solver), *reserve_shares(reference, bounds)),
         ),
     )
 
@@ -180,11 +178,7 @@ class _Windows:
     def constant(self) -> bool:
         """Whether every step of the reference is like the last."""
         last = self.gains.steps[-1]
-        return all(
-            np.allclose(s.a, last.a, rtol=_CONSTANT, atol=_CONSTANT * np.max(np.abs(last.a)))
-            and np.allclose(s.b, last.b, rtol=_CONSTANT, atol=_CONSTANT * np.max(np.abs(last.b)))
-            for s in self.gains.steps
-        )
+        return all(alike(s.a, last.a) and alike(s.b, last.b) for s in self.gains.steps)
 
     def __call__(self, first: int) -> tuple[Array, Array, Array, Array]:
         steps, costs = self.gains.steps, self.gains.costs
@@ -223,7 +217,7 @@ class _Schedule:
     def __call__(self, times: Array, dt: float) -> Array:
         times, count = np.atleast_1d(times), self.windows.count
         grid = times[:, None] + dt * np.arange(count + 1)
-        _, where, back = np.unique(np.round(grid / dt * 1e6), return_index=True, return_inverse=True)
+        _, where, back = np.unique(np.round(grid / dt / STEP_SLACK), return_index=True, return_inverse=True)
         here = grid.ravel()[where]  # every time once, though horizons overlap
         reference = self.reference.reference
         u = reference.mean_control(here, dt)[:, back.reshape(grid.shape)]
@@ -245,7 +239,7 @@ def _law(
     t, x, r = ca.MX.sym("t"), ca.MX.sym("x", states), ca.MX.sym("r", signals.size)
     x_ref, u_ff = r[:states], r[states : states + m * count]
     x_limited = r[states + m * count : states + (m + limited) * count]
-    regular = ca.sum1(ca.fabs(x) <= _LARGEST) == states  # no comparison holds for what is not a number
+    regular = ca.sum1(ca.fabs(x) <= LARGEST) == states  # no comparison holds for what is not a number
     sx, sx_ref = ca.SX.sym("x", states), ca.SX.sym("x_ref", states)
     error = ca.Function("e", [sx, sx_ref], [deviation.expression(sx, sx_ref)])
     e = error(ca.if_else(regular, x, x_ref), x_ref)
@@ -257,22 +251,24 @@ def _law(
     previous, plan, multipliers, alarm = ca.vertsplit(
         z, [0, m, m + size, m + size + n_rows, m + size + n_rows + 1]
     )
-    g, a, low, high = constraints(rows, u_free, v_w, x_limited, e_e @ e, e_w, previous)
+    task = programme(rows, u_free, v_w, x_limited, e_e @ e, e_w, previous)
     least = ca.DM.eye(size)
     shape = {"h": least.sparsity(), "a": ca.Sparsity.dense(n_rows, size)}
     qp = ca.conic("qp", solver, shape, {**_OPTIONS[solver], "error_on_fail": False})
     from_ = np.concatenate(
         [np.full(m * count, -np.inf), np.zeros(limited * count)]
     )  # slacks are not negative
-    answer = qp(h=least, g=g, a=a, lba=low, uba=high, lbx=from_, x0=plan, lam_a0=multipliers)
+    answer = qp(
+        h=least, g=task.g, a=task.a, lba=task.low, uba=task.high, lbx=from_, x0=plan, lam_a0=multipliers
+    )
     omega, lam_a, lam_x = answer["x"], answer["lam_a"], answer["lam_x"]
-    solved = optimality_residual(omega, lam_a, lam_x, g, a, low, high, m * count) <= QP_TOLERANCE
+    solved = task.optimality_residual(omega, lam_a, lam_x) <= QP_TOLERANCE
 
     lower, upper = ca.DM(rows.lower), ca.DM(rows.upper)
     if rows.change is not None:
         lower, upper = ca.fmax(lower, previous - rows.change), ca.fmin(upper, previous + rows.change)
     shift = ca.if_else(solved, v_w[:m, :] @ omega[: m * count], 0)
-    u = ca.fmin(ca.fmax(u_free[:m] + shift, lower), upper)
+    u = clip(u_free[:m] + shift, lower, upper)
     code = ca.if_else(regular, ca.if_else(solved, 0, QP_FAILED), NOT_A_NUMBER)
     _, later, slacks = ca.vertsplit(omega, [0, m, m * count, size])
     after = ca.vertcat(
@@ -283,7 +279,7 @@ def _law(
     )
     parts = {"previous_command": m, "plan": size, "multipliers": n_rows, "qp_alarm": 1}
     memory = Layout("memory", tuple(Variable(k, v) for k, v in parts.items()), "the memory of the controller")
-    first = ca.fmin(ca.fmax(u_ff[:m], rows.lower), rows.upper)
+    first = clip(u_ff[:m], rows.lower, rows.upper)
     return (
         law(t, x, r, z, u, after),
         first_memory(t, x, r, ca.vertcat(first, ca.MX.zeros(size + n_rows + 1))),
@@ -310,7 +306,7 @@ def _matrices(schedule: _Schedule, r: Any, place: int) -> list[list[Any]]:
 
 def _steps(horizon: float, dt: float) -> int:
     count = round(horizon / dt)
-    if count < 1 or not np.isclose(count * dt, horizon, rtol=1e-9):
+    if count < 1 or not np.isclose(count * dt, horizon, rtol=SAME_TIME):
         raise ArgumentError(
             f"a horizon of {horizon:g} s is no whole number of steps of {dt:g} s: give k * dt, k >= 1."
         )
@@ -332,7 +328,7 @@ def _subtracts(deviation: Deviation, name: str) -> bool:
     states, rows = deviation.model.states, deviation.model.states.slice(name)
     x, x_ref = np.cos(1.0 + np.arange(states.size)), np.sin(2.0 + np.arange(states.size))
     e = deviation(x, x_ref)[deviation.errors.slice(name)]
-    return e.size == states[name].size and np.allclose(e, (x - x_ref)[rows], rtol=1e-12, atol=1e-12)
+    return e.size == states[name].size and np.allclose(e, (x - x_ref)[rows], rtol=ROUNDING, atol=ROUNDING)
 
 
 def _state_rows(
@@ -375,8 +371,6 @@ def _facts(gains: SampledGains, windows: _Windows, rows: Rows, solver: str) -> l
     ]
     if gains.steady is not None:
         last = gains.steps[-1]
-        poles = np.log(gains.steady.poles.astype(complex)) / gains.dt
-        facts.append(Fact("closed-loop poles", poles, "1/s", "without limits, after the end; slowest first"))
-        facts += margin_facts(last.a, last.b, gains.steady.gain, gains.dt)
-        facts.append(residual_fact(gains.steady.residual))
+        remark = "without limits, after the end; slowest first"
+        facts += regulator_facts(gains.steady, (last.a, last.b), gains.dt, remark=remark)
     return facts

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_positive
-from gnc_opt.control.super_twisting import check_gains, convergence_time
+from gnc_opt.control.sliding.super_twisting import check_gains, convergence_time
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import Array, as_vector
 
@@ -50,8 +50,8 @@ class Sign:
 
 
 @dataclass(frozen=True)
-class SaturationLayer:
-    """sat(s / phi): linear inside the boundary layer |s| <= phi (unit of s)."""
+class _Layer:
+    """A soft sign in a boundary layer of half width phi (unit of s)."""
 
     phi: float
 
@@ -62,6 +62,11 @@ class SaturationLayer:
     def slope(self) -> float:
         """Steepest slope, 1 / phi."""
         return 1 / self.phi
+
+
+@dataclass(frozen=True)
+class SaturationLayer(_Layer):
+    """sat(s / phi): linear inside the boundary layer |s| <= phi (unit of s)."""
 
     def __call__(self, s: Any) -> Any:
         """Return the soft sign, SX."""
@@ -73,18 +78,8 @@ class SaturationLayer:
 
 
 @dataclass(frozen=True)
-class TanhLayer:
+class TanhLayer(_Layer):
     """tanh(s / phi): smooth, never quite at full gain."""
-
-    phi: float
-
-    def __post_init__(self) -> None:
-        read_positive(self.phi, "the width phi of a boundary layer")
-
-    @property
-    def slope(self) -> float:
-        """Steepest slope, 1 / phi."""
-        return 1 / self.phi
 
     def __call__(self, s: Any) -> Any:
         """Return the soft sign, SX."""
@@ -96,8 +91,8 @@ class TanhLayer:
 
 
 @dataclass(frozen=True)
-class ConstantRate:
-    """ds/dt = -eta sign(s); eta in units of s per second."""
+class _Relay:
+    """A law that switches by eta (units of s per second) at every s."""
 
     eta: float
 
@@ -108,6 +103,15 @@ class ConstantRate:
     def gain(self) -> float:
         """What is there against disturbances at every s, in units of s per second."""
         return self.eta
+
+    def band(self, boundary: Boundary, bound: float) -> float:
+        """Return the |s| within which a disturbance up to ``bound`` can hold s, for continuous control."""
+        return boundary.width(bound / self.eta)
+
+
+@dataclass(frozen=True)
+class ConstantRate(_Relay):
+    """ds/dt = -eta sign(s); eta in units of s per second."""
 
     def rate(self, s: Any, boundary: Boundary) -> Any:
         """Return rho(s), SX."""
@@ -121,26 +125,19 @@ class ConstantRate:
         """Return the longest time (s) from s to zero with a disturbance up to ``bound``, ideal switching."""
         return abs(s) / (self.eta - bound)
 
-    def band(self, boundary: Boundary, bound: float) -> float:
-        """Return the |s| within which a disturbance up to ``bound`` can hold s, for continuous control."""
-        return boundary.width(bound / self.eta)
-
 
 @dataclass(frozen=True)
-class ExponentialRate:
-    """ds/dt = -eta sign(s) - k s; faster from afar than `ConstantRate`, k in 1/s."""
+class ExponentialRate(_Relay):
+    """ds/dt = -eta sign(s) - k s; faster from afar than `ConstantRate`, k in 1/s.
 
-    eta: float
+    Its band is that of `ConstantRate`; k makes it a little smaller.
+    """
+
     k: float
 
     def __post_init__(self) -> None:
-        read_positive(self.eta, "the gain eta of a reaching law")
+        super().__post_init__()
         read_positive(self.k, "the rate k of a reaching law")
-
-    @property
-    def gain(self) -> float:
-        """What is there against disturbances at every s, in units of s per second."""
-        return self.eta
 
     def rate(self, s: Any, boundary: Boundary) -> Any:
         """Return rho(s), SX."""
@@ -153,10 +150,6 @@ class ExponentialRate:
     def reaching_time(self, s: float, bound: float) -> float:
         """Return the longest time (s) from s to zero with a disturbance up to ``bound``, ideal switching."""
         return float(np.log1p(self.k * abs(s) / (self.eta - bound))) / self.k
-
-    def band(self, boundary: Boundary, bound: float) -> float:
-        """Return the |s| within which a disturbance up to ``bound`` can hold s; k makes it a little smaller."""
-        return boundary.width(bound / self.eta)
 
 
 @dataclass(frozen=True)

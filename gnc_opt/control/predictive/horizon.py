@@ -1,7 +1,7 @@
 """The quadratic programme of a horizon: prediction, limits as rows, and the judgement of its solution.
 
 Its unknowns are omega, (m per step), and one slack for each limited state and step; its cost is half the square of
-their norm and a linear price of the slacks. `gnc_opt.control.mpc` tells why.
+their norm and a linear price of the slacks. `gnc_opt.control.predictive.mpc` tells why.
 """
 
 from __future__ import annotations
@@ -69,6 +69,38 @@ class Rows:
         return np.where(np.isfinite(half), half, np.where(np.isfinite(one) & (one > 0), one, 1.0))
 
 
+@dataclass(frozen=True, eq=False)
+class Programme:
+    """``min omega'omega/2 + g'omega`` within ``low <= a omega <= high``, rows scaled to [-1, 1]; MX.
+
+    The first ``free`` unknowns may have any sign; the slacks after them are not negative.
+    """
+
+    g: Any
+    a: Any
+    low: Any
+    high: Any
+    free: int
+
+    def optimality_residual(self, omega: Any, lam_a: Any, lam_x: Any) -> Any:
+        """Return the largest violation of the optimality conditions; multipliers are positive at upper limits.
+
+        Stationarity and complementarity are relative to the largest multiplier or gradient, if that is above 1.
+        """
+        size = ca.fmax(1, ca.fmax(ca.norm_inf(lam_a), ca.fmax(ca.norm_inf(lam_x), ca.norm_inf(self.g))))
+        stationary = ca.norm_inf(omega + self.g + self.a.T @ lam_a + lam_x) / size
+        value = self.a @ omega
+        outside = ca.mmax(ca.fmax(ca.fmax(value - self.high, self.low - value), 0))
+        gap_high, gap_low = ca.fmin(self.high - value, _FAR), ca.fmin(value - self.low, _FAR)
+        slack = ca.norm_inf(ca.fmax(lam_a, 0) * gap_high) + ca.norm_inf(ca.fmin(lam_a, 0) * gap_low)
+        found = [stationary, outside, slack / size]
+        if omega.shape[0] > self.free:
+            slacks, multipliers = omega[self.free :], lam_x[self.free :]
+            found += [ca.mmax(ca.fmax(-slacks, 0)), ca.mmax(ca.fmax(multipliers, 0)) / size]
+            found.append(ca.norm_inf(multipliers * slacks) / size)
+        return sum(found)  # not the maximum: fmax would hide what is not a number
+
+
 def prediction(matrices: list[list[Any]]) -> tuple[Any, Any, Any, Any]:
     """Return v_e, v_w, e_e, e_w: ``v = v_e e_0 + v_w omega`` over the steps, ``e = e_e e_0 + e_w omega`` at their ends.
 
@@ -88,10 +120,10 @@ def prediction(matrices: list[list[Any]]) -> tuple[Any, Any, Any, Any]:
     return ca.vertcat(*v_e), ca.vertcat(*v_w), ca.vertcat(*e_e), ca.vertcat(*e_w)
 
 
-def constraints(
+def programme(
     rows: Rows, u_free: Any, v_w: Any, x_ref: Any, e_free: Any, e_w: Any, previous: Any
-) -> tuple[Any, Any, Any, Any]:
-    """Return the gradient, the matrix and the lower and upper limits of its rows, each scaled to [-1, 1].
+) -> Programme:
+    """Return the programme of a horizon.
 
     Parameters
     ----------
@@ -119,33 +151,11 @@ def constraints(
     hard = [ca.vertcat(*column) for column in zip(*parts, strict=True)]
     gradient = ca.DM.zeros(m * count)
     if not rows.states:
-        return gradient, *hard
+        return Programme(gradient, hard[0], hard[1], hard[2], m * count)
     price, soft = _soft(rows, count, x_ref, e_free, e_w)
     wide = ca.horzcat(hard[0], ca.DM.zeros(hard[0].shape[0], price.shape[0]))
-    gradient = ca.vertcat(gradient, price)
-    return gradient, ca.vertcat(wide, soft[0]), ca.vertcat(hard[1], soft[1]), ca.vertcat(hard[2], soft[2])
-
-
-def optimality_residual(
-    omega: Any, lam_a: Any, lam_x: Any, g: Any, a: Any, low: Any, high: Any, free: int
-) -> Any:
-    """Return the largest violation of the optimality conditions of ``min omega'omega/2 + g'omega``.
-
-    ``low <= a omega <= high``, omega >= 0 but for its first ``free`` entries; multipliers are positive at upper limits.
-    Stationarity and complementarity are relative to the largest multiplier or gradient, if that is above 1.
-    """
-    size = ca.fmax(1, ca.fmax(ca.norm_inf(lam_a), ca.fmax(ca.norm_inf(lam_x), ca.norm_inf(g))))
-    stationary = ca.norm_inf(omega + g + a.T @ lam_a + lam_x) / size
-    value = a @ omega
-    outside = ca.mmax(ca.fmax(ca.fmax(value - high, low - value), 0))
-    gap_high, gap_low = ca.fmin(high - value, _FAR), ca.fmin(value - low, _FAR)
-    slack = ca.norm_inf(ca.fmax(lam_a, 0) * gap_high) + ca.norm_inf(ca.fmin(lam_a, 0) * gap_low)
-    found = [stationary, outside, slack / size]
-    if omega.shape[0] > free:
-        slacks, multipliers = omega[free:], lam_x[free:]
-        found += [ca.mmax(ca.fmax(-slacks, 0)), ca.mmax(ca.fmax(multipliers, 0)) / size]
-        found.append(ca.norm_inf(multipliers * slacks) / size)
-    return sum(found)  # not the maximum: fmax would hide what is not a number
+    below, above = (ca.vertcat(hard[k], soft[k]) for k in (1, 2))
+    return Programme(ca.vertcat(gradient, price), ca.vertcat(wide, soft[0]), below, above, m * count)
 
 
 def _soft(rows: Rows, count: int, x_ref: Any, e_free: Any, e_w: Any) -> tuple[Any, tuple[Any, Any, Any]]:

@@ -31,6 +31,7 @@ from scipy.linalg import (
     solve_discrete_lyapunov,
 )
 
+from gnc_opt.control.tolerances import ROUNDING, TINY
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import Array
 
@@ -130,7 +131,7 @@ def residual(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, *, samp
     gain = gain_of(a, b, r, n, p, sampled=sampled)
     quadratic = gain.T @ (r + b.T @ p @ b if sampled else r) @ gain
     terms = [a.T @ p @ a, -p, -quadratic, q] if sampled else [a.T @ p, p @ a, -quadratic, q]
-    diagonal = np.sqrt(np.maximum(np.diag(p), np.finfo(float).tiny))
+    diagonal = np.sqrt(np.maximum(np.diag(p), TINY))
     scale = np.outer(diagonal, diagonal)
     largest = max(np.max(np.abs(term) / scale) for term in terms)
     return float(np.max(np.abs(sum(terms)) / scale) / largest) if largest > 0 else 0.0
@@ -166,7 +167,7 @@ def unreached(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mode]:
     """
     size = a.shape[0]
     balanced, scale = _balanced(a)
-    balanced = balanced / max(np.linalg.norm(balanced, 2), np.finfo(float).tiny)
+    balanced = balanced / max(float(np.linalg.norm(balanced, 2)), TINY)
     rate = np.linalg.norm(_balanced(a)[0], 2)
     inputs = b / scale[:, None]
     length = np.linalg.norm(inputs, axis=0)
@@ -237,7 +238,7 @@ def _polished(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, sample
 
 
 def _text(value: complex) -> str:
-    return f"{value.real:.4g}" if abs(value.imag) <= 1e-12 * max(abs(value), 1e-300) else f"{value:.4g}"
+    return f"{value.real:.4g}" if abs(value.imag) <= ROUNDING * abs(value) else f"{value:.4g}"
 
 
 def _list(names: tuple[str, ...]) -> str:

@@ -1,6 +1,6 @@
 """Gains of the time-varying regulator: the Riccati equation backward along a reference.
 
-`gnc_opt.control.tvlqr` states the problem.
+`gnc_opt.control.linear.tvlqr` states the problem.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from scipy.integrate import solve_ivp
 
 from gnc_opt.arguments import read_positive
 from gnc_opt.control.deviation import Deviation
+from gnc_opt.control.linear.linearization_table import LinearizationTable
+from gnc_opt.control.linear.riccati import Steady, gain_of, steady
+from gnc_opt.control.linear.weights import QuadraticCost, Weight, read_weight, require_semidefinite
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.riccati import Steady, gain_of, steady
-from gnc_opt.control.sampling import Step, sample, sample_along
-from gnc_opt.control.table import LinearizationTable
-from gnc_opt.control.weights import Weight, read_weight, require_semidefinite
+from gnc_opt.control.sampling import SampledStep, sample, sample_along
+from gnc_opt.control.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, TINY
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import Array
 
@@ -27,6 +28,9 @@ _RTOL = 1e-11
 _ATOL = 1e-13
 """Relative to the size of P."""
 _SAMPLES = 40
+"""Times along a reference at which P is put into its equation."""
+_DIFFERENCE = 2e-3
+"""Step of the difference quotient of P, relative to the distance of those times."""
 
 
 class Gains(Protocol):
@@ -94,7 +98,7 @@ class SampledGains:
 
     initial_time: float
     dt: float
-    steps: tuple[Step, ...]
+    steps: tuple[SampledStep, ...]
     """Plant and cost over each step; the steps after the end are all like the last."""
     gains: tuple[Array, ...]
     costs: tuple[Array, ...]
@@ -104,7 +108,7 @@ class SampledGains:
 
     def index(self, t: float) -> int:
         """Return the number of the step that t lies in."""
-        return max(int(np.floor((t - self.initial_time) / self.dt + 1e-6)), 0)
+        return max(int(np.floor((t - self.initial_time) / self.dt + STEP_SLACK)), 0)
 
     def P(self, t: float) -> Array:
         """See `Gains`."""
@@ -122,9 +126,7 @@ class SampledGains:
 def riccati_gains(
     deviation: Deviation,
     reference: Reference,
-    q: Array,
-    r: Array,
-    n: Array,
+    cost: QuadraticCost,
     *,
     terminal: Weight | None = None,
     dt: float | None = None,
@@ -132,16 +134,16 @@ def riccati_gains(
     """Return the gains along a reference, continuous or (with dt, s) sampled."""
     end = None if terminal is None else _terminal(terminal, deviation)
     if dt is not None:
-        return _sampled(deviation, reference, (q, r, n), end, read_positive(dt, "the control step dt"))
+        return _sampled(deviation, reference, cost, end, read_positive(dt, "the control step dt"))
     t_f = reference.final_time
     a, b = deviation.linearize(t_f, reference.x(t_f), resting_control(reference))
-    regulator = _tail_regulator(a, b, (q, r, n), deviation, end, sampled=False)
+    regulator = _tail_regulator((a, b), cost, deviation, end, sampled=False)
     last = regulator.cost if end is None and regulator is not None else end
     assert last is not None
-    tail = regulator.gain if regulator is not None else gain_of(a, b, r, n, last, sampled=False)
+    tail = regulator.gain if regulator is not None else gain_of(a, b, cost.r, cost.n, last, sampled=False)
     table = LinearizationTable(deviation, reference)
-    pieces = _integrate(table, reference, (q, r, n), last)
-    return ContinuousGains(reference, deviation, table, r, n, pieces, last, tail, regulator)
+    pieces = _integrate(table, reference, cost, last)
+    return ContinuousGains(reference, deviation, table, cost.r, cost.n, pieces, last, tail, regulator)
 
 
 def _terminal(terminal: Weight, deviation: Deviation) -> Array:
@@ -157,9 +159,8 @@ def resting_control(reference: Reference) -> Array:
 
 
 def _tail_regulator(
-    a: Array,
-    b: Array,
-    cost: tuple[Array, Array, Array],
+    plant: tuple[Array, Array],
+    cost: QuadraticCost,
     deviation: Deviation,
     end: Array | None,
     *,
@@ -167,7 +168,7 @@ def _tail_regulator(
 ) -> Steady | None:
     """The steady regulator after the end; with a terminal weight the design can do without one."""
     try:
-        return steady(a, b, *cost, deviation.errors.labels, sampled=sampled)
+        return steady(*plant, *cost, deviation.errors.labels, sampled=sampled)
     except DesignError as error:
         if end is None:
             told = str(error).rstrip(".")
@@ -176,7 +177,7 @@ def _tail_regulator(
 
 
 def _integrate(
-    linearize: LinearizationTable, reference: Reference, cost: tuple[Array, Array, Array], last: Array
+    linearize: LinearizationTable, reference: Reference, cost: QuadraticCost, last: Array
 ) -> tuple[tuple[float, float, Callable[[float], Array]], ...]:
     q, r, n = cost
     size = last.shape[0]
@@ -185,11 +186,11 @@ def _integrate(
     if end <= start:
         return ()
     edges = np.unique(np.clip(np.concatenate([[start, end], reference.jumps]), start, end))
-    edges = edges[np.append(True, np.diff(edges) > 1e-12 * (end - start))]
+    edges = edges[np.append(True, np.diff(edges) > ROUNDING * (end - start))]
     edges[-1] = end
     packed, pieces = _packed(last), []
     for left, right in reversed(list(itertools.pairwise(edges))):
-        nudge = 1e-9 * (right - left)
+        nudge = SAME_TIME * (right - left)
 
         def slope(t: float, y: Array, low: float = left + nudge, high: float = right - nudge) -> Array:
             a, b = linearize(min(max(t, low), high))  # this side of the jumps
@@ -198,7 +199,7 @@ def _integrate(
             flow = a.T @ p
             return -_packed(flow + flow.T - half.T @ inverse @ half + q)
 
-        scale = max(float(np.max(np.abs(packed))), float(np.finfo(float).tiny))
+        scale = max(float(np.max(np.abs(packed))), TINY)
         found = solve_ivp(
             slope, (right, left), packed, method="DOP853", rtol=_RTOL, atol=_ATOL * scale, dense_output=True
         )
@@ -213,17 +214,17 @@ def _integrate(
 
 
 def _sampled(
-    deviation: Deviation, reference: Reference, cost: tuple[Array, Array, Array], end: Array | None, dt: float
+    deviation: Deviation, reference: Reference, cost: QuadraticCost, end: Array | None, dt: float
 ) -> SampledGains:
     t_0, t_f = reference.initial_time, reference.final_time
     a, b = deviation.linearize(t_f, reference.x(t_f), resting_control(reference))
     resting = sample(a, b, *cost, dt)
     regulator = _tail_regulator(
-        resting.a, resting.b, (resting.q, resting.r, resting.n), deviation, end, sampled=True
+        (resting.a, resting.b), QuadraticCost(resting.q, resting.r, resting.n), deviation, end, sampled=True
     )
     p = regulator.cost if end is None and regulator is not None else end
     assert p is not None
-    count = int(np.ceil((t_f - t_0) / dt - 1e-6))
+    count = int(np.ceil((t_f - t_0) / dt - STEP_SLACK))
     table = LinearizationTable(deviation, reference)
 
     def linearize(t: float) -> tuple[Array, Array]:
@@ -248,16 +249,17 @@ def _sampled(
     return SampledGains(t_0, dt, (*steps, resting), *ordered, tail, regulator)
 
 
-def riccati_defect(gains: ContinuousGains, q: Array, r: Array, n: Array, samples: int = _SAMPLES) -> float:
+def riccati_defect(gains: ContinuousGains, cost: QuadraticCost, samples: int = _SAMPLES) -> float:
     """Return the largest defect of dense P(t) in its equation, relative to the largest term at that time.
 
     dP/dt is a central difference of fourth order: nothing of the integration is used but the values of P.
     """
     reference, worst = gains.reference, 0.0
+    q, r, n = cost
     span = reference.duration
     for left, right, _ in gains.pieces:
         count = max(int(np.ceil(samples * (right - left) / span)), 1)
-        h = 2e-3 * (right - left) / count
+        h = _DIFFERENCE * (right - left) / count
         for t in left + (np.arange(count) + 0.5) * (right - left) / count:
             p = gains.P(t)
             near = [gains.P(t + k * h) for k in (-2, -1, 1, 2)]

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_numbers
+from gnc_opt.control.tolerances import ROUNDING
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.model.layout import Array, Layout, as_vector
+from gnc_opt.model.model import Model
 
 Weight: TypeAlias = ArrayLike | Mapping[str, ArrayLike]
 """A matrix (n, n), a diagonal (n,), one number for all, or diagonal entries by name (absent names weigh 0)."""
-
-_ROUNDING = 1e-12
-"""Eigenvalues this negative, with the diagonal scaled to one, count as zero; asymmetry alike."""
 
 
 def bryson(layout: Layout, /, **largest: ArrayLike) -> dict[str, float | Array]:
@@ -61,6 +60,39 @@ def bryson(layout: Layout, /, **largest: ArrayLike) -> dict[str, float | Array]:
     return weights
 
 
+class QuadraticCost(NamedTuple):
+    """Weights of ``e'q e + v'r v + 2 e'n v``.
+
+    Attributes
+    ----------
+    q : array (n_errors, n_errors)
+    r : array (n_controls, n_controls)
+    n : array (n_errors, n_controls)
+    """
+
+    q: Array
+    r: Array
+    n: Array
+
+
+def read_cost(model: Model, q: Weight, r: Weight, n: ArrayLike | None) -> QuadraticCost:
+    """Return Q, R, N as matrices; refuse costs that reward errors or controls."""
+    errors, controls = model.errors, model.controls
+    weight, effort = read_weight(q, errors, "the weight Q"), read_weight(r, controls, "the weight R")
+    require_semidefinite(weight, errors.labels, "the weight Q")
+    require_definite(effort, controls.labels, "the weight R")
+    shape = (errors.size, controls.size)
+    cross = np.zeros(shape) if n is None else np.asarray(n, dtype=float)
+    if cross.shape != shape or not np.all(np.isfinite(cross)):
+        raise ArgumentError(
+            f"the weight N has the shape {cross.shape}: give finite numbers of the shape {shape}."
+        )
+    if n is not None:
+        both = np.block([[weight, cross], [cross.T, effort]])
+        require_semidefinite(both, errors.labels + controls.labels, "the weight [[Q, N], [N', R]]")
+    return QuadraticCost(weight, effort, cross)
+
+
 def read_weight(value: Weight, layout: Layout, what: str) -> Array:
     """Return a symmetric matrix (n, n) of finite numbers, n the size of the layout."""
     n = layout.size
@@ -80,7 +112,7 @@ def read_weight(value: Weight, layout: Layout, what: str) -> Array:
         )
     if not np.all(np.isfinite(matrix)):
         raise ArgumentError(f"{what} has entries that are not finite: give numbers.")
-    if np.max(np.abs(matrix - matrix.T), initial=0.0) > _ROUNDING * np.max(np.abs(matrix), initial=0.0):
+    if np.max(np.abs(matrix - matrix.T), initial=0.0) > ROUNDING * np.max(np.abs(matrix), initial=0.0):
         raise DesignError(f"{what} is not symmetric: give (W + W.T) / 2, which weighs the same.")
     return np.asarray(0.5 * (matrix + matrix.T))
 
@@ -88,7 +120,7 @@ def read_weight(value: Weight, layout: Layout, what: str) -> Array:
 def require_semidefinite(weight: Array, labels: tuple[str, ...], what: str) -> None:
     """Raise `DesignError` with the smallest eigenvalue unless the weight is positive semidefinite."""
     smallest = _smallest_eigenvalue(weight, labels, what, strict=False)
-    if smallest < -_ROUNDING * max(len(labels), 1):
+    if smallest < -ROUNDING * max(len(labels), 1):
         raise DesignError(
             f"{what} is not positive semidefinite: with its diagonal scaled to one its smallest eigenvalue is "
             f"{smallest:.3g}; weigh so that no error is rewarded."
@@ -98,7 +130,7 @@ def require_semidefinite(weight: Array, labels: tuple[str, ...], what: str) -> N
 def require_definite(weight: Array, labels: tuple[str, ...], what: str) -> None:
     """Raise `DesignError` with the smallest eigenvalue unless the weight is positive definite."""
     smallest = _smallest_eigenvalue(weight, labels, what, strict=True)
-    if smallest <= _ROUNDING * max(len(labels), 1):
+    if smallest <= ROUNDING * max(len(labels), 1):
         raise DesignError(
             f"{what} is not positive definite: with its diagonal scaled to one its smallest eigenvalue is "
             f"{smallest:.3g}; every combination of controls must cost something."

@@ -25,32 +25,31 @@ from typing import Any, Literal, TypeAlias, get_args
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import expm
 
 from gnc_opt.arguments import read_numbers
 from gnc_opt.control.controller import Controller
+from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.guard import (
     GUARD,
+    GuardedLaw,
     Memory,
     Nominal,
-    clip,
     guarded_controller,
     guarded_inverse,
-    read_plant,
 )
 from gnc_opt.control.lie import OutputErrors, Pair, chain_errors
-from gnc_opt.control.lqr import Limits, read_limits
-from gnc_opt.control.reaching import Boundary, Law, SuperTwisting, read_bounds
-from gnc_opt.control.reference import Reference
-from gnc_opt.control.sliding_checks import check_step, reserve_facts
+from gnc_opt.control.limits import Limits, saturated
+from gnc_opt.control.reference import Reference, read_plant
+from gnc_opt.control.sampling import spectral_radius, zero_order_hold
+from gnc_opt.control.sliding.reaching import Boundary, Law
+from gnc_opt.control.sliding.switching import SlidingOptions
+from gnc_opt.control.tolerances import dependent
 from gnc_opt.errors import DesignError, did_you_mean
 from gnc_opt.model.layout import Array
 from gnc_opt.model.model import Model
 
 Projection: TypeAlias = Literal["pseudo-inverse", "transpose"]
-
-_RANK = 1e-12
 
 
 def design_integral_sliding_mode(
@@ -104,42 +103,29 @@ def design_integral_sliding_mode(
     """
     reference = read_plant(model, reference, "design_integral_sliding_mode")
     pair = Pair.of(model)
-    bounds = read_bounds(reaching, bound, model.controls.labels)
-    check_step(reaching, boundary, dt, needed=True)
+    options = SlidingOptions(reaching, boundary, bound, limits=limits, dt=dt)
+    switching = options.switching(model, model.controls.labels)
     errors, singular = _surface(pair, reference, projection)
-    authority = read_limits(model, limits)
     inverse = guarded_inverse(errors, reference, guard)
     inner, u_nominal, facts = _nominal(pair, reference, nominal, dt)
 
     s, integral = _integrated(errors, dt)
-    wanted = -reaching.rate(s, boundary)
-    memory = []
-    if isinstance(reaching, SuperTwisting):
-        twist = ca.SX.sym("twist", errors.size)
-        wanted += twist
-        after = twist + dt * reaching.memory_rate(s, boundary)
-        memory.append(Memory("twist", twist, ca.SX.zeros(errors.size), after))
+    wanted, twist = switching.demand(s, ca.SX.zeros(errors.size))
     u = u_nominal + inverse(wanted)
-    memory += integral(u_nominal + (clip(u, authority) - u))
-    slope = reaching.slope(boundary)
+    memory = [*twist, *integral(u_nominal + (saturated(u, switching.limits) - u))]
     facts += [
         Fact("s at the start", 0.0, remark="no reaching phase"),
-        Fact("band of s", np.array([reaching.band(boundary, float(b)) for b in bounds])),
-        *([Fact("sampling limit", 2 / slope, "s")] if np.isfinite(slope) else []),
+        *switching.facts(),
         Fact("singular values of B", singular, remark=f"at the start; G is the {projection}"),
-        *reserve_facts(errors, reference, authority, reaching, s, dt),
+        *switching.reserve(errors, reference),
     ]
     return guarded_controller(
         name,
         pair,
         reference,
-        command=u,
-        fallback=u_nominal,
-        regular=inverse.regular,
-        memory=memory,
-        dt=dt,
+        GuardedLaw(u, inverse.regular, tuple(memory), fallback=u_nominal, nominal=inner),
+        dt=switching.dt,
         explanation=Explanation(f"integral sliding mode of '{model.name}'", tuple(facts)),
-        nominal=inner,
     )
 
 
@@ -153,7 +139,7 @@ def _surface(pair: Pair, reference: Reference, projection: Projection) -> tuple[
     b = ca.densify(ca.simplify(pair.on_reference(ca.jacobian(pair.rate(e), pair.u))))
     first = pair.along(reference, np.array([reference.initial_time]), b)[0]
     singular: Array = np.asarray(np.linalg.svd(first, compute_uv=False), dtype=float)
-    if first.shape[0] < first.shape[1] or singular[-1] <= _RANK * singular[0]:
+    if first.shape[0] < first.shape[1] or dependent(singular):
         raise DesignError(
             f"the controls of model '{pair.model.name}' act alike on its states: B has the singular values {singular}; "
             "allocate them first, and design for independent controls."
@@ -220,14 +206,7 @@ def _nominal(
 
 def _poles(pair: Pair, reference: Reference, gain: Array, dt: float) -> tuple[Array, float]:
     """Return the poles of A - B K at the end of the reference and the spectral radius of the sampled loop."""
-    e = pair.model.error_expression(pair.x, pair.x_ref)
-    rate = pair.rate(e)
     t = reference.final_time
-    x, u = reference.x(t), reference.u(t)
-    function = pair.function(ca.jacobian(e, pair.x), ca.jacobian(rate, pair.x), ca.jacobian(rate, pair.u))
-    d, a, b = (np.asarray(m.full()) for m in function(t, x, u, x, u))
-    a = a @ np.linalg.pinv(d)
-    n, m = b.shape
-    both = expm(np.block([[a, b], [np.zeros((m, n + m))]]) * dt)
-    sampled = both[:n, :n] - both[:n, n:] @ gain
-    return np.asarray(np.linalg.eigvals(a - b @ gain)), float(np.max(np.abs(np.linalg.eigvals(sampled))))
+    a, b = Deviation(pair.model).linearize(t, reference.x(t), reference.u(t))
+    held_a, held_b = zero_order_hold(a, b, dt)
+    return np.asarray(np.linalg.eigvals(a - b @ gain)), spectral_radius(held_a - held_b @ gain)

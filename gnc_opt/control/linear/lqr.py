@@ -27,31 +27,25 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_positive
+from gnc_opt.arguments import read_positive
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.explanation import Explanation, Fact
-from gnc_opt.control.margins import margins
-from gnc_opt.control.reference import Reference
-from gnc_opt.control.riccati import Steady, require_stabilizable, steady
+from gnc_opt.control.limits import Authority, Limits, clip, read_limits, reserve_shares
+from gnc_opt.control.linear.facts import regulator_facts
+from gnc_opt.control.linear.riccati import Steady, require_stabilizable, steady
+from gnc_opt.control.linear.weights import QuadraticCost, Weight, read_cost, require_definite
+from gnc_opt.control.poles import continuous_poles
+from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.control.sampling import sample
-from gnc_opt.control.schedule import (
-    ReferenceSchedule,
-    feedforward_reserve,
-    reference_signals,
-    reference_times,
-)
-from gnc_opt.control.weights import Weight, read_weight, require_definite, require_semidefinite
+from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, reference_times
+from gnc_opt.control.tolerances import alike
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.layout import Array, Layout, Variable, as_vector
 from gnc_opt.model.model import Model
 
-Limits = tuple[ArrayLike, ArrayLike]
-"""Lower and upper limits of the controls, (n_controls,) each or one number for all."""
-
-_STEADY = 1e-8
-"""A and B that change less than this along a reference, relative to their size, count as constant."""
 _CHECKS = 25
+"""Times along a reference at which A and B are compared."""
 
 
 def design_lqr(
@@ -98,18 +92,16 @@ def design_lqr(
     DesignError
         Not stabilisable or not detectable (with the mode), weights not (semi)definite, A or B not constant.
     """
-    expect(model, Model, "the plant of design_lqr()", "give the Model to control")
-    if not isinstance(reference, Reference):
-        reference = Reference.constant(model, reference)
+    reference = read_plant(model, reference, "design_lqr")
     deviation = Deviation(model)
     a, b = constant_linearization(deviation, reference)
-    q, r, n = read_cost(model, Q, R, N)
+    cost = read_cost(model, Q, R, N)
     integrals = _integrals(deviation, reference, integral)
-    solution, plant = _solve(deviation, a, b, q, r, n, integrals, dt)
+    solution, plant = _solve(deviation, (a, b), cost, integrals, dt)
     bounds = read_limits(model, limits)
     step, start, memory = _law(model, deviation, solution.gain, integrals, bounds)
     signals = reference_signals(reference, *([Variable("step", 1, "s")] if integrals.size else []))
-    facts = [*_facts(solution, plant, model.controls, dt), *reserve_facts(reference, bounds)]
+    facts = [*_facts(solution, plant, model.controls, dt), *reserve_shares(reference, bounds)]
     return Controller(
         name=name,
         step=step,
@@ -149,55 +141,6 @@ class _WithStep:
         return np.vstack([self.schedule(times, dt), np.full((1, np.size(times)), dt)])
 
 
-def read_cost(model: Model, q: Weight, r: Weight, n: ArrayLike | None) -> tuple[Array, Array, Array]:
-    """Return Q, R, N as matrices; refuse costs that reward errors or controls."""
-    errors, controls = model.errors, model.controls
-    weight, effort = read_weight(q, errors, "the weight Q"), read_weight(r, controls, "the weight R")
-    require_semidefinite(weight, errors.labels, "the weight Q")
-    require_definite(effort, controls.labels, "the weight R")
-    shape = (errors.size, controls.size)
-    cross = np.zeros(shape) if n is None else np.asarray(n, dtype=float)
-    if cross.shape != shape or not np.all(np.isfinite(cross)):
-        raise ArgumentError(
-            f"the weight N has the shape {cross.shape}: give finite numbers of the shape {shape}."
-        )
-    if n is not None:
-        both = np.block([[weight, cross], [cross.T, effort]])
-        require_semidefinite(both, errors.labels + controls.labels, "the weight [[Q, N], [N', R]]")
-    return weight, effort, cross
-
-
-def read_limits(model: Model, limits: Limits | None) -> tuple[Array, Array] | None:
-    """Return lower and upper limits (n_controls,), or ``None``."""
-    if limits is None:
-        return None
-    if not isinstance(limits, tuple) or len(limits) != 2:
-        raise ArgumentError(f"limits is {limits!r}: give (lower, upper), each a number or one per control.")
-    lower, upper = (
-        as_vector(v, model.controls.size, f"the {w} limits", ArgumentError)
-        for v, w in zip(limits, ("lower", "upper"), strict=True)
-    )
-    bad = np.flatnonzero(~(lower < upper))
-    if bad.size:
-        raise DesignError(
-            f"control '{model.controls.labels[bad[0]]}' has no authority: its limits are {lower[bad[0]]:g} and "
-            f"{upper[bad[0]]:g}; give lower < upper."
-        )
-    return lower, upper
-
-
-def reserve_facts(reference: Reference, limits: tuple[Array, Array] | None) -> list[Fact]:
-    """Return the fact about what the feedforward leaves to the feedback."""
-    if limits is None:
-        return []
-    reserve = feedforward_reserve(reference, *limits)
-    half = 0.5 * (limits[1] - limits[0])
-    remark = (
-        "least distance of the feedforward to its limits, share of half their range; what feedback can use"
-    )
-    return [Fact("saturation reserve", reserve / half, "", remark)]
-
-
 def constant_linearization(deviation: Deviation, reference: Reference) -> tuple[Array, Array]:
     """Return A and B if they are the same all along the reference, else raise `DesignError`."""
     times = reference_times(reference, _CHECKS)
@@ -206,8 +149,8 @@ def constant_linearization(deviation: Deviation, reference: Reference) -> tuple[
     a, b = pairs[-1]
     for t, pair in zip(times, pairs, strict=True):
         for what, found, last in (("A", pair[0], a), ("B", pair[1], b)):
-            change = np.max(np.abs(found - last), initial=0.0)
-            if not change <= _STEADY * np.max(np.abs(last), initial=0.0):
+            if not alike(found, last):
+                change = np.max(np.abs(found - last))
                 raise DesignError(
                     f"{what} of '{deviation.model.name}' changes along the reference, by {change:.3g} between "
                     f"{t:g} s and {times[-1]:g} s: use design_tvlqr(), or a constant reference."
@@ -251,24 +194,21 @@ def _integrals(
 
 def _solve(
     deviation: Deviation,
-    a: Array,
-    b: Array,
-    q: Array,
-    r: Array,
-    n: Array,
+    plant: tuple[Array, Array],
+    cost: QuadraticCost,
     integrals: _Integrals,
     dt: float | None,
 ) -> tuple[Steady, tuple[Array, Array]]:
     """Return the regulator and the (sampled) plant with the integrals as states."""
+    (a, b), (q, r, n) = plant, cost
     labels = deviation.errors.labels + integrals.memory.labels
     k, c = integrals.size, integrals.matrix
     if dt is None:
         one, per_step = np.zeros((k, k)), 1.0
     else:
         per_step = read_positive(dt, "the control step dt")
-        require_stabilizable(
-            a, b, deviation.errors.labels
-        )  # before sampling: the mode's own eigenvalue is told
+        # before sampling: the mode's own eigenvalue is told
+        require_stabilizable(a, b, deviation.errors.labels)
         held = sample(a, b, q, r, n, per_step)
         a, b, q, r, n = held.a, held.b, held.q, held.r, held.n
         one = np.eye(k)
@@ -283,7 +223,7 @@ def _solve(
 
 
 def _law(
-    model: Model, deviation: Deviation, gain: Array, integrals: _Integrals, limits: tuple[Array, Array] | None
+    model: Model, deviation: Deviation, gain: Array, integrals: _Integrals, limits: Authority | None
 ) -> tuple[object, object, Layout]:
     states, controls = model.states.size, model.controls.size
     t, x = ca.SX.sym("t"), ca.SX.sym("x", states)
@@ -297,8 +237,7 @@ def _law(
         u = u - ca.DM(k_i) @ z
         z_next = z + r[-1] * _integrand(deviation, integrals, t, x, x_ref, e)
         if limits is not None:
-            clipped = ca.fmin(ca.fmax(u, limits[0]), limits[1])
-            z_next += ca.DM(np.linalg.pinv(k_i)) @ (u - clipped)
+            z_next += ca.DM(np.linalg.pinv(k_i)) @ (u - clip(u, *limits))
     return law(t, x, r, z, u, z_next), first_memory(t, x, r, ca.SX.zeros(integrals.size)), integrals.memory
 
 
@@ -316,32 +255,10 @@ def _integrand(
 
 
 def _facts(solution: Steady, plant: tuple[Array, Array], controls: Layout, dt: float | None) -> list[Fact]:
-    poles = solution.poles if dt is None else np.log(solution.poles.astype(complex)) / dt
-    rates = "1/s"
+    poles = continuous_poles(solution.poles, dt)
     facts = [Fact("gain", solution.gain, "", "K in u = u_ff - K e, rows: " + ", ".join(controls.labels))]
     if dt is not None:
         facts.append(Fact("sampled poles", solution.poles, "", "z"))
-    facts += [
-        Fact("closed-loop poles", poles, rates, "slowest first" if dt is None else "ln(z)/dt, slowest first"),
-        Fact("damping", -poles.real / np.abs(poles), "", "of each pole"),
-    ]
-    return [*facts, *margin_facts(*plant, solution.gain, dt), residual_fact(solution.residual)]
-
-
-def margin_facts(a: Array, b: Array, gain: Array, dt: float | None) -> list[Fact]:
-    """Return the facts about the margins at the plant's input."""
-    found = margins(a, b, gain, dt)
-    alpha = found.disk
-    both = f"all gains at once by a factor {max(2 - alpha, 0) / (2 + alpha):.3g} to its inverse"
-    return [
-        Fact("gain margin up", found.gain_up, "", "per control, the others closed"),
-        Fact("gain margin down", found.gain_down, "", "per control, the others closed"),
-        Fact("phase margin", np.degrees(found.phase), "deg", "per control, the others closed"),
-        Fact("delay margin", found.delay, "s", "per control, the others closed"),
-        Fact("disk margin", alpha, "", both),
-    ]
-
-
-def residual_fact(value: float) -> Fact:
-    """Return the fact about the Riccati equation's residual."""
-    return Fact("Riccati residual", value, "", "left side over its largest term, computed from P alone")
+    facts.append(Fact("damping", -poles.real / np.abs(poles), "", "of each closed-loop pole"))
+    remark = "slowest first" if dt is None else "ln(z)/dt, slowest first"
+    return [*facts, *regulator_facts(solution, plant, dt, remark=remark)]

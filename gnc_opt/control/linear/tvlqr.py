@@ -28,7 +28,9 @@ from gnc_opt.arguments import expect
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.explanation import Explanation, Fact
-from gnc_opt.control.gains import (
+from gnc_opt.control.limits import Limits, read_limits, reserve_shares
+from gnc_opt.control.linear.facts import regulator_facts
+from gnc_opt.control.linear.gains import (
     ContinuousGains,
     Gains,
     SampledGains,
@@ -37,14 +39,14 @@ from gnc_opt.control.gains import (
     riccati_defect,
     riccati_gains,
 )
-from gnc_opt.control.lqr import Limits, margin_facts, read_cost, read_limits, reserve_facts, residual_fact
+from gnc_opt.control.linear.weights import QuadraticCost, Weight, read_cost
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, reference_times
-from gnc_opt.control.weights import Weight
 from gnc_opt.model.layout import Array, Layout, Variable
 from gnc_opt.model.model import Model
 
 _CHECKS = 40
+"""Times along a reference at which the largest gain and the eigenvalues of P are looked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,10 +110,10 @@ def design_tvlqr(
     )
     deviation = Deviation(model)
     cost = read_cost(model, Q, R, N)
-    gains = riccati_gains(deviation, reference, *cost, terminal=terminal, dt=dt)
+    gains = riccati_gains(deviation, reference, cost, terminal=terminal, dt=dt)
     bounds = read_limits(model, limits)
     step, start = _law(deviation)
-    facts = [*_facts(deviation, reference, gains, cost), *reserve_facts(reference, bounds)]
+    facts = [*_facts(deviation, reference, gains, cost), *reserve_shares(reference, bounds)]
     return Controller(
         name=name,
         step=step,
@@ -143,7 +145,7 @@ def _facts(
     deviation: Deviation,
     reference: Reference,
     gains: ContinuousGains | SampledGains,
-    cost: tuple[Array, Array, Array],
+    cost: QuadraticCost,
 ) -> list[Fact]:
     times = reference_times(reference, _CHECKS)
     largest = np.max([np.abs(gains.K(float(t))) for t in times], axis=0)
@@ -166,12 +168,9 @@ def _facts(
         a, b = deviation.linearize(t_f, reference.x(t_f), resting_control(reference))
         if dt is not None:
             a, b = gains.steps[-1].a, gains.steps[-1].b  # type: ignore[union-attr]
-        poles = gains.steady.poles if dt is None else np.log(gains.steady.poles.astype(complex)) / dt
-        facts.append(Fact("closed-loop poles after the end", poles, "1/s", "slowest first"))
-        facts += margin_facts(a, b, gains.steady.gain, dt)
-        facts.append(residual_fact(gains.steady.residual))
+        facts += regulator_facts(gains.steady, (a, b), dt, name="closed-loop poles after the end")
     if isinstance(gains, ContinuousGains) and gains.pieces:
-        worst = riccati_defect(gains, *cost)
+        worst = riccati_defect(gains, cost)
         facts.append(
             Fact("Riccati defect", worst, "", "of P(t), by finite differences, over its largest term")
         )

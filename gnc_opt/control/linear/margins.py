@@ -22,10 +22,17 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
+from gnc_opt.control.tolerances import SAME_TIME, TINY
 from gnc_opt.model.layout import Array
 
 _POINTS = 2000
 _DECADES = 4.0
+_AT_ZERO = 1e-8
+"""Poles this near zero, relative to the largest (sampled: to one), are integrators or delays: no time scale."""
+_BESIDE = 1e-6
+"""Distance of the nodes on either side of a resonance, relative to its frequency."""
+_ROOT = 1e-12
+"""Crossings are found to this, relative to their frequency."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +81,7 @@ def _channel(
     ]
     # the real axis is also met at the ends of the frequencies that a sampled loop has
     crossings += [1.0 / -v.real for v in values[[-1]] if dt is not None and v.real < 0]
-    unit = _roots(lambda w: np.log(abs(value(w))), omega, np.log(np.abs(values) + 1e-300))
+    unit = _roots(lambda w: np.log(abs(value(w))), omega, np.log(np.abs(values) + TINY))
     phases = [(abs(_wrapped(np.angle(-value(w)))), _lag(value(w)) / w) for w in unit]
     return (
         min((c for c in crossings if c > 1), default=np.inf),
@@ -114,21 +121,21 @@ def _frequencies(a: Array, closed: Array, dt: float | None) -> Array:
     """A logarithmic grid around the poles, with the resonances as nodes, half a spacing off them."""
     poles = np.concatenate([np.linalg.eigvals(a), np.linalg.eigvals(closed)])
     if dt is not None:
-        poles = np.log(poles[np.abs(poles) > 1e-8]) / dt
+        poles = np.log(poles[np.abs(poles) > _AT_ZERO]) / dt
     size = np.abs(poles)
-    size = size[size > 1e-8 * size.max(initial=0.0)]
+    size = size[size > _AT_ZERO * size.max(initial=0.0)]
     if not size.size:
         size = np.ones(1)
     low, high = np.log10(size.min()) - _DECADES, np.log10(size.max()) + _DECADES
     grid = np.logspace(low, high, _POINTS)
     near = np.abs(poles.imag)[np.abs(poles.imag) > 0]
-    grid = np.unique(np.concatenate([grid, near * (1 - 1e-6), near * (1 + 1e-6)]))
-    return grid if dt is None else np.append(grid[grid < np.pi / dt * (1 - 1e-9)], np.pi / dt)
+    grid = np.unique(np.concatenate([grid, near * (1 - _BESIDE), near * (1 + _BESIDE)]))
+    return grid if dt is None else np.append(grid[grid < np.pi / dt * (1 - SAME_TIME)], np.pi / dt)
 
 
 def _roots(function: Callable[[float], float], omega: Array, values: Array) -> list[float]:
     change = np.flatnonzero(values[:-1] * values[1:] < 0)
-    return [float(brentq(function, omega[k], omega[k + 1], xtol=1e-300, rtol=1e-12)) for k in change]
+    return [float(brentq(function, omega[k], omega[k + 1], xtol=TINY, rtol=_ROOT)) for k in change]
 
 
 def _wrapped(angle: float) -> float:
