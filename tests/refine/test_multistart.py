@@ -27,7 +27,7 @@ from gnc_opt import Multistart, cli, multistart
 from gnc_opt.refine.multistart import _Coarse, _Fine
 from gnc_opt.refine.random_guess import with_random_guess
 from problems import rendezvous
-from problems.rendezvous_global import GlobalOutcome
+from problems.rendezvous.search import GlobalOutcome
 
 WEIGHT = 0.02
 MESH = "6x3"

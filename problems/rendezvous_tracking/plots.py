@@ -13,7 +13,7 @@ from gnc_opt.plot.campaign import plot_dispersion
 from gnc_opt.plot.run import plot_run_controls
 from gnc_opt.plot.style import QUIET, legend_on_top, line_look, new_figure, style
 from gnc_opt.simulation import Campaign
-from problems.rendezvous_tracking import DT, LIMITS, Tracking
+from problems.rendezvous_tracking.tracking import DT, LIMITS, Tracking
 
 SHOWN = {
     "r_L": ("position", 100.0, "cm"),

@@ -17,7 +17,8 @@ from rich.table import Table
 from gnc_opt.plot.style import save_figure
 from gnc_opt.report.campaign import campaign_dict
 from gnc_opt.simulation import Campaign
-from problems.rendezvous_tracking import (
+from problems.rendezvous_tracking.plots import SHOWN, all_figures
+from problems.rendezvous_tracking.tracking import (
     CASES,
     CONTROLLERS,
     MPC_RUNS,
@@ -27,7 +28,6 @@ from problems.rendezvous_tracking import (
     plan,
     price_of_robustness,
 )
-from problems.rendezvous_tracking_figures import SHOWN, all_figures
 
 DEMANDED = 0.99
 """Pass rate of the controllers with feedback."""

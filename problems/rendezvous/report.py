@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 import gnc_opt as go
-from problems.rendezvous import CASES, EQUATIONS, MESH, PAPER_MESH, REFERENCE, Equation, build, figures
+from problems.rendezvous.model import CASES, EQUATIONS, MESH, PAPER_MESH, REFERENCE, Equation, build, figures
 
 _REMARK = """\
 What fails is what the mesh leaves undone: no node sits on a switch, so the program smears each switch over a
@@ -148,12 +148,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _search(console: Console, cases: Sequence[int], options: argparse.Namespace) -> int:
-    from problems import rendezvous_global
+    from problems.rendezvous import search
 
     equation: Equation = options.equation or "printed"
-    return rendezvous_global.run(
-        console, cases, equation, n=options.n, seed=options.seed, json_path=options.json
-    )
+    return search.run(console, cases, equation, n=options.n, seed=options.seed, json_path=options.json)
 
 
 def _show(console: Console, outcomes: Sequence[Outcome]) -> None:

@@ -312,17 +312,13 @@ def _check_equation(equation: str) -> None:
 
 def figures(solution: go.Solution, directory: str | Path | None = None) -> Mapping[str, Any]:
     """Return the paper's figures 3 to 15 by file stem; the caller writes them, into ``directory`` or not."""
-    from problems.rendezvous_figures import paper_figures
+    from problems.rendezvous.plots import paper_figures
 
     return paper_figures(solution)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Solve, compare with the paper, verify and draw; see ``python -m problems.rendezvous --help``."""
-    from problems import rendezvous_report
+    from problems.rendezvous import report
 
-    return rendezvous_report.main(arguments)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+    return report.main(arguments)

@@ -261,12 +261,9 @@ def price_of_robustness(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Plan, follow, judge and draw; see ``python -m problems.rendezvous_tracking --help``."""
-    from problems import rendezvous_tracking_report
+    from problems.rendezvous_tracking import report
 
-    return rendezvous_tracking_report.main(arguments)
+    return report.main(arguments)
 
 
 __all__ = ["CASES", "CONTROLLERS", "DISPERSIONS", "LIMITS", "Tracking", "main", "plan", "price_of_robustness"]
-
-if __name__ == "__main__":
-    raise SystemExit(main())
