@@ -5,7 +5,8 @@ its torques and forces allow. `problems.rendezvous_tracking` follows the plan in
 
 To be read in this order:
 
-* `model`: data, the five cases, the known minimum times, dynamics, the optimal control problem;
+* `model`: data, the five cases, dynamics, the optimal control problem;
+* `optimal`: the known minimum times with their sources, and their switches;
 * `search`: the local minima, and which of them the published numbers are;
 * `plots`, `report`: what is drawn and printed.
 """
@@ -22,18 +23,13 @@ from problems.rendezvous.model import (
     MAX_TORQUE,
     MESH,
     PAPER_MESH,
-    REFERENCE,
-    SWITCHES,
-    Channel,
     Equation,
     build,
     chaser_model,
-    figures,
-    main,
     printed_angular_acceleration,
-    switch_arcs,
-    switch_mesh,
 )
+from problems.rendezvous.optimal import REFERENCE, SWITCHES, Channel, switch_arcs, switch_mesh
+from problems.rendezvous.report import figures, main
 
 __all__ = [
     "ALTITUDE",

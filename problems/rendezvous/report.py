@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,12 +15,14 @@ from rich.console import Console
 from rich.table import Table
 
 import gnc_opt as go
-from problems.rendezvous.model import CASES, EQUATIONS, MESH, PAPER_MESH, REFERENCE, Equation, build, figures
+from problems.rendezvous import search
+from problems.rendezvous.model import CASES, EQUATIONS, MESH, PAPER_MESH, Equation, build
+from problems.rendezvous.optimal import REFERENCE
 
 _REMARK = """\
 What fails is what the mesh leaves undone: no node sits on a switch, so the program smears each switch over a
 node or two, and a polynomial through such nodes overshoots. With a segment boundary at every switch all
-conditions pass; see switch_mesh() and switch_arcs() in problems/rendezvous.py.
+conditions pass; see switch_mesh() and switch_arcs() in problems/rendezvous/optimal.py.
 """
 
 _WIDTH = 130
@@ -118,11 +120,18 @@ def _table(title: str) -> Table:
     return Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
 
 
+def figures(solution: go.Solution, directory: str | Path | None = None) -> Mapping[str, Any]:
+    """Return the paper's figures 3 to 15 by file stem; the caller writes them, into ``directory`` or not."""
+    from problems.rendezvous.plots import paper_figures
+
+    return paper_figures(solution)
+
+
 # --- command line ---------------------------------------------------------------------------------------
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Solve, compare, verify and draw.
+    """Solve, compare with the paper, verify and draw; see ``python -m problems.rendezvous --help``.
 
     Returns
     -------
@@ -148,8 +157,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _search(console: Console, cases: Sequence[int], options: argparse.Namespace) -> int:
-    from problems.rendezvous import search
-
     equation: Equation = options.equation or "printed"
     return search.run(console, cases, equation, n=options.n, seed=options.seed, json_path=options.json)
 

@@ -18,7 +18,8 @@ from rich.table import Table
 
 import gnc_opt as go
 from gnc_opt.report.search import search_dict
-from problems.rendezvous.model import PAPER_MESH, REFERENCE, Equation, build
+from problems.rendezvous.model import PAPER_MESH, Equation, build
+from problems.rendezvous.optimal import REFERENCE
 
 NEARBY = 0.2
 """Minima that are slower than the best by more than this share of it stay on the coarse mesh."""

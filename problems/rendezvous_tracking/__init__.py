@@ -9,6 +9,7 @@ To be read in this order: `problems.rendezvous.model`, then here
 """
 
 from problems.rendezvous import CASES
+from problems.rendezvous_tracking.report import main
 from problems.rendezvous_tracking.tracking import (
     ACCEPTED,
     AUTHORITY,
@@ -29,7 +30,6 @@ from problems.rendezvous_tracking.tracking import (
     SETTLING,
     TORQUE_STEP,
     Tracking,
-    main,
     plan,
     price_of_robustness,
     turned,

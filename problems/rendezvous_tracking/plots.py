@@ -13,15 +13,8 @@ from gnc_opt.plot.campaign import plot_dispersion
 from gnc_opt.plot.run import plot_run_controls
 from gnc_opt.plot.style import QUIET, legend_on_top, line_look, new_figure, style
 from gnc_opt.simulation import Campaign
-from problems.rendezvous_tracking.tracking import DT, LIMITS, Tracking
+from problems.rendezvous_tracking.tracking import DT, LIMITS, SHOWN, Tracking
 
-SHOWN = {
-    "r_L": ("position", 100.0, "cm"),
-    "v_L": ("velocity", 1000.0, "mm/s"),
-    "angle(sigma)": ("attitude", float(np.degrees(1)), "deg"),
-    "omega": ("rate", float(np.degrees(1)), "deg/s"),
-}
-"""Label, factor and unit in which a measure is shown."""
 _COSTS = {
     "effort(F_B)": "effort of the forces (N s)",
     "effort(T_B)": "effort of the torques (N m s)",

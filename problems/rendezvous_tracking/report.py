@@ -14,16 +14,15 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from gnc_opt.plot.style import save_figure
 from gnc_opt.report.campaign import campaign_dict
 from gnc_opt.simulation import Campaign
-from problems.rendezvous_tracking.plots import SHOWN, all_figures
+from problems.rendezvous import CASES
 from problems.rendezvous_tracking.tracking import (
-    CASES,
     CONTROLLERS,
     MPC_RUNS,
     RESERVE,
     SETTLING,
+    SHOWN,
     Tracking,
     plan,
     price_of_robustness,
@@ -91,7 +90,13 @@ def _table(title: str) -> Table:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Plan, follow, judge and draw; 1 if a controller with feedback misses its pass rate."""
+    """Plan, follow, judge and draw; see ``python -m problems.rendezvous_tracking --help``.
+
+    Returns
+    -------
+    int
+        0; 1 if a controller with feedback misses its pass rate.
+    """
     options = _parser().parse_args(arguments)
     console = Console(highlight=False)
     if not console.is_terminal:
@@ -119,6 +124,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         told = _summary(tracking, options.case, campaigns, seconds, price)
         options.json.write_text(json.dumps(told, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     if options.report is not None:
+        from gnc_opt.plot.style import save_figure
+        from problems.rendezvous_tracking.plots import all_figures
+
         figures = all_figures(tracking, campaigns, price)
         for stem, figure in figures.items():
             save_figure(figure, options.report / f"{stem}.png")

@@ -1,6 +1,4 @@
-"""The time-optimal rendezvous followed: open loop, TVLQR, integral sliding mode and MPC in the same campaign.
-
-    python -m problems.rendezvous_tracking [--case 1..5] [--runs N] [--seed S] [--json OUT] [--report DIR]
+"""The plan, the plant and what it differs by, the controllers, and how their runs are judged.
 
 **Plan.** The problem of `problems.rendezvous` ("exact" equation) with 85 % of the torques and forces, refined until
 the switch times are exact. The controllers have the rest of the authority.
@@ -61,7 +59,7 @@ from gnc_opt.simulation import (
 )
 from gnc_opt.simulation.dispersion import Dispersion
 from gnc_opt.spacecraft import mrp_rate
-from problems.rendezvous import CASES, MASS, MAX_FORCE, MAX_TORQUE, PAPER_MESH, build, chaser_model
+from problems.rendezvous import MASS, MAX_FORCE, MAX_TORQUE, PAPER_MESH, build, chaser_model
 
 RESERVE = 0.85
 """Share of the authority that the plan uses."""
@@ -77,6 +75,14 @@ LIMITS = {
     "omega": float(np.deg2rad(0.05)),
 }
 """Of the errors at the end: m, m/s, rad, rad/s."""
+
+SHOWN = {
+    "r_L": ("position", 100.0, "cm"),
+    "v_L": ("velocity", 1000.0, "mm/s"),
+    "angle(sigma)": ("attitude", float(np.degrees(1)), "deg"),
+    "omega": ("rate", float(np.degrees(1)), "deg/s"),
+}
+"""Label, factor and unit in which a measure is shown."""
 
 NOISE = {"omega": np.deg2rad(0.002), "sigma": np.deg2rad(0.02), "v_L": 1e-3, "r_L": 5e-3}
 """1 sigma per axis: rad/s, rad, m/s, m."""
@@ -257,13 +263,3 @@ def price_of_robustness(
 ) -> list[tuple[float, float]]:
     """Return pairs of the share of the authority that a plan uses and its time t_f (s)."""
     return [(share, float(plan(case, share).objective)) for share in reserves]
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Plan, follow, judge and draw; see ``python -m problems.rendezvous_tracking --help``."""
-    from problems.rendezvous_tracking import report
-
-    return report.main(arguments)
-
-
-__all__ = ["CASES", "CONTROLLERS", "DISPERSIONS", "LIMITS", "Tracking", "main", "plan", "price_of_robustness"]
