@@ -13,7 +13,7 @@ import numpy as np
 from gnc_opt.model.layout import Array
 from gnc_opt.simulation import Run
 from problems.comparison import Row, compare, remark, require
-from problems.formation_flying_laws import (
+from problems.formation_flying.laws import (
     FEW_STEPS,
     STEPS,
     Outcome,
@@ -27,7 +27,7 @@ from problems.formation_flying_laws import (
     sliding_mode,
     step_of,
 )
-from problems.formation_flying_system import (
+from problems.formation_flying.model import (
     PERIOD,
     START,
     build_model,

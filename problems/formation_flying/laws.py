@@ -33,7 +33,7 @@ from gnc_opt.control import (
 from gnc_opt.control.reaching import Boundary
 from gnc_opt.model.layout import Array
 from gnc_opt.simulation import Block, ClosedLoop, Disturbance, Run
-from problems.formation_flying_system import (
+from problems.formation_flying.model import (
     PERIOD,
     START,
     build_model,

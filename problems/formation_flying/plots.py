@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 
 from gnc_opt.model.layout import Array
 from gnc_opt.plot.style import axis_label, legend_on_top, line_look, new_figure, save_figure, style
-from problems.formation_flying_optimal import LIMIT, RESERVE, plan, track
-from problems.formation_flying_published import LAWS, run
-from problems.formation_flying_system import PERIOD, circle, differential_oblateness
+from problems.formation_flying.model import PERIOD, circle, differential_oblateness
+from problems.formation_flying.optimal import LIMIT, RESERVE, plan, track
+from problems.formation_flying.published import LAWS, run
 
 _NAMES = ("x", "y", "z")
 
