@@ -13,11 +13,11 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.control import export_c
-from problems import flexible_spacecraft_law, flexible_spacecraft_plant
-from problems import flexible_spacecraft_optimal as optimal
-from problems import flexible_spacecraft_published as published
 from problems.comparison import Row, compare
-from problems.flexible_spacecraft_system import (
+from problems.flexible_spacecraft import optimal as optimal
+from problems.flexible_spacecraft import plant, studies
+from problems.flexible_spacecraft import published as published
+from problems.flexible_spacecraft.model import (
     BODY,
     DISTURBANCE,
     INERTIAL,
@@ -48,7 +48,7 @@ def gentle() -> go.Solution:
 
 
 def test_plant_facts_energy_momentum_and_open_loop() -> None:
-    rows = flexible_spacecraft_plant.plant_rows()
+    rows = plant.plant_rows()
     assert failures(rows) == []
     assert sum(row.quantity.startswith("open loop") for row in rows) == 8
 
@@ -59,19 +59,19 @@ def test_configurations(case: published.Case) -> None:
 
 
 def test_gain_k_makes_the_slew_faster_and_costs_effort() -> None:
-    assert failures(flexible_spacecraft_law._gain_rows()) == []
+    assert failures(studies._gain_rows()) == []
 
 
 def test_sign_chatters_and_tanh_does_not() -> None:
-    assert failures(flexible_spacecraft_law._chattering_rows()) == []
+    assert failures(studies._chattering_rows()) == []
 
 
 def test_disturbances() -> None:
-    assert failures(flexible_spacecraft_law._disturbance_rows(("J",))) == []
+    assert failures(studies._disturbance_rows(("J",))) == []
 
 
 def test_printed_sign_diverges_and_the_corrected_one_converges() -> None:
-    assert failures(flexible_spacecraft_law._sign_rows()) == []
+    assert failures(studies._sign_rows()) == []
 
 
 def test_table_tells_a_miss() -> None:

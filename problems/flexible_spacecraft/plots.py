@@ -21,10 +21,10 @@ from gnc_opt.plot.style import (
     style,
 )
 from gnc_opt.simulation import Run
-from problems.flexible_spacecraft_law import disturbed
-from problems.flexible_spacecraft_optimal import modal_energy, solved, tracked
-from problems.flexible_spacecraft_published import attitude_error, standard
-from problems.flexible_spacecraft_system import MAX_TORQUE
+from problems.flexible_spacecraft.model import MAX_TORQUE
+from problems.flexible_spacecraft.optimal import modal_energy, solved, tracked
+from problems.flexible_spacecraft.published import attitude_error, standard
+from problems.flexible_spacecraft.studies import disturbed
 
 _AXES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("q", r"$q_{v}$", "", ("x", "y", "z")),

@@ -9,7 +9,7 @@ from gnc_opt.model.layout import Array
 from gnc_opt.simulation import ClosedLoop, Run
 from gnc_opt.spacecraft import FlexibleBody
 from problems.comparison import Row, compare, require
-from problems.flexible_spacecraft_system import (
+from problems.flexible_spacecraft.model import (
     BODY,
     COUPLING,
     DAMPING,

@@ -9,16 +9,7 @@ import numpy as np
 
 from gnc_opt.simulation import Run, Sinusoid
 from problems.comparison import Row, compare, require
-from problems.flexible_spacecraft_published import (
-    SPAN,
-    attitude_error,
-    fly,
-    largest_component,
-    measure,
-    standard,
-    variation,
-)
-from problems.flexible_spacecraft_system import (
+from problems.flexible_spacecraft.model import (
     DAMPING,
     FREQUENCIES,
     FULL,
@@ -28,6 +19,15 @@ from problems.flexible_spacecraft_system import (
     PublishedDisturbance,
     build_model,
     flexible_body,
+)
+from problems.flexible_spacecraft.published import (
+    SPAN,
+    attitude_error,
+    fly,
+    largest_component,
+    measure,
+    standard,
+    variation,
 )
 
 DISTURBED_STEP = 0.1

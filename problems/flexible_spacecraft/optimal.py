@@ -22,9 +22,7 @@ from gnc_opt.model.layout import Array
 from gnc_opt.simulation import Run
 from gnc_opt.spacecraft import quaternion_angle
 from problems.comparison import Row, compare, remark, require
-from problems.flexible_spacecraft_law import disturbed
-from problems.flexible_spacecraft_published import largest_component, measure, settling, standard
-from problems.flexible_spacecraft_system import (
+from problems.flexible_spacecraft.model import (
     BODY,
     FREQUENCIES,
     INERTIA,
@@ -39,6 +37,8 @@ from problems.flexible_spacecraft_system import (
     quasi_sliding_mode,
     rest,
 )
+from problems.flexible_spacecraft.published import largest_component, measure, settling, standard
+from problems.flexible_spacecraft.studies import disturbed
 from problems.reference import Reference
 
 MESH = go.Mesh.uniform(60, 3)

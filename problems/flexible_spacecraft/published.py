@@ -17,7 +17,7 @@ from gnc_opt.model.layout import Array
 from gnc_opt.simulation import Disturbance, Run
 from gnc_opt.spacecraft import FlexibleBody, quaternion_angle
 from problems.comparison import Row, compare, remark, require
-from problems.flexible_spacecraft_system import (
+from problems.flexible_spacecraft.model import (
     BODY,
     INERTIAL,
     INERTIAL_ROBUST,
