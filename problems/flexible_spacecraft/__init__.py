@@ -6,13 +6,15 @@ at the end, and tracked. The page is docs/flexible_spacecraft.md.
 
 To be read in this order:
 
-* `model`: data, dynamics and the quasi-sliding-mode law; `plant`: facts of the dynamics, checked;
+* `model`: data and dynamics; `plant`: facts of the dynamics, checked;
+* `laws`: the quasi-sliding-mode law; `runs`: its closed loop, and what is measured of a run;
 * `published`: the publication's numbers against ours; `studies`: what the law itself does;
 * `optimal`: least time and least vibration, and their tracking;
 * `plots`, `report`: what is drawn and printed.
 """
 
-from problems.flexible_spacecraft.model import build_model, quasi_sliding_mode
+from problems.flexible_spacecraft.laws import quasi_sliding_mode
+from problems.flexible_spacecraft.model import build_model
 from problems.flexible_spacecraft.optimal import REFERENCE, build, build_gentle
 from problems.flexible_spacecraft.report import comparison, main
 

@@ -22,23 +22,27 @@ from gnc_opt.model.layout import Array
 from gnc_opt.simulation import Run
 from gnc_opt.spacecraft import quaternion_angle
 from problems.comparison import Row, compare, remark, require
+from problems.flexible_spacecraft.laws import INERTIAL_ROBUST, quasi_sliding_mode
 from problems.flexible_spacecraft.model import (
     BODY,
     FREQUENCIES,
     INERTIA,
-    INERTIAL_ROBUST,
     INITIAL_ATTITUDE,
     MAX_TORQUE,
-    PublishedDisturbance,
     build_model,
-    fly_loop,
     initial_state,
-    loop,
-    quasi_sliding_mode,
     rest,
 )
-from problems.flexible_spacecraft.published import largest_component, measure, settling, standard
-from problems.flexible_spacecraft.studies import disturbed
+from problems.flexible_spacecraft.runs import (
+    PublishedDisturbance,
+    disturbed,
+    fly_loop,
+    largest_component,
+    loop,
+    measure,
+    settling,
+    standard,
+)
 from problems.reference import Reference
 
 MESH = go.Mesh.uniform(60, 3)

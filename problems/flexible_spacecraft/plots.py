@@ -23,8 +23,7 @@ from gnc_opt.plot.style import (
 from gnc_opt.simulation import Run
 from problems.flexible_spacecraft.model import MAX_TORQUE
 from problems.flexible_spacecraft.optimal import modal_energy, solved, tracked
-from problems.flexible_spacecraft.published import attitude_error, standard
-from problems.flexible_spacecraft.studies import disturbed
+from problems.flexible_spacecraft.runs import attitude_error, disturbed, standard
 
 _AXES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("q", r"$q_{v}$", "", ("x", "y", "z")),

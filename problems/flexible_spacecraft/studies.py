@@ -3,35 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 
-from gnc_opt.simulation import Run, Sinusoid
+from gnc_opt.simulation import Sinusoid
 from problems.comparison import Row, compare, require
-from problems.flexible_spacecraft.model import (
-    DAMPING,
-    FREQUENCIES,
-    FULL,
-    INERTIAL,
-    INERTIAL_ROBUST,
-    UNIT,
-    PublishedDisturbance,
-    build_model,
-    flexible_body,
-)
-from problems.flexible_spacecraft.published import (
+from problems.flexible_spacecraft.laws import INERTIAL, INERTIAL_ROBUST, UNIT
+from problems.flexible_spacecraft.model import DAMPING, FREQUENCIES, FULL, build_model, flexible_body
+from problems.flexible_spacecraft.runs import (
+    DISTURBED_STEP,
     SPAN,
     attitude_error,
+    disturbed,
     fly,
     largest_component,
     measure,
     standard,
     variation,
 )
-
-DISTURBED_STEP = 0.1
-"""Control step of the runs with disturbances, s."""
 
 
 def law_rows() -> list[Row]:
@@ -76,14 +65,6 @@ def _chattering_rows() -> list[Row]:
         compare("sign, held 0.1 s: modal range (kg^.5 m)", (-0.073, 0.049), measure(switching).modes, relative=0.02),
         require("chattering, sign to tanh", "> 500", ratio, ratio > 500),
     ]  # fmt: skip
-
-
-@cache
-def disturbed(name: str) -> Run:
-    """Return the run of "U" or "J" with the publication's disturbance."""
-    pushes = (PublishedDisturbance("T_d", on="torque"),)
-    gains = {"U": UNIT, "J": INERTIAL}[name]
-    return fly(gains, dt=DISTURBED_STEP, tf=240.0, disturbances=pushes)
 
 
 def _disturbance_rows(names: tuple[str, ...] = ("U", "J")) -> list[Row]:
