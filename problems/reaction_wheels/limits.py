@@ -14,7 +14,8 @@ from scipy.optimize import brentq
 
 import gnc_opt as go
 from gnc_opt.simulation import WheelArray
-from problems.reaction_wheels import (
+from problems.reaction_wheels.laws import Law, Linear, design_flc, design_quaternion_lqr, flc_output
+from problems.reaction_wheels.model import (
     AXES,
     DURATION,
     INVERSE,
@@ -25,9 +26,7 @@ from problems.reaction_wheels import (
     target_quaternion,
     wheel_model,
 )
-from problems.reaction_wheels_laws import Linear, design_flc, design_quaternion_lqr, flc_output
-from problems.reaction_wheels_numbers import Law
-from problems.reaction_wheels_published import Slew, fly
+from problems.reaction_wheels.runs import Slew, fly
 from problems.reference import Array
 
 Balance: TypeAlias = Literal["none", "momentum"]
@@ -70,6 +69,11 @@ def allocated_run(
 def peak_speed(run: go.Run) -> float:
     """Return the speed of the fastest wheel at the control steps of a run, rpm."""
     return float(np.max(np.abs(run.state("h").values))) / WHEEL_INERTIA / RPM
+
+
+def angle_left(run: go.Run) -> float:
+    """Return the attitude error at the end of a run, degrees."""
+    return float(np.degrees(run.attitude_error("q")))
 
 
 def about_z(angle: float) -> Array:

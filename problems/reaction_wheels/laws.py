@@ -1,4 +1,4 @@
-r"""The two published attitude laws of the wheel pyramid, as controllers of `problems.reaction_wheels.wheel_model`.
+r"""The two published attitude laws of the wheel pyramid, as controllers of `model.wheel_model`.
 
 Both command the body torque :math:`T_c`; the wheels' part of it is the allocation's business: :math:`T = A^+ T_c`.
 
@@ -36,9 +36,10 @@ from gnc_opt.control.riccati import steady
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
 from gnc_opt.model.layout import Layout
 from gnc_opt.spacecraft import quaternion_error
-from problems.reaction_wheels import REST, resting, wheel_model
+from problems.reaction_wheels.model import REST, resting, wheel_model
 from problems.reference import Array
 
+Law: TypeAlias = Literal["FLC", "LQR"]
 Output: TypeAlias = Literal["absolute", "error"]
 
 PRINTED_FLC = (0.0316, 0.2535)

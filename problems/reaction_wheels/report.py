@@ -16,10 +16,19 @@ from rich.table import Table
 
 import gnc_opt as go
 from gnc_opt.report import write_report
-from problems.reaction_wheels import REFERENCE, RPM, WHEEL_INERTIA
-from problems.reaction_wheels_optimal import MANOEUVRE, SLEWS, TRACKED, fastest_wheel, optimal_slew, track
-from problems.reaction_wheels_published import published_slew
-from problems.reaction_wheels_table import Row, angle_left, rows
+from problems.reaction_wheels.limits import angle_left
+from problems.reaction_wheels.model import RPM, WHEEL_INERTIA
+from problems.reaction_wheels.optimal import (
+    MANOEUVRE,
+    REFERENCE,
+    SLEWS,
+    TRACKED,
+    fastest_wheel,
+    optimal_slew,
+    track,
+)
+from problems.reaction_wheels.published import Row, rows
+from problems.reaction_wheels.runs import published_slew
 
 
 @dataclass(frozen=True)
@@ -131,7 +140,13 @@ def tracked_rows() -> list[Tracked]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the tables; 1 if a number misses its tolerance or a verdict fails."""
+    """Reproduce, optimise, track; see ``python -m problems.reaction_wheels --help``.
+
+    Returns
+    -------
+    int
+        0; 1 if a number misses its tolerance or a verdict fails.
+    """
     options = _parser().parse_args(arguments)
     console = Console(highlight=False)
     if not console.is_terminal:
@@ -155,7 +170,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json is not None:
         _write_json(options.json, found, optimal, tracked)
     if options.report is not None:
-        from problems.reaction_wheels_figures import write_figures
+        from problems.reaction_wheels.plots import write_figures
 
         paths = write_figures(options.report)
         for name in SLEWS:

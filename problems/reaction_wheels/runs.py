@@ -1,7 +1,7 @@
 """The published slews of the wheel pyramid: what the laws do, as integrals over 60 s, not as sums over solver steps.
 
 The published laws are continuous in time, so they are integrated as such (Dormand-Prince 8(5,3) at a relative
-tolerance of 1e-10, on the model itself) and looked at every 5 ms; `problems.reaction_wheels_limits` flies them
+tolerance of 1e-10, on the model itself) and looked at every 5 ms; `problems.reaction_wheels.limits` flies them
 sampled.
 """
 
@@ -18,7 +18,8 @@ from scipy.integrate import solve_ivp, trapezoid
 import gnc_opt as go
 from gnc_opt.simulation.metrics import settling_time
 from gnc_opt.spacecraft import quaternion_angle, total_momentum
-from problems.reaction_wheels import (
+from problems.reaction_wheels.laws import Law, design_flc, design_quaternion_lqr
+from problems.reaction_wheels.model import (
     AXES,
     DURATION,
     INERTIA,
@@ -32,8 +33,6 @@ from problems.reaction_wheels import (
     target_quaternion,
     wheel_model,
 )
-from problems.reaction_wheels_laws import design_flc, design_quaternion_lqr
-from problems.reaction_wheels_numbers import Law
 from problems.reference import Array
 
 STEP = 0.005

@@ -10,10 +10,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gnc_opt.plot.style import QUIET, legend_above, line_look, new_figure, save_figure, style
-from problems.reaction_wheels import DESIGN_SPEED, NOMINAL_SPEED, NULL, RPM, WHEEL_INERTIA, paper_quaternion
-from problems.reaction_wheels_numbers import Law
-from problems.reaction_wheels_optimal import MANOEUVRE, SLEWS, TRACKED, Name, optimal_slew, track
-from problems.reaction_wheels_published import Slew, published_slew
+from problems.reaction_wheels.laws import Law
+from problems.reaction_wheels.model import (
+    DESIGN_SPEED,
+    NOMINAL_SPEED,
+    NULL,
+    RPM,
+    WHEEL_INERTIA,
+    paper_quaternion,
+)
+from problems.reaction_wheels.optimal import MANOEUVRE, SLEWS, TRACKED, Name, optimal_slew, track
+from problems.reaction_wheels.runs import Slew, published_slew
 from problems.reference import Array
 
 WHEELS = tuple(f"wheel {i}" for i in range(1, 5))

@@ -20,25 +20,32 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Literal, TypeAlias
 
+import casadi as ca
 import numpy as np
 from scipy.linalg import block_diag
 
 import gnc_opt as go
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.riccati import steady
+from gnc_opt.errors import did_you_mean
 from gnc_opt.simulation import Constant, Saturation
-from problems.reaction_wheels import (
+from problems.reaction_wheels.laws import PRINTED_FLC
+from problems.reaction_wheels.model import (
+    AXES,
     INERTIA,
+    INVERSE,
+    MAX_MOMENTUM,
     NULL,
+    REST,
     RPM,
     WHEEL_INERTIA,
-    build,
-    published_peak_torque,
     resting,
+    target_quaternion,
     wheel_model,
 )
-from problems.reference import Array
+from problems.reference import Array, Reference
 
+Goal: TypeAlias = Literal["energy", "time"]
 Name: TypeAlias = Literal["energy", "energy, half the time", "time, small", "time, speed limit"]
 
 HALF = 17.0
@@ -48,6 +55,87 @@ RESERVE_TORQUE = 0.05
 BIAS = 300.0
 """Speed in the null direction at the start of the slew of least time on the speed limit, rpm."""
 _TOLERANCE = 1e-8
+
+
+# --- the problem ----------------------------------------------------------------------------------------
+
+
+def published_peak_torque(manoeuvre: int) -> float:
+    """Return the largest wheel torque (N m) of the published feedback linearisation in a manoeuvre.
+
+    It is the first one: from rest the law asks for the body torque 2 K1 J q_v, q_v the target's vector part.
+    """
+    body = 2 * PRINTED_FLC[0] * np.asarray(INERTIA) * target_quaternion(manoeuvre)[1:]
+    return float(np.max(np.abs(INVERSE @ body)))
+
+
+def build(
+    goal: Goal = "energy",
+    manoeuvre: int = 3,
+    duration: float = 34.6,
+    torque: float | None = None,
+    bias: float = 0.0,
+) -> go.Problem:
+    """Return the problem of an optimal slew of the body from rest to rest.
+
+    Parameters
+    ----------
+    goal : {"energy", "time"}
+        Least integral of the squared wheel torques (N^2 m^2 s; the loss in the motors' windings is proportional to it)
+        in a given time, wheels at rest in the end; or least time (s). In least time the momentum in the null direction
+        is free in the end: it does not move the body, and the wheels get rid of it later.
+    manoeuvre : int
+        See `MANOEUVRES`.
+    duration : float
+        s; for "energy". By default as long as the published feedback linearisation takes to settle to 2 %.
+    torque : float, optional
+        Limit of every wheel's torque, N m; default `published_peak_torque`.
+    bias : float
+        Speed in the null direction with which the wheels begin, rpm; keeps them away from standstill.
+
+    Raises
+    ------
+    ProblemError
+        There is no such goal or manoeuvre.
+    """
+    if goal not in ("energy", "time"):
+        raise go.ProblemError(f"a slew has no goal {goal!r}: {did_you_mean(str(goal), ('energy', 'time'))}")
+    target = target_quaternion(manoeuvre)
+    limit = published_peak_torque(manoeuvre) if torque is None else torque
+    craft = wheel_model()
+    problem = go.Problem(f"{goal}-optimal slew {manoeuvre}")
+    slew = problem.phase("slew", craft)
+    slew.time(initial=0.0, final=(1.0, 100.0) if goal == "time" else duration)
+    slew.initial(q=REST[:4], omega=0.0, h=WHEEL_INERTIA * RPM * bias * NULL)
+    # What is conserved (unit length, zero momentum) is not stated twice: the quaternion's vector part is enough, and
+    # with the body at rest one wheel stands for all four
+    null = MAX_MOMENTUM if goal == "time" else 0.0
+    slew.final(
+        q=([0.0, *target[1:]], [1.0, *target[1:]]),
+        omega=0.0,
+        h=([-MAX_MOMENTUM] * 3 + [-null], [MAX_MOMENTUM] * 3 + [null]),
+    )
+    # The rates that the wheels' momenta can give at most: it excludes nothing, but keeps the iterates where they belong
+    rates = np.sum(np.abs(AXES), axis=1) * MAX_MOMENTUM / np.asarray(INERTIA)
+    slew.bounds(T=(-limit, limit), h=(-MAX_MOMENTUM, MAX_MOMENTUM), omega=(-rates, rates))
+    if goal == "time":
+        problem.minimize(slew.final_time)
+    else:
+        torques = craft.symbol("T")
+        problem.minimize(slew.integral(ca.sumsqr(torques), "energy"))
+    return problem
+
+
+REFERENCE = Reference(
+    0.0053685521495051,
+    "independent: two-point boundary value problem of the minimum principle, residual 1e-11",
+    1e-11,
+    "N^2 m^2 s",
+)
+"""Of `build` with its default arguments."""
+
+
+# --- its solutions --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

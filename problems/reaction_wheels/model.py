@@ -1,4 +1,4 @@
-r"""Attitude slews with a pyramid of four reaction wheels: feedback linearisation, quaternion LQR, optimal slews.
+r"""A spacecraft with a pyramid of four reaction wheels: data, manoeuvres, dynamics.
 
 A body at rest is turned by the motor torques of four wheels. Total momentum is zero and stays zero, so that the
 gyroscopic term vanishes identically and the wheels' momenta are always those of the body, with the opposite sign.
@@ -17,12 +17,11 @@ have the scalar part last; `paper_quaternion` converts at the edges, where numbe
 
 Source of data, laws and manoeuvres: Navabi and Hosseini, "Modeling and spacecraft attitude control using reaction
 wheel with feedback linearization, its performance study subject to power and EULERINT", Modares Mechanical Engineering
-18 (1), 51-61, 2018. The page ``docs/reaction_wheels.md`` tells the whole story.
+18 (1), 51-61, 2018.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Literal, TypeAlias
 
 import casadi as ca
@@ -30,7 +29,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import gnc_opt as go
-from gnc_opt.errors import did_you_mean
 from gnc_opt.spacecraft import (
     array_momentum,
     quaternion_difference,
@@ -39,9 +37,8 @@ from gnc_opt.spacecraft import (
     wheel_body_acceleration,
     wheel_pyramid,
 )
-from problems.reference import Array, Reference
+from problems.reference import Array
 
-Goal: TypeAlias = Literal["energy", "time"]
 Drive: TypeAlias = Literal["wheels", "body"]
 
 INERTIA = (4.0, 4.0, 3.0)
@@ -127,94 +124,3 @@ def wheel_model(inertia: ArrayLike = INERTIA, *, drive: Drive = "wheels") -> go.
     craft.output("wheel_momentum_B", array_momentum(AXES, momenta), unit="N m s")
     craft.difference(q_BN, quaternion_difference)
     return craft
-
-
-# --- optimal slews --------------------------------------------------------------------------------------
-
-
-def published_peak_torque(manoeuvre: int) -> float:
-    """Return the largest wheel torque (N m) of the published feedback linearisation in a manoeuvre.
-
-    It is the first one: from rest the law asks for the body torque 2 K1 J q_v, q_v the target's vector part.
-    """
-    from problems.reaction_wheels_laws import PRINTED_FLC
-
-    body = 2 * PRINTED_FLC[0] * np.asarray(INERTIA) * target_quaternion(manoeuvre)[1:]
-    return float(np.max(np.abs(INVERSE @ body)))
-
-
-def build(
-    goal: Goal = "energy",
-    manoeuvre: int = 3,
-    duration: float = 34.6,
-    torque: float | None = None,
-    bias: float = 0.0,
-) -> go.Problem:
-    """Return the problem of an optimal slew of the body from rest to rest.
-
-    Parameters
-    ----------
-    goal : {"energy", "time"}
-        Least integral of the squared wheel torques (N^2 m^2 s; the loss in the motors' windings is proportional to it)
-        in a given time, wheels at rest in the end; or least time (s). In least time the momentum in the null direction
-        is free in the end: it does not move the body, and the wheels get rid of it later.
-    manoeuvre : int
-        See `MANOEUVRES`.
-    duration : float
-        s; for "energy". By default as long as the published feedback linearisation takes to settle to 2 %.
-    torque : float, optional
-        Limit of every wheel's torque, N m; default `published_peak_torque`.
-    bias : float
-        Speed in the null direction with which the wheels begin, rpm; keeps them away from standstill.
-
-    Raises
-    ------
-    ProblemError
-        There is no such goal or manoeuvre.
-    """
-    if goal not in ("energy", "time"):
-        raise go.ProblemError(f"a slew has no goal {goal!r}: {did_you_mean(str(goal), ('energy', 'time'))}")
-    target = target_quaternion(manoeuvre)
-    limit = published_peak_torque(manoeuvre) if torque is None else torque
-    craft = wheel_model()
-    problem = go.Problem(f"{goal}-optimal slew {manoeuvre}")
-    slew = problem.phase("slew", craft)
-    slew.time(initial=0.0, final=(1.0, 100.0) if goal == "time" else duration)
-    slew.initial(q=REST[:4], omega=0.0, h=WHEEL_INERTIA * RPM * bias * NULL)
-    # What is conserved (unit length, zero momentum) is not stated twice: the quaternion's vector part is enough, and
-    # with the body at rest one wheel stands for all four
-    null = MAX_MOMENTUM if goal == "time" else 0.0
-    slew.final(
-        q=([0.0, *target[1:]], [1.0, *target[1:]]),
-        omega=0.0,
-        h=([-MAX_MOMENTUM] * 3 + [-null], [MAX_MOMENTUM] * 3 + [null]),
-    )
-    # The rates that the wheels' momenta can give at most: it excludes nothing, but keeps the iterates where they belong
-    rates = np.sum(np.abs(AXES), axis=1) * MAX_MOMENTUM / np.asarray(INERTIA)
-    slew.bounds(T=(-limit, limit), h=(-MAX_MOMENTUM, MAX_MOMENTUM), omega=(-rates, rates))
-    if goal == "time":
-        problem.minimize(slew.final_time)
-    else:
-        torques = craft.symbol("T")
-        problem.minimize(slew.integral(ca.sumsqr(torques), "energy"))
-    return problem
-
-
-REFERENCE = Reference(
-    0.0053685521495051,
-    "independent: two-point boundary value problem of the minimum principle, residual 1e-11",
-    1e-11,
-    "N^2 m^2 s",
-)
-"""Of `build` with its default arguments."""
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Reproduce, optimise, track; see ``python -m problems.reaction_wheels --help``."""
-    from problems import reaction_wheels_report
-
-    return reaction_wheels_report.main(arguments)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
