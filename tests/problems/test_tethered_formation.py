@@ -25,10 +25,17 @@ from problems.tethered_formation import (
     solve,
     tether_model,
 )
-from problems.tethered_formation_control import Gains, design_swing_law, predictive, surface
-from problems.tethered_formation_optimal import DISTURBED, Optimum, ends, track
-from problems.tethered_formation_runs import comparison, fly
-from problems.tethered_formation_table import RESULTS, Row, law_rows, observer_errors, plant_rows, result_rows
+from problems.tethered_formation.laws import Gains, design_swing_law, predictive, surface
+from problems.tethered_formation.optimal import DISTURBED, Optimum, ends, track
+from problems.tethered_formation.published import (
+    RESULTS,
+    Row,
+    law_rows,
+    observer_errors,
+    plant_rows,
+    result_rows,
+)
+from problems.tethered_formation.runs import comparison, fly
 
 COMPILER = shutil.which("cc")
 

@@ -1,4 +1,4 @@
-r"""A tethered pair of satellites: swing and orbit by the direction of the leader's thrust.
+r"""The tethered pair: data, dynamics, the reference orbit.
 
 A leader pulls a follower by a tether of constant length; its thrust F is constant, its angle :math:`\gamma` above the
 direction of motion is all that can be steered, at a limited rate. A swing :math:`\theta` has to be taken out of the
@@ -16,12 +16,11 @@ those of `gnc_opt.spacecraft.tether`; `tether_model` is the only model: controll
 
 Source: Jia and Meng, Orbit cooperative control for tethered satellite formation system via attitude maneuvering, J.
 Astronautics 43 (10), 1361-1367, 2022, whose equations and data are lost in the text that is available: structure
-theirs, derivation and numbers ours. ``docs/tethered_formation.md`` tells the whole story.
+theirs, derivation and numbers ours.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
@@ -30,12 +29,10 @@ from numpy.polynomial import Chebyshev, Polynomial
 from scipy.integrate import solve_ivp
 
 import gnc_opt as go
-from gnc_opt.errors import did_you_mean
 from gnc_opt.spacecraft import TetheredPair, TetherMotion
-from problems.reference import Array, Reference
+from problems.reference import Array
 
 Gravity: TypeAlias = Literal["first order", "exact"]
-Goal: TypeAlias = Literal["time", "effort"]
 
 PAIR = TetheredPair(leader_mass=500.0, follower_mass=200.0, tether_mass=1.0, length=100.0)
 FORCE = 100.0
@@ -161,76 +158,3 @@ def reference(pair: TetheredPair = PAIR, force: float = FORCE, duration: float =
     states = Orbit.of(pair, force, duration).state
     model = tether_model(pair, force)
     return go.Reference.from_functions(model, states, lambda _: np.zeros(1), 0.0, duration)
-
-
-# --- optimal manoeuvres ---------------------------------------------------------------------------------
-
-
-def build(
-    goal: Goal = "time",
-    swing: float = FIRST_SWING,
-    duration: float = DURATION,
-    angle: float = MAX_ANGLE,
-    rate: float = MAX_RATE,
-) -> go.Problem:
-    """Return the problem of taking out the swing *and* coming to rest on the height of the reference orbit.
-
-    At the end swing, its rate and the thrust angle are those of the reference, and so are height and climb. The
-    place along the orbit cannot be had as well: thrust that is deflected is missing along the orbit.
-
-    Parameters
-    ----------
-    goal : {"time", "effort"}
-        Least time (s), or least integral of the squared rate of the thrust angle (rad^2/s) over ``duration``.
-    swing : float
-        At the start, rad.
-    duration : float
-        s; for "effort".
-    angle, rate : float
-        Limits of the thrust angle (rad) and its rate (rad/s).
-
-    Raises
-    ------
-    ProblemError
-        There is no such goal.
-    """
-    if goal not in ("time", "effort"):
-        raise go.ProblemError(f"the pair has no goal {goal!r}: {did_you_mean(str(goal), ('time', 'effort'))}")
-    model, orbit = tether_model(), Orbit.of()
-    problem = go.Problem(f"swing suppression, least {goal}")
-    leg = problem.phase("pull", model)
-    leg.time(initial=0.0, final=(10.0, DURATION) if goal == "time" else duration)
-    leg.initial(**dict(zip(model.states.names, first_state(swing), strict=True)))
-    leg.bounds(gamma=(-angle, angle), gamma_rate=(-rate, rate))
-    # The equilibrium's angle, some -1e-5 rad, moves by 1e-6 rad in 200 s: taken at the end of the orbit.
-    leg.final(theta=orbit.state(duration)[4], theta_rate=0.0, gamma=0.0)
-    height, climb, *_ = orbit(leg.final_time)
-    problem.constrain("height of the reference", leg.final_state("height") - height, equals=0.0)
-    problem.constrain("climb of the reference", leg.final_state("climb") - climb, equals=0.0)
-    if goal == "time":
-        problem.minimize(leg.final_time)
-    else:
-        problem.minimize(leg.integral(model.symbol("gamma_rate") ** 2, "effort"))
-    return problem
-
-
-def solve(goal: Goal = "time", **options: float) -> go.Solution:
-    """Solve `build` to 1e-8; the least time by its switches: eight arcs, three of them on the limit of the angle."""
-    problem = build(goal, **options)
-    if goal == "effort":
-        return go.solve(problem, tol=1e-8)
-    return go.solve(problem, mesh="60x3", tol=1e-8, structure="bang-bang")
-
-
-REFERENCE = Reference(100.16675803, "ours: 150 segments and eight arcs with free switches agree", 1e-6, "s")
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Reproduce, optimise, track; see ``python -m problems.tethered_formation --help``."""
-    from problems import tethered_formation_report
-
-    return tethered_formation_report.main(arguments)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -25,7 +25,7 @@ from gnc_opt.control.guard import GUARD, Memory, guarded_controller, guarded_inv
 from gnc_opt.control.hierarchical import hierarchical_errors
 from gnc_opt.control.lie import OutputErrors, zero_dynamics
 from gnc_opt.control.reaching_mpc import PredictiveReaching
-from problems.tethered_formation import MAX_ANGLE, MAX_RATE, RADIUS
+from problems.tethered_formation.model import MAX_ANGLE, MAX_RATE, RADIUS
 
 Unknown: TypeAlias = Literal["observed", "ignored", "modelled"]
 

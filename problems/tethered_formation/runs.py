@@ -10,7 +10,17 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.spacecraft import TetheredPair, TetherMotion
 from problems.reference import Array
-from problems.tethered_formation import (
+from problems.tethered_formation.laws import (
+    STEP,
+    Gains,
+    Linear,
+    Reaching,
+    Switching,
+    Unknown,
+    design_swing_law,
+    predictive,
+)
+from problems.tethered_formation.model import (
     DURATION,
     FORCE,
     MAX_ANGLE,
@@ -21,16 +31,6 @@ from problems.tethered_formation import (
     first_state,
     reference,
     tether_model,
-)
-from problems.tethered_formation_control import (
-    STEP,
-    Gains,
-    Linear,
-    Reaching,
-    Switching,
-    Unknown,
-    design_swing_law,
-    predictive,
 )
 
 

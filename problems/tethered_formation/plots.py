@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gnc_opt.plot.style import QUIET, legend_on_top, line_look, new_figure, save_figure, style
-from problems.tethered_formation import MAX_ANGLE, MAX_RATE, Orbit
-from problems.tethered_formation_optimal import Optimum
-from problems.tethered_formation_runs import Manoeuvre
+from problems.tethered_formation.model import MAX_ANGLE, MAX_RATE, Orbit
+from problems.tethered_formation.optimal import Optimum
+from problems.tethered_formation.runs import Manoeuvre
 
 _LAWS = ("MPC", "linear", "switching 0.01", "no control")
 

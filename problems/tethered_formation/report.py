@@ -18,10 +18,9 @@ from rich.table import Table
 import gnc_opt as go
 from gnc_opt.report import write_report
 from problems.reference import Array
-from problems.tethered_formation import REFERENCE
-from problems.tethered_formation_optimal import RESERVE, Optimum, Tracker, ends, track
-from problems.tethered_formation_runs import Manoeuvre, comparison
-from problems.tethered_formation_table import Row, law_rows, plant_rows, result_rows, study_rows
+from problems.tethered_formation.optimal import REFERENCE, RESERVE, Optimum, Tracker, ends, track
+from problems.tethered_formation.published import Row, law_rows, plant_rows, result_rows, study_rows
+from problems.tethered_formation.runs import Manoeuvre, comparison
 
 _WIDTH = 150
 NOT_REPRODUCED: Mapping[str, str] = {
@@ -37,7 +36,13 @@ BAND = 1.0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Return 0 if every asserted number is met, both verdicts are ok and no tracked run fails or breaks a limit."""
+    """Reproduce, optimise, track; see ``python -m problems.tethered_formation --help``.
+
+    Returns
+    -------
+    int
+        0 if every asserted number is met, every verdict is ok and no tracked run fails or breaks a limit; else 1.
+    """
     options = _parser().parse_args(arguments)
     console = Console(highlight=False)
     if not console.is_terminal:
@@ -203,7 +208,7 @@ def _write(
     optima: Mapping[str, Optimum],
     tracked: Mapping[str, Mapping[str, Manoeuvre]],
 ) -> None:
-    from problems.tethered_formation_figures import write_figures
+    from problems.tethered_formation.plots import write_figures
 
     for name, optimum in optima.items():
         write_report(optimum.solution, optimum.verdict, folder / name)

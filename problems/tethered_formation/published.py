@@ -16,7 +16,8 @@ from scipy.integrate import solve_ivp
 from gnc_opt.control import SuperTwistingObserver
 from gnc_opt.spacecraft import TetheredPair, TetherMotion
 from problems.reference import Array
-from problems.tethered_formation import (
+from problems.tethered_formation.laws import Gains, predictive, surface
+from problems.tethered_formation.model import (
     DURATION,
     FORCE,
     MAX_ANGLE,
@@ -28,8 +29,7 @@ from problems.tethered_formation import (
     first_state,
     reference,
 )
-from problems.tethered_formation_control import Gains, predictive, surface
-from problems.tethered_formation_runs import Manoeuvre, fly
+from problems.tethered_formation.runs import Manoeuvre, fly
 
 SETTLES, ANGLE, TIME, HEIGHT = 0.02, 0.1, 2.0, 0.5
 """Tolerances: of late swings and of angles (degrees), of times (s), of heights (m)."""
