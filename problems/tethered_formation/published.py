@@ -7,7 +7,6 @@ here was calculated independently, with other code, for data that are not the pu
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -15,6 +14,7 @@ from scipy.integrate import solve_ivp
 
 from gnc_opt.control import SuperTwistingObserver
 from gnc_opt.spacecraft import TetheredPair, TetherMotion
+from problems.comparison import Number
 from problems.reference import Array
 from problems.tethered_formation.laws import Gains, predictive, surface
 from problems.tethered_formation.model import (
@@ -33,43 +33,6 @@ from problems.tethered_formation.runs import Manoeuvre, fly
 
 SETTLES, ANGLE, TIME, HEIGHT = 0.02, 0.1, 2.0, 0.5
 """Tolerances: of late swings and of angles (degrees), of times (s), of heights (m)."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """One number.
-
-    Attributes
-    ----------
-    quantity : str
-        With its unit.
-    expected, ours : float
-    tolerance : float or None
-        Absolute; ``None``: shown, not asserted. With ``below``, ours must not exceed ``expected``.
-    published : str
-        What the publication says.
-    reason : str
-    below : bool
-    """
-
-    quantity: str
-    expected: float
-    ours: float
-    tolerance: float | None = None
-    published: str = ""
-    reason: str = ""
-    below: bool = False
-
-    @property
-    def passes(self) -> bool | None:
-        """Whether it is close enough; ``None`` where nothing is asserted."""
-        if self.below:
-            return bool(self.ours <= self.expected)
-        if self.tolerance is None:
-            return None
-        if not np.isfinite(self.expected):
-            return bool(self.ours == self.expected)
-        return bool(abs(self.ours - self.expected) <= self.tolerance)
 
 
 # --- the results table: overshoot, last times beyond 2 and 1 degrees, swing after 150 s (degrees, s), largest error of
@@ -124,13 +87,13 @@ def figures_of(m: Manoeuvre) -> tuple[float, ...]:
     )
 
 
-def result_rows(runs: Mapping[str, Manoeuvre]) -> list[Row]:
+def result_rows(runs: Mapping[str, Manoeuvre]) -> list[Number]:
     """Return the results table and the trace of the published structure."""
     rows = []
     for name, expected in RESULTS.items():
         for (label, tolerance), value, ours in zip(_COLUMNS, expected, figures_of(runs[name]), strict=True):
             chatter = "switching" in name and "rad/s" in label
-            rows.append(Row(f"{name}: {label}", value, ours, 0.01 * value if chatter else tolerance))
+            rows.append(Number(f"{name}: {label}", value, ours, 0.01 * value if chatter else tolerance))
     mpc = runs["MPC"]
     labels = (
         ("swing, deg", 0.1),
@@ -141,11 +104,11 @@ def result_rows(runs: Mapping[str, Manoeuvre]) -> list[Row]:
     )
     for t, values in TRACE.items():
         for (label, tolerance), value, ours in zip(labels, values, mpc.at(t), strict=True):
-            rows.append(Row(f"MPC at {t:g} s: {label}", value, float(ours), tolerance))
+            rows.append(Number(f"MPC at {t:g} s: {label}", value, float(ours), tolerance))
     return rows + limit_rows(runs)
 
 
-def limit_rows(runs: Mapping[str, Manoeuvre]) -> list[Row]:
+def limit_rows(runs: Mapping[str, Manoeuvre]) -> list[Number]:
     """Return what the limits do to the published structure, and its chattering against switching."""
     mpc, switching = runs["MPC"], runs["switching 0.01"]
     step = mpc.times[1] - mpc.times[0]
@@ -156,40 +119,40 @@ def limit_rows(runs: Mapping[str, Manoeuvre]) -> list[Row]:
     ratio = switching.variation() / mpc.variation()
     lost = "data and gains of the publication are lost"
     return [
-        Row("MPC: time on the limit of the angle, s", 51.1, mpc.at_angle_limit.size * step, 0.5),
-        Row("MPC: last time on it, s", 68.4, float(mpc.at_angle_limit[-1]), 0.5, "about 70", lost),
-        Row("MPC: time on the limit of the rate, s", 17.2, mpc.at_rate_limit.size * step, 0.5),
-        Row("MPC: |sigma| < 1e-4 from, s", 71.0, float(mpc.times[np.flatnonzero(sigma >= 1e-4)[-1]]), 0.5),
-        Row("MPC: rate of r above its reference from, s", 131.6, float(rising[0]), TIME, "about 70", lost),
-        Row("all: angle beyond 20 deg, deg", 1e-10, excess, below=True, published="never"),
-        Row("all: rate beyond 0.1, rad/s", 1e-12, overstep, below=True, published="never"),
-        Row("variation, switching / MPC", 204.0, ratio, 5.0, "much weaker"),
-        Row("... after 150 s", 412.0, switching.variation(150.0) / mpc.variation(150.0), 10.0),
-        Row("MPC: overshoot, deg", 16.1, mpc.overshoot, None, "about 16.1", lost),
-        Row("MPC: swing after 150 s, deg", 1.0, mpc.late_swing(), below=True, published="at equilibrium"),
+        Number("MPC: time on the limit of the angle, s", 51.1, mpc.at_angle_limit.size * step, 0.5),
+        Number("MPC: last time on it, s", 68.4, float(mpc.at_angle_limit[-1]), 0.5, "about 70", lost),
+        Number("MPC: time on the limit of the rate, s", 17.2, mpc.at_rate_limit.size * step, 0.5),
+        Number("MPC: |sigma| < 1e-4 from, s", 71.0, float(mpc.times[np.flatnonzero(sigma >= 1e-4)[-1]]), 0.5),
+        Number("MPC: rate of r above its reference from, s", 131.6, float(rising[0]), TIME, "about 70", lost),
+        Number("all: angle beyond 20 deg, deg", 1e-10, excess, below=True, published="never"),
+        Number("all: rate beyond 0.1, rad/s", 1e-12, overstep, below=True, published="never"),
+        Number("variation, switching / MPC", 204.0, ratio, 5.0, "much weaker"),
+        Number("... after 150 s", 412.0, switching.variation(150.0) / mpc.variation(150.0), 10.0),
+        Number("MPC: overshoot, deg", 16.1, mpc.overshoot, None, "about 16.1", lost),
+        Number("MPC: swing after 150 s, deg", 1.0, mpc.late_swing(), below=True, published="at equilibrium"),
     ]
 
 
 # --- the plant, the reference, the surface, the reaching law ---------------------------------------------
 
 
-def plant_rows() -> list[Row]:
+def plant_rows() -> list[Number]:
     """Return derived data, drifts of what a free pair conserves, sample values of the accelerations."""
     here = TetherMotion(RADIUS, 0.0, RATE, np.radians(30.0), 0.0)
     sample = PAIR.accelerations(here, FORCE, 0.1)
     rows = [
-        Row("kappa", 0.28601997, PAIR.kappa, 1e-8),
-        Row("m*, kg", 142.986329, PAIR.reduced_mass, 1e-6),
-        Row(
+        Number("kappa", 0.28601997, PAIR.kappa, 1e-8),
+        Number("m*, kg", 142.986329, PAIR.reduced_mass, 1e-6),
+        Number(
             "swing frequency squared, 1/s^2",
             2.000331e-3,
             PAIR.kappa * FORCE / (PAIR.reduced_mass * PAIR.length),
             1e-9,
         ),
-        Row("sample r'', m/s^2", 0.04318828392, sample.r, 0.04318828392e-8),
-        Row("sample alpha'', rad/s^2", 2.26606124e-8, sample.alpha, 2.26606124e-16),
-        Row("sample theta'', rad/s^2", -1.166626992e-3, sample.theta, 1.166626992e-11),
-        Row("sample tension, N", 23.23105381, PAIR.tension(here, FORCE, 0.1), 23.2e-8),
+        Number("sample r'', m/s^2", 0.04318828392, sample.r, 0.04318828392e-8),
+        Number("sample alpha'', rad/s^2", 2.26606124e-8, sample.alpha, 2.26606124e-16),
+        Number("sample theta'', rad/s^2", -1.166626992e-3, sample.theta, 1.166626992e-11),
+        Number("sample tension, N", 23.23105381, PAIR.tension(here, FORCE, 0.1), 23.2e-8),
     ]
     for length, exact, limit, swing in (
         (100.0, True, 1e-12, 123.4206),
@@ -199,9 +162,9 @@ def plant_rows() -> list[Row]:
         energy, momentum, theta = free_drift(TetheredPair(500.0, 200.0, 1.0, length), exact)
         name = f"{'exact' if exact else 'first-order'} gravity, {length:g} m"
         rows += [
-            Row(f"{name}: drift of energy", limit, energy, below=True),
-            Row(f"{name}: drift of momentum", limit, momentum, below=True),
-            Row(f"{name}: swing after 6000 s, deg", swing, theta, 1e-3),
+            Number(f"{name}: drift of energy", limit, energy, below=True),
+            Number(f"{name}: drift of momentum", limit, momentum, below=True),
+            Number(f"{name}: swing after 6000 s, deg", swing, theta, 1e-3),
         ]
     return rows
 
@@ -222,7 +185,7 @@ def free_drift(pair: TetheredPair, exact: bool) -> tuple[float, float, float]:
     return drifts[0], drifts[1], float(np.degrees(y[1, -1]))
 
 
-def law_rows() -> list[Row]:
+def law_rows() -> list[Number]:
     """Return the reference, the surface at the start and the unit tests of the reaching law."""
     orbit, law = Orbit.of(), predictive()
     height, climb, lead, _ = orbit(DURATION)
@@ -238,22 +201,24 @@ def law_rows() -> list[Row]:
         return float(v(sigma, 0.0, g, angle))
 
     rows = [
-        Row("reference r at 200 s - r0, m", 409.494, height, 1e-3),
-        Row("reference rate of r, m/s", 6.13469, climb, 1e-5),
-        Row("reference alpha, rad", 0.216002777, RATE * DURATION + lead / RADIUS, 1e-9),
-        Row("S(0)", 0.183263143, s, 1e-9),
-        Row("S_v(0)", -0.002484890, rate, 1e-9),
-        Row("G(0)", -0.012864378, effect, 1e-9),
-        Row("sigma(0)", 0.180778253, s + rate, 1e-9),
-        Row("v0 / sigma without limits", 92.6008, command(1e-6, 0.0) / 1e-6, 1e-4),
-        Row("... infinite horizon", 93.2483, -predictive(2000).gain(g), 1e-4),
-        Row("v0 at sigma = 0.18", 0.1, command(0.18, 0.0), 1e-12),
-        Row("... 0.005 from the angle's limit", 0.05, command(0.18, MAX_ANGLE - 0.005), 1e-12),
-        Row("... on the limit", 0.0, command(0.18, MAX_ANGLE), 1e-12),
+        Number("reference r at 200 s - r0, m", 409.494, height, 1e-3),
+        Number("reference rate of r, m/s", 6.13469, climb, 1e-5),
+        Number("reference alpha, rad", 0.216002777, RATE * DURATION + lead / RADIUS, 1e-9),
+        Number("S(0)", 0.183263143, s, 1e-9),
+        Number("S_v(0)", -0.002484890, rate, 1e-9),
+        Number("G(0)", -0.012864378, effect, 1e-9),
+        Number("sigma(0)", 0.180778253, s + rate, 1e-9),
+        Number("v0 / sigma without limits", 92.6008, command(1e-6, 0.0) / 1e-6, 1e-4),
+        Number("... infinite horizon", 93.2483, -predictive(2000).gain(g), 1e-4),
+        Number("v0 at sigma = 0.18", 0.1, command(0.18, 0.0), 1e-12),
+        Number("... 0.005 from the angle's limit", 0.05, command(0.18, MAX_ANGLE - 0.005), 1e-12),
+        Number("... on the limit", 0.0, command(0.18, MAX_ANGLE), 1e-12),
     ]
     for t, theta in ((0.0, -1.0206e-5), (100.0, -9.97e-6), (200.0, -9.26e-6)):
         h, c, _, d = orbit(t)
-        rows.append(Row(f"equilibrium swing at {t:g} s, rad", theta, equilibrium(PAIR, FORCE, h, c, d), 1e-8))
+        rows.append(
+            Number(f"equilibrium swing at {t:g} s, rad", theta, equilibrium(PAIR, FORCE, h, c, d), 1e-8)
+        )
     return rows
 
 
@@ -285,20 +250,22 @@ def observer_errors(m: Manoeuvre, begin: float = 0.0) -> tuple[float, float, flo
     )
 
 
-def study_rows(mpc: Manoeuvre) -> list[Row]:
+def study_rows(mpc: Manoeuvre) -> list[Number]:
     """Return gains, mismatches and other first swings, as far as they were calculated independently."""
     rows = [
-        Row(f"observer{where}: {what}", value, ours, 0.02 * value)
+        Number(f"observer{where}: {what}", value, ours, 0.02 * value)
         for where, begin, values in (("", 0.0, (2.35e-4, 7.1e-5)), (" after 100 s", 100.0, (1.38e-5, 3.6e-6)))
         for what, value, ours in zip(
             ("rms Gamma", "rms error"), values, observer_errors(mpc, begin), strict=False
         )
     ]
-    rows.append(Row("observer after 100 s: largest xi", 5.5e-7, observer_errors(mpc, 100.0)[2], below=True))
+    rows.append(
+        Number("observer after 100 s: largest xi", 5.5e-7, observer_errors(mpc, 100.0)[2], below=True)
+    )
     gentle = fly(gains=Gains(observer=SuperTwistingObserver(0.003, 5e-6)))
     rows += [
-        Row("k7 = 0.003, k8 = 5e-6: variation after 150 s, rad/s", 0.0187, gentle.variation(150.0), 5e-4),
-        Row("... in all, rad/s", 0.676, gentle.variation(), 5e-3),
+        Number("k7 = 0.003, k8 = 5e-6: variation after 150 s, rad/s", 0.0187, gentle.variation(150.0), 5e-4),
+        Number("... in all, rad/s", 0.676, gentle.variation(), 5e-3),
     ]
     for name, pair, force, swing, lead in (
         ("md + 20 %", TetheredPair(500.0, 240.0, 1.0, 100.0), FORCE, 1.74, -226.0),
@@ -307,8 +274,8 @@ def study_rows(mpc: Manoeuvre) -> list[Row]:
         ("mp + 20 %", TetheredPair(600.0, 200.0, 1.0, 100.0), FORCE, 3.73, -435.0),
     ):
         m = fly(pair=pair, force=force)
-        rows.append(Row(f"{name}: largest swing after 150 s, deg", swing, m.late_swing(), SETTLES))
-        rows.append(Row(f"{name}: error along the orbit at 200 s, m", lead, float(m.lead[-1]), 1.0))
+        rows.append(Number(f"{name}: largest swing after 150 s, deg", swing, m.late_swing(), SETTLES))
+        rows.append(Number(f"{name}: error along the orbit at 200 s, m", lead, float(m.lead[-1]), 1.0))
     for first, swing in (
         (-45.0, 0.67),
         (-30.0, 1.16),
@@ -319,12 +286,12 @@ def study_rows(mpc: Manoeuvre) -> list[Row]:
     ):
         m = fly(swing=np.radians(first))
         rows.append(
-            Row(f"first swing {first:g} deg: largest after 150 s, deg", swing, m.late_swing(), SETTLES)
+            Number(f"first swing {first:g} deg: largest after 150 s, deg", swing, m.late_swing(), SETTLES)
         )
         if first == 60.0:
-            rows.append(Row("... least tension, N", 5.7, float(m.tension.min()), 0.1))
+            rows.append(Number("... least tension, N", 5.7, float(m.tension.min()), 0.1))
     rows.append(
-        Row(
+        Number(
             "first rate 0.03 rad/s: the same, deg",
             3.97,
             fly(swing=0.0, swing_rate=0.03).late_swing(),
@@ -334,31 +301,31 @@ def study_rows(mpc: Manoeuvre) -> list[Row]:
     return rows + tuning_rows()
 
 
-def tuning_rows() -> list[Row]:
+def tuning_rows() -> list[Number]:
     """Return other gains, horizons, steps and durations."""
     other = fly(gains=Gains(k1=0.30, k2=0.0015, k4=-0.022, k6=0.5))
     alone = fly(gains=Gains(k4=0.0, k5=0.0))
     fine, long = fly(predictive(40, dt=0.05), dt=0.05), fly(duration=800.0)
     flipped = fly(gains=Gains(k4=0.005))
     rows = [
-        Row(
+        Number(
             "k4 = +0.005: swing at 200 s, deg",
             18.0,
             float(flipped.swing[-1]),
             reason="calculated independently with gains not stated; unstable here as well, 0.0055 1/s",
         ),
-        Row("... rate of r against its reference, m/s", -1.0, float(flipped.climb[-1]), below=True),
-        Row("other gains: overshoot, deg", 16.05, other.overshoot, ANGLE, "about 16.1"),
-        Row("... last time beyond 1 deg, s", 81.0, other.last_beyond(1.0), TIME),
-        Row("... error of r at 200 s, m", -21.0, float(other.height[-1]), 1.0),
-        Row("swing alone: last time beyond 1 deg, s", 81.6, alone.last_beyond(1.0), TIME),
-        Row("... error of r at 200 s, m", -110.0, float(alone.height[-1]), 1.0),
-        Row("half the step: overshoot, deg", 13.01, fine.overshoot, ANGLE),
-        Row("... last time beyond 1 deg, s", 136.5, fine.last_beyond(1.0), TIME),
-        Row("... error of r at 200 s, m", -7.13, float(fine.height[-1]), HEIGHT),
-        Row("800 s: error of r, m", -5.02, float(long.height[-1]), 0.05),
-        Row("... swing, deg", -0.449, float(long.swing[-1]), 0.005),
-        Row("... error along the orbit, m", -382.0, float(long.lead[-1]), 1.0),
+        Number("... rate of r against its reference, m/s", -1.0, float(flipped.climb[-1]), below=True),
+        Number("other gains: overshoot, deg", 16.05, other.overshoot, ANGLE, "about 16.1"),
+        Number("... last time beyond 1 deg, s", 81.0, other.last_beyond(1.0), TIME),
+        Number("... error of r at 200 s, m", -21.0, float(other.height[-1]), 1.0),
+        Number("swing alone: last time beyond 1 deg, s", 81.6, alone.last_beyond(1.0), TIME),
+        Number("... error of r at 200 s, m", -110.0, float(alone.height[-1]), 1.0),
+        Number("half the step: overshoot, deg", 13.01, fine.overshoot, ANGLE),
+        Number("... last time beyond 1 deg, s", 136.5, fine.last_beyond(1.0), TIME),
+        Number("... error of r at 200 s, m", -7.13, float(fine.height[-1]), HEIGHT),
+        Number("800 s: error of r, m", -5.02, float(long.height[-1]), 0.05),
+        Number("... swing, deg", -0.449, float(long.swing[-1]), 0.005),
+        Number("... error along the orbit, m", -382.0, float(long.lead[-1]), 1.0),
     ]
     for label, law, overshoot, height in (
         ("Np = 5", predictive(5), 12.48, -7.94),
@@ -367,6 +334,6 @@ def tuning_rows() -> list[Row]:
         ("R = 1e-3", predictive(effort=1e-3), 8.76, -16.35),
     ):
         m = fly(law)
-        rows.append(Row(f"{label}: overshoot, deg", overshoot, m.overshoot, ANGLE))
-        rows.append(Row(f"{label}: error of r at 200 s, m", height, float(m.height[-1]), HEIGHT))
+        rows.append(Number(f"{label}: overshoot, deg", overshoot, m.overshoot, ANGLE))
+        rows.append(Number(f"{label}: error of r at 200 s, m", height, float(m.height[-1]), HEIGHT))
     return rows

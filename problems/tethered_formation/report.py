@@ -6,7 +6,6 @@ import argparse
 import json
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,10 @@ from rich.table import Table
 
 import gnc_opt as go
 from gnc_opt.report import write_report
+from problems.comparison import Number
 from problems.reference import Array
 from problems.tethered_formation.optimal import REFERENCE, RESERVE, Optimum, Tracker, ends, track
-from problems.tethered_formation.published import Row, law_rows, plant_rows, result_rows, study_rows
+from problems.tethered_formation.published import law_rows, plant_rows, result_rows, study_rows
 from problems.tethered_formation.runs import Manoeuvre, comparison
 
 _WIDTH = 150
@@ -93,7 +93,7 @@ def ratios_to_published(
     return {name: (ours, theirs, theirs / ours) for name, (ours, theirs) in pairs.items()}
 
 
-def _show_table(console: Console, rows: Sequence[Row]) -> None:
+def _show_table(console: Console, rows: Sequence[Number]) -> None:
     table = Table("quantity", "publication", "expected", "ours", "difference", "", "reason", box=box.SIMPLE)
     marks = {True: "pass", False: "FAIL", None: "-"}
     for row in rows:
@@ -169,7 +169,7 @@ def _keeps_limits(m: Manoeuvre) -> bool:
 
 
 def _told(
-    rows: Sequence[Row],
+    rows: Sequence[Number],
     optima: Mapping[str, Optimum],
     ratios: Mapping[str, tuple[float, float, float]],
     tracked: Mapping[str, Mapping[str, Manoeuvre]],
@@ -183,7 +183,16 @@ def _told(
     return {
         "not_reproduced": dict(NOT_REPRODUCED),
         "rows": [
-            asdict(row) | {"expected": number(row.expected), "ours": number(row.ours), "passes": row.passes}
+            {
+                "quantity": row.quantity,
+                "expected": number(row.expected),
+                "ours": number(row.ours),
+                "tolerance": row.tolerance,
+                "published": row.published,
+                "reason": row.reason,
+                "below": row.below,
+                "passes": row.passes,
+            }
             for row in rows
         ],
         "optima": {

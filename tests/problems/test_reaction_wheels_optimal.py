@@ -16,6 +16,7 @@ import gnc_opt as go
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.spacecraft import quaternion_angle
 from problems import reaction_wheels
+from problems.comparison import Number
 from problems.reaction_wheels import (
     DESIGN_SPEED,
     INERTIA,
@@ -45,7 +46,6 @@ from problems.reaction_wheels.optimal import (
     optimal_slew,
     track,
 )
-from problems.reaction_wheels.published import Row
 from problems.reaction_wheels.runs import STEP, published_slew
 
 COMPILER = shutil.which("cc")
@@ -208,9 +208,9 @@ def test_main_writes_all_tables(tmp_path, capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_main_fails_where_one_number_is_missed(monkeypatch: pytest.MonkeyPatch) -> None:
-    missed = Row("EULERINT", "deg s", "converged", 454.58, 455.58, 0.4546)
+    missed = Number("EULERINT", 454.58, 455.58, 0.4546, unit="deg s", source="converged")
     monkeypatch.setattr(report, "rows", lambda: [missed])
     assert reaction_wheels.main([]) == 1
     monkeypatch.setattr(report, "rows", lambda: [replace(missed, ours=454.6)])
     assert reaction_wheels.main([]) == 0
-    assert not replace(missed, ours=float("nan")).agrees
+    assert replace(missed, ours=float("nan")).passes is False
