@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 import problems
+from gnc_opt import cli
 
 FOLDER = Path(problems.__file__).parent
 SHARED = {"comparison", "reference", "run"}
@@ -121,6 +122,21 @@ def test_a_system_is_a_folder_that_says_in_which_order_to_read_it(name: str) -> 
             other.rpartition(".")[2] for other in imports(f"{folder}.{file}", texts) if f"{folder}." in other
         }
         assert own <= set(order[:place]), f"{file} comes too early"
+
+
+@pytest.mark.parametrize("name", sorted({*SYSTEMS} - {"rendezvous_tracking"}))
+def test_the_command_line_takes_a_systems_folder_or_a_file_of_its_name(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert not (FOLDER / f"{name}.py").exists()
+    for path in (FOLDER / name, FOLDER / f"{name}.py"):
+        assert cli.main(["check", str(path)]) == 0
+    assert capsys.readouterr().out.count("well stated") == 2
+
+
+def test_the_index_lists_every_system() -> None:
+    index = (FOLDER.parent / "docs" / "problems.md").read_text("utf-8")
+    assert sorted(re.findall(r"\(\.\./problems/(\w+)\)", index)) == SYSTEMS
 
 
 # --- python -m problems.NAME ----------------------------------------------------------------------------
