@@ -432,7 +432,10 @@ def test_errors_in_a_package_name_its_file_and_line(
     assert f"{package}/model.py, line 11: ZeroDivisionError" in complaint(capsys)
 
 
-def test_package_hidden_by_another_module_of_its_name(tmp_path: Path) -> None:
+def test_package_hidden_by_another_module_of_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", list(sys.path))
     (tmp_path / "json").mkdir()
     (tmp_path / "json" / "__init__.py").write_text("def build(): ...")
     with pytest.raises(
