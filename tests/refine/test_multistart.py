@@ -27,7 +27,7 @@ from gnc_opt import Multistart, cli, multistart
 from gnc_opt.problem.guess.random import with_random_guess
 from gnc_opt.refine.search.multistart import _Coarse, _Fine
 from problems import rendezvous
-from problems.rendezvous_global import GlobalOutcome
+from problems.rendezvous.search import GlobalOutcome
 
 WEIGHT = 0.02
 MESH = "6x3"
