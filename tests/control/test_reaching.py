@@ -6,7 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from gnc_opt.control.reaching import (
+import gnc_opt as go
+from gnc_opt.control.sliding.reaching import (
     ConstantRate,
     ExponentialRate,
     PowerRate,
@@ -15,7 +16,6 @@ from gnc_opt.control.reaching import (
     SuperTwisting,
     TanhLayer,
 )
-from gnc_opt.control.sliding_checks import check_step
 from gnc_opt.errors import DesignError
 
 LAWS = [
@@ -67,17 +67,23 @@ def test_a_power_rate_balances_the_disturbance_at_its_band(boundary):
         assert rates(law, boundary, [band])[0] == pytest.approx(bound, rel=1e-9)
 
 
+def designed(law, boundary, dt):
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    rest = go.Reference.constant(model, [0])
+    return go.design_sliding_mode(model, rest, outputs="x", reaching=law, boundary=boundary, dt=dt)
+
+
 @pytest.mark.parametrize("boundary", [SaturationLayer(0.5), TanhLayer(0.5)], ids=repr)
 def test_a_step_at_which_the_sampled_surface_no_longer_decays_is_refused(boundary):
     """s+ = (1 - dt slope) s: at dt slope = 2 it only changes its sign; the slope is 3 / 0.5 = 6."""
     law = ConstantRate(3.0)
-    assert check_step(law, boundary, 0.33, needed=False) == 0.33
+    assert designed(law, boundary, 0.33).explain()["sampling limit"] == pytest.approx(2 / 6)
     for dt in (2 / 6, 0.4):
         with pytest.raises(DesignError, match=r"too long for the switching gain: .* give dt < 0\.3333 s"):
-            check_step(law, boundary, dt, needed=False)
-    assert check_step(law, Sign(), 5.0, needed=False) == 5.0
-    assert check_step(law, boundary, None, needed=False) is None
+            designed(law, boundary, dt)
+    designed(law, Sign(), 5.0)
+    designed(law, boundary, None)
     with pytest.raises(DesignError, match="give dt"):
-        check_step(law, boundary, None, needed=True)
-    with pytest.raises(DesignError, match="give dt"):
-        check_step(SuperTwisting(1.5, 1.1), boundary, None, needed=False)
+        designed(SuperTwisting(1.5, 1.1), boundary, None)

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.transcription.guess import start_variables
-from gnc_opt.transcription.scaling import FARTHEST, NEARBY, phase_magnitudes, scale_rows, scale_variables
+from gnc_opt.problem.magnitudes import FARTHEST, phase_magnitudes
+from gnc_opt.solution.start import start_from_guess
+from gnc_opt.transcription.scaling import NEARBY, scale_rows, scale_variables
 from gnc_opt.transcription.transcription import Transcription
 
 
@@ -130,7 +131,7 @@ def test_a_steep_hamiltonian_does_not_fail_a_good_control() -> None:
 def scales_of(problem: go.Problem) -> tuple[Transcription, np.ndarray, float]:
     """The transcription on one segment of three points, its row scales and the objective's, at the problem's guess."""
     transcription = Transcription(problem, {"leg": go.Mesh.uniform(1, 3)}, "LG")
-    start = start_variables(transcription, problem)
+    start = start_from_guess(transcription, problem)
     rows, objective = scale_rows(
         transcription, problem, start, scale_variables(transcription, problem, start)
     )
