@@ -89,6 +89,16 @@ class Cover:
                     lines[file].setdefault(line, set()).update(tests)
         return cls(lines, seconds)
 
+    @property
+    def modules(self) -> list[str]:
+        """The files that hold the tests."""
+        return sorted({t.split("::")[0] for t in self.seconds})
+
+    def only(self, present: set[str]) -> Cover:
+        """Return the map without tests that have gone since it was recorded."""
+        lines = {f: {n: tests & present for n, tests in found.items()} for f, found in self.lines.items()}
+        return Cover(lines, {t: s for t, s in self.seconds.items() if t in present})
+
     def tests(self, file: str, span: tuple[int, int], budget: float) -> list[str]:
         """Return the tests that come by some lines, and the others of their modules, up to a time budget (s).
 

@@ -41,11 +41,12 @@ def copy_tree(root: Path, copy: Path) -> None:
     compileall.compile_dir(copy / "gnc_opt", quiet=1)
 
 
-def check(copy: Path, tests: list[str]) -> None:
-    """Stop if the tests cannot be collected without any change."""
-    run = _pytest(copy, ["--collect-only", *tests], 600.0)
-    if run[0] != 0:
-        raise SystemExit(f"the tests cannot be collected: record them again.\n{run[1][-2000:]}")
+def collected(copy: Path, modules: list[str]) -> set[str]:
+    """Return the tests that the modules hold, by their names; stop if they cannot be collected without any change."""
+    code, output = _pytest(copy, ["-o", "addopts=", "--collect-only", "-q", *modules], 600.0)
+    if code != 0:
+        raise SystemExit(f"the tests cannot be collected.\n{output[-2000:]}")
+    return {line for line in output.splitlines() if "::" in line}
 
 
 def attempt(copy: Path, mutant: Mutant, cover: Cover, budget: float) -> Outcome:
