@@ -43,7 +43,7 @@ def copy_tree(root: Path, copy: Path) -> None:
 
 def collected(copy: Path, modules: list[str]) -> set[str]:
     """Return the tests that the modules hold, by their names; stop if they cannot be collected without any change."""
-    code, output = _pytest(copy, ["-o", "addopts=", "--collect-only", "-q", *modules], 600.0)
+    code, output = _pytest(copy, ["-o", "addopts=", "--collect-only", *modules], 600.0)
     if code != 0:
         raise SystemExit(f"the tests cannot be collected.\n{output[-2000:]}")
     return {line for line in output.splitlines() if "::" in line}
