@@ -19,8 +19,8 @@ from gnc_opt.solution.extract import Iterate, extract_phases
 from gnc_opt.solution.solution import Solution, Statistics
 from gnc_opt.solution.start import ProgramStart, program_start
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.transcription.quadrature import Scheme
 from gnc_opt.transcription.scaling import Scaling, scale_rows, scale_variables
+from gnc_opt.transcription.scheme import Scheme
 from gnc_opt.transcription.transcription import Transcription, transcribe
 from gnc_opt.versions import package_version
 

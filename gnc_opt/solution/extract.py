@@ -191,9 +191,9 @@ def state_polynomial(
     nodes, values = [], []
     for k, rule in enumerate(collocation.rules):
         states = variables[collocation.segment_nodes(k)]
-        if collocation.scheme == "LG":
+        if collocation.family.has_end_row:
             states = states[:, :-1]
-        if collocation.scheme == "LGL":
+        if collocation.family.ends_at_point:
             here = scaled_rates[:, collocation.mesh.offsets[k] : collocation.mesh.offsets[k + 1]]
             extra = ~np.isin(rule.state_nodes, rule.points)
             path = rule.integrate_to(rule.state_nodes[extra])

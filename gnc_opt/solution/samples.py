@@ -12,7 +12,7 @@ from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.propagation import state_magnitudes
-from gnc_opt.transcription.quadrature import CollocationRule, collocation_rule
+from gnc_opt.transcription.quadrature import CollocationRule, gauss_rule
 
 AT_BOUND = 1e-6
 """A value this close to its bound, relative to the range, sits on it."""
@@ -256,4 +256,4 @@ class PhaseSamples:
 
 def sampling_rule(degree: int) -> CollocationRule:
     """Return the quadrature whose points are the samples within a segment of a given degree."""
-    return collocation_rule("LG", min(degree + EXTRA, 64))
+    return gauss_rule(min(degree + EXTRA, 64))

@@ -29,7 +29,7 @@ from gnc_opt.transcription.holding import (
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.nonlinear_program import NlpProblem
 from gnc_opt.transcription.numbering import Numbering, PhasePart, time_is_fixed
-from gnc_opt.transcription.quadrature import Scheme
+from gnc_opt.transcription.scheme import Scheme
 from gnc_opt.transcription.separable import PointBlock, PointFunction, SeparableProgram
 
 SHORTEST_ARC = 1e-9
