@@ -24,10 +24,10 @@ from scipy.linalg import null_space
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.tolerances import ROUNDING, dependent
 from gnc_opt.errors import DesignError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import as_expression
+from gnc_opt.tolerances import ROUNDING, dependent
 
 Outputs: TypeAlias = str | Sequence[Any] | Mapping[str, Any]
 """What to steer: a name of a state or an output of the model, several of these, SX expressions of (t, x, p), or

@@ -52,6 +52,24 @@ _HELD = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
+class Iterate:
+    """The solver's vectors in physical units; multipliers belong to the minimised functional.
+
+    Attributes
+    ----------
+    x : array (n_variables,)
+    lam_x : array (n_variables,)
+        Multipliers of the variables' bounds.
+    lam_g : array (n_constraints,)
+        Multipliers of the rows.
+    """
+
+    x: Array
+    lam_x: Array
+    lam_g: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Costates:
     """What the covector mapping yields for one phase.
 
@@ -109,9 +127,7 @@ def point_multipliers(collocation: PhaseCollocation, costates: Array, end_costat
 def map_costates(
     collocation: PhaseCollocation,
     breaks: Array,
-    x: Array,
-    lam_x: Array,
-    lam_g: Array,
+    iterate: Iterate,
     weights: Array,
     gradient: Array,
     path_push: Array,
@@ -122,10 +138,7 @@ def map_costates(
     ----------
     breaks : array (K + 1,)
         Times of the segment boundaries, s.
-    x, lam_x : array (n_variables,)
-        Variables of the program and multipliers of their bounds, physical.
-    lam_g : array (n_constraints,)
-        Multipliers of the rows, physical.
+    iterate : Iterate
     weights : array (N,)
         Quadrature weights of the points, s.
     gradient : array (n_states, N)
@@ -133,7 +146,7 @@ def map_costates(
     path_push : array (n_states, N)
         The part of it that comes from path constraints without controls.
     """
-    pieces = _CostatePieces.of(collocation, x, lam_x, lam_g, weights, gradient, path_push)
+    pieces = _CostatePieces.of(collocation, iterate, weights, gradient, path_push)
     if collocation.family.has_end_row:
         pieces.settle_redundant_rows()
     else:
@@ -211,13 +224,12 @@ class _CostatePieces:
     def of(
         cls,
         collocation: PhaseCollocation,
-        x: Array,
-        lam_x: Array,
-        lam_g: Array,
+        iterate: Iterate,
         weights: Array,
         gradient: Array,
         path_push: Array,
     ) -> _CostatePieces:
+        x, lam_x, lam_g = iterate.x, iterate.lam_x, iterate.lam_g
         lam = point_costates(collocation, lam_g)
         shared = np.isin(collocation.point_states, collocation.boundary_states)
         multipliers = lam_x[collocation.point_states] / weights

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from gnc_opt.arguments import read_integer, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.tolerances import ROUNDING
 from gnc_opt.transcription.quadrature import (
     MAX_POINTS,
     differentiation_matrix,
@@ -19,7 +20,7 @@ from gnc_opt.transcription.quadrature import (
 
 Side: TypeAlias = Literal["left", "right"]
 
-END_TOLERANCE = 1e-12
+END_TOLERANCE = ROUNDING
 MAX_NODES = 2 * MAX_POINTS
 
 

@@ -18,6 +18,7 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.phase_solution import PhaseSolution, piecewise
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import VANISHED
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.quadrature import gauss_rule, interpolation_matrix
 from gnc_opt.transcription.scheme import GAUSS
@@ -194,7 +195,7 @@ def _newton(
 
 def _sizes(transcription: Transcription, x: Array, magnitudes: Mapping[str, Sizes]) -> Array:
     """Typical magnitudes of all variables."""
-    sizes = np.maximum(np.abs(x), 1e-6)
+    sizes = np.maximum(np.abs(x), VANISHED)
     for name, part in transcription.parts.items():
         here, collocation = magnitudes[name], part.collocation
         sizes[collocation.point_states] = here.y[:, None]
