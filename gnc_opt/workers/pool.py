@@ -95,7 +95,7 @@ class WorkerPool(Generic[Object]):
         self._executor: Executor = _Serial()
         if executor is None:
             self._own = OwnProcesses(shared)
-        elif executor != "serial":
+        elif not (isinstance(executor, str) and executor == "serial"):
             remedy = 'give a concurrent.futures.Executor, client.get_executor() of Dask, or "serial"'
             self._executor = expect(executor, Executor, f"the executor of {caller}", remedy)
             if shared.maker is not None and not isinstance(executor, ThreadPoolExecutor):

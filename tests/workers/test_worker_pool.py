@@ -14,6 +14,8 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
+import casadi as ca
+import numpy as np
 import pytest
 
 from gnc_opt.errors import ArgumentError, GncOptError
@@ -114,9 +116,10 @@ def test_show_may_end_the_run() -> None:
     assert not multiprocessing.active_children()
 
 
-def test_an_executor_must_be_one() -> None:
-    with pytest.raises(ArgumentError, match=r"the executor of try_it\(\) is a str"):
-        workers("threads")
+@pytest.mark.parametrize("wrong", ["threads", 3, np.zeros(2), ca.SX.sym("x"), ThreadPoolExecutor])
+def test_an_executor_must_be_one(wrong: Any) -> None:
+    with pytest.raises(ArgumentError, match=r"the executor of try_it\(\) is a .* where a Executor is needed"):
+        workers(wrong)
 
 
 # --- what travels ---------------------------------------------------------------------------------------------
