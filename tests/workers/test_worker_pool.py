@@ -21,6 +21,8 @@ import pytest
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.workers import Done, Shared, WorkerDied, WorkerPool, pool, processes
 
+pytestmark = pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
+
 KINDS = ["serial", "own", "threads", "processes"]
 
 
