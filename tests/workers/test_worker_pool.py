@@ -361,6 +361,16 @@ def test_ctrl_c_keeps_answers_that_nobody_has_looked_at() -> None:
     assert force.interrupted and [each.answer for each in done] == [0, 10, 20]
 
 
+def test_ctrl_c_keeps_the_error_that_is_being_shown() -> None:
+    def show(done: Done[int, int]) -> None:
+        if done.error is not None:
+            signal.raise_signal(signal.SIGINT)
+
+    with workers("serial") as force:
+        done = force.run(times, range(9), show)
+    assert [each.item for each in done] == [0, 1, 2, 3] and isinstance(done[3].error, ValueError)
+
+
 def _slowly(pause: float, number: int, item: int) -> int:
     time.sleep(pause)
     return number * item
