@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_integer, read_positive
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.block import (
+    POSITIVE,
     Block,
     Defaults,
     Parameters,
@@ -26,6 +27,13 @@ from gnc_opt.simulation.block import (
     rows,
     scalar,
     values,
+)
+from gnc_opt.simulation.steps import (
+    LAST_DIGITS,
+    ROUNDING,
+    is_first,
+    next_phase,
+    started_steps,
     whole_steps,
 )
 
@@ -97,7 +105,7 @@ class Quantisation(Block):
         return {"step_size": (values(self.step_size, size, f"the step size of '{self.name}'"), unit)}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
-        return {"step_size": (1e-300, math.inf)}
+        return {"step_size": (POSITIVE, math.inf)}
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         return Step(p["step_size"] * ca.floor(signal / p["step_size"] + 0.5), state)
@@ -156,7 +164,7 @@ class RateLimit(Block):
         return {"rate": (values(self.rate, size, f"the rate of '{self.name}'"), f"{unit}/s")}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
-        return {"rate": (1e-300, math.inf)}
+        return {"rate": (POSITIVE, math.inf)}
 
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
         return signal
@@ -184,12 +192,12 @@ class Delay(Block):
         return {"delay": (scalar(self.delay, f"the delay of '{self.name}'"), "s")}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
-        return {"delay": (0.0, self._length(h) * h * (1 + 1e-12))}
+        return {"delay": (0.0, self._length(h) * h * (1 + LAST_DIGITS))}
 
     def _length(self, h: float) -> int:
         longest = self.delay if self.maximum is None else self.maximum
         longest = read_positive(longest, f"the longest delay of '{self.name}'", or_zero=True)
-        return math.ceil(longest / h - 1e-9)
+        return started_steps(longest, h)
 
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
         return ca.repmat(signal, self._length(tick.h), 1)
@@ -203,7 +211,7 @@ class Delay(Block):
         for i in range(count):
             weight = ca.fmax(0.0, 1 - ca.fabs(steps - i))
             # not multiplied by a zero weight: a command that is not a number must not arrive early
-            late += ca.if_else(weight > 1e-9, weight * line[i * size : (i + 1) * size], 0.0)
+            late += ca.if_else(weight > ROUNDING, weight * line[i * size : (i + 1) * size], 0.0)
         return Step(late, rows(line, 0, state.shape[0]))
 
 
@@ -234,7 +242,7 @@ class Pwm(Block):
         }
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
-        return {"thrust": (1e-300, math.inf), "minimum_on": (0.0, math.inf)}
+        return {"thrust": (POSITIVE, math.inf), "minimum_on": (0.0, math.inf)}
 
     def check(self, size: int, h: float, dt: float) -> None:
         if self._steps(h, dt) < 2:
@@ -252,14 +260,14 @@ class Pwm(Block):
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size, count = signal.shape[0], self._steps(tick.h, tick.dt)
         held, phase = state[:size], state[size]
-        command = ca.if_else(phase < 0.5, signal, held)
+        command = ca.if_else(is_first(phase), signal, held)
         on_steps = ca.floor(clip(ca.fabs(command) / p["thrust"], 0.0, 1.0) * count + 0.5)
         on_steps = ca.if_else(on_steps * tick.h < p["minimum_on"], 0.0, on_steps)
         pulse = ca.if_else(phase + 0.5 < on_steps, ca.sign(command) * p["thrust"], 0.0)
-        # 0 * command carries a command that is not a number into the plant, where it is reported
-        following = ca.if_else(phase > count - 1.5, 0.0, phase + 1)
         saturated = ca.if_else(ca.fabs(command) > p["thrust"], 1.0, 0.0)
-        return Step(pulse + 0 * _finite_or_nan(command), ca.vertcat(command, following), saturated)
+        # 0 * command carries a command that is not a number into the plant, where it is reported
+        after = ca.vertcat(command, next_phase(phase, count))
+        return Step(pulse + 0 * _finite_or_nan(command), after, saturated)
 
 
 def _finite_or_nan(signal: Any) -> Any:
@@ -370,6 +378,5 @@ class Hold(Block):
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size = signal.shape[0]
-        output = ca.if_else(state[size] < 0.5, signal, state[:size])
-        following = ca.if_else(state[size] > self._steps(tick.h) - 1.5, 0.0, state[size] + 1)
-        return Step(output, ca.vertcat(output, following))
+        output = ca.if_else(is_first(state[size]), signal, state[:size])
+        return Step(output, ca.vertcat(output, next_phase(state[size], self._steps(tick.h))))

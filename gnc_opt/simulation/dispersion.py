@@ -22,6 +22,9 @@ from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.spacecraft.attitude import mrp_to_quaternion
 from gnc_opt.spacecraft.quaternion import quaternion_product
 
+_UNIT = 1e-6
+"""A quaternion whose squared length differs from 1 by less is one that was typed in with six digits."""
+
 
 @dataclass(frozen=True)
 class Dispersion:
@@ -184,7 +187,7 @@ class Turn(Dispersion):
                 f"'{name}' cannot be turned: {nominal.size} component(s) are neither a quaternion nor modified "
                 "Rodrigues parameters."
             )
-        if nominal.size == 4 and not abs(float(nominal @ nominal) - 1) < 1e-6:
+        if nominal.size == 4 and not abs(float(nominal @ nominal) - 1) < _UNIT:
             raise ArgumentError(f"'{name}' cannot be turned: {nominal} is no unit quaternion; normalise it.")
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:

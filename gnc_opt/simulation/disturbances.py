@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
 from gnc_opt.errors import ArgumentError
-from gnc_opt.simulation.block import Block, Defaults, Parameters, Tick, scalar, values, whole_steps
+from gnc_opt.simulation.block import Block, Defaults, Parameters, Tick, scalar, values
+from gnc_opt.simulation.steps import is_first, next_phase, whole_steps
 
 
 @dataclass(frozen=True)
@@ -105,8 +106,8 @@ class RandomHold(Disturbance):
 
     def update(self, tick: Tick, state: Any, p: Parameters, noise: Any) -> Any:
         size = state.shape[0] - 1
-        drawn = ca.if_else(state[size] < 0.5, noise, state[:size])
-        return ca.vertcat(drawn, ca.if_else(state[size] > self._steps(tick.dt) - 1.5, 0.0, state[size] + 1))
+        drawn = ca.if_else(is_first(state[size]), noise, state[:size])
+        return ca.vertcat(drawn, next_phase(state[size], self._steps(tick.dt)))
 
     def value(self, t: Any, x: Mapping[str, Any], state: Any, p: Parameters) -> Any:
         return p["sigma"] * state[:-1]

@@ -21,8 +21,8 @@ from gnc_opt.simulation.block import (
     rows,
     scalar,
     values,
-    whole_steps,
 )
+from gnc_opt.simulation.steps import ROUNDING, is_first, next_phase, whole_steps
 
 
 @dataclass(frozen=True)
@@ -125,9 +125,8 @@ class Sampling(Block):
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size = signal.shape[0]
-        sample = ca.if_else(state[size] < 0.5, signal, state[:size])
-        following = ca.if_else(state[size] > self._steps(tick.dt) - 1.5, 0.0, state[size] + 1)
-        return Step(sample, ca.vertcat(sample, following))
+        sample = ca.if_else(is_first(state[size]), signal, state[:size])
+        return Step(sample, ca.vertcat(sample, next_phase(state[size], self._steps(tick.dt))))
 
 
 @dataclass(frozen=True)
@@ -165,5 +164,6 @@ class Outage(Block):
         }
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        out = ca.logic_and(tick.t >= p["begin"] - 1e-9 * tick.dt, tick.t < p["end"] - 1e-9 * tick.dt)
+        begin, end = (p[name] - ROUNDING * tick.dt for name in ("begin", "end"))
+        out = ca.logic_and(tick.t >= begin, tick.t < end)
         return Step(ca.if_else(out, math.nan, signal), state)

@@ -136,6 +136,14 @@ def test_what_is_alike_is_written_once() -> None:
     assert len(json.dumps(packed)) < 1000
     assert arrays["leaves"].shape == (5000,)
     assert_same(leaves, PACKING.unpack(packed, arrays))  # also the sign of zero
+    arrays.clear()
+    assert len(PACKING.pack(leaves[:2], "leaves", arrays)) == 2 and not arrays
+
+
+def test_arrays_that_were_read_cannot_be_changed() -> None:
+    arrays: dict[str, Any] = {}
+    tree = PACKING.pack({"x": np.zeros(3)}, "", arrays)
+    assert not PACKING.unpack(tree, arrays)["x"].flags.writeable
 
 
 def test_pieces_are_one_entry() -> None:
