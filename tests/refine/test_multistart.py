@@ -204,6 +204,7 @@ def test_the_aircraft_is_freed_from_its_local_minimum() -> None:
     assert own.objective > 5.5
 
 
+@pytest.mark.slow
 def test_a_minimum_whose_short_arcs_the_coarse_mesh_hides_is_refined_all_the_same() -> None:
     # The fourth minimum of case 2. From its 20x3 solution the switch times lead to a structure that lacks an
     # arc and that the verdict rejects; on halved segments the arc is seen.
