@@ -108,7 +108,7 @@ def assert_same(a: Any, b: Any, place: str = "") -> None:
         assert a == b, place
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(TREES)
 def test_every_field_survives(tree: Tree) -> None:
     arrays: dict[str, Any] = {}
@@ -116,7 +116,7 @@ def test_every_field_survives(tree: Tree) -> None:
     assert_same(tree, PACKING.unpack(json.loads(text), arrays))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(TREES, VALUES)
 def test_every_field_survives_the_file(
     tmp_path_factory: pytest.TempPathFactory, tree: Tree, more: Any

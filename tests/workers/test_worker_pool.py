@@ -403,17 +403,17 @@ def _signalled(_: int, item: int) -> int:
     return item
 
 
-def test_ctrl_c_ends_workers_whatever_they_are_at() -> None:
-    def press_ctrl_c() -> None:
-        while not multiprocessing.active_children():
-            time.sleep(0.01)
-        time.sleep(0.3)
-        os.kill(os.getpid(), signal.SIGINT)
-
-    threading.Thread(target=press_ctrl_c).start()
+def test_ctrl_c_ends_workers_whatever_they_are_at(ctrl_c_when: Any, tmp_path: Path) -> None:
+    at_work = tmp_path / "at work"
+    ctrl_c_when(at_work.exists)
     with workers() as force:
-        done = force.run(partial(_slowly, 1000.0), range(3), ignore)
+        done = force.run(partial(_endless, at_work), range(3), ignore)
     assert force.interrupted and not done and not multiprocessing.active_children()
+
+
+def _endless(at_work: Path, number: int, item: int) -> int:
+    at_work.touch()
+    return _slowly(1000.0, number, item)
 
 
 def test_deaths_can_be_sent_home() -> None:
