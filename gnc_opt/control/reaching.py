@@ -36,7 +36,13 @@ Boundary: TypeAlias = "Sign | SaturationLayer | TanhLayer"
 
 @dataclass(frozen=True)
 class Sign:
-    """Ideal switching: chatters at the sampling rate within a band of ``gain * dt``."""
+    """Ideal switching: chatters at the sampling rate within a band of ``gain * dt``.
+
+    Parameters
+    ----------
+    slope : float
+        Infinite; for the same interface as the layers.
+    """
 
     slope: float = np.inf
 
@@ -51,7 +57,13 @@ class Sign:
 
 @dataclass(frozen=True)
 class SaturationLayer:
-    """sat(s / phi): linear inside the boundary layer |s| <= phi (unit of s)."""
+    """sat(s / phi): linear inside the boundary layer |s| <= phi (unit of s).
+
+    Parameters
+    ----------
+    phi : float
+        Half width of the layer, unit of s, > 0.
+    """
 
     phi: float
 
@@ -74,7 +86,13 @@ class SaturationLayer:
 
 @dataclass(frozen=True)
 class TanhLayer:
-    """tanh(s / phi): smooth, never quite at full gain."""
+    """tanh(s / phi): smooth, never quite at full gain.
+
+    Parameters
+    ----------
+    phi : float
+        Width of the layer, unit of s, > 0.
+    """
 
     phi: float
 
@@ -97,7 +115,13 @@ class TanhLayer:
 
 @dataclass(frozen=True)
 class ConstantRate:
-    """ds/dt = -eta sign(s); eta in units of s per second."""
+    """ds/dt = -eta sign(s); eta in units of s per second.
+
+    Parameters
+    ----------
+    eta : float
+        Unit of s per second, > 0.
+    """
 
     eta: float
 
@@ -128,7 +152,15 @@ class ConstantRate:
 
 @dataclass(frozen=True)
 class ExponentialRate:
-    """ds/dt = -eta sign(s) - k s; faster from afar than `ConstantRate`, k in 1/s."""
+    """ds/dt = -eta sign(s) - k s; faster from afar than `ConstantRate`, k in 1/s.
+
+    Parameters
+    ----------
+    eta : float
+        Unit of s per second, > 0.
+    k : float
+        1/s.
+    """
 
     eta: float
     k: float
@@ -161,7 +193,15 @@ class ExponentialRate:
 
 @dataclass(frozen=True)
 class PowerRate:
-    """ds/dt = -k |s|^alpha sign(s), 0 < alpha < 1: no chattering, but no gain at s = 0 against disturbances."""
+    """ds/dt = -k |s|^alpha sign(s), 0 < alpha < 1: no chattering, but no gain at s = 0 against disturbances.
+
+    Parameters
+    ----------
+    k : float
+        (Unit of s)^(1 - alpha) per second, > 0.
+    alpha : float
+        Between 0 and 1.
+    """
 
     k: float
     alpha: float
@@ -207,6 +247,13 @@ class SuperTwisting:
 
     Its ``bound`` is on the *rate* of the disturbance. Finite-time stable for k2 > bound and k1 > sqrt(k2 + bound)
     (R. Seeber, M. Horn, Automatica 84, 2017, 241-243).
+
+    Parameters
+    ----------
+    k1 : float
+        (Unit of s)^(1/2) per second.
+    k2 : float
+        Unit of s per second squared.
     """
 
     k1: float
