@@ -121,8 +121,9 @@ def subparsers(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentPa
 
 
 README = Page(ROOT / "README.md")
+CONTRIBUTING = Page(ROOT / "CONTRIBUTING.md")
 DOCS = [Page(path) for path in sorted((ROOT / "docs").glob("*.md"))]
-PAGES = [README, *DOCS]
+PAGES = [README, CONTRIBUTING, *DOCS]
 
 
 def doc(name: str) -> Page:

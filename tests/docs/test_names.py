@@ -16,7 +16,7 @@ from importlib.util import find_spec
 
 import pytest
 from names import Span, resolve
-from pages import DOCS, FENCE, PAGES, README, ROOT, Page, doc, documented, options, subparsers
+from pages import CONTRIBUTING, DOCS, FENCE, PAGES, README, ROOT, Page, doc, documented, options, subparsers
 
 from gnc_opt.cli import _parser
 
@@ -181,6 +181,15 @@ def test_the_layout_lists_every_package() -> None:
     told = set(re.findall(r"`(?:gnc_opt/)?(\w+)/`", README.section("Layout")))
     there = {path.parent.name for path in (ROOT / "gnc_opt").glob("*/__init__.py")}
     assert there <= told, there - told
+
+
+def test_contributing_lists_every_package() -> None:
+    """Those that hold no other packages."""
+    packages = [path.parent.relative_to(ROOT) for path in (ROOT / "gnc_opt").rglob("__init__.py")]
+    parents = {parent for package in packages for parent in package.parents}
+    leaves = set(packages) - parents
+    assert len(leaves) > 8
+    assert not [package for package in leaves if f"`{package}/`" not in CONTRIBUTING.text]
 
 
 def test_the_resolver_sees_the_public_names() -> None:
