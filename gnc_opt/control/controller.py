@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_positive
+from gnc_opt.arrays import Array
 from gnc_opt.control.explanation import Explanation
 from gnc_opt.control.tolerances import SAME_TIME
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.layout import Array, Layout, as_vector
+from gnc_opt.model.layout import Layout, as_vector
 
 Schedule: TypeAlias = Callable[[Array, float], Array]
 """``schedule(times, dt)`` returns what the law needs to know beforehand, (n_signals, n_times), for control steps that

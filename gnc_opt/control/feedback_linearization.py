@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import solve_continuous_are
 
 from gnc_opt.arguments import read_numbers, read_positive
+from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.guard import (
@@ -37,7 +38,7 @@ from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.control.sampling import spectral_radius, zero_order_hold
 from gnc_opt.control.schedule import reference_times
 from gnc_opt.errors import DesignError
-from gnc_opt.model.layout import Array, as_vector
+from gnc_opt.model.layout import as_vector
 from gnc_opt.model.model import Model
 
 _REHEARSAL = 20.0

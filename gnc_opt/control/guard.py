@@ -18,6 +18,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, Schedule, first_memory, law
 from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.lie import OutputErrors, Pair, zero_dynamics
@@ -25,7 +26,7 @@ from gnc_opt.control.reference import Reference
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, reference_times
 from gnc_opt.control.tolerances import LARGEST, dependent
 from gnc_opt.errors import DesignError
-from gnc_opt.model.layout import Array, Layout, Variable
+from gnc_opt.model.layout import Layout, Variable
 
 ALARMS = ("singular", "invalid")
 GUARD = 0.05

@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import null_space
 
+from gnc_opt.arrays import Array
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.tolerances import ROUNDING, dependent
 from gnc_opt.errors import DesignError, unknown_name
-from gnc_opt.model.layout import Array
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import as_expression
 

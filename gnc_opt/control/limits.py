@@ -8,11 +8,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnc_opt.arrays import Array
 from gnc_opt.control.explanation import Fact
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.schedule import reference_times
 from gnc_opt.errors import ArgumentError, DesignError
-from gnc_opt.model.layout import Array, as_vector
+from gnc_opt.model.layout import as_vector
 from gnc_opt.model.model import Model
 
 Limits: TypeAlias = tuple[ArrayLike, ArrayLike]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 
 _CONJUGATE = 1e-9
 """Poles typed as conjugate pairs may differ by this, relative to each coefficient of their polynomial."""

@@ -10,9 +10,10 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_numbers
+from gnc_opt.arrays import Array
 from gnc_opt.control.tolerances import SAME_TIME
 from gnc_opt.errors import ArgumentError, did_you_mean, shown
-from gnc_opt.model.layout import Array, Layout, as_vector
+from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.solution import Solution

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 
 Linearization = Callable[[float], tuple[Array, Array]]
 """A (n, n) and B (n, m) at a time."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 
 ROUNDING = 1e-12
 """What is smaller than this, relative to the numbers that it is made of, is rounding (some thousand times that of

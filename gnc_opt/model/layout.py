@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import ErrorType, read_numbers
-from gnc_opt.arrays import Array as Array
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 
 

@@ -6,15 +6,12 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-if TYPE_CHECKING:
-    from gnc_opt.refine.search.multistart import Multistart
 
-ShowEnding: TypeAlias = Callable[["float | None"], None]
 
 
 @contextmanager
@@ -63,7 +60,8 @@ def search_meter(
 
 def search_dict(found: Multistart) -> dict[str, Any]:
     """Return what a search found as plain JSON values; each minimum with the summary of its solution."""
-    from gnc_opt.report.summary_json import summary_dict
+    from gnc_opt.refine.search.multistart import Multistart, ShowEnding
+from gnc_opt.report.summary_json import summary_dict
 
     return {
         "problem": found.problem_name,

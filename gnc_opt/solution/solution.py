@@ -11,20 +11,24 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnc_opt.archive import FileFormat
 from gnc_opt.arguments import expect
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError, ProblemError, unknown_name
-from gnc_opt.model.layout import Layout
+from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.nlp.status import Status
-from gnc_opt.problem.arc import Arc
+from gnc_opt.packing import Packing
+from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.problem.functions import PhaseFunctions, evaluator, phase_functions
+from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.history import History
 from gnc_opt.solution.phase_solution import PhaseSolution, Signal
-from gnc_opt.solution.polynomial import Side
+from gnc_opt.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.solution.propagation import Propagation, propagate
 from gnc_opt.solution.quality import Quality, measure_quality
 from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.quadrature import Scheme
 
 
@@ -270,10 +274,28 @@ class Solution:
     # --- files ------------------------------------------------------------------------------------
 
     def save(self, path: str | Path) -> Path:
-        """Write the numbers to a file that `load` reads without the model; returns its path."""
-        from gnc_opt.solution.storage import save
+        """Write the numbers to a file that `load` reads without the model.
 
-        return save(self, path)
+        Parameters
+        ----------
+        path : str or Path
+            ``.npz`` is appended if it has no suffix. An existing file is replaced, and only once the new one is
+            complete.
+
+        Returns
+        -------
+        Path
+            The file written. It holds the quality figures too: measured now, or carried over if this solution was
+            itself loaded without its problem.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written, e.g. because its folder does not exist.
+        """
+        known = vars(self).get("quality") if self.problem is None else self.quality
+        written_by = self.provenance.get("gnc_opt", "unknown")
+        return SOLUTION_FILES.write(path, self, written_by=written_by, quality=known)
 
     def with_problem(self, problem: Problem) -> Solution:
         """Return this solution joined to its problem, e.g. after `load`.
@@ -310,3 +332,51 @@ class Solution:
                 "load it with load(path, problem=...)."
             )
         return self.problem
+
+
+SOLUTION_FILES = FileFormat(
+    Solution,
+    "solution",
+    1,
+    Packing(
+        (
+            *(Solution, PhaseSolution, PiecewisePolynomial, Layout, Variable, Interval, Mesh),
+            *(Statistics, Violation, Arc, ArcKind, Status, Quality),
+        ),
+        left_out={Solution: ("problem", "history")},
+    ),
+)
+"""Solutions on disk: numbers and text, no code. Raise the version whenever a stored class changes its fields."""
+
+
+def load(path: str | Path, problem: Problem | None = None) -> Solution:
+    """Read a solution that `Solution.save` wrote.
+
+    Parameters
+    ----------
+    path : str or Path
+    problem : Problem, optional
+        The problem that was solved, built again. Without it states, controls, costates, multipliers and the
+        quality figures of saving time are there; Hamiltonian, expressions and verification need it.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    GncOptError
+        The file is damaged, no solution of gnc_opt, or of another format version.
+    ProblemError
+        ``problem`` is not the one that was solved. (Functions are compared as CasADi writes them down, which
+        may change with a new CasADi.)
+    """
+    solution, more = SOLUTION_FILES.read(path)
+    assert isinstance(solution, Solution)
+    if problem is not None:
+        return solution.with_problem(problem)
+    if more.get("quality") is not None:
+        vars(solution)["quality"] = more["quality"]  # what the cached property would hold
+    return solution

@@ -17,8 +17,8 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
+from gnc_opt.arrays import Array
 from gnc_opt.control import Controller, bryson, design_tvlqr, feedforward
-from gnc_opt.model.layout import Array
 from gnc_opt.simulation import Run
 from gnc_opt.spacecraft import quaternion_angle
 from problems.comparison import Row, compare, remark, require

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from gnc_opt.arrays import Array
 from gnc_opt.control import Reference, feedforward
-from gnc_opt.model.layout import Array
 from gnc_opt.simulation import ClosedLoop, Run
 from gnc_opt.spacecraft import FlexibleBody
 from problems.comparison import Row, compare, require

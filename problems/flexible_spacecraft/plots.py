@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 from gnc_opt.plot.style import (
     QUIET,
     axis_label,

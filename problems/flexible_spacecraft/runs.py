@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import gnc_opt as go
+from gnc_opt.arrays import Array
 from gnc_opt.control import Controller
 from gnc_opt.errors import GncOptError
-from gnc_opt.model.layout import Array
 from gnc_opt.simulation import ClosedLoop, Disturbance, Run, Saturation
 from gnc_opt.simulation.block import Defaults, Parameters, Tick, scalar
 from gnc_opt.spacecraft import FlexibleBody, quaternion_angle

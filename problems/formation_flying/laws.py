@@ -20,6 +20,7 @@ from functools import cache
 import numpy as np
 
 import gnc_opt as go
+from gnc_opt.arrays import Array
 from gnc_opt.control import (
     ConstantRate,
     Controller,
@@ -31,7 +32,6 @@ from gnc_opt.control import (
     design_sliding_mode,
 )
 from gnc_opt.control.sliding.reaching import Boundary
-from gnc_opt.model.layout import Array
 from gnc_opt.simulation import Block, ClosedLoop, Disturbance, Run
 from problems.formation_flying.model import (
     PERIOD,

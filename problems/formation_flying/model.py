@@ -28,8 +28,8 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
+from gnc_opt.arrays import Array
 from gnc_opt.control import Reference
-from gnc_opt.model.layout import Array
 from gnc_opt.spacecraft import (
     differential_j2,
     inertial_from_relative,

@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 from gnc_opt.simulation import ClosedLoop, Run, Saturation
 from problems.comparison import Row, compare, require
 from problems.formation_flying.laws import delta_v, integral_law, step_of

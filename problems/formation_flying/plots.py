@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 from gnc_opt.plot.style import axis_label, legend_on_top, line_look, new_figure, save_figure, style
 from problems.formation_flying.model import PERIOD, circle, differential_oblateness
 from problems.formation_flying.optimal import LIMIT, RESERVE, plan, track

@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 from gnc_opt.simulation import Run
 from problems.comparison import Row, compare, remark, require
 from problems.formation_flying.laws import (

@@ -30,6 +30,7 @@ from typing import Literal
 import numpy as np
 
 import gnc_opt as go
+from gnc_opt.arrays import Array
 from gnc_opt.control import (
     ConstantRate,
     Controller,
@@ -41,7 +42,6 @@ from gnc_opt.control import (
     design_tvlqr,
     feedforward,
 )
-from gnc_opt.model.layout import Array
 from gnc_opt.simulation import (
     Ball,
     Campaign,

@@ -44,10 +44,10 @@ def test_swapping_exchanges_the_switches_of_two_controls() -> None:
 
 def test_adding_an_arc_splits_pieces() -> None:
     structure = PhaseStructure((0.0, 2.0, 4.0), ((UP, LOW), (UP, UP)))
-    added = structure.with_arc(0, 1.5, 2.5, -1)
+    added = structure.with_arc(0, 1.5, 2.5, LOW)
     assert added.times == (0.0, 1.5, 2.0, 2.5, 4.0)
     assert added.kinds == ((UP, LOW), (LOW, LOW), (LOW, UP), (UP, UP))
-    assert added.with_arc(0, 1.5, 2.5, 1) == structure
+    assert added.with_arc(0, 1.5, 2.5, UP) == structure
 
 
 # --- closed forms ---------------------------------------------------------------------------------------------

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from gnc_opt.arrays import Array
 from gnc_opt.control.explanation import Fact
 from gnc_opt.control.linear.margins import margins
 from gnc_opt.control.linear.riccati import Steady
 from gnc_opt.control.poles import continuous_poles
-from gnc_opt.model.layout import Array
 
 
 def regulator_facts(

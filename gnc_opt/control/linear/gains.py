@@ -14,6 +14,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from gnc_opt.arguments import read_positive
+from gnc_opt.arrays import Array
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.linear.linearization_table import LinearizationTable
 from gnc_opt.control.linear.riccati import Steady, gain_of, steady
@@ -22,7 +23,6 @@ from gnc_opt.control.reference import Reference
 from gnc_opt.control.sampling import SampledStep, sample, sample_along
 from gnc_opt.control.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, TINY
 from gnc_opt.errors import DesignError
-from gnc_opt.model.layout import Array
 
 _RTOL = 1e-11
 _ATOL = 1e-13

@@ -11,9 +11,9 @@ import itertools
 
 import numpy as np
 
+from gnc_opt.arrays import Array
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.reference import Reference
-from gnc_opt.model.layout import Array
 
 _NODES = 20
 _TOLERANCE = 1e-13

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_positive
+from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.explanation import Explanation, Fact
@@ -41,7 +42,7 @@ from gnc_opt.control.sampling import sample
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, reference_times
 from gnc_opt.control.tolerances import alike
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
-from gnc_opt.model.layout import Array, Layout, Variable, as_vector
+from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.model import Model
 
 _CHECKS = 25

@@ -31,9 +31,9 @@ from scipy.linalg import (
     solve_discrete_lyapunov,
 )
 
+from gnc_opt.arrays import Array
 from gnc_opt.control.tolerances import ROUNDING, TINY
 from gnc_opt.errors import DesignError
-from gnc_opt.model.layout import Array
 
 _REACH = 1e-10
 """A direction is reached if the reachability matrix has it above this, in balanced coordinates."""

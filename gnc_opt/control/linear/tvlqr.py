@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect
+from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.explanation import Explanation, Fact
@@ -42,7 +43,7 @@ from gnc_opt.control.linear.gains import (
 from gnc_opt.control.linear.weights import QuadraticCost, Weight, read_cost
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, reference_times
-from gnc_opt.model.layout import Array, Layout, Variable
+from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
 
 _CHECKS = 40

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_numbers
+from gnc_opt.arrays import Array
 from gnc_opt.control.tolerances import ROUNDING
 from gnc_opt.errors import ArgumentError, DesignError
-from gnc_opt.model.layout import Array, Layout, as_vector
+from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 
 Weight: TypeAlias = ArrayLike | Mapping[str, ArrayLike]

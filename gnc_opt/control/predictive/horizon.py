@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 
 _LEAST_PRICE = 1e-6
 """Of a state that costs nothing; its limit must still cost something."""

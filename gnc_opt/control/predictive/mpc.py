@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_positive
+from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.explanation import Explanation, Fact
@@ -44,7 +45,7 @@ from gnc_opt.control.reference import Reference
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
 from gnc_opt.control.tolerances import LARGEST, ROUNDING, SAME_TIME, STEP_SLACK, alike
 from gnc_opt.errors import ArgumentError, DesignError, did_you_mean, shown
-from gnc_opt.model.layout import Array, Layout, Variable, as_vector
+from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.model import Model
 
 QpSolver: TypeAlias = Literal["daqp", "qrqp", "osqp"]

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
+from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.explanation import Explanation, Fact
@@ -46,7 +47,6 @@ from gnc_opt.control.sliding.reaching import Boundary, Law
 from gnc_opt.control.sliding.switching import SlidingOptions
 from gnc_opt.control.tolerances import dependent
 from gnc_opt.errors import DesignError, did_you_mean
-from gnc_opt.model.layout import Array
 from gnc_opt.model.model import Model
 
 Projection: TypeAlias = Literal["pseudo-inverse", "transpose"]

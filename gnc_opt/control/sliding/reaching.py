@@ -26,9 +26,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_positive
+from gnc_opt.arrays import Array
 from gnc_opt.control.sliding.super_twisting import check_gains, convergence_time
 from gnc_opt.errors import DesignError
-from gnc_opt.model.layout import Array, as_vector
+from gnc_opt.model.layout import as_vector
 
 Law: TypeAlias = "ConstantRate | ExponentialRate | PowerRate | SuperTwisting"
 Boundary: TypeAlias = "Sign | SaturationLayer | TanhLayer"

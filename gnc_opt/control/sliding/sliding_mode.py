@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
+from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.guard import GROWTH, GUARD
 from gnc_opt.control.lie import OutputErrors, Outputs, given_for, output_errors
@@ -29,7 +30,6 @@ from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
 from gnc_opt.control.sliding.surface import surface_controller
 from gnc_opt.control.sliding.switching import SlidingOptions
 from gnc_opt.errors import DesignError
-from gnc_opt.model.layout import Array
 from gnc_opt.model.model import Model
 
 Slopes: TypeAlias = float | Sequence[Any] | Mapping[str, Any]

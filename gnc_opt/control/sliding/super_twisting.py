@@ -28,8 +28,8 @@ import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
 from gnc_opt.arguments import read_positive
+from gnc_opt.arrays import Array
 from gnc_opt.errors import DesignError
-from gnc_opt.model.layout import Array
 
 
 def check_gains(k1: float, k2: float, bound: float, what: str) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
+from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.guard import (
@@ -26,7 +27,7 @@ from gnc_opt.control.reference import Reference
 from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
 from gnc_opt.control.sliding.switching import SlidingOptions, Switching
 from gnc_opt.errors import DesignError
-from gnc_opt.model.layout import Array, as_vector
+from gnc_opt.model.layout import as_vector
 
 _SETTLED = 40.0
 """An impulse response is integrated over this many time constants of its slowest pole."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_positive
+from gnc_opt.arrays import Array
 from gnc_opt.control.explanation import Fact
 from gnc_opt.control.guard import GROWTH, GUARD, Memory
 from gnc_opt.control.lie import OutputErrors
@@ -28,7 +29,6 @@ from gnc_opt.control.sliding.reaching import (
 )
 from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
 from gnc_opt.errors import DesignError
-from gnc_opt.model.layout import Array
 from gnc_opt.model.model import Model
 
 

@@ -7,31 +7,36 @@ merged, and the distinct minima that remain are refined, judged and merged once 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, get_args
+from functools import partial
+from typing import Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
 from gnc_opt.arguments import expect, read_integer, read_positive
-from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
+from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, did_you_mean
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem.guess.random import with_random_guess
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.refine import StructureChoice
 from gnc_opt.refine.refine import refine as refine_solution
 from gnc_opt.refine.search.minima import Minimum, equal, merged
-from gnc_opt.refine.workforce import Builder, Workforce
 from gnc_opt.solution.history import RefinementStatus
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
 from gnc_opt.transcription.mesh import Mesh, MeshLike
 from gnc_opt.verify.verify import verify
+from gnc_opt.workers import Done, Shared, WorkerDied, WorkerPool
 
-if TYPE_CHECKING:
-    from gnc_opt.report.search import ShowEnding
+ShowEnding: TypeAlias = Callable[["float | None"], None]
+"""Shows the objective with which a task ended, None if without one."""
+
+Builder: TypeAlias = Callable[[], Problem]
+Item = TypeVar("Item")
+Answer = TypeVar("Answer")
 
 COARSE_MESH = "20x3"
 
@@ -195,34 +200,64 @@ def multistart(
     if options is not None:
         expect(options, SolverOptions, "the options of multistart()", "write options=SolverOptions(...)")
     chosen = SolverOptions(max_iterations=MOST_ITERATIONS) if options is None else options
-    with Workforce(problem, executor) as force:
-        force.problem.check()
-        with _meter(f"{force.problem.name}: starts", n, progress, force.problem.sense) as show:
-            answers = force.run(
-                _Coarse(seed, COARSE_MESH if mesh is None else mesh, chosen),
-                range(n),
-                lambda ending: show(ending.objective),
-            )
-        endings = [ending for ending in answers if ending is not None]
+    shared = _shared(problem)
+    stated = shared.value
+    with WorkerPool(shared, executor, "multistart()") as pool:
+        stated.check()
+        with _meter(f"{stated.name}: starts", n, progress, stated.sense) as show:
+            coarse = _Coarse(seed, COARSE_MESH if mesh is None else mesh, chosen)
+            done = pool.run(coarse, range(n), lambda start: show(_answer(start).objective))
+        endings = [_answer(start) for start in done]
         minima = merged(_first_minima(endings))
-        if refine and not force.interrupted:
+        if refine and not pool.interrupted:
             count = min(max_refined, _worth_refining(minima, within))
             chief, rest = minima[:count], minima[count:]
-            with _meter("refinements", len(chief), progress, force.problem.sense) as show:
-                finer = force.run(
-                    _Fine(structure, tol, chosen), chief, lambda minimum: show(minimum.objective)
-                )
-            kept = [new or old for new, old in zip(finer, chief, strict=True)]
-            minima = merged([*kept, *rest])
+            with _meter("refinements", len(chief), progress, stated.sense) as show:
+                fine = _Fine(structure, tol, chosen)
+                finer = pool.run(fine, chief, lambda minimum: show(_answer(minimum).objective))
+            refined = {id(minimum.item): _answer(minimum) for minimum in finer}
+            minima = merged([*(refined.get(id(minimum), minimum) for minimum in chief), *rest])
     return Multistart(
-        force.problem.name,
-        tuple(replace(m, solution=m.solution.with_problem(force.problem)) for m in minima),
+        stated.name,
+        tuple(replace(m, solution=m.solution.with_problem(stated)) for m in minima),
         dict(sorted(Counter(ending.failure for ending in endings if ending.failure).items())),
         n,
         len(endings),
         seed,
-        force.interrupted,
+        pool.interrupted,
     )
+
+
+def _shared(problem: Problem | Builder) -> Shared[Problem]:
+    """Return the problem for all workers; only a function that builds it can be sent to other processes."""
+    if isinstance(problem, Problem):
+        remedy = 'give a function that builds it, e.g. functools.partial(build, case=2), or executor="serial"'
+        return Shared(problem, f"problem '{problem.name}', which holds symbols,", remedy)
+    if not callable(problem):
+        raise ArgumentError(
+            f"multistart() got a {type(problem).__name__} where a Problem or a function that builds one is needed."
+        )
+    remedy = "define it with def at the top of a module, and give its arguments by functools.partial"
+    builder = partial(_built, problem)
+    return Shared(builder(), "the function that builds the problem", remedy, builder)
+
+
+def _built(builder: Builder) -> Problem:
+    return expect(builder(), Problem, "what the builder returned", "return the problem")  # type: ignore[no-any-return]
+
+
+def _answer(done: Done[Item, Answer]) -> Answer:
+    """Return what a task answered, or raise what prevented it."""
+    error = done.error
+    if isinstance(error, WorkerDied):
+        raise GncOptError(
+            "a process of multistart() has died, perhaps for want of memory: try a coarser mesh, or "
+            'executor="serial".'
+        ) from error
+    if error is not None:
+        raise error
+    assert done.answer is not None
+    return done.answer
 
 
 def _worth_refining(minima: Sequence[Minimum], within: float | None) -> int:
