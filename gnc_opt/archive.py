@@ -1,4 +1,8 @@
-"""Results on disk: one compressed NumPy archive with a JSON header; floats keep every bit, nothing is pickled."""
+"""Results on disk: one compressed NumPy archive with a JSON header; floats keep every bit, nothing is pickled.
+
+The header holds the tree that `packing` makes of a result, the arrays are entries of their own, so ``numpy.load(path)``
+alone can read a file. Opening a file from a stranger runs none of the stranger's code.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +11,106 @@ import json
 import os
 import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeAlias
 
 import numpy as np
 
-from gnc_opt.arguments import Array
+from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError
+from gnc_opt.packing import Arrays, Packing
+
+OlderReader: TypeAlias = Callable[[dict[str, Any], Arrays], dict[str, Any]]
+"""Returns the fields of the result from header and arrays of a file of an older version."""
 
 
-def write_archive(path: str | Path, header: Mapping[str, Any], arrays: Mapping[str, Array]) -> Path:
-    """Write a header, which names its ``format`` and ``version``, and arrays; return the file written.
+@dataclass(frozen=True)
+class FileFormat:
+    """How results of one class are written to files and read.
 
-    ``.npz`` is appended to a path without suffix. The file is written next to the target, then replaces it: a crash
-    leaves the old one.
+    Attributes
+    ----------
+    kind : type
+    noun : str
+        What a file holds: ``"run"``.
+    version : int
+        Raise it whenever a stored class changes its fields.
+    packing : Packing
+    older : mapping of int to callable
+        What reads files of older versions.
     """
+
+    kind: type
+    noun: str
+    version: int
+    packing: Packing
+    older: Mapping[int, OlderReader] = field(default_factory=dict)
+
+    def write(self, path: str | Path, result: Any, *, written_by: str | None = None, **more: Any) -> Path:
+        """Write a result, and more values by name; return the file written.
+
+        ``.npz`` is appended to a path without suffix. The file is written next to the target, then replaces it: a
+        crash leaves the old one.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written, e.g. because its folder does not exist.
+        GncOptError
+            The result holds something that files do not.
+        """
+        arrays: Arrays = {}
+        header: dict[str, Any] = {"format": self._name, "version": self.version}
+        if written_by is not None:
+            header["written_by"] = written_by
+        header[self.noun] = self.packing.pack(result, "", arrays)
+        header |= {name: self.packing.pack(value, name, arrays) for name, value in more.items()}
+        return _write_archive(path, header, arrays)
+
+    def read(self, path: str | Path) -> tuple[Any, dict[str, Any]]:
+        """Return the result in a file, and what was written with it.
+
+        Raises
+        ------
+        FileNotFoundError
+            There is no such file.
+        GncOptError
+            The file is damaged, of another format, or of another version.
+        """
+        header, arrays = _read_archive(path, self.noun)
+        if not isinstance(header, dict) or header.get("format") != self._name:
+            raise GncOptError(f"'{path}' is an archive, but not a {self.noun} of gnc_opt.")
+        version = header.get("version")
+        older = self.older.get(version) if isinstance(version, int) else None
+        if version != self.version and older is None:
+            written = f" (gnc_opt {header['written_by']})" if "written_by" in header else ""
+            raise GncOptError(
+                f"'{path}' has format version {version}{written}, but this gnc_opt reads version {self.version}: "
+                "load it with the version that wrote it."
+            )
+        try:
+            if older is not None:
+                return self.kind(**older(header, arrays)), {}
+            trees = {name: tree for name, tree in header.items() if name not in _ABOUT_THE_FILE}
+            values = {name: self.packing.unpack(tree, arrays) for name, tree in trees.items()}
+            result = values.pop(self.noun)
+        except Exception as error:  # whatever it is, this tree does not describe a result
+            raise _damaged(path, self.noun) from error
+        if not isinstance(result, self.kind):
+            raise _damaged(path, self.noun)
+        return result, values
+
+    @property
+    def _name(self) -> str:
+        return f"gnc_opt {self.noun}"
+
+
+_ABOUT_THE_FILE = ("format", "version", "written_by")
+
+
+def _write_archive(path: str | Path, header: Mapping[str, Any], arrays: Mapping[str, Array]) -> Path:
     target = Path(path)
     target = target if target.suffix else target.with_suffix(".npz")
     entries: dict[str, Any] = {"header": np.array(json.dumps(header, allow_nan=False)), **arrays}
@@ -39,17 +127,7 @@ def write_archive(path: str | Path, header: Mapping[str, Any], arrays: Mapping[s
     return target
 
 
-def read_archive(path: str | Path, form: str, version: int) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Return header and arrays of a file of the given format, e.g. ``"gnc_opt run"``.
-
-    Raises
-    ------
-    FileNotFoundError
-        There is no such file.
-    GncOptError
-        The file is damaged, of another format, or of another version.
-    """
-    noun = form.removeprefix("gnc_opt ")
+def _read_archive(path: str | Path, noun: str) -> tuple[Any, Arrays]:
     with Path(path).open("rb") as stream:
         try:
             entries = _entries(stream)
@@ -57,20 +135,11 @@ def read_archive(path: str | Path, form: str, version: int) -> tuple[dict[str, A
         except _NoArchive:
             raise GncOptError(f"'{path}' is not a {noun} of gnc_opt, or only part of one.") from None
         except Exception as error:  # zipfile, zlib, NumPy and JSON each have their own
-            raise damaged(path, noun) from error
-    if not isinstance(header, dict) or header.get("format") != form:
-        raise GncOptError(f"'{path}' is an archive, but not a {noun} of gnc_opt.")
-    if header.get("version") != version:
-        written = f" (gnc_opt {header['written_by']})" if "written_by" in header else ""
-        raise GncOptError(
-            f"'{path}' has format version {header.get('version')}{written}, but this gnc_opt reads version {version}: "
-            "load it with the version that wrote it."
-        )
+            raise _damaged(path, noun) from error
     return header, entries
 
 
-def damaged(path: str | Path, noun: str) -> GncOptError:
-    """Return the error for a file whose content does not make up what it says."""
+def _damaged(path: str | Path, noun: str) -> GncOptError:
     return GncOptError(f"'{path}' is damaged: its content does not make up a {noun}; save it again.")
 
 

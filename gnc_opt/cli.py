@@ -281,7 +281,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parser() -> argparse.ArgumentParser:
-    from gnc_opt.solve import package_version
+    from gnc_opt.versions import package_version
 
     parser = _Parser(
         prog="gnc-opt",
@@ -341,7 +341,7 @@ def _add_multistart(commands: Any) -> None:
 
 def _add_common(command: argparse.ArgumentParser) -> None:
     add = command.add_argument
-    add("file", metavar="FILE", help="Python file with build(**options) returning a Problem")
+    add("file", metavar="FILE", help="Python file or package with build(**options) returning a Problem")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="option of build(); may be repeated")
     add("--quiet", action="store_true", help="show nothing but errors and warnings")
     add("--debug", action="store_true", help="show the traceback of an error")

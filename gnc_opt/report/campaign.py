@@ -8,16 +8,14 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.statistics import CONFIDENCE, PassRate, Percentile, share_below_maximum
-
-if TYPE_CHECKING:
-    from gnc_opt.simulation.campaign import Campaign
 
 ShowRuns: TypeAlias = Callable[[int, int], None]
 

@@ -11,8 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from gnc_opt.archive import FileFormat
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
-from gnc_opt.model.layout import Array, Layout
+from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.packing import Packing
+from gnc_opt.simulation.first_files import campaign_fields
 from gnc_opt.simulation.flight import Flight
 from gnc_opt.simulation.metrics import rotation_angle
 from gnc_opt.simulation.outcome import Outcome, RunStatus
@@ -299,9 +303,7 @@ class Campaign(Strict):
 
     def save(self, path: str | Path) -> Path:
         """Write all runs to a file (``.npz`` is appended if it has no suffix); every bit is kept."""
-        from gnc_opt.simulation.campaign_storage import save
-
-        return save(self, path)
+        return CAMPAIGN_FILES.write(path, self)
 
     @classmethod
     def load(cls, path: str | Path, flight: Flight | None = None) -> Campaign:
@@ -320,14 +322,27 @@ class Campaign(Strict):
         GncOptError
             The file holds no campaign or a damaged one, or the flight is another one.
         """
-        from gnc_opt.simulation.campaign_storage import load
-
-        return load(path, flight)
+        campaign, _ = CAMPAIGN_FILES.read(path)
+        assert isinstance(campaign, Campaign)
+        if flight is not None and flight.layout.labels != campaign.layouts["parameter"].labels:
+            raise GncOptError(
+                f"the campaign of '{path}' flew another loop than the given flight: its parameters have other names."
+            )
+        return replace(campaign, flight=flight)
 
     def _need_runs(self) -> int:
         if not self.outcomes:
             raise GncOptError("no run of the campaign has ended: let it fly longer.")
         return len(self.outcomes)
+
+
+CAMPAIGN_FILES = FileFormat(
+    Campaign,
+    "campaign",
+    2,
+    Packing((Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("flight",)}),
+    older={1: campaign_fields},
+)
 
 
 def _or_infinite(values: Array) -> Array:

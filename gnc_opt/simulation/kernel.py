@@ -10,17 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 
 from gnc_opt.model.layout import Layout
 from gnc_opt.simulation.block import Step, Tick, rows
 from gnc_opt.simulation.integrate import dormand_prince
-from gnc_opt.simulation.signals import Link, kinds, put, take
-
-if TYPE_CHECKING:
-    from gnc_opt.simulation.loop import ClosedLoop
+from gnc_opt.simulation.signals import Link, put, take
+from gnc_opt.simulation.wiring import Wiring
 
 _LARGE = 1e300
 """What is not below this in size counts as not finite."""
@@ -73,38 +71,38 @@ class Kernel:
     log: Places
 
 
-def build_kernel(loop: ClosedLoop, substeps: int) -> Kernel:
+def build_kernel(wiring: Wiring, substeps: int) -> Kernel:
     """Return the kernel with the plant integrated in ``substeps`` per minor step."""
-    return _Builder(loop, substeps).kernel()
+    return _Builder(wiring, substeps).kernel()
 
 
 class _Builder:
     """Makes the symbols, then the pieces of a step in order."""
 
-    def __init__(self, loop: ClosedLoop, substeps: int) -> None:
-        self.loop, self.substeps = loop, substeps
-        self.h = loop.dt / loop.minor_steps
-        self.P = ca.SX.sym("P", loop.layout.size)
-        self.p = {name: self.P[loop.layout.slice(name)] for name in loop.layout.names}
-        self.plant_p = take(self.p, [f"plant.{n}" for n in loop.plant.parameters.names])
-        self.measured = Layout("state", loop.controller.states.variables)
+    def __init__(self, wiring: Wiring, substeps: int) -> None:
+        self.wiring, self.substeps = wiring, substeps
+        self.h = wiring.h
+        self.P = ca.SX.sym("P", wiring.layout.size)
+        self.p = {name: self.P[wiring.layout.slice(name)] for name in wiring.layout.names}
+        self.plant_p = take(self.p, [f"plant.{n}" for n in wiring.plant.parameters.names])
+        self.measured = Layout("state", wiring.controller.states.variables)
         groups = (
-            ("sensor", loop.sensor_links),
-            ("actuator", loop.actuator_links),
-            ("push", loop.disturbance_links),
+            ("sensor", wiring.sensors),
+            ("actuator", wiring.actuators),
+            ("push", wiring.disturbances),
         )
         zero = {k: self._memory_sizes(links, k) for k, links in groups}
-        m = loop.minor_steps
+        m = wiring.minor_steps
         noises = {
             k: [link.block.noise(link.size) * (m if k == "actuator" else 1) for link in links]
             for k, links in groups
         }
-        controls, commands = loop.plant.controls.size, loop.controller.commands.size
+        controls, commands = wiring.plant.controls.size, wiring.controller.commands.size
         self.state = Places(
             (
-                ("plant", loop.plant.states.size),
+                ("plant", wiring.plant.states.size),
                 *((f"{k} {i}", n) for k, sizes in zero.items() for i, n in enumerate(sizes)),
-                ("memory", loop.controller.memory.size),
+                ("memory", wiring.controller.memory.size),
                 ("command", commands),
                 ("effort", controls),
                 ("energy", controls),
@@ -121,7 +119,7 @@ class _Builder:
         self.known = Places(
             (
                 ("t", 1),
-                ("r", loop.controller.signals.size),
+                ("r", wiring.controller.signals.size),
                 *((f"{k} {i}", n) for k, sizes in noises.items() for i, n in enumerate(sizes)),
             )
         )
@@ -132,9 +130,9 @@ class _Builder:
     # --- pieces -------------------------------------------------------------------------------------------
 
     def _memory_sizes(self, links: Sequence[Link], kind: str) -> list[int]:
-        x = ca.SX.zeros(self.loop.plant.states.size)
-        length = self.h if kind == "actuator" else self.loop.dt
-        tick = Tick(0.0, length, self.loop.dt, 0, self._by_state(x))
+        x = ca.SX.zeros(self.wiring.plant.states.size)
+        length = self.h if kind == "actuator" else self.wiring.dt
+        tick = Tick(0.0, length, self.wiring.dt, 0, self._by_state(x))
         return [
             link.block.start(ca.SX.zeros(link.size), self._parameters(link), tick).shape[0] for link in links
         ]
@@ -144,7 +142,7 @@ class _Builder:
         return {n[len(prefix) :]: s for n, s in self.p.items() if n.startswith(prefix)}
 
     def _by_state(self, x: Any) -> dict[str, Any]:
-        states = self.loop.plant.states
+        states = self.wiring.plant.states
         return {n: x[states.slice(n)] for n in states.names}
 
     def _sense(
@@ -153,9 +151,9 @@ class _Builder:
         """Return the measured state and the sensors' memories; without memories they begin."""
         by_name = self._by_state(x)
         signals = {n: by_name[n] for n in self.measured.names}
-        tick = Tick(t, self.loop.dt, self.loop.dt, 0, by_name)
+        tick = Tick(t, self.wiring.dt, self.wiring.dt, 0, by_name)
         after = {}
-        for i, link in enumerate(self.loop.sensor_links):
+        for i, link in enumerate(self.wiring.sensors):
             key, p, signal = f"sensor {i}", self._parameters(link), take(signals, link.on)
             before = link.block.start(signal, p, tick) if memory is None else memory[key]
             step = link.block.step(tick, signal, before, p, w[key])
@@ -167,11 +165,11 @@ class _Builder:
         self, tick: Tick, u: Any, memory: dict[str, Any], w: dict[str, Any], minor: int
     ) -> tuple[Any, Any]:
         """Return what is applied to the plant's controls and which commands are saturated; updates ``memory``."""
-        commands, controls = self.loop.controller.commands, self.loop.plant.controls
+        commands, controls = self.wiring.controller.commands, self.wiring.plant.controls
         signals = {n: u[commands.slice(n)] for n in commands.names}
         origin = {n: {n} for n in commands.names}
         saturated = {n: ca.SX.zeros(commands[n].size) for n in commands.names}
-        for i, link in enumerate(self.loop.actuator_links):
+        for i, link in enumerate(self.wiring.actuators):
             key, count = f"actuator {i}", link.block.noise(link.size)
             noise = w[key][minor * count : (minor + 1) * count]
             signal = take(signals, link.on)
@@ -186,7 +184,7 @@ class _Builder:
 
     def _rate(self, u: Any, pushes: dict[str, Any]) -> Any:
         """Return f(t, x) of the plant under applied controls and disturbances."""
-        plant, links = self.loop.plant, self.loop.disturbance_links
+        plant, links = self.wiring.plant, self.wiring.disturbances
 
         def f(t: Any, x: Any) -> Any:
             by_name = self._by_state(x)
@@ -209,37 +207,37 @@ class _Builder:
         return Kernel(start, step, self.state, self.known, self.log)
 
     def _start(self) -> Any:
-        loop = self.loop
+        wiring = self.wiring
         column = ca.SX.sym("w", self.known.size)
         w = self.known.split(column)
-        x = take(self.p, [f"initial.{n}" for n in loop.plant.states.names])
+        x = take(self.p, [f"initial.{n}" for n in wiring.plant.states.names])
         y, sensors = self._sense(x, w["t"], None, w)
-        tick = Tick(w["t"], self.h, loop.dt, 0, self._by_state(x))
+        tick = Tick(w["t"], self.h, wiring.dt, 0, self._by_state(x))
         parts: dict[str, Any] = {name: ca.SX.zeros(n) for name, n in self.state.parts}
         parts |= {"plant": x, **sensors}
-        for key, links in (("actuator", loop.actuator_links), ("push", loop.disturbance_links)):
+        for key, links in (("actuator", wiring.actuators), ("push", wiring.disturbances)):
             for i, link in enumerate(links):
                 parts[f"{key} {i}"] = link.block.start(ca.SX.zeros(link.size), self._parameters(link), tick)
         before = ca.Function("before", [column, self.P], [y, self.state.join(parts)])
-        kind = _symbol_kind(loop.controller.start)
+        kind = _symbol_kind(wiring.controller.start)
         w_, p_ = kind.sym("w", self.known.size), kind.sym("P", self.P.shape[0])
         y_, state = before(w_, p_)
         values = self.state.split(state)
         known = self.known.split(w_)
-        values["memory"] = loop.controller.start(known["t"], y_, known["r"])
+        values["memory"] = wiring.controller.start(known["t"], y_, known["r"])
         return ca.Function("start", [w_, p_], [self.state.join(values)], ["w", "P"], ["X"])
 
     def _step(self) -> Any:
-        loop = self.loop
+        wiring = self.wiring
         sense, act = self._sense_function(), self._act_function()
-        kind = _symbol_kind(loop.controller.step)
+        kind = _symbol_kind(wiring.controller.step)
         x_, w_, p_ = (
             kind.sym(n, s)
             for n, s in (("X", self.state.size), ("w", self.known.size), ("P", self.P.shape[0]))
         )
         y, sensed = sense(x_, w_, p_)
         known = self.known.split(w_)
-        u, memory = loop.controller.step(known["t"], y, known["r"], self.state.split(x_)["memory"])
+        u, memory = wiring.controller.step(known["t"], y, known["r"], self.state.split(x_)["memory"])
         after, log = act(sensed, w_, p_, y, u, memory)
         return ca.Function("step", [x_, w_, p_], [after, log], ["X", "w", "P"], ["X_next", "log"])
 
@@ -251,23 +249,23 @@ class _Builder:
 
     def _act_function(self) -> Any:
         """The minor steps and the book-keeping: ``(X, w, P, y, u, z_next) -> (X_next, log)``."""
-        loop, h = self.loop, self.h
+        wiring, h = self.wiring, self.h
         column_x, column = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
-        y, u = ca.SX.sym("y", self.measured.size), ca.SX.sym("u", loop.controller.commands.size)
-        z = ca.SX.sym("z", loop.controller.memory.size)
+        y, u = ca.SX.sym("y", self.measured.size), ca.SX.sym("u", wiring.controller.commands.size)
+        z = ca.SX.sym("z", wiring.controller.memory.size)
         state, w = self.state.split(column_x), self.known.split(column)
         new = dict(state)
-        for i, link in enumerate(loop.disturbance_links):
+        for i, link in enumerate(wiring.disturbances):
             key = f"push {i}"
-            tick = Tick(w["t"], loop.dt, loop.dt, 0, self._by_state(state["plant"]))
+            tick = Tick(w["t"], wiring.dt, wiring.dt, 0, self._by_state(state["plant"]))
             new[key] = link.block.update(tick, state[key], self._parameters(link), w[key])  # type: ignore[attr-defined]
-        x, mean, error = state["plant"], ca.SX.zeros(loop.plant.controls.size), ca.SX(0)
-        for i in range(loop.minor_steps):
-            tick = Tick(w["t"] + i * h, h, loop.dt, i, self._by_state(x))
+        x, mean, error = state["plant"], ca.SX.zeros(wiring.plant.controls.size), ca.SX(0)
+        for i in range(wiring.minor_steps):
+            tick = Tick(w["t"] + i * h, h, wiring.dt, i, self._by_state(x))
             applied, saturated = self._actuate(tick, u, new, w, i)
             x, estimate = dormand_prince(self._rate(applied, new), tick.t, x, h, self.substeps)
             error += estimate
-            mean += applied / loop.minor_steps
+            mean += applied / wiring.minor_steps
             new["effort"] += h * ca.fabs(applied)
             new["energy"] += h * applied**2
             new["saturation"] += h * saturated
@@ -285,11 +283,11 @@ class _Builder:
 
     def _watch(self, new: dict[str, Any], state: dict[str, Any], t: Any, watched: Any, z: Any) -> None:
         """Keep the first thing that is not finite and the first alarm, and their times."""
-        loop = self.loop
+        wiring = self.wiring
         fault = ca.SX(0)
         for i in reversed(range(watched.shape[0])):
             fault = ca.if_else(ca.fabs(watched[i]) < _LARGE, fault, i + 1.0)
-        places = [loop.controller.memory.slice(name) for name in loop.controller.alarms]
+        places = [wiring.controller.memory.slice(name) for name in wiring.controller.alarms]
         flags = [z[k] for place in places for k in range(place.start, place.stop)]
         alarm = ca.SX(0)
         for i, flag in reversed(list(enumerate(flags))):
@@ -302,21 +300,21 @@ class _Builder:
             new[f"{name} time"] = ca.if_else(fresh, t, state[f"{name} time"])
 
 
-def watched_labels(loop: ClosedLoop) -> list[str]:
+def watched_labels(wiring: Wiring) -> list[str]:
     """Return what the codes of the first non-finite quantity mean, code 1 first."""
     groups = (
-        ("measured", loop.controller.states),
-        ("command", loop.controller.commands),
-        ("applied", loop.plant.controls),
-        ("state", loop.plant.states),
+        ("measured", wiring.controller.states),
+        ("command", wiring.controller.commands),
+        ("applied", wiring.plant.controls),
+        ("state", wiring.plant.states),
     )
     return [f"{kind} '{label}'" for kind, layout in groups for label in layout.labels]
 
 
-def alarm_labels(loop: ClosedLoop) -> list[str]:
+def alarm_labels(wiring: Wiring) -> list[str]:
     """Return the controller's alarms by code, code 1 first."""
-    memory = loop.controller.memory
-    return [label for name in loop.controller.alarms for label in memory[name].labels]
+    memory = wiring.controller.memory
+    return [label for name in wiring.controller.alarms for label in memory[name].labels]
 
 
 def _mark(saturated: dict[str, Any], step: Step, link: Link, origin: Mapping[str, set[str]]) -> None:
@@ -339,6 +337,3 @@ def _mark(saturated: dict[str, Any], step: Step, link: Link, origin: Mapping[str
 
 def _symbol_kind(function: Any) -> Any:
     return ca.SX if function.is_a("SXFunction") else ca.MX
-
-
-__all__ = ["Kernel", "Places", "alarm_labels", "build_kernel", "kinds", "watched_labels"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -12,17 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_integer, read_numbers, read_positive
+from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, unknown_name
-from gnc_opt.model.layout import Array, Layout, Variable, as_vector
+from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.disturbances import Disturbance
-from gnc_opt.simulation.fit import check_applied, check_measured, check_names
 from gnc_opt.simulation.flight import Flight
 from gnc_opt.simulation.kernel import Kernel, alarm_labels, build_kernel, watched_labels
 from gnc_opt.simulation.run import Run
-from gnc_opt.simulation.signals import Link, chain, kinds
+from gnc_opt.simulation.wiring import Blocks, Wiring, wire
 
 MAX_SUBSTEPS = 64
 """Integration steps per minor step at most; a plant that needs more is too fast for this step."""
@@ -78,9 +77,7 @@ class ClosedLoop:
     minor_steps: int = field(default=1, kw_only=True)
     accuracy: float = field(default=1e-9, kw_only=True)
     substeps: int | None = field(default=None, kw_only=True)
-    actuator_links: tuple[Link, ...] = field(init=False, repr=False)
-    sensor_links: tuple[Link, ...] = field(init=False, repr=False)
-    disturbance_links: tuple[Link, ...] = field(init=False, repr=False)
+    wiring: Wiring = field(init=False, repr=False)
     _kernels: dict[int, Kernel] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -105,51 +102,28 @@ class ClosedLoop:
                     f"one of the {name} of a closed loop",
                     f"use those of gnc_opt.simulation.{name}",
                 )
-        check_measured(self.plant, self.controller)
-        check_names((*self.actuators, *self.sensors, *self.disturbances))
-        commands = kinds(self.controller.commands)
-        links, applied = chain(self.actuators, commands, "command")
-        set_(self, "actuator_links", tuple(links))
-        check_applied(self.plant, applied)
-        sensors, seen = chain(self.sensors, kinds(self.controller.states), "measured state")
-        if seen != kinds(self.controller.states):
-            raise ArgumentError(
-                "the sensors of a closed loop change names or sizes of the states: keep them."
-            )
-        set_(self, "sensor_links", tuple(sensors))
-        targets = kinds(self.plant.controls) | {
-            n: (size, f"{unit}/s") for n, (size, unit) in kinds(self.plant.states).items()
-        }
-        pushes = [chain([d], targets, "state or control")[0][0] for d in self.disturbances]
-        set_(self, "disturbance_links", tuple(pushes))
-        for group, step in ((links, self.dt / self.minor_steps), (sensors, self.dt), (pushes, self.dt)):
-            for link in group:
-                link.block.check(link.size, step, self.dt)
+        blocks = Blocks(tuple(self.actuators), tuple(self.sensors), tuple(self.disturbances))
+        set_(self, "wiring", wire(self.plant, self.controller, blocks, self.dt, self.minor_steps))
 
     # --- what can be dispersed ----------------------------------------------------------------------------
 
-    @cached_property
+    @property
     def layout(self) -> Layout:
         """Names, sizes and units of everything that can differ between runs.
 
         ``"plant.<parameter>"``, ``"initial.<state>"`` and ``"<block>.<parameter>"``.
         """
-        return Layout("parameter", tuple(v for v, _ in self._entries()), "the closed loop")
+        return self.wiring.layout
 
-    @cached_property
+    @property
     def defaults(self) -> Array:
         """Values of `layout`, shape (n,); initial states are not-a-number until they are given."""
-        return np.concatenate([value for _, value in self._entries()])
+        return self.wiring.defaults
 
-    @cached_property
+    @property
     def ranges(self) -> tuple[Array, Array]:
         """Least and largest permitted values of `layout`, each of shape (n,)."""
-        lower, upper = np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf)
-        for link, h in self._links():
-            for name, (least, largest) in link.block.limits(h, self.dt).items():
-                place = self.layout.slice(f"{link.block.name}.{name}")
-                lower[place], upper[place] = least, largest
-        return lower, upper
+        return self.wiring.ranges
 
     def parameters(
         self,
@@ -273,7 +247,7 @@ class ClosedLoop:
                 f"each has more than {_MAX_UNROLLED}: give a shorter dt, fewer minor_steps or a coarser accuracy."
             )
         if substeps not in self._kernels:
-            self._kernels[substeps] = build_kernel(self, substeps)
+            self._kernels[substeps] = build_kernel(self.wiring, substeps)
         return self._kernels[substeps]
 
     # --- internals ----------------------------------------------------------------------------------------
@@ -315,8 +289,8 @@ class ClosedLoop:
             memory=self.controller.memory,
             errors=self._error_function(),
             error_layout=self.plant.errors,
-            watched=tuple(watched_labels(self)),
-            alarms=tuple(alarm_labels(self)),
+            watched=tuple(watched_labels(self.wiring)),
+            alarms=tuple(alarm_labels(self.wiring)),
             accuracy=self.accuracy,
             minor_steps=self.minor_steps,
         )
@@ -358,23 +332,3 @@ class ClosedLoop:
     def _error_function(self) -> Any:
         x, x_ref = (ca.SX.sym(n, self.plant.states.size) for n in ("x", "x_ref"))
         return ca.Function("e", [x, x_ref], [self.plant.error_expression(x, x_ref)])
-
-    def _links(self) -> list[tuple[Link, float]]:
-        h = self.dt / self.minor_steps
-        links = [(link, h) for link in self.actuator_links]
-        return links + [(link, self.dt) for link in (*self.sensor_links, *self.disturbance_links)]
-
-    def _entries(self) -> list[tuple[Variable, Array]]:
-        parameters, states = self.plant.parameters, self.plant.states
-        numbers = self.plant.parameter_values
-        entries = [
-            (Variable(f"plant.{v.name}", v.size, v.unit), numbers[parameters.slice(v.name)])
-            for v in parameters.variables
-        ]
-        entries += [
-            (Variable(f"initial.{v.name}", v.size, v.unit), np.full(v.size, np.nan)) for v in states.variables
-        ]
-        for link, _ in self._links():
-            for name, (value, unit) in link.block.parameters(link.size, link.unit).items():
-                entries.append((Variable(f"{link.block.name}.{name}", value.size, unit), value))
-        return entries

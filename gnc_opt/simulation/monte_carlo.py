@@ -12,14 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_integer, read_positive
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
-from gnc_opt.model.layout import Array, as_vector
+from gnc_opt.model.layout import as_vector
 from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.crew import Crew, Flown, Mission
 from gnc_opt.simulation.dispersion import Dispersions, check_dispersions
 from gnc_opt.simulation.flight import Flight
 from gnc_opt.simulation.loop import ClosedLoop
+from gnc_opt.simulation.mission import Batch, Flown, Mission, batches, flown_parts, halves
 from gnc_opt.simulation.outcome import Outcome, RunStatus
+from gnc_opt.workers import Done, Shared, WorkerPool
 
 Judge = Callable[[Campaign], ArrayLike]
 """A measure of one's own: returns a number per run, (m,)."""
@@ -91,11 +93,15 @@ def monte_carlo(
     empty = _campaign(flight, seed, n, _goal(flight, target), [], False)
     checked = _limits(empty, limits or {}, judge or {})
     mission = Mission(flight, dict(dispersions), int(seed))
-    with _meter(n, progress) as show, Crew(mission, executor) as crew:
-        flown = crew.fly(n, lambda part: show(*_tally(part)))
+    with (
+        _meter(n, progress) as show,
+        WorkerPool(_shared(mission, executor), executor, "monte_carlo()") as pool,
+    ):
+        done = pool.run(Mission.fly, batches(n), lambda batch: show(*_tally(batch)), halves)
+    flown = [part for batch in done for part in flown_parts(batch)]
     _refuse_total_loss(flown)
     campaign = _campaign(
-        flight, int(seed), n, empty.target, _with_parameters(flown, mission), crew.interrupted
+        flight, int(seed), n, empty.target, _with_parameters(flown, mission), pool.interrupted
     )
     return _judged(replace(campaign, limits=checked), judge or {})
 
@@ -134,9 +140,19 @@ def _meter(total: int, visible: bool) -> AbstractContextManager[Callable[[int, i
     return campaign_meter(total)
 
 
-def _tally(part: Flown) -> tuple[int, int]:
-    outcomes = () if part.ending is None else part.ending.outcomes
-    return len(part.batch), len(part.batch) - sum(outcome.ok for outcome in outcomes)
+def _shared(mission: Mission, executor: Executor | Literal["serial"] | None) -> Shared[Mission]:
+    remedy = 'define dispersions of your own at the top of a module, or use executor="serial"'
+    shared = Shared.picklable(mission, "the campaign", remedy)
+    if executor != "serial":
+        shared.packed()  # refused also where processes inherit it: a campaign that flies here flies on any machine
+    return shared
+
+
+def _tally(done: Done[Batch, list[Flown]]) -> tuple[int, int]:
+    endings = [part.ending for part in flown_parts(done) if part.ending is not None]
+    return len(done.item), len(done.item) - sum(
+        outcome.ok for ending in endings for outcome in ending.outcomes
+    )
 
 
 # --- after ------------------------------------------------------------------------------------------------

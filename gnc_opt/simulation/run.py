@@ -9,10 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnc_opt.archive import FileFormat
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
-from gnc_opt.model.layout import Array, Layout
+from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.packing import Packing
 from gnc_opt.simulation import metrics
-from gnc_opt.simulation.outcome import Outcome
+from gnc_opt.simulation.first_files import run_fields
+from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.strict import Strict
 
 
@@ -223,9 +227,7 @@ class Run(Strict):
 
     def save(self, path: str | Path) -> Path:
         """Write the run to a file (``.npz`` is appended if it has no suffix); every bit is kept."""
-        from gnc_opt.simulation.storage import save
-
-        return save(self, path)
+        return RUN_FILES.write(path, self)
 
     @classmethod
     def load(cls, path: str | Path) -> Run:
@@ -238,9 +240,14 @@ class Run(Strict):
         GncOptError
             The file holds no run, or a damaged one.
         """
-        from gnc_opt.simulation.storage import load
+        run, _ = RUN_FILES.read(path)
+        assert isinstance(run, Run)
+        return run
 
-        return load(path)
+
+RUN_FILES = FileFormat(
+    Run, "run", 2, Packing((Run, Outcome, RunStatus, Layout, Variable)), older={1: run_fields}
+)
 
 
 def _listed(layout: Layout, values: Array, suffix: str | None = "") -> str:

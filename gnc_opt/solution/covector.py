@@ -35,14 +35,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.transcription.collocation import PhaseCollocation
 from gnc_opt.transcription.quadrature import interpolation_matrix
-
-Mask = NDArray[np.bool_]
 
 _PUSH = 1e-6
 """A push on a costate counts if it would move it by this share of its size over the segment."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import EndGradients, end_gradients, phase_functions
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem

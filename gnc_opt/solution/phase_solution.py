@@ -9,8 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnc_opt.arrays import Array
 from gnc_opt.errors import unknown_name
-from gnc_opt.model.layout import Array, Layout
+from gnc_opt.model.layout import Layout
 from gnc_opt.problem.interval import Interval
 from gnc_opt.solution.flown import FlownControl
 from gnc_opt.solution.polynomial import PiecewisePolynomial, Side

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gnc_opt.arguments import read_integer, read_numbers
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.transcription.quadrature import (
     MAX_POINTS,
-    Array,
     collocation_rule,
     differentiation_matrix,
     interpolation_matrix,

@@ -23,13 +23,10 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array, Indices
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.quadrature import CollocationRule, Scheme, collocation_rule
-
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

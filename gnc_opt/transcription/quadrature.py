@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import roots_jacobi, roots_legendre
 
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
 
-Array: TypeAlias = NDArray[np.float64]
 Scheme: TypeAlias = Literal["LG", "LGR", "LGL"]
 
 SCHEMES: tuple[Scheme, ...] = get_args(Scheme)

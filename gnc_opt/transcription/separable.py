@@ -19,11 +19,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from gnc_opt.model.layout import Array
-
-Indices = NDArray[np.int64]
+from gnc_opt.arrays import Array, Indices
 
 
 @dataclass(frozen=True)

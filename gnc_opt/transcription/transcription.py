@@ -11,9 +11,8 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
+from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import unknown_name
-from gnc_opt.model.layout import Array
-from gnc_opt.nlp.problem import NlpProblem
 from gnc_opt.problem.interval import Interval, free
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
@@ -28,7 +27,8 @@ from gnc_opt.transcription.holding import (
     smooth_entries,
 )
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.transcription.numbering import Indices, Numbering, PhasePart, time_is_fixed
+from gnc_opt.transcription.nonlinear_program import NlpProblem
+from gnc_opt.transcription.numbering import Numbering, PhasePart, time_is_fixed
 from gnc_opt.transcription.quadrature import Scheme
 from gnc_opt.transcription.separable import Block, PointFunction, SeparableProgram
 
@@ -189,7 +189,7 @@ class Transcription(Numbering):
             outputs = ca.substitute(outputs, self.problem.phases[name].integrands[label][0], 0)
         for leg in phases:
             outputs = self.problem.bind(leg, outputs)
-        data = ca.vertcat(*parameter_arguments(self.problem))
+        data = ca.vertcat(*parameter_arguments(self.problem.phases.values()))
         function = PointFunction.build("ends", ca.vertcat(*arguments), data, outputs)
         return function, np.concatenate(variables)
 

@@ -26,7 +26,6 @@ ALLOWED = {
     "SystemExit": "the command line's exit code",
     "FileNotFoundError": "a missing file is what Python says it is",
     "multistart.py: KeyboardInterrupt": "Ctrl-C, passed on to the search, which keeps what it has found",
-    "storage.py: TypeError": "caught at once and turned into 'is damaged'",
     "archive.py: _NoArchive": "caught at once and turned into 'is no archive'",
     "archive.py: zipfile.BadZipFile": "caught at once and turned into 'is damaged'",
 }

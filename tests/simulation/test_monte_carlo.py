@@ -33,12 +33,12 @@ from gnc_opt.simulation import (
     RandomHold,
     RunStatus,
     Saturation,
-    crew,
 )
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.dispersion import Choice, Dispersion, Normal, Sphere, Turn, Uniform
 from gnc_opt.simulation.monte_carlo import monte_carlo
 from gnc_opt.simulation.statistics import pass_rate, percentile, share_below_maximum
+from gnc_opt.workers import pool
 from problems.rendezvous import chaser_model
 
 BITS = (
@@ -117,7 +117,7 @@ def test_local_cluster_and_one_without_workers(serial, monkeypatch):
     options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
     with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
         assert_same(fly(executor=client.get_executor()), serial)
-        monkeypatch.setattr(crew, "PATIENCE", 0.3)
+        monkeypatch.setattr(pool, "PATIENCE", 0.3)
         client.retire_workers()
         cluster.scale(0)
         with pytest.raises(GncOptError, match="no workers left"):

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gnc_opt as go
+from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.problem.interval import Interval
-from gnc_opt.solution.arc import Arc, ArcKind
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.transcription.quadrature import Scheme
 

@@ -1,0 +1,132 @@
+"""Wiring: a plant and its controller with every block in its place, before anything is compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.control.controller import Controller
+from gnc_opt.errors import ArgumentError
+from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.model.model import Model
+from gnc_opt.simulation.block import Block
+from gnc_opt.simulation.disturbances import Disturbance
+from gnc_opt.simulation.fit import check_applied, check_measured, check_names
+from gnc_opt.simulation.signals import Link, chain, kinds
+
+
+@dataclass(frozen=True, eq=False)
+class Wiring:
+    """What a closed loop consists of; see `ClosedLoop`.
+
+    Attributes
+    ----------
+    plant : Model
+    controller : Controller
+    actuators, sensors, disturbances : tuple of Link
+    dt : float
+        Control step, s.
+    minor_steps : int
+        Parts of a control step.
+    """
+
+    plant: Model
+    controller: Controller
+    actuators: tuple[Link, ...]
+    sensors: tuple[Link, ...]
+    disturbances: tuple[Link, ...]
+    dt: float
+    minor_steps: int
+
+    @property
+    def h(self) -> float:
+        """Minor step, s."""
+        return self.dt / self.minor_steps
+
+    @property
+    def steps_of_links(self) -> list[tuple[Link, float]]:
+        """All links with the length (s) of their steps."""
+        slow = (*self.sensors, *self.disturbances)
+        return [*((link, self.h) for link in self.actuators), *((link, self.dt) for link in slow)]
+
+    # --- what can be dispersed ----------------------------------------------------------------------------
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Names, sizes and units of everything that can differ between runs."""
+        return Layout("parameter", tuple(variable for variable, _ in self._entries), "the closed loop")
+
+    @cached_property
+    def defaults(self) -> Array:
+        """Values of `layout`, shape (n,); initial states are not-a-number."""
+        return np.concatenate([value for _, value in self._entries])
+
+    @cached_property
+    def ranges(self) -> tuple[Array, Array]:
+        """Least and largest permitted values of `layout`, each of shape (n,)."""
+        lower, upper = np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf)
+        for link, step in self.steps_of_links:
+            for name, (least, largest) in link.block.limits(step, self.dt).items():
+                place = self.layout.slice(f"{link.block.name}.{name}")
+                lower[place], upper[place] = least, largest
+        return lower, upper
+
+    @cached_property
+    def _entries(self) -> list[tuple[Variable, Array]]:
+        parameters, states = self.plant.parameters, self.plant.states
+        numbers = self.plant.parameter_values
+        entries = [
+            (Variable(f"plant.{v.name}", v.size, v.unit), numbers[parameters.slice(v.name)])
+            for v in parameters.variables
+        ]
+        entries += [
+            (Variable(f"initial.{v.name}", v.size, v.unit), np.full(v.size, np.nan)) for v in states.variables
+        ]
+        for link, _ in self.steps_of_links:
+            for name, (value, unit) in link.block.parameters(link.size, link.unit).items():
+                entries.append((Variable(f"{link.block.name}.{name}", value.size, unit), value))
+        return entries
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """The blocks of a loop, in the order in which the signal passes them."""
+
+    actuators: tuple[Block, ...]
+    sensors: tuple[Block, ...]
+    disturbances: tuple[Disturbance, ...]
+
+
+def wire(plant: Model, controller: Controller, blocks: Blocks, dt: float, minor_steps: int) -> Wiring:
+    """Put the blocks in their places.
+
+    Raises
+    ------
+    ArgumentError, UnknownNameError
+        Something does not fit; the message names it.
+    """
+    check_measured(plant, controller)
+    check_names((*blocks.actuators, *blocks.sensors, *blocks.disturbances))
+    actuators, applied = chain(blocks.actuators, kinds(controller.commands), "command")
+    check_applied(plant, applied)
+    sensors = _sensors(controller, blocks.sensors)
+    targets = kinds(plant.controls) | {
+        n: (size, f"{unit}/s") for n, (size, unit) in kinds(plant.states).items()
+    }
+    pushes = [chain([d], targets, "state or control")[0][0] for d in blocks.disturbances]
+    wiring = Wiring(plant, controller, tuple(actuators), sensors, tuple(pushes), dt, minor_steps)
+    for link, step in wiring.steps_of_links:
+        link.block.check(link.size, step, dt)
+    return wiring
+
+
+def _sensors(controller: Controller, blocks: Sequence[Block]) -> tuple[Link, ...]:
+    states = kinds(controller.states)
+    links, seen = chain(blocks, states, "measured state")
+    if seen != states:
+        raise ArgumentError("the sensors of a closed loop change names or sizes of the states: keep them.")
+    return tuple(links)

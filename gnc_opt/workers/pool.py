@@ -1,0 +1,296 @@
+"""WorkerPool: does many tasks on an executor, in any order, and answers for every one of them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ThreadPoolExecutor,
+    TimeoutError,
+    as_completed,
+)
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any, Generic, Literal, TypeAlias, TypeVar
+
+from gnc_opt.arguments import expect
+from gnc_opt.errors import GncOptError
+from gnc_opt.workers.processes import OwnProcesses
+from gnc_opt.workers.shared import Object, Parcel, Shared, opened
+
+MOST_CRASHES = 8
+"""After so many items in a row that each killed a process of its own, no more are tried."""
+
+PATIENCE = 10.0
+"""A cluster that has no workers twice in so many seconds (s) is not waited for."""
+
+Item = TypeVar("Item")
+Answer = TypeVar("Answer")
+
+Task: TypeAlias = Callable[[Object, Item], Answer]
+Split: TypeAlias = Callable[[Item], Sequence[Item]]
+
+Place: TypeAlias = tuple[int, ...]
+"""The number of an item; one that was split has its number and those of the part."""
+
+
+class WorkerDied(GncOptError):
+    """Why there is no answer: the process died, or there is nobody to do the task."""
+
+
+@dataclass(frozen=True, eq=False)
+class Done(Generic[Item, Answer]):
+    """An item with its answer, or with what prevented it.
+
+    Attributes
+    ----------
+    item : object
+    answer : object or None
+    error : BaseException or None
+        What the task raised, or `WorkerDied`.
+    """
+
+    item: Item
+    answer: Answer | None = None
+    error: BaseException | None = None
+
+
+class WorkerPool(Generic[Object]):
+    """Workers with one object that all of them share; a context manager.
+
+    Tasks are functions ``task(object, item)``. Items, answers and tasks must be picklable.
+
+    Parameters
+    ----------
+    shared : Shared
+    executor : Executor, "serial" or None
+        None: one process per processor, of its own. Threads of one process take turns, since compiled functions serve
+        one at a time.
+    caller : str
+        For messages, e.g. ``"monte_carlo()"``.
+
+    Attributes
+    ----------
+    interrupted : bool
+        Whether Ctrl-C came.
+
+    Raises
+    ------
+    ArgumentError
+        No executor.
+    GncOptError
+        The object cannot be sent to processes.
+    """
+
+    def __init__(
+        self, shared: Shared[Object], executor: Executor | Literal["serial"] | None, caller: str
+    ) -> None:
+        self.interrupted = False
+        self._own: OwnProcesses | None = None
+        self._parcel: Parcel[Object] = shared.here
+        self._executor: Executor = _Serial()
+        if executor is None:
+            self._own = OwnProcesses(shared)
+        elif executor != "serial":
+            remedy = 'give a concurrent.futures.Executor, client.get_executor() of Dask, or "serial"'
+            self._executor = expect(executor, Executor, f"the executor of {caller}", remedy)
+            if shared.maker is not None and not isinstance(executor, ThreadPoolExecutor):
+                self._parcel = shared.packed()
+
+    def __enter__(self) -> WorkerPool[Object]:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, place: TracebackType | None
+    ) -> None:
+        if self._own is not None:
+            self._own.end(at_once=self.interrupted or kind is not None)
+
+    def run(
+        self,
+        task: Task[Object, Item, Answer],
+        items: Iterable[Item],
+        show: Callable[[Done[Item, Answer]], None],
+        split: Split[Item] = lambda item: (),
+    ) -> list[Done[Item, Answer]]:
+        """Do a task with every item.
+
+        When a process of the pool's own dies, what was lost with it is done again, each item in a new process; an
+        item that kills that one, too, is split. An executor that was given has tried as often as it is set to.
+
+        Parameters
+        ----------
+        task : callable
+        items : iterable
+        show : callable
+            Is told everything as it is done. What it raises ends the run.
+        split : callable, optional
+            Returns the parts of an item that together are worth as much; none if it has no parts.
+
+        Returns
+        -------
+        list of Done
+            In the order of the items, without those that Ctrl-C prevented; then `interrupted` is set.
+        """
+        items = list(items)
+        ledger = _Ledger(items, show)
+        try:
+            left = self._do_all(task, items, ledger)
+            self._do_again(task, left, split, ledger)
+        except KeyboardInterrupt:
+            self.interrupted = True
+            ledger.close()
+        return ledger.in_order()
+
+    # --- internals ----------------------------------------------------------------------------------------
+
+    def _do_all(
+        self, task: Task[Object, Item, Answer], items: Sequence[Item], ledger: _Ledger[Item, Answer]
+    ) -> list[tuple[Place, Item]]:
+        """Do all items side by side; return those that a dead process of our own left behind."""
+        left: list[tuple[Place, Item]] = []
+
+        def settle(number: int, error: BaseException | None) -> None:
+            if self._own is not None and isinstance(error, BrokenExecutor):
+                left.append(((number,), items[number]))
+            else:
+                ledger.keep((number,), _done(items[number], ledger.futures[number], error))
+
+        pending: dict[Future[Answer], int] = {}
+        for number, item in enumerate(items):
+            future = self._submit(task, item)
+            ledger.futures.append(future)
+            if future.done():
+                settle(number, _error(future))
+            else:
+                pending[future] = number
+        for future, error in self._ended(set(pending)):
+            settle(pending[future], error)
+        return sorted(left, key=lambda place_and_item: place_and_item[0])
+
+    def _do_again(
+        self,
+        task: Task[Object, Item, Answer],
+        left: Sequence[tuple[Place, Item]],
+        split: Split[Item],
+        ledger: _Ledger[Item, Answer],
+    ) -> None:
+        """Do items again, each in a new process, splitting those that kill it."""
+        waiting, crashes = list(reversed(left)), 0
+        while waiting and self._own is not None:
+            place, item = waiting.pop()
+            if crashes == MOST_CRASHES:
+                why = f"not tried: the {crashes} before it killed their process"
+                ledger.keep(place, Done(item, error=WorkerDied(why)))
+                continue
+            self._own.renew(1)
+            future = self._submit(task, item)
+            done = _done(item, future, _error(future))
+            died = isinstance(done.error, WorkerDied)
+            parts = split(item) if died else ()
+            if parts:
+                waiting += [((*place, i), part) for i, part in reversed(list(enumerate(parts)))]
+                continue
+            crashes = crashes + 1 if died else 0
+            ledger.keep(place, done)
+        if left and self._own is not None:
+            self._own.end()  # the next run begins with as many processes as ever
+
+    def _submit(self, task: Task[Object, Item, Answer], item: Item) -> Future[Answer]:
+        try:
+            if self._own is not None:
+                return self._own.submit(task, item)
+            return self._executor.submit(_do_in_turn, task, self._parcel, item)
+        except BrokenExecutor as error:
+            broken: Future[Answer] = Future()
+            broken.set_exception(error)
+            return broken
+
+    def _ended(self, pending: set[Future[Answer]]) -> Iterator[tuple[Future[Answer], BaseException | None]]:
+        """Yield futures with their errors as they end; those that nobody is left to work on have one, too."""
+        lonely = 0
+        while pending:
+            try:
+                for future in as_completed(pending, timeout=PATIENCE):
+                    pending = pending - {future}
+                    lonely = 0
+                    yield future, _error(future)
+            except TimeoutError:
+                lonely = lonely + 1 if _deserted(self._executor) else 0
+                if lonely < 2:  # workers may be on their way back
+                    continue
+                for future in pending:
+                    future.cancel()
+                    yield future, WorkerDied("the cluster has no workers left")
+                return
+
+
+@dataclass(eq=False)
+class _Ledger(Generic[Item, Answer]):
+    """What was submitted and what is done in one run."""
+
+    items: Sequence[Item]
+    show: Callable[[Done[Item, Answer]], None]
+    futures: list[Future[Answer]] = field(default_factory=list)
+    done: dict[Place, Done[Item, Answer]] = field(default_factory=dict)
+
+    def keep(self, place: Place, done: Done[Item, Answer]) -> None:
+        self.done[place] = done
+        self.show(done)
+
+    def close(self) -> None:
+        """Cancel what has not begun, and keep answers that nobody has looked at yet."""
+        for number, future in enumerate(self.futures):
+            future.cancel()
+            if (number,) not in self.done and future.done() and _error(future) is None:
+                self.done[number,] = Done(self.items[number], future.result())
+
+    def in_order(self) -> list[Done[Item, Answer]]:
+        return [self.done[place] for place in sorted(self.done)]
+
+
+class _Serial(Executor):
+    """Does every task at once, in this process."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def _done(item: Item, future: Future[Answer], error: BaseException | None) -> Done[Item, Answer]:
+    if isinstance(error, KeyboardInterrupt):  # the task itself obeyed Ctrl-C
+        raise error
+    if error is None:
+        return Done(item, future.result())
+    died = isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker"  # Dask's
+    return Done(item, error=WorkerDied("its process died") if died else error)
+
+
+def _error(future: Future[Any]) -> BaseException | None:
+    """Return what a future ended with, or will end with."""
+    try:
+        return future.exception()
+    except CancelledError as error:
+        return error
+
+
+def _deserted(executor: Executor) -> bool:
+    """Whether an executor is that of a Dask cluster that has no workers."""
+    client: Any = getattr(executor, "_client", None)
+    return hasattr(client, "scheduler_info") and not client.scheduler_info()["workers"]
+
+
+_TURN = threading.RLock()
+
+
+def _do_in_turn(task: Callable[[Any, Any], Any], parcel: Parcel[Any], item: Any) -> Any:
+    with _TURN:  # a compiled function serves one thread at a time
+        return task(opened(parcel), item)

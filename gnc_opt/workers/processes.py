@@ -1,0 +1,81 @@
+"""Processes of one's own: how they start, what each does first, and how they end."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor
+from typing import Any
+
+from gnc_opt.workers.shared import Parcel, Shared, opened
+
+_THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+_OBJECT: list[Any] = []
+"""In a process of ours: the shared object."""
+
+
+def processes_fork() -> bool:
+    """Whether new processes are copies of this one, with everything it has in memory."""
+    return os.name == "posix" and os.uname().sysname == "Linux"
+
+
+class OwnProcesses:
+    """Processes that have a shared object; new ones take the place of those that died.
+
+    Raises
+    ------
+    GncOptError
+        The object cannot be sent to them.
+    """
+
+    def __init__(self, shared: Shared[Any]) -> None:
+        # by forking where that is safe: what the processes inherit need not be sent
+        self._context: Any = multiprocessing.get_context("fork" if processes_fork() else None)
+        self._parcel: Parcel[Any] = shared.here if processes_fork() else shared.packed()
+        self._executor: ProcessPoolExecutor | None = None
+        self._pids: Any = None
+
+    def submit(self, task: Callable[[Any, Any], Any], item: Any) -> Future[Any]:
+        """Have a task done by one of them, as many as there are processors."""
+        if self._executor is None:
+            self.renew(os.cpu_count() or 1)
+        assert self._executor is not None
+        return self._executor.submit(_do, task, item)
+
+    def renew(self, count: int) -> None:
+        """Let new processes take the place of those there are."""
+        self.end()
+        self._pids = self._context.SimpleQueue()
+        self._executor = ProcessPoolExecutor(
+            count, self._context, initializer=_begin, initargs=(self._pids, self._parcel)
+        )
+
+    def end(self, at_once: bool = False) -> None:
+        """End them; ``at_once`` whatever they are at: a task may take long, and nobody waits for it any more."""
+        if self._executor is None:
+            return
+        while at_once and not self._pids.empty():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._pids.get(), signal.SIGTERM)
+        self._executor.shutdown(cancel_futures=True)
+        self._executor = None
+
+
+# --- in the processes -------------------------------------------------------------------------------------
+
+
+def _begin(pids: Any, parcel: Parcel[Any]) -> None:
+    """Tell who one is, and get the object; Ctrl-C is the parent's business, and the processors are shared already."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    pids.put(os.getpid())
+    for name in _THREAD_COUNTS:
+        os.environ[name] = "1"
+    _OBJECT[:] = [opened(parcel)]
+
+
+def _do(task: Callable[[Any, Any], Any], item: Any) -> Any:
+    return task(_OBJECT[0], item)

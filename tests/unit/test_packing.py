@@ -1,0 +1,220 @@
+"""Packing: whatever dataclasses hold comes back bit by bit, and what cannot come back is refused when it is saved."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field, fields, is_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from gnc_opt.archive import FileFormat
+from gnc_opt.errors import GncOptError
+from gnc_opt.packing import Packing
+
+
+class Colour(Enum):
+    RED = "red"
+    BLUE = 7
+
+
+@dataclass(frozen=True)
+class Leaf:
+    name: str
+    value: float
+    colour: Colour = Colour.RED
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    count: int
+    flag: bool
+    nothing: None
+    text: str
+    number: float
+    colour: Colour
+    leaf: Leaf
+    leaves: tuple[Leaf, ...]
+    matrix: Any
+    pieces: tuple[Any, ...]
+    mixed: tuple[Any, ...]
+    names: dict[str, Any]
+    secret: Any = field(default=None)
+
+
+PACKING = Packing((Tree, Leaf, Colour), left_out={Tree: ("secret",)})
+FILES = FileFormat(Tree, "tree", 3, PACKING)
+
+NUMBERS = st.floats(allow_nan=True, allow_infinity=True)
+TEXTS = st.text(st.characters(blacklist_categories=["Cs"]), max_size=8)
+LEAVES = st.builds(Leaf, TEXTS, NUMBERS, st.sampled_from(Colour))
+DTYPES = st.sampled_from([np.float64, np.float32, np.int64, np.int32, np.bool_, np.uint8])
+ARRAYS = DTYPES.flatmap(
+    lambda kind: hnp.arrays(kind, hnp.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=3))
+)
+PIECES = st.lists(hnp.arrays(np.float64, st.tuples(st.just(2), st.integers(0, 3))), max_size=4).map(tuple)
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | NUMBERS | TEXTS | LEAVES | ARRAYS | st.sampled_from(Colour),
+    lambda inner: st.lists(inner, max_size=3).map(tuple) | st.dictionaries(TEXTS, inner, max_size=3),
+    max_leaves=6,
+)
+TREES = st.builds(
+    Tree,
+    count=st.integers(),
+    flag=st.booleans(),
+    nothing=st.none(),
+    text=TEXTS,
+    number=NUMBERS,
+    colour=st.sampled_from(Colour),
+    leaf=LEAVES,
+    leaves=st.lists(LEAVES, max_size=2)
+    .flatmap(lambda few: st.lists(st.sampled_from(few or [Leaf("", 0.0)])))
+    .map(tuple),
+    matrix=ARRAYS,
+    pieces=PIECES,
+    mixed=st.lists(VALUES, max_size=3).map(tuple),
+    names=st.dictionaries(TEXTS, VALUES, max_size=4),
+    secret=st.just("not written"),
+)
+
+
+def assert_same(a: Any, b: Any, place: str = "") -> None:
+    """Equal to the last bit, types included."""
+    assert type(a) is type(b), place
+    if isinstance(a, np.ndarray):
+        assert (a.dtype, a.shape, a.tobytes()) == (b.dtype, b.shape, b.tobytes()), place
+    elif is_dataclass(a):
+        for f in fields(a):
+            if f.name != "secret":
+                assert_same(getattr(a, f.name), getattr(b, f.name), f"{place}.{f.name}")
+    elif isinstance(a, dict):
+        assert list(a) == list(b), place
+        for key in a:
+            assert_same(a[key], b[key], f"{place}[{key!r}]")
+    elif isinstance(a, tuple):
+        assert len(a) == len(b), place
+        for i, pair in enumerate(zip(a, b, strict=True)):
+            assert_same(*pair, f"{place}[{i}]")
+    elif isinstance(a, float):
+        assert (math.isnan(a) and math.isnan(b)) or np.float64(a).tobytes() == np.float64(b).tobytes(), place
+    else:
+        assert a == b, place
+
+
+@settings(max_examples=200, deadline=None)
+@given(TREES)
+def test_every_field_survives(tree: Tree) -> None:
+    arrays: dict[str, Any] = {}
+    text = json.dumps(PACKING.pack(tree, "", arrays), allow_nan=False)
+    assert_same(tree, PACKING.unpack(json.loads(text), arrays))
+
+
+@settings(max_examples=40, deadline=None)
+@given(TREES, VALUES)
+def test_every_field_survives_the_file(
+    tmp_path_factory: pytest.TempPathFactory, tree: Tree, more: Any
+) -> None:
+    path = FILES.write(tmp_path_factory.mktemp("files") / "tree", tree, more=more)
+    again, others = FILES.read(path)
+    assert_same(tree, again)
+    assert again.secret is None
+    assert list(others) == ["more"]
+    assert_same(more, others["more"])
+
+
+def test_what_is_alike_is_written_once() -> None:
+    leaves = (Leaf("a", 1.0), Leaf("b", math.nan), Leaf("a", 1.0), Leaf("a", -0.0), Leaf("a", 0.0)) * 1000
+    arrays: dict[str, Any] = {}
+    packed = PACKING.pack(leaves, "leaves", arrays)
+    assert len(json.dumps(packed)) < 1000
+    assert arrays["leaves"].shape == (5000,)
+    assert_same(leaves, PACKING.unpack(packed, arrays))  # also the sign of zero
+
+
+def test_pieces_are_one_entry() -> None:
+    pieces = tuple(np.full((2, n), float(n)) for n in range(50))
+    arrays: dict[str, Any] = {}
+    packed = PACKING.pack(pieces, "x", arrays)
+    assert list(arrays) == ["x"] and arrays["x"].shape == (2, sum(range(50)))
+    assert_same(pieces, PACKING.unpack(packed, arrays))
+
+
+def test_places_that_would_be_the_same_entry_are_kept_apart() -> None:
+    names = {
+        "a.b": np.zeros(1),
+        "a": {"b": np.ones(1)},
+        "a/b": np.ones(2),
+        "a\\b": np.ones(3),
+        "a\0": np.ones(4),
+    }
+    arrays: dict[str, Any] = {}
+    packed = PACKING.pack(names, "", arrays)
+    assert len(arrays) == 5 and not any(set(name) & set("/\\\0") for name in arrays)
+    assert_same(names, PACKING.unpack(packed, arrays))
+
+
+@dataclass(frozen=True)
+class Stranger:
+    value: float
+
+
+class Shade(Enum):
+    DARK = 1
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (Stranger(1.0), "'names.x' cannot be saved: files do not hold a Stranger"),
+        (Shade.DARK, "'names.x' cannot be saved: files do not hold a Shade"),
+        ({1: 2.0}, "'names.x' cannot be saved: its keys are not all names"),
+        (object(), "files do not hold a object"),
+        (1j, "files do not hold a complex"),
+        ([lambda: 1], r"'names.x.0' cannot be saved: files do not hold a function"),
+        (np.array([Stranger(1.0)], dtype=object), "an array of Python objects"),
+    ],
+)
+def test_what_would_not_come_back_is_refused(value: Any, message: str, tmp_path: Path) -> None:
+    leaf = Leaf("", 0.0)
+    tree = Tree(1, True, None, "", 0.0, Colour.RED, leaf, (), np.zeros(1), (), (), {"x": value})
+    with pytest.raises(GncOptError, match=message):
+        FILES.write(tmp_path / "tree", tree)
+    assert not list(tmp_path.iterdir())
+
+
+def test_classes_that_are_not_listed_are_never_made() -> None:
+    packed = {"type": "Stranger", "fields": {"value": 1.0}}
+    with pytest.raises(KeyError):
+        PACKING.unpack(packed, {})
+
+
+def test_older_versions_are_read_and_unknown_ones_refused(tmp_path: Path) -> None:
+    old = FileFormat(Leaf, "leaf", 1, Packing((Leaf, Colour)))
+    path = old.write(tmp_path / "leaf", Leaf("oak", 1.0))
+    new = FileFormat(
+        Leaf,
+        "leaf",
+        2,
+        Packing((Leaf, Colour)),
+        older={1: lambda header, arrays: {"name": "elm", "value": 2.0}},
+    )
+    assert new.read(path) == (Leaf("elm", 2.0), {})
+    broken = FileFormat(Leaf, "leaf", 2, Packing((Leaf, Colour)), older={1: lambda header, arrays: {}})
+    with pytest.raises(GncOptError, match="is damaged"):
+        broken.read(path)
+    newest = new.write(tmp_path / "leaf2", Leaf("oak", 1.0), written_by="9.9")
+    with pytest.raises(GncOptError, match=r"format version 2 \(gnc_opt 9\.9\).*reads version 1"):
+        old.read(newest)
+
+
+def test_the_result_must_be_of_its_class(tmp_path: Path) -> None:
+    path = FileFormat(Leaf, "tree", 3, PACKING).write(tmp_path / "leaf", Leaf("oak", 1.0))
+    with pytest.raises(GncOptError, match="is damaged"):
+        FILES.read(path)

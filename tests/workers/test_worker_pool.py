@@ -1,0 +1,333 @@
+"""One pool for campaigns and searches: every item is answered for, whoever does it and whatever happens to him."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import pytest
+
+from gnc_opt.errors import ArgumentError, GncOptError
+from gnc_opt.workers import Done, Shared, WorkerDied, WorkerPool, pool, processes
+
+KINDS = ["serial", "own", "threads", "processes"]
+
+
+@contextmanager
+def executor(kind: str) -> Iterator[Any]:
+    if kind in ("threads", "processes"):
+        with {"threads": ThreadPoolExecutor, "processes": ProcessPoolExecutor}[kind](2) as given:
+            yield given
+    else:
+        yield "serial" if kind == "serial" else None
+
+
+def shared(value: Any = 10) -> Shared[Any]:
+    return Shared.picklable(value, "the number", "take another one")
+
+
+def workers(kind: Any = None, value: Any = 10) -> WorkerPool[Any]:
+    return WorkerPool(shared(value), kind, "try_it()")
+
+
+def ignore(done: Done[Any, Any]) -> None:
+    pass
+
+
+def times(number: int, item: int) -> int:
+    if item % 5 == 3:
+        raise ValueError(f"no {item}")
+    return number * item
+
+
+# --- whoever does it ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_answers_and_errors_come_in_the_order_of_the_items_and_are_shown_once(kind: str) -> None:
+    shown: list[int] = []
+    with executor(kind) as given, workers(given) as force:
+        done = force.run(times, range(20), lambda each: shown.append(each.item))
+    assert [each.item for each in done] == list(range(20)) == sorted(shown)
+    for each in done:
+        if each.item % 5 == 3:
+            assert isinstance(each.error, ValueError) and str(each.error) == f"no {each.item}"
+            assert each.answer is None
+        else:
+            assert (each.answer, each.error) == (10 * each.item, None)
+    assert not force.interrupted and not multiprocessing.active_children()
+
+
+def whereabouts(_: Any, item: int) -> tuple[int, int | None, str]:
+    return os.getpid(), threading.get_ident(), os.environ.get("OMP_NUM_THREADS", "")
+
+
+def test_where_the_work_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    found = {}
+    for kind in KINDS:
+        with executor(kind) as given, workers(given) as force:
+            found[kind] = [each.answer for each in force.run(whereabouts, range(8), ignore)]
+    assert {(pid, thread) for pid, thread, _ in found["serial"]} == {(os.getpid(), threading.get_ident())}
+    assert {pid for pid, _, _ in found["threads"]} == {os.getpid()}
+    assert threading.get_ident() not in {thread for _, thread, _ in found["threads"]}
+    for kind in ("own", "processes"):
+        assert os.getpid() not in {pid for pid, _, _ in found[kind]}
+    assert {limit for _, _, limit in found["own"]} == {"1"}  # the processes share the processors already
+
+
+class Turnstile:
+    """Counts how many are inside at once."""
+
+    def __init__(self) -> None:
+        self.inside = self.most = 0
+
+    def enter(self, item: int) -> None:
+        self.inside += 1
+        self.most = max(self.most, self.inside)
+        time.sleep(0.005)
+        self.inside -= 1
+
+
+def test_threads_take_turns() -> None:
+    turnstile = Turnstile()
+    with ThreadPoolExecutor(4) as given, workers(given, turnstile) as force:
+        force.run(Turnstile.enter, range(12), ignore)
+    assert turnstile.most == 1
+
+
+def test_show_may_end_the_run() -> None:
+    def refuse(done: Done[int, int]) -> None:
+        raise GncOptError("enough")
+
+    with pytest.raises(GncOptError, match="enough"), workers() as force:
+        force.run(times, range(50), refuse)
+    assert not multiprocessing.active_children()
+
+
+def test_an_executor_must_be_one() -> None:
+    with pytest.raises(ArgumentError, match=r"the executor of try_it\(\) is a str"):
+        workers("threads")
+
+
+# --- what travels ---------------------------------------------------------------------------------------------
+
+
+class Counted:
+    """Knows how often it was made in its process."""
+
+    made = 0
+
+    def __init__(self) -> None:
+        Counted.made += 1
+
+    def tell(self, item: int) -> tuple[int, int]:
+        return os.getpid(), Counted.made
+
+
+def test_the_object_is_made_once_per_process() -> None:
+    Counted.made = 0
+    counted = Shared(Counted(), "it", "do not", Counted)
+    with (
+        ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as given,
+        WorkerPool(counted, given, "try_it()") as force,
+    ):
+        answers = {each.answer for each in force.run(Counted.tell, range(6), ignore)}
+    ((pid, made),) = answers
+    assert pid != os.getpid() and made == 1
+
+
+def plus(function: Any, item: int) -> Any:
+    return function(item)
+
+
+def test_what_cannot_travel_is_named_with_a_remedy() -> None:
+    local = Shared.picklable(lambda x: x + 1, "the function", "write def")
+    with ProcessPoolExecutor(1) as given:
+        with pytest.raises(
+            GncOptError, match=r"^the function cannot be sent to another process \(.*\): write def\.$"
+        ):
+            WorkerPool(local, given, "try_it()")
+        stuck = Shared(lambda x: x + 1, "the function", "write def")
+        with WorkerPool(stuck, given, "try_it()") as force:
+            (done,) = force.run(plus, [1], ignore)
+        assert str(done.error) == "the function cannot be sent to another process: write def."
+    for kind in ("serial", "threads"):  # where nothing is sent, nothing has to be picklable
+        with executor(kind) as given, WorkerPool(local, given, "try_it()") as force:
+            assert [each.answer for each in force.run(plus, [1, 2], ignore)] == [2, 3]
+
+
+@pytest.mark.parametrize("forks", [True, False])
+def test_own_processes_inherit_the_object_where_they_fork(
+    monkeypatch: pytest.MonkeyPatch, forks: bool
+) -> None:
+    if forks and not processes.processes_fork():
+        pytest.skip("processes do not fork here")
+    monkeypatch.setattr(processes, "processes_fork", lambda: forks)
+    local = Shared.picklable(lambda x: x + 1, "the function", "write def")
+    if forks:
+        with WorkerPool(local, None, "try_it()") as force:
+            assert [each.answer for each in force.run(plus, [1, 2], ignore)] == [2, 3]
+    else:
+        with pytest.raises(GncOptError, match="cannot be sent"):
+            WorkerPool(local, None, "try_it()")
+        with workers() as force:  # but what can be sent is
+            assert [each.answer for each in force.run(times, [1, 2], ignore)] == [10, 20]
+
+
+# --- processes that die ---------------------------------------------------------------------------------------
+
+
+def survive(deadly: set[int], batch: range) -> list[int]:
+    """Return the numbers of a batch; a deadly one among them kills a process other than the main one."""
+    if deadly & set(batch) and multiprocessing.parent_process() is not None:
+        os._exit(1)
+    return list(batch)
+
+
+def halves(batch: range) -> tuple[range, ...]:
+    middle = (batch.start + batch.stop) // 2
+    return (range(batch.start, middle), range(middle, batch.stop)) if len(batch) > 1 else ()
+
+
+BATCHES = [range(first, first + 8) for first in range(0, 64, 8)]
+
+
+def test_items_that_kill_their_process_are_found_and_the_others_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 3)
+    with workers(value={5, 41, 42}) as force:
+        shown: list[Any] = []
+        done = force.run(survive, BATCHES, shown.append, halves)
+        lost = [each for each in done if each.error is not None]
+        assert [list(each.item) for each in lost] == [[5], [41], [42]]
+        assert all(
+            isinstance(each.error, WorkerDied) and str(each.error) == "its process died" for each in lost
+        )
+        assert [number for each in done for number in each.item] == list(range(64))  # in order
+        assert all(each.answer == list(each.item) for each in done if each.error is None)
+        assert sorted(id(each) for each in shown) == sorted(id(each) for each in done)
+        # and the pool is as wide as before
+        assert [each.answer for each in force.run(survive, [range(43, 45)], ignore)] == [[43, 44]]
+        assert len(multiprocessing.active_children()) == 3
+    assert not multiprocessing.active_children()
+
+
+def test_an_item_that_kills_once_is_done_the_second_time(tmp_path: Any) -> None:
+    with workers(value=str(tmp_path / "flag")) as force:
+        done = force.run(_die_once, range(6), ignore)
+    assert [each.answer for each in done] == list(range(6))
+
+
+def _die_once(flag: str, item: int) -> int:
+    if item == 2 and not os.path.exists(flag):
+        open(flag, "w").close()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return item
+
+
+def test_after_many_deaths_in_a_row_no_more_are_tried() -> None:
+    deadly = set(range(pool.MOST_CRASHES + 5))
+    with workers(value=deadly) as force:
+        done = force.run(survive, [range(i, i + 1) for i in range(len(deadly))], ignore)
+    words = [str(each.error) for each in done]
+    assert (
+        words
+        == ["its process died"] * pool.MOST_CRASHES
+        + [f"not tried: the {pool.MOST_CRASHES} before it killed their process"] * 5
+    )
+
+
+def test_a_given_executor_is_not_replaced() -> None:
+    with ProcessPoolExecutor(1) as given, workers(given, {9}) as force:
+        done = force.run(survive, BATCHES, ignore, halves)
+        assert [each.item for each in done] == BATCHES
+        assert isinstance(done[1].error, WorkerDied)
+        again = force.run(survive, BATCHES[:1], ignore, halves)  # a broken one stays broken
+        assert isinstance(again[0].error, WorkerDied)
+
+
+class Deserted(Executor):
+    """Takes tasks and does none, like a Dask cluster whose workers are gone."""
+
+    class _client:
+        @staticmethod
+        def scheduler_info() -> dict[str, Any]:
+            return {"workers": {}}
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        return Future()
+
+
+def test_a_cluster_without_workers_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool, "PATIENCE", 0.05)
+    with workers(Deserted()) as force:
+        done = force.run(times, range(3), ignore)
+    assert [str(each.error) for each in done] == ["the cluster has no workers left"] * 3
+
+
+# --- Ctrl-C ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["serial", "own", "threads"])
+def test_ctrl_c_keeps_what_is_done(kind: str) -> None:
+    shown: list[int] = []
+
+    def show(done: Done[int, int]) -> None:
+        shown.append(done.item)
+        if len(shown) == 4:
+            signal.raise_signal(signal.SIGINT)
+
+    with executor(kind) as given, workers(given) as force:
+        done = force.run(partial(_slowly, 0.01), range(500), show)
+    assert force.interrupted and 4 <= len(done) < 500
+    assert set(shown) <= {each.item for each in done}
+    assert [each.item for each in done] == sorted(each.item for each in done)
+    assert all(each.answer == 10 * each.item for each in done)
+    assert not multiprocessing.active_children()
+
+
+def _slowly(pause: float, number: int, item: int) -> int:
+    time.sleep(pause)
+    return number * item
+
+
+@pytest.mark.parametrize("kind", ["serial", "own"])
+def test_a_task_that_obeys_ctrl_c_ends_the_run(kind: str) -> None:
+    with executor(kind) as given, workers(given) as force:
+        done = force.run(_interrupted_at, range(40), ignore)
+    assert force.interrupted and len(done) < 40
+    assert all(each.error is None and each.item != 3 for each in done)
+
+
+def _interrupted_at(number: int, item: int) -> int:
+    if item == 3:
+        raise KeyboardInterrupt
+    time.sleep(0.005)
+    return item
+
+
+def test_ctrl_c_ends_workers_whatever_they_are_at() -> None:
+    def press_ctrl_c() -> None:
+        while not multiprocessing.active_children():
+            time.sleep(0.01)
+        time.sleep(0.3)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=press_ctrl_c).start()
+    with workers() as force:
+        done = force.run(partial(_slowly, 1000.0), range(3), ignore)
+    assert force.interrupted and not done and not multiprocessing.active_children()
+
+
+def test_deaths_can_be_sent_home() -> None:
+    error = pickle.loads(pickle.dumps(WorkerDied("its process died")))
+    assert isinstance(error, WorkerDied) and str(error) == "its process died"
