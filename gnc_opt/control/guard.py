@@ -4,8 +4,8 @@ At a control step a guarded law does one of three things:
 
 * all is well: it commands ``u``;
 * the decoupling matrix is (nearly) singular: alarm ``singular``, it commands the fallback, its memory stands still;
-* the measurement (or the memory) is not finite: alarm ``invalid``, it repeats the last command, its memory stands
-  still.
+* the measurement (or the memory) is not finite, or beyond `LARGEST`: alarm ``invalid``, it repeats the last command,
+  its memory stands still.
 
 Alarms stay at 1 once raised; the law itself goes back to work as soon as it can.
 """
