@@ -83,27 +83,16 @@ def _solve(args: argparse.Namespace) -> ExitCode:
             problem,
             mesh=args.mesh or file.mesh,
             scheme=args.scheme,
+            tol=args.tol or (None if args.structure is None else REFINE_TOLERANCE),
+            structure=args.structure or "auto",
             options=_solver_options(args),
             progress=not args.quiet,
             throw=False,
         )
-        if solution.status.solved and (args.tol is not None or args.structure is not None):
-            solution = _refine(args, solution)
         verdict = _verify(solution) if solution.status.solved and not args.no_verify else None
     _show(console, solution, verdict)
     _write(args, console, file, solution, verdict)
     return _exit_code(solution, verdict, args.exit_zero)
-
-
-def _refine(args: argparse.Namespace, solution: Solution) -> Solution:
-    from gnc_opt.refine import refine
-
-    return refine(
-        solution,
-        tol=args.tol or REFINE_TOLERANCE,
-        structure=args.structure or "auto",
-        progress=not args.quiet,
-    )
 
 
 def _multistart(args: argparse.Namespace) -> ExitCode:

@@ -72,7 +72,7 @@ class Box:
 
 
 @dataclass
-class Run:
+class SolveWatch:
     """What the monitor must know about the solve under way, and what it has seen of it."""
 
     box_x: Box
@@ -107,7 +107,7 @@ class Monitor(ca.Callback):  # type: ignore[misc]
     def __init__(self, nx: int, ng: int, n_parameters: int) -> None:
         super().__init__()
         self._rows = {"x": nx, "f": 1, "g": ng, "lam_x": nx, "lam_g": ng, "lam_p": n_parameters}
-        self.run: Run | None = None
+        self.run: SolveWatch | None = None
         self.construct("monitor")
 
     def get_n_in(self) -> int:
@@ -132,7 +132,7 @@ class Monitor(ca.Callback):  # type: ignore[misc]
 
 
 @contextlib.contextmanager
-def sigint_stops(run: Run) -> Iterator[None]:
+def sigint_stops(run: SolveWatch) -> Iterator[None]:
     """While open, the first Ctrl-C asks the run to stop and gives the next one back to the old handler."""
     previous = signal.getsignal(signal.SIGINT)
     ignored = previous in (None, signal.SIG_IGN)

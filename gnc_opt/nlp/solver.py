@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.nlp.monitor import Box, Monitor, ProgressCallback, Run, sigint_stops, vector
+from gnc_opt.nlp.monitor import Box, Monitor, ProgressCallback, SolveWatch, sigint_stops, vector
 from gnc_opt.nlp.options import SolverOptions, Start, nlpsol_options
 from gnc_opt.nlp.status import Status, status_from_stats
 from gnc_opt.transcription.nonlinear_program import NlpProblem
@@ -203,7 +203,7 @@ class NlpSolver:
         box_g = Box.of("g", arguments["lbg"], arguments["ubg"])
         self.set_up(point, way)  # the limit is on solving, not on setting up
         end = self.deadline() if deadline is None else deadline
-        return self._run(way or point.way, arguments, Run(box_x, box_g, callback, end))
+        return self._run(way or point.way, arguments, SolveWatch(box_x, box_g, callback, end))
 
     def set_up(self, point: NlpPoint, way: Start | None = None) -> None:
         """Create what solves from such a point, if it has not been needed before.
@@ -220,7 +220,7 @@ class NlpSolver:
         limit = self.options.max_wall_time
         return math.inf if limit is None else time.perf_counter() + limit
 
-    def _run(self, start: Start, arguments: Mapping[str, Array], run: Run) -> NlpResult:
+    def _run(self, start: Start, arguments: Mapping[str, Array], run: SolveWatch) -> NlpResult:
         solver = self._instance(start)
         overdetermined = int(run.box_x.fixed.sum() + run.box_g.fixed.sum()) > self.problem.n_variables
         self._monitor.run = run
@@ -254,7 +254,7 @@ class NlpSolver:
         self,
         raw: Mapping[str, Any],
         stats: Mapping[str, Any],
-        run: Run,
+        run: SolveWatch,
         arguments: Mapping[str, Array],
         wall: float,
     ) -> NlpResult:
@@ -298,7 +298,7 @@ def _swallow_stderr(active: bool) -> Iterator[None]:
         yield
 
 
-def _stopped_status(status: Status, run: Run) -> Status:
+def _stopped_status(status: Status, run: SolveWatch) -> Status:
     """INTERRUPTED if the run asked for a stop, whatever the plugin calls that, unless it had finished."""
     return Status.INTERRUPTED if run.stop and not status.solved else status
 

@@ -133,7 +133,7 @@ def map_costates(
     path_push : array (n_states, N)
         The part of it that comes from path constraints without controls.
     """
-    pieces = _Pieces.of(collocation, x, lam_x, lam_g, weights, gradient, path_push)
+    pieces = _CostatePieces.of(collocation, x, lam_x, lam_g, weights, gradient, path_push)
     if collocation.scheme == "LG":
         pieces.settle_redundant_rows()
     else:
@@ -177,7 +177,7 @@ def settle_doubled_paths(collocation: PhaseCollocation, paths: Array, weights: A
 
 
 @dataclass(eq=False)
-class _Pieces:
+class _CostatePieces:
     """Costates under construction; the arrays change as the ambiguities of held segments are settled.
 
     Attributes
@@ -217,7 +217,7 @@ class _Pieces:
         weights: Array,
         gradient: Array,
         path_push: Array,
-    ) -> _Pieces:
+    ) -> _CostatePieces:
         lam = point_costates(collocation, lam_g)
         shared = np.isin(collocation.point_states, collocation.boundary_states)
         multipliers = lam_x[collocation.point_states] / weights

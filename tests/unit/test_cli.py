@@ -1,11 +1,13 @@
 """The command line on small problem files: output, files, exit codes, bad input."""
 
+import importlib
 import json
 import os
 import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -166,6 +168,29 @@ def test_exit_code_of_a_problem_without_solution(
     assert run("solve", cart, "--set", "far=100", "--json", target, "--exit-zero") == 3
     assert "cart: NOT SOLVED (infeasible)" in capsys.readouterr().out
     assert json.loads(target.read_text())["violations"]
+
+
+@pytest.mark.parametrize("asked", [("--tol", "1e-8"), ("--structure", "none")])
+def test_refining_goes_the_way_of_solve(
+    cart: Path, monkeypatch: pytest.MonkeyPatch, asked: tuple[str, ...]
+) -> None:
+    """A solution that does not come to rest is compared with another one, as by solve(tol=...)."""
+    module = importlib.import_module("gnc_opt.solve")
+    refine, compared = module.refine, []
+
+    def restless(solution: go.Solution, **more: Any) -> go.Solution:
+        assert more["tol"] == 1e-8
+        refined = refine(solution, **more)
+        return replace(refined, history=replace(refined.history, status=go.RefinementStatus.STALLED))
+
+    def better_of_two(problem: go.Problem, first: go.Solution, refined: go.Solution, *_: Any) -> go.Solution:
+        compared.append(refined)
+        return refined
+
+    monkeypatch.setattr(module, "refine", restless)
+    monkeypatch.setattr(module, "better_of_two", better_of_two)
+    run("solve", cart, *asked, "--quiet")
+    assert len(compared) == 1
 
 
 def test_exit_code_of_an_interrupted_solve(

@@ -52,7 +52,7 @@ TRIMS, REPAIRS = 3, 3
 UNEXPLAINED = 10.0
 """An objective that moves by more than this many times the error of the last mesh has not settled."""
 
-Plan: TypeAlias = "tuple[dict[str, Mesh], Actions]"
+NextMeshes: TypeAlias = "tuple[dict[str, Mesh], Actions]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +154,7 @@ class _Refinement:
         done = self._converged(self._best.record)
         return RefinementStatus.CONVERGED if done else RefinementStatus.PASS_LIMIT
 
-    def _plan(self) -> Plan | RefinementStatus:
+    def _plan(self) -> NextMeshes | RefinementStatus:
         """Return the next meshes with what was done to get them, or how it ends here."""
         if self._converged(self._state.record):
             if not self._settled():
@@ -172,7 +172,7 @@ class _Refinement:
             return plan if smaller and self._repairs <= REPAIRS else RefinementStatus.CONVERGED
         return self._next()
 
-    def _next(self) -> Plan | RefinementStatus:
+    def _next(self) -> NextMeshes | RefinementStatus:
         """Refine what is inaccurate and merge what is too fine, unless merging has just made things worse.
 
         The aim comes closer in stages: while the trajectory still moves, details are premature. Where the points
@@ -191,7 +191,7 @@ class _Refinement:
             plan = self._finer(stage, True)
         return RefinementStatus.STALLED if self._stalled(plan[0]) else plan
 
-    def _finer(self, stage: float, merging: bool) -> Plan:
+    def _finer(self, stage: float, merging: bool) -> NextMeshes:
         merge_tol = SAFETY * self._tol if merging else None
         return self._remeshed(
             lambda name, error: Remesh(
@@ -199,7 +199,7 @@ class _Refinement:
             ).mesh()
         )
 
-    def _trimmed(self) -> Plan | None:
+    def _trimmed(self) -> NextMeshes | None:
         """Return smaller meshes for an accurate solution, or None if there is not much to gain."""
         plan = self._remeshed(
             lambda _, error: Remesh(error, self._tol, {}, BOLD * self._tol, self._departure).mesh()
@@ -207,7 +207,7 @@ class _Refinement:
         worth = _size(plan[0]) <= WORTH_TRIMMING * self._state.record.points
         return plan if worth and self._trims < TRIMS else None
 
-    def _remeshed(self, remesh: Callable[[str, PhaseError], tuple[Mesh, Actions]]) -> Plan:
+    def _remeshed(self, remesh: Callable[[str, PhaseError], tuple[Mesh, Actions]]) -> NextMeshes:
         meshes, total = {}, Actions()
         for name, error in self._state.errors.items():
             meshes[name], actions = remesh(name, error)
@@ -225,7 +225,7 @@ class _Refinement:
         worth = max(NEGLIGIBLE, abs(new.objective), *(_cost_scale(e) for e in self._state.errors.values()))
         return abs(new.objective - old.objective) <= (UNEXPLAINED * max(old.error, self._tol)) * worth
 
-    def _confirm(self) -> Plan:
+    def _confirm(self) -> NextMeshes:
         """Halve all segments: a proper solution stays where it is."""
         self._confirming = True
         meshes = {name: _halved(mesh) for name, mesh in self._state.record.meshes.items()}

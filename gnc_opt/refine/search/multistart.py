@@ -280,7 +280,7 @@ def _meter(name: str, total: int, visible: bool, sense: float) -> AbstractContex
 
 
 @dataclass(frozen=True)
-class _Ending:
+class _StartEnding:
     """How one start ended; the solution, without its problem, if it is a minimum."""
 
     index: int
@@ -300,7 +300,7 @@ class _Coarse:
     mesh: MeshLike | Mapping[str, MeshLike]
     options: SolverOptions
 
-    def __call__(self, problem: Problem, index: int) -> _Ending:
+    def __call__(self, problem: Problem, index: int) -> _StartEnding:
         options = self.options
         if index and options.mu_init is None:
             options = replace(options, mu_init=BARRIERS[index % len(BARRIERS)])
@@ -311,13 +311,13 @@ class _Coarse:
         except ProblemError:
             if index == 0:
                 raise
-            return _Ending(index, "bad guess")
+            return _StartEnding(index, "bad guess")
         if not solution.status.solved:
             _pass_on_interrupt(solution, options)
-            return _Ending(index, solution.status.value)
+            return _StartEnding(index, solution.status.value)
         if is_spurious(solution):
-            return _Ending(index, "spurious")
-        return _Ending(index, solution=replace(solution, problem=None))
+            return _StartEnding(index, "spurious")
+        return _StartEnding(index, solution=replace(solution, problem=None))
 
 
 @dataclass(frozen=True)
@@ -420,7 +420,7 @@ def _pass_on_interrupt(solution: Solution, options: SolverOptions) -> None:
         raise KeyboardInterrupt
 
 
-def _first_minima(endings: Iterable[_Ending]) -> Iterator[Minimum]:
+def _first_minima(endings: Iterable[_StartEnding]) -> Iterator[Minimum]:
     for ending in endings:
         if ending.solution is not None:
             objective = ending.solution.objective
