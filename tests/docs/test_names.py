@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from importlib.util import find_spec
+from itertools import pairwise
 
 import pytest
 from names import Span, resolve
@@ -190,6 +191,18 @@ def test_contributing_lists_every_package() -> None:
     leaves = set(packages) - parents
     assert len(leaves) > 8
     assert not [package for package in leaves if f"`{package}/`" not in CONTRIBUTING.text]
+
+
+def test_contributing_draws_the_order_of_the_contract() -> None:
+    """From the bottom up, as the import contract lists it from the top down."""
+    contract = re.search(r"(?s)\nlayers = \[(.*?)\]", (ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert contract
+    layers = [re.findall(r"gnc_opt\.(\w+)", line) for line in contract[1].splitlines()[::-1]]
+    drawn = CONTRIBUTING.code("text")[0].code
+    places = [[drawn.find(f"{name} ") for name in layer if f"{name} " in drawn] for layer in layers]
+    places = [layer for layer in places if layer]
+    assert len(places) >= 9
+    assert all(max(below) < min(above) for below, above in pairwise(places)), places
 
 
 def test_the_resolver_sees_the_public_names() -> None:
