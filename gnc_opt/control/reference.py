@@ -249,6 +249,13 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
 
     Solves ``f(t, x, u) = 0`` for u by Newton's method in the least-squares sense, from u = 0.
 
+    Parameters
+    ----------
+    model : Model
+    t : float
+        s.
+    x : array (n_states,)
+
     Raises
     ------
     ArgumentError

@@ -43,7 +43,13 @@ _INSTANT = 1e-12
 
 @dataclass(frozen=True)
 class Saturation(Block):
-    """Limits ``lower <= u <= upper`` (units of the command; one for all components, or one each)."""
+    """Limits ``lower <= u <= upper`` (units of the command; one for all components, or one each).
+
+    Parameters
+    ----------
+    lower, upper : float or one per component
+        Default: none.
+    """
 
     lower: ArrayLike = -math.inf
     upper: ArrayLike = math.inf
@@ -64,7 +70,14 @@ class Saturation(Block):
 
 @dataclass(frozen=True)
 class ScaleFactor(Block):
-    """Output ``factor * u + bias``: calibration errors, a weak thruster, a dead one (factor 0)."""
+    """Output ``factor * u + bias``: calibration errors, a weak thruster, a dead one (factor 0).
+
+    Parameters
+    ----------
+    factor : float or one per component
+    bias : float or one per component
+        Unit of the command.
+    """
 
     factor: ArrayLike = 1.0
     bias: ArrayLike = 0.0
@@ -81,7 +94,13 @@ class ScaleFactor(Block):
 
 @dataclass(frozen=True)
 class Deadband(Block):
-    """Commands smaller than ``width`` (units of the command) are dropped; larger ones pass unchanged."""
+    """Commands smaller than ``width`` (units of the command) are dropped; larger ones pass unchanged.
+
+    Parameters
+    ----------
+    width : float or one per component
+        Unit of the command, >= 0.
+    """
 
     width: ArrayLike
 
@@ -97,7 +116,13 @@ class Deadband(Block):
 
 @dataclass(frozen=True)
 class Quantisation(Block):
-    """Commands are rounded to multiples of ``step_size`` (units of the command, > 0)."""
+    """Commands are rounded to multiples of ``step_size`` (units of the command, > 0).
+
+    Parameters
+    ----------
+    step_size : float or one per component
+        Unit of the command, > 0.
+    """
 
     step_size: ArrayLike
 
@@ -113,7 +138,13 @@ class Quantisation(Block):
 
 @dataclass(frozen=True)
 class MinimumImpulse(Block):
-    """Commands whose impulse over a control step, ``|u| dt``, is below ``impulse`` (unit of u times s) are dropped."""
+    """Commands whose impulse over a control step, ``|u| dt``, is below ``impulse`` (unit of u times s) are dropped.
+
+    Parameters
+    ----------
+    impulse : float or one per component
+        Unit of the command times s, >= 0.
+    """
 
     impulse: ArrayLike
 
@@ -132,6 +163,11 @@ class Lag(Block):
     r"""First-order lag :math:`\tau \dot y = u - y`, from rest; ``tau`` in s (0: none).
 
     Over a minor step the mean :math:`u + (y_0 - u)(1 - e^{-h/\tau})\tau/h` is applied: the impulse is exact.
+
+    Parameters
+    ----------
+    tau : float or one per component
+        s, >= 0.
     """
 
     tau: ArrayLike
@@ -156,6 +192,11 @@ class RateLimit(Block):
     """The output follows the command with at most ``rate`` (unit of the command per s), from zero.
 
     The mean over a minor step of the ramp and the plateau after it is applied.
+
+    Parameters
+    ----------
+    rate : float or one per component
+        Unit of the command per s, > 0.
     """
 
     rate: ArrayLike
@@ -183,6 +224,13 @@ class Delay(Block):
 
     Exact for commands held over minor steps: a delay between two multiples of the minor step gives the mean of the
     two commands that share the step.
+
+    Parameters
+    ----------
+    delay : float
+        s, >= 0.
+    maximum : float, optional
+        Longest delay that a run may have, s; default the delay itself.
     """
 
     delay: float
@@ -280,6 +328,11 @@ class SchmittTrigger(Block):
     """On-off thrusters with hysteresis: on above ``on_level``, off below ``off_level``, output +-``thrust``.
 
     All in the unit of the command; works once per minor step.
+
+    Parameters
+    ----------
+    thrust, on_level, off_level : float or one per component
+        Unit of the command.
     """
 
     thrust: ArrayLike
@@ -362,7 +415,13 @@ class Pwpf(Block):
 
 @dataclass(frozen=True)
 class Hold(Block):
-    """The actuator takes a new command only every ``period`` (s, a multiple of the minor step)."""
+    """The actuator takes a new command only every ``period`` (s, a multiple of the minor step).
+
+    Parameters
+    ----------
+    period : float
+        A multiple of the minor step, s.
+    """
 
     period: float
 

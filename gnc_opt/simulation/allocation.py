@@ -205,6 +205,8 @@ class WheelArray(Block):
         the command's own name.
     failed : sequence of int
         Wheels known to be lost. (An unknown loss: ``"<name>.health"`` 0 of that wheel.)
+    initial : float or one per wheel
+        Momenta at the start where the block keeps them, N m s.
 
     Raises
     ------

@@ -115,7 +115,20 @@ class Block:
         return ca.SX(0, 1)
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        """Return what becomes of the signal during one step."""
+        """Return what becomes of the signal during one step.
+
+        Parameters
+        ----------
+        tick : Tick
+        signal : SX
+            Column that comes in: mean over the minor step; a sensor's is the sample.
+        state : SX
+            Column of the block's memory.
+        p : mapping of str to SX
+            The block's parameters by name.
+        noise : SX
+            Column of standard normal numbers, new at every step.
+        """
         raise NotImplementedError
 
 

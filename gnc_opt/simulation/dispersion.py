@@ -84,7 +84,14 @@ class Normal(Dispersion):
 
 @dataclass(frozen=True)
 class Uniform(Dispersion):
-    """A deviation anywhere between ``low`` and ``high``, floats or one per component; ``relative`` as in `Normal`."""
+    """A deviation anywhere between ``low`` and ``high``, floats or one per component; ``relative`` as in `Normal`.
+
+    Parameters
+    ----------
+    low, high : float or one per component
+    relative : bool
+        Whether both are shares of the nominal value.
+    """
 
     low: ArrayLike
     high: ArrayLike
@@ -109,7 +116,13 @@ class Uniform(Dispersion):
 
 @dataclass(frozen=True)
 class Choice(Dispersion):
-    """One of the given values (not deviations) instead of the nominal one, all equally probable."""
+    """One of the given values (not deviations) instead of the nominal one, all equally probable.
+
+    Parameters
+    ----------
+    values : sequence of float or array
+        Of the size of what is dispersed.
+    """
 
     values: Sequence[ArrayLike]
 
@@ -151,7 +164,13 @@ class Sphere(Dispersion):
 
 @dataclass(frozen=True)
 class Ball(Dispersion):
-    """A deviation to any point within ``radius`` (unit of the vector), all points equally probable."""
+    """A deviation to any point within ``radius`` (unit of the vector), all points equally probable.
+
+    Parameters
+    ----------
+    radius : float
+        Unit of the vector, > 0.
+    """
 
     radius: float
 
