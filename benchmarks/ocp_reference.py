@@ -42,7 +42,7 @@ def initial_costate_error(document: Mapping[str, Any], solution: go.Solution) ->
     wanted = np.array([[float(v)] for v in given.values()])
     found = np.array([[float(leg.costate(name)(leg.initial_time))] for name in given])
     states = np.array([leg.state(name)(leg.sample_times()) for name in given])
-    return float(np.max(_errors(_sense(solution) * found, wanted, states)))
+    return float(np.max(costate_errors(_sense(solution) * found, wanted, states)))
 
 
 def costate_error_along(path: Path, solution: go.Solution) -> float | None:
@@ -96,12 +96,21 @@ def _mean_error(
     """Mean over the times ``at`` (n_times,) of the errors of a phase's costates, worst state."""
     found = np.array([leg.costate(name)(at) for name in wanted])
     states = np.array([leg.state(name)(at) for name in wanted])
-    errors = _errors(_sense(solution) * found, np.array(list(wanted.values())), states)
+    errors = costate_errors(_sense(solution) * found, np.array(list(wanted.values())), states)
     return float(np.max(np.mean(errors, axis=1)))
 
 
-def _errors(found: Array, wanted: Array, states: Array) -> Array:
-    """|found - wanted| (n_states, n_times), relative to each costate's size, or to `MINOR` of the largest share."""
+def costate_errors(found: Array, wanted: Array, states: Array) -> Array:
+    """Return the errors of costates, relative to each one's size or to `MINOR` of the largest share.
+
+    Parameters
+    ----------
+    found, wanted, states : array (n_states, n_times)
+
+    Returns
+    -------
+    array (n_states, n_times)
+    """
     size = np.max(np.abs(wanted), axis=1)
     reach = np.max(np.abs(states), axis=1)
     reach = np.where(reach > 1e-9, reach, 1.0)

@@ -16,7 +16,7 @@ import json
 import math
 import time
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -125,12 +125,17 @@ def run(
     document: Mapping[str, Any],
     solutions: Path,
     *,
-    mesh: str | None = None,
+    build: Callable[[Mapping[str, Any]], go.Problem] = build_problem,
+    mesh: go.Mesh | str | None = None,
     scheme: str = "LG",
-    tol: float | None = TOLERANCE,
+    tol: float | None = None,
     multistart: bool = False,
 ) -> tuple[Outcome, go.Solution | None]:
-    """Build, solve, refine (on a given mesh: not), verify and compare one problem; exceptions end in the outcome."""
+    """Build, solve, refine (on a given mesh: only to a given ``tol``), verify and compare one problem.
+
+    Exceptions end in the outcome.
+    """
+    tol = TOLERANCE if tol is None and mesh is None else tol
     found: dict[str, Any] = {"name": str(document.get("name")), "expect": document.get("expect")}
     solution = None
     begin = time.perf_counter()
@@ -138,7 +143,7 @@ def run(
         found["reference"] = _reference(document)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", go.ProblemWarning)
-            problem = build_problem(document)
+            problem = build(document)
             if multistart and "local-minima" in _categories(document):
                 solution = _best_of_many(problem, tol or TOLERANCE)
             else:
@@ -146,7 +151,7 @@ def run(
                     problem,
                     mesh=mesh,
                     scheme=scheme,  # type: ignore[arg-type]
-                    tol=None if mesh else tol,
+                    tol=tol,
                     options=go.SolverOptions(max_wall_time=WALL_TIME),
                     throw=False,
                 )
@@ -353,7 +358,7 @@ def _outcomes(console: Console, arguments: argparse.Namespace) -> Iterator[Outco
                 arguments.file.parent / "solutions",
                 mesh=arguments.mesh,
                 scheme=arguments.scheme,
-                tol=arguments.tol,
+                tol=None if arguments.mesh else arguments.tol,
                 multistart=arguments.multistart,
             )
             yield outcome

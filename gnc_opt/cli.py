@@ -289,6 +289,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_solve(commands: Any) -> None:
+    from gnc_opt.transcription.scheme import GAUSS, SCHEMES
+
     command = commands.add_parser(
         "solve",
         help="solve a problem and judge the answer",
@@ -298,7 +300,7 @@ def _add_solve(commands: Any) -> None:
     _add_common(command)
     add = command.add_argument
     add("--mesh", metavar="KxN", help="K equal segments of N points; default: MESH of the file")
-    add("--scheme", type=str.upper, choices=("LG", "LGR", "LGL"), default="LG", help="collocation points")
+    add("--scheme", type=str.upper, choices=SCHEMES, default=GAUSS, help="collocation points")
     add("--tol", type=float, metavar="TOL", help="refine until the error between the nodes is below this")
     add(
         "--structure",

@@ -12,14 +12,14 @@ from gnc_opt.solution.failure import SolveError, failure_message
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import another_way, relative_gain, solve_mesh
 from gnc_opt.transcription.mesh import MeshLike
-from gnc_opt.transcription.quadrature import Scheme, checked_scheme
+from gnc_opt.transcription.scheme import GAUSS, Scheme, family_of
 
 
 def solve(
     problem: Problem,
     *,
     mesh: MeshLike | Mapping[str, MeshLike] | None = None,
-    scheme: Scheme = "LG",
+    scheme: Scheme = GAUSS,
     guess: Solution | None = None,
     tol: float | None = None,
     structure: StructureChoice = "auto",
@@ -66,7 +66,7 @@ def solve(
         No solution was found; the error carries the last iterate.
     """
     expect(problem, Problem, "what solve() got", "write solve(problem), or solve(solution.problem)")
-    checked_scheme(scheme)
+    family_of(scheme)
     if guess is not None:
         expect(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
     options = SolverOptions() if options is None else options
@@ -94,7 +94,7 @@ def better_of_two(
     refine: Callable[[Solution], Solution],
     options: SolverOptions,
     mesh: MeshLike | Mapping[str, MeshLike] | None = None,
-    scheme: Scheme = "LG",
+    scheme: Scheme = GAUSS,
 ) -> Solution:
     """Return a refined solution that did not come to rest, or one from `another_way` if that is better.
 

@@ -1,8 +1,46 @@
-"""Problems that several test modules share."""
+"""What all tests need: one thread, no display, no stopwatch, and a finger on Ctrl-C."""
 
 from __future__ import annotations
 
 import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import TypeAlias
+
+import pytest
+from hypothesis import settings
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
+
+settings.register_profile("gnc_opt", deadline=None)  # how long an example takes says more about the machine
+settings.load_profile("gnc_opt")
+
+PATIENCE = 300.0
+"""Longest wait for a sign of life, s; only a test that fails waits so long."""
+
+PressWhen: TypeAlias = Callable[[Callable[[], bool]], None]
+
+
+@pytest.fixture
+def ctrl_c_when() -> Iterator[PressWhen]:
+    """``ctrl_c_when(condition)`` presses Ctrl-C, from a thread, as soon as the condition is true."""
+    over, threads = threading.Event(), []
+
+    def press(condition: Callable[[], bool]) -> None:
+        limit = time.monotonic() + PATIENCE
+        while not condition() and time.monotonic() < limit:
+            if over.wait(0.001):  # the test has ended without it
+                return
+        os.kill(os.getpid(), signal.SIGINT)
+
+    def start(condition: Callable[[], bool]) -> None:
+        threads.append(threading.Thread(target=press, args=(condition,)))
+        threads[-1].start()
+
+    yield start
+    over.set()
+    for thread in threads:
+        thread.join()

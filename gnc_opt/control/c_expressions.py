@@ -61,6 +61,7 @@ _FORMS: dict[str, str] = {
     "IF_ELSE_ZERO": "{0} != 0 ? {1} : 0.0",
 }
 _OPERATIONS: dict[int, str] = {getattr(ca, f"OP_{name}"): form for name, form in _FORMS.items()}
+_NAMES: dict[int, str] = {getattr(ca, name): name[3:].lower() for name in dir(ca) if name.startswith("OP_")}
 
 
 def c_statements(function: Any, inputs: list[str], outputs: list[str]) -> list[str]:
@@ -98,7 +99,7 @@ def c_statements(function: Any, inputs: list[str], outputs: list[str]) -> list[s
             body.append(f"w[{target[0]}] = {form};")
         else:
             raise ArgumentError(
-                f"operation {operation} of function '{function.name()}' has no form in C: "
+                f"operation '{_NAMES[operation]}' of function '{function.name()}' has no form in C: "
                 "write the law with elementary functions."
             )
     zeros = [

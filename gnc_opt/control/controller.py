@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.explanation import Explanation
-from gnc_opt.control.tolerances import SAME_TIME
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout, as_vector
+from gnc_opt.tolerances import SAME_TIME
 
 Schedule: TypeAlias = Callable[[Array, float], Array]
 """``schedule(times, dt)`` returns what the law needs to know beforehand, (n_signals, n_times), for control steps that
@@ -133,12 +133,28 @@ class Controller:
 
 
 def law(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any) -> Any:
-    """Return the CasADi function of a control law from its symbols and expressions (SX or MX columns)."""
+    """Return the CasADi function of a control law from its symbols and expressions (SX or MX columns).
+
+    Parameters
+    ----------
+    t, x, r, z : casadi SX or MX
+        Symbols: time (1, 1), measured state (n_states, 1), row of the schedule (n_signals, 1), memory (n_memory, 1).
+    u, z_next : casadi SX or MX
+        Expressions of them: the command (n_commands, 1) and the next memory (n_memory, 1).
+    """
     return ca.Function("law", [t, x, r, z], [u, z_next], _INPUTS, _OUTPUTS)
 
 
 def first_memory(t: Any, x: Any, r: Any, z: Any) -> Any:
-    """Return the CasADi function of the first memory from its symbols and the expression z."""
+    """Return the CasADi function of the first memory from its symbols and the expression z.
+
+    Parameters
+    ----------
+    t, x, r : casadi SX or MX
+        Symbols as in `law`.
+    z : casadi SX or MX
+        Expression of them, (n_memory, 1).
+    """
     return ca.Function("start", [t, x, r], [z], _INPUTS[:3], ["z"])
 
 

@@ -53,7 +53,7 @@ class Deviation:
         return evaluate_columns(self._error, x, x_ref)
 
     def linearize(self, t: float, x_ref: ArrayLike, u_ref: ArrayLike) -> tuple[Array, Array]:
-        """Return A (n_errors, n_errors) and B (n_errors, n_controls) on the reference at one time."""
+        """Return A (n_errors, n_errors) and B (n_errors, n_controls) at t (s), state x_ref and control u_ref."""
         jacobian, x_jacobian, u_jacobian = (
             np.asarray(m.full()) for m in self._jacobians(t, x_ref, u_ref, self.model.parameter_values)
         )
@@ -86,7 +86,7 @@ class Deviation:
         return ca.substitute(y, ca.vertcat(time, xs, p), ca.vertcat(t, x, self.model.parameter_values))
 
     def linearize_output(self, name: str, t: float, x_ref: ArrayLike, u_ref: ArrayLike) -> Array:
-        """Return C (n_rows, n_errors): how an output changes with the errors on the reference at one time."""
+        """Return C (n_rows, n_errors): how the output ``name`` changes with the errors at t (s), x_ref and u_ref."""
         y = self.output(name, self.model.time, self._x)
         slope = ca.Function("slope", [self.model.time, self._x], [ca.jacobian(y, self._x)])
         jacobian = np.asarray(self._jacobians(t, x_ref, u_ref, self.model.parameter_values)[0].full())

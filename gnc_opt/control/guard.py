@@ -24,9 +24,9 @@ from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.lie import OutputErrors, Pair, zero_dynamics
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, reference_times
-from gnc_opt.control.tolerances import LARGEST, dependent
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.tolerances import LARGEST, dependent
 
 ALARMS = ("singular", "invalid")
 GUARD = 0.05

@@ -24,10 +24,10 @@ from scipy.linalg import null_space
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.tolerances import ROUNDING, dependent
 from gnc_opt.errors import DesignError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import as_expression
+from gnc_opt.tolerances import ROUNDING, dependent
 
 Outputs: TypeAlias = str | Sequence[Any] | Mapping[str, Any]
 """What to steer: a name of a state or an output of the model, several of these, SX expressions of (t, x, p), or
@@ -142,6 +142,14 @@ def lie_derivative(model: Model, expression: Any, order: int = 1) -> Any:
     """Return the time derivative of an expression of (t, x, p) along the model, SX of (t, x, u, p).
 
     Derivatives of a higher order hold while no control enters a lower one.
+
+    Parameters
+    ----------
+    model : Model
+    expression : casadi SX
+        Of the model's time, states and parameters.
+    order : int
+        How often to differentiate, >= 1.
     """
     t, x, _, _ = model.arguments()
     h = as_expression(expression, "the expression to differentiate", failure=DesignError)
@@ -151,13 +159,33 @@ def lie_derivative(model: Model, expression: Any, order: int = 1) -> Any:
 
 
 def relative_degrees(model: Model, outputs: Outputs, x: ArrayLike, t: float = 0.0) -> dict[str, int]:
-    """Return the relative degree of each component of the outputs near the state x (n_states,) at time t (s)."""
+    """Return the relative degree of each component of the outputs near the state x (n_states,) at time t (s).
+
+    Parameters
+    ----------
+    model : Model
+    outputs : name, names, expressions or mapping
+        See `Outputs`.
+    x : array (n_states,)
+    t : float
+        s.
+    """
     errors = output_errors(model, _point(model, x, t), outputs)
     return dict(zip(errors.labels, errors.degrees, strict=True))
 
 
 def decoupling_matrix(model: Model, outputs: Outputs, x: ArrayLike, t: float = 0.0) -> Array:
-    """Return E (n_outputs, n_controls) at the state x (n_states,) and time t (s)."""
+    """Return E (n_outputs, n_controls) at the state x (n_states,) and time t (s).
+
+    Parameters
+    ----------
+    model : Model
+    outputs : name, names, expressions or mapping
+        See `Outputs`.
+    x : array (n_states,)
+    t : float
+        s.
+    """
     point = _point(model, x, t)
     errors = output_errors(model, point, outputs)
     return errors.pair.along(point, np.array([t]), errors.decoupling)[0]
@@ -294,6 +322,15 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     In error coordinates (3 for a quaternion with a declared difference, 4 without) the outputs and their
     derivatives are T e, and the control that keeps the r-th derivatives at zero is -E^+ R e, so that the null space of
     T is invariant under A - B E^+ R.
+
+    Parameters
+    ----------
+    errors : OutputErrors
+        From `gnc_opt.control.lie.output_errors`.
+    t : float
+        s.
+    x : array (n_states,)
+    u : array (n_controls,)
 
     Raises
     ------

@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.control.tolerances import SAME_TIME
 from gnc_opt.errors import ArgumentError, did_you_mean, shown
 from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.solution import Solution
 from gnc_opt.strict import Strict
+from gnc_opt.tolerances import SAME_TIME
 
 Tail: TypeAlias = Literal["trim", "hold", "none"]
 
@@ -248,6 +248,13 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
     """Return the control (n_controls,) for which the state x stays at rest at time t.
 
     Solves ``f(t, x, u) = 0`` for u by Newton's method in the least-squares sense, from u = 0.
+
+    Parameters
+    ----------
+    model : Model
+    t : float
+        s.
+    x : array (n_states,)
 
     Raises
     ------

@@ -8,8 +8,8 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.tolerances import SAME_TIME
 from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.tolerances import SAME_TIME
 
 LOOKS = 101
 """Times over a reference, beside its jumps, at which a design looks at it where nothing else is said."""

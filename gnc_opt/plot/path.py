@@ -26,6 +26,10 @@ def plot_curves(t: ArrayLike, values: ArrayLike, labels: Sequence[str], ylabel: 
     labels : sequence of n str
     ylabel : str
         With its unit.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
     """
     times = np.asarray(t, dtype=float)
     with style():
@@ -60,12 +64,18 @@ def plot_path(
         Attitude of the body: its rows are the body's axes in L.
     at : sequence of int
         Indices of the times at which to draw the body's axes.
+    unit : str
+        Of the positions.
     axis_length : float, optional
         Of the drawn axes; default 12 % of the path's largest extent.
     axis_notes : sequence of str
         Added to the names of the three axes, e.g. ("along velocity", "", "to Earth").
     down : bool
         Draw z downwards (and y towards the viewer), as befits a z axis that points to the planet.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
     """
     r = np.asarray(r_L, dtype=float)
     length = axis_length or 0.12 * float(np.max(np.ptp(r, axis=1)))

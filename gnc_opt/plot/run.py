@@ -20,6 +20,10 @@ def plot_run_states(run: Run, names: Sequence[str] | None = None) -> Figure:
     names : sequence of str, optional
         Default all.
 
+    Returns
+    -------
+    matplotlib.figure.Figure
+
     Raises
     ------
     UnknownNameError
@@ -41,6 +45,16 @@ def plot_run_states(run: Run, names: Sequence[str] | None = None) -> Figure:
 def plot_run_errors(run: Run, names: Sequence[str] | None = None) -> Figure:
     """Draw the errors of states relative to the reference, one axis each; arguments as in `plot_run_states`.
 
+    Parameters
+    ----------
+    run : Run
+    names : sequence of str, optional
+        States; default all.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
     Raises
     ------
     ArgumentError
@@ -57,6 +71,10 @@ def plot_run_controls(run: Run, names: Sequence[str] | None = None) -> Figure:
     run : Run
     names : sequence of str, optional
         Controls of the plant; default all.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
     """
 
     def draw(ax: Axes, name: str) -> None:

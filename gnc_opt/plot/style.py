@@ -67,7 +67,19 @@ def new_figure(height: float, width: float = WIDTH) -> Figure:
 
 
 def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
-    """Write a figure to a file (its suffix is the format), making folders as needed; return its path."""
+    """Write a figure to a file (its suffix is the format), making folders as needed; return its path.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+    path : str or Path
+    dpi : int
+        Dots per inch, for pixel formats.
+
+    Returns
+    -------
+    Path
+    """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     with style():

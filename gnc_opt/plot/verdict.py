@@ -17,7 +17,12 @@ _LEAST = 1e-17
 
 
 def plot_verdict(verdict: Verdict) -> Figure:
-    """Return a figure with one row per condition: its value on a logarithmic axis against its tolerance."""
+    """Return a figure with one row per condition: its value on a logarithmic axis against its tolerance.
+
+    Parameters
+    ----------
+    verdict : Verdict
+    """
     with style():
         figure = new_figure(1.2 + 0.27 * len(verdict.conditions))
         axes = figure.subplots()

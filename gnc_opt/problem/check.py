@@ -13,6 +13,7 @@ from gnc_opt.problem.check_values import check_values
 from gnc_opt.problem.interval import Interval, intersect
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.statement import Statement
+from gnc_opt.tolerances import ROUNDING
 
 
 def check_problem(problem: Statement) -> None:
@@ -47,7 +48,7 @@ def _check_times(leg: Phase) -> None:
         )
     if min(most, span.upper[0]) == 0:
         raise ProblemError(f"{leg.where} has no duration ({times}): let the final time be later.")
-    slack = 1e-12 * max(abs(initial.lower[0]), abs(final.upper[0]), 1.0)
+    slack = ROUNDING * max(abs(initial.lower[0]), abs(final.upper[0]), 1.0)
     crossed = max(initial.lower[0] - initial.upper[0], final.lower[0] - final.upper[0])
     if max(crossed, least - span.upper[0], span.lower[0] - most) > slack:
         raise ProblemError(
@@ -60,7 +61,7 @@ def _check_times(leg: Phase) -> None:
 def _check_boundary_values(leg: Phase) -> None:
     for end, values in (("initial", leg.numbers.initial), ("final", leg.numbers.final)):
         both = intersect(values, leg.numbers.states)
-        slack = 1e-12 * (1.0 + np.abs(both.lower))
+        slack = ROUNDING * (1.0 + np.abs(both.lower))
         wrong = np.flatnonzero(both.lower > both.upper + slack)
         if wrong.size:
             i = int(wrong[0])

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from gnc_opt.arrays import Array
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.layout import as_vector
 
@@ -32,6 +33,19 @@ class Interval:
         low = np.where(lower, self.lower, np.where(upper, self.upper, 0.0))
         high = np.where(upper, self.upper, low)
         return np.asarray(0.5 * (low + high))
+
+    def near(self, values: Array, margin: ArrayLike) -> tuple[Mask, Mask]:
+        """Return which values are at, or beyond, the lower and the upper limit up to a margin.
+
+        Parameters
+        ----------
+        values : array (n, ...)
+        margin : float or array (n,)
+        """
+        shape = (-1, *(1,) * (values.ndim - 1))
+        slack = np.broadcast_to(margin, self.lower.shape).reshape(shape)
+        lower, upper = self.lower.reshape(shape), self.upper.reshape(shape)
+        return values <= lower + slack, values >= upper - slack
 
 
 def free(size: int) -> Interval:

@@ -24,9 +24,6 @@ StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]
 PATIENCE = 25
 """Passes after which a control structure that nobody asked for is given up."""
 
-ACCEPTED = 1e-5
-"""Tolerance of the verdict on a control structure that is chosen without being asked for."""
-
 
 def refine(
     solution: Solution,
@@ -105,7 +102,7 @@ def refine(
         )
     )
     # A fine mesh shows arcs that the first one was too coarse for.
-    if structure == "auto" and not verify(refined, tol=ACCEPTED).ok:
+    if structure == "auto" and not verify(refined).ok:
         return attempt(refined) or refined
     return refined
 
@@ -139,6 +136,6 @@ def _convincing(start: Solution, switch: Callable[[Solution], tuple[Solution, Hi
     if not _switches(start, at_least=1):
         return None
     candidate, history = switch(start)
-    if history.converged and verify(candidate, tol=ACCEPTED).ok:
+    if history.converged and verify(candidate).ok:
         return _with_history(candidate, history)
     return None

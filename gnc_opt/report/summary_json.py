@@ -69,6 +69,17 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
 def write_json(path: str | Path, solution: Solution, verdict: Verdict | None = None) -> Path:
     """Write `summary_dict` to a file as UTF-8 JSON; returns its path.
 
+    Parameters
+    ----------
+    path : str or Path
+    solution : Solution
+    verdict : Verdict, optional
+        None leaves ``verdict`` null.
+
+    Returns
+    -------
+    Path
+
     Raises
     ------
     OSError

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_integer, read_positive
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.block import (
+    POSITIVE,
     Block,
     Defaults,
     Parameters,
@@ -26,6 +27,13 @@ from gnc_opt.simulation.block import (
     rows,
     scalar,
     values,
+)
+from gnc_opt.simulation.steps import (
+    LAST_DIGITS,
+    ROUNDING,
+    is_first,
+    next_phase,
+    started_steps,
     whole_steps,
 )
 
@@ -35,7 +43,13 @@ _INSTANT = 1e-12
 
 @dataclass(frozen=True)
 class Saturation(Block):
-    """Limits ``lower <= u <= upper`` (units of the command; one for all components, or one each)."""
+    """Limits ``lower <= u <= upper`` (units of the command; one for all components, or one each).
+
+    Parameters
+    ----------
+    lower, upper : float or one per component
+        Default: none.
+    """
 
     lower: ArrayLike = -math.inf
     upper: ArrayLike = math.inf
@@ -56,7 +70,14 @@ class Saturation(Block):
 
 @dataclass(frozen=True)
 class ScaleFactor(Block):
-    """Output ``factor * u + bias``: calibration errors, a weak thruster, a dead one (factor 0)."""
+    """Output ``factor * u + bias``: calibration errors, a weak thruster, a dead one (factor 0).
+
+    Parameters
+    ----------
+    factor : float or one per component
+    bias : float or one per component
+        Unit of the command.
+    """
 
     factor: ArrayLike = 1.0
     bias: ArrayLike = 0.0
@@ -73,7 +94,13 @@ class ScaleFactor(Block):
 
 @dataclass(frozen=True)
 class Deadband(Block):
-    """Commands smaller than ``width`` (units of the command) are dropped; larger ones pass unchanged."""
+    """Commands smaller than ``width`` (units of the command) are dropped; larger ones pass unchanged.
+
+    Parameters
+    ----------
+    width : float or one per component
+        Unit of the command, >= 0.
+    """
 
     width: ArrayLike
 
@@ -89,7 +116,13 @@ class Deadband(Block):
 
 @dataclass(frozen=True)
 class Quantisation(Block):
-    """Commands are rounded to multiples of ``step_size`` (units of the command, > 0)."""
+    """Commands are rounded to multiples of ``step_size`` (units of the command, > 0).
+
+    Parameters
+    ----------
+    step_size : float or one per component
+        Unit of the command, > 0.
+    """
 
     step_size: ArrayLike
 
@@ -97,7 +130,7 @@ class Quantisation(Block):
         return {"step_size": (values(self.step_size, size, f"the step size of '{self.name}'"), unit)}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
-        return {"step_size": (1e-300, math.inf)}
+        return {"step_size": (POSITIVE, math.inf)}
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         return Step(p["step_size"] * ca.floor(signal / p["step_size"] + 0.5), state)
@@ -105,7 +138,13 @@ class Quantisation(Block):
 
 @dataclass(frozen=True)
 class MinimumImpulse(Block):
-    """Commands whose impulse over a control step, ``|u| dt``, is below ``impulse`` (unit of u times s) are dropped."""
+    """Commands whose impulse over a control step, ``|u| dt``, is below ``impulse`` (unit of u times s) are dropped.
+
+    Parameters
+    ----------
+    impulse : float or one per component
+        Unit of the command times s, >= 0.
+    """
 
     impulse: ArrayLike
 
@@ -124,6 +163,11 @@ class Lag(Block):
     r"""First-order lag :math:`\tau \dot y = u - y`, from rest; ``tau`` in s (0: none).
 
     Over a minor step the mean :math:`u + (y_0 - u)(1 - e^{-h/\tau})\tau/h` is applied: the impulse is exact.
+
+    Parameters
+    ----------
+    tau : float or one per component
+        s, >= 0.
     """
 
     tau: ArrayLike
@@ -148,6 +192,11 @@ class RateLimit(Block):
     """The output follows the command with at most ``rate`` (unit of the command per s), from zero.
 
     The mean over a minor step of the ramp and the plateau after it is applied.
+
+    Parameters
+    ----------
+    rate : float or one per component
+        Unit of the command per s, > 0.
     """
 
     rate: ArrayLike
@@ -156,7 +205,7 @@ class RateLimit(Block):
         return {"rate": (values(self.rate, size, f"the rate of '{self.name}'"), f"{unit}/s")}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
-        return {"rate": (1e-300, math.inf)}
+        return {"rate": (POSITIVE, math.inf)}
 
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
         return signal
@@ -175,6 +224,13 @@ class Delay(Block):
 
     Exact for commands held over minor steps: a delay between two multiples of the minor step gives the mean of the
     two commands that share the step.
+
+    Parameters
+    ----------
+    delay : float
+        s, >= 0.
+    maximum : float, optional
+        Longest delay that a run may have, s; default the delay itself.
     """
 
     delay: float
@@ -184,12 +240,12 @@ class Delay(Block):
         return {"delay": (scalar(self.delay, f"the delay of '{self.name}'"), "s")}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
-        return {"delay": (0.0, self._length(h) * h * (1 + 1e-12))}
+        return {"delay": (0.0, self._length(h) * h * (1 + LAST_DIGITS))}
 
     def _length(self, h: float) -> int:
         longest = self.delay if self.maximum is None else self.maximum
         longest = read_positive(longest, f"the longest delay of '{self.name}'", or_zero=True)
-        return math.ceil(longest / h - 1e-9)
+        return started_steps(longest, h)
 
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
         return ca.repmat(signal, self._length(tick.h), 1)
@@ -203,7 +259,7 @@ class Delay(Block):
         for i in range(count):
             weight = ca.fmax(0.0, 1 - ca.fabs(steps - i))
             # not multiplied by a zero weight: a command that is not a number must not arrive early
-            late += ca.if_else(weight > 1e-9, weight * line[i * size : (i + 1) * size], 0.0)
+            late += ca.if_else(weight > ROUNDING, weight * line[i * size : (i + 1) * size], 0.0)
         return Step(late, rows(line, 0, state.shape[0]))
 
 
@@ -234,7 +290,7 @@ class Pwm(Block):
         }
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
-        return {"thrust": (1e-300, math.inf), "minimum_on": (0.0, math.inf)}
+        return {"thrust": (POSITIVE, math.inf), "minimum_on": (0.0, math.inf)}
 
     def check(self, size: int, h: float, dt: float) -> None:
         if self._steps(h, dt) < 2:
@@ -252,14 +308,14 @@ class Pwm(Block):
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size, count = signal.shape[0], self._steps(tick.h, tick.dt)
         held, phase = state[:size], state[size]
-        command = ca.if_else(phase < 0.5, signal, held)
+        command = ca.if_else(is_first(phase), signal, held)
         on_steps = ca.floor(clip(ca.fabs(command) / p["thrust"], 0.0, 1.0) * count + 0.5)
         on_steps = ca.if_else(on_steps * tick.h < p["minimum_on"], 0.0, on_steps)
         pulse = ca.if_else(phase + 0.5 < on_steps, ca.sign(command) * p["thrust"], 0.0)
-        # 0 * command carries a command that is not a number into the plant, where it is reported
-        following = ca.if_else(phase > count - 1.5, 0.0, phase + 1)
         saturated = ca.if_else(ca.fabs(command) > p["thrust"], 1.0, 0.0)
-        return Step(pulse + 0 * _finite_or_nan(command), ca.vertcat(command, following), saturated)
+        # 0 * command carries a command that is not a number into the plant, where it is reported
+        after = ca.vertcat(command, next_phase(phase, count))
+        return Step(pulse + 0 * _finite_or_nan(command), after, saturated)
 
 
 def _finite_or_nan(signal: Any) -> Any:
@@ -272,6 +328,11 @@ class SchmittTrigger(Block):
     """On-off thrusters with hysteresis: on above ``on_level``, off below ``off_level``, output +-``thrust``.
 
     All in the unit of the command; works once per minor step.
+
+    Parameters
+    ----------
+    thrust, on_level, off_level : float or one per component
+        Unit of the command.
     """
 
     thrust: ArrayLike
@@ -354,7 +415,13 @@ class Pwpf(Block):
 
 @dataclass(frozen=True)
 class Hold(Block):
-    """The actuator takes a new command only every ``period`` (s, a multiple of the minor step)."""
+    """The actuator takes a new command only every ``period`` (s, a multiple of the minor step).
+
+    Parameters
+    ----------
+    period : float
+        A multiple of the minor step, s.
+    """
 
     period: float
 
@@ -370,6 +437,5 @@ class Hold(Block):
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size = signal.shape[0]
-        output = ca.if_else(state[size] < 0.5, signal, state[:size])
-        following = ca.if_else(state[size] > self._steps(tick.h) - 1.5, 0.0, state[size] + 1)
-        return Step(output, ca.vertcat(output, following))
+        output = ca.if_else(is_first(state[size]), signal, state[:size])
+        return Step(output, ca.vertcat(output, next_phase(state[size], self._steps(tick.h))))

@@ -28,6 +28,10 @@ Method: TypeAlias = Literal["pseudo-inverse", "min-max"]
 Balance: TypeAlias = Literal["none", "torque", "momentum"]
 
 _SINGULAR = 1e-10
+"""Singular values below this share of the largest are zero: that direction cannot be commanded."""
+
+_NO_ENTRY = 1e-12
+"""What is below this in a null vector, whose largest entry is 1, is zero."""
 
 
 def pseudo_inverse(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the allocation") -> Array:
@@ -40,7 +44,7 @@ def pseudo_inverse(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "t
     """
     effects = effect_matrix(matrix, failed, what)
     left, sizes, _ = np.linalg.svd(effects)
-    rank = int(np.sum(sizes > _SINGULAR * max(float(sizes[0]), 1e-300)))
+    rank = int(np.sum(sizes > _SINGULAR * float(sizes[0])))
     if rank < effects.shape[0]:
         least = float(sizes[rank]) if rank < sizes.size else 0.0
         lost = f" after the loss of {', '.join(map(str, failed))}" if len(failed) else ""
@@ -72,7 +76,7 @@ def null_vector(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the 
         )
     n = np.zeros(effects.shape[1])
     n[alive] = basis[:, 0] / basis[np.argmax(np.abs(basis[:, 0])), 0]
-    return np.where(np.abs(n) < 1e-12, 0.0, n)
+    return np.where(np.abs(n) < _NO_ENTRY, 0.0, n)
 
 
 def min_max_shift(u: Any, n: Array) -> Any:
@@ -81,7 +85,7 @@ def min_max_shift(u: Any, n: Array) -> Any:
     for i, j in itertools.combinations(range(n.size), 2):
         for sign in (1.0, -1.0):
             slope = n[i] - sign * n[j]
-            if abs(slope) < 1e-12:
+            if abs(slope) < _NO_ENTRY:
                 continue
             shift = -(u[i] - sign * u[j]) / slope
             here = ca.mmax(ca.fabs(u + shift * n))
@@ -201,6 +205,8 @@ class WheelArray(Block):
         the command's own name.
     failed : sequence of int
         Wheels known to be lost. (An unknown loss: ``"<name>.health"`` 0 of that wheel.)
+    initial : float or one per wheel
+        Momenta at the start where the block keeps them, N m s.
 
     Raises
     ------

@@ -21,6 +21,9 @@ Parameters: TypeAlias = Mapping[str, Any]
 Defaults: TypeAlias = dict[str, tuple[Array, str]]
 """Values and units of a block's parameters by name."""
 
+POSITIVE = 1e-300
+"""Least permitted value of a parameter that has to be > 0: limits are permitted values themselves."""
+
 
 @dataclass(frozen=True)
 class Tick:
@@ -112,7 +115,20 @@ class Block:
         return ca.SX(0, 1)
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        """Return what becomes of the signal during one step."""
+        """Return what becomes of the signal during one step.
+
+        Parameters
+        ----------
+        tick : Tick
+        signal : SX
+            Column that comes in: mean over the minor step; a sensor's is the sample.
+        state : SX
+            Column of the block's memory.
+        p : mapping of str to SX
+            The block's parameters by name.
+        noise : SX
+            Column of standard normal numbers, new at every step.
+        """
         raise NotImplementedError
 
 
@@ -130,16 +146,6 @@ def scalar(value: ArrayLike, what: str) -> Array:
     if number.size != 1 or np.isnan(number).any():
         raise ArgumentError(f"{what} is {shown(value)}: give one number.")
     return number.reshape(1)
-
-
-def whole_steps(duration: float, step: float, what: str) -> int:
-    """Return how many steps make up a duration (s); refuse what is no multiple."""
-    count = round(duration / step)
-    if count < 0 or abs(count * step - duration) > 1e-9 * max(step, duration):
-        raise ArgumentError(
-            f"{what} is {duration:g} s, not a multiple of the step of {step:g} s: choose one."
-        )
-    return count
 
 
 def rows(column: Any, begin: int, end: int) -> Any:

@@ -22,6 +22,9 @@ from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.spacecraft.attitude import mrp_to_quaternion
 from gnc_opt.spacecraft.quaternion import quaternion_product
 
+_UNIT = 1e-6
+"""A quaternion whose squared length differs from 1 by less is one that was typed in with six digits."""
+
 
 @dataclass(frozen=True)
 class Dispersion:
@@ -81,7 +84,14 @@ class Normal(Dispersion):
 
 @dataclass(frozen=True)
 class Uniform(Dispersion):
-    """A deviation anywhere between ``low`` and ``high``, floats or one per component; ``relative`` as in `Normal`."""
+    """A deviation anywhere between ``low`` and ``high``, floats or one per component; ``relative`` as in `Normal`.
+
+    Parameters
+    ----------
+    low, high : float or one per component
+    relative : bool
+        Whether both are shares of the nominal value.
+    """
 
     low: ArrayLike
     high: ArrayLike
@@ -106,7 +116,13 @@ class Uniform(Dispersion):
 
 @dataclass(frozen=True)
 class Choice(Dispersion):
-    """One of the given values (not deviations) instead of the nominal one, all equally probable."""
+    """One of the given values (not deviations) instead of the nominal one, all equally probable.
+
+    Parameters
+    ----------
+    values : sequence of float or array
+        Of the size of what is dispersed.
+    """
 
     values: Sequence[ArrayLike]
 
@@ -148,7 +164,13 @@ class Sphere(Dispersion):
 
 @dataclass(frozen=True)
 class Ball(Dispersion):
-    """A deviation to any point within ``radius`` (unit of the vector), all points equally probable."""
+    """A deviation to any point within ``radius`` (unit of the vector), all points equally probable.
+
+    Parameters
+    ----------
+    radius : float
+        Unit of the vector, > 0.
+    """
 
     radius: float
 
@@ -184,7 +206,7 @@ class Turn(Dispersion):
                 f"'{name}' cannot be turned: {nominal.size} component(s) are neither a quaternion nor modified "
                 "Rodrigues parameters."
             )
-        if nominal.size == 4 and not abs(float(nominal @ nominal) - 1) < 1e-6:
+        if nominal.size == 4 and not abs(float(nominal @ nominal) - 1) < _UNIT:
             raise ArgumentError(f"'{name}' cannot be turned: {nominal} is no unit quaternion; normalise it.")
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:

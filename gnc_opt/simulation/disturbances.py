@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
 from gnc_opt.errors import ArgumentError
-from gnc_opt.simulation.block import Block, Defaults, Parameters, Tick, scalar, values, whole_steps
+from gnc_opt.simulation.block import Block, Defaults, Parameters, Tick, scalar, values
+from gnc_opt.simulation.steps import is_first, next_phase, whole_steps
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Disturbance(Block):
             raise ArgumentError(f"disturbance '{self.name}' acts on nothing: give on= a state or a control.")
 
     def update(self, tick: Tick, state: Any, p: Parameters, noise: Any) -> Any:
-        """Return the memory during this control step, SX."""
+        """Return the memory during this control step, SX; tick, state, p and noise as in `step`."""
         return state
 
     def value(self, t: Any, x: Mapping[str, Any], state: Any, p: Parameters) -> Any:
@@ -39,7 +40,13 @@ class Disturbance(Block):
 
 @dataclass(frozen=True)
 class Constant(Disturbance):
-    """The same ``level`` all the time."""
+    """The same ``level`` all the time.
+
+    Parameters
+    ----------
+    level : float or one per component
+        Unit of what it acts on.
+    """
 
     level: ArrayLike
 
@@ -52,7 +59,17 @@ class Constant(Disturbance):
 
 @dataclass(frozen=True)
 class Sinusoid(Disturbance):
-    """``amplitude * sin(frequency * t + phase)``, frequency in rad/s, phase in rad."""
+    """``amplitude * sin(frequency * t + phase)``, frequency in rad/s, phase in rad.
+
+    Parameters
+    ----------
+    amplitude : float or one per component
+        Unit of what it acts on.
+    frequency : float
+        rad/s.
+    phase : float or one per component
+        rad.
+    """
 
     amplitude: ArrayLike
     frequency: float
@@ -105,8 +122,8 @@ class RandomHold(Disturbance):
 
     def update(self, tick: Tick, state: Any, p: Parameters, noise: Any) -> Any:
         size = state.shape[0] - 1
-        drawn = ca.if_else(state[size] < 0.5, noise, state[:size])
-        return ca.vertcat(drawn, ca.if_else(state[size] > self._steps(tick.dt) - 1.5, 0.0, state[size] + 1))
+        drawn = ca.if_else(is_first(state[size]), noise, state[:size])
+        return ca.vertcat(drawn, next_phase(state[size], self._steps(tick.dt)))
 
     def value(self, t: Any, x: Mapping[str, Any], state: Any, p: Parameters) -> Any:
         return p["sigma"] * state[:-1]
@@ -115,6 +132,13 @@ class RandomHold(Disturbance):
 @dataclass(frozen=True)
 class Expression(Disturbance):
     """Any function ``function(t, x, p)`` of time (s), the plant's states and the block's parameters, by name.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(t, x, p)`` of SX, with the states x and the parameters p by name; returns an SX column.
+    constants : mapping of str to float or array
+        Parameters of the block by name; they can be dispersed.
 
     Examples
     --------

@@ -70,6 +70,21 @@ class Flight:
         What the controller follows, in its own states.
     substeps : int
         Integration steps per minor step.
+    kernel : Kernel
+        The loop as a compiled function.
+    schedule : array (n_signals, n_steps)
+        Rows r of the controller.
+    states, measured, commands, controls, memory : Layout
+        Names, sizes and units.
+    errors : casadi Function
+        Errors of the states relative to the reference.
+    error_layout : Layout
+    watched, alarms : tuple of str
+        Quantities that must stay finite, and entries of the memory that must stay 0.
+    accuracy : float
+        Asked of the integration, relative.
+    minor_steps : int
+        Per control step.
     """
 
     kernel: Kernel

@@ -29,7 +29,15 @@ MAX_SUBSTEPS = 64
 _STABLE = 3.0
 """The Runge-Kutta method damps a real mode up to 3.3 times the inverse of its step."""
 
+_MARGIN = 1.1
+"""Integration steps that were reckoned from an estimate of the error are made more numerous by this factor."""
+
 _MAX_STEPS = 2_000_000
+"""Control steps of a run at most; with fifty numbers each their log fills a gigabyte."""
+
+_PART_OF_A_STEP = 1e-6
+"""A run that ends by less than this share of a step after a control step ends with that step: the quotient of a long
+time and a short step has so few digits."""
 
 _MAX_UNROLLED = 2000
 """Integration steps per control step at most: they are written out one by one in the compiled function."""
@@ -206,7 +214,7 @@ class ClosedLoop:
             if substeps >= MAX_SUBSTEPS:
                 raise self._too_fast(f"leave an error of {error:.1e} where {self.accuracy:.1e} is asked for")
             # the local error of the embedded fourth-order solution, summed over a run, falls with h^4
-            needed = substeps * (error / self.accuracy) ** 0.25 * 1.1
+            needed = substeps * (error / self.accuracy) ** 0.25 * _MARGIN
             substeps = int(min(MAX_SUBSTEPS, max(substeps + 1, np.ceil(needed))))
 
     def simulate(
@@ -302,7 +310,7 @@ class ClosedLoop:
             raise ArgumentError(
                 f"a run from t0 = {begin:g} s to tf = {end:g} s is none: give finite times, tf > t0."
             )
-        count = max(1, int(np.ceil((end - begin) / self.dt - 1e-6)))
+        count = max(1, int(np.ceil((end - begin) / self.dt - _PART_OF_A_STEP)))
         if count > _MAX_STEPS:
             raise ArgumentError(
                 f"a run of {count} control steps is too long: give a larger dt or an earlier tf."

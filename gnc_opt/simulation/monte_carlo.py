@@ -6,25 +6,21 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer, read_positive
+from gnc_opt.arguments import expect, read_integer
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, GncOptError
-from gnc_opt.model.layout import as_vector
+from gnc_opt.errors import GncOptError
 from gnc_opt.simulation.campaign import Campaign
+from gnc_opt.simulation.criteria import Criteria, Judge
 from gnc_opt.simulation.dispersion import Dispersions, check_dispersions
-from gnc_opt.simulation.flight import Flight
 from gnc_opt.simulation.loop import ClosedLoop
 from gnc_opt.simulation.mission import Batch, Flown, Mission, batches, flown_parts, halves
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.workers import Done, Shared, WorkerPool
-
-Judge = Callable[[Campaign], ArrayLike]
-"""A measure of one's own: returns a number per run, (m,)."""
 
 
 def monte_carlo(
@@ -90,9 +86,10 @@ def monte_carlo(
     dispersions = {} if dispersions is None else dispersions
     flight = loop.flight(x0, t0=t0, tf=tf, parameters=parameters)
     check_dispersions(dispersions, flight.layout, flight.nominal)
-    empty = _campaign(flight, seed, n, _goal(flight, target), [], False)
-    checked = _limits(empty, limits or {}, judge or {})
+    criteria = Criteria(target or {}, limits or {}, judge or {})
     mission = Mission(flight, dict(dispersions), int(seed))
+    empty = _campaign(mission, n, criteria.goal(flight), [])
+    criteria.check(empty)
     with (
         _meter(n, progress) as show,
         WorkerPool(_shared(mission, executor), executor, "monte_carlo()") as pool,
@@ -100,36 +97,11 @@ def monte_carlo(
         done = pool.run(Mission.fly, batches(n), lambda batch: show(*_tally(batch)), halves)
     flown = [part for batch in done for part in flown_parts(batch)]
     _refuse_total_loss(flown)
-    campaign = _campaign(
-        flight, int(seed), n, empty.target, _with_parameters(flown, mission), pool.interrupted
-    )
-    return _judged(replace(campaign, limits=checked), judge or {})
+    campaign = _campaign(mission, n, empty.target, _with_parameters(flown, mission))
+    return criteria.applied(replace(campaign, interrupted=pool.interrupted))
 
 
 # --- before -----------------------------------------------------------------------------------------------
-
-
-def _goal(flight: Flight, target: Mapping[str, ArrayLike] | None) -> Array:
-    goal = np.full(flight.states.size, np.nan)
-    if flight.reference is not None:
-        for name in flight.measured.names:
-            goal[flight.states.slice(name)] = flight.reference[flight.measured.slice(name), -1]
-    for name, value in (target or {}).items():
-        place = flight.states.slice(name)
-        goal[place] = as_vector(value, flight.states[name].size, f"the target of '{name}'", ArgumentError)
-    return goal
-
-
-def _limits(empty: Campaign, limits: Mapping[str, float], judge: Mapping[str, Judge]) -> dict[str, float]:
-    for name in limits:
-        if name not in judge:
-            empty.measure(name)
-    for name, function in judge.items():
-        if not callable(function):
-            raise ArgumentError(f"the measure '{name}' is no function: give one of the campaign.")
-    return {
-        name: read_positive(value, f"the limit of '{name}'", or_zero=True) for name, value in limits.items()
-    }
 
 
 def _meter(total: int, visible: bool) -> AbstractContextManager[Callable[[int, int], None]]:
@@ -143,7 +115,7 @@ def _meter(total: int, visible: bool) -> AbstractContextManager[Callable[[int, i
 def _shared(mission: Mission, executor: Executor | Literal["serial"] | None) -> Shared[Mission]:
     remedy = 'define dispersions of your own at the top of a module, or use executor="serial"'
     shared = Shared.picklable(mission, "the campaign", remedy)
-    if executor != "serial":
+    if executor is None or isinstance(executor, Executor):
         shared.packed()  # refused also where processes inherit it: a campaign that flies here flies on any machine
     return shared
 
@@ -179,9 +151,9 @@ def _with_parameters(flown: Sequence[Flown], mission: Mission) -> list[Flown]:
     return found
 
 
-def _campaign(
-    flight: Flight, seed: int, asked: int, goal: Array, flown: Sequence[Flown], interrupted: bool
-) -> Campaign:
+def _campaign(mission: Mission, asked: int, goal: Array, flown: Sequence[Flown]) -> Campaign:
+    flight = mission.flight
+
     def joined(attribute: str, size: int) -> Array:
         parts = [
             np.full((size, len(p.batch)), np.nan)
@@ -201,7 +173,7 @@ def _campaign(
         errors = np.asarray(flight.errors(states, np.repeat(goal[:, None], states.shape[1], axis=1)).full())
     drawn = [p.parameters for p in flown if p.parameters is not None]
     return Campaign(
-        seed=seed,
+        seed=mission.seed,
         asked=asked,
         indices=np.array([i for part in flown for i in part.batch], dtype=np.int64),
         parameters=np.hstack([np.empty((flight.layout.size, 0)), *drawn]),
@@ -217,7 +189,7 @@ def _campaign(
         span=(float(flight.times[0]), float(flight.times[-1])),
         limits={},
         measured={},
-        interrupted=interrupted,
+        interrupted=False,
         layouts={
             "parameter": flight.layout,
             "state": flight.states,
@@ -227,15 +199,3 @@ def _campaign(
         },
         flight=flight,
     )
-
-
-def _judged(campaign: Campaign, judge: Mapping[str, Judge]) -> Campaign:
-    measured: dict[str, Any] = {}
-    for name, function in judge.items():
-        values = np.asarray(function(campaign), dtype=float)
-        if values.shape != (len(campaign),):
-            raise ArgumentError(
-                f"the measure '{name}' has the shape {values.shape}: return one number per run, ({len(campaign)},)."
-            )
-        measured[name] = values
-    return replace(campaign, measured=measured)

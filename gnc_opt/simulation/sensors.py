@@ -21,8 +21,8 @@ from gnc_opt.simulation.block import (
     rows,
     scalar,
     values,
-    whole_steps,
 )
+from gnc_opt.simulation.steps import ROUNDING, is_first, next_phase, whole_steps
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,15 @@ class Noise(Block):
 
 @dataclass(frozen=True)
 class Bias(Block):
-    """A constant error ``bias`` (units of the state), added, or by a ``retraction`` as in `Noise`."""
+    """A constant error ``bias`` (units of the state), added, or by a ``retraction`` as in `Noise`.
+
+    Parameters
+    ----------
+    bias : float or one per component
+        Units of the state.
+    retraction : callable, optional
+        As in `Noise`.
+    """
 
     bias: ArrayLike
     retraction: Callable[[Any, Any], Any] | None = None
@@ -75,7 +83,13 @@ class Bias(Block):
 
 @dataclass(frozen=True)
 class RandomWalk(Block):
-    """A drifting error that starts at 0 and grows by ``sigma`` per square root of a second (unit/s^0.5)."""
+    """A drifting error that starts at 0 and grows by ``sigma`` per square root of a second (unit/s^0.5).
+
+    Parameters
+    ----------
+    sigma : float or one per component
+        Unit of the state per square root of a second, >= 0.
+    """
 
     sigma: ArrayLike
 
@@ -97,7 +111,12 @@ class RandomWalk(Block):
 
 @dataclass(frozen=True)
 class Scale(Block):
-    """A wrong scale: the measured value is ``factor`` times the true one."""
+    """A wrong scale: the measured value is ``factor`` times the true one.
+
+    Parameters
+    ----------
+    factor : float or one per component
+    """
 
     factor: ArrayLike
 
@@ -110,7 +129,13 @@ class Scale(Block):
 
 @dataclass(frozen=True)
 class Sampling(Block):
-    """A slow sensor: a new sample every ``period`` (s, a multiple of the control step), held in between."""
+    """A slow sensor: a new sample every ``period`` (s, a multiple of the control step), held in between.
+
+    Parameters
+    ----------
+    period : float
+        A multiple of the control step, s.
+    """
 
     period: float
 
@@ -125,14 +150,19 @@ class Sampling(Block):
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size = signal.shape[0]
-        sample = ca.if_else(state[size] < 0.5, signal, state[:size])
-        following = ca.if_else(state[size] > self._steps(tick.dt) - 1.5, 0.0, state[size] + 1)
-        return Step(sample, ca.vertcat(sample, following))
+        sample = ca.if_else(is_first(state[size]), signal, state[:size])
+        return Step(sample, ca.vertcat(sample, next_phase(state[size], self._steps(tick.dt))))
 
 
 @dataclass(frozen=True)
 class SensorDelay(Block):
-    """Samples arrive ``delay`` (s, a multiple of the control step) late; until then the first one is there."""
+    """Samples arrive ``delay`` (s, a multiple of the control step) late; until then the first one is there.
+
+    Parameters
+    ----------
+    delay : float
+        A multiple of the control step, s.
+    """
 
     delay: float
 
@@ -153,7 +183,13 @@ class SensorDelay(Block):
 
 @dataclass(frozen=True)
 class Outage(Block):
-    """The sensor fails: not-a-number from ``begin`` until before ``end`` (s)."""
+    """The sensor fails: not-a-number from ``begin`` until before ``end`` (s).
+
+    Parameters
+    ----------
+    begin, end : float
+        s; without an end, for good.
+    """
 
     begin: float
     end: float = math.inf
@@ -165,5 +201,6 @@ class Outage(Block):
         }
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        out = ca.logic_and(tick.t >= p["begin"] - 1e-9 * tick.dt, tick.t < p["end"] - 1e-9 * tick.dt)
+        begin, end = (p[name] - ROUNDING * tick.dt for name in ("begin", "end"))
+        out = ca.logic_and(tick.t >= begin, tick.t < end)
         return Step(ca.if_else(out, math.nan, signal), state)

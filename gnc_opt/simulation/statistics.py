@@ -13,6 +13,10 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
 
 CONFIDENCE = 0.95
+"""Of all intervals, unless another one is asked for."""
+
+_ROUNDING = 1e-9
+"""A number of values that exceeds a whole one by less is that one: 0.07 * 100 is 7.000000000000001."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +109,7 @@ def percentile(values: ArrayLike, level: float, confidence: float = CONFIDENCE) 
     upper = int(binom.ppf(1 - alpha / 2, n, p)) + 1
     return Percentile(
         level,
-        float(ordered[max(int(np.ceil(n * p - 1e-9)), 1) - 1]),
+        float(ordered[max(int(np.ceil(n * p - _ROUNDING)), 1) - 1]),
         float(ordered[lower - 1]) if lower >= 1 else -np.inf,
         float(ordered[upper - 1]) if upper <= n else np.inf,
         confidence,

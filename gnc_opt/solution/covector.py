@@ -52,6 +52,24 @@ _HELD = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
+class Iterate:
+    """The solver's vectors in physical units; multipliers belong to the minimised functional.
+
+    Attributes
+    ----------
+    x : array (n_variables,)
+    lam_x : array (n_variables,)
+        Multipliers of the variables' bounds.
+    lam_g : array (n_constraints,)
+        Multipliers of the rows.
+    """
+
+    x: Array
+    lam_x: Array
+    lam_g: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Costates:
     """What the covector mapping yields for one phase.
 
@@ -98,7 +116,7 @@ def point_multipliers(collocation: PhaseCollocation, costates: Array, end_costat
     pieces: list[Array] = []
     for k, rule in enumerate(collocation.rules):
         wanted = -costates[:, _points(collocation, k)] * rule.weights
-        if collocation.scheme == "LG":
+        if collocation.family.has_end_row:
             pieces.append(np.hstack([wanted, -end_costates[:, [k]]]))
         else:
             matrix = collocation.dynamics_matrix(k)
@@ -109,9 +127,7 @@ def point_multipliers(collocation: PhaseCollocation, costates: Array, end_costat
 def map_costates(
     collocation: PhaseCollocation,
     breaks: Array,
-    x: Array,
-    lam_x: Array,
-    lam_g: Array,
+    iterate: Iterate,
     weights: Array,
     gradient: Array,
     path_push: Array,
@@ -122,10 +138,7 @@ def map_costates(
     ----------
     breaks : array (K + 1,)
         Times of the segment boundaries, s.
-    x, lam_x : array (n_variables,)
-        Variables of the program and multipliers of their bounds, physical.
-    lam_g : array (n_constraints,)
-        Multipliers of the rows, physical.
+    iterate : Iterate
     weights : array (N,)
         Quadrature weights of the points, s.
     gradient : array (n_states, N)
@@ -133,8 +146,8 @@ def map_costates(
     path_push : array (n_states, N)
         The part of it that comes from path constraints without controls.
     """
-    pieces = _CostatePieces.of(collocation, x, lam_x, lam_g, weights, gradient, path_push)
-    if collocation.scheme == "LG":
+    pieces = _CostatePieces.of(collocation, iterate, weights, gradient, path_push)
+    if collocation.family.has_end_row:
         pieces.settle_redundant_rows()
     else:
         pieces.split_boundary_multipliers()
@@ -159,7 +172,7 @@ def settle_doubled_paths(collocation: PhaseCollocation, paths: Array, weights: A
     mixed : bool array (n_paths,)
         Which constraints depend on controls.
     """
-    if collocation.scheme != "LGL" or not paths.size:
+    if not collocation.family.ends_at_point or not paths.size:
         return paths
     settled = paths.copy()
     lengths = np.repeat(_lengths(collocation, weights), collocation.mesh.degrees)
@@ -211,13 +224,12 @@ class _CostatePieces:
     def of(
         cls,
         collocation: PhaseCollocation,
-        x: Array,
-        lam_x: Array,
-        lam_g: Array,
+        iterate: Iterate,
         weights: Array,
         gradient: Array,
         path_push: Array,
     ) -> _CostatePieces:
+        x, lam_x, lam_g = iterate.x, iterate.lam_x, iterate.lam_g
         lam = point_costates(collocation, lam_g)
         shared = np.isin(collocation.point_states, collocation.boundary_states)
         multipliers = lam_x[collocation.point_states] / weights
@@ -242,7 +254,7 @@ class _CostatePieces:
         for k in range(collocation.mesh.segments):
             here = _points(collocation, k)
             self._split(k, k, here.start, self.start, 1.0)
-            if collocation.scheme == "LGL":
+            if collocation.family.ends_at_point:
                 self._split(k, k + 1, here.stop - 1, self.end, -1.0)
 
     def _split(self, k: int, boundary: int, point: int, side: Array, sign: float) -> None:
@@ -281,7 +293,7 @@ class _CostatePieces:
         nodes, values = [], []
         for k, rule in enumerate(collocation.rules):
             here = _points(collocation, k)
-            if collocation.scheme == "LG":
+            if collocation.family.has_end_row:
                 nodes.append(np.append(rule.points, 1.0))
                 values.append(np.hstack([self.lam[:, here], self.end[:, [k]]]))
                 continue
@@ -289,7 +301,7 @@ class _CostatePieces:
             path = rule.integrate_to(rule.state_nodes)
             integrated = self.start[:, [k]] - half * self.pull[:, here] @ path.T
             through = self.lam[:, here] @ interpolation_matrix(rule.points, rule.state_nodes).T
-            if collocation.scheme == "LGR":
+            if not collocation.family.ends_at_point:
                 through[:, -1] = self.end[:, k]
             nodes.append(rule.state_nodes)
             values.append(np.where(self.held[:, [k]], through, integrated))
@@ -334,9 +346,9 @@ def _boundary_costates(
         derivative = lam_g[collocation.dynamics_rows[k]] @ collocation.state_matrix(k)
         first, last = collocation.mesh.offsets[k], collocation.mesh.offsets[k + 1] - 1
         start, end = derivative[:, 0], derivative[:, -1]
-        if collocation.scheme in ("LGR", "LGL"):
+        if collocation.family.starts_at_point:
             start = start + point_gradients[:, first]
-        if collocation.scheme == "LGL":
+        if collocation.family.ends_at_point:
             end = end + point_gradients[:, last]
         starts.append(start)
         ends.append(-end)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,34 +10,14 @@ from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import EndGradients, end_gradients, phase_functions
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
-from gnc_opt.solution.covector import map_costates, point_costates, settle_doubled_paths
+from gnc_opt.solution.covector import Iterate, map_costates, point_costates, settle_doubled_paths
 from gnc_opt.solution.phase_solution import PhaseSolution, piecewise
 from gnc_opt.solution.polynomial import PiecewisePolynomial
+from gnc_opt.tolerances import ROUNDING, SHORTEST
 from gnc_opt.transcription.collocation import PhaseCollocation
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.numbering import PhasePart
 from gnc_opt.transcription.transcription import Transcription
-
-_SHORTEST = 1e-9
-"""Phases shorter than this (s) are drawn this long, so that a vanishing phase can still be evaluated."""
-
-
-@dataclass(frozen=True)
-class Iterate:
-    """The solver's vectors in physical units; multipliers belong to the minimised functional.
-
-    Attributes
-    ----------
-    x : array (n_variables,)
-    lam_x : array (n_variables,)
-        Multipliers of the variables' bounds.
-    lam_g : array (n_constraints,)
-        Multipliers of the rows.
-    """
-
-    x: Array
-    lam_x: Array
-    lam_g: Array
 
 
 def model_parameters(problem: Problem, leg: Phase, q: Array) -> Array:
@@ -97,7 +76,7 @@ def _point_times(collocation: PhaseCollocation, anchors: Array) -> tuple[Array, 
 def _mesh_in_time(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
     """The mesh with its movable boundaries where they ended, and all boundary times (K + 1,)."""
     # Far from t = 0 the shortest span must still be seen by the segments' boundaries.
-    shortest = _SHORTEST + 1e-12 * mesh.segments * float(np.max(np.abs(anchors)))
+    shortest = SHORTEST + ROUNDING * mesh.segments * float(np.max(np.abs(anchors)))
     spans = np.maximum(np.diff(anchors), shortest)
     starts = anchors[0] + np.concatenate([[0.0], np.cumsum(spans)])
     breaks = np.append(starts[mesh.segment_arcs] + mesh.arc_starts * spans[mesh.segment_arcs], starts[-1])
@@ -124,7 +103,7 @@ def _extract_phase(
     )
     x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
     lam = point_costates(collocation, iterate.lam_g)
-    weights = collocation.quadrature * np.maximum(spans, _SHORTEST)
+    weights = collocation.quadrature * np.maximum(spans, SHORTEST)
     paths = iterate.lam_g[collocation.path_rows] / weights
     mixed = np.any(functions.path_control_jacobian(times, x, u) != 0, axis=(1, 2))
     paths = settle_doubled_paths(collocation, paths, weights, mixed)
@@ -134,9 +113,7 @@ def _extract_phase(
     costates = map_costates(
         collocation,
         breaks,
-        iterate.x,
-        iterate.lam_x,
-        iterate.lam_g,
+        iterate,
         weights,
         gradient,
         gradient - functions.state_gradient(times, x, u, lam, np.where(mixed[:, None], paths, 0.0)),
@@ -191,9 +168,9 @@ def state_polynomial(
     nodes, values = [], []
     for k, rule in enumerate(collocation.rules):
         states = variables[collocation.segment_nodes(k)]
-        if collocation.scheme == "LG":
+        if collocation.family.has_end_row:
             states = states[:, :-1]
-        if collocation.scheme == "LGL":
+        if collocation.family.ends_at_point:
             here = scaled_rates[:, collocation.mesh.offsets[k] : collocation.mesh.offsets[k + 1]]
             extra = ~np.isin(rule.state_nodes, rule.points)
             path = rule.integrate_to(rule.state_nodes[extra])

@@ -16,7 +16,8 @@ from gnc_opt.problem.interval import Interval
 from gnc_opt.solution.flown import FlownControl
 from gnc_opt.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.transcription.quadrature import CollocationRule, Scheme, collocation_rule
+from gnc_opt.transcription.quadrature import CollocationRule, collocation_rule
+from gnc_opt.transcription.scheme import Scheme
 
 
 @dataclass(frozen=True)

@@ -10,16 +10,17 @@ from numpy.typing import ArrayLike, NDArray
 from gnc_opt.arguments import read_integer, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.tolerances import ROUNDING
 from gnc_opt.transcription.quadrature import (
     MAX_POINTS,
-    collocation_rule,
     differentiation_matrix,
+    gauss_rule,
     interpolation_matrix,
 )
 
 Side: TypeAlias = Literal["left", "right"]
 
-END_TOLERANCE = 1e-12
+END_TOLERANCE = ROUNDING
 MAX_NODES = 2 * MAX_POINTS
 
 
@@ -127,7 +128,7 @@ class PiecewisePolynomial:
 
 def _node_integrals(nodes: Array) -> Array:
     """Integrals over [-1, 1] of the Lagrange basis on ``nodes``, shape (len(nodes),)."""
-    gauss = collocation_rule("LG", (nodes.size + 1) // 2)
+    gauss = gauss_rule((nodes.size + 1) // 2)
     return np.asarray(gauss.weights @ interpolation_matrix(nodes, gauss.points))
 
 

@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.phase_solution import PhaseSolution
+from gnc_opt.tolerances import magnitude
 
 DIVERGED = 1e8
 """Growth beyond the trajectory's own magnitude at which propagation is given up."""
@@ -78,7 +79,7 @@ def state_magnitudes(leg: PhaseSolution) -> Array:
     for variable in leg.states.variables:
         rows = leg.states.slice(variable.name)
         largest[rows] = np.max(largest[rows])
-    return np.where(largest > 1e-6, largest, 1.0)
+    return magnitude(largest)
 
 
 def _integrate(

@@ -12,16 +12,11 @@ from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.propagation import state_magnitudes
-from gnc_opt.transcription.quadrature import CollocationRule, collocation_rule
-
-AT_BOUND = 1e-6
-"""A value this close to its bound, relative to the range, sits on it."""
+from gnc_opt.tolerances import AT_LIMIT, SHORTEST, magnitude
+from gnc_opt.transcription.quadrature import CollocationRule, gauss_rule
 
 EXTRA = 9
 """Samples per segment beyond the number of collocation points; segment ends come on top."""
-
-_SHORTEST = 1e-9
-"""Phases that vanished are drawn this long (s)."""
 
 NEGLIGIBLE = 1e-4
 """Costates worth less than this share of what the cost amounts to are rounding: they must not set the scale."""
@@ -161,7 +156,7 @@ class PhaseSamples:
         bounds = self.leg.control_bounds
         span = bounds.upper - bounds.lower
         reach = np.max(np.abs(self.u), axis=1, initial=0.0)
-        return np.where(np.isfinite(span) & (span > 0), span, np.where(reach > 1e-6, reach, 1.0))
+        return np.where(np.isfinite(span) & (span > 0), span, magnitude(reach))
 
     @cached_property
     def cost_scale(self) -> float:
@@ -196,8 +191,8 @@ class PhaseSamples:
         most = min(
             leg.duration_bounds.upper[0], leg.final_time_bounds.upper[0] - leg.initial_time_bounds.lower[0]
         )
-        near = AT_BOUND * most if np.isfinite(most) else 0.0
-        return bool(least > 0 or leg.duration > max(near, _SHORTEST))
+        near = AT_LIMIT * most if np.isfinite(most) else 0.0
+        return bool(least > 0 or leg.duration > max(near, SHORTEST))
 
     @cached_property
     def pure_paths(self) -> Indices:
@@ -211,7 +206,7 @@ class PhaseSamples:
         values, bounds = self.functions.paths(self.times, self.x, self.u), self.leg.path_bounds
         limits = [np.where(np.isfinite(b), np.abs(b), 0.0) for b in (bounds.lower, bounds.upper)]
         scale = np.maximum(np.max(np.abs(values), axis=1, initial=0.0), np.maximum(*limits))
-        return np.where(scale > 1e-6, scale, 1.0)
+        return magnitude(scale)
 
     @cached_property
     def adjoint_residual(self) -> Array:
@@ -256,4 +251,4 @@ class PhaseSamples:
 
 def sampling_rule(degree: int) -> CollocationRule:
     """Return the quadrature whose points are the samples within a segment of a given degree."""
-    return collocation_rule("LG", min(degree + EXTRA, 64))
+    return gauss_rule(min(degree + EXTRA, 64))

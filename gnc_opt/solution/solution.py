@@ -29,7 +29,7 @@ from gnc_opt.solution.propagation import Propagation, propagate
 from gnc_opt.solution.quality import Quality, measure_quality
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.transcription.quadrature import Scheme
+from gnc_opt.transcription.scheme import Scheme
 
 
 @dataclass(frozen=True)

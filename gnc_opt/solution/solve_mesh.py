@@ -34,7 +34,7 @@ from gnc_opt.solution.attempt import Attempt, ShowIteration
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.start import ProgramStart, start_from_guess, with_trajectory
 from gnc_opt.transcription.mesh import Mesh, MeshLike, read_meshes
-from gnc_opt.transcription.quadrature import Scheme
+from gnc_opt.transcription.scheme import GAUSS, Scheme
 from gnc_opt.transcription.transcription import Transcription
 
 CAREFUL = (Status.ACCEPTABLE, Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAILED)
@@ -77,7 +77,7 @@ def solve_mesh(
     problem: Problem,
     mesh: MeshLike | Mapping[str, MeshLike] | None = None,
     *,
-    scheme: Scheme = "LG",
+    scheme: Scheme = GAUSS,
     guess: Solution | None = None,
     options: SolverOptions | None = None,
     warm_iterations: int | None = None,

@@ -94,7 +94,13 @@ def mrp_rate(sigma_BL: Vector, omega_BL_B: Vector) -> Vector:
 
 
 def mrp_shadow(sigma_BL: Vector) -> Vector:
-    """Return the other MRP of the same attitude; singular at ``sigma = 0``."""
+    """Return the other MRP of the same attitude; singular at ``sigma = 0``.
+
+    Parameters
+    ----------
+    sigma_BL : casadi (3, 1), array (3,) or (3, n_times)
+        Modified Rodrigues parameters of B relative to L.
+    """
     return scale(-1 / dot(sigma_BL, sigma_BL), sigma_BL)
 
 
@@ -137,13 +143,32 @@ def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
 
 
 def mrp_to_quaternion(sigma_BL: Vector) -> Vector:
-    """Return the unit quaternion, scalar part first: casadi (4, 1), array (4,) or (4, n_times)."""
+    """Return the unit quaternion, scalar part first: casadi (4, 1), array (4,) or (4, n_times).
+
+    Parameters
+    ----------
+    sigma_BL : casadi (3, 1), array (3,) or (3, n_times)
+        Modified Rodrigues parameters of B relative to L.
+    """
     square = dot(sigma_BL, sigma_BL)
     return stack([(1 - square) / (1 + square), *(2 * sigma_BL[i] / (1 + square) for i in range(3))])
 
 
 def mrp_from_axis_angle(axis: ArrayLike, angle: float) -> Array:
-    """Return the MRP (3,) of a turn through ``angle`` (rad) about ``axis`` (3,), of any length; numeric."""
+    """Return the MRP (3,) of a turn through ``angle`` (rad) about ``axis`` (3,), of any length; numeric.
+
+    Parameters
+    ----------
+    axis : array (3,)
+        Of any length but zero.
+    angle : float
+        rad.
+
+    Raises
+    ------
+    ArgumentError
+        The axis has no direction.
+    """
     direction = np.asarray(axis, dtype=float)
     length = np.linalg.norm(direction)
     if not length > 0:
@@ -154,14 +179,26 @@ def mrp_from_axis_angle(axis: ArrayLike, angle: float) -> Array:
 
 
 def mrp_short(sigma_BL: ArrayLike) -> Array:
-    """Return the MRP with ``|sigma| <= 1``: the given one or its shadow, at every time; numeric."""
+    """Return the MRP with ``|sigma| <= 1``: the given one or its shadow, at every time; numeric.
+
+    Parameters
+    ----------
+    sigma_BL : array (3,) or (3, n_times)
+        Modified Rodrigues parameters of B relative to L.
+    """
     sigma = np.asarray(sigma_BL, dtype=float)
     square = np.sum(sigma**2, axis=0)
     return np.asarray(np.where(square > 1, -sigma / np.maximum(square, 1.0), sigma))
 
 
 def mrp_to_rotation(sigma_BL: ArrayLike) -> Any:
-    """Return scipy's (active) `Rotation` from the axes of L to those of B; numeric."""
+    """Return scipy's (active) `Rotation` from the axes of L to those of B; numeric.
+
+    Parameters
+    ----------
+    sigma_BL : array (3,) or (3, n_times)
+        Modified Rodrigues parameters of B relative to L.
+    """
     return Rotation.from_mrp(np.asarray(sigma_BL, dtype=float).T)
 
 

@@ -133,7 +133,7 @@ class FlexibleBody:
         return np.asarray(angular_momentum(self.inertia, omega) + self.coupling @ np.asarray(eta_rate))
 
     def energy(self, omega: Array, eta: Array, eta_rate: Array) -> Any:
-        """Return E, J; numeric, of arrays (n,) or (n, n_times)."""
+        """Return E, J; numeric, of arrays omega, eta and eta_rate, (n,) or (n, n_times) each."""
         kinetic = 0.5 * np.sum(omega * (self.inertia @ omega), axis=0)
         mixed = np.sum(omega * (self.coupling @ eta_rate), axis=0)
         return kinetic + mixed + self.modal_energy(eta, eta_rate)

@@ -39,7 +39,15 @@ J2_EARTH = 0.0010826
 
 
 def point_mass_gravity(r: Vector, mu: Any = MU_EARTH) -> Vector:
-    """Return the acceleration at the inertial position r (m) by a point mass, m/s^2."""
+    """Return the acceleration at the inertial position r (m) by a point mass, m/s^2.
+
+    Parameters
+    ----------
+    r : casadi (3, 1), array (3,) or (3, n_times)
+        Inertial position, m.
+    mu : float or casadi scalar
+        m^3/s^2.
+    """
     square = dot(r, r)
     return scale(-mu / (square * square**0.5), r)
 
@@ -61,7 +69,15 @@ def j2_gravity(r: Vector, mu: Any = MU_EARTH, j2: Any = J2_EARTH, radius: Any = 
 
 
 def gravity_potential(r: Vector, mu: Any = MU_EARTH, j2: Any = J2_EARTH, radius: Any = RADIUS_EARTH) -> Any:
-    """Return the potential U of point mass and oblateness at the inertial position r (m), m^2/s^2."""
+    """Return the potential U of point mass and oblateness at the inertial position r (m), m^2/s^2.
+
+    Parameters
+    ----------
+    r : casadi (3, 1), array (3,) or (3, n_times)
+        Inertial position, Z along the planet's axis, m.
+    mu, j2, radius : float or casadi scalar
+        m^3/s^2, 1 and m (equatorial).
+    """
     square = dot(r, r)
     flattening = 0.5 * j2 * radius**2 / square * (3 * r[2] * r[2] / square - 1)
     return -mu / square**0.5 * (1 - flattening)
@@ -85,10 +101,24 @@ def gravity_gradient_torque(inertia: Any, r_B: Vector, mu: Any = MU_EARTH) -> Ve
 
 
 def orbital_energy(r: Vector, v: Vector, **gravity: Any) -> Any:
-    """Return the specific energy of an orbit, m^2/s^2; keywords as in `gravity_potential`."""
+    """Return the specific energy of an orbit, m^2/s^2; keywords as in `gravity_potential`.
+
+    Parameters
+    ----------
+    r, v : casadi (3, 1), array (3,) or (3, n_times)
+        Inertial position (m) and velocity (m/s).
+    **gravity
+        mu, j2 and radius of `gravity_potential`.
+    """
     return 0.5 * dot(v, v) + gravity_potential(r, **gravity)
 
 
 def angular_momentum_about_axis(r: Vector, v: Vector) -> Any:
-    """Return the component of r x v along the planet's axis, m^2/s: constant without thrust."""
+    """Return the component of r x v along the planet's axis, m^2/s: constant without thrust.
+
+    Parameters
+    ----------
+    r, v : casadi (3, 1), array (3,) or (3, n_times)
+        Inertial position (m) and velocity (m/s), Z along the planet's axis.
+    """
     return np.asarray(cross(r, v)[2]) if isinstance(r, np.ndarray) else cross(r, v)[2]

@@ -41,7 +41,12 @@ Quaternion = Any
 
 
 def quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
-    """Return Hamilton's product of two quaternions."""
+    """Return Hamilton's product of two quaternions.
+
+    Parameters
+    ----------
+    p, q : casadi (4, 1), array (4,) or (4, n_times)
+    """
     pv, qv = _vector(p), _vector(q)
     across = cross(pv, qv)
     scalar = p[0] * q[0] - dot(pv, qv)
@@ -49,12 +54,23 @@ def quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
 
 
 def quaternion_conjugate(q: Quaternion) -> Quaternion:
-    """Return the quaternion of the turn back (the inverse of a unit quaternion)."""
+    """Return the quaternion of the turn back (the inverse of a unit quaternion).
+
+    Parameters
+    ----------
+    q : casadi (4, 1), array (4,) or (4, n_times)
+    """
     return stack([q[0], -q[1], -q[2], -q[3]])
 
 
 def quaternion_to_dcm(q_BA: Quaternion) -> Matrix:
-    """Return ``dcm_BA``, which takes A components to B components: (3, 3) or (3, 3, n_times)."""
+    """Return ``dcm_BA``, which takes A components to B components: (3, 3) or (3, 3, n_times).
+
+    Parameters
+    ----------
+    q_BA : casadi (4, 1), array (4,) or (4, n_times)
+        Unit quaternion of B relative to A.
+    """
     s, x, y, z = q_BA[0], q_BA[1], q_BA[2], q_BA[3]
     return stack_rows(
         [
@@ -81,7 +97,13 @@ def quaternion_rate(q_BA: Quaternion, omega_BA_B: Vector) -> Quaternion:
 
 
 def quaternion_error(q: Quaternion, q_ref: Quaternion) -> Quaternion:
-    """Return the quaternion from the reference to q by the short way, scalar part >= 0."""
+    """Return the quaternion from the reference to q by the short way, scalar part >= 0.
+
+    Parameters
+    ----------
+    q, q_ref : casadi (4, 1), array (4,) or (4, n_times)
+        Unit quaternions relative to the same frame.
+    """
     error = quaternion_product(quaternion_conjugate(q_ref), q)
     if is_symbolic(error):
         return ca.if_else(error[0] < 0, -error, error)
@@ -92,19 +114,36 @@ def quaternion_difference(q: Quaternion, q_ref: Quaternion) -> Vector:
     """Return twice the vector part of the error, (3,): the turn (rad) from the reference to q, to first order.
 
     For `Model.difference`.
+
+    Parameters
+    ----------
+    q, q_ref : casadi (4, 1), array (4,) or (4, n_times)
+        Unit quaternions relative to the same frame.
     """
     error = quaternion_error(q, q_ref)
     return stack([2 * error[i] for i in (1, 2, 3)])
 
 
 def quaternion_angle(q: ArrayLike, q_ref: ArrayLike) -> Any:
-    """Return the angle between two attitudes in [0, pi], rad; numeric, exact near 0 and near pi."""
+    """Return the angle between two attitudes in [0, pi], rad; numeric, exact near 0 and near pi.
+
+    Parameters
+    ----------
+    q, q_ref : array (4,) or (4, n_times)
+        Unit quaternions relative to the same frame.
+    """
     error = np.asarray(quaternion_error(q, q_ref), dtype=float)
     return 2 * np.arctan2(np.linalg.norm(error[1:], axis=0), np.abs(error[0]))
 
 
 def quaternion_to_rotation(q_BA: ArrayLike) -> Any:
-    """Return scipy's (active) `Rotation` from the axes of A to those of B; numeric."""
+    """Return scipy's (active) `Rotation` from the axes of A to those of B; numeric.
+
+    Parameters
+    ----------
+    q_BA : array (4,) or (4, n_times)
+        Of B relative to A.
+    """
     return Rotation.from_quat(np.asarray(q_BA, dtype=float).T, scalar_first=True)
 
 

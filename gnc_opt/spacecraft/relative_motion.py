@@ -94,7 +94,13 @@ def differential_j2(
 
 
 def radial_frame(r: Vector, v: Vector) -> Matrix:
-    """Return ``dcm_RI`` of the radial frame of an orbit, from the inertial position (m) and velocity (m/s)."""
+    """Return ``dcm_RI`` of the radial frame of an orbit, from the inertial position (m) and velocity (m/s).
+
+    Parameters
+    ----------
+    r, v : casadi (3, 1), array (3,) or (3, n_times)
+        Inertial position and velocity.
+    """
     normal = cross(r, v)
     x = scale(1 / dot(r, r) ** 0.5, r)
     z = scale(1 / dot(normal, normal) ** 0.5, normal)
@@ -138,7 +144,17 @@ def relative_from_inertial(
 def inertial_from_relative(
     r_leader: Vector, v_leader: Vector, rho_R: Vector, rho_rate_R: Vector, acceleration: Vector
 ) -> tuple[Vector, Vector]:
-    """Return the follower's inertial position (m) and velocity (m/s): the inverse of `relative_from_inertial`."""
+    """Return the follower's inertial position (m) and velocity (m/s): the inverse of `relative_from_inertial`.
+
+    Parameters
+    ----------
+    r_leader, v_leader : casadi (3, 1), array (3,) or (3, n_times)
+        Inertial, m and m/s.
+    rho_R, rho_rate_R : like the others
+        Position of the follower and its rate of change as seen in the leader's true radial frame, m and m/s.
+    acceleration : like the others
+        Total acceleration of the leader, m/s^2: it turns the frame.
+    """
     dcm_IR = transpose(radial_frame(r_leader, v_leader))
     turning = cross(radial_frame_rate(r_leader, v_leader, acceleration), rho_R)
     away = apply(dcm_IR, rho_R)

@@ -68,14 +68,30 @@ def relative_angular_acceleration(
 
 
 def angular_momentum(inertia: Any, omega_B: Vector) -> Vector:
-    """Return inertia times rate, N m s."""
+    """Return inertia times rate, N m s.
+
+    Parameters
+    ----------
+    inertia : casadi or array, (3,) principal moments or (3, 3)
+        kg m^2.
+    omega_B : casadi (3, 1), array (3,) or (3, n_times)
+        rad/s.
+    """
     if _is_matrix(inertia):
         return apply(inertia, omega_B)
     return stack([inertia[i] * omega_B[i] for i in range(3)])
 
 
 def divide_by_inertia(inertia: Any, torque_B: Vector) -> Vector:
-    """Return the inverse of the inertia times a torque, rad/s^2."""
+    """Return the inverse of the inertia times a torque, rad/s^2.
+
+    Parameters
+    ----------
+    inertia : casadi or array, (3,) principal moments or (3, 3)
+        kg m^2.
+    torque_B : casadi (3, 1), array (3,) or (3, n_times)
+        N m.
+    """
     if not _is_matrix(inertia):
         return stack([torque_B[i] / inertia[i] for i in range(3)])
     if is_symbolic(inertia, torque_B):

@@ -55,22 +55,33 @@ from gnc_opt.spacecraft.vector import is_symbolic
 
 
 class TetherMotion(NamedTuple):
-    """Where a tethered pair is and how it moves, in the coordinates of `gnc_opt.spacecraft.tether`."""
+    """Where a tethered pair is and how it moves, in the coordinates of `gnc_opt.spacecraft.tether`.
+
+    Attributes
+    ----------
+    r, r_rate : casadi scalar, float or array (n_times,)
+        Radius of the leader (m) and its rate (m/s).
+    alpha_rate : casadi scalar, float or array (n_times,)
+        Orbital rate of the leader, rad/s.
+    theta, theta_rate : casadi scalar, float or array (n_times,)
+        Swing angle (rad) and its rate (rad/s).
+    """
 
     r: Any
-    """Radius of the leader, m."""
     r_rate: Any
-    """m/s."""
     alpha_rate: Any
-    """Orbital rate of the leader, rad/s."""
     theta: Any
-    """Swing angle, rad."""
     theta_rate: Any
-    """rad/s."""
 
 
 class TetherAccelerations(NamedTuple):
-    """Second derivatives of r (m/s^2), alpha and theta (rad/s^2)."""
+    """Second derivatives of the coordinates of a tethered pair.
+
+    Attributes
+    ----------
+    r, alpha, theta : casadi scalar, float or array (n_times,)
+        m/s^2, rad/s^2 and rad/s^2.
+    """
 
     r: Any
     alpha: Any
@@ -149,7 +160,10 @@ class TetheredPair:
         return TetherAccelerations(r_acc, alpha_acc, beta - alpha_acc)
 
     def tension(self, motion: TetherMotion, force: Any, gamma: Any) -> Any:
-        """Return the tension at the leader's end as far as it drives the length, N; it must stay positive."""
+        """Return the tension at the leader's end as far as it drives the length, N; it must stay positive.
+
+        Arguments as in `accelerations`.
+        """
         sin, cos = _functions(*motion, force, gamma)
         r, _, alpha_rate, theta, theta_rate = motion
         inertia = self.reduced_mass * self.length
@@ -157,7 +171,7 @@ class TetheredPair:
         return self.kappa * force * cos(theta + gamma) + inertia * ((alpha_rate + theta_rate) ** 2 + gradient)
 
     def true_accelerations(self, motion: TetherMotion, force: Any, gamma: Any) -> TetherAccelerations:
-        """Return the accelerations with exact central gravity; arguments as for `accelerations`."""
+        """Return the accelerations with exact central gravity; arguments as in `accelerations`."""
         sin, cos = _functions(*motion, force, gamma)
         r, r_rate, alpha_rate, theta, theta_rate = motion
         beta_rate = alpha_rate + theta_rate

@@ -25,14 +25,24 @@ def is_symbolic(*values: Any) -> bool:
 
 
 def stack(components: Sequence[Any]) -> Vector:
-    """Return the vector of the given scalar components (CasADi scalars, floats or arrays over time)."""
+    """Return the vector of the given scalar components (CasADi scalars, floats or arrays over time).
+
+    Parameters
+    ----------
+    components : sequence of casadi scalars, floats or arrays (n_times,)
+    """
     if is_symbolic(*components):
         return ca.vertcat(*components)
     return np.stack(np.broadcast_arrays(*components))
 
 
 def stack_rows(rows: Sequence[Sequence[Any]]) -> Matrix:
-    """Return the matrix with the given rows of scalar components."""
+    """Return the matrix with the given rows of scalar components.
+
+    Parameters
+    ----------
+    rows : sequence of sequences of casadi scalars, floats or arrays (n_times,)
+    """
     if is_symbolic(*(c for row in rows for c in row)):
         return ca.vertcat(*[ca.horzcat(*row) for row in rows])
     flat = np.stack(np.broadcast_arrays(*[c for row in rows for c in row]))
@@ -40,24 +50,46 @@ def stack_rows(rows: Sequence[Sequence[Any]]) -> Matrix:
 
 
 def dot(a: Vector, b: Vector) -> Any:
-    """Return the scalar product."""
+    """Return the scalar product.
+
+    Parameters
+    ----------
+    a, b : casadi (3, 1), array (3,) or (3, n_times)
+    """
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """Return the vector product a x b."""
+    """Return the vector product a x b.
+
+    Parameters
+    ----------
+    a, b : casadi (3, 1), array (3,) or (3, n_times)
+    """
     return stack(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]],
     )
 
 
 def scale(factor: Any, a: Vector) -> Vector:
-    """Return a scalar (number, or array over time) times a vector."""
+    """Return a scalar (number, or array over time) times a vector.
+
+    Parameters
+    ----------
+    factor : casadi scalar, float or array (n_times,)
+    a : casadi (3, 1), array (3,) or (3, n_times)
+    """
     return stack([factor * a[0], factor * a[1], factor * a[2]])
 
 
 def apply(matrix: Matrix, a: Vector) -> Vector:
-    """Return the product of a matrix and a vector, at every time."""
+    """Return the product of a matrix and a vector, at every time.
+
+    Parameters
+    ----------
+    matrix : casadi (3, 3), array (3, 3) or (3, 3, n_times)
+    a : casadi (3, 1), array (3,) or (3, n_times)
+    """
     if is_symbolic(matrix, a):
         return ca.mtimes(matrix, ca.vertcat(a[0], a[1], a[2]))
     m = np.asarray(matrix, dtype=float)
@@ -65,5 +97,10 @@ def apply(matrix: Matrix, a: Vector) -> Vector:
 
 
 def transpose(matrix: Matrix) -> Matrix:
-    """Return the transposed matrix, at every time."""
+    """Return the transposed matrix, at every time.
+
+    Parameters
+    ----------
+    matrix : casadi (m, n), array (m, n) or (m, n, n_times)
+    """
     return matrix.T if is_symbolic(matrix) else np.swapaxes(np.asarray(matrix, dtype=float), 0, 1)

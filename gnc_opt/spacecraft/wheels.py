@@ -105,7 +105,19 @@ def wheel_body_acceleration(
 
 
 def total_momentum(inertia: Any, axes: ArrayLike, omega_BI_B: Vector, momenta: Vector) -> Vector:
-    """Return the momentum of body and wheels in body components, N m s; constant in inertial space without torque."""
+    """Return the momentum of body and wheels in body components, N m s; constant in inertial space without torque.
+
+    Parameters
+    ----------
+    inertia : casadi or array, (3,) principal moments or (3, 3)
+        kg m^2.
+    axes : array (3, n)
+        Spin axes as columns.
+    omega_BI_B : casadi (3, 1), array (3,) or (3, n_times)
+        rad/s.
+    momenta : casadi (n, 1), array (n,) or (n, n_times)
+        Of each wheel about its axis, N m s.
+    """
     body, wheels = angular_momentum(inertia, omega_BI_B), _times(axes, momenta)
     return stack([body[i] + wheels[i] for i in range(3)])
 

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import expect, read_integer, read_numbers
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import ProblemError, shown
+from gnc_opt.tolerances import ROUNDING
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Mesh:
             raise ProblemError(
                 f"the breaks of a mesh are {shown(self.breaks)}: give two or more that increase."
             )
-        if abs(breaks[0]) > 1e-12 or abs(breaks[-1] - 1) > 1e-12:
+        if abs(breaks[0]) > ROUNDING or abs(breaks[-1] - 1) > ROUNDING:
             raise ProblemError(
                 f"the breaks of a mesh run from {breaks[0]:g} to {breaks[-1]:g}: give fractions from 0 to 1."
             )

@@ -15,7 +15,7 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.transcription.collocation import PhaseCollocation
 from gnc_opt.transcription.holding import smooth_controls, smooth_rows
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.transcription.quadrature import Scheme
+from gnc_opt.transcription.scheme import Scheme
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from gnc_opt.problem.interval import Interval, free
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.problem.symbols import parameter_arguments
+from gnc_opt.tolerances import SHORTEST
 from gnc_opt.transcription.collocation import weight_matrix
 from gnc_opt.transcription.holding import (
     check_segments,
@@ -29,11 +30,8 @@ from gnc_opt.transcription.holding import (
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.nonlinear_program import NlpProblem
 from gnc_opt.transcription.numbering import Numbering, PhasePart, time_is_fixed
-from gnc_opt.transcription.quadrature import Scheme
+from gnc_opt.transcription.scheme import Scheme
 from gnc_opt.transcription.separable import PointBlock, PointFunction, SeparableProgram
-
-SHORTEST_ARC = 1e-9
-"""Least length (s) of an arc between movable mesh boundaries; an arc that short has vanished."""
 
 
 @dataclass(frozen=True)
@@ -332,7 +330,7 @@ class Transcription(Numbering):
             box.upper[self._first_end_row + i] = duration.upper[0]
         first = self._first_end_row + len(self._durations)
         arcs = slice(first, first + len(self._arcs))
-        box.lower[arcs], box.upper[arcs] = SHORTEST_ARC, np.inf
+        box.lower[arcs], box.upper[arcs] = SHORTEST, np.inf
         ends = problem.constraint_interval()
         box.lower[self.constraint_rows], box.upper[self.constraint_rows] = ends.lower, ends.upper
         return box

@@ -10,9 +10,13 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.solution.quality import NOTHING, Worst, worst_index
-from gnc_opt.solution.samples import AT_BOUND, PhaseSamples
+from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.tolerances import AT_LIMIT, RANK, SHORTEST
 from gnc_opt.verify.feasibility import judge
 from gnc_opt.verify.verdict import Condition, Result
+
+ACTIVE = 1e-5
+"""A path constraint this close to its limit, relative to its value, takes directions from the controls."""
 
 CLEARLY_INSIDE = 1e-2
 """A control this far from both bounds, relative to the range, is between them on purpose."""
@@ -124,7 +128,7 @@ def _admissible(s: PhaseSamples, times: Array, x: Array, u: Array) -> Mask:
         return np.ones(times.size, dtype=bool)
     values = s.functions.paths(times, x, u)
     mixed = np.any(s.functions.path_control_jacobian(times, x, u) != 0, axis=(1, 2))
-    inside = (values >= bounds.lower[:, None] - AT_BOUND) & (values <= bounds.upper[:, None] + AT_BOUND)
+    inside = (values >= bounds.lower[:, None] - AT_LIMIT) & (values <= bounds.upper[:, None] + AT_LIMIT)
     return np.asarray(np.all(inside | ~mixed[:, None], axis=0))
 
 
@@ -165,11 +169,11 @@ def _reduced_curvature(s: PhaseSamples, j: int, hessian: Array, interior: Mask) 
         t, x, u = s.times[j], s.x[:, j], s.u[:, j]
         values = s.functions.paths(t, x, u)
         box = s.leg.path_bounds
-        near = 1e-5 * np.maximum(1.0, np.abs(values))
-        active = (values >= box.upper - near) | (values <= box.lower + near)
+        at_lower, at_upper = box.near(values, ACTIVE * np.maximum(1.0, np.abs(values)))
+        active = at_lower | at_upper
         rows = s.functions.path_control_jacobian(t, x, u)[np.ix_(active, free)] * s.control_scale[free]
         _, sizes, basis = np.linalg.svd(rows, full_matrices=True)
-        rank = int(np.sum(sizes > 1e-9 * max(1.0, float(np.max(sizes, initial=0.0)))))
+        rank = int(np.sum(sizes > RANK * max(1.0, float(np.max(sizes, initial=0.0)))))
         tangent = basis[rank:].T
         if not tangent.shape[1]:
             return None
@@ -187,7 +191,7 @@ def singular_arcs(samples: list[PhaseSamples], tolerance: float) -> Condition:
     for s in samples:
         loss, inside = _offences(s)[0], _inside(s)
         singular = inside & (loss <= tolerance) & (np.abs(_curvature(s)) <= tolerance)
-        lengths = np.sum(singular * s.weights, axis=1) / max(s.leg.duration, 1e-9)
+        lengths = np.sum(singular * s.weights, axis=1) / max(s.leg.duration, SHORTEST)
         if lengths.size and lengths.max() > total:
             i = int(np.argmax(lengths))
             total = float(lengths[i])
@@ -201,8 +205,7 @@ def _offences(s: PhaseSamples) -> tuple[Array, Mask]:
     """First-order loss in H of each control, in shares of H's scale, and whether it sits on a bound."""
     bounds, scale = s.leg.control_bounds, s.control_scale
     gradient = s.control_gradient
-    near = (AT_BOUND * scale)[:, None]
-    at_lower, at_upper = s.u <= bounds.lower[:, None] + near, s.u >= bounds.upper[:, None] - near
+    at_lower, at_upper = bounds.near(s.u, AT_LIMIT * scale)
     room_down = np.where(at_lower, 0.0, np.minimum(s.u - bounds.lower[:, None], scale[:, None]))
     room_up = np.where(at_upper, 0.0, np.minimum(bounds.upper[:, None] - s.u, scale[:, None]))
     loss = np.abs(gradient) * np.where(gradient > 0, room_down, room_up) / s.hamiltonian_scale
@@ -217,5 +220,5 @@ def _curvature(s: PhaseSamples) -> Array:
 
 def _inside(s: PhaseSamples) -> Mask:
     """Where each control is clearly between its bounds, (m, n_samples)."""
-    bounds, margin = s.leg.control_bounds, (CLEARLY_INSIDE * s.control_scale)[:, None]
-    return np.asarray((s.u > bounds.lower[:, None] + margin) & (s.u < bounds.upper[:, None] - margin))
+    at_lower, at_upper = s.leg.control_bounds.near(s.u, CLEARLY_INSIDE * s.control_scale)
+    return ~(at_lower | at_upper)

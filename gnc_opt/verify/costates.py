@@ -23,8 +23,9 @@ from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import EndGradients
 from gnc_opt.problem.interval import Interval
 from gnc_opt.solution.quality import NOTHING, Worst, worst_index
-from gnc_opt.solution.samples import AT_BOUND, PhaseSamples
+from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import AT_LIMIT
 from gnc_opt.verify.feasibility import judge
 from gnc_opt.verify.magnitude import parameter_scale
 from gnc_opt.verify.pushes import unexplained_jumps
@@ -113,8 +114,7 @@ def _both(a: Interval, b: Interval) -> Interval:
 
 def _unexplained(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
     """Size of bound multipliers that the bounds cannot exert: >= 0 needs the upper, <= 0 the lower bound."""
-    near = AT_BOUND * scale
-    at_upper, at_lower = values >= box.upper - near, values <= box.lower + near
+    at_lower, at_upper = box.near(values, AT_LIMIT * scale)
     # A given value takes any multiplier; whether it is met is for the boundary conditions to say.
     allowed = np.where(multipliers > 0, at_upper, at_lower) | box.fixed
     return np.where(allowed, 0.0, np.abs(multipliers))

@@ -18,6 +18,7 @@ from gnc_opt.solution.quality import (
 )
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import ROUNDING
 from gnc_opt.verify.verdict import Condition, Result
 
 UNSTABLE = 1e6
@@ -141,7 +142,7 @@ def boundary(solution: Solution, ends: EndGradients, tolerance: float) -> Condit
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
         worst = worst.or_worse(_worst_row(times, interval, labels))
         # The times that the cost and the constraints see must be those at which the trajectory starts and ends.
-        slack = _DRAWN + 1e-12 * max(abs(leg.initial_time), abs(leg.final_time))
+        slack = _DRAWN + ROUNDING * max(abs(leg.initial_time), abs(leg.final_time))
         gaps = np.maximum(np.abs(leg.breaks[[0, -1]] - times[:2]) - slack, 0.0) / np.ptp(leg.breaks)
         labels = [f"phase {name}, {end} of the trajectory" for end in ("start", "end")]
         worst = worst.or_worse(_worst_row(gaps, Interval(np.zeros(2), np.zeros(2)), labels))

@@ -8,6 +8,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import end_function
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import magnitude
 
 
 def cost_magnitude(solution: Solution, samples: list[PhaseSamples]) -> float:
@@ -52,4 +53,4 @@ def parameter_scale(solution: Solution) -> Array:
     assert problem is not None, "verify refuses solutions without a problem"
     box, size = problem.parameter_interval(), np.abs(solution.parameter_values)
     span = box.upper - box.lower
-    return np.asarray(np.where(size > 1e-6, size, np.where(np.isfinite(span) & (span > 0), span, 1.0)))
+    return np.asarray(magnitude(size, np.where(np.isfinite(span) & (span > 0), span, 1.0)))

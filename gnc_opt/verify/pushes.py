@@ -25,7 +25,8 @@ import numpy as np
 from scipy.optimize import nnls
 
 from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.solution.samples import AT_BOUND, EdgeSegment, PhaseSamples, sampling_rule
+from gnc_opt.solution.samples import EdgeSegment, PhaseSamples, sampling_rule
+from gnc_opt.tolerances import AT_LIMIT
 
 _PUSHES = 1e-3
 """A multiplier counts as pushing at a point if it reaches this share of its largest in the segment."""
@@ -59,7 +60,7 @@ class Pushers:
             scales.append(s.path_scale[pure])
             lower.append(leg.path_bounds.lower[pure])
             upper.append(leg.path_bounds.upper[pure])
-        value, near = np.vstack(values), (AT_BOUND * np.concatenate(scales))[:, None]
+        value, near = np.vstack(values), (AT_LIMIT * np.concatenate(scales))[:, None]
         at_upper = value >= np.concatenate(upper)[:, None] - near
         at_lower = value <= np.concatenate(lower)[:, None] + near
         outward = np.concatenate(gradients, axis=1)
@@ -127,7 +128,7 @@ def _integrate_anew(s: PhaseSamples, k: int, tolerance: float) -> EdgeSegment | 
         return None
     worth = s.state_scale / s.cost_scale
     slopes = _control_slopes(s, times, x, u)
-    bounds, near = s.leg.control_bounds, (AT_BOUND * s.control_scale)[:, None]
+    bounds, near = s.leg.control_bounds, (AT_LIMIT * s.control_scale)[:, None]
     inside = (u > bounds.lower[:, None] + near) & (u < bounds.upper[:, None] - near)
     share = inside * (s.control_scale / s.hamiltonian_scale)[:, None] / np.sqrt(here.size)
     gradient = s.functions.control_gradient(times, x, u, free, s.mu[:, here]) * share

@@ -25,10 +25,10 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import EndGradients, end_function
-from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.quality import worst_index
-from gnc_opt.solution.samples import AT_BOUND, PhaseSamples
+from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import AT_LIMIT, RANK
 from gnc_opt.verify.verdict import Condition, Result
 
 STEPS = 300
@@ -71,7 +71,7 @@ def _least_slope(s: PhaseSamples) -> tuple[float, str]:
             (values[:, 1] - values[:, 0]) / (2 * step) * s.control_scale * leg.duration / s.hamiltonian_scale
         )
         # Onto a singular arc the switching function comes in flat.
-        for i in np.flatnonzero(np.abs(after - before) > (1 - AT_BOUND) * s.control_scale):
+        for i in np.flatnonzero(np.abs(after - before) > (1 - AT_LIMIT) * s.control_scale):
             signed = -float(np.sign(after[i] - before[i]) * slopes[i])
             if signed < least:
                 least, place = signed, f"phase {leg.name}, t = {t:.6g} s, {leg.controls.labels[i]}"
@@ -100,7 +100,7 @@ class InducedProblem:
     def reduced_hessian(self) -> Array:
         """Hessian on the null space of the constraints' Jacobian."""
         _, sizes, basis = np.linalg.svd(self.jacobian, full_matrices=True)
-        rank = int(np.sum(sizes > 1e-9 * max(float(np.max(sizes, initial=0.0)), 1e-300)))
+        rank = int(np.sum(sizes > RANK * max(float(np.max(sizes, initial=0.0)), 1e-300)))
         null = basis[rank:].T
         reduced = null.T @ self.hessian @ null
         return np.asarray(0.5 * (reduced + reduced.T))
@@ -133,8 +133,8 @@ def _why_not(samples: list[PhaseSamples]) -> str:
     if len(samples) != 1:
         return "several phases: the induced problem of one phase says nothing about the others"
     s = samples[0]
-    bounds, near = s.leg.control_bounds, (AT_BOUND * s.control_scale)[:, None]
-    on_bound = (s.u <= bounds.lower[:, None] + near) | (s.u >= bounds.upper[:, None] - near)
+    at_lower, at_upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
+    on_bound = at_lower | at_upper
     if not np.all(on_bound):
         i, j = worst_index((~on_bound).astype(float))
         return f"{s.place(j, s.leg.controls.labels[i])}: a control between its bounds"
@@ -161,9 +161,15 @@ def induced_problem(solution: Solution, s: PhaseSamples, ends: EndGradients) -> 
         initial[free_start.tolist()] = start
     final = _flow(s, initial, times, anchors)
     n = leg.states.size
-    weights = {leg.name: s.functions.p}
-    cost, constraints = _end_values(
-        problem, initial, final[:n], times[first], times[last], final[n:], weights[leg.name], s.functions.q
+    cost, constraints, *_ = end_function(problem)(
+        initial,
+        final[:n],
+        times[first],
+        times[last],
+        final[n:],
+        s.functions.p,
+        s.functions.q,
+        np.zeros(len(problem.constraint_labels())),
     )
     rows = ca.vertcat(final[fixed_end.tolist()], constraints)
     nu_end = (s.lam[:, -1] - ends.final_state[leg.name])[fixed_end]
@@ -224,13 +230,3 @@ def _runge_kutta_step(s: PhaseSamples) -> tuple[Any, int]:
     return ca.Function(
         "step", [state, inputs], [state + width / 6 * (k1 + 2 * k2 + 2 * k3 + k4)]
     ), n_integrals
-
-
-def _end_values(
-    problem: Problem, initial: Any, final: Any, t0: Any, tf: Any, integrals: Any, p: Array, q: Array
-) -> tuple[Any, Any]:
-    """Cost and boundary constraints (MX) of a single-phase problem."""
-    outputs = end_function(problem)(
-        initial, final, t0, tf, integrals, p, q, np.zeros(len(problem.constraint_labels()))
-    )
-    return outputs[0], outputs[1]

@@ -95,7 +95,7 @@ class WorkerPool(Generic[Object]):
         self._executor: Executor = _Serial()
         if executor is None:
             self._own = OwnProcesses(shared)
-        elif executor != "serial":
+        elif not (isinstance(executor, str) and executor == "serial"):
             remedy = 'give a concurrent.futures.Executor, client.get_executor() of Dask, or "serial"'
             self._executor = expect(executor, Executor, f"the executor of {caller}", remedy)
             if shared.maker is not None and not isinstance(executor, ThreadPoolExecutor):
@@ -143,7 +143,11 @@ class WorkerPool(Generic[Object]):
             self._do_again(task, left, split, ledger)
         except KeyboardInterrupt:
             self.interrupted = True
-            ledger.close()
+            if self._own is None:
+                ledger.cancel()
+            else:  # not future by future: executors whose processes end stumble over cancelled ones
+                self._own.end(at_once=True)
+            ledger.collect()
         return ledger.in_order()
 
     # --- internals ----------------------------------------------------------------------------------------
@@ -242,10 +246,13 @@ class _Ledger(Generic[Item, Answer]):
         self.done[place] = done
         self.show(done)
 
-    def close(self) -> None:
-        """Cancel what has not begun, and keep answers that nobody has looked at yet."""
-        for number, future in enumerate(self.futures):
+    def cancel(self) -> None:
+        for future in self.futures:
             future.cancel()
+
+    def collect(self) -> None:
+        """Keep answers that nobody has looked at yet."""
+        for number, future in enumerate(self.futures):
             if (number,) not in self.done and future.done() and _error(future) is None:
                 self.done[number,] = Done(self.items[number], future.result())
 

@@ -1,9 +1,9 @@
-"""Every public name is documented, typed, and cheap to import.
+"""Every public name is a decision, is documented and typed, and is cheap to import.
 
-The rule: every public name of gnc_opt, and every public method and property of its classes, has a docstring.
-Functions and constructors describe each parameter by name in numpydoc sections. Methods may do with prose:
-their own docstring, or that of their class for what all methods share, names every parameter but two at most
-(which name and type explain), or points to a method that does ("as in `state`").
+The rule: every public name has a docstring. Functions and constructors describe each parameter by name in numpydoc
+sections, no more and no fewer than they have, and functions say what they return, there or in their first line ("Return
+..."). Methods may do with prose: their own docstring, or that of their class for what all methods share, names every
+parameter but two at most (which name and type explain), or points to a method that does ("as in `state`").
 """
 
 import enum
@@ -11,15 +11,72 @@ import inspect
 import re
 import subprocess
 import sys
-from importlib import resources
+from importlib import import_module, resources
+from pathlib import Path
 
 import pytest
 
 import gnc_opt
 
-PUBLIC = sorted(gnc_opt.__all__)
-CLASSES = [name for name in PUBLIC if inspect.isclass(getattr(gnc_opt, name))]
-FUNCTIONS = [name for name in PUBLIC if inspect.isfunction(getattr(gnc_opt, name))]
+EXPECTED = {
+    "gnc_opt": """
+        ArgumentError Campaign ClosedLoop Condition Controller DesignError Explanation GncOptError
+        History Mesh Minimum Model ModelError Multistart Outcome Phase PhaseSolution Problem
+        ProblemError ProblemWarning Reference RefinementStatus Result Run RunStatus Solution
+        SolveError SolverOptions Status UnknownAttributeError UnknownNameError Verdict bryson
+        design_feedback_linearization design_hierarchical_sliding_mode design_integral_sliding_mode
+        design_lqr design_mpc design_sliding_mode design_tvlqr export_c feedforward load monte_carlo
+        multistart polish refine sensitivity solve verify
+    """,
+    "gnc_opt.control": """
+        ConstantRate Controller Deviation Explanation ExponentialRate Fact FlightCode PowerRate
+        PredictiveReaching Reference SaturationLayer Sign SuperTwisting SuperTwistingObserver
+        TanhLayer bryson decoupling_matrix design_feedback_linearization
+        design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
+        design_sliding_mode design_tvlqr export_c feedforward first_memory law lie_derivative
+        relative_degrees trim zero_dynamics
+    """,
+    "gnc_opt.simulation": """
+        Allocation Ball Bias Block Campaign Choice ClosedLoop Constant Deadband Delay Disturbance
+        Ending Expression Flight Hold Lag MinimumImpulse Mixer Noise NonNegativeAllocation Normal
+        Outage Outcome Pwm Pwpf Quantisation RandomHold RandomWalk RateLimit Run RunStatus Sampling
+        Saturation Scale ScaleFactor SchmittTrigger SensorDelay Sinusoid Sphere ThrusterSet Turn
+        Uniform WheelArray monte_carlo
+    """,
+    "gnc_opt.spacecraft": """
+        J2_EARTH MU_EARTH PYRAMID_ELEVATION RADIUS_EARTH FlexibleBody TetherAccelerations
+        TetherMotion TetheredPair angular_acceleration angular_momentum angular_momentum_about_axis
+        apply array_momentum cross differential_j2 divide_by_inertia dot gravity_gradient_torque
+        gravity_potential hill_acceleration inertial_from_relative j2_gravity lvlh_rate mean_motion
+        mrp_difference mrp_from_axis_angle mrp_rate mrp_shadow mrp_short mrp_to_dcm mrp_to_euler
+        mrp_to_quaternion mrp_to_rotation orbital_energy point_mass_gravity quaternion_angle
+        quaternion_conjugate quaternion_difference quaternion_error quaternion_from_euler
+        quaternion_product quaternion_rate quaternion_to_dcm quaternion_to_rotation radial_frame
+        radial_frame_rate relative_acceleration relative_angular_acceleration relative_from_inertial
+        scale stack stack_rows total_momentum transpose wheel_body_acceleration wheel_pyramid
+    """,
+    "gnc_opt.plot": """
+        plot_controls plot_costates plot_curves plot_dispersion plot_distributions plot_hamiltonian
+        plot_path plot_run_controls plot_run_errors plot_run_states plot_states plot_verdict
+        save_figure
+    """,
+    "gnc_opt.report": """
+        summary summary_dict write_json write_report
+    """,
+}
+"""What users may rely on, by package; whoever changes it changes this list."""
+
+PUBLIC = {
+    f"{package.removeprefix('gnc_opt').lstrip('.')}.{name}".lstrip("."): getattr(import_module(package), name)
+    for package, names in EXPECTED.items()
+    for name in names.split()
+}
+CLASSES = {name: value for name, value in PUBLIC.items() if inspect.isclass(value)}
+FUNCTIONS = {name: value for name, value in PUBLIC.items() if inspect.isfunction(value)}
+CONSTANTS = {name: value for name, value in PUBLIC.items() if name.rpartition(".")[2].isupper()}
+MADE_BY_OTHERS = {gnc_opt.Phase: "Problem.phase"}
+"""Classes whose constructors are not for users."""
+
 FREE = 2
 """Parameters that a method's docstring may leave unnamed."""
 
@@ -39,9 +96,9 @@ def is_documentable(value: object) -> bool:
 
 
 METHODS = [
-    pytest.param(getattr(gnc_opt, c), name, id=f"{c}.{name}")
-    for c in CLASSES
-    for name in own_members(getattr(gnc_opt, c))
+    pytest.param(cls, name, id=f"{cls.__name__}.{name}")
+    for cls in dict.fromkeys(CLASSES.values())
+    for name in own_members(cls)
 ]
 
 
@@ -67,54 +124,116 @@ def described(doc: str, title: str) -> set[str]:
     return {name.strip().lstrip("*") for head in heads for name in head.split(",")}
 
 
-def test_all_names_exist_and_are_sorted() -> None:
-    assert len(set(gnc_opt.__all__)) == len(gnc_opt.__all__)
-    for name in gnc_opt.__all__:
-        assert hasattr(gnc_opt, name), name
-    assert len(PUBLIC) >= 16
+def attributes(cls: type) -> set[str]:
+    """Names that the instances of a class have: members, fields, and what the constructor assigns."""
+    assigned = re.findall(r"self\.(\w+)(?:: [^=]+)? = ", inspect.getsource(cls))
+    return {*dir(cls), *assigned, *parameters(cls)}
+
+
+# --- the list -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("package", EXPECTED)
+def test_public_names_are_those_decided_on(package: str) -> None:
+    exported = import_module(package).__all__
+    assert len(set(exported)) == len(exported)
+    assert set(exported) == set(EXPECTED[package].split())
+
+
+@pytest.mark.parametrize("package", EXPECTED)
+def test_star_import_gives_the_public_names_and_nothing_else(package: str) -> None:
+    names: dict[str, object] = {}
+    exec(f"from {package} import *", names)
+    assert set(names) - {"__builtins__"} == set(EXPECTED[package].split())
 
 
 @pytest.mark.parametrize("name", PUBLIC)
+def test_public_name_is_ours_and_not_private(name: str) -> None:
+    value, last = PUBLIC[name], name.rpartition(".")[2]
+    assert not last.startswith("_")
+    if name in CONSTANTS:
+        assert isinstance(value, float)
+        return
+    module = value.__module__
+    assert module.partition(".")[0] == "gnc_opt"
+    assert not any(part.startswith("_") for part in module.split("."))
+    assert getattr(import_module(module), last) is value
+
+
+# --- documentation ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [*CLASSES, *FUNCTIONS])
 def test_public_name_has_a_docstring_of_its_own(name: str) -> None:
-    doc = vars(getattr(gnc_opt, name)).get("__doc__") or getattr(gnc_opt, name).__doc__
+    doc = vars(PUBLIC[name]).get("__doc__") or PUBLIC[name].__doc__
     assert doc and len(doc.split()) >= 3, f"{name} has no docstring"
-    assert not doc.startswith(f"{name}("), f"{name} has only the docstring that dataclass made"
+    assert not doc.startswith(f"{name.rpartition('.')[2]}("), (
+        f"{name} has only the docstring that was made for it"
+    )
+
+
+@pytest.mark.parametrize("name", CONSTANTS)
+def test_public_constant_has_a_docstring(name: str) -> None:
+    package, _, last = name.rpartition(".")
+    folder = Path(import_module(f"gnc_opt.{package}").__file__ or "").parent
+    assert any(
+        re.search(rf'(?m)^{last} = .*\n"""', path.read_text(encoding="utf-8")) for path in folder.glob("*.py")
+    )
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_public_function_describes_parameters_and_result(name: str) -> None:
-    function = getattr(gnc_opt, name)
-    missing = set(parameters(function)) - described(function.__doc__, "Parameters")
-    assert not missing, f"{name} does not describe {missing}"
-    assert section(function.__doc__, "Returns"), f"{name} does not say what it returns"
-    assert section(function.__doc__, "Raises"), f"{name} does not say what it raises"
+    function = FUNCTIONS[name]
+    assert described(function.__doc__, "Parameters") == set(parameters(function)), name
+    first = function.__doc__.split()[0]
+    assert first == "Return" or section(function.__doc__, "Returns"), f"{name} does not say what it returns"
+
+
+@pytest.mark.parametrize("name", [n for n in FUNCTIONS if "." not in n])
+def test_function_of_the_first_level_says_what_it_raises(name: str) -> None:
+    assert section(FUNCTIONS[name].__doc__, "Raises"), f"{name} does not say what it raises"
 
 
 @pytest.mark.parametrize("name", CLASSES)
 def test_public_class_describes_its_fields(name: str) -> None:
-    cls = getattr(gnc_opt, name)
-    if issubclass(cls, (enum.Enum, BaseException)) or name == "Phase":  # made by Problem.phase only
+    cls = CLASSES[name]
+    if issubclass(cls, (enum.Enum, BaseException)) or cls in MADE_BY_OTHERS:
         return
-    told = described(cls.__doc__, "Parameters") | described(cls.__doc__, "Attributes")
-    missing = set(parameters(cls)) - told
+    ours = [base for base in cls.__mro__ if base.__module__.startswith("gnc_opt") and base.__doc__]
+    told = {
+        s: set().union(*(described(base.__doc__, s) for base in ours)) for s in ("Parameters", "Attributes")
+    }
+    missing = set(parameters(cls)) - told["Parameters"] - told["Attributes"]
     assert not missing, f"{name} does not describe {missing}"
+    assert told["Parameters"] <= set(parameters(cls)), (
+        f"{name} has no {told['Parameters'] - set(parameters(cls))}"
+    )
+    assert told["Attributes"] <= attributes(cls), f"{name} has no {told['Attributes'] - attributes(cls)}"
 
 
 @pytest.mark.parametrize(("cls", "name"), METHODS)
 def test_public_method_is_documented(cls: type, name: str) -> None:
-    member = own_members(cls)[name]
-    function = getattr(
-        member, "__func__", getattr(member, "fget", None) or getattr(member, "func", None) or member
-    )
-    doc = function.__doc__ or ""
-    assert doc, f"{cls.__name__}.{name} has no docstring"
-    if isinstance(member, property) or type(member).__name__ == "cached_property":
+    """By its own docstring, or by that of the method that it overrides."""
+    versions = [vars(base)[name] for base in cls.__mro__ if name in vars(base)]
+    functions = [unwrapped(member) for member in versions]
+    doc = " ".join(function.__doc__ or "" for function in functions)
+    assert doc.strip(), f"{cls.__name__}.{name} has no docstring"
+    if not inspect.isfunction(versions[0]) and not isinstance(versions[0], (classmethod, staticmethod)):
         return
-    told = set(re.findall(r"\w+", f"{doc} {cls.__doc__}"))
-    silent = [p for p in parameters(function) if p not in told]
+    classes = " ".join(base.__doc__ or "" for base in cls.__mro__ if base.__module__.startswith("gnc_opt"))
+    told = set(re.findall(r"\w+", f"{doc} {classes}"))
+    silent = [p for p in parameters(functions[0]) if p not in told]
     assert len(silent) <= FREE or re.search(r"(as in|see) ``?[\w.]+``?", doc), (
         f"{cls.__name__}.{name} does not describe {silent}"
     )
+
+
+def unwrapped(member: object) -> object:
+    """The function in a property, a cached property, a class method or a static method."""
+    for attribute in ("__func__", "fget", "func"):
+        if getattr(member, attribute, None) is not None:
+            return getattr(member, attribute)
+    return member
 
 
 def test_package_is_marked_as_typed() -> None:

@@ -20,9 +20,9 @@ from gnc_opt.control.sliding.reaching import (
 )
 from gnc_opt.control.sliding.sliding_mode import design_sliding_mode
 from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
-from gnc_opt.control.tolerances import LARGEST
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
+from gnc_opt.tolerances import LARGEST
 
 DT, SLOPE = 1e-3, 2.0
 START = np.array([1.0, 0.5])

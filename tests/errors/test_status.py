@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import signal
-import threading
-import time
 from collections.abc import Callable
+from typing import Any
 
 import casadi as ca
 import ill_posed
@@ -183,18 +182,10 @@ def test_wall_time_limit_returns_the_iterate() -> None:
     assert np.isfinite(solution.objective) and "NOT SOLVED" in str(solution)
 
 
-def test_ctrl_c_returns_the_iterate() -> None:
+def test_ctrl_c_returns_the_iterate(ctrl_c_when: Any) -> None:
     before = signal.getsignal(signal.SIGINT)
-
-    def press_ctrl_c() -> None:
-        while signal.getsignal(signal.SIGINT) is before:  # the solver has not taken over yet
-            time.sleep(0.001)
-        signal.raise_signal(signal.SIGINT)
-
-    thread = threading.Thread(target=press_ctrl_c)
-    thread.start()
+    ctrl_c_when(lambda: signal.getsignal(signal.SIGINT) is not before)  # the solver has taken over
     solution = go.solve(endless_work(), mesh="20x3", options=go.SolverOptions(max_iterations=100_000))
-    thread.join()
     assert solution.status is go.Status.INTERRUPTED
     assert signal.getsignal(signal.SIGINT) is before
     assert np.all(np.isfinite(solution.state("x")(np.linspace(0.0, 1.0, 5))))

@@ -123,6 +123,7 @@ def test_disturbance_has_the_published_mean_and_range() -> None:
 # --- optimal slews --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_least_time_is_proven_bang_bang_and_leaves_no_vibration() -> None:
     """Fifteen switches, H = -1 and the signs of the switching functions, by a verdict that recomputes them all."""
     solution = optimal.solved("fast")
@@ -140,6 +141,7 @@ def test_least_time_is_proven_bang_bang_and_leaves_no_vibration() -> None:
     assert BODY.modal_energy(end[7:11], end[11:15]) < 1e-20
 
 
+@pytest.mark.slow
 def test_least_vibration_is_proven_and_beats_the_published_slew() -> None:
     solution = gentle()
     assert go.verify(solution).ok
@@ -153,6 +155,7 @@ def test_least_vibration_is_proven_and_beats_the_published_slew() -> None:
     assert np.max(np.abs(leg.flown_control("torque")(t))) <= MAX_TORQUE * (1 + 1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("controller", "error"), [("TVLQR", 0.005), ("RQSMC", 0.02)])
 def test_least_vibration_is_tracked_under_the_published_disturbance(controller: str, error: float) -> None:
     run = optimal.tracked("gentle", controller)

@@ -56,6 +56,7 @@ def test_integral_surface_has_no_reaching_phase() -> None:
     np.testing.assert_allclose(u, gain, atol=1e-12)  # s(0) = 0: the first command is the regulator's
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["least Delta-V", "least time"])
 def test_optimum_is_proven_and_held(name: str) -> None:
     best = plan(name)

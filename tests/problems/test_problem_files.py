@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -45,6 +45,8 @@ NAMES = sorted(
     if path.stem not in ("__init__", "comparison", "reference", "run")
 )
 """The basic problems, of one file each; systems are folders with tests of their own."""
+SLOW = {"delta3"}
+"""Solved in more than 5 s on a free core."""
 CLOSED = {
     # Tolerances of states, controls and costates: the accuracy asked for, larger where a cost is flat
     # (control errors of 1e-6 change it by 1e-12), next to nothing where switch times were optimised.
@@ -58,6 +60,11 @@ CLOSED = {
     "interior_point": (1e-6, 1e-5, 1e-5),
     "periodic": (1e-7, 1e-6, 1e-6),
 }
+
+
+def marked(names: Iterable[str]) -> list[Any]:
+    """Parameters of tests that solve each of these problems."""
+    return [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in names]
 
 
 @cache
@@ -83,7 +90,7 @@ def test_every_problem_file_is_here() -> None:
     assert set(CLOSED) == {name for name in NAMES if hasattr(module(name), "closed_form")}
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", marked(NAMES))
 def test_reference_at_default_settings(name: str) -> None:
     solution, reference = solved(name), module(name).REFERENCE
     assert solution.status is go.Status.OPTIMAL
@@ -93,7 +100,7 @@ def test_reference_at_default_settings(name: str) -> None:
     assert reference.tolerance <= 1e-6 * max(1.0, abs(reference.value))
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", marked(NAMES))
 def test_verdict_fails_nowhere_without_an_explanation(name: str) -> None:
     verdict = go.verify(solved(name))
     assert {condition.name for condition in verdict.failed} <= set(getattr(module(name), "EXPLAINED", {}))
@@ -270,7 +277,7 @@ INITIAL_COSTATES: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", INITIAL_COSTATES)
+@pytest.mark.parametrize("name", marked(INITIAL_COSTATES))
 def test_initial_costates(name: str) -> None:
     solution = solved(name)
     leg = next(iter(solution.phases.values()))
@@ -291,6 +298,7 @@ def test_initial_costate_of_the_reorientation() -> None:
 # --- physics --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_delta3_drops_what_it_should_and_reaches_its_orbit() -> None:
     legs = list(solved("delta3").phases.values())
     for first, second, data in zip(legs, legs[1:], delta3.LEGS[1:], strict=False):

@@ -208,6 +208,7 @@ def spurious_solution() -> tuple[int, go.Solution]:
     pytest.fail("no spurious optimum found: choose other starts")
 
 
+@pytest.mark.slow
 def test_without_the_guard_a_coarse_mesh_has_spurious_optima_which_the_verdict_rejects() -> None:
     seed, solution = spurious_solution()
     verdict = go.verify(solution)

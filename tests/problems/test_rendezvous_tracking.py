@@ -46,6 +46,7 @@ def test_plan_keeps_its_reserve(tracking):
         plan(reserve=1.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["TVLQR", "integral sliding mode"])
 def test_feedback_passes_99_percent_of_1000_runs(tracking, name):
     campaign = tracking.campaign(name, RUNS, SEED)
@@ -84,6 +85,7 @@ def test_every_run_can_be_flown_again_bit_for_bit(regulated):
         assert np.array_equal(regulated.rerun(int(i)).states[:, -1], regulated.states[:, i])
 
 
+@pytest.mark.slow
 def test_same_bits_on_one_process_two_and_a_cluster(regulated, tracking):
     distributed = pytest.importorskip("distributed")
     spawn = get_context("spawn")
@@ -115,6 +117,7 @@ def test_attitude_noise_turns_by_its_angle():
     np.testing.assert_allclose(found, angle, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_main_writes_statistics_and_figures(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(
         "problems.rendezvous_tracking.report.price_of_robustness", lambda case: [(1.0, 2.0), (0.5, 3.0)]

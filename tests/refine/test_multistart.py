@@ -6,6 +6,7 @@ import itertools
 import json
 import multiprocessing
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -32,6 +33,8 @@ from problems.rendezvous.search import GlobalOutcome
 
 WEIGHT = 0.02
 MESH = "6x3"
+PATIENCE = 300.0
+"""Longest wait for a program to show a sign of life and to end, s."""
 
 
 def wells(tilt: float = 0.1) -> go.Problem:
@@ -204,6 +207,7 @@ def test_the_aircraft_is_freed_from_its_local_minimum() -> None:
     assert own.objective > 5.5
 
 
+@pytest.mark.slow
 def test_a_minimum_whose_short_arcs_the_coarse_mesh_hides_is_refined_all_the_same() -> None:
     # The fourth minimum of case 2. From its 20x3 solution the switch times lead to a structure that lacks an
     # arc and that the verdict rejects; on halved segments the arc is seen.
@@ -255,17 +259,18 @@ def test_an_interrupted_solve_ends_the_search(monkeypatch: pytest.MonkeyPatch) -
     assert found.interrupted and found.finished == 3
 
 
-def test_ctrl_c_stops_running_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_stops_running_workers(
+    monkeypatch: pytest.MonkeyPatch, ctrl_c_when: Any, tmp_path: Path
+) -> None:
     """Solves that would go on for very long end with the search, and so do their processes."""
-    monkeypatch.setattr(sys.modules[multistart.__module__], "solve_mesh", lambda *_, **__: time.sleep(1000.0))
+    at_work = tmp_path / "at work"
 
-    def press_ctrl_c() -> None:
-        while not multiprocessing.active_children():
-            time.sleep(0.01)
-        time.sleep(0.5)
-        os.kill(os.getpid(), signal.SIGINT)
+    def endless(*_: Any, **__: Any) -> None:
+        at_work.touch()
+        time.sleep(1000.0)
 
-    threading.Thread(target=press_ctrl_c).start()
+    monkeypatch.setattr(sys.modules[multistart.__module__], "solve_mesh", endless)
+    ctrl_c_when(at_work.exists)
     found = search(wells(), n=3, executor=None)
     assert found.interrupted and found.finished == 0 and not found.minima
     assert not multiprocessing.active_children()
@@ -274,10 +279,21 @@ def test_ctrl_c_stops_running_workers(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_ctrl_c_at_the_shell_keeps_what_is_found(tmp_path: Path) -> None:
     target = tmp_path / "found.json"
     arguments = ["multistart", __file__, "--n", "100000", "--mesh", MESH, "--json", str(target)]
-    run = subprocess.Popen([sys.executable, "-m", "gnc_opt.cli", *arguments], stderr=subprocess.DEVNULL)
-    time.sleep(4.0)
-    run.send_signal(signal.SIGINT)
-    assert run.wait(60) == cli.ExitCode.INTERRUPTED
+    terminal = os.environ | {"FORCE_COLOR": "1", "COLUMNS": "200"}  # progress is shown as it is made
+    with subprocess.Popen(
+        [sys.executable, "-m", "gnc_opt.cli", *arguments], stderr=subprocess.PIPE, env=terminal
+    ) as run:
+        hung = threading.Timer(PATIENCE, run.kill)
+        hung.start()
+        shown = b""
+        while not re.search(rb"[1-9]\d*/100000", shown):
+            more = os.read(run.stderr.fileno(), 4096)
+            assert more, f"ended too early: {shown.decode()}"
+            shown += more
+        run.send_signal(signal.SIGINT)
+        run.communicate()
+        hung.cancel()
+    assert run.returncode == cli.ExitCode.INTERRUPTED
     told = json.loads(target.read_text())
     assert told["interrupted"] and 0 < told["finished"] < 100000
     assert told["minima"] and {m["standing"] for m in told["minima"]} == {"coarse"}

@@ -397,12 +397,10 @@ def test_ctrl_c_keeps_the_iterate(solver: str, capfd: pytest.CaptureFixture[str]
     assert is_silent(capfd)
 
 
-def test_ctrl_c_from_outside_without_a_callback(capfd: pytest.CaptureFixture[str]) -> None:
-    nlp = endless()
-    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
-    result = solve(nlp, ENDLESS_GUESS, options=PATIENT)
-    timer.join()
+def test_ctrl_c_from_outside_without_a_callback(ctrl_c_when: Any, capfd: pytest.CaptureFixture[str]) -> None:
+    solver = NlpSolver(endless(), PATIENT)
+    ctrl_c_when(lambda: getattr(solver._monitor.run, "count", 0) > 2)
+    result = solver.solve(NlpPoint(ENDLESS_GUESS, -INF, INF, 0.0, 0.0, ()))
     assert result.status is Status.INTERRUPTED
     assert result.iterations > 0 and np.isfinite(result.f)
     assert is_silent(capfd)
@@ -429,13 +427,17 @@ def test_solves_outside_the_main_thread() -> None:
 
 @pytest.mark.parametrize("solver", ["ipopt", "sqpmethod"])
 def test_wall_time_limit(solver: str, capfd: pytest.CaptureFixture[str]) -> None:
+    seen = []
+
     def dawdle(info: IterationInfo) -> None:
+        seen.append(info)
         time.sleep(0.02)
 
     options = SolverOptions(solver=solver, max_wall_time=0.1)
     result = solve(rosenbrock(20), -0.5, -5, 5, options=options, callback=dawdle)
     assert result.status is Status.INTERRUPTED
-    assert 0.1 < result.wall_time < 1.0
+    assert result.wall_time > 0.1
+    assert len(seen) <= 6  # the fifth is over after 0.1 s at the earliest, and a sixth may be under way
     assert is_silent(capfd)
 
 

@@ -108,7 +108,7 @@ def assert_same(a: Any, b: Any, place: str = "") -> None:
         assert a == b, place
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(TREES)
 def test_every_field_survives(tree: Tree) -> None:
     arrays: dict[str, Any] = {}
@@ -116,7 +116,7 @@ def test_every_field_survives(tree: Tree) -> None:
     assert_same(tree, PACKING.unpack(json.loads(text), arrays))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(TREES, VALUES)
 def test_every_field_survives_the_file(
     tmp_path_factory: pytest.TempPathFactory, tree: Tree, more: Any
@@ -136,6 +136,14 @@ def test_what_is_alike_is_written_once() -> None:
     assert len(json.dumps(packed)) < 1000
     assert arrays["leaves"].shape == (5000,)
     assert_same(leaves, PACKING.unpack(packed, arrays))  # also the sign of zero
+    arrays.clear()
+    assert len(PACKING.pack(leaves[:2], "leaves", arrays)) == 2 and not arrays
+
+
+def test_arrays_that_were_read_cannot_be_changed() -> None:
+    arrays: dict[str, Any] = {}
+    tree = PACKING.pack({"x": np.zeros(3)}, "", arrays)
+    assert not PACKING.unpack(tree, arrays)["x"].flags.writeable
 
 
 def test_pieces_are_one_entry() -> None:

@@ -137,7 +137,7 @@ def test_rows(index: Any, kept: list[int]) -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_random_pieces_match_their_series(seed: int) -> None:
     curve, series = random_pieces(seed)
     rates = 2 / np.diff(curve.breaks)
@@ -158,7 +158,7 @@ def test_random_pieces_match_their_series(seed: int) -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_integral_of_the_derivative_is_the_sum_of_the_increments(seed: int) -> None:
     curve, _ = random_pieces(seed)
     increments = curve(curve.breaks[1:], "left") - curve(curve.breaks[:-1], "right")

@@ -16,7 +16,6 @@ from numpy.polynomial import legendre
 from gnc_opt.transcription.quadrature import (
     MAX_POINTS,
     Array,
-    Scheme,
     _decimal_points_and_weights,
     _rule,
     barycentric_weights,
@@ -26,6 +25,7 @@ from gnc_opt.transcription.quadrature import (
     points,
     weights,
 )
+from gnc_opt.transcription.scheme import Scheme
 
 SCHEMES: tuple[Scheme, ...] = ("LG", "LGR", "LGL")
 FEWEST = {"LG": 1, "LGR": 1, "LGL": 2}
@@ -299,7 +299,7 @@ def test_end_value_is_the_quadrature_of_the_derivative(scheme: Scheme, n: int) -
 
 
 @given(any_rule, st.lists(st.floats(-1, 1), min_size=1, max_size=5), st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_integrate_to_integrates_any_polynomial(
     case: tuple[Scheme, int], tau: list[float], seed: int
 ) -> None:
@@ -324,7 +324,7 @@ def test_barycentric_weights_of_equidistant_nodes_are_binomials() -> None:
 
 
 @given(any_rule, st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_interpolation_and_differentiation_of_any_polynomial(case: tuple[Scheme, int], seed: int) -> None:
     rng = np.random.default_rng(seed)
     nodes = collocation_rule(*case).state_nodes

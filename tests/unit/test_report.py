@@ -19,8 +19,6 @@ from gnc_opt.report.summary import overshooting_controls
 from gnc_opt.report.verdict_table import verdict_text
 from gnc_opt.verify import Condition, Result, Verdict
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "json_summary.md"
-
 VERDICT = Verdict(
     "cart",
     (
@@ -161,16 +159,6 @@ def test_only_the_worst_overshoots_are_listed() -> None:
 # --- JSON ---------------------------------------------------------------------------------------------
 
 
-def keys(value: Any, prefix: str = "") -> set[str]:
-    """Dotted names of all keys; lists of objects add []."""
-    if isinstance(value, list):
-        return set().union(*(keys(item, f"{prefix}[]") for item in value)) if value else set()
-    if not isinstance(value, dict) or prefix in ("provenance", "parameters"):
-        return set()
-    dotted = {f"{prefix}.{key}".lstrip("."): item for key, item in value.items()}
-    return set(dotted).union(*(keys(item, name) for name, item in dotted.items()))
-
-
 def refuse_constant(name: str) -> None:
     raise AssertionError(f"{name} is not JSON")
 
@@ -208,24 +196,6 @@ def test_json_of_numbers_that_are_not_finite(failed: go.Solution) -> None:
     told = summary_dict(worse)
     json.dumps(told, allow_nan=False)
     assert told["objective"] is None and told["violations"][0]["amount"] is None
-
-
-def test_every_json_key_is_documented(good: go.Solution, failed: go.Solution) -> None:
-    used = keys(summary_dict(good, VERDICT)) | keys(summary_dict(failed))
-    rows = [
-        line.split("|")[1]
-        for line in DOCUMENT.read_text(encoding="utf-8").splitlines()
-        if line.startswith("| `")
-    ]
-    documented: set[str] = set()
-    for row in rows:
-        names = re.findall(r"`([^`]+)`", row)
-        parent = names[0].rpartition(".")[0]
-        documented |= {names[0]} | {f"{parent}.{n}".lstrip(".") for n in names[1:]}
-    below_layout = {
-        f"phases[].{kind}[].{key}" for kind in ("states", "controls") for key in ("name", "size", "unit")
-    }
-    assert used - below_layout == documented
 
 
 # --- verdict ------------------------------------------------------------------------------------------

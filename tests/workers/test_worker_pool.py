@@ -12,12 +12,17 @@ from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
 from typing import Any
 
+import casadi as ca
+import numpy as np
 import pytest
 
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.workers import Done, Shared, WorkerDied, WorkerPool, pool, processes
+
+pytestmark = pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
 
 KINDS = ["serial", "own", "threads", "processes"]
 
@@ -105,18 +110,27 @@ def test_threads_take_turns() -> None:
     assert turnstile.most == 1
 
 
-def test_show_may_end_the_run() -> None:
+def test_show_may_end_the_run(tmp_path: Path) -> None:
     def refuse(done: Done[int, int]) -> None:
         raise GncOptError("enough")
 
-    with pytest.raises(GncOptError, match="enough"), workers() as force:
-        force.run(times, range(50), refuse)
+    unfinished = tmp_path / "finished"
+    with pytest.raises(GncOptError, match="enough"), workers(value=unfinished) as force:
+        force.run(_first_at_once, range(2), refuse)
     assert not multiprocessing.active_children()
+    assert not unfinished.exists()  # nobody waits for what is no longer wanted
 
 
-def test_an_executor_must_be_one() -> None:
-    with pytest.raises(ArgumentError, match=r"the executor of try_it\(\) is a str"):
-        workers("threads")
+def _first_at_once(path: Path, item: int) -> None:
+    if item:
+        time.sleep(20.0)
+        path.touch()
+
+
+@pytest.mark.parametrize("wrong", ["threads", 3, np.zeros(2), ca.SX.sym("x"), ThreadPoolExecutor])
+def test_an_executor_must_be_one(wrong: Any) -> None:
+    with pytest.raises(ArgumentError, match=r"the executor of try_it\(\) is a .* where a Executor is needed"):
+        workers(wrong)
 
 
 # --- what travels ---------------------------------------------------------------------------------------------
@@ -221,7 +235,7 @@ def test_items_that_kill_their_process_are_found_and_the_others_done(monkeypatch
     assert not multiprocessing.active_children()
 
 
-def test_an_item_that_kills_once_is_done_the_second_time(tmp_path: Any) -> None:
+def test_an_item_that_kills_once_is_done_the_second_time(tmp_path: Path) -> None:
     with workers(value=str(tmp_path / "flag")) as force:
         done = force.run(_die_once, range(6), ignore)
     assert [each.answer for each in done] == list(range(6))
@@ -274,6 +288,35 @@ def test_a_cluster_without_workers_is_not_waited_for(monkeypatch: pytest.MonkeyP
     assert [str(each.error) for each in done] == ["the cluster has no workers left"] * 3
 
 
+class Returning(Deserted):
+    """A cluster whose workers come back when one has asked for them once."""
+
+    def __init__(self) -> None:
+        self._client = self  # type: ignore[assignment]
+        self.tasks: list[Any] = []
+        self.asked = 0
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.tasks.append((future, partial(fn, *args, **kwargs)))
+        return future
+
+    def scheduler_info(self) -> dict[str, Any]:
+        self.asked += 1
+        if self.asked == 1:
+            return {"workers": {}}
+        for future, task in self.tasks:
+            future.set_result(task())
+        return {"workers": {"one": {}}}
+
+
+def test_workers_on_their_way_back_are_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool, "PATIENCE", 0.05)
+    with workers(Returning()) as force:
+        done = force.run(times, range(3), ignore)
+    assert [each.answer for each in done] == [0, 10, 20]
+
+
 # --- Ctrl-C ---------------------------------------------------------------------------------------------------
 
 
@@ -289,10 +332,43 @@ def test_ctrl_c_keeps_what_is_done(kind: str) -> None:
     with executor(kind) as given, workers(given) as force:
         done = force.run(partial(_slowly, 0.01), range(500), show)
     assert force.interrupted and 4 <= len(done) < 500
+    assert kind != "serial" or len(done) == 4  # also the one that was being shown
     assert set(shown) <= {each.item for each in done}
     assert [each.item for each in done] == sorted(each.item for each in done)
     assert all(each.answer == 10 * each.item for each in done)
     assert not multiprocessing.active_children()
+
+
+class Late(Executor):
+    """Has all answers when it gets the last task."""
+
+    def __init__(self, last: int) -> None:
+        self.last = last
+        self.tasks: list[tuple[Future[Any], Any]] = []
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.tasks.append((future, partial(fn, *args, **kwargs)))
+        if len(self.tasks) == self.last:
+            for waiting, task in self.tasks:
+                waiting.set_result(task())
+        return future
+
+
+def test_ctrl_c_keeps_answers_that_nobody_has_looked_at() -> None:
+    with workers(Late(3)) as force:
+        done = force.run(times, range(3), lambda each: signal.raise_signal(signal.SIGINT))
+    assert force.interrupted and [each.answer for each in done] == [0, 10, 20]
+
+
+def test_ctrl_c_keeps_the_error_that_is_being_shown() -> None:
+    def show(done: Done[int, int]) -> None:
+        if done.error is not None:
+            signal.raise_signal(signal.SIGINT)
+
+    with workers("serial") as force:
+        done = force.run(times, range(9), show)
+    assert [each.item for each in done] == [0, 1, 2, 3] and isinstance(done[3].error, ValueError)
 
 
 def _slowly(pause: float, number: int, item: int) -> int:
@@ -315,17 +391,29 @@ def _interrupted_at(number: int, item: int) -> int:
     return item
 
 
-def test_ctrl_c_ends_workers_whatever_they_are_at() -> None:
-    def press_ctrl_c() -> None:
-        while not multiprocessing.active_children():
-            time.sleep(0.01)
-        time.sleep(0.3)
-        os.kill(os.getpid(), signal.SIGINT)
-
-    threading.Thread(target=press_ctrl_c).start()
+def test_ctrl_c_is_the_parents_business() -> None:
+    """At a terminal all processes get the signal: those that work must not fail over it."""
     with workers() as force:
-        done = force.run(partial(_slowly, 1000.0), range(3), ignore)
+        done = force.run(_signalled, range(4), ignore)
+    assert not force.interrupted and [each.answer for each in done] == list(range(4))
+
+
+def _signalled(_: int, item: int) -> int:
+    signal.raise_signal(signal.SIGINT)
+    return item
+
+
+def test_ctrl_c_ends_workers_whatever_they_are_at(ctrl_c_when: Any, tmp_path: Path) -> None:
+    at_work = tmp_path / "at work"
+    ctrl_c_when(at_work.exists)
+    with workers() as force:
+        done = force.run(partial(_endless, at_work), range(3), ignore)
     assert force.interrupted and not done and not multiprocessing.active_children()
+
+
+def _endless(at_work: Path, number: int, item: int) -> int:
+    at_work.touch()
+    return _slowly(1000.0, number, item)
 
 
 def test_deaths_can_be_sent_home() -> None:

@@ -21,8 +21,8 @@ from gnc_opt.control.linear.riccati import Steady, gain_of, steady
 from gnc_opt.control.linear.weights import QuadraticCost, Weight, read_weight, require_semidefinite
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.sampling import SampledStep, sample, sample_along
-from gnc_opt.control.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, TINY
 from gnc_opt.errors import DesignError
+from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, TINY
 
 _RTOL = 1e-11
 _ATOL = 1e-13

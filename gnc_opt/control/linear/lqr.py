@@ -40,10 +40,10 @@ from gnc_opt.control.poles import continuous_poles
 from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.control.sampling import sample
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, reference_times
-from gnc_opt.control.tolerances import alike
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.model import Model
+from gnc_opt.tolerances import alike
 
 _CHECKS = 25
 """Times along a reference at which A and B are compared."""

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
 from gnc_opt.arrays import Array
-from gnc_opt.control.tolerances import SAME_TIME, TINY
+from gnc_opt.tolerances import SAME_TIME, TINY
 
 _POINTS = 2000
 _DECADES = 4.0

@@ -32,8 +32,8 @@ from scipy.linalg import (
 )
 
 from gnc_opt.arrays import Array
-from gnc_opt.control.tolerances import ROUNDING, TINY
 from gnc_opt.errors import DesignError
+from gnc_opt.tolerances import ROUNDING, TINY
 
 _REACH = 1e-10
 """A direction is reached if the reachability matrix has it above this, in balanced coordinates."""

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.control.tolerances import ROUNDING
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
+from gnc_opt.tolerances import ROUNDING
 
 Weight: TypeAlias = ArrayLike | Mapping[str, ArrayLike]
 """A matrix (n, n), a diagonal (n,), one number for all, or diagonal entries by name (absent names weigh 0)."""

@@ -43,10 +43,10 @@ from gnc_opt.control.linear.weights import Weight, read_cost, read_weight, requi
 from gnc_opt.control.predictive.horizon import Rows, prediction, programme
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
-from gnc_opt.control.tolerances import LARGEST, ROUNDING, SAME_TIME, STEP_SLACK, alike
 from gnc_opt.errors import ArgumentError, DesignError, did_you_mean, shown
 from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.model import Model
+from gnc_opt.tolerances import LARGEST, ROUNDING, SAME_TIME, STEP_SLACK, alike
 
 QpSolver: TypeAlias = Literal["daqp", "qrqp", "osqp"]
 

@@ -45,9 +45,9 @@ from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.control.sampling import spectral_radius, zero_order_hold
 from gnc_opt.control.sliding.reaching import Boundary, Law
 from gnc_opt.control.sliding.switching import SlidingOptions
-from gnc_opt.control.tolerances import dependent
 from gnc_opt.errors import DesignError, did_you_mean
 from gnc_opt.model.model import Model
+from gnc_opt.tolerances import dependent
 
 Projection: TypeAlias = Literal["pseudo-inverse", "transpose"]
 

@@ -37,7 +37,13 @@ Boundary: TypeAlias = "Sign | SaturationLayer | TanhLayer"
 
 @dataclass(frozen=True)
 class Sign:
-    """Ideal switching: chatters at the sampling rate within a band of ``gain * dt``."""
+    """Ideal switching: chatters at the sampling rate within a band of ``gain * dt``.
+
+    Parameters
+    ----------
+    slope : float
+        Infinite; for the same interface as the layers.
+    """
 
     slope: float = np.inf
 
@@ -52,7 +58,13 @@ class Sign:
 
 @dataclass(frozen=True)
 class _Layer:
-    """A soft sign in a boundary layer of half width phi (unit of s)."""
+    """A soft sign in a boundary layer.
+
+    Parameters
+    ----------
+    phi : float
+        Half width of the layer, unit of s, > 0.
+    """
 
     phi: float
 
@@ -93,7 +105,13 @@ class TanhLayer(_Layer):
 
 @dataclass(frozen=True)
 class _Relay:
-    """A law that switches by eta (units of s per second) at every s."""
+    """A law that switches by eta at every s.
+
+    Parameters
+    ----------
+    eta : float
+        Unit of s per second, > 0.
+    """
 
     eta: float
 
@@ -132,6 +150,13 @@ class ExponentialRate(_Relay):
     """ds/dt = -eta sign(s) - k s; faster from afar than `ConstantRate`, k in 1/s.
 
     Its band is that of `ConstantRate`; k makes it a little smaller.
+
+    Parameters
+    ----------
+    eta : float
+        Unit of s per second, > 0.
+    k : float
+        1/s.
     """
 
     k: float
@@ -155,7 +180,15 @@ class ExponentialRate(_Relay):
 
 @dataclass(frozen=True)
 class PowerRate:
-    """ds/dt = -k |s|^alpha sign(s), 0 < alpha < 1: no chattering, but no gain at s = 0 against disturbances."""
+    """ds/dt = -k |s|^alpha sign(s), 0 < alpha < 1: no chattering, but no gain at s = 0 against disturbances.
+
+    Parameters
+    ----------
+    k : float
+        (Unit of s)^(1 - alpha) per second, > 0.
+    alpha : float
+        Between 0 and 1.
+    """
 
     k: float
     alpha: float
@@ -201,6 +234,13 @@ class SuperTwisting:
 
     Its ``bound`` is on the *rate* of the disturbance. Finite-time stable for k2 > bound and k1 > sqrt(k2 + bound)
     (R. Seeber, M. Horn, Automatica 84, 2017, 241-243).
+
+    Parameters
+    ----------
+    k1 : float
+        (Unit of s)^(1/2) per second.
+    k2 : float
+        Unit of s per second squared.
     """
 
     k1: float

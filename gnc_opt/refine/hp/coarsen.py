@@ -19,7 +19,8 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.refine.adjoint import costate_rates, costate_worth, unconstrained
 from gnc_opt.refine.error import PhaseError, Pieces, Yardstick
 from gnc_opt.solution.samples import EXTRA
-from gnc_opt.transcription.quadrature import Scheme, collocation_rule, interpolation_matrix
+from gnc_opt.transcription.quadrature import collocation_rule, gauss_rule, interpolation_matrix
+from gnc_opt.transcription.scheme import Scheme
 
 LADDER = (2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 18, 20, 24)
 """Degrees that are tried."""
@@ -220,7 +221,7 @@ class _Tables:
 
 @cache
 def _tables(scheme: Scheme, degree: int) -> _Tables:
-    rule, fine = collocation_rule(scheme, degree), collocation_rule("LG", min(degree + EXTRA, 64))
+    rule, fine = collocation_rule(scheme, degree), gauss_rule(min(degree + EXTRA, 64))
     tau = np.concatenate([[-1.0], fine.points, [1.0]])
     weights = np.concatenate([[0.0], fine.weights, [0.0]])
     return _Tables(tau, weights, interpolation_matrix(rule.points, tau).T, rule.integrate_to(tau).T)

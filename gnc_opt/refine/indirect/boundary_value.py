@@ -18,8 +18,10 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.phase_solution import PhaseSolution, piecewise
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import VANISHED
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.transcription.quadrature import collocation_rule, interpolation_matrix
+from gnc_opt.transcription.quadrature import gauss_rule, interpolation_matrix
+from gnc_opt.transcription.scheme import GAUSS
 from gnc_opt.transcription.transcription import Transcription, transcribe
 
 LEAST_DEGREE = 8
@@ -98,7 +100,7 @@ def solve_boundary_values(
     GncOptError
         Newton's method does not converge.
     """
-    transcription = transcribe(bvp, meshes, "LG")
+    transcription = transcribe(bvp, meshes, GAUSS)
     x, iterations = _newton(transcription, bvp, _start(transcription, bvp, start), sizes, label)
     extended = np.concatenate([x, transcription.fixed_times(bvp)])
     anchors, y, u = {}, {}, {}
@@ -193,7 +195,7 @@ def _newton(
 
 def _sizes(transcription: Transcription, x: Array, magnitudes: Mapping[str, Sizes]) -> Array:
     """Typical magnitudes of all variables."""
-    sizes = np.maximum(np.abs(x), 1e-6)
+    sizes = np.maximum(np.abs(x), VANISHED)
     for name, part in transcription.parts.items():
         here, collocation = magnitudes[name], part.collocation
         sizes[collocation.point_states] = here.y[:, None]
@@ -230,7 +232,7 @@ def tails_of(found: BoundaryValueSolution, phase: str, sizes: Sizes) -> Array:
     for signal, size in ((found.y[phase], sizes.y), (found.u[phase], sizes.u)):
         for k, (nodes, values) in enumerate(zip(signal.nodes, signal.values, strict=True)):
             n = nodes.size
-            gauss = collocation_rule("LG", n)
+            gauss = gauss_rule(n)
             at = values @ interpolation_matrix(nodes, gauss.points).T
             basis = legendre.legvander(gauss.points, n - 1)[:, -2:]
             coefficients = at @ (gauss.weights[:, None] * basis) * (np.array([n - 2, n - 1]) + 0.5)

@@ -34,6 +34,7 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.extract import model_parameters
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import TINY
 
 AT_LIMIT = 1e-7
 """A boundary value, time or parameter this near to a limit (relative to its size) is held there."""
@@ -87,7 +88,7 @@ def active_limits(solution: Solution) -> Limits:
     return Limits(
         phases,
         _held(problem.constraint_interval(), constraints, np.maximum(1.0, np.abs(constraints))),
-        _held(problem.parameter_interval(), parameters, np.maximum(1e-300, np.abs(parameters))),
+        _held(problem.parameter_interval(), parameters, np.maximum(TINY, np.abs(parameters))),
     )
 
 

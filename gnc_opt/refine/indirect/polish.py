@@ -27,6 +27,7 @@ from gnc_opt.solution.extract import model_parameters
 from gnc_opt.solution.phase_solution import PhaseSolution, piecewise
 from gnc_opt.solution.solution import Solution, Statistics
 from gnc_opt.transcription.mesh import Mesh
+from gnc_opt.transcription.scheme import GAUSS
 
 MAX_PASSES = 12
 
@@ -239,7 +240,7 @@ def _assemble(
         history=None,
         provenance={
             **solution.provenance,
-            "scheme": "LG",
+            "scheme": GAUSS,
             "mesh": mesh,
             "polished": f"indirect: Hamiltonian boundary-value problem, tolerance {tol:g}",
         },
@@ -254,7 +255,7 @@ def _phase(problem: Problem, old: PhaseSolution, found: BoundaryValueSolution, q
     lam = y.rows(slice(n, 2 * n))
     bare = replace(
         old,
-        scheme="LG",
+        scheme=GAUSS,
         mesh=Mesh(tuple((y.breaks - first) / (last - first)), degrees),
         initial_time=float(first),
         final_time=float(last),

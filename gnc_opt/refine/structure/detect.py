@@ -16,6 +16,16 @@ from gnc_opt.solution.samples import PhaseSamples
 NEAR = 0.02
 """A control this close to a bound, relative to its range, is taken to sit on it."""
 
+REACHED = 1e-3
+"""A control that H determines, or a path constraint, this close to its limit (relative to its size) is at it if its
+multiplier says so too."""
+
+STILL = 1e-4
+"""A state that stays this close to its bound, relative to its size, along a segment is held there."""
+
+LINEAR = 1e-9
+"""Second derivative of H in a control, over its range and in shares of H, below which H is linear in it."""
+
 SMALL = 2e-2
 """A switching function this small over whole segments, in shares of H, marks a singular arc."""
 
@@ -61,7 +71,7 @@ def affine_channels(samples: PhaseSamples) -> Mask:
     """Return which controls enter H linearly and have two finite bounds, (m,)."""
     bounds = samples.leg.control_bounds
     bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
-    return np.asarray((np.max(np.abs(_curvature(samples)), axis=1, initial=0.0) < 1e-9) & bounded)
+    return np.asarray((np.max(np.abs(_curvature(samples)), axis=1, initial=0.0) < LINEAR) & bounded)
 
 
 def regular_channels(samples: PhaseSamples) -> Mask:
@@ -146,11 +156,9 @@ def _singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> list[i
 
 
 def _nonlinear_labels(samples: PhaseSamples, i: int) -> KindArray:
-    bounds, margin = samples.leg.control_bounds, 1e-3 * samples.control_scale[i]
+    at_lower, at_upper = samples.leg.control_bounds.near(samples.u, REACHED * samples.control_scale)
     gradient = samples.control_gradient[i]
-    at_lower = (samples.u[i] < bounds.lower[i] + margin) & (gradient > 0)
-    at_upper = (samples.u[i] > bounds.upper[i] - margin) & (gradient < 0)
-    return _at_limits(at_lower, at_upper)
+    return _at_limits(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
 
 
 def _mixed_paths(samples: PhaseSamples, regular: Mask) -> Mask:
@@ -167,9 +175,8 @@ def _path_labels(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:
     if not mixed.size:
         return []
     values = samples.functions.paths(samples.times, samples.x, samples.u)
-    bounds, margin = samples.leg.path_bounds, 1e-3 * np.max(np.abs(values), axis=1)
-    at_lower = (values < (bounds.lower + margin)[:, None]) & (samples.mu < 0)
-    at_upper = (values > (bounds.upper - margin)[:, None]) & (samples.mu > 0)
+    at_lower, at_upper = samples.leg.path_bounds.near(values, REACHED * np.max(np.abs(values), axis=1))
+    at_lower, at_upper = at_lower & (samples.mu < 0), at_upper & (samples.mu > 0)
     return list(_at_limits(mixed[:, None] & at_lower, mixed[:, None] & at_upper))
 
 
@@ -182,7 +189,7 @@ def _state_labels(samples: PhaseSamples, controls: KindArray) -> list[KindArray]
     leg, rows = samples.leg, []
     for i in range(leg.states.size):
         labels = np.full(samples.times.size, ArcKind.INTERIOR)
-        margin = 1e-4 * samples.state_scale[i]
+        margin = STILL * samples.state_scale[i]
         for kind, distance in (
             (ArcKind.UPPER, leg.state_bounds.upper[i] - samples.x[i]),
             (ArcKind.LOWER, samples.x[i] - leg.state_bounds.lower[i]),

@@ -29,6 +29,7 @@ from gnc_opt.solution.history import History, Pass, RefinementStatus
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
+from gnc_opt.tolerances import VANISHED as NO_MAGNITUDE
 
 PATIENCE = 4
 """Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
@@ -241,7 +242,7 @@ def _offences(samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray
     bounds, paths = samples.leg.control_bounds, samples.leg.path_bounds
     values = samples.functions.paths(samples.times, samples.x, samples.u_polynomial)
     scales = np.concatenate(
-        [samples.control_scale, np.maximum(np.max(np.abs(values), axis=1, initial=0.0), 1e-6)]
+        [samples.control_scale, np.maximum(np.max(np.abs(values), axis=1, initial=0.0), NO_MAGNITUDE)]
     )
     # At an upper limit both the switching function and the reversed multiplier must be negative.
     pull = np.vstack([samples.control_gradient, -samples.mu]) * scales[:, None] / samples.hamiltonian_scale

@@ -1,4 +1,4 @@
-"""What counts as zero, as equal, as the same time and as a number: for all controllers alike."""
+"""What counts as zero, as equal, as the same time, as at a limit and as a number, wherever it means the same."""
 
 from __future__ import annotations
 
@@ -10,6 +10,20 @@ from gnc_opt.arrays import Array
 ROUNDING = 1e-12
 """What is smaller than this, relative to the numbers that it is made of, is rounding (some thousand times that of
 double precision): singular values beside the largest, sums whose terms cancel, eigenvalues at zero, asymmetries."""
+
+AT_LIMIT = 1e-6
+"""A value this close to its limit, relative to its range or size, sits on it: interior-point iterates stay about
+this far off in the worst case, and what is farther off is not explained by any solver tolerance in use."""
+
+VANISHED = 1e-6
+"""A quantity that never exceeds this has no magnitude of its own: one is taken instead, lest offences be measured in
+shares of rounding."""
+
+SHORTEST = 1e-9
+"""Durations (s) below this have vanished; what has no length is drawn and divided by this."""
+
+RANK = 1e-9
+"""Singular values of constraint gradients below this, relative to the largest, are those of dependent constraints."""
 
 TINY = float(np.finfo(float).tiny)
 """Smallest normal number: keeps a division or a logarithm of zero finite and changes nothing else."""
@@ -29,6 +43,12 @@ steps for hours is late by rounding."""
 LARGEST = 1e30
 """Measurements above this are taken for none, as those are that are not a number: the powers that a law takes of them
 would leave the range of doubles."""
+
+
+def magnitude(values: ArrayLike, otherwise: ArrayLike = 1.0) -> Array:
+    """Return magnitudes to divide by: the given ones, or others where those have `VANISHED`."""
+    sizes = np.asarray(values, dtype=float)
+    return np.where(sizes > VANISHED, sizes, otherwise)
 
 
 def alike(found: Array, expected: Array) -> bool:

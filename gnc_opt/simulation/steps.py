@@ -1,0 +1,41 @@
+"""Steps: how times and steps of a loop are counted, and which differences are mere rounding."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import casadi as ca
+
+from gnc_opt.errors import ArgumentError
+
+ROUNDING = 1e-9
+"""Share of a step by which times may differ that are the same: they are sums and quotients of steps."""
+
+LAST_DIGITS = 1e-12
+"""Share by which a time may exceed its limit: the rounding of a single product."""
+
+
+def whole_steps(duration: float, step: float, what: str) -> int:
+    """Return how many steps make up a duration (s); refuse what is no multiple."""
+    count = round(duration / step)
+    if count < 0 or abs(count * step - duration) > ROUNDING * max(step, duration):
+        raise ArgumentError(
+            f"{what} is {duration:g} s, not a multiple of the step of {step:g} s: choose one."
+        )
+    return count
+
+
+def started_steps(duration: float, step: float) -> int:
+    """Return how many steps begin within a duration (s)."""
+    return math.ceil(duration / step - ROUNDING)
+
+
+def is_first(phase: Any) -> Any:
+    """Return whether a phase (SX), which counts steps from 0, is at its beginning."""
+    return phase < 0.5
+
+
+def next_phase(phase: Any, count: int) -> Any:
+    """Return the phase (SX) after a step: 0 again after ``count`` of them."""
+    return ca.if_else(phase > count - 1.5, 0.0, phase + 1)

@@ -1,0 +1,211 @@
+"""Whatever a page names exists: files, public names and their arguments, options and commands, links."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import importlib
+import inspect
+import io
+import re
+import shlex
+from collections import Counter
+from collections.abc import Iterator
+from functools import cache
+from importlib.util import find_spec
+from itertools import pairwise
+
+import pytest
+from names import Span, resolve
+from pages import CONTRIBUTING, DOCS, FENCE, PAGES, README, ROOT, Page, doc, documented, options, subparsers
+
+from gnc_opt.cli import _parser
+
+page_by_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+
+NOT_OURS = {
+    "docs/control.md": {"SeedSequence([seed, i])"},
+    "docs/formation_flying.md": {"J2 = 0"},
+    "docs/json_summary.md": set(documented(doc("json_summary").text)),  # compared with the JSON elsewhere
+    "docs/rendezvous_tracking.md": {"solve_ivp"},
+}
+"""Inline code that names other people's things, or data."""
+
+SYSTEMS = [page.path.stem for page in DOCS if find_spec(f"problems.{page.path.stem}")]
+"""What NAME stands for in ``python -m problems.NAME``."""
+
+
+# --- names --------------------------------------------------------------------------------------------
+
+
+def names_in(page: Page) -> frozenset[str]:
+    """Every name that occurs in the page's own Python blocks."""
+    trees = [ast.parse(block.code) for block in page.code("python")]
+    nodes = [node for tree in trees for node in ast.walk(tree)]
+    return frozenset({node.id for node in nodes if isinstance(node, ast.Name)})
+
+
+@page_by_page
+def test_inline_code_names_what_exists(page: Page) -> None:
+    known = names_in(page)
+    spans = (Span(text, known) for text in page.spans if text not in NOT_OURS.get(page.name, ()))
+    mistakes = [f"`{span.text}`: {span.mistake}" for span in spans if span.mistake]
+    assert not mistakes, f"{page.name}:\n" + "\n".join(mistakes)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "go.solv",
+        "go.solve(problem, tolerance=1e-8)",
+        "solution.costates",
+        "Solution.structured",
+        "phase().path_multiplierz",
+        "Problem.with_arcs(arc=2)",
+        "gnc_opt.refine.eror",
+        'structure="bang-bong"',
+        'taill="trim"',
+        "gnc_opt/nowhere.py",
+        "no_such_word_anywhere",
+        "WheelArray(balanced=True)",
+    ],
+)
+def test_wrong_names_are_found(text: str) -> None:
+    assert Span(text).mistake
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "go.solve(problem, tol=1e-8)",
+        'solution.costate("q")(0.0)',
+        "phase().path_multipliers",
+        'structure="bang-bang"',
+        "Mesh(..., movable=...)",
+        "(t, x, r, z) -> (u, z_next)",
+    ],
+)
+def test_right_names_pass(text: str) -> None:
+    assert Span(text).mistake == ""
+
+
+@page_by_page
+def test_links_and_their_files_exist(page: Page) -> None:
+    for target in page.links:
+        assert (page.path.parent / target).resolve().exists(), f"{page.name} links to {target}"
+
+
+@page_by_page
+def test_no_phrase_is_said_again_and_again(page: Page) -> None:
+    """A careless replacement leaves the same words in many places."""
+    prose = "\n".join(line for line in FENCE.sub("", page.text).splitlines() if not line.startswith("|"))
+    words = re.findall(r"[^\W_]+", prose)
+    phrases = Counter(" ".join(words[i : i + 7]) for i in range(len(words) - 6))
+    often = {phrase: n for phrase, n in phrases.items() if n > 3}
+    assert not often, f"{page.name}: {often}"
+
+
+# --- commands -----------------------------------------------------------------------------------------
+
+
+@cache
+def subcommands() -> dict[str, str]:
+    """The help of every subcommand of gnc-opt."""
+    return {name: parser.format_help() for name, parser in subparsers(_parser()).items()}
+
+
+@cache
+def help_of(module: str) -> str:
+    """What ``python -m MODULE --help`` prints."""
+    stream = io.StringIO()
+    with contextlib.redirect_stdout(stream), pytest.raises(SystemExit) as leaving:
+        importlib.import_module(module).main(["--help"])
+    assert not leaving.value.code
+    return stream.getvalue()
+
+
+def programs(command: str) -> Iterator[tuple[str, str]]:
+    """Yield name and help of the programs that a command line may mean."""
+    if command.startswith("gnc-opt"):
+        subcommand = command.split()[1]
+        if subcommand.startswith("-"):
+            yield "gnc-opt", _parser().format_help()
+        else:
+            assert subcommand in subcommands(), f"gnc-opt has no command '{subcommand}'"
+            yield f"gnc-opt {subcommand}", subcommands()[subcommand]
+        return
+    module = command.split(" -m ")[1].split()[0]
+    for name in SYSTEMS if module == "problems.NAME" else [module.removeprefix("problems.")]:
+        full = name if name.startswith("benchmarks.") else f"problems.{name}"
+        assert find_spec(full), f"there is no module {full}"
+        yield full, help_of(full)
+
+
+@page_by_page
+def test_commands_have_the_options_that_the_page_gives_them(page: Page) -> None:
+    for command in page.commands:
+        for name, usage in programs(command):
+            unknown = options(command) - options(usage)
+            assert not unknown, f"{page.name}: {name} has no {unknown}"
+
+
+@page_by_page
+def test_options_alone_belong_to_a_program_of_the_page(page: Page) -> None:
+    known = {option for usage in subcommands().values() for option in options(usage)} | {"--version"}
+    known |= {o for command in page.commands for _, usage in programs(command) for o in options(usage)}
+    for span in page.spans:
+        if span.startswith("--"):
+            assert options(span) <= known, f"{page.name}: `{span}`"
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if p.code("sh")], ids=lambda page: page.name)
+def test_shell_blocks_can_be_run(page: Page) -> None:
+    """gnc-opt understands its arguments, its files exist, and pip knows the extras."""
+    extras = re.search(
+        r"optional-dependencies\]\n(.*?)\n\n", (ROOT / "pyproject.toml").read_text(), re.DOTALL
+    )
+    for block in page.code("sh"):
+        for command in re.split(r"&&|\n", block.code):
+            words = [word for word in shlex.split(command) if "=1" not in word or "case" in word]
+            program = words[0].rpartition("/")[2] if words else ""
+            if program == "gnc-opt" and words[1] != "--version":
+                _parser().parse_args(words[1:])
+                assert (ROOT / words[2]).exists()
+            for extra in re.findall(r"\.\[(\w+)\]", command):
+                assert extras and re.search(rf"(?m)^{extra} = ", extras[1])
+
+
+# --- files --------------------------------------------------------------------------------------------
+
+
+def test_the_layout_lists_every_package() -> None:
+    told = set(re.findall(r"`(?:gnc_opt/)?(\w+)/`", README.section("Layout")))
+    there = {path.parent.name for path in (ROOT / "gnc_opt").glob("*/__init__.py")}
+    assert there <= told, there - told
+
+
+def test_contributing_lists_every_package() -> None:
+    """Those that hold no other packages."""
+    packages = [path.parent.relative_to(ROOT) for path in (ROOT / "gnc_opt").rglob("__init__.py")]
+    parents = {parent for package in packages for parent in package.parents}
+    leaves = set(packages) - parents
+    assert len(leaves) > 8
+    assert not [package for package in leaves if f"`{package}/`" not in CONTRIBUTING.text]
+
+
+def test_contributing_draws_the_order_of_the_contract() -> None:
+    """From the bottom up, as the import contract lists it from the top down."""
+    contract = re.search(r"(?s)\nlayers = \[(.*?)\]", (ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert contract
+    layers = [re.findall(r"gnc_opt\.(\w+)", line) for line in contract[1].splitlines()[::-1]]
+    drawn = CONTRIBUTING.code("text")[0].code
+    places = [[drawn.find(f"{name} ") for name in layer if f"{name} " in drawn] for layer in layers]
+    places = [layer for layer in places if layer]
+    assert len(places) >= 9
+    assert all(max(below) < min(above) for below, above in pairwise(places)), places
+
+
+def test_the_resolver_sees_the_public_names() -> None:
+    """Not a vacuous check: what the README calls is followed to functions of the library."""
+    things = resolve(ast.parse("go.solve", mode="eval").body)
+    assert things and inspect.isfunction(things[0].value)

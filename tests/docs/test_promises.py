@@ -1,0 +1,213 @@
+"""A page that promises to list all of something lists all of it, and nothing else."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import re
+from collections.abc import Iterable, Iterator
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pages import README, ROOT, Page, doc, documented, options, subparsers
+
+import gnc_opt as go
+from gnc_opt import cli, control, simulation
+from gnc_opt.cli import ExitCode, _parser
+from gnc_opt.control.sliding import reaching
+from gnc_opt.problem.arc import ArcKind
+from gnc_opt.report import summary_dict
+from gnc_opt.report.search import search_dict
+from problems import minimum_fuel
+
+COMMANDS = README.section("Command line")
+JSON = doc("json_summary")
+
+
+# --- command line -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", sorted(subparsers(_parser())))
+def test_readme_lists_every_command_with_every_option(name: str) -> None:
+    parser = subparsers(_parser())[name]
+    usages = re.findall(rf"(?m)^gnc-opt {name} .*(?:\n +.*)*", COMMANDS)
+    assert len(usages) == 1, f"the usage of {name} is given {len(usages)} times"
+    told = re.findall(r"--[a-z][a-z-]*", usages[0])
+    assert len(told) == len(set(told))
+    assert set(told) == options(parser.format_help()) - {"--help"}
+
+
+def test_readme_lists_no_other_command() -> None:
+    assert set(re.findall(r"(?m)^gnc-opt (\w+)", COMMANDS)) == set(subparsers(_parser()))
+    assert set(subparsers(_parser())) <= set(re.findall(r"gnc-opt (\w+)", cli.__doc__ or ""))
+
+
+def test_choices_are_those_of_the_program() -> None:
+    for parser in subparsers(_parser()).values():
+        for action in parser._actions:
+            if action.choices:
+                assert f"{action.option_strings[0]} {'|'.join(map(str, action.choices))}]" in COMMANDS
+
+
+def test_readme_lists_every_exit_code() -> None:
+    listed = [int(code) for code in re.findall(r"^\| (\d+) \|", COMMANDS, re.MULTILINE)]
+    assert listed == [int(code) for code in ExitCode]
+
+
+# --- JSON ---------------------------------------------------------------------------------------------
+
+
+def keys(value: Any, path: str = "") -> Iterator[str]:
+    """Yield the paths of all keys: ``phases[].states[].name``; of mappings by the user's names only their own."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield f"{path}.{key}".lstrip(".")
+            if key not in ("parameters", "provenance", "failures"):
+                yield from keys(item, f"{path}.{key}".lstrip("."))
+    elif isinstance(value, list):
+        for item in value:
+            yield from keys(item, f"{path}[]")
+
+
+def row(page: Page, key: str) -> str:
+    return next(line for line in page.text.splitlines() if line.startswith(f"| `{key}`"))
+
+
+def values(page: Page, key: str) -> set[str]:
+    """The values that the last column of a key's row lists in inline code."""
+    return set(re.findall(r"`([^`]+)`", row(page, key).rstrip("| ").rpartition("| ")[2]))
+
+
+@pytest.fixture(scope="module")
+def solution() -> go.Solution:
+    """One with a structure and a history."""
+    return go.solve(minimum_fuel.build(), tol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def summary(solution: go.Solution) -> dict[str, Any]:
+    return summary_dict(solution, go.verify(solution))
+
+
+@pytest.fixture(scope="module")
+def failure() -> dict[str, Any]:
+    return summary_dict(go.solve(minimum_fuel.build(duration=0.5), throw=False))
+
+
+def test_json_summary_lists_every_key(summary: dict[str, Any], failure: dict[str, Any]) -> None:
+    assert summary["structure"] and summary["refinement"] and failure["violations"]
+    told = documented(JSON.section("Keys"))
+    assert len(told) == len(set(told))
+    assert set(told) == set(keys(summary)) | set(keys(failure))
+
+
+def test_json_of_a_search_lists_every_key() -> None:
+    found = go.multistart(minimum_fuel.build(), n=2, seed=1, executor="serial", refine=False)
+    minima = [
+        {key: item for key, item in entry.items() if key != "solution"}
+        for entry in search_dict(found)["minima"]
+    ]
+    used = set(keys(search_dict(found) | {"minima": minima})) | {"minima[].solution"}
+    assert minima
+    assert set(documented(JSON.section("A search"))) == used
+
+
+@pytest.mark.parametrize(
+    ("key", "kind"),
+    [
+        ("status", go.Status),
+        ("structure[].kind", set(ArcKind) - {ArcKind.RELEASED}),  # of no finished solution
+        ("refinement.status", go.RefinementStatus),
+        ("verdict.conditions[].result", go.Result),
+    ],
+)
+def test_json_summary_lists_every_value(key: str, kind: Iterable[Enum]) -> None:
+    assert values(JSON, key) == {member.value for member in kind}
+
+
+def test_json_of_a_problem_file(tmp_path: Path) -> None:
+    minimum_fuel.main(["--json", str(tmp_path / "out.json")])
+    reference = json.loads((tmp_path / "out.json").read_text())["reference"]
+    sentence = re.search(r"\n\n([^|]*?`reference`.*?)\n\n", doc("problems").text, re.DOTALL)
+    assert sentence
+    for key in reference:
+        assert f"`{key}`" in sentence[1], key
+
+
+# --- controllers and loops ----------------------------------------------------------------------------
+
+
+def exported(module: Any, base: type | tuple[type, ...] = object) -> set[str]:
+    """Public classes of a package below a base class."""
+    found = {name for name in module.__all__ if inspect.isclass(getattr(module, name))}
+    return {name for name in found if issubclass(getattr(module, name), base)}
+
+
+def told_in_table(page: Page) -> set[str]:
+    """Names in the rows of a page's tables."""
+    rows = [line for line in page.text.splitlines() if line.startswith("|")]
+    return set(re.findall(r"`(\w+)[^`]*`", "\n".join(rows)))
+
+
+def test_control_lists_every_design() -> None:
+    designs = {name for name in control.__all__ if name.startswith("design_")} | {"feedforward"}
+    assert designs <= told_in_table(doc("control"))
+
+
+def test_control_lists_everything_a_loop_can_hold() -> None:
+    made_of = {name for name in simulation.__all__ if inspect.isclass(getattr(simulation, name))}
+    results = {"Block", "Campaign", "ClosedLoop", "Ending", "Flight", "Outcome", "Run", "RunStatus"}
+    assert made_of - results <= told_in_table(doc("control")), (
+        made_of - results - told_in_table(doc("control"))
+    )
+
+
+def test_control_lists_every_outcome() -> None:
+    sentence = re.search(r"exactly one `outcome`: (.*?)\.\s", doc("control").text, re.DOTALL)
+    assert sentence
+    words = re.sub(r"\s*\([^)]*\)", "", sentence[1])
+    told = [" ".join(word.split()) for word in words.split(",")]
+    assert told == [member.value for member in go.RunStatus]
+
+
+def test_sliding_mode_lists_every_reaching_law_and_layer() -> None:
+    public = {name for name in control.__all__ if getattr(control, name).__module__ == reaching.__name__}
+    told = set(re.findall(r"`(\w+)\(", doc("sliding_mode").section("Surfaces and reaching laws")))
+    assert public <= told
+
+
+# --- versions ---------------------------------------------------------------------------------------
+
+
+def test_version_is_the_same_everywhere() -> None:
+    patterns = {
+        "pyproject.toml": r'^version = "(.*)"',
+        "CITATION.cff": r"^version: (.*)",
+        "CHANGELOG.md": r"^## (\S+)",
+    }
+    texts = {name: (ROOT / name).read_text(encoding="utf-8") for name in patterns}
+    found = {name: re.search(pattern, texts[name], re.MULTILINE) for name, pattern in patterns.items()}
+    assert len({match and match[1] for match in found.values()}) == 1, found
+
+
+# --- problems -----------------------------------------------------------------------------------------
+
+
+def test_problems_lists_every_file() -> None:
+    table = set(re.findall(r"(?m)^\| \[`(\w+)`\]", doc("problems").text))
+    files = [path for path in (ROOT / "problems").glob("*.py") if "run(build, REFERENCE" in path.read_text()]
+    systems = (ROOT / "problems").glob("*/__main__.py")
+    assert table == {path.stem for path in files} | {path.parent.name for path in systems}
+
+
+def test_every_system_is_introduced() -> None:
+    """Each page of a published system is linked from the README, and from the page on controllers."""
+    from importlib.util import find_spec
+
+    systems = [path.stem for path in (ROOT / "docs").glob("*.md") if find_spec(f"problems.{path.stem}")]
+    assert len(systems) >= 5
+    for name in systems:
+        assert f"docs/{name}.md" in README.links
+        assert f"{name}.md" in doc("control").links

@@ -1,0 +1,35 @@
+"""Counting steps: rounding neither adds nor drops one."""
+
+import casadi as ca
+import pytest
+
+from gnc_opt.errors import ArgumentError
+from gnc_opt.simulation.steps import is_first, next_phase, started_steps, whole_steps
+
+
+@pytest.mark.parametrize(
+    ("duration", "step", "count"),
+    [(1.1, 0.1, 11), (0.7, 0.1, 7), (0.3, 0.1, 3), (0.0, 0.1, 0), (1.15, 0.1, 12), (0.01, 0.1, 1)],
+)
+def test_steps_that_begin_within_a_duration(duration, step, count):
+    assert started_steps(duration, step) == count
+
+
+def test_a_duration_must_be_whole_steps():
+    assert [whole_steps(n * 0.1, 0.1, "it") for n in range(50)] == list(range(50))
+    for duration in (0.15, 0.1001, -0.1):
+        with pytest.raises(ArgumentError, match=r"it is .* not a multiple of the step of 0\.1 s"):
+            whole_steps(duration, 0.1, "it")
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_phases_begin_anew(count):
+    phase = ca.SX.sym("phase")
+    function = ca.Function("f", [phase], [is_first(phase), next_phase(phase, count)])
+    at, seen = 0.0, []
+    for _ in range(3 * count):
+        first, after = (float(value) for value in function(at))
+        assert first == (at == 0)
+        seen.append(int(at))
+        at = after
+    assert seen == list(range(count)) * 3
