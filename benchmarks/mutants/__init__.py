@@ -9,5 +9,9 @@ taken up where it ended; ``--again`` tries its survivors once more, after new te
 Why not mutmut or cosmic-ray: mutmut leaves out decorated functions (properties, here every second function), and
 cosmic-ray runs the same tests for every mutant; neither draws a seeded sample by package.
 
-Modules: `mutations` (what is changed), `cover` (which test runs which line), `trial` (one mutant), `__main__`.
+Modules: `mutations` (what is changed), `cover` (which test runs which line), `trial` (one mutant), `command`.
 """
+
+from benchmarks.mutants.command import main
+
+__all__ = ["main"]
