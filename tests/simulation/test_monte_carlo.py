@@ -23,7 +23,7 @@ from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
 from gnc_opt.plot.campaign import plot_dispersion, plot_distributions
-from gnc_opt.report.campaign import campaign_meter
+from gnc_opt.report.progress import campaign_meter
 from gnc_opt.simulation import (
     ClosedLoop,
     Constant,
