@@ -36,7 +36,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.integrate import solve_ivp
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 from gnc_opt.simulation import Campaign, Flight
 from gnc_opt.spacecraft import (
     RADIUS_EARTH,

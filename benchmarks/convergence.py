@@ -26,7 +26,7 @@ from scipy.optimize import brentq
 
 import gnc_opt as go
 from gnc_opt.plot.style import line_look, new_figure, save_figure, style
-from gnc_opt.transcription.quadrature import Scheme
+from gnc_opt.transcription.scheme import Scheme
 
 Array = NDArray[np.float64]
 Signal = Callable[[Array], Array]

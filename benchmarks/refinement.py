@@ -28,8 +28,8 @@ from benchmarks.ocp_json import build_problem, read_documents
 from gnc_opt.plot.refinement import plot_refinement
 from gnc_opt.plot.style import save_figure
 from gnc_opt.refine.error import estimate_errors, largest_error
-from gnc_opt.refine.history import History
-from gnc_opt.refine.hp import refine_mesh
+from gnc_opt.refine.hp.mesh_refinement import refine_mesh
+from gnc_opt.solution.history import History
 
 REFERENCE = 1.3308069049430022
 """Optimal cost of the hyper-sensitive problem, from stitching the stable and unstable manifolds."""

@@ -38,7 +38,7 @@ from rich.table import Table
 import gnc_opt as go
 from benchmarks.bare_rendezvous import BareResult, solve_bare
 from gnc_opt.nlp.options import _ipopt_options
-from gnc_opt.transcription.guess import start_variables
+from gnc_opt.solution.start import start_from_guess
 from gnc_opt.transcription.quadrature import collocation_rule
 from gnc_opt.transcription.scaling import phase_magnitudes
 from gnc_opt.transcription.transcription import transcribe
@@ -100,7 +100,7 @@ def bare(segments: int, degree: int, *, scaled: bool) -> Run:
     problem = build(CASE)
     phase = problem.get_phase()
     transcription = transcribe(problem, {phase.name: go.Mesh.uniform(segments, degree)}, "LG")
-    start = start_variables(transcription, problem)
+    start = start_from_guess(transcription, problem)
     rule = collocation_rule("LG", degree)
     scales = (*phase_magnitudes(phase), float(start[-1])) if scaled else None
     numbers = rule.points, rule.weights, rule.differentiation
@@ -204,7 +204,7 @@ class Evaluations:
         transcription = transcribe(problem, {phase.name: go.Mesh.uniform(segments, 3)}, "LG")
         nlp = transcription.nlp
         f, g = (ca.Function(name, [nlp.x, nlp.p], [getattr(nlp, name)]) for name in ("f", "g"))
-        x = start_variables(transcription, problem)
+        x = start_from_guess(transcription, problem)
         ones = np.ones(transcription.n_variables), np.ones(transcription.n_constraints)
         values = x, transcription.parameter_vector(problem, *ones, 1.0), np.ones(1), ones[1]
         self._repeats = max(3, 1000 // segments)

@@ -22,7 +22,6 @@ from gnc_opt.errors import (
     ModelError,
     ProblemError,
     ProblemWarning,
-    SolveError,
     UnknownAttributeError,
     UnknownNameError,
 )
@@ -30,8 +29,10 @@ from gnc_opt.model import Model
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem import Phase, Problem
 from gnc_opt.refine import History, Minimum, Multistart, RefinementStatus, multistart, polish, refine
+from gnc_opt.refine.sensitivity.sensitivity import sensitivity
 from gnc_opt.simulation import Campaign, ClosedLoop, Outcome, Run, RunStatus, monte_carlo
 from gnc_opt.solution import PhaseSolution, Solution, load
+from gnc_opt.solution.failure import SolveError
 from gnc_opt.solve import solve
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.verify import Condition, Result, Verdict, verify
@@ -84,6 +85,7 @@ __all__ = [
     "multistart",
     "polish",
     "refine",
+    "sensitivity",
     "solve",
     "verify",
 ]

@@ -18,7 +18,7 @@ from typing import Any, BinaryIO, TypeAlias
 
 import numpy as np
 
-from gnc_opt.arguments import Array
+from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError
 from gnc_opt.packing import Arrays, Packing
 

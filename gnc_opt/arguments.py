@@ -9,11 +9,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, shown
 
-Array = NDArray[np.float64]
 ErrorType = type[GncOptError]
 
 

@@ -83,27 +83,16 @@ def _solve(args: argparse.Namespace) -> ExitCode:
             problem,
             mesh=args.mesh or file.mesh,
             scheme=args.scheme,
+            tol=args.tol or (None if args.structure is None else REFINE_TOLERANCE),
+            structure=args.structure or "auto",
             options=_solver_options(args),
             progress=not args.quiet,
             throw=False,
         )
-        if solution.status.solved and (args.tol is not None or args.structure is not None):
-            solution = _refine(args, solution)
         verdict = _verify(solution) if solution.status.solved and not args.no_verify else None
     _show(console, solution, verdict)
     _write(args, console, file, solution, verdict)
     return _exit_code(solution, verdict, args.exit_zero)
-
-
-def _refine(args: argparse.Namespace, solution: Solution) -> Solution:
-    from gnc_opt.refine import refine
-
-    return refine(
-        solution,
-        tol=args.tol or REFINE_TOLERANCE,
-        structure=args.structure or "auto",
-        progress=not args.quiet,
-    )
 
 
 def _multistart(args: argparse.Namespace) -> ExitCode:
@@ -281,7 +270,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parser() -> argparse.ArgumentParser:
-    from gnc_opt.solve import package_version
+    from gnc_opt.versions import package_version
 
     parser = _Parser(
         prog="gnc-opt",
@@ -300,6 +289,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_solve(commands: Any) -> None:
+    from gnc_opt.transcription.scheme import GAUSS, SCHEMES
+
     command = commands.add_parser(
         "solve",
         help="solve a problem and judge the answer",
@@ -309,7 +300,7 @@ def _add_solve(commands: Any) -> None:
     _add_common(command)
     add = command.add_argument
     add("--mesh", metavar="KxN", help="K equal segments of N points; default: MESH of the file")
-    add("--scheme", type=str.upper, choices=("LG", "LGR", "LGL"), default="LG", help="collocation points")
+    add("--scheme", type=str.upper, choices=SCHEMES, default=GAUSS, help="collocation points")
     add("--tol", type=float, metavar="TOL", help="refine until the error between the nodes is below this")
     add(
         "--structure",
@@ -341,7 +332,7 @@ def _add_multistart(commands: Any) -> None:
 
 def _add_common(command: argparse.ArgumentParser) -> None:
     add = command.add_argument
-    add("file", metavar="FILE", help="Python file with build(**options) returning a Problem")
+    add("file", metavar="FILE", help="Python file or package with build(**options) returning a Problem")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="option of build(); may be repeated")
     add("--quiet", action="store_true", help="show nothing but errors and warnings")
     add("--debug", action="store_true", help="show the traceback of an error")

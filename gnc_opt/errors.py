@@ -7,11 +7,6 @@ import reprlib
 import sys
 import warnings
 from collections.abc import Iterable
-from dataclasses import replace
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from gnc_opt.solution.solution import Solution
 
 
 class GncOptError(Exception):
@@ -39,21 +34,6 @@ class UnknownNameError(ModelError, ProblemError, KeyError):
 
 class UnknownAttributeError(GncOptError, AttributeError):
     """An attribute that does not exist, read or assigned; the message offers the nearest one."""
-
-
-class SolveError(GncOptError, RuntimeError):
-    """The solver did not reach a solution; `solution` holds the last iterate and its status.
-
-    On its way to another process the iterate loses its problem, whose symbols cannot travel;
-    ``error.solution.with_problem(problem)`` joins the two again.
-    """
-
-    def __init__(self, message: str, solution: Solution) -> None:
-        super().__init__(message)
-        self.solution = solution
-
-    def __reduce__(self) -> tuple[type[SolveError], tuple[str, Solution]]:
-        return type(self), (str(self), replace(self.solution, problem=None))
 
 
 class DesignError(GncOptError, ValueError):

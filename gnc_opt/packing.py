@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from gnc_opt.arguments import Array
+from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError
 
 Arrays: TypeAlias = dict[str, Array]

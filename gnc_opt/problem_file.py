@@ -1,4 +1,4 @@
-"""Problem files: any Python file with ``build(**options) -> Problem``.
+"""Problem files: any Python file, or package, with ``build(**options) -> Problem``.
 
 Two more names are looked for: ``MESH`` (a mesh, ``"20x3"`` or a mapping from phase to mesh) is the default
 mesh, and ``figures(solution, directory)`` draws the problem's own figures for a report.
@@ -21,6 +21,7 @@ from typing import Any
 from gnc_opt.errors import GncOptError, did_you_mean
 from gnc_opt.problem.problem import Problem
 
+_INIT = "__init__.py"
 _WORDS: dict[str, Any] = {"true": True, "false": False, "none": None, "null": None}
 
 
@@ -35,6 +36,7 @@ class ProblemFile:
     Attributes
     ----------
     path : Path
+        Of the file, or of the package's folder.
     module : module
     """
 
@@ -91,37 +93,81 @@ class ProblemFile:
 
 
 def load_problem_file(path: str | Path) -> ProblemFile:
-    """Run a problem file.
+    """Run a problem file, or import a problem that is a package: a folder with ``__init__.py``.
 
-    Its folder and the folder above can be imported from, so ``problems/b.py`` may say ``import a`` or
-    ``from problems import a``.
+    What lies beside a file can be imported from it: its folder, the folder above and, if it belongs to a
+    package, the folder that holds the package are searched, so ``problems/b.py`` may say ``import a`` or
+    ``from problems import a``. A package is imported under its own name, whatever the current folder is.
+    ``NAME.py`` that does not exist stands for the package ``NAME`` beside it.
 
     Raises
     ------
     ProblemFileError
-        No such file, not Python, an error while it runs, or no ``build`` in it.
+        No such file, not Python, an error while it runs, no ``build`` in it, or a package that another
+        module of the same name hides.
     """
-    file = Path(path)
-    if not file.is_file():
-        what = "is a folder" if file.is_dir() else "does not exist"
-        raise ProblemFileError(f"problem file '{path}' {what}: name a Python file with a build() function.")
-    for folder in (file.resolve().parent.parent, file.resolve().parent):
-        if str(folder) not in sys.path:
-            sys.path.insert(0, str(folder))
-    # A prefix, so that a file called numpy.py does not replace numpy.
-    spec = importlib.util.spec_from_file_location(f"_problem_file_{file.stem}", file)
-    if spec is None or spec.loader is None:
-        raise ProblemFileError(f"problem file '{path}' is not a Python file: its name must end in .py.")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    with _blaming(file, "the file"):
-        spec.loader.exec_module(module)
+    source = _source(Path(path))
+    module = _imported(source) if source.is_dir() else _executed(source)
     if not callable(getattr(module, "build", None)):
         functions = [n for n, v in vars(module).items() if inspect.isfunction(v) and not n.startswith("_")]
         raise ProblemFileError(
             f"{path} has no function build() that returns the Problem: {did_you_mean('build', functions)}"
         )
-    return ProblemFile(file, module)
+    return ProblemFile(source, module)
+
+
+def _source(path: Path) -> Path:
+    """Return the file, or the folder of the package, that a path names."""
+    if path.is_file():
+        return path.parent if path.name == _INIT else path
+    folder = path.with_suffix("") if path.suffix == ".py" else path
+    if (folder / _INIT).is_file():
+        return folder
+    what = f"is a folder without {_INIT}" if path.is_dir() else "does not exist"
+    raise ProblemFileError(
+        f"problem file '{path}' {what}: name a Python file or a package with a build() function."
+    )
+
+
+def _executed(file: Path) -> ModuleType:
+    folder = file.resolve().parent
+    _search(_holder(folder), folder.parent, folder)
+    # A prefix, so that a file called numpy.py does not replace numpy.
+    spec = importlib.util.spec_from_file_location(f"_problem_file_{file.stem}", file)
+    if spec is None or spec.loader is None:
+        raise ProblemFileError(f"problem file '{file}' is not a Python file: its name must end in .py.")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    with _blaming(file, "the file"):
+        spec.loader.exec_module(module)
+    return module
+
+
+def _imported(folder: Path) -> ModuleType:
+    """Import a package under its own name: its modules import each other by it."""
+    holder = _holder(folder.resolve())
+    names = folder.resolve().relative_to(holder).parts
+    _search(holder)
+    with _blaming(folder, "the package"):
+        outermost = importlib.import_module(names[0])
+        if str(holder / names[0]) not in (str(Path(p).resolve()) for p in getattr(outermost, "__path__", [])):
+            raise ProblemFileError(
+                f"problem package '{folder}' is hidden by another module named '{names[0]}' "
+                f"({getattr(outermost, '__file__', None) or 'built in'}): rename the folder."
+            )
+        return importlib.import_module(".".join(names))
+
+
+def _holder(folder: Path) -> Path:
+    """Return the nearest folder above that is no package: modules of a package have their names from there."""
+    return next((above for above in folder.parents if not (above / _INIT).is_file()), folder)
+
+
+def _search(*folders: Path) -> None:
+    """Let modules be imported from these folders, the last one first."""
+    for folder in folders:
+        if str(folder) not in sys.path:
+            sys.path.insert(0, str(folder))
 
 
 def parse_setting(text: str) -> tuple[str, Any]:
@@ -165,17 +211,19 @@ def _blaming(path: Path, what: str) -> Iterator[None]:
     except SystemExit as error:
         raise ProblemFileError(f"{path}: {what} ends the program (exit code {error.code}).") from error
     except Exception as error:
-        line = _line_in(path, error)
-        place = f"{path}, line {line}" if line else str(path)
+        place = _place(path, error)
         kind = "" if isinstance(error, GncOptError) else f"{type(error).__name__}: "
         message = error.msg if isinstance(error, SyntaxError) else str(error)
         raise ProblemFileError(f"{place}: {kind}{message}") from error
 
 
-def _line_in(path: Path, error: BaseException) -> int | None:
-    """The last line of the file that the error passed through."""
-    if isinstance(error, SyntaxError) and error.filename and Path(error.filename).resolve() == path.resolve():
-        return error.lineno
-    frames = traceback.extract_tb(error.__traceback__)
-    lines = [f.lineno for f in frames if Path(f.filename).resolve() == path.resolve()]
-    return lines[-1] if lines else None
+def _place(path: Path, error: BaseException) -> str:
+    """Name the last line of the file, or of any file of the package, that the error passed through."""
+    passed = [(f.filename, f.lineno) for f in traceback.extract_tb(error.__traceback__)]
+    if isinstance(error, SyntaxError) and error.filename:
+        passed.append((error.filename, error.lineno))
+    for name, line in reversed(passed):
+        file = Path(name).resolve()
+        if file.is_file() and file.is_relative_to(path.resolve()):
+            return f"{path / file.relative_to(path.resolve())}, line {line}"
+    return str(path)

@@ -38,7 +38,7 @@ class Strict:
 
 def _unknown(instance: Strict, name: str) -> UnknownAttributeError:
     public = [known for known in dir(type(instance)) if not known.startswith("_")]
-    owners = [c.__name__ for c in Strict.__subclasses__() if not name.startswith("_") and hasattr(c, name)]
+    owners = [c.__name__ for c in _leaves(Strict) if not name.startswith("_") and hasattr(c, name)]
     remedy = f"it belongs to a {' or a '.join(owners)}." if owners else did_you_mean(name, public)
     return UnknownAttributeError(f"{_called(instance)} has no '{name}': {remedy}")
 
@@ -49,3 +49,9 @@ def _called(instance: Strict) -> str:
         return f"{kind} '{object.__getattribute__(instance, 'name')}'"
     except AttributeError:  # under construction
         return kind
+
+
+def _leaves(kind: type) -> list[type]:
+    """The classes below a class that have none below themselves: those that users meet."""
+    below: list[type] = kind.__subclasses__()
+    return [leaf for c in below for leaf in _leaves(c)] if below else [kind]

@@ -1,4 +1,7 @@
-"""Comparison with a publication: expected, ours, good enough or not; and the ``main`` of such a file."""
+"""Comparison with a publication: expected, ours, good enough or not; and the ``main`` of such a system.
+
+A `Number` is one number and judges itself; a `Row` is a line of text, also for several numbers or a condition.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,49 @@ from rich.table import Table
 
 _WIDTH = 170
 """Columns where the output is no terminal."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """One number.
+
+    Attributes
+    ----------
+    quantity : str
+    expected, ours : float
+    tolerance : float or None
+        Absolute; ``None``: shown, not asserted. With ``below``, ours must not exceed ``expected``.
+    published : str
+        What the publication says, in words.
+    reason : str
+        Why there is a difference, or nothing is asserted.
+    below : bool
+    unit : str
+        If the quantity's name does not tell it.
+    source : str
+        Where ``expected`` comes from.
+    """
+
+    quantity: str
+    expected: float
+    ours: float
+    tolerance: float | None = None
+    published: str = ""
+    reason: str = ""
+    below: bool = False
+    unit: str = ""
+    source: str = ""
+
+    @property
+    def passes(self) -> bool | None:
+        """Whether it is close enough; ``None`` where nothing is asserted."""
+        if self.below:
+            return bool(self.ours <= self.expected)
+        if self.tolerance is None:
+            return None
+        if not np.isfinite(self.expected):
+            return bool(self.ours == self.expected)
+        return bool(abs(self.ours - self.expected) <= self.tolerance)
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,15 @@ from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.feedback_linearization import design_feedback_linearization
 from gnc_opt.control.feedforward import feedforward
 from gnc_opt.control.flight_code import FlightCode, export_c
-from gnc_opt.control.hierarchical import design_hierarchical_sliding_mode
-from gnc_opt.control.integral_sliding_mode import design_integral_sliding_mode
 from gnc_opt.control.lie import decoupling_matrix, lie_derivative, relative_degrees, zero_dynamics
-from gnc_opt.control.lqr import design_lqr
-from gnc_opt.control.mpc import design_mpc
-from gnc_opt.control.reaching import (
+from gnc_opt.control.linear.lqr import design_lqr
+from gnc_opt.control.linear.tvlqr import design_tvlqr
+from gnc_opt.control.linear.weights import bryson
+from gnc_opt.control.predictive.mpc import design_mpc
+from gnc_opt.control.reference import Reference, trim
+from gnc_opt.control.sliding.hierarchical import design_hierarchical_sliding_mode
+from gnc_opt.control.sliding.integral_sliding_mode import design_integral_sliding_mode
+from gnc_opt.control.sliding.reaching import (
     ConstantRate,
     ExponentialRate,
     PowerRate,
@@ -20,12 +23,9 @@ from gnc_opt.control.reaching import (
     SuperTwisting,
     TanhLayer,
 )
-from gnc_opt.control.reaching_mpc import PredictiveReaching
-from gnc_opt.control.reference import Reference, trim
-from gnc_opt.control.sliding_mode import design_sliding_mode
-from gnc_opt.control.super_twisting import SuperTwistingObserver
-from gnc_opt.control.tvlqr import design_tvlqr
-from gnc_opt.control.weights import bryson
+from gnc_opt.control.sliding.reaching_mpc import PredictiveReaching
+from gnc_opt.control.sliding.sliding_mode import design_sliding_mode
+from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
 
 __all__ = [
     "ConstantRate",

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_positive
+from gnc_opt.arrays import Array
 from gnc_opt.control.explanation import Explanation
+from gnc_opt.control.tolerances import SAME_TIME
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.layout import Array, Layout, as_vector
+from gnc_opt.model.layout import Layout, as_vector
 
 Schedule: TypeAlias = Callable[[Array, float], Array]
 """``schedule(times, dt)`` returns what the law needs to know beforehand, (n_signals, n_times), for control steps that
@@ -95,7 +97,7 @@ class Controller:
                 raise ArgumentError(f"controller '{self.name}' fits any control step: give dt, in s.")
             return self.dt
         dt = read_positive(dt, f"the control step of '{self.name}'")
-        if self.dt is not None and not np.isclose(dt, self.dt, rtol=1e-9):
+        if self.dt is not None and not np.isclose(dt, self.dt, rtol=SAME_TIME):
             raise ArgumentError(
                 f"controller '{self.name}' was designed for control steps of {self.dt:g} s, not {dt:g} s: "
                 "design it again with this dt."

@@ -21,8 +21,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnc_opt.arrays import Array
 from gnc_opt.errors import DesignError
-from gnc_opt.model.layout import Array, Layout
+from gnc_opt.model.layout import Layout
 from gnc_opt.model.model import Model
 
 

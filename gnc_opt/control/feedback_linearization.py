@@ -16,19 +16,29 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import expm, solve_continuous_are
+from scipy.linalg import solve_continuous_are
 
 from gnc_opt.arguments import read_numbers, read_positive
+from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.explanation import Explanation, Fact
-from gnc_opt.control.guard import GUARD, Inverse, guarded_controller, guarded_inverse, read_plant
-from gnc_opt.control.lie import OutputErrors, Outputs, output_errors, sample_times
-from gnc_opt.control.lqr import Limits, read_limits
-from gnc_opt.control.reference import Reference
-from gnc_opt.control.sliding_checks import check_zero_dynamics
-from gnc_opt.control.sliding_mode import GROWTH
+from gnc_opt.control.guard import (
+    GROWTH,
+    GUARD,
+    GuardedLaw,
+    Inverse,
+    check_zero_dynamics,
+    guarded_controller,
+    guarded_inverse,
+)
+from gnc_opt.control.lie import OutputErrors, Outputs, given_for, output_errors
+from gnc_opt.control.limits import Limits, read_limits, require_reserve
+from gnc_opt.control.poles import real_polynomial
+from gnc_opt.control.reference import Reference, read_plant
+from gnc_opt.control.sampling import spectral_radius, zero_order_hold
+from gnc_opt.control.schedule import reference_times
 from gnc_opt.errors import DesignError
-from gnc_opt.model.layout import Array, as_vector
+from gnc_opt.model.layout import as_vector
 from gnc_opt.model.model import Model
 
 _REHEARSAL = 20.0
@@ -36,6 +46,7 @@ _REHEARSAL = 20.0
 _FINENESS = 0.02
 """Step of a rehearsal, in time constants of the fastest pole."""
 _LONGEST = 20_000
+"""Most steps of a rehearsal; the fastest poles are then followed less finely."""
 
 
 def design_feedback_linearization(
@@ -102,6 +113,7 @@ def design_feedback_linearization(
     reference = read_plant(model, reference, "design_feedback_linearization")
     errors = output_errors(model, reference, outputs)
     pair = errors.pair
+    authority = read_limits(model, limits)
     inverse = guarded_inverse(errors, reference, guard)
     zeros = check_zero_dynamics(errors, reference, growth)
     gain = _gain(errors, poles, gains, Q, R)
@@ -113,7 +125,7 @@ def design_feedback_linearization(
         Fact("smallest determinant on the reference", inverse.lowest, remark=f"largest {inverse.scale:.6g}"),
         *zeros,
         *_sampling_facts(errors, gain, dt),
-        *_reserve_facts(errors, reference, limits),
+        *require_reserve(reference, authority, reference_times(reference)),
     ]
     u = inverse(-ca.DM(gain) @ _ordered(errors) - errors.drift)
     if start is not None:
@@ -131,10 +143,7 @@ def design_feedback_linearization(
         name,
         pair,
         reference,
-        command=u,
-        fallback=spare,
-        regular=inverse.regular,
-        memory=[],
+        GuardedLaw(u, inverse.regular, fallback=spare),
         dt=dt,
         explanation=Explanation(f"feedback linearisation of '{model.name}'", tuple(facts)),
     )
@@ -185,7 +194,7 @@ def _gain(
                 )
             gain[i, column] = as_vector(gains[k], errors.size, f"gain K{k + 1}", DesignError)[i]
         else:
-            gain[i, column] = _polynomial(label, degree, poles)[k]
+            gain[i, column] = _polynomial(errors, label, degree, poles)[k]
     if np.max(np.linalg.eigvals(a - b @ gain).real) >= 0:
         raise DesignError(
             f"the errors would not decay: the poles are {np.linalg.eigvals(a - b @ gain)} 1/s; "
@@ -194,22 +203,23 @@ def _gain(
     return gain
 
 
-def _polynomial(label: str, degree: int, poles: Any) -> Array:
+def _polynomial(errors: OutputErrors, label: str, degree: int, poles: Any) -> Array:
     """Return the gains (degree,) of one chain, lowest order first."""
     if isinstance(poles, Mapping):
-        base = label.partition("[")[0]
-        if label not in poles and base not in poles:
+        poles = given_for(label, poles, errors, "the linearisation")
+        if poles is None:
             raise DesignError(f"output '{label}' has no poles: give {degree}.")
-        poles = poles[label] if label in poles else poles[base]
     row = np.atleast_1d(np.asarray(poles, dtype=complex))
     if row.shape != (degree,):
         raise DesignError(
             f"output '{label}' has relative degree {degree}: give {degree} poles, not {row.size}."
         )
-    polynomial = np.poly(row)
-    if np.any(np.abs(polynomial.imag) > 1e-9 * np.abs(polynomial)):
-        raise DesignError(f"the poles {row} of output '{label}' are not in conjugate pairs.")
-    return np.asarray(polynomial.real[:0:-1], dtype=float)
+    polynomial = real_polynomial(row)
+    if polynomial is None:
+        raise DesignError(
+            f"the poles {row} of output '{label}' are not in conjugate pairs: give the conjugate of each, too."
+        )
+    return polynomial[:0:-1]
 
 
 def _optimal_gain(a: Array, b: Array, q: ArrayLike | None, r: ArrayLike | None) -> Array:
@@ -243,34 +253,14 @@ def _sampling_facts(errors: OutputErrors, gain: Array, dt: float | None) -> list
         return []
     dt = read_positive(dt, "the control step dt", DesignError)
     a, b = _chains(errors)
-    n, m = b.shape
-    both = expm(np.block([[a, b], [np.zeros((m, n + m))]]) * dt)
-    radius = float(np.max(np.abs(np.linalg.eigvals(both[:n, :n] - both[:n, n:] @ gain))))
+    held_a, held_b = zero_order_hold(a, b, dt)
+    radius = spectral_radius(held_a - held_b @ gain)
     if radius >= 1:
         raise DesignError(
             f"control steps of {dt:g} s are too long for these poles: the sampled errors have the spectral radius "
             f"{radius:.4g}; give a shorter dt or slower poles."
         )
     return [Fact("sampled spectral radius", radius, remark=f"steps of {dt:g} s")]
-
-
-def _reserve_facts(errors: OutputErrors, reference: Reference, limits: Limits | None) -> list[Fact]:
-    """Return the authority that the feedforward leaves; raise `DesignError` where it leaves none."""
-    controls = errors.pair.model.controls
-    authority = read_limits(errors.pair.model, limits)
-    if authority is None:
-        return []
-    times = sample_times(reference)
-    u = reference.u(times)
-    left = np.minimum(authority[1][:, None] - u, u - authority[0][:, None])
-    row, column = np.unravel_index(int(np.argmin(left)), left.shape)
-    remark = f"control '{controls.labels[row]}' at t = {times[column]:.6g} s, beside the feedforward"
-    if left[row, column] < 0:
-        raise DesignError(
-            f"the reference is beyond the authority: control '{controls.labels[row]}' is {u[row, column]:.6g} at t = "
-            f"{times[column]:.6g} s, its limits are {authority[0][row]:.6g} and {authority[1][row]:.6g}."
-        )
-    return [Fact("saturation reserve", float(left[row, column]), controls.units[row], remark)]
 
 
 def _rehearse(

@@ -16,10 +16,11 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arguments import expect, read_name
+from gnc_opt.arrays import Array
 from gnc_opt.control.c_expressions import c_statements
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.layout import Array, Layout
+from gnc_opt.model.layout import Layout
 
 _TAIL_TOLERANCE = 1e-12
 _LINE = 8

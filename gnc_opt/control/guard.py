@@ -4,8 +4,8 @@ At a control step a guarded law does one of three things:
 
 * all is well: it commands ``u``;
 * the decoupling matrix is (nearly) singular: alarm ``singular``, it commands the fallback, its memory stands still;
-* the measurement (or the memory) is not finite: alarm ``invalid``, it repeats the last command, its memory stands
-  still.
+* the measurement (or the memory) is not finite, or beyond `LARGEST`: alarm ``invalid``, it repeats the last command,
+  its memory stands still.
 
 Alarms stay at 1 once raised; the law itself goes back to work as soon as it can.
 """
@@ -17,24 +17,22 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect
+from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, Schedule, first_memory, law
-from gnc_opt.control.explanation import Explanation
-from gnc_opt.control.lie import OutputErrors, Pair, sample_times
+from gnc_opt.control.explanation import Explanation, Fact
+from gnc_opt.control.lie import OutputErrors, Pair, zero_dynamics
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
+from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, reference_times
+from gnc_opt.control.tolerances import LARGEST, dependent
 from gnc_opt.errors import DesignError
-from gnc_opt.model.layout import Array, Layout, Variable
-from gnc_opt.model.model import Model
+from gnc_opt.model.layout import Layout, Variable
 
 ALARMS = ("singular", "invalid")
 GUARD = 0.05
 """Smallest |det E|, relative to its largest on the reference, with which a law works."""
-
-_FINITE = 1e300
-_RANK = 1e-12
+GROWTH = 1e-9
+"""Zero dynamics count as unstable when they grow faster than this, 1/s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,13 +85,14 @@ def guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) ->
         det E vanishes, changes its sign or falls below ``guard`` times its largest value on the reference.
     """
     pair, matrix, determinant = errors.pair, errors.decoupling, errors.determinant
-    times = sample_times(reference)
+    times = reference_times(reference)
     values = np.array([v[0, 0] for v in pair.along(reference, times, determinant)])
     scale = float(np.max(np.abs(values)))
     signed = values * np.sign(values[int(np.argmax(np.abs(values)))])
     worst = int(np.argmin(signed))
     lost = not np.all(np.isfinite(values)) or signed[worst] < guard * scale
-    if lost or _dependent(pair.along(reference, times[[worst]], matrix)[0]):
+    there = pair.along(reference, times[[worst]], matrix)[0]
+    if lost or dependent(np.linalg.svd(there, compute_uv=False)):
         raise DesignError(
             f"the decoupling matrix of outputs {', '.join(errors.labels)} is singular on the reference: det E = "
             f"{values[worst]:.3g} at t = {times[worst]:.6g} s, where its largest value is {scale:.3g}; "
@@ -111,41 +110,70 @@ def guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) ->
     return Inverse(ca.densify(safe), regular, scale, float(signed[worst]))
 
 
+def check_zero_dynamics(errors: OutputErrors, reference: Reference, growth: float) -> list[Fact]:
+    """Return the facts of the zero dynamics at the end of the reference; raise `DesignError` if they grow."""
+    t = reference.final_time
+    zeros = zero_dynamics(errors, t, reference.x(t), reference.u(t))
+    if zeros.growth > growth:
+        worst = zeros.eigenvalues[int(np.argmax(zeros.eigenvalues.real))]
+        raise DesignError(
+            f"the zero dynamics of outputs {', '.join(errors.labels)} are unstable: eigenvalue {worst:.6g} 1/s "
+            f"of {zeros.dimension} at the end of the reference; steer other outputs or another mix of them."
+        )
+    facts = [Fact("dimension of the zero dynamics", zeros.dimension)]
+    if zeros.dimension:
+        remark = "frozen at the end of the reference"
+        facts.append(Fact("eigenvalues of the zero dynamics", zeros.eigenvalues, "1/s", remark))
+    return facts
+
+
+@dataclass(frozen=True, eq=False)
+class GuardedLaw:
+    """What a law commands where it may invert a decoupling matrix, and where not.
+
+    Attributes
+    ----------
+    command : SX (n_controls,)
+        Where it may.
+    regular : SX
+        See `Inverse`.
+    memory : tuple of Memory
+        The law's own; the last command and the alarms are added.
+    fallback : SX (n_controls,), optional
+        What it commands where it may not; without it, the last command again.
+    nominal : Nominal, optional
+        Another controller that the law builds upon, with its memory and signals.
+    """
+
+    command: Any
+    regular: Any
+    memory: tuple[Memory, ...] = ()
+    fallback: Any = None
+    nominal: Nominal | None = None
+
+
 def guarded_controller(
     name: str,
     pair: Pair,
     reference: Reference,
+    guarded: GuardedLaw,
     *,
-    command: Any,
-    fallback: Any,
-    regular: Any,
-    memory: list[Memory],
     dt: float | None,
     explanation: Explanation,
-    nominal: Nominal | None = None,
 ) -> Controller:
-    """Return the controller of a law with its guards.
-
-    Parameters
-    ----------
-    command, fallback : SX (n_controls,)
-        What it commands where it may invert, and where not; ``fallback=None`` repeats the last command.
-    regular : SX
-        See `Inverse`.
-    memory : list of Memory
-        The law's own; the last command and the alarms are added.
-    nominal : Nominal, optional
-        Another controller that the law builds upon, with its memory and signals.
-    """
+    """Return the controller of a law with its guards."""
+    memory, nominal = guarded.memory, guarded.nominal
     last = ca.SX.sym("u_last", pair.u.numel())
     singular, invalid = (ca.SX.sym(alarm) for alarm in ALARMS)
     valid = _all_finite(ca.vertcat(pair.x, *[part.symbol for part in memory]))
-    works = ca.logic_and(valid, regular)
-    u = ca.if_else(valid, ca.if_else(regular, command, last if fallback is None else fallback), last)
+    works = ca.logic_and(valid, guarded.regular)
+    spare = last if guarded.fallback is None else guarded.fallback
+    u = ca.if_else(valid, ca.if_else(guarded.regular, guarded.command, spare), last)
+    lost = ca.logic_and(valid, ca.logic_not(guarded.regular))
     own = [
         *memory,
         Memory("u_last", last, pair.u_ref, u),
-        Memory("singular", singular, ca.SX(0), _or(singular, ca.logic_and(valid, ca.logic_not(regular)))),
+        Memory("singular", singular, ca.SX(0), _or(singular, lost)),
         Memory("invalid", invalid, ca.SX(0), _or(invalid, ca.logic_not(valid))),
     ]
     z = ca.vertcat(*[part.symbol for part in own])
@@ -217,17 +245,6 @@ class Nominal:
         return [_renamed(v) for v in self.controller.signals.variables]
 
 
-def read_plant(model: Model, reference: Reference | ArrayLike, designer: str) -> Reference:
-    """Return the reference of a design; a state becomes a constant one."""
-    expect(model, Model, f"the plant of {designer}()", "give the Model to control")
-    return reference if isinstance(reference, Reference) else Reference.constant(model, reference)
-
-
-def clip(u: Any, limits: tuple[Array, Array] | None) -> Any:
-    """Return what an actuator with these limits makes of a command, SX."""
-    return u if limits is None else ca.fmax(limits[0], ca.fmin(limits[1], u))
-
-
 @dataclass(frozen=True, eq=False)
 class _Stacked:
     """Two schedules, one above the other."""
@@ -239,12 +256,6 @@ class _Stacked:
         return np.vstack([self.upper(times, dt), self.lower(times, dt)])
 
 
-def _dependent(matrix: Array) -> bool:
-    """Whether the rows of a matrix depend on each other but for rounding."""
-    singular = np.linalg.svd(matrix, compute_uv=False)
-    return bool(singular[-1] <= _RANK * singular[0])
-
-
 def _renamed(variable: Variable) -> Variable:
     return Variable(f"nominal_{variable.name}", variable.size, variable.unit)
 
@@ -254,10 +265,10 @@ def _or(flag: Any, now: Any) -> Any:
 
 
 def _all_finite(x: Any) -> Any:
-    """Return 1 if all entries are finite; a comparison with NaN is false."""
+    """Return 1 if all entries are measurements, see `LARGEST`; a comparison with NaN is false."""
     flag = ca.SX(1)
     for entry in ca.vertsplit(x):
-        flag = ca.logic_and(flag, ca.fabs(entry) <= _FINITE)
+        flag = ca.logic_and(flag, ca.fabs(entry) <= LARGEST)
     return flag
 
 

@@ -22,20 +22,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import null_space
 
+from gnc_opt.arrays import Array
 from gnc_opt.control.reference import Reference
+from gnc_opt.control.tolerances import ROUNDING, dependent
 from gnc_opt.errors import DesignError, unknown_name
-from gnc_opt.model.layout import Array
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import as_expression
 
 Outputs: TypeAlias = str | Sequence[Any] | Mapping[str, Any]
 """What to steer: a name of a state or an output of the model, several of these, SX expressions of (t, x, p), or
 a mapping from names to expressions."""
-
-_ZERO = 1e-12
-"""A derivative by a control counts as none if it is below this, relative to the terms that cancel in it."""
-
-_SAMPLES = 101
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,14 +136,6 @@ class OutputErrors:
         """det E, or (det E E^T)^(1/2) where there are more controls than outputs: zero where E is singular."""
         e = self.decoupling
         return ca.det(e) if e.shape[0] == e.shape[1] else ca.sqrt(ca.det(e @ e.T))
-
-
-def sample_times(reference: Reference) -> Array:
-    """Return the times (s) at which a design looks at its reference: dense, with jumps and both ends."""
-    if reference.duration == 0:
-        return np.array([reference.initial_time])
-    grid = np.linspace(reference.initial_time, reference.final_time, _SAMPLES)
-    return np.unique(np.concatenate([grid, reference.jumps]))
 
 
 def lie_derivative(model: Model, expression: Any, order: int = 1) -> Any:
@@ -274,7 +262,7 @@ def _controlled(pair: Pair, reference: Reference, e: Any, rate: Any) -> bool:
         x, u = reference.x(t), reference.u(t)
         near = x + 0.1 * random.uniform(-1, 1, x.size) * np.maximum(np.abs(x), 0.1)
         value, scale = (np.asarray(m.full()) for m in function(t, near, u, x, u))
-        if np.any(np.abs(value) > _ZERO * scale):
+        if np.any(np.abs(value) > ROUNDING * scale):
             return True
     return False
 
@@ -325,7 +313,7 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     )
     d, a, b, outputs, last, e = (np.asarray(m.full()) for m in function(t, x, u, x, u))
     singular = np.linalg.svd(e, compute_uv=False)
-    if singular[-1] <= _ZERO * singular[0]:
+    if dependent(singular):
         raise DesignError(
             f"the decoupling matrix is singular at t = {t:g} s (singular values {singular}): "
             "the outputs cannot be steered independently there."
@@ -334,6 +322,26 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     still = null_space(outputs @ to_state)
     closed = (a - b @ np.linalg.pinv(e) @ last) @ to_state
     return ZeroDynamics(still.shape[1], np.linalg.eigvals(still.T @ closed @ still))
+
+
+def given_for(label: str, given: Mapping[str, Any], errors: OutputErrors, where: str) -> Any:
+    """Return what a mapping from outputs holds for one of their components; ``None`` if nothing.
+
+    Raises
+    ------
+    UnknownNameError
+        It names an output that there is not.
+    """
+    known = [*errors.labels, *map(_output, errors.labels)]
+    for key in given:
+        if key not in known:
+            raise unknown_name("output", key, where, errors.labels)
+    return given.get(label, given.get(_output(label)))
+
+
+def _output(label: str) -> str:
+    """Return the output that a component belongs to."""
+    return label.partition("[")[0]
 
 
 def _labels(name: str, size: int) -> list[str]:

@@ -10,8 +10,10 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_numbers
+from gnc_opt.arrays import Array
+from gnc_opt.control.tolerances import SAME_TIME
 from gnc_opt.errors import ArgumentError, did_you_mean, shown
-from gnc_opt.model.layout import Array, Layout, as_vector
+from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.solution import Solution
@@ -24,8 +26,8 @@ TRIM_TOLERANCE = 1e-6
 largest state if that is above 1."""
 
 _GAUSS_POINTS = 8
-_EDGE = 1e-9
-"""Times this close to the ends, relative to the duration, count as the ends."""
+_NEWTON = 1e-14
+"""A step of Newton's method this small beside the control is rounding."""
 
 
 class Reference(Strict):
@@ -217,7 +219,7 @@ class Reference(Strict):
 
     def _evaluate(self, parts: list[Callable[[Array], Array]], t: ArrayLike, tail: Array | None) -> Array:
         times = np.atleast_1d(read_numbers(t, "the time of a reference"))
-        slack = _EDGE * max(self.duration, 1.0)
+        slack = SAME_TIME * max(self.duration, 1.0)
         late = times > self.final_time + slack
         if np.any(times < self.initial_time - slack) or (np.any(late) and self._tail is None):
             raise ArgumentError(
@@ -236,6 +238,12 @@ class Reference(Strict):
         return values if np.ndim(t) else values[:, 0]
 
 
+def read_plant(model: Model, reference: Reference | ArrayLike, designer: str) -> Reference:
+    """Return the reference of a design; a state becomes a constant one."""
+    expect(model, Model, f"the plant of {designer}()", "give the Model to control")
+    return reference if isinstance(reference, Reference) else Reference.constant(model, reference)
+
+
 def trim(model: Model, t: float, x: ArrayLike) -> Array:
     """Return the control (n_controls,) for which the state x stays at rest at time t.
 
@@ -251,7 +259,7 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
     for _ in range(20):
         step = np.linalg.lstsq(model.linearize(t, state, u)[1], -model.f(t, state, u), rcond=None)[0]
         u = u + step
-        if np.max(np.abs(step), initial=0.0) <= 1e-14 * (1 + np.max(np.abs(u), initial=0.0)):
+        if np.max(np.abs(step), initial=0.0) <= _NEWTON * (1 + np.max(np.abs(u), initial=0.0)):
             break
     left = np.abs(model.f(t, state, u))
     worst = int(np.argmax(left))

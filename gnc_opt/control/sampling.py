@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 
 Linearization = Callable[[float], tuple[Array, Array]]
 """A (n, n) and B (n, m) at a time."""
@@ -32,7 +32,7 @@ _SUBSTEPS = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class SampledStep:
     """``e_next = a e + b v`` with the cost ``e'q e + v'r v + 2 e'n v`` over one control step."""
 
     a: Array
@@ -42,7 +42,7 @@ class Step:
     n: Array
 
 
-def sample(a: Array, b: Array, q: Array, r: Array, n: Array, dt: float) -> Step:
+def sample(a: Array, b: Array, q: Array, r: Array, n: Array, dt: float) -> SampledStep:
     """Return the exact step of constant A, B and cost over dt (s)."""
     flow = _generator(a, b, _stacked(q, r, n))
     size = float(np.linalg.norm(flow[flow.shape[0] // 2 :], 1)) * dt  # of M alone: the cost enters linearly
@@ -56,7 +56,7 @@ def sample(a: Array, b: Array, q: Array, r: Array, n: Array, dt: float) -> Step:
 
 def sample_along(
     linearize: Linearization, q: Array, r: Array, n: Array, t: float, dt: float, jumps: Array
-) -> Step:
+) -> SampledStep:
     """Return the step from t to t + dt of A(t), B(t), which may jump at ``jumps`` (fourth order in dt)."""
     inner = jumps[(jumps > t) & (jumps < t + dt)]
     edges = np.concatenate([[t], inner, [t + dt]])
@@ -74,6 +74,18 @@ def sample_along(
             cost = cost + phi.T @ part @ phi
             phi = step @ phi
     return _step(phi, cost, q.shape[0])
+
+
+def zero_order_hold(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
+    """Return the plant (A, B) over dt (s) with a held command."""
+    n, m = b.shape
+    both = expm(np.block([[a, b], [np.zeros((m, n + m))]]) * dt)
+    return both[:n, :n], both[:n, n:]
+
+
+def spectral_radius(matrix: Array) -> float:
+    """Return the largest magnitude of the eigenvalues: below 1, a sampled loop decays."""
+    return float(np.max(np.abs(np.linalg.eigvals(matrix))))
 
 
 def _stacked(q: Array, r: Array, n: Array) -> Array:
@@ -94,5 +106,5 @@ def _blocks(flow: Array) -> tuple[Array, Array]:
     return phi, 0.5 * (cost + cost.T)
 
 
-def _step(phi: Array, cost: Array, n: int) -> Step:
-    return Step(phi[:n, :n], phi[:n, n:], cost[:n, :n], cost[n:, n:], cost[:n, n:])
+def _step(phi: Array, cost: Array, n: int) -> SampledStep:
+    return SampledStep(phi[:n, :n], phi[:n, n:], cost[:n, :n], cost[n:, n:], cost[:n, n:])

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gnc_opt.arrays import Array
 from gnc_opt.control.reference import Reference
-from gnc_opt.model.layout import Array, Layout, Variable
+from gnc_opt.control.tolerances import SAME_TIME
+from gnc_opt.model.layout import Layout, Variable
+
+LOOKS = 101
+"""Times over a reference, beside its jumps, at which a design looks at it where nothing else is said."""
 
 
 def reference_signals(reference: Reference, *more: Variable) -> Layout:
@@ -31,21 +35,12 @@ class ReferenceSchedule:
         return np.vstack([self.reference.x(times), self.reference.mean_control(times, dt)])
 
 
-def feedforward_reserve(reference: Reference, lower: Array, upper: Array, samples: int = 400) -> Array:
-    """Return the least distance of the reference's controls to their limits, (n_controls,); < 0 is beyond them."""
-    times = reference_times(reference, samples)
-    u = reference.u(times)
-    if reference.tail_control is not None:
-        u = np.hstack([u, reference.tail_control[:, None]])
-    return np.asarray(np.minimum(upper[:, None] - u, u - lower[:, None]).min(axis=1))
-
-
-def reference_times(reference: Reference, samples: int, also: Sequence[float] = ()) -> Array:
-    """Return times over the reference, with both sides of its jumps."""
+def reference_times(reference: Reference, samples: int = LOOKS) -> Array:
+    """Return the times (s) at which a design looks at its reference: its ends and both sides of jumps, too."""
     start, end = reference.initial_time, reference.final_time
     if end <= start:
         return np.array([start])
-    edge = 1e-9 * (end - start)
-    jumps = np.concatenate([reference.jumps, np.asarray(also, dtype=float)])
+    edge = SAME_TIME * (end - start)
+    jumps = reference.jumps
     times = np.concatenate([np.linspace(start, end, samples), jumps, jumps - edge, jumps + edge])
     return np.unique(np.clip(times, start, end))

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import Array, read_numbers
+from gnc_opt.arguments import read_numbers
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 
 

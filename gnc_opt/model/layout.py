@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import Array as Array
 from gnc_opt.arguments import ErrorType, read_numbers
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 
 

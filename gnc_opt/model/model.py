@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_integer, read_name, read_numbers
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ModelError, did_you_mean, unknown_name
 from gnc_opt.model.evaluation import checked, evaluate
-from gnc_opt.model.layout import Array, Layout, Variable, as_vector
+from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.symbol import Symbol, as_expression, foreign_symbols
 from gnc_opt.strict import Strict
 

@@ -15,8 +15,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.errors import ArgumentError
-from gnc_opt.nlp.problem import FloatArray
 
 
 @dataclass(frozen=True)
@@ -45,12 +45,12 @@ ProgressCallback: TypeAlias = Callable[[IterationInfo], "bool | None"]
 class Box:
     """Bounds on a vector, (n,) each."""
 
-    lower: FloatArray
-    upper: FloatArray
+    lower: Array
+    upper: Array
 
     @classmethod
-    def of(cls, name: str, lower: npt.ArrayLike, upper: npt.ArrayLike, size: int) -> Box:
-        box = cls(vector(f"lb{name}", lower, size), vector(f"ub{name}", upper, size))
+    def of(cls, name: str, lower: Array, upper: Array) -> Box:
+        box = cls(lower, upper)
         wrong = ~(box.lower <= box.upper) | (box.lower == np.inf) | (box.upper == -np.inf)
         if wrong.any():
             i = int(np.argmax(wrong))
@@ -60,10 +60,10 @@ class Box:
         return box
 
     @property
-    def fixed(self) -> npt.NDArray[np.bool_]:
+    def fixed(self) -> Mask:
         return np.asarray(self.lower == self.upper, dtype=np.bool_)
 
-    def violation(self, value: FloatArray) -> float:
+    def violation(self, value: Array) -> float:
         return max(
             0.0,
             float(np.max(self.lower - value, initial=0.0)),
@@ -72,7 +72,7 @@ class Box:
 
 
 @dataclass
-class Run:
+class SolveWatch:
     """What the monitor must know about the solve under way, and what it has seen of it."""
 
     box_x: Box
@@ -83,7 +83,7 @@ class Run:
     count: int = 0
     error: BaseException | None = None
 
-    def see(self, x: FloatArray, f: float, g: FloatArray) -> None:
+    def see(self, x: Array, f: float, g: Array) -> None:
         """Note one iterate; sets `stop`, never raises."""
         try:
             if self.callback is not None:
@@ -107,7 +107,7 @@ class Monitor(ca.Callback):  # type: ignore[misc]
     def __init__(self, nx: int, ng: int, n_parameters: int) -> None:
         super().__init__()
         self._rows = {"x": nx, "f": 1, "g": ng, "lam_x": nx, "lam_g": ng, "lam_p": n_parameters}
-        self.run: Run | None = None
+        self.run: SolveWatch | None = None
         self.construct("monitor")
 
     def get_n_in(self) -> int:
@@ -132,7 +132,7 @@ class Monitor(ca.Callback):  # type: ignore[misc]
 
 
 @contextlib.contextmanager
-def sigint_stops(run: Run) -> Iterator[None]:
+def sigint_stops(run: SolveWatch) -> Iterator[None]:
     """While open, the first Ctrl-C asks the run to stop and gives the next one back to the old handler."""
     previous = signal.getsignal(signal.SIGINT)
     ignored = previous in (None, signal.SIG_IGN)
@@ -151,14 +151,14 @@ def sigint_stops(run: Run) -> Iterator[None]:
         signal.signal(signal.SIGINT, previous)
 
 
-def _view(buffer: Any, size: int) -> FloatArray:
+def _view(buffer: Any, size: int) -> Array:
     """View of a CasADi buffer, (size,); NaN for what the plugin does not tell."""
     if size == 0 or buffer is None:
         return np.full(size, np.nan)
     return np.frombuffer(buffer, dtype=np.float64)
 
 
-def vector(name: str, value: npt.ArrayLike, size: int) -> FloatArray:
+def vector(name: str, value: npt.ArrayLike, size: int) -> Array:
     """A fresh vector (size,) from a vector or a scalar."""
     array = np.asarray(value, dtype=np.float64)
     if array.ndim == 0:

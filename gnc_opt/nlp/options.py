@@ -10,7 +10,7 @@ import casadi as ca
 
 from gnc_opt.arguments import expect, read_integer, read_positive
 from gnc_opt.errors import unknown_name
-from gnc_opt.nlp.problem import NlpProblem, full_hessian, joint_jacobian
+from gnc_opt.transcription.nonlinear_program import NlpProblem, full_hessian, joint_jacobian
 
 DIVERGED = 1e15
 """A variable beyond this magnitude, or an objective below minus this, counts as running off to infinity."""

@@ -12,33 +12,25 @@ import io
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.nlp.monitor import Box, Monitor, ProgressCallback, Run, sigint_stops, vector
+from gnc_opt.nlp.monitor import Box, Monitor, ProgressCallback, SolveWatch, sigint_stops, vector
 from gnc_opt.nlp.options import SolverOptions, Start, nlpsol_options
-from gnc_opt.nlp.problem import FloatArray, NlpProblem
 from gnc_opt.nlp.status import Status, status_from_stats
+from gnc_opt.transcription.nonlinear_program import NlpProblem
 
 RUNAWAY = 1e10
 """The same once the solver has given up anyway: scaled variables are of order one."""
 
 SUSPICIOUS = 1e8
 """Magnitude at which an iterate that is merely acceptable counts as running off: its gradients fade out there."""
-
-# Endings that rounding in the linear solver can cause: careful pivoting then goes on from where it stopped.
-_ROUNDING = (Status.ACCEPTABLE, Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAILED)
-
-_COLD = ("x0", "p", "lbx", "ubx", "lbg", "ubg")
-
-# IPOPT's monotone barrier stalls where constraint gradients become dependent at the solution (a phase that
-# shrinks to nothing, say). Its adaptive barrier, slower on ordinary problems, then tries from the same guess.
-_GAVE_UP = (Status.RESTORATION_FAILED, Status.SEARCH_DIRECTION_FAILED, Status.STEP_TOO_SMALL)
 
 _NEVER_STARTED = (Status.NOT_A_NUMBER, Status.TOO_FEW_DEGREES_OF_FREEDOM, Status.INVALID_OPTION)
 
@@ -50,6 +42,53 @@ _MAY_HIDE_UNBOUNDED = (
     Status.STEP_TOO_SMALL,
     Status.FAILED,
 )
+
+
+@dataclass(frozen=True, eq=False)
+class NlpPoint:
+    """The numbers of one solve: guess, bounds and parameters. Scalars stand for constant vectors.
+
+    Parameters
+    ----------
+    x0
+        (nx,): guess.
+    lbx, ubx
+        (nx,): bounds on x, may be infinite. Where they are equal x is fixed.
+    lbg, ubg
+        (ng,): bounds on g.
+    p
+        (np,): parameters.
+    lam_x0, lam_g0
+        (nx,) and (ng,): multipliers of a nearby solution. With either, the solver starts warm.
+    """
+
+    x0: npt.ArrayLike
+    lbx: npt.ArrayLike
+    ubx: npt.ArrayLike
+    lbg: npt.ArrayLike
+    ubg: npt.ArrayLike
+    p: npt.ArrayLike
+    lam_x0: npt.ArrayLike | None = None
+    lam_g0: npt.ArrayLike | None = None
+
+    @property
+    def way(self) -> Start:
+        """How to start from it: warm if there are multipliers, else cold."""
+        return "cold" if self.lam_x0 is None and self.lam_g0 is None else "warm"
+
+    def cold(self) -> NlpPoint:
+        """Return the point without its multipliers."""
+        return replace(self, lam_x0=None, lam_g0=None)
+
+    def arguments(self, problem: NlpProblem) -> dict[str, Array]:
+        """Return vectors of the right lengths by the names that `nlpsol` gives them."""
+        sizes = {"p": problem.n_parameters} | dict.fromkeys(("lbg", "ubg", "lam_g0"), problem.n_constraints)
+        given = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {
+            name: vector(name, value, sizes.get(name, problem.n_variables))
+            for name, value in given.items()
+            if value is not None
+        }
 
 
 @dataclass(frozen=True)
@@ -78,11 +117,11 @@ class NlpResult:
         In s, what remains of the wall time without functions and callback: linear algebra and line search.
     """
 
-    x: FloatArray
+    x: Array
     f: float
-    g: FloatArray
-    lam_x: FloatArray
-    lam_g: FloatArray
+    g: Array
+    lam_x: Array
+    lam_g: Array
     status: Status
     raw_status: str
     iterations: int
@@ -104,9 +143,8 @@ class NlpResult:
 class NlpSolver:
     """Solve one NLP many times: for other bounds, parameters and guesses, cold or warm.
 
-    IPOPT takes its options when it is created, so the cold, the warm and the adaptive solver are three
-    instances; each is created when it is first needed. Where IPOPT gives up without a verdict, the adaptive
-    one starts again from the guess. One object must not be used by two threads at once.
+    IPOPT takes its options when it is created, so each way to start has an instance of its own, created when it is
+    first needed. One object must not be used by two threads at once.
 
     Parameters
     ----------
@@ -124,35 +162,27 @@ class NlpSolver:
 
     def solve(
         self,
-        x0: npt.ArrayLike,
-        lbx: npt.ArrayLike,
-        ubx: npt.ArrayLike,
-        lbg: npt.ArrayLike,
-        ubg: npt.ArrayLike,
-        p: npt.ArrayLike,
-        lam_x0: npt.ArrayLike | None = None,
-        lam_g0: npt.ArrayLike | None = None,
+        point: NlpPoint,
+        way: Start | None = None,
+        *,
         callback: ProgressCallback | None = None,
+        deadline: float | None = None,
     ) -> NlpResult:
-        """Solve from a guess; with multipliers, start warm.
+        """Solve once.
 
         Ctrl-C ends the solve after the running iteration and returns the last iterate with
         `Status.INTERRUPTED`; a second Ctrl-C acts as it does everywhere else.
 
         Parameters
         ----------
-        x0
-            (nx,): guess. Scalars stand for constant vectors, here and below.
-        lbx, ubx
-            (nx,): bounds on x, may be infinite. Where they are equal x is fixed.
-        lbg, ubg
-            (ng,): bounds on g.
-        p
-            (np,): parameters.
-        lam_x0, lam_g0
-            (nx,) and (ng,): multipliers of a nearby solution. With either, the solver starts warm.
+        point
+            Where to start, within which bounds.
+        way
+            How to start; default: warm if there are multipliers, else cold.
         callback
             Called with an `IterationInfo` at every iteration; returning True stops the solve.
+        deadline
+            When to stop, as `time.perf_counter` counts; default: as the options say, from when the solver is set up.
 
         Returns
         -------
@@ -168,40 +198,29 @@ class NlpSolver:
         Exception
             Whatever `callback` raises.
         """
-        nx, ng = self.problem.n_variables, self.problem.n_constraints
-        start = vector("x0", x0, nx)
-        box_x, box_g = Box.of("x", lbx, ubx, nx), Box.of("g", lbg, ubg, ng)
-        arguments = {
-            "x0": start,
-            "p": vector("p", p, self.problem.n_parameters),
-            "lbx": box_x.lower,
-            "ubx": box_x.upper,
-            "lbg": box_g.lower,
-            "ubg": box_g.upper,
-        }
-        if lam_x0 is not None:
-            arguments["lam_x0"] = vector("lam_x0", lam_x0, nx)
-        if lam_g0 is not None:
-            arguments["lam_g0"] = vector("lam_g0", lam_g0, ng)
-        way: Start = "warm" if len(arguments) > len(_COLD) else "cold"
-        self._instance(way)  # the limit is on solving, not on setting up
-        limit = math.inf if self.options.max_wall_time is None else self.options.max_wall_time
-        run = Run(box_x, box_g, callback, time.perf_counter() + limit)
-        result = self._attempt(way, arguments, run)
-        if (
-            result.status in _ROUNDING
-            and self.options.solver == "ipopt"
-            and not self.options.careful_pivoting
-        ):
-            found = {"x0": result.x, "lam_x0": result.lam_x, "lam_g0": result.lam_g}
-            again = self._attempt("careful", arguments | found, run)
-            result = _joined(result, again) if again.status.solved else result
-        if result.status in _GAVE_UP and self.options.solver == "ipopt":
-            again = self._attempt("adaptive", {name: arguments[name] for name in _COLD}, run)
-            result = _joined(result, again)
-        return result
+        arguments = point.arguments(self.problem)
+        box_x = Box.of("x", arguments["lbx"], arguments["ubx"])
+        box_g = Box.of("g", arguments["lbg"], arguments["ubg"])
+        self.set_up(point, way)  # the limit is on solving, not on setting up
+        end = self.deadline() if deadline is None else deadline
+        return self._run(way or point.way, arguments, SolveWatch(box_x, box_g, callback, end))
 
-    def _attempt(self, start: Start, arguments: Mapping[str, FloatArray], run: Run) -> NlpResult:
+    def set_up(self, point: NlpPoint, way: Start | None = None) -> None:
+        """Create what solves from such a point, if it has not been needed before.
+
+        Raises
+        ------
+        ArgumentError
+            If the plugin refuses its options.
+        """
+        self._instance(way or point.way)
+
+    def deadline(self) -> float:
+        """Return when a solve that starts now has to end, as `time.perf_counter` counts."""
+        limit = self.options.max_wall_time
+        return math.inf if limit is None else time.perf_counter() + limit
+
+    def _run(self, start: Start, arguments: Mapping[str, Array], run: SolveWatch) -> NlpResult:
         solver = self._instance(start)
         overdetermined = int(run.box_x.fixed.sum() + run.box_g.fixed.sum()) > self.problem.n_variables
         self._monitor.run = run
@@ -235,8 +254,8 @@ class NlpSolver:
         self,
         raw: Mapping[str, Any],
         stats: Mapping[str, Any],
-        run: Run,
-        arguments: Mapping[str, FloatArray],
+        run: SolveWatch,
+        arguments: Mapping[str, Array],
         wall: float,
     ) -> NlpResult:
         status = _stopped_status(status_from_stats(stats), run)
@@ -269,11 +288,6 @@ class NlpSolver:
         )
 
 
-def _joined(first: NlpResult, second: NlpResult) -> NlpResult:
-    """The better of two attempts, with the cost of both."""
-    return (first if second.status in _GAVE_UP else second).with_effort([first, second])
-
-
 @contextlib.contextmanager
 def _swallow_stderr(active: bool) -> Iterator[None]:
     """Hide CasADi's warning about overdetermined problems, which no option turns off."""
@@ -284,12 +298,12 @@ def _swallow_stderr(active: bool) -> Iterator[None]:
         yield
 
 
-def _stopped_status(status: Status, run: Run) -> Status:
+def _stopped_status(status: Status, run: SolveWatch) -> Status:
     """INTERRUPTED if the run asked for a stop, whatever the plugin calls that, unless it had finished."""
     return Status.INTERRUPTED if run.stop and not status.solved else status
 
 
-def _diverged(x: FloatArray, f: float, limit: float) -> bool:
+def _diverged(x: Array, f: float, limit: float) -> bool:
     return bool(np.max(np.abs(x), initial=0.0) >= limit) or f <= -limit
 
 
@@ -297,5 +311,5 @@ def _time_in(stats: Mapping[str, Any], prefix: str) -> float:
     return float(sum(value for name, value in stats.items() if name.startswith(prefix)))
 
 
-def _flat(matrix: Any) -> FloatArray:
+def _flat(matrix: Any) -> Array:
     return np.asarray(matrix.full(), dtype=np.float64).ravel()

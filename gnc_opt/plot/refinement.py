@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, NullLocator
 
 from gnc_opt.plot.style import COLORS, QUIET, legend_on_top, new_figure, style
-from gnc_opt.refine.history import History
+from gnc_opt.solution.history import History
 
 _LEAST, _MOST = 1e-16, 1e6
 """Errors beyond these are drawn there."""

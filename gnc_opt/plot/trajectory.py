@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 from gnc_opt.plot.sampling import chosen_names, chosen_phases, data_range, sample, zero_crossings
 from gnc_opt.plot.style import (
     COLORS,

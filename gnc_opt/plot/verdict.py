@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from matplotlib.figure import Figure
 
 from gnc_opt.plot.style import COLORS, QUIET, legend_on_top, new_figure, style
-from gnc_opt.verify.verdict import Result
-
-if TYPE_CHECKING:
-    from gnc_opt.verify.verdict import Condition, Verdict
+from gnc_opt.verify.verdict import Condition, Result, Verdict
 
 _LOOKS = {
     Result.PASS: (COLORS[2], "o", "PASS"),

@@ -9,15 +9,14 @@ import numpy as np
 
 from gnc_opt.errors import ProblemError, did_you_mean, warn_user
 from gnc_opt.model.layout import Variable
+from gnc_opt.problem.check_values import check_values
 from gnc_opt.problem.interval import Interval, intersect
 from gnc_opt.problem.phase import Phase
-from gnc_opt.problem.problem import Problem
+from gnc_opt.problem.statement import Statement
 
 
-def check_problem(problem: Problem) -> None:
+def check_problem(problem: Statement) -> None:
     """Raise `ProblemError` at the first mistake; see ``Problem.check`` for what is looked at."""
-    from gnc_opt.problem.check_values import check_values
-
     if not problem.phases:
         raise ProblemError(f"problem '{problem.name}' has no phase: add one with phase(name, model).")
     if problem.cost is None:
@@ -81,7 +80,7 @@ def _show(interval: Interval | None, i: int) -> str:
 # --- what is used where -------------------------------------------------------------------------------
 
 
-def _along(problem: Problem, leg: Phase) -> Any:
+def _along(problem: Statement, leg: Phase) -> Any:
     """All expressions along a phase, stacked."""
     return problem.bind(
         leg, ca.vertcat(leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
@@ -98,7 +97,7 @@ def _idle(variable: Variable, symbol: Any, used: set[int]) -> list[str]:
     return [name for name, s in zip(variable.labels, scalars, strict=True) if s.element_hash() not in used]
 
 
-def _check_unused_controls(problem: Problem, leg: Phase) -> None:
+def _check_unused_controls(problem: Statement, leg: Phase) -> None:
     used = _used([_along(problem, leg)])
     for variable in leg.model.controls.variables:
         idle = _idle(variable, leg.model.symbol(variable.name), used)
@@ -109,7 +108,7 @@ def _check_unused_controls(problem: Problem, leg: Phase) -> None:
             )
 
 
-def _check_unused_parameters(problem: Problem) -> None:
+def _check_unused_parameters(problem: Statement) -> None:
     ends = ca.vertcat(problem.cost, problem.constraint_expression())
     legs = problem.phases.values()
     used = _used([ends, *(problem.bind(leg, ends) for leg in legs), *(_along(problem, leg) for leg in legs)])

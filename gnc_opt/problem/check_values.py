@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError
-from gnc_opt.model.layout import Array
+from gnc_opt.problem.guess.trajectory import start_phase
 from gnc_opt.problem.interval import Interval, intersect
+from gnc_opt.problem.magnitudes import phase_magnitudes
 from gnc_opt.problem.phase import Phase
-from gnc_opt.problem.problem import Problem
+from gnc_opt.problem.statement import Statement
 from gnc_opt.problem.symbols import parameter_arguments
-from gnc_opt.transcription.guess import start_phase
-from gnc_opt.transcription.scaling import phase_magnitudes
-
-T = TypeVar("T")
 
 _FRACTIONS = (np.arange(11) + 0.5) / 11
 """Where functions are tried, as fractions of a phase: not at its ends, where Gauss has no points."""
@@ -30,7 +28,7 @@ _FEW = 12
 """Up to so many variables a message shows the point at which a function is not finite."""
 
 
-def check_values(problem: Problem) -> None:
+def check_values(problem: Statement) -> None:
     """Raise `ProblemError` for a function or derivative that is not finite at the guess, and say where."""
     ends: list[Any] = []
     for leg in problem.phases.values():
@@ -80,7 +78,7 @@ class NotFinite:
 
 
 def first_not_finite(
-    problem: Problem, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
+    problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
 ) -> NotFinite | None:
     """Return the first function along a phase that is not finite, or has a derivative that is not.
 
@@ -100,7 +98,7 @@ def first_not_finite(
 
 
 def _try_along(
-    problem: Problem, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
+    problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
 ) -> dict[str, _Tried]:
     columns = (*leg.model.states.labels, *leg.model.controls.labels, *problem.parameters.labels)
     tried = {}
@@ -110,7 +108,7 @@ def _try_along(
     return tried
 
 
-def _check_along(problem: Problem, leg: Phase) -> list[Any]:
+def _check_along(problem: Statement, leg: Phase) -> list[Any]:
     """Try what varies along a phase; return its arguments of the cost and the boundary constraints."""
     numbers, q = leg.numbers, _parameter_guess(problem)
     start = start_phase(leg, np.array([0.0, *_FRACTIONS, 1.0]))
@@ -129,7 +127,7 @@ def _check_along(problem: Problem, leg: Phase) -> list[Any]:
     return [first, last, start.times[0], start.times[1], integrals, leg.model.parameter_values]
 
 
-def _check_ends(problem: Problem, ends: list[Any]) -> None:
+def _check_ends(problem: Statement, ends: list[Any]) -> None:
     """Try the cost and the boundary constraints at the end points of the guess."""
     for what, rows, columns, function in _functions_at_ends(problem):
         tried = _Tried.at(what, rows, columns, function(*ends, _parameter_guess(problem)))
@@ -145,11 +143,11 @@ def _inside(values: Array, bounds: Interval, scales: Array) -> Array:
     return np.clip(values, (lower + push)[:, None], (upper - push)[:, None])
 
 
-def _parameter_guess(problem: Problem) -> Array:
+def _parameter_guess(problem: Statement) -> Array:
     return np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
 
 
-def _functions_along(problem: Problem, leg: Phase) -> list[tuple[str, tuple[str, ...], Any]]:
+def _functions_along(problem: Statement, leg: Phase) -> list[tuple[str, tuple[str, ...], Any]]:
     """Kind, names and function (t, x, u, p, q) -> values, Jacobian of dynamics, paths and integrands."""
     t, x, u, p = leg.model.arguments()
     q = problem.parameter_symbols()
@@ -166,17 +164,18 @@ def _functions_along(problem: Problem, leg: Phase) -> list[tuple[str, tuple[str,
             if rows
         ]
 
-    return _once(problem, ("check", leg.name), build)
+    return problem.once(("check", leg.name), build)
 
 
-def _functions_at_ends(problem: Problem) -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
+def _functions_at_ends(problem: Statement) -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
     """Kind, names, variables and function of the cost and of the boundary constraints."""
 
     def build() -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
         arguments: list[Any] = []
         variables: list[Any] = []
         columns: list[str] = []
-        for leg, parameters in zip(problem.phases.values(), parameter_arguments(problem), strict=True):
+        legs = problem.phases.values()
+        for leg, parameters in zip(legs, parameter_arguments(legs), strict=True):
             own = [
                 leg.ends("initial"),
                 leg.ends("final"),
@@ -208,15 +207,7 @@ def _functions_at_ends(problem: Problem) -> list[tuple[str, tuple[str, ...], tup
                 built.append((what, rows, tuple(columns), function))
         return built
 
-    return _once(problem, "check ends", build)
-
-
-def _once(problem: Problem, key: Any, build: Callable[[], T]) -> T:
-    """Return what was built for this problem, or its variations with other numbers, before."""
-    if key not in problem.builds:
-        problem.builds[key] = build()
-    built: T = problem.builds[key]
-    return built
+    return problem.once("check ends", build)
 
 
 def _with_jacobian(expression: Any, variables: Any, arguments: list[Any]) -> Any:

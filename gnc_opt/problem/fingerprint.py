@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 from gnc_opt.problem.interval import Interval
-
-if TYPE_CHECKING:
-    from gnc_opt.problem.problem import Problem
+from gnc_opt.problem.statement import Statement
 
 
-def problem_fingerprint(problem: Problem) -> str:
+def problem_fingerprint(problem: Statement) -> str:
     """Return a hash of the functions, names and numbers that define the problem (hex, 16 digits)."""
     digest = hashlib.sha256()
     for leg in problem.phases.values():

@@ -20,13 +20,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.evaluation import evaluate
-from gnc_opt.model.layout import Array
 from gnc_opt.model.symbol import as_expression
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
-from gnc_opt.problem.symbols import parameter_arguments, refuse_foreign_along
+from gnc_opt.problem.symbols import parameter_arguments
 
 _ARGUMENTS = ("t", "x", "u", "lam", "mu", "weights", "p", "q")
 
@@ -262,7 +262,9 @@ def _build_end_function(problem: Problem) -> Any:
         cost, constraints = problem.bind(leg, cost), problem.bind(leg, constraints)
     lagrangian = problem.sense * cost + ca.dot(nu, constraints)
     differentiated, arguments = [], []
-    for leg, parameters in zip(problem.phases.values(), parameter_arguments(problem), strict=True):
+    for leg, parameters in zip(
+        problem.phases.values(), parameter_arguments(problem.phases.values()), strict=True
+    ):
         own = [
             leg.ends("initial"),
             leg.ends("final"),
@@ -285,6 +287,6 @@ def evaluator(problem: Problem, phase: str, expression: Any) -> Callable[..., Ar
     t, x, u, p = leg.model.arguments()
     q = problem.parameter_symbols()
     value = as_expression(expression, "the expression to evaluate", None, ProblemError)
-    refuse_foreign_along(problem, leg, value, "the expression to evaluate")
+    problem.refuse_foreign(leg, value, "the expression to evaluate")
     function = ca.Function("evaluate", [t, x, u, p, q], [problem.bind(leg, value)])
     return lambda *arguments: evaluate(function, *arguments)

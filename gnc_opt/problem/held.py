@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_numbers
-from gnc_opt.errors import ProblemError
+from gnc_opt.errors import ProblemError, shown
+from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.interval import Interval
 
-Signs = NDArray[np.int64]
+Kinds: TypeAlias = "tuple[tuple[ArcKind, ...], ...]"
+"""Rows of kinds, one per segment or piece."""
 
-RELEASED = 3
-"""The place of what may leave its limits."""
+MAY_BE_RELEASED = (ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED)
+"""What a control or path constraint may be told."""
 
-HOLDS = (-1, 0, 1, RELEASED)
-"""All places: at the lower limit, within the limits, at the upper limit, released."""
+WITHIN_LIMITS = MAY_BE_RELEASED[:3]
+"""What a state may be told."""
 
 
 @dataclass(frozen=True)
@@ -42,40 +45,52 @@ class Smooth:
 
 @dataclass(frozen=True)
 class Held:
-    """What is held, each (n, K) as tuples: -1 lower limit, 0 within limits, +1 upper limit, 3 released."""
+    """What is held, rows of K kinds each; interior means free within the limits."""
 
-    controls: tuple[tuple[int, ...], ...]
-    paths: tuple[tuple[int, ...], ...] = ()
-    states: tuple[tuple[int, ...], ...] = ()
+    controls: Kinds
+    paths: Kinds = ()
+    states: Kinds = ()
     smooth: tuple[Smooth, ...] = ()
 
 
-def read_signs(
+def read_kinds(
     given: ArrayLike,
     labels: tuple[str, ...],
     limits: Interval,
-    allowed: tuple[int, ...],
-    kind: str,
+    allowed: Collection[ArcKind],
+    what: str,
     where: str,
-) -> tuple[tuple[int, ...], ...]:
-    """Return signs (n, K) as tuples of ints; see `Phase.hold`.
+) -> Kinds:
+    """Return kinds (n, K), given as kinds or as signs (-1 lower limit, 0 within, +1 upper limit); see `Phase.hold`.
 
     Raises
     ------
     ProblemError
         Another shape, other values, or something to be held at a limit that it does not have.
     """
-    signs = np.atleast_2d(read_numbers(given, f"the arcs of {where}", ProblemError))
-    if signs.ndim != 2 or signs.shape[0] != len(labels) or not np.all(np.isin(signs, allowed)):
-        numbers = ", ".join(f"{a:+d}" if abs(a) == 1 else str(a) for a in allowed)
+    try:
+        kinds = np.atleast_2d(np.asarray(given, dtype=object))
+    except (TypeError, ValueError):  # symbols, or objects that refuse
+        kinds = np.empty((0, 0), dtype=object)
+    read = [[_kind(entry) for entry in row] for row in kinds] if kinds.ndim == 2 else []
+    if len(read) != len(labels) or any(kind not in allowed for row in read for kind in row):
+        names = ", ".join(kind.name for kind in allowed)
         raise ProblemError(
-            f"arcs of {where} must be among {numbers} in an array of {len(labels)} rows ({kind} "
-            f"{', '.join(labels)}) and one column per segment; got shape {signs.shape}."
+            f"arcs of {where} must be -1, 0 and +1, or {names} of ArcKind, in an array of {len(labels)} rows ({what} "
+            f"{', '.join(labels)}) and one column per segment; got {shown(given)} of shape {kinds.shape}."
         )
-    for sign, ends in ((-1, limits.lower), (1, limits.upper)):
-        endless = np.flatnonzero(np.any(signs == sign, axis=1) & ~np.isfinite(ends))
-        if endless.size:
-            raise ProblemError(
-                f"{where} cannot hold '{labels[endless[0]]}' on a bound that it does not have."
-            )
-    return tuple(tuple(int(v) for v in row) for row in signs)
+    for limit, ends in ((ArcKind.LOWER, limits.lower), (ArcKind.UPPER, limits.upper)):
+        for label, row, end in zip(labels, read, ends, strict=True):
+            if limit in row and not np.isfinite(end):
+                raise ProblemError(f"{where} cannot hold '{label}' on a bound that it does not have.")
+    return tuple(tuple(kind for kind in row if kind is not None) for row in read)
+
+
+def _kind(entry: Any) -> ArcKind | None:
+    """What an entry means; None if nothing."""
+    if isinstance(entry, ArcKind):
+        return entry
+    is_sign = (
+        isinstance(entry, (int, float, np.number)) and not isinstance(entry, bool) and entry in (-1, 0, 1)
+    )
+    return ArcKind.of_sign(int(entry)) if is_sign else None

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError
-from gnc_opt.model.layout import Array, as_vector
+from gnc_opt.model.layout import as_vector
 
 
 @dataclass(frozen=True)

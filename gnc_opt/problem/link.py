@@ -2,33 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
 
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, shown
 from gnc_opt.model.layout import as_vector
 from gnc_opt.problem.phase import Phase
 
-if TYPE_CHECKING:
-    from gnc_opt.problem.problem import Problem
 
-
-def link_phases(
-    problem: Problem,
+def linkages(
+    problem: str,
     first: Phase,
     second: Phase,
     states: Iterable[str] | None,
     time: bool,
     jump: Mapping[str, ArrayLike] | None,
-) -> None:
-    """Add the constraints ``link_<first>_<second>_<state>`` and ``..._time``; see ``Problem.link``."""
+) -> Iterator[tuple[str, Any, Array]]:
+    """Yield name, expression and value of each constraint that links two phases; see ``Problem.link``.
+
+    The names are ``link_<first>_<second>_<state>`` and ``..._time``.
+    """
     label = f"link_{first.name}_{second.name}"
     if time and first is second:
         raise ProblemError(
-            f"{label} of problem '{problem.name}' takes no time: link a phase to itself with time=False."
+            f"{label} of problem '{problem}' takes no time: link a phase to itself with time=False."
         )
     shared = [name for name in first.model.states.names if name in second.model.states]
     names = shared if states is None else _state_names(states, f"the states of {label}")
@@ -37,14 +38,13 @@ def link_phases(
         start, end = second.initial_state(name), first.final_state(name)
         if start.shape != end.shape:
             raise ProblemError(
-                f"{label} of problem '{problem.name}' joins state '{name}' of {end.shape[0]} components to "
-                "one of "
-                f"{start.shape[0]}: leave it out of states=[...] and constrain() its components."
+                f"{label} of problem '{problem}' joins state '{name}' of {end.shape[0]} components to "
+                f"one of {start.shape[0]}: leave it out of states=[...] and constrain() its components."
             )
         value = as_vector(jumps.get(name, 0.0), start.shape[0], f"the jump of '{name}' in {label}")
-        problem.constrain(f"{label}_{name}", start - end, equals=value)
+        yield f"{label}_{name}", start - end, value
     if time:
-        problem.constrain(f"{label}_time", second.initial_time - first.final_time, equals=0.0)
+        yield f"{label}_time", second.initial_time - first.final_time, as_vector(0.0, 1, label)
 
 
 def _state_names(states: Iterable[str], what: str) -> list[str]:

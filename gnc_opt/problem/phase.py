@@ -5,26 +5,35 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_label
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.layout import Array, Layout, as_vector
+from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol, as_expression
 from gnc_opt.problem.constraint import Constraint, make_constraint
-from gnc_opt.problem.guess import GuessValue, read_guess_times, sample_guess
-from gnc_opt.problem.held import HOLDS, Held, Smooth, read_signs
+from gnc_opt.problem.guess.values import GuessValue, read_guess_times, sample_guess
+from gnc_opt.problem.held import MAY_BE_RELEASED, WITHIN_LIMITS, Held, Smooth, read_kinds
 from gnc_opt.problem.interval import Interval, free, intersect, read_interval
-from gnc_opt.problem.symbols import refuse_foreign_along
 from gnc_opt.strict import Strict
 
-if TYPE_CHECKING:
-    from gnc_opt.problem.problem import Problem
+
+class Owner(Protocol):
+    """What a phase asks of its problem."""
+
+    name: str
+
+    def refuse_if_frozen(self) -> None: ...
+
+    def changed(self) -> None: ...
+
+    def refuse_foreign(self, leg: Phase, expression: Any, what: str, /) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -70,7 +79,7 @@ class Phase(Strict):
         "paths",
     )
 
-    def __init__(self, name: str, model: Model, owner: Problem) -> None:
+    def __init__(self, name: str, model: Model, owner: Owner) -> None:
         self.name = name
         self.model = model
         self._owner = owner
@@ -120,30 +129,25 @@ class Phase(Strict):
         duration : tuple (lower, upper), optional
             Range of ``final - initial``; its lower end defaults to 0.
         """
-        numbers = self.numbers
-        self.numbers = replace(
-            numbers,
+        self._set(
             initial_time=read_interval(initial, 1, f"the initial time of {self.where}"),
             final_time=read_interval(final, 1, f"the final time of {self.where}"),
-            duration=numbers.duration if duration is None else self._read_duration(duration),
+            duration=self.numbers.duration if duration is None else self._read_duration(duration),
         )
         self._owner.changed()
 
     def initial(self, **values: Any) -> None:
         """State the initial values of states by name; states left out are free."""
-        self.numbers = replace(
-            self.numbers, initial=self._merge(self.numbers.initial, values, "initial value")
-        )
+        self._set(initial=self._merge(self.numbers.initial, values, "initial value"))
 
     def final(self, **values: Any) -> None:
         """State the final values of states by name; states left out are free."""
-        self.numbers = replace(self.numbers, final=self._merge(self.numbers.final, values, "final value"))
+        self._set(final=self._merge(self.numbers.final, values, "final value"))
 
     def bounds(self, **ranges: Any) -> None:
         """State bounds of states and controls over the whole phase: ``bounds(a=(-1, 1), v=(None, 3))``."""
         states, controls = self._split(ranges, "bounds")
-        self.numbers = replace(
-            self.numbers,
+        self._set(
             states=self._merge(self.numbers.states, states, "bounds"),
             controls=self._merge(self.numbers.controls, controls, "bounds", self.model.controls),
         )
@@ -169,7 +173,8 @@ class Phase(Strict):
         if name in self.paths:
             raise ProblemError(f"{self.where} has two path constraints '{name}': rename one.")
         constraint = make_constraint(name, expression, lower, upper, equals, what)
-        refuse_foreign_along(self._owner, self, constraint.expression, what)
+        self._owner.refuse_foreign(self, constraint.expression, what)
+        self._owner.refuse_if_frozen()
         self.paths[name] = constraint
         self._owner.changed()
 
@@ -184,7 +189,8 @@ class Phase(Strict):
         if label in self.integrands:
             raise ProblemError(f"{self.where} has two integrals '{label}': rename one.")
         value = as_expression(integrand, what, 1, ProblemError)
-        refuse_foreign_along(self._owner, self, value, what)
+        self._owner.refuse_foreign(self, value, what)
+        self._owner.refuse_if_frozen()
         symbol = ca.SX.sym(f"{self.name}_{label}")
         self.integrands[label] = (symbol, value)
         self._owner.changed()
@@ -209,7 +215,7 @@ class Phase(Strict):
             size = self._owner_layout(name, "guess")[name].size
             if not callable(value):  # those must wait until the phase's times are known
                 sample_guess(value, size, ends, ends, times, f"the guess of '{name}' in {self.where}")
-        self.numbers = replace(self.numbers, guess=PhaseGuess(times, merged))
+        self._set(guess=PhaseGuess(times, merged))
 
     def scale(self, **magnitudes: ArrayLike) -> None:
         """Override the automatic scaling: typical magnitudes > 0 of states or controls by name.
@@ -224,7 +230,7 @@ class Phase(Strict):
             if not np.all(np.isfinite(vector) & (vector > 0)):
                 raise ProblemError(f"{what} is {vector}: give positive finite numbers.")
             scales[name] = vector
-        self.numbers = replace(self.numbers, scales=scales)
+        self._set(scales=scales)
 
     def hold(
         self,
@@ -238,34 +244,35 @@ class Phase(Strict):
 
         Parameters
         ----------
-        arcs : int array (n_controls, K) or None
-            -1: on the lower bound, +1: on the upper bound, 0: free, 3: released from its bounds. With movable mesh
-            boundaries the switch times are then what is left to optimise. ``None`` lets everything go.
-        paths : int array (n_paths, K), optional
+        arcs : array (n_controls, K) of ArcKind or int, or None
+            LOWER (or -1): on the lower bound, UPPER (+1): on the upper bound, INTERIOR (0): free within its bounds,
+            RELEASED: free of its bounds. With movable mesh boundaries the switch times are then what is left to
+            optimise. ``None`` lets everything go.
+        paths : array (n_paths, K), optional
             The same for the rows of the path constraints.
-        states : int array (n_states, K), optional
-            -1 or +1: on that bound, 0: within bounds. The bound must be of first order: the state's own derivative
-            depends on a control that is free there.
+        states : array (n_states, K), optional
+            LOWER or UPPER: on that bound, INTERIOR: within bounds. The bound must be of first order: the state's own
+            derivative depends on a control that is free there.
         smooth : tuple of Smooth
             Controls that are one polynomial over several segments.
         """
         if arcs is None:
-            self.numbers = replace(self.numbers, arcs=None)
+            self._set(arcs=None)
             return
         model, box = self.model, self.numbers
-        signs = read_signs(arcs, model.controls.labels, box.controls, HOLDS, "controls", self.where)
-        held = Held(signs, smooth=tuple(smooth))
+        held = Held(
+            read_kinds(arcs, model.controls.labels, box.controls, MAY_BE_RELEASED, "controls", self.where),
+            smooth=tuple(smooth),
+        )
         if paths is not None:
             labels, limits = self.path_labels, self.path_interval()
-            held = replace(
-                held, paths=read_signs(paths, labels, limits, HOLDS, "path constraints", self.where)
-            )
+            kinds = read_kinds(paths, labels, limits, MAY_BE_RELEASED, "path constraints", self.where)
+            held = replace(held, paths=kinds)
         if states is not None:
             labels = model.states.labels
-            held = replace(
-                held, states=read_signs(states, labels, box.states, (-1, 0, 1), "states", self.where)
-            )
-        self.numbers = replace(self.numbers, arcs=held)
+            kinds = read_kinds(states, labels, box.states, WITHIN_LIMITS, "states", self.where)
+            held = replace(held, states=kinds)
+        self._set(arcs=held)
 
     # --- internals --------------------------------------------------------------------------------
 
@@ -317,12 +324,16 @@ class Phase(Strict):
         """Stacked SX symbols of all integrals."""
         return ca.vertcat(*[s for s, _ in self.integrands.values()]) if self.integrands else ca.SX(0, 1)
 
-    def clone(self, owner: Problem) -> Phase:
+    def clone(self, owner: Owner) -> Phase:
         """Return a copy for another problem, which shares the symbols and owns its numbers."""
         twin = copy.copy(self)
         twin.paths, twin.integrands = dict(self.paths), dict(self.integrands)
         twin._owner = owner
         return twin
+
+    def _set(self, **numbers: Any) -> None:
+        self._owner.refuse_if_frozen()
+        self.numbers = replace(self.numbers, **numbers)
 
     def _read_duration(self, duration: Any) -> Interval:
         given = read_interval(duration, 1, f"the duration of {self.where}")

@@ -7,27 +7,27 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_integer, read_label, read_name
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.layout import Array, Layout, Variable, as_vector
+from gnc_opt.model.layout import Variable, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol, as_expression
-from gnc_opt.problem.constraint import Constraint, make_constraint
+from gnc_opt.problem.check import check_problem
+from gnc_opt.problem.constraint import make_constraint
 from gnc_opt.problem.fingerprint import problem_fingerprint
-from gnc_opt.problem.guess import GuessValue
+from gnc_opt.problem.guess.values import GuessValue
 from gnc_opt.problem.held import Smooth
-from gnc_opt.problem.interval import Interval, free, read_range
-from gnc_opt.problem.link import link_phases
+from gnc_opt.problem.interval import read_range
+from gnc_opt.problem.link import linkages
 from gnc_opt.problem.phase import Phase
-from gnc_opt.problem.symbols import refuse_foreign_ends, refuse_other_size
-from gnc_opt.strict import Strict
+from gnc_opt.problem.statement import Statement
+from gnc_opt.problem.symbols import refuse_foreign_along, refuse_foreign_ends, refuse_other_size
 
 
-class Problem(Strict):
+class Problem(Statement):
     """An optimal control problem in Bolza form over one or more phases.
 
     Parameters
@@ -42,28 +42,11 @@ class Problem(Strict):
     minimised functional; a maximised J is minimised as -J.
     """
 
-    __slots__ = (
-        "_parameters",
-        "builds",
-        "constraints",
-        "cost",
-        "name",
-        "parameter_bounds",
-        "parameter_guess",
-        "phases",
-        "sense",
-    )
+    __slots__ = ("_frozen",)
 
     def __init__(self, name: str) -> None:
-        self.name: str = expect(name, str, "the name of a problem", 'write Problem("rest to rest")')
-        self.phases: dict[str, Phase] = {}
-        self.constraints: dict[str, Constraint] = {}
-        self.cost: Any = None
-        self.sense = 1.0
-        self._parameters: dict[str, Symbol] = {}
-        self.parameter_bounds: dict[str, Interval] = {}
-        self.parameter_guess: dict[str, Array] = {}
-        self.builds: dict[Any, Any] = {}
+        super().__init__(expect(name, str, "the name of a problem", 'write Problem("rest to rest")'))
+        self._frozen = False
 
     def __repr__(self) -> str:
         return f"Problem({self.name!r}: {', '.join(map(repr, self.phases.values()))})"
@@ -78,6 +61,7 @@ class Problem(Strict):
         ProblemError
             The name is taken or not an identifier, or the model has missing dynamics.
         """
+        self.refuse_if_frozen()
         read_name(name, f"phase of problem '{self.name}'", ProblemError)
         if name in self.phases:
             raise ProblemError(f"problem '{self.name}' has two phases '{name}': rename one.")
@@ -124,6 +108,7 @@ class Problem(Strict):
         ProblemError
             Name taken or no identifier, size < 1, crossed bounds.
         """
+        self.refuse_if_frozen()
         read_name(name, f"parameter of problem '{self.name}'", ProblemError)
         if name in self._parameters:
             raise ProblemError(f"problem '{self.name}' has two parameters '{name}': rename one.")
@@ -163,12 +148,13 @@ class Problem(Strict):
         ProblemError
             Name taken, no limit or contradictory ones, or a symbol that varies along a phase.
         """
+        self.refuse_if_frozen()
         read_label(name, f"constraint of problem '{self.name}'", ProblemError)
         what = f"constraint '{name}' of problem '{self.name}'"
         if name in self.constraints:
             raise ProblemError(f"problem '{self.name}' has two constraints '{name}': rename one.")
         constraint = make_constraint(name, expression, lower, upper, equals, what)
-        refuse_foreign_ends(self, constraint.expression, what)
+        self._refuse_foreign_ends(constraint.expression, what)
         self.constraints[name] = constraint
         self.changed()
 
@@ -193,7 +179,9 @@ class Problem(Strict):
         jump : mapping, optional
             Known jumps by state: x_second(start) - x_first(end), e.g. a dropped stage's mass.
         """
-        link_phases(self, self.get_phase(first), self.get_phase(second), states, time, jump)
+        legs = self.get_phase(first), self.get_phase(second)
+        for name, expression, value in linkages(self.name, *legs, states, time, jump):
+            self.constrain(name, expression, equals=value)
 
     def minimize(self, cost: Any) -> None:
         """State the cost to minimise: an expression in end points, integrals and parameters."""
@@ -251,6 +239,16 @@ class Problem(Strict):
         twin.get_phase(phase).guess(time, **values)
         return twin
 
+    def with_parameter_guess(self, **values: ArrayLike) -> Problem:
+        """Return a copy with other starting values of free parameters."""
+        twin = self._clone()
+        for name, value in values.items():
+            if name not in self._parameters:
+                raise unknown_name("parameter", name, f"problem '{self.name}'", self._parameters)
+            size = self._parameters[name].variable.size
+            twin.parameter_guess[name] = as_vector(value, size, f"the guess of parameter '{name}'")
+        return twin
+
     def with_scale(self, phase: str | None = None, /, **magnitudes: ArrayLike) -> Problem:
         """Return a copy with other scales; see ``Phase.scale``."""
         twin = self._clone()
@@ -290,71 +288,18 @@ class Problem(Strict):
         Checks times, costs, boundary values against bounds, unused controls and parameters, foreign symbols,
         and evaluates every function and Jacobian along the guess, naming the state, phase and time of a NaN.
         """
-        from gnc_opt.problem.check import check_problem
-
         check_problem(self)
 
-    # --- what it is -------------------------------------------------------------------------------
+    def frozen(self) -> Problem:
+        """Return a copy that refuses to be changed; what was built serves both.
 
-    @property
-    def parameters(self) -> Layout:
-        """Names, sizes and units of the free parameters."""
-        return Layout(
-            "parameter", tuple(s.variable for s in self._parameters.values()), f"problem '{self.name}'"
-        )
-
-    def parameter_symbols(self) -> Any:
-        """Stacked SX symbols of the free parameters."""
-        return ca.vertcat(*self._parameters.values()) if self._parameters else ca.SX(0, 1)
-
-    def parameter_interval(self) -> Interval:
-        """Bounds of the stacked free parameters."""
-        boxes = list(self.parameter_bounds.values())
-        if not boxes:
-            return free(0)
-        return Interval(np.concatenate([b.lower for b in boxes]), np.concatenate([b.upper for b in boxes]))
-
-    def get_phase(self, phase: Phase | str | None = None) -> Phase:
-        """Return a phase by name; ``None`` is the only one there is."""
-        if isinstance(phase, Phase):
-            own = self.phases.get(phase.name)
-            if own is None or own.initial_time is not phase.initial_time:
-                raise ProblemError(
-                    f"{phase.where} is not a phase of problem '{self.name}': use one of its own."
-                )
-            return own
-        if phase is None:
-            if len(self.phases) != 1:
-                raise ProblemError(
-                    f"problem '{self.name}' has {len(self.phases)} phases: name one of {list(self.phases)}."
-                )
-            return next(iter(self.phases.values()))
-        if not isinstance(phase, str) or phase not in self.phases:
-            raise unknown_name("phase", phase, f"problem '{self.name}'", self.phases)
-        return self.phases[phase]
-
-    def bind(self, phase: Phase, expression: Any) -> Any:
-        """Replace model parameters that the problem optimises by the problem's own symbols."""
-        for name, symbol in self._parameters.items():
-            if name in phase.model.parameters:
-                expression = ca.substitute(expression, phase.model.symbol(name), symbol)
-        return expression
-
-    def constraint_expression(self) -> Any:
-        """Stacked SX expression of all boundary constraints."""
-        rows = [c.expression for c in self.constraints.values()]
-        return ca.vertcat(*rows) if rows else ca.SX(0, 1)
-
-    def constraint_interval(self) -> Interval:
-        """Bounds of all boundary constraint rows."""
-        boxes = [c.interval for c in self.constraints.values()]
-        if not boxes:
-            return free(0)
-        return Interval(np.concatenate([b.lower for b in boxes]), np.concatenate([b.upper for b in boxes]))
-
-    def constraint_labels(self) -> tuple[str, ...]:
-        """Names of the boundary constraint rows."""
-        return tuple(label for c in self.constraints.values() for label in c.labels)
+        A solution keeps such a copy: what is asked of it later is asked of the problem that was solved.
+        """
+        if self._frozen:
+            return self
+        twin = self._clone()
+        twin._frozen = True
+        return twin
 
     def fingerprint(self) -> str:
         """Return a hash of the functions, names and numbers that define the problem (hex, 16 digits)."""
@@ -362,12 +307,30 @@ class Problem(Strict):
 
     # --- internals --------------------------------------------------------------------------------
 
+    def refuse_if_frozen(self) -> None:
+        """Raise `ProblemError` if the problem is that of a solution."""
+        if self._frozen:
+            raise ProblemError(
+                f"problem '{self.name}' is the one that a solution solves and cannot be changed any more: "
+                "make a variation with with_bounds(), with_initial() or their like, or state a new problem."
+            )
+
     def changed(self) -> None:
         """Forget what was built from earlier declarations."""
         self.builds = {}
 
+    def refuse_foreign(self, leg: Phase, expression: Any, what: str) -> None:
+        """Raise `ProblemError` if an expression along a phase uses other than its model and free parameters."""
+        refuse_foreign_along(
+            leg, self.phases.values(), self.parameters, self.parameter_symbols(), expression, what
+        )
+
+    def _refuse_foreign_ends(self, expression: Any, what: str) -> None:
+        refuse_foreign_ends(self.phases.values(), self.parameter_symbols(), expression, what)
+
     def _clone(self) -> Problem:
         twin = copy.copy(self)
+        twin._frozen = False
         twin.phases = {name: leg.clone(twin) for name, leg in self.phases.items()}
         twin.constraints = dict(self.constraints)
         twin._parameters = dict(self._parameters)
@@ -376,9 +339,10 @@ class Problem(Strict):
         return twin
 
     def _set_cost(self, cost: Any, sense: float) -> None:
+        self.refuse_if_frozen()
         if self.cost is not None:
             raise ProblemError(f"problem '{self.name}' has two costs: keep one minimize() or maximize().")
         expression = as_expression(cost, f"the cost of problem '{self.name}'", 1, ProblemError)
-        refuse_foreign_ends(self, expression, f"the cost of problem '{self.name}'")
+        self._refuse_foreign_ends(expression, f"the cost of problem '{self.name}'")
         self.cost, self.sense = expression, sense
         self.changed()

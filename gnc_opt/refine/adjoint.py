@@ -10,10 +10,9 @@ collocation converge in a weak sense only, and costates may jump: such segments 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gnc_opt.model.layout import Array
-from gnc_opt.verify.samples import PhaseSamples
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.solution.samples import PhaseSamples
 
 WORTH = 20.0
 """A residual r counts as an error of (20 r)^2: an error of the costates affects the cost in second order only. With
@@ -50,7 +49,7 @@ def costate_worth(samples: PhaseSamples) -> Array:
     return samples.state_scale / samples.cost_scale
 
 
-def unconstrained(samples: PhaseSamples, pure_paths: Array) -> NDArray[np.bool_]:
+def unconstrained(samples: PhaseSamples, pure_paths: Array) -> Mask:
     """Return in which segments (K,) no constraint of the states alone pushes, neither inside nor at the ends."""
     leg = samples.leg
     forces = np.concatenate(

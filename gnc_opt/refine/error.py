@@ -21,15 +21,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.problem.interval import Interval
 from gnc_opt.refine.adjoint import WORTH, adjoint_density
 from gnc_opt.solution.phase_solution import PhaseSolution
+from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
-from gnc_opt.verify.samples import PhaseSamples
 
 NEGLIGIBLE = 1e-6
 """An integral or a path constraint whose magnitude stays below this counts in its own unit, not relatively."""
@@ -53,7 +52,7 @@ class Pieces:
 
     times: Array
     weights: Array
-    starts: NDArray[np.int64]
+    starts: Indices
     x: Array
     x_rate: Array
     u: Array
@@ -110,7 +109,7 @@ class Yardstick:
     control: Array
     integral: Array
     path: Array
-    path_has_control: NDArray[np.bool_]
+    path_has_control: Mask
     hamiltonian: float
 
     @classmethod

@@ -12,12 +12,11 @@ import numpy as np
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
 from gnc_opt.nlp import SolverOptions
-from gnc_opt.refine.detect import affine_channels, detect, regular_channels
-from gnc_opt.refine.history import History
-from gnc_opt.refine.hp import refine_mesh
-from gnc_opt.refine.switching import optimise_switches
+from gnc_opt.refine.hp.mesh_refinement import refine_mesh
+from gnc_opt.refine.structure.detect import affine_channels, detect, regular_channels
+from gnc_opt.refine.structure.switching import optimise_switches
+from gnc_opt.solution.history import History
 from gnc_opt.solution.solution import Solution
-from gnc_opt.verify.samples import PhaseSamples
 from gnc_opt.verify.verify import verify
 
 StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]
@@ -125,8 +124,7 @@ def _with_history(solution: Solution, history: History) -> Solution:
 
 def _switches(solution: Solution, at_least: int) -> bool:
     """Whether some control can have switches or kinks and the structure has more pieces than that."""
-    for name, leg in solution.phases.items():
-        samples = PhaseSamples.of(leg, solution.functions(name))
+    for samples in solution.samples().values():
         pieces = detect(samples).pieces
         if np.any(affine_channels(samples)) and pieces > at_least:
             return True

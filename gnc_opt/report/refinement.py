@@ -9,7 +9,7 @@ from typing import TypeAlias
 from rich.console import Console
 from rich.text import Text
 
-from gnc_opt.refine.history import Pass
+from gnc_opt.solution.history import Pass
 
 ShowPass: TypeAlias = Callable[[Pass], None]
 

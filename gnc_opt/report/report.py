@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
+
+from matplotlib.figure import Figure
 
 from gnc_opt.errors import GncOptError
 from gnc_opt.report.summary import summary
 from gnc_opt.report.summary_json import write_json
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from gnc_opt.solution.solution import Solution
-    from gnc_opt.verify.verdict import Verdict
+from gnc_opt.solution.solution import Solution
+from gnc_opt.verify.verdict import Verdict
 
 Figures: TypeAlias = "Callable[[Solution, Path], Any]"
 

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-if TYPE_CHECKING:
-    from gnc_opt.refine.multistart import Multistart
-
-ShowEnding: TypeAlias = Callable[["float | None"], None]
+from gnc_opt.refine.search.multistart import Multistart, ShowEnding
+from gnc_opt.report.summary_json import summary_dict
 
 
 @contextmanager
@@ -63,8 +61,6 @@ def search_meter(
 
 def search_dict(found: Multistart) -> dict[str, Any]:
     """Return what a search found as plain JSON values; each minimum with the summary of its solution."""
-    from gnc_opt.report.summary_json import summary_dict
-
     return {
         "problem": found.problem_name,
         "starts": found.starts,

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from gnc_opt.solution.phase_solution import PhaseSolution
-    from gnc_opt.solution.solution import Solution
-    from gnc_opt.verify.quality import Quality
+from gnc_opt.solution.phase_solution import PhaseSolution
+from gnc_opt.solution.quality import Quality
+from gnc_opt.solution.solution import Solution
 
 WIDTH = 13
 WORST = 3

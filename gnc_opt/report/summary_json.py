@@ -5,17 +5,15 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from gnc_opt.model.layout import Layout
+from gnc_opt.problem.arc import Arc
 from gnc_opt.report.summary import known_quality, mesh_text
-
-if TYPE_CHECKING:
-    from gnc_opt.model.layout import Layout
-    from gnc_opt.refine.history import History
-    from gnc_opt.solution.arc import Arc
-    from gnc_opt.solution.phase_solution import PhaseSolution
-    from gnc_opt.solution.solution import Solution
-    from gnc_opt.verify.verdict import Condition, Verdict
+from gnc_opt.solution.history import History
+from gnc_opt.solution.phase_solution import PhaseSolution
+from gnc_opt.solution.solution import Solution
+from gnc_opt.verify.verdict import Condition, Verdict
 
 SCHEMA = 1
 """Raised when a key is removed or changes its meaning; new keys may come at any time."""

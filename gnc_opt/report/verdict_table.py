@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import io
 import math
-from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from gnc_opt.verify.verdict import Result
-
-if TYPE_CHECKING:
-    from gnc_opt.verify.verdict import Condition, Verdict
+from gnc_opt.verify.verdict import Condition, Result, Verdict
 
 _STYLES = {Result.PASS: "green", Result.FAIL: "bold red", Result.CANNOT_TELL: "yellow"}
 

@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike
 from scipy.linalg import null_space
 
 from gnc_opt.arguments import read_name, read_numbers
+from gnc_opt.arrays import Array
 from gnc_opt.errors import DesignError, did_you_mean, shown
-from gnc_opt.model.layout import Array
 from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, Tick, clip, differs, values
 
 Method: TypeAlias = Literal["pseudo-inverse", "min-max"]

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_label, read_numbers
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
-from gnc_opt.model.layout import Array, as_vector
+from gnc_opt.model.layout import as_vector
 
 Parameters: TypeAlias = Mapping[str, Any]
 """The SX columns of a block's parameters by name."""

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.archive import FileFormat
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
-from gnc_opt.model.layout import Array, Layout, Variable
+from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.packing import Packing
 from gnc_opt.simulation.first_files import campaign_fields
 from gnc_opt.simulation.flight import Flight

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_positive
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.layout import Array, as_vector
+from gnc_opt.model.layout import as_vector
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.flight import Flight
 

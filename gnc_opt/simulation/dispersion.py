@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtr, ndtri
 
 from gnc_opt.arguments import expect, read_numbers, read_positive
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown, unknown_name
-from gnc_opt.model.layout import Array, Layout, as_vector
+from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.spacecraft.attitude import mrp_to_quaternion
 from gnc_opt.spacecraft.quaternion import quaternion_product
 

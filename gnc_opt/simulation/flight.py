@@ -10,8 +10,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.layout import Array, Layout
+from gnc_opt.model.layout import Layout
 from gnc_opt.simulation.kernel import Kernel
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.run import Run

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_positive
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.layout import Array, as_vector
+from gnc_opt.model.layout import as_vector
 
 
 def as_column(value: ArrayLike, size: int, what: str) -> Array:

@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 from gnc_opt.simulation.dispersion import Dispersions, dispersed
 from gnc_opt.simulation.flight import Ending, Flight
 from gnc_opt.workers import Done, WorkerDied

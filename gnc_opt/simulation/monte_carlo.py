@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_integer
+from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError
-from gnc_opt.model.layout import Array
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.criteria import Criteria, Judge
 from gnc_opt.simulation.dispersion import Dispersions, check_dispersions

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.archive import FileFormat
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
-from gnc_opt.model.layout import Array, Layout, Variable
+from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.packing import Packing
 from gnc_opt.simulation import metrics
 from gnc_opt.simulation.first_files import run_fields

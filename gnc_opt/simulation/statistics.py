@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 from scipy.stats import binom, binomtest
 
 from gnc_opt.arguments import read_integer, read_numbers
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
-from gnc_opt.model.layout import Array
 
 CONFIDENCE = 0.95
 """Of all intervals, unless another one is asked for."""

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import linprog
 
+from gnc_opt.arrays import Array
 from gnc_opt.errors import DesignError
-from gnc_opt.model.layout import Array
 from gnc_opt.simulation.allocation import Mixer, check_rows, effect_matrix
 from gnc_opt.simulation.block import Block, Parameters, Step, Tick
 

@@ -8,9 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
+from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.layout import Array, Layout, Variable
+from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.disturbances import Disturbance

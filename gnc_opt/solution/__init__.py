@@ -1,7 +1,6 @@
 """Solution: piecewise polynomials, costates by covector mapping, warm starts, files."""
 
 from gnc_opt.solution.phase_solution import PhaseSolution, Signal
-from gnc_opt.solution.solution import Solution, Statistics, Violation
-from gnc_opt.solution.storage import load
+from gnc_opt.solution.solution import Solution, Statistics, Violation, load
 
 __all__ = ["PhaseSolution", "Signal", "Solution", "Statistics", "Violation", "load"]

@@ -35,14 +35,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.transcription.collocation import PhaseCollocation
 from gnc_opt.transcription.quadrature import interpolation_matrix
-
-Mask = NDArray[np.bool_]
 
 _PUSH = 1e-6
 """A push on a costate counts if it would move it by this share of its size over the segment."""
@@ -101,7 +98,7 @@ def point_multipliers(collocation: PhaseCollocation, costates: Array, end_costat
     pieces: list[Array] = []
     for k, rule in enumerate(collocation.rules):
         wanted = -costates[:, _points(collocation, k)] * rule.weights
-        if collocation.scheme == "LG":
+        if collocation.family.has_end_row:
             pieces.append(np.hstack([wanted, -end_costates[:, [k]]]))
         else:
             matrix = collocation.dynamics_matrix(k)
@@ -136,8 +133,8 @@ def map_costates(
     path_push : array (n_states, N)
         The part of it that comes from path constraints without controls.
     """
-    pieces = _Pieces.of(collocation, x, lam_x, lam_g, weights, gradient, path_push)
-    if collocation.scheme == "LG":
+    pieces = _CostatePieces.of(collocation, x, lam_x, lam_g, weights, gradient, path_push)
+    if collocation.family.has_end_row:
         pieces.settle_redundant_rows()
     else:
         pieces.split_boundary_multipliers()
@@ -162,7 +159,7 @@ def settle_doubled_paths(collocation: PhaseCollocation, paths: Array, weights: A
     mixed : bool array (n_paths,)
         Which constraints depend on controls.
     """
-    if collocation.scheme != "LGL" or not paths.size:
+    if not collocation.family.ends_at_point or not paths.size:
         return paths
     settled = paths.copy()
     lengths = np.repeat(_lengths(collocation, weights), collocation.mesh.degrees)
@@ -180,7 +177,7 @@ def settle_doubled_paths(collocation: PhaseCollocation, paths: Array, weights: A
 
 
 @dataclass(eq=False)
-class _Pieces:
+class _CostatePieces:
     """Costates under construction; the arrays change as the ambiguities of held segments are settled.
 
     Attributes
@@ -220,7 +217,7 @@ class _Pieces:
         weights: Array,
         gradient: Array,
         path_push: Array,
-    ) -> _Pieces:
+    ) -> _CostatePieces:
         lam = point_costates(collocation, lam_g)
         shared = np.isin(collocation.point_states, collocation.boundary_states)
         multipliers = lam_x[collocation.point_states] / weights
@@ -245,7 +242,7 @@ class _Pieces:
         for k in range(collocation.mesh.segments):
             here = _points(collocation, k)
             self._split(k, k, here.start, self.start, 1.0)
-            if collocation.scheme == "LGL":
+            if collocation.family.ends_at_point:
                 self._split(k, k + 1, here.stop - 1, self.end, -1.0)
 
     def _split(self, k: int, boundary: int, point: int, side: Array, sign: float) -> None:
@@ -284,7 +281,7 @@ class _Pieces:
         nodes, values = [], []
         for k, rule in enumerate(collocation.rules):
             here = _points(collocation, k)
-            if collocation.scheme == "LG":
+            if collocation.family.has_end_row:
                 nodes.append(np.append(rule.points, 1.0))
                 values.append(np.hstack([self.lam[:, here], self.end[:, [k]]]))
                 continue
@@ -292,7 +289,7 @@ class _Pieces:
             path = rule.integrate_to(rule.state_nodes)
             integrated = self.start[:, [k]] - half * self.pull[:, here] @ path.T
             through = self.lam[:, here] @ interpolation_matrix(rule.points, rule.state_nodes).T
-            if collocation.scheme == "LGR":
+            if not collocation.family.ends_at_point:
                 through[:, -1] = self.end[:, k]
             nodes.append(rule.state_nodes)
             values.append(np.where(self.held[:, [k]], through, integrated))
@@ -337,9 +334,9 @@ def _boundary_costates(
         derivative = lam_g[collocation.dynamics_rows[k]] @ collocation.state_matrix(k)
         first, last = collocation.mesh.offsets[k], collocation.mesh.offsets[k + 1] - 1
         start, end = derivative[:, 0], derivative[:, -1]
-        if collocation.scheme in ("LGR", "LGL"):
+        if collocation.family.starts_at_point:
             start = start + point_gradients[:, first]
-        if collocation.scheme == "LGL":
+        if collocation.family.ends_at_point:
             end = end + point_gradients[:, last]
         starts.append(start)
         ends.append(-end)

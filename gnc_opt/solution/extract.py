@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import EndGradients, end_gradients, phase_functions
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
@@ -191,9 +191,9 @@ def state_polynomial(
     nodes, values = [], []
     for k, rule in enumerate(collocation.rules):
         states = variables[collocation.segment_nodes(k)]
-        if collocation.scheme == "LG":
+        if collocation.family.has_end_row:
             states = states[:, :-1]
-        if collocation.scheme == "LGL":
+        if collocation.family.ends_at_point:
             here = scaled_rates[:, collocation.mesh.offsets[k] : collocation.mesh.offsets[k + 1]]
             extra = ~np.isin(rule.state_nodes, rule.points)
             path = rule.integrate_to(rule.state_nodes[extra])

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.interval import Interval
 from gnc_opt.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.transcription.quadrature import CollocationRule
@@ -41,7 +41,7 @@ class FlownControl:
     tolerance: float = 1e-6
 
     @cached_property
-    def held(self) -> NDArray[np.bool_]:
+    def held(self) -> Mask:
         """Which channel is held piecewise constant in which segment, shape (m, K)."""
         tau = np.linspace(-1.0, 1.0, _SAMPLES)
         slack = self.tolerance * _finite_range(self.bounds)

@@ -9,13 +9,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnc_opt.arrays import Array
 from gnc_opt.errors import unknown_name
-from gnc_opt.model.layout import Array, Layout
+from gnc_opt.model.layout import Layout
 from gnc_opt.problem.interval import Interval
 from gnc_opt.solution.flown import FlownControl
 from gnc_opt.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.transcription.quadrature import CollocationRule, Scheme, collocation_rule
+from gnc_opt.transcription.quadrature import CollocationRule, collocation_rule
+from gnc_opt.transcription.scheme import Scheme
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gnc_opt.arguments import read_integer, read_numbers
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.transcription.quadrature import (
     MAX_POINTS,
-    Array,
-    collocation_rule,
     differentiation_matrix,
+    gauss_rule,
     interpolation_matrix,
 )
 
@@ -127,7 +127,7 @@ class PiecewisePolynomial:
 
 def _node_integrals(nodes: Array) -> Array:
     """Integrals over [-1, 1] of the Lagrange basis on ``nodes``, shape (len(nodes),)."""
-    gauss = collocation_rule("LG", (nodes.size + 1) // 2)
+    gauss = gauss_rule((nodes.size + 1) // 2)
     return np.asarray(gauss.weights @ interpolation_matrix(nodes, gauss.points))
 
 

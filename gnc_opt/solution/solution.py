@@ -6,26 +6,30 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnc_opt.archive import FileFormat
 from gnc_opt.arguments import expect
+from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError, ProblemError, unknown_name
-from gnc_opt.model.layout import Array, Layout
+from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.nlp.status import Status
+from gnc_opt.packing import Packing
+from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.problem.functions import PhaseFunctions, evaluator, phase_functions
+from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
-from gnc_opt.solution.arc import Arc
+from gnc_opt.solution.history import History
 from gnc_opt.solution.phase_solution import PhaseSolution, Signal
-from gnc_opt.solution.polynomial import Side
-
-if TYPE_CHECKING:
-    from gnc_opt.refine.derivatives import Sensitivity
-    from gnc_opt.refine.history import History
-    from gnc_opt.verify.propagate import Propagation
-    from gnc_opt.verify.quality import Quality
+from gnc_opt.solution.polynomial import PiecewisePolynomial, Side
+from gnc_opt.solution.propagation import Propagation, propagate
+from gnc_opt.solution.quality import Quality, measure_quality
+from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.transcription.mesh import Mesh
+from gnc_opt.transcription.scheme import Scheme
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,17 @@ class Statistics:
     function_s: float
     linear_solver_s: float
     build_reused: bool = False
+
+    def after(self, earlier: Statistics) -> Statistics:
+        """Return these together with what an earlier try of the same solve cost."""
+        return replace(
+            self,
+            iterations=self.iterations + earlier.iterations,
+            build_s=self.build_s + earlier.build_s,
+            solve_s=self.solve_s + earlier.solve_s,
+            function_s=self.function_s + earlier.function_s,
+            linear_solver_s=self.linear_solver_s + earlier.linear_solver_s,
+        )
 
 
 @dataclass(frozen=True)
@@ -98,7 +113,7 @@ class Solution:
     provenance : dict of str
         Versions, options, scheme, mesh and the problem's fingerprint.
     problem : Problem or None
-        What was solved; None after loading without it.
+        What was solved, a copy that cannot be changed; None after loading without it.
     """
 
     problem_name: str
@@ -118,6 +133,16 @@ class Solution:
     structure: tuple[Arc, ...] = ()
     history: History | None = None
     problem: Problem | None = field(default=None, repr=False)
+
+    @property
+    def scheme(self) -> Scheme:
+        """Of the collocation: LG, LGR or LGL."""
+        return next(iter(self.phases.values())).scheme
+
+    @property
+    def converged(self) -> bool:
+        """Whether a refinement reached its tolerance."""
+        return self.history is not None and self.history.converged
 
     # --- evaluation -------------------------------------------------------------------------------
 
@@ -205,14 +230,16 @@ class Solution:
         problem = self.need_problem("evaluate functions of")
         return phase_functions(problem, leg.name, leg.parameters, self.parameter_values, leg.integral_weights)
 
+    def samples(self) -> dict[str, PhaseSamples]:
+        """Return every phase sampled densely in time, from model and trajectory alone; needs the problem."""
+        return {name: PhaseSamples.of(leg, self.functions(name)) for name, leg in self.phases.items()}
+
     # --- quality ----------------------------------------------------------------------------------
 
     @cached_property
     def quality(self) -> Quality:
         """Between-node defect, bound violation and propagation error, computed from the model alone."""
-        from gnc_opt.verify.quality import measure_quality
-
-        return measure_quality(self)
+        return measure_quality(self.samples().values())
 
     def propagate(
         self,
@@ -236,66 +263,8 @@ class Solution:
         Propagation
             Times, states and the final miss of each state.
         """
-        from gnc_opt.verify.propagate import propagate
-
         leg = self.phase(phase)
         return propagate(leg, self.functions(leg.name), control=control, rtol=rtol)
-
-    # --- derivatives ------------------------------------------------------------------------------
-
-    def sensitivity(
-        self,
-        parameter: str | None = None,
-        /,
-        *,
-        initial: str | None = None,
-        final: str | None = None,
-        time: Literal["initial", "final"] | None = None,
-        constraint: str | None = None,
-        phase: str | None = None,
-    ) -> Sensitivity:
-        """Differentiate the optimal solution with respect to one quantity.
-
-        ``solution.sensitivity("k")``, ``solution.sensitivity(initial="q").objective``,
-        ``solution.sensitivity(time="final").state("q")(0.3)``.
-
-        Parameters
-        ----------
-        parameter : str, optional
-            A model parameter, in every phase that has it (or in ``phase``).
-        initial, final : str, optional
-            A state whose initial or final value is given or at its limit.
-        time : {"initial", "final"}, optional
-            A time that is given or at its limit.
-        constraint : str, optional
-            A boundary constraint, by the limit that is active.
-        phase : str, optional
-            May be left out when there is only one.
-
-        Returns
-        -------
-        Sensitivity
-            Derivatives of objective, times, states and controls (at fixed time) and optimised parameters. Those of
-            the objective are the costates: d(objective)/d(initial q) is costate("q")(t0), negated when maximised.
-
-        Raises
-        ------
-        ProblemError
-            No quantity or several, an unknown one, or one that is optimised itself.
-        GncOptError
-            No problem, not solved, or first-order conditions that do not determine the solution; the message names
-            the variable.
-
-        Warns
-        -----
-        ProblemWarning
-            A limit is weakly active, where derivatives are one-sided.
-        """
-        from gnc_opt.refine.sensitivity import sensitivity
-
-        return sensitivity(
-            self, parameter, initial=initial, final=final, time=time, constraint=constraint, phase=phase
-        )
 
     def __str__(self) -> str:
         from gnc_opt.report.summary import summary
@@ -305,10 +274,28 @@ class Solution:
     # --- files ------------------------------------------------------------------------------------
 
     def save(self, path: str | Path) -> Path:
-        """Write the numbers to a file that `load` reads without the model; returns its path."""
-        from gnc_opt.solution.storage import save
+        """Write the numbers to a file that `load` reads without the model.
 
-        return save(self, path)
+        Parameters
+        ----------
+        path : str or Path
+            ``.npz`` is appended if it has no suffix. An existing file is replaced, and only once the new one is
+            complete.
+
+        Returns
+        -------
+        Path
+            The file written. It holds the quality figures too: measured now, or carried over if this solution was
+            itself loaded without its problem.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written, e.g. because its folder does not exist.
+        """
+        known = vars(self).get("quality") if self.problem is None else self.quality
+        written_by = self.provenance.get("gnc_opt", "unknown")
+        return SOLUTION_FILES.write(path, self, written_by=written_by, quality=known)
 
     def with_problem(self, problem: Problem) -> Solution:
         """Return this solution joined to its problem, e.g. after `load`.
@@ -324,7 +311,7 @@ class Solution:
                 f"problem '{problem.name}' is not the one that this solution of '{self.problem_name}' solves: "
                 "its functions or numbers differ; build it with the same options."
             )
-        return replace(self, problem=problem)
+        return replace(self, problem=problem.frozen())
 
     def need_problem(self, action: str) -> Problem:
         """Return the problem.
@@ -345,3 +332,51 @@ class Solution:
                 "load it with load(path, problem=...)."
             )
         return self.problem
+
+
+SOLUTION_FILES = FileFormat(
+    Solution,
+    "solution",
+    1,
+    Packing(
+        (
+            *(Solution, PhaseSolution, PiecewisePolynomial, Layout, Variable, Interval, Mesh),
+            *(Statistics, Violation, Arc, ArcKind, Status, Quality),
+        ),
+        left_out={Solution: ("problem", "history")},
+    ),
+)
+"""Solutions on disk: numbers and text, no code. Raise the version whenever a stored class changes its fields."""
+
+
+def load(path: str | Path, problem: Problem | None = None) -> Solution:
+    """Read a solution that `Solution.save` wrote.
+
+    Parameters
+    ----------
+    path : str or Path
+    problem : Problem, optional
+        The problem that was solved, built again. Without it states, controls, costates, multipliers and the
+        quality figures of saving time are there; Hamiltonian, expressions and verification need it.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    GncOptError
+        The file is damaged, no solution of gnc_opt, or of another format version.
+    ProblemError
+        ``problem`` is not the one that was solved. (Functions are compared as CasADi writes them down, which
+        may change with a new CasADi.)
+    """
+    solution, more = SOLUTION_FILES.read(path)
+    assert isinstance(solution, Solution)
+    if problem is not None:
+        return solution.with_problem(problem)
+    if more.get("quality") is not None:
+        vars(solution)["quality"] = more["quality"]  # what the cached property would hold
+    return solution

@@ -46,8 +46,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
-from gnc_opt.model.layout import Array
 from gnc_opt.spacecraft.vector import Matrix, Vector, cross, dot, is_symbolic, scale, stack, stack_rows
 
 

@@ -36,8 +36,8 @@ import casadi as ca
 import numpy as np
 from scipy.linalg import eigh, eigvals
 
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ModelError
-from gnc_opt.model.layout import Array
 from gnc_opt.spacecraft.rigid_body import angular_momentum
 from gnc_opt.spacecraft.vector import Vector, cross, is_symbolic
 

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 from gnc_opt.spacecraft.vector import Matrix, Vector, cross, dot, is_symbolic, stack, stack_rows
 
 Quaternion = Any

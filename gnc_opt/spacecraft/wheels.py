@@ -31,8 +31,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.layout import Array
 from gnc_opt.spacecraft.rigid_body import angular_momentum, divide_by_inertia
 from gnc_opt.spacecraft.vector import Matrix, Vector, cross, is_symbolic, stack
 

@@ -23,13 +23,11 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array, Indices
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.transcription.quadrature import CollocationRule, Scheme, collocation_rule
-
-Indices = NDArray[np.int64]
+from gnc_opt.transcription.quadrature import CollocationRule, collocation_rule
+from gnc_opt.transcription.scheme import Family, Scheme, family_of
 
 
 @dataclass(frozen=True)
@@ -52,6 +50,11 @@ class PhaseCollocation:
     n_paths: int
     first_variable: int
     first_row: int
+
+    @property
+    def family(self) -> Family:
+        """What distinguishes the scheme from others."""
+        return family_of(self.scheme)
 
     @cached_property
     def rules(self) -> tuple[CollocationRule, ...]:
@@ -95,13 +98,13 @@ class PhaseCollocation:
         for rule in self.rules:
             segment_end: Indices | None = None
             for j in range(rule.n):
-                at_start = j == 0 and self.scheme in ("LGR", "LGL")
+                at_start = j == 0 and self.family.starts_at_point
                 state = boundary[-1] if at_start else place + np.arange(n)
                 place += 0 if at_start else n
                 points.append(state)
                 controls.append(place + np.arange(m))
                 place += m
-                if self.scheme == "LGL" and j == rule.n - 1:
+                if self.family.ends_at_point and j == rule.n - 1:
                     segment_end = state
             if segment_end is None:
                 segment_end = place + np.arange(n)
@@ -140,8 +143,7 @@ class PhaseCollocation:
     @property
     def _row_counts(self) -> list[int]:
         """Vector-valued dynamics rows of each segment."""
-        extra = {"LG": 1, "LGR": 0, "LGL": -1}[self.scheme]
-        return [n + extra for n in self.mesh.degrees]
+        return [n + self.family.extra_rows for n in self.mesh.degrees]
 
     @property
     def n_dynamics_rows(self) -> int:
@@ -173,9 +175,8 @@ class PhaseCollocation:
         labels = []
         for k, count in enumerate(self._row_counts):
             for i in range(count):
-                end = self.scheme == "LG" and i == count - 1
-                point = i + 2 if self.scheme == "LGL" else i + 1
-                place = f"phase {phase}, segment {k + 1}, {'end' if end else f'point {point}'}"
+                where = self.family.row_place(i, self.mesh.degrees[k])
+                place = f"phase {phase}, segment {k + 1}, {where}"
                 labels += [f"{s} defect, {place}" for s in states]
         for k, j in self._segment_points():
             labels += [f"path {c}, phase {phase}, segment {k + 1}, point {j + 1}" for c in paths]
@@ -205,11 +206,12 @@ class PhaseCollocation:
 
     def state_matrix(self, k: int) -> Array:
         """Coefficients of the states of `segment_nodes` in the dynamics rows of segment k: (rows, nodes)."""
-        return _state_matrix(self.rules[k])
+        rule = self.rules[k]
+        return self.family.state_matrix(rule.differentiation, rule.end_values)
 
     def dynamics_matrix(self, k: int) -> Array:
         """Coefficients of the point values F_j in the rows of segment k, before -w_k/2: (rows, n)."""
-        return _dynamics_matrix(self.rules[k])
+        return self.family.dynamics_matrix(self.rules[k].integration)
 
     @cached_property
     def linear(self) -> tuple[Indices, Indices, Array]:
@@ -226,11 +228,7 @@ class PhaseCollocation:
     def segment_nodes(self, k: int) -> Indices:
         """Variables of the states that the rows of segment k join, shape (n_states, nodes)."""
         points = self.point_states[:, self.mesh.offsets[k] : self.mesh.offsets[k + 1]]
-        if self.scheme == "LG":
-            return np.hstack([self.boundary_states[:, [k]], points, self.boundary_states[:, [k + 1]]])
-        if self.scheme == "LGR":
-            return np.hstack([points, self.boundary_states[:, [k + 1]]])
-        return points
+        return self.family.row_nodes(self.boundary_states[:, [k]], points, self.boundary_states[:, [k + 1]])
 
     def weights(self, n_outputs: int, dynamics: Indices, paths: Indices) -> tuple[Indices, Indices, Array]:
         """Entries (rows, point outputs, values) by which point values enter the rows.
@@ -254,30 +252,6 @@ class PhaseCollocation:
         columns.append((paths[:, None] + n_outputs * np.arange(self.mesh.size)[None, :]).ravel())
         values.append(np.ones(self.path_rows.size))
         return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
-
-
-def _state_matrix(rule: CollocationRule) -> Array:
-    """Coefficients of the states in the dynamics rows of a segment: (rows, nodes)."""
-    n = rule.n
-    if rule.scheme == "LG":
-        matrix = np.zeros((n + 1, n + 2))
-        matrix[:n, : n + 1] = rule.differentiation
-        matrix[n, : n + 1] = -rule.end_values
-        matrix[n, n + 1] = 1.0
-        return matrix
-    if rule.scheme == "LGR":
-        return np.asarray(rule.differentiation)
-    return np.hstack([-np.ones((n - 1, 1)), np.eye(n - 1)])
-
-
-def _dynamics_matrix(rule: CollocationRule) -> Array:
-    """Coefficients of the point values F_j in the dynamics rows of a segment, before -w_k/2: (rows, n)."""
-    n = rule.n
-    if rule.scheme == "LG":
-        return np.vstack([np.eye(n), np.zeros((1, n))])
-    if rule.scheme == "LGR":
-        return np.eye(n)
-    return np.asarray(rule.integration[1:, :])
 
 
 def weight_matrix(n_rows: int, n_columns: int, *entries: tuple[Any, Any, Any]) -> Any:

@@ -6,25 +6,23 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
 
+from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import ProblemError
-from gnc_opt.model.layout import Array
-from gnc_opt.problem.held import RELEASED, Held, Smooth
+from gnc_opt.problem.arc import ArcKind
+from gnc_opt.problem.held import Held, Kinds, Smooth
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.phase import Phase
 from gnc_opt.transcription.collocation import PhaseCollocation
-
-Indices = NDArray[np.int64]
 
 
 def check_segments(leg: Phase, collocation: PhaseCollocation) -> None:
     """Refuse arcs that are given for another number of segments."""
     held, segments = leg.numbers.arcs, collocation.mesh.segments
-    for signs in (held.controls, held.paths, held.states) if held else ():
-        if signs and len(signs[0]) != segments:
+    for kinds in (held.controls, held.paths, held.states) if held else ():
+        if kinds and len(kinds[0]) != segments:
             raise ProblemError(
-                f"arcs of {leg.where} are given for {len(signs[0])} segments, but its mesh has {segments}: "
+                f"arcs of {leg.where} are given for {len(kinds[0])} segments, but its mesh has {segments}: "
                 "give one column per segment."
             )
 
@@ -49,23 +47,31 @@ def hold_states(box: Interval, held: Held, bounds: Interval, collocation: PhaseC
     if not held.states:
         return
     _put(box, collocation.point_states, _at_points(held.states, collocation), bounds)
-    signs = np.asarray(held.states)
-    for i, k in zip(*np.nonzero(signs), strict=True):
-        start, end = collocation.boundary_states[i, k : k + 2]
-        if k == 0 or signs[i, k - 1] != signs[i, k]:
-            box.lower[start] = box.upper[start] = bounds.upper[i] if signs[i, k] > 0 else bounds.lower[i]
-        box.lower[end], box.upper[end] = -np.inf, np.inf
+    for i, row in enumerate(held.states):
+        for k, kind in enumerate(row):
+            if not kind.at_limit:
+                continue
+            start, end = collocation.boundary_states[i, k : k + 2]
+            if k == 0 or row[k - 1] is not kind:
+                box.lower[start] = box.upper[start] = _limits(bounds, kind)[i]
+            box.lower[end], box.upper[end] = -np.inf, np.inf
 
 
-def _at_points(signs: tuple[tuple[int, ...], ...], collocation: PhaseCollocation) -> Indices:
-    return np.repeat(np.asarray(signs, dtype=np.int64), collocation.mesh.degrees, axis=1)
+def _limits(bounds: Interval, kind: ArcKind) -> Array:
+    return bounds.upper if kind is ArcKind.UPPER else bounds.lower
 
 
-def _put(box: Interval, places: Indices, signs: Indices, limits: Interval) -> None:
-    for sign, ends in ((-1, limits.lower), (1, limits.upper)):
-        here = signs == sign
-        box.lower[places[here]] = box.upper[places[here]] = np.broadcast_to(ends[:, None], signs.shape)[here]
-    released = places[signs == RELEASED]
+def _at_points(kinds: Kinds, collocation: PhaseCollocation) -> Any:
+    """The kind of every row at every point, an object array (n, N)."""
+    return np.repeat(np.asarray(kinds, dtype=object), collocation.mesh.degrees, axis=1)
+
+
+def _put(box: Interval, places: Indices, kinds: Any, bounds: Interval) -> None:
+    for kind in (ArcKind.LOWER, ArcKind.UPPER):
+        here = kinds == kind
+        limits = np.broadcast_to(_limits(bounds, kind)[:, None], kinds.shape)
+        box.lower[places[here]] = box.upper[places[here]] = limits[here]
+    released = places[kinds == ArcKind.RELEASED]
     box.lower[released], box.upper[released] = -np.inf, np.inf
 
 

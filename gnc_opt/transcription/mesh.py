@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_integer, read_numbers
+from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import ProblemError, shown
-from gnc_opt.model.layout import Array
-
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -159,3 +157,37 @@ class Mesh:
         equal = np.allclose(self.widths, self.widths[0])
         kind = " (movable)" if self.movable else "" if equal else " (uneven)"
         return f"{self.segments}x{degrees}{kind}"
+
+
+MeshLike: TypeAlias = "Mesh | str"
+"""A mesh, or "20x3" for 20 equal segments of 3 points."""
+
+DEFAULT_MESH = Mesh.uniform(20, 4)
+
+
+def read_meshes(
+    given: MeshLike | Mapping[str, MeshLike] | None, phases: Iterable[str], problem: str
+) -> dict[str, Mesh]:
+    """Return a mesh for every phase from one for all, one for each, or none (the default).
+
+    Raises
+    ------
+    ProblemError
+        A phase has none, or what is given is no mesh.
+    """
+    if not isinstance(given, Mapping):
+        return dict.fromkeys(phases, DEFAULT_MESH if given is None else _read_mesh(given))
+    missing = [name for name in phases if name not in given]
+    if missing:
+        raise ProblemError(
+            f"the mesh of problem '{problem}' lacks phase '{missing[0]}': give every phase one."
+        )
+    return {name: _read_mesh(mesh) for name, mesh in given.items()}
+
+
+def _read_mesh(mesh: MeshLike) -> Mesh:
+    if isinstance(mesh, Mesh):
+        return mesh
+    if isinstance(mesh, str):
+        return Mesh.parse(mesh)
+    raise ProblemError(f"{shown(mesh)} is not a mesh: give Mesh.uniform(20, 3) or '20x3'.")

@@ -8,17 +8,14 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array, Indices
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.transcription.collocation import PhaseCollocation
 from gnc_opt.transcription.holding import smooth_controls, smooth_rows
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.transcription.quadrature import Scheme
-
-Indices = NDArray[np.int64]
+from gnc_opt.transcription.scheme import Scheme
 
 
 @dataclass(frozen=True)

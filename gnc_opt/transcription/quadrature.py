@@ -14,28 +14,18 @@ from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from decimal import Context, Decimal, localcontext
-from difflib import get_close_matches
 from functools import cache, lru_cache
 from numbers import Integral
-from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.special import roots_jacobi, roots_legendre
+from numpy.typing import ArrayLike
 
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
-
-Array: TypeAlias = NDArray[np.float64]
-Scheme: TypeAlias = Literal["LG", "LGR", "LGL"]
-
-SCHEMES: tuple[Scheme, ...] = get_args(Scheme)
+from gnc_opt.transcription.scheme import GAUSS, Numbers, Scheme, family_of
 
 MAX_POINTS = 64
 DIGITS = 50
-
-_Numbers: TypeAlias = NDArray[Any]  # float64, or Decimal held as objects: the same formulas serve both
-_FEWEST: dict[str, int] = {"LG": 1, "LGR": 1, "LGL": 2}
-_SPELLINGS = {"lg": "LG", "gauss": "LG", "lgr": "LGR", "radau": "LGR", "lgl": "LGL", "lobatto": "LGL"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +85,11 @@ def collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
     return _rule(*_checked(scheme, n))
 
 
+def gauss_rule(n: int) -> CollocationRule:
+    """Return the ``n``-point Gauss rule, for quadratures. Errors as `collocation_rule`."""
+    return collocation_rule(GAUSS, n)
+
+
 def points(scheme: Scheme, n: int) -> Array:
     """The ``n`` points of a family, ascending, shape (n,). Errors as `collocation_rule`."""
     return _points_and_weights(*_checked(scheme, n))[0]
@@ -144,19 +139,8 @@ def interpolation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
     return np.asarray(basis / basis.sum(axis=1, keepdims=True))
 
 
-def checked_scheme(scheme: Scheme) -> Scheme:
-    """Return the scheme; raise `ArgumentError` for an unknown one."""
-    if not isinstance(scheme, str) or scheme not in _FEWEST:
-        close = get_close_matches(str(scheme).lower(), _SPELLINGS, n=1)
-        hint = f"did you mean '{_SPELLINGS[close[0]]}'? " if close else ""
-        raise ArgumentError(
-            f"unknown scheme {shown(scheme)}: {hint}choose LG (Gauss), LGR (Radau) or LGL (Lobatto)."
-        )
-    return scheme
-
-
 def _checked(scheme: Scheme, n: int) -> tuple[Scheme, int]:
-    fewest = _FEWEST[checked_scheme(scheme)]
+    fewest = family_of(scheme).fewest
     if not isinstance(n, Integral) or isinstance(n, bool) or not fewest <= n <= MAX_POINTS:
         remedy = f"use an integer from {fewest} to {MAX_POINTS}, and more segments where that is too few"
         raise ArgumentError(f"{scheme} has no rule with {shown(n)} points: {remedy}.")
@@ -167,7 +151,7 @@ def _checked(scheme: Scheme, n: int) -> tuple[Scheme, int]:
 def _rule(scheme: Scheme, n: int) -> CollocationRule:
     x, _ = _decimal_points_and_weights(scheme, n)
     with _many_digits():
-        nodes = _state_nodes(scheme, x)
+        nodes = family_of(scheme).state_nodes(x)
         w = _reciprocal_products(nodes)
         collocated = np.isin(nodes, x)
         differentiation = _square_differentiation(nodes, w)[collocated]
@@ -184,35 +168,27 @@ def _points_and_weights(scheme: Scheme, n: int) -> tuple[Array, Array]:
 
 
 @cache
-def _decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[_Numbers, _Numbers]:
+def _decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers, Numbers]:
     with _many_digits():
-        x = _decimals(_approximate_points(scheme, n))
+        x = _decimals(family_of(scheme).approximate_points(n))
         for _ in range(4):  # quadratic from about 1e-14: the third step already reaches the last digit
             x = _newton_step(scheme, n, x)
-        if scheme != "LGR":
+        if family_of(scheme).symmetric:
             x = (x - x[::-1]) / 2
         modes = _legendre(x, n - 1)
-        return x, 1 / sum(modes[k] ** 2 / g for k, g in enumerate(_square_norms(scheme, n)))
+        return x, 1 / sum(modes[k] ** 2 / g for k, g in enumerate(family_of(scheme).square_norms(n)))
 
 
-def _approximate_points(scheme: Scheme, n: int) -> Iterable[float]:
-    if scheme == "LG":
-        return [float(x) for x in roots_legendre(n)[0]]
-    if scheme == "LGR":
-        return [-1.0, *(roots_jacobi(n - 1, 0, 1)[0] if n > 1 else [])]
-    return [-1.0, *(roots_jacobi(n - 2, 1, 1)[0] if n > 2 else []), 1.0]
-
-
-def _newton_step(scheme: Scheme, n: int, x: _Numbers) -> _Numbers:
+def _newton_step(scheme: Scheme, n: int, x: Numbers) -> Numbers:
     """Step to the roots of P_n (LG), P_n + P_{n-1} (LGR) or P_n - P_{n-2} (LGL), all simple."""
     modes = _legendre(x, n)
-    series = {"LG": {n: 1}, "LGR": {n: 1, n - 1: 1}, "LGL": {n: 1, n - 2: -1}}[scheme]
+    series = family_of(scheme).series(n)
     value = sum(c * modes[k] for k, c in series.items())
     slope = sum(c * (2 * j + 1) * modes[j] for k, c in series.items() for j in range(k - 1, -1, -2))
     return np.asarray(x - value / slope)
 
 
-def _legendre(x: _Numbers, degree: int) -> list[_Numbers]:
+def _legendre(x: Numbers, degree: int) -> list[Numbers]:
     """P_0 ... P_degree at ``x`` by the three-term recurrence; floats or Decimals."""
     modes = [x * 0 + 1, x]
     for k in range(1, degree):
@@ -220,24 +196,18 @@ def _legendre(x: _Numbers, degree: int) -> list[_Numbers]:
     return modes[: degree + 1]
 
 
-def _legendre_integrals(x: _Numbers, n: int) -> _Numbers:
+def _legendre_integrals(x: Numbers, n: int) -> Numbers:
     """Integrals of P_0 ... P_{n-1} from -1 to ``x``, shape (len(x), n)."""
     modes = _legendre(x, n)
     return np.stack([x + 1] + [(modes[k + 1] - modes[k - 1]) / (2 * k + 1) for k in range(1, n)], axis=1)
 
 
-def _square_norms(scheme: Scheme, n: int) -> list[Decimal]:
-    """``g_k``: the sums ``sum_i w_i P_k(x_i)²``, k = 0 ... n-1."""
-    norms = [Decimal(2) / (2 * k + 1) for k in range(n)]
-    return [*norms[:-1], Decimal(2) / (n - 1)] if scheme == "LGL" else norms
-
-
 @cache
-def _decimal_modes(scheme: Scheme, n: int) -> _Numbers:
+def _decimal_modes(scheme: Scheme, n: int) -> Numbers:
     """Values at the points → Legendre coefficients of their interpolant, shape (n, n)."""
     x, w = _decimal_points_and_weights(scheme, n)
     with _many_digits():
-        pairs = zip(_legendre(x, n - 1), _square_norms(scheme, n), strict=True)
+        pairs = zip(_legendre(x, n - 1), family_of(scheme).square_norms(n), strict=True)
         return np.stack([w * mode / norm for mode, norm in pairs])
 
 
@@ -246,23 +216,13 @@ def _float_modes(scheme: Scheme, n: int) -> Array:
     return _rounded(_decimal_modes(scheme, n))
 
 
-def _state_nodes(scheme: Scheme, x: _Numbers) -> _Numbers:
-    if scheme == "LG":
-        return np.array([Decimal(-1), *x])
-    if scheme == "LGR":
-        return np.array([*x, Decimal(1)])
-    gaps = zip(x[1:] - x[:-1], (x[1:] + x[:-1]) / 2, strict=True)
-    _, _, widest = max((gap, -abs(middle), middle) for gap, middle in gaps)
-    return np.array(sorted([*x, widest]))
-
-
-def _reciprocal_products(x: _Numbers) -> _Numbers:
+def _reciprocal_products(x: Numbers) -> Numbers:
     gap = x[:, None] - x
     np.fill_diagonal(gap, 1)
     return np.asarray(1 / gap.prod(axis=1))
 
 
-def _square_differentiation(x: _Numbers, w: _Numbers) -> _Numbers:
+def _square_differentiation(x: Numbers, w: Numbers) -> Numbers:
     """Values on ``x`` (barycentric weights ``w``) → derivative at the same nodes; floats or Decimals."""
     gap = x[:, None] - x
     np.fill_diagonal(gap, 1)
@@ -272,7 +232,7 @@ def _square_differentiation(x: _Numbers, w: _Numbers) -> _Numbers:
     return np.asarray(matrix)
 
 
-def _values_at_one(x: _Numbers, w: _Numbers) -> _Numbers:
+def _values_at_one(x: Numbers, w: Numbers) -> Numbers:
     if x[-1] == 1:
         return np.asarray(x == 1)
     terms = w / (1 - x)
@@ -290,11 +250,11 @@ def _many_digits() -> AbstractContextManager[Context]:
     return localcontext(Context(prec=DIGITS))
 
 
-def _decimals(values: Iterable[float]) -> _Numbers:
+def _decimals(values: Iterable[float]) -> Numbers:
     return np.array([Decimal(float(value)) for value in values], dtype=object)
 
 
-def _rounded(values: _Numbers) -> Array:
+def _rounded(values: Numbers) -> Array:
     table = values.astype(float)
     table.setflags(write=False)
     return table

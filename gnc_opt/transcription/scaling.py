@@ -7,17 +7,14 @@ do not depend on any of this; the conditioning of the program does.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.model.evaluation import evaluate
-from gnc_opt.model.layout import Array, Layout
-from gnc_opt.problem.interval import Interval
-from gnc_opt.problem.phase import Phase
+from gnc_opt.arrays import Array
+from gnc_opt.problem.guess.trajectory import start_phase
+from gnc_opt.problem.magnitudes import SAMPLES, magnitude_within, phase_magnitudes
 from gnc_opt.problem.problem import Problem
-from gnc_opt.transcription.guess import PhaseStart, start_phase
 from gnc_opt.transcription.transcription import Transcription
 
 NEARBY = 0.1
@@ -26,10 +23,6 @@ NEARBY = 0.1
 A guess may by chance be stationary, as the perfect track of a tracking cost is: the gradient there is rounding,
 and its inverse no scale. Results are insensitive to the distance (0.01 to 1)."""
 
-FARTHEST = 10.0
-"""How much larger than its guess a state without bounds may be taken to be."""
-
-_SAMPLES = np.linspace(0.0, 1.0, 9)
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
 
@@ -63,65 +56,12 @@ def scale_variables(
         scales[collocation.boundary_states] = states[:, None]
         scales[collocation.point_states] = states[:, None]
         scales[collocation.point_controls] = controls[:, None]
-        span = max(abs(start_phase(problem.phases[name], _SAMPLES).times[1]), 1e-3)
+        span = max(abs(start_phase(problem.phases[name], SAMPLES).times[1]), 1e-3)
         free_times = part.times[part.times < transcription.n_variables]
         scales[free_times] = span
     for places, interval in ((transcription.parameter_places, problem.parameter_interval()),):
-        scales[places] = _from_bounds(interval, np.abs(start[places]))
+        scales[places] = magnitude_within(interval, np.abs(start[places]))
     return scales
-
-
-def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Array]:
-    """Return typical magnitudes of states (n,) and controls (m,) of a phase.
-
-    In this order: the user's scale, the model's nominal value, finite bounds, the guess and, for states, what the
-    dynamics do to them over the phase: all of it where the guess is zero, at most `FARTHEST` times the guess elsewhere
-    (stiff dynamics at a poor guess point far beyond where the state will ever go).
-    """
-    start = start_phase(leg, _SAMPLES, perturbed=False)
-    numbers = leg.numbers
-    controls = _from_bounds(numbers.controls, np.max(np.abs(start.controls), axis=1, initial=0.0))
-    if overridden:
-        _override(controls, leg.model.controls, numbers.scales)
-    reach = np.max(np.abs(start.states), axis=1, initial=0.0)
-    drift = _drift(leg, start, controls)
-    reach = np.where(reach > 0, np.clip(drift, reach, FARTHEST * reach), drift)
-    states = _from_bounds(numbers.states, reach)
-    if overridden:
-        _override(states, leg.model.states, numbers.scales)
-    return states, controls
-
-
-def _drift(leg: Phase, start: PhaseStart, magnitudes: Array) -> Array:
-    """Return how far the dynamics move each state: controls at their bounds, as guessed, or else of their magnitude."""
-    bounds = leg.numbers.controls
-    times = start.times[0] + _SAMPLES * (start.times[1] - start.times[0])
-    rates = [np.zeros(leg.model.states.size)]
-    guessed = np.any(start.controls != 0, axis=1)
-    for limit, usual in ((bounds.lower, -magnitudes), (bounds.upper, magnitudes)):
-        endless = np.where(guessed[:, None], start.controls, usual[:, None])
-        controls = np.where(np.isfinite(limit)[:, None], limit[:, None], endless)
-        f = evaluate(leg.model.function, times, start.states, controls, leg.model.parameter_values)
-        rates.append(np.max(np.abs(np.where(np.isfinite(f), f, 0.0)), axis=1))
-    return np.asarray(0.5 * np.max(rates, axis=0) * (start.times[1] - start.times[0]))
-
-
-def _from_bounds(interval: Interval, reach: Array) -> Array:
-    """Return the larger finite bound, else the reach, else 1."""
-    bounded = np.isfinite(interval.lower) & np.isfinite(interval.upper)
-    limits = np.maximum(
-        np.abs(np.where(bounded, interval.lower, 0.0)), np.abs(np.where(bounded, interval.upper, 0.0))
-    )
-    scales = np.where(bounded & (limits > 0), limits, reach)
-    return np.where(scales > 0, scales, 1.0)
-
-
-def _override(scales: Array, layout: Layout, user: Mapping[str, Array]) -> None:
-    for variable in layout.variables:
-        if variable.name in user:
-            scales[layout.slice(variable.name)] = user[variable.name]
-        elif variable.nominal is not None:
-            scales[layout.slice(variable.name)] = variable.nominal
 
 
 def scale_rows(

@@ -19,11 +19,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from gnc_opt.model.layout import Array
-
-Indices = NDArray[np.int64]
+from gnc_opt.arrays import Array, Indices
 
 
 @dataclass(frozen=True)
@@ -71,7 +68,7 @@ class PointFunction:
 
 
 @dataclass(frozen=True)
-class Block:
+class PointBlock:
     """One small function evaluated at many points of the program.
 
     Attributes
@@ -104,11 +101,11 @@ class SeparableProgram:
     ----------
     linear : scipy.sparse.coo_array (n_rows, n_variables)
         C.
-    blocks : tuple of Block
+    blocks : tuple of PointBlock
     """
 
     linear: Any
-    blocks: tuple[Block, ...]
+    blocks: tuple[PointBlock, ...]
 
     @property
     def n_rows(self) -> int:
@@ -217,7 +214,7 @@ class _Entries:
         return sp.csc_array((self.factors, (places, self.sources)), shape=(size, self.n_sources))
 
 
-def _jacobian_entries(block: Block, n_variables: int) -> _Entries:
+def _jacobian_entries(block: PointBlock, n_variables: int) -> _Entries:
     rows, columns = block.function.jacobian_pattern
     n_points, n_local = block.points, rows.size
     outputs = (rows[:, None] + block.function.rows * np.arange(n_points)[None, :]).ravel(order="F")
@@ -238,7 +235,7 @@ def _jacobian_entries(block: Block, n_variables: int) -> _Entries:
     )
 
 
-def _hessian_entries(block: Block, n_variables: int) -> _Entries:
+def _hessian_entries(block: PointBlock, n_variables: int) -> _Entries:
     rows, columns = block.function.hessian_pattern
     first = block.variables[rows, :].ravel(order="F")
     second = block.variables[columns, :].ravel(order="F")
@@ -256,7 +253,7 @@ def _union(keys: list[Indices]) -> Indices:
     return ordered[np.append(True, ordered[1:] != ordered[:-1])] if ordered.size else ordered
 
 
-def _gather(extended: Any, block: Block) -> Any:
+def _gather(extended: Any, block: PointBlock) -> Any:
     n_z, n_points = block.variables.shape
     return ca.reshape(extended[block.variables.ravel(order="F").tolist()], n_z, n_points)
 

@@ -11,9 +11,8 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
+from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import unknown_name
-from gnc_opt.model.layout import Array
-from gnc_opt.nlp.problem import NlpProblem
 from gnc_opt.problem.interval import Interval, free
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
@@ -28,9 +27,10 @@ from gnc_opt.transcription.holding import (
     smooth_entries,
 )
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.transcription.numbering import Indices, Numbering, PhasePart, time_is_fixed
-from gnc_opt.transcription.quadrature import Scheme
-from gnc_opt.transcription.separable import Block, PointFunction, SeparableProgram
+from gnc_opt.transcription.nonlinear_program import NlpProblem
+from gnc_opt.transcription.numbering import Numbering, PhasePart, time_is_fixed
+from gnc_opt.transcription.scheme import Scheme
+from gnc_opt.transcription.separable import PointBlock, PointFunction, SeparableProgram
 
 SHORTEST_ARC = 1e-9
 """Least length (s) of an arc between movable mesh boundaries; an arc that short has vanished."""
@@ -80,7 +80,7 @@ class Transcription(Numbering):
 
     # --- blocks -----------------------------------------------------------------------------------
 
-    def _phase_blocks(self, leg: Phase) -> list[Block]:
+    def _phase_blocks(self, leg: Phase) -> list[PointBlock]:
         """Dynamics and path constraints; integrals apart, so that an objective made of them needs no dynamics."""
         collocation = self.parts[leg.name].collocation
         n_states, n_paths = leg.model.states.size, len(leg.path_labels)
@@ -97,7 +97,7 @@ class Transcription(Numbering):
             blocks.append(self._point_block(leg, leg.integrand_expression(), ca.SX(0, 1), entries))
         return blocks
 
-    def _point_block(self, leg: Phase, rates: Any, others: Any, entries: list[Any]) -> Block:
+    def _point_block(self, leg: Phase, rates: Any, others: Any, entries: list[Any]) -> PointBlock:
         """Rates times the duration, and other functions, at all collocation points.
 
         Times that are fixed numbers are data: there is no need to differentiate with respect to them.
@@ -130,7 +130,7 @@ class Transcription(Numbering):
             outputs,
         )
         weights = weight_matrix(1 + self.n_constraints, function.rows * n_points, *entries)
-        return Block(function, variables.astype(np.int64), data, weights)
+        return PointBlock(function, variables.astype(np.int64), data, weights)
 
     def _integral_entries(self, leg: Phase) -> list[Any]:
         collocation = self.parts[leg.name].collocation
@@ -150,14 +150,14 @@ class Transcription(Numbering):
         row = self.n_constraints - len(self._defined) + self._defined.index((phase, label))
         return [(1 + row, -1.0)]
 
-    def _end_block(self) -> Block:
+    def _end_block(self) -> PointBlock:
         function, variables = self._end_function()
         rows = np.concatenate([[0], 1 + self._first_end_row + np.arange(len(self._end_labels))])
         weights = weight_matrix(
             1 + self.n_constraints, rows.size, (rows, np.arange(rows.size), np.ones(rows.size))
         )
         data = ca.vertcat(*self._symbols.models.values())
-        return Block(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
+        return PointBlock(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
 
     def _end_function(self) -> tuple[PointFunction, Indices]:
         """The cost and the end rows as one function of end points, parameters and integrals."""
@@ -189,7 +189,7 @@ class Transcription(Numbering):
             outputs = ca.substitute(outputs, self.problem.phases[name].integrands[label][0], 0)
         for leg in phases:
             outputs = self.problem.bind(leg, outputs)
-        data = ca.vertcat(*parameter_arguments(self.problem))
+        data = ca.vertcat(*parameter_arguments(self.problem.phases.values()))
         function = PointFunction.build("ends", ca.vertcat(*arguments), data, outputs)
         return function, np.concatenate(variables)
 

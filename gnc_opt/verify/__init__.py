@@ -1,6 +1,6 @@
 """Verification: dense defects, independent propagation and Pontryagin's minimum principle."""
 
-from gnc_opt.verify.quality import Quality
+from gnc_opt.solution.quality import Quality
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 from gnc_opt.verify.verify import verify
 

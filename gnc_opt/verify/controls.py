@@ -7,12 +7,11 @@ phase. The module `costates` states the principle and its sources.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.solution.quality import NOTHING, Worst, worst_index
+from gnc_opt.solution.samples import AT_BOUND, PhaseSamples
 from gnc_opt.verify.feasibility import judge
-from gnc_opt.verify.quality import NOTHING, Worst, worst_index
-from gnc_opt.verify.samples import AT_BOUND, PhaseSamples
 from gnc_opt.verify.verdict import Condition, Result
 
 CLEARLY_INSIDE = 1e-2
@@ -118,7 +117,7 @@ def _other_controls(s: PhaseSamples, u: Array) -> list[Array]:
     return others
 
 
-def _admissible(s: PhaseSamples, times: Array, x: Array, u: Array) -> NDArray[np.bool_]:
+def _admissible(s: PhaseSamples, times: Array, x: Array, u: Array) -> Mask:
     """Where controls respect the path constraints that depend on controls."""
     bounds = s.leg.path_bounds
     if not s.leg.path_labels:
@@ -156,7 +155,7 @@ def _least_curvature(s: PhaseSamples) -> tuple[float, str | None]:
     return float(least), place
 
 
-def _reduced_curvature(s: PhaseSamples, j: int, hessian: Array, interior: NDArray[np.bool_]) -> float | None:
+def _reduced_curvature(s: PhaseSamples, j: int, hessian: Array, interior: Mask) -> float | None:
     """Least eigenvalue on interior controls, tangent to active mixed path constraints; None if none is free."""
     free = np.flatnonzero(interior)
     if not free.size:
@@ -198,7 +197,7 @@ def singular_arcs(samples: list[PhaseSamples], tolerance: float) -> Condition:
     return Condition("singular arcs", result, total, tolerance, place, meaning)
 
 
-def _offences(s: PhaseSamples) -> tuple[Array, NDArray[np.bool_]]:
+def _offences(s: PhaseSamples) -> tuple[Array, Mask]:
     """First-order loss in H of each control, in shares of H's scale, and whether it sits on a bound."""
     bounds, scale = s.leg.control_bounds, s.control_scale
     gradient = s.control_gradient
@@ -216,7 +215,7 @@ def _curvature(s: PhaseSamples) -> Array:
     return np.asarray(np.einsum("iij->ij", hessians) * s.control_scale[:, None] ** 2 / s.hamiltonian_scale)
 
 
-def _inside(s: PhaseSamples) -> NDArray[np.bool_]:
+def _inside(s: PhaseSamples) -> Mask:
     """Where each control is clearly between its bounds, (m, n_samples)."""
     bounds, margin = s.leg.control_bounds, (CLEARLY_INSIDE * s.control_scale)[:, None]
     return np.asarray((s.u > bounds.lower[:, None] + margin) & (s.u < bounds.upper[:, None] - margin))

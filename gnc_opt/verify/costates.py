@@ -17,22 +17,18 @@ that no choice of units or scales can hide them.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import EndGradients
 from gnc_opt.problem.interval import Interval
+from gnc_opt.solution.quality import NOTHING, Worst, worst_index
+from gnc_opt.solution.samples import AT_BOUND, PhaseSamples
+from gnc_opt.solution.solution import Solution
 from gnc_opt.verify.feasibility import judge
 from gnc_opt.verify.magnitude import parameter_scale
 from gnc_opt.verify.pushes import unexplained_jumps
-from gnc_opt.verify.quality import NOTHING, Worst, worst_index
-from gnc_opt.verify.samples import AT_BOUND, PhaseSamples
 from gnc_opt.verify.verdict import Condition
-
-if TYPE_CHECKING:
-    from gnc_opt.solution.solution import Solution
 
 
 def adjoint(samples: list[PhaseSamples], tolerance: float) -> Condition:

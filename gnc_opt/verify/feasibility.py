@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from scipy.linalg import expm
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import EndGradients
 from gnc_opt.problem.interval import Interval
-from gnc_opt.verify.quality import (
+from gnc_opt.solution.quality import (
     NOTHING,
     Worst,
     worst_bound_violation,
@@ -18,11 +16,9 @@ from gnc_opt.verify.quality import (
     worst_path_violation,
     worst_terminal_error,
 )
-from gnc_opt.verify.samples import PhaseSamples
+from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.solution.solution import Solution
 from gnc_opt.verify.verdict import Condition, Result
-
-if TYPE_CHECKING:
-    from gnc_opt.solution.solution import Solution
 
 UNSTABLE = 1e6
 """Growth of integration errors beyond which propagating a whole phase in one go says nothing."""

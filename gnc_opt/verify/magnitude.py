@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import end_function
-from gnc_opt.verify.samples import PhaseSamples
-
-if TYPE_CHECKING:
-    from gnc_opt.solution.solution import Solution
+from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.solution.solution import Solution
 
 
 def cost_magnitude(solution: Solution, samples: list[PhaseSamples]) -> float:

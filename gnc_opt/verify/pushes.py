@@ -22,13 +22,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from gnc_opt.model.layout import Array
-from gnc_opt.verify.samples import AT_BOUND, EdgeSegment, PhaseSamples, sampling_rule
-
-Mask = NDArray[np.bool_]
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.solution.samples import AT_BOUND, EdgeSegment, PhaseSamples, sampling_rule
 
 _PUSHES = 1e-3
 """A multiplier counts as pushing at a point if it reaches this share of its largest in the segment."""
@@ -150,7 +147,7 @@ def _integrate_anew(s: PhaseSamples, k: int, tolerance: float) -> EdgeSegment | 
     return EdgeSegment(k, costates, np.abs(costates[:, -1] - lam[:, -1]) * worth)
 
 
-def _without_pushes(s: PhaseSamples, k: int, here: NDArray[np.int64]) -> tuple[Array, Array]:
+def _without_pushes(s: PhaseSamples, k: int, here: Indices) -> tuple[Array, Array]:
     """Costates (n, m) from the segment's start without pushes, and the fundamental matrices (n, n, m) of their ODE."""
     leg, n = s.leg, s.leg.states.size
     rule = sampling_rule(leg.mesh.degrees[k])

@@ -18,20 +18,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.layout import Array
+from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import EndGradients, end_function
 from gnc_opt.problem.problem import Problem
-from gnc_opt.verify.quality import worst_index
-from gnc_opt.verify.samples import AT_BOUND, PhaseSamples
+from gnc_opt.solution.quality import worst_index
+from gnc_opt.solution.samples import AT_BOUND, PhaseSamples
+from gnc_opt.solution.solution import Solution
 from gnc_opt.verify.verdict import Condition, Result
-
-if TYPE_CHECKING:
-    from gnc_opt.solution.solution import Solution
 
 STEPS = 300
 """Runge-Kutta steps over the phase, and at least `LEAST_STEPS` from switch to switch."""

@@ -13,7 +13,6 @@ from gnc_opt.solution.solution import Solution
 from gnc_opt.verify import controls, costates, feasibility, second_order
 from gnc_opt.verify.magnitude import cost_magnitude
 from gnc_opt.verify.pushes import settle_edges
-from gnc_opt.verify.samples import PhaseSamples
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 
 TOLERANCE = 1e-5
@@ -49,7 +48,7 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         raise GncOptError(f"verify() needs a Solution, as solve() returns it, not {type(solution).__name__}.")
     if not (np.isfinite(tol) and tol > 0):
         raise ProblemError(f"the tolerance of verify() is {tol!r}: give a positive number.")
-    samples = [PhaseSamples.of(leg, solution.functions(name)) for name, leg in solution.phases.items()]
+    samples = list(solution.samples().values())
     ends, amount = _ends(solution), cost_magnitude(solution, samples)
     samples = [settle_edges(replace(s, cost_magnitude=amount), tol) for s in samples]
     conditions = [

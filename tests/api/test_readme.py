@@ -72,7 +72,7 @@ def test_files_and_folders_that_are_named_exist() -> None:
         n if n.startswith(("gnc_opt", "problems", "benchmarks", "tests")) else f"gnc_opt/{n}" for n in layout
     ]
     assert len(named) > 12
-    for name in [*named, "problems/rendezvous.py", ".ci/run", "LICENSE", "CHANGELOG.md"]:
+    for name in [*named, "problems/rendezvous", ".ci/run", "LICENSE", "CHANGELOG.md"]:
         assert (ROOT / name).exists(), name
 
 

@@ -14,10 +14,10 @@ import pytest
 from scipy.optimize import brentq
 
 import gnc_opt as go
-from gnc_opt.feasible import STRETCHES, feasibility_starts, knows_trajectory
 from gnc_opt.nlp import Status
-from gnc_opt.solve import DEFAULT_MESH
-from gnc_opt.transcription.guess import start_variables
+from gnc_opt.solution.solve_mesh import STRETCHES, feasibility_starts, knows_trajectory
+from gnc_opt.solution.start import start_from_guess
+from gnc_opt.transcription.mesh import DEFAULT_MESH
 from gnc_opt.transcription.transcription import transcribe
 
 
@@ -113,7 +113,7 @@ def test_too_little_time_is_still_infeasible() -> None:
 def test_starts_hold_times_at_multiples_of_the_guess() -> None:
     problem = oscillator(5.0, (0.1, 50.0))
     transcription = transcribe(problem, {"leg": DEFAULT_MESH}, "LG")
-    start = start_variables(transcription, problem)
+    start = start_from_guess(transcription, problem)
     starts = list(feasibility_starts(transcription, problem, start))
     held = [s for s in starts if s.held.size]
     times = [float(s.variables[s.held[0]]) for s in held]
@@ -122,7 +122,7 @@ def test_starts_hold_times_at_multiples_of_the_guess() -> None:
     assert len(starts) == 1 + len(held) + 2
     boxless = oscillator(5.0)
     transcription = transcribe(boxless, {"leg": DEFAULT_MESH}, "LG")
-    start = start_variables(transcription, boxless)
+    start = start_from_guess(transcription, boxless)
     held = [s for s in feasibility_starts(transcription, boxless, start) if s.held.size]
     assert [s.variables[s.held[0]] for s in held] == pytest.approx(STRETCHES), "of 1 s, the default duration"
 

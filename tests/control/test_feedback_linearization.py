@@ -11,7 +11,7 @@ from stepping import step_through
 from gnc_opt.control.feedback_linearization import design_feedback_linearization
 from gnc_opt.control.lie import decoupling_matrix
 from gnc_opt.control.reference import Reference
-from gnc_opt.errors import DesignError
+from gnc_opt.errors import DesignError, UnknownNameError
 from gnc_opt.model.model import Model
 from gnc_opt.spacecraft.quaternion import (
     quaternion_angle,
@@ -195,6 +195,8 @@ def test_hopeless_designs_are_refused_with_numbers():
         slew(about_z(20), poles=[-1.0])
     with pytest.raises(DesignError, match="conjugate"):
         slew(about_z(20), poles=[-1.0 + 1j, -2.0])
+    with pytest.raises(UnknownNameError, match="'p'"):
+        slew(about_z(20), poles={"q_v": [-1.0, -2.0], "p": [-1.0, -2.0]})
     with pytest.raises(DesignError, match="give 2 gains, not 1"):
         slew(about_z(20), gains=[1.0])
     with pytest.raises(DesignError, match="control steps of 9 s are too long"):
@@ -219,5 +221,32 @@ def test_authority_is_compared_with_the_feedforward():
         model, reference, outputs="v", poles=[-1.0], limits=(-3.0, 3.0)
     )
     assert controller.explain()["saturation reserve"] == pytest.approx(1.0)
-    with pytest.raises(DesignError, match=r"control 'a' is 2 at t = 0 s, its limits are -1\.5 and 1\.5"):
+    with pytest.raises(
+        DesignError, match=r"control 'a' needs 2 at t = 0 s, but its limits are -1\.5 and 1\.5"
+    ):
         design_feedback_linearization(model, reference, outputs="v", poles=[-1.0], limits=(-1.5, 1.5))
+
+
+def test_authority_is_compared_on_both_sides_of_a_jump():
+    """The feedforward climbs to 0.995 and drops there: between two looks, and before the jump's own value."""
+    model = Model("cart")
+    v, a = model.state("v"), model.control("a")
+    model.ode({v: a})
+    reference = Reference.from_functions(
+        model,
+        lambda t: [0.5 * min(t, 0.995) ** 2],
+        lambda t: [t if t < 0.995 else 0.0],
+        0.0,
+        1.0,
+        jumps=[0.995],
+    )
+
+    def reserve(limit):
+        controller = design_feedback_linearization(
+            model, reference, outputs="v", poles=[-1.0], limits=(-limit, limit)
+        )
+        return controller.explain()["saturation reserve"]
+
+    assert reserve(0.997) == pytest.approx(0.002, rel=1e-5)
+    with pytest.raises(DesignError, match=r"control 'a' needs 0\.995 at t = 0\.995 s"):
+        reserve(0.993)

@@ -12,10 +12,10 @@ from gnc_opt.control.c_expressions import _FORMS
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.explanation import Explanation
 from gnc_opt.control.flight_code import export_c
-from gnc_opt.control.lqr import design_lqr
-from gnc_opt.control.mpc import design_mpc
+from gnc_opt.control.linear.lqr import design_lqr
+from gnc_opt.control.linear.tvlqr import design_tvlqr
+from gnc_opt.control.predictive.mpc import design_mpc
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.tvlqr import design_tvlqr
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout, Variable
 

@@ -7,7 +7,7 @@ import pytest
 import gnc_opt as go
 from gnc_opt.control import Reference
 from gnc_opt.control.deviation import Deviation
-from gnc_opt.control.table import LinearizationTable
+from gnc_opt.control.linear.linearization_table import LinearizationTable
 
 
 def pendulum() -> go.Model:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from stepping import step_through
 
-from gnc_opt.control.reaching import (
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.sliding.reaching import (
     ConstantRate,
     ExponentialRate,
     PowerRate,
@@ -17,9 +18,9 @@ from gnc_opt.control.reaching import (
     SuperTwisting,
     TanhLayer,
 )
-from gnc_opt.control.reference import Reference
-from gnc_opt.control.sliding_mode import design_sliding_mode
-from gnc_opt.control.super_twisting import SuperTwistingObserver
+from gnc_opt.control.sliding.sliding_mode import design_sliding_mode
+from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
+from gnc_opt.control.tolerances import LARGEST
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
 
@@ -142,6 +143,15 @@ def test_chattering_falls_more_than_a_hundredfold_from_sign_to_saturation():
         variation[type(boundary)] = np.sum(np.abs(np.diff(run.u[0])))
     assert variation[Sign] > 100 * variation[SaturationLayer]
     assert variation[Sign] > 100 * variation[TanhLayer]
+
+
+def test_a_chattering_band_is_told_of_laws_that_switch_the_rate_of_the_surface():
+    """Super-twisting switches the rate of its command: gain times step is no length of s there."""
+    assert design(ConstantRate(0.2), Sign()).explain()["chattering band of s"] == pytest.approx(0.2 * DT)
+    for law, boundary in ((SuperTwisting(1.5, 1.1), Sign()), (ConstantRate(0.2), SaturationLayer(0.1))):
+        names = [fact.name for fact in design(law, boundary).explain()]
+        assert "chattering band of s" not in names
+        assert "band of s" in names
 
 
 def test_the_sampling_limit_is_where_the_sampled_surface_begins_to_grow():
@@ -385,6 +395,16 @@ def test_run_time_guards_hold_the_command_and_raise_alarms():
         recovered, later = controller(2 * DT, [1.1, 0.0], after)
         assert later[held[alarm]] == 1
         assert recovered == pytest.approx(controller(2 * DT, [1.1, 0.0])[0])
+
+
+def test_measurements_beyond_the_largest_count_as_lost():
+    controller = singular_design(Reference.constant(swinging(), [1.0, 0.0], [0.0]))
+    invalid = controller.memory.slice("invalid")
+    u, z = controller(0.0, [1.2, 0.1])
+    for v, lost in ((0.9 * LARGEST, 0), (1.1 * LARGEST, 1), (-1.1 * LARGEST, 1), (np.inf, 1)):
+        again, after = controller(DT, [1.2, v], z)
+        assert after[invalid] == lost
+        assert (again == u) == bool(lost)
 
 
 def test_unstable_zero_dynamics_are_refused_with_their_eigenvalue():

@@ -8,10 +8,11 @@ from scipy.linalg import expm, solve_continuous_are
 
 import gnc_opt as go
 from gnc_opt.control.deviation import Deviation
-from gnc_opt.control.gains import riccati_defect, riccati_gains
-from gnc_opt.control.lqr import design_lqr
+from gnc_opt.control.linear.gains import riccati_defect, riccati_gains
+from gnc_opt.control.linear.lqr import design_lqr
+from gnc_opt.control.linear.tvlqr import design_tvlqr
+from gnc_opt.control.linear.weights import QuadraticCost
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.tvlqr import design_tvlqr
 from gnc_opt.errors import ArgumentError, DesignError
 
 
@@ -131,10 +132,11 @@ def test_dense_gains_satisfy_the_riccati_equation_between_jumps():
     reference = Reference.from_functions(
         model, lambda t: [np.cos(t), -np.sin(t)], lambda t: [1.0 if t < 1.5 else -1.0], 0, 4, jumps=[1.5]
     )
-    found = riccati_gains(Deviation(model), reference, np.eye(2), np.eye(1), np.zeros((2, 1)), terminal=2.0)
-    assert riccati_defect(found, np.eye(2), np.eye(1), np.zeros((2, 1))) < 1e-7
+    cost = QuadraticCost(np.eye(2), np.eye(1), np.zeros((2, 1)))
+    found = riccati_gains(Deviation(model), reference, cost, terminal=2.0)
+    assert riccati_defect(found, cost) < 1e-7
     # the measure is no formality: another weight shows up at once
-    assert riccati_defect(found, 1.01 * np.eye(2), np.eye(1), np.zeros((2, 1))) > 1e-3
+    assert riccati_defect(found, cost._replace(q=1.01 * cost.q)) > 1e-3
 
 
 def test_cross_weight_is_a_change_of_feedback():

@@ -13,23 +13,19 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.control import export_c
-from problems import flexible_spacecraft_law, flexible_spacecraft_plant
-from problems import flexible_spacecraft_optimal as optimal
-from problems import flexible_spacecraft_published as published
 from problems.comparison import Row, compare
-from problems.flexible_spacecraft_system import (
+from problems.flexible_spacecraft import optimal, plant, published, runs, studies
+from problems.flexible_spacecraft.laws import INERTIAL, INERTIAL_ROBUST, quasi_sliding_mode
+from problems.flexible_spacecraft.model import (
     BODY,
     DISTURBANCE,
-    INERTIAL,
-    INERTIAL_ROBUST,
     MAX_TORQUE,
-    PublishedDisturbance,
     build_model,
     initial_state,
-    quasi_sliding_mode,
     rest,
     target,
 )
+from problems.flexible_spacecraft.runs import PublishedDisturbance
 
 MODEL = build_model()
 
@@ -48,7 +44,7 @@ def gentle() -> go.Solution:
 
 
 def test_plant_facts_energy_momentum_and_open_loop() -> None:
-    rows = flexible_spacecraft_plant.plant_rows()
+    rows = plant.plant_rows()
     assert failures(rows) == []
     assert sum(row.quantity.startswith("open loop") for row in rows) == 8
 
@@ -59,19 +55,19 @@ def test_configurations(case: published.Case) -> None:
 
 
 def test_gain_k_makes_the_slew_faster_and_costs_effort() -> None:
-    assert failures(flexible_spacecraft_law._gain_rows()) == []
+    assert failures(studies._gain_rows()) == []
 
 
 def test_sign_chatters_and_tanh_does_not() -> None:
-    assert failures(flexible_spacecraft_law._chattering_rows()) == []
+    assert failures(studies._chattering_rows()) == []
 
 
 def test_disturbances() -> None:
-    assert failures(flexible_spacecraft_law._disturbance_rows(("J",))) == []
+    assert failures(studies._disturbance_rows(("J",))) == []
 
 
 def test_printed_sign_diverges_and_the_corrected_one_converges() -> None:
-    assert failures(flexible_spacecraft_law._sign_rows()) == []
+    assert failures(studies._sign_rows()) == []
 
 
 def test_table_tells_a_miss() -> None:
@@ -115,7 +111,7 @@ def test_law_makes_the_surface_approach_as_the_reaching_law_says() -> None:
 
 def test_disturbance_has_the_published_mean_and_range() -> None:
     pushes = (PublishedDisturbance("T_d", on="torque"),)
-    still = published.fly(replace(INERTIAL, eps=0.0, c=0.0), dt=0.1, tf=62.8, disturbances=pushes)
+    still = runs.fly(replace(INERTIAL, eps=0.0, c=0.0), dt=0.1, tf=62.8, disturbances=pushes)
     # without gains the momentum in inertial space is the impulse; over ten periods that of sin t vanishes
     x = still.states[:, -1]
     q, omega = x[:4], x[4:7]
@@ -151,8 +147,8 @@ def test_least_vibration_is_proven_and_beats_the_published_slew() -> None:
     t = np.linspace(0.0, leg.final_time, 2001)
     energy = BODY.modal_energy(leg.state("eta")(t), leg.state("eta_rate")(t))
     assert energy[-1] < 1e-20
-    published_energy = optimal.modal_energy(published.standard("J"))
-    ratio = np.trapezoid(energy, t) / np.trapezoid(published_energy, published.standard("J").times)
+    published_energy = optimal.modal_energy(runs.standard("J"))
+    ratio = np.trapezoid(energy, t) / np.trapezoid(published_energy, runs.standard("J").times)
     assert ratio == pytest.approx(0.1867, rel=0.01)
     assert np.max(np.abs(leg.flown_control("torque")(t))) <= MAX_TORQUE * (1 + 1e-9)
 

@@ -10,10 +10,8 @@ import pytest
 
 import gnc_opt as go
 from problems import formation_flying
-from problems.formation_flying_laws import FEW_STEPS, integral_law, optimal_sliding_mode, step_of
-from problems.formation_flying_optimal import LIMIT, RESERVE, miss_at, plan, track
-from problems.formation_flying_published import course_rows, run, switching_rows, table_rows, truth_rows
-from problems.formation_flying_system import (
+from problems.formation_flying.laws import FEW_STEPS, integral_law, optimal_sliding_mode, step_of
+from problems.formation_flying.model import (
     PERIOD,
     RATE,
     START,
@@ -23,6 +21,8 @@ from problems.formation_flying_system import (
     formation,
     hill_model,
 )
+from problems.formation_flying.optimal import LIMIT, RESERVE, miss_at, plan, track
+from problems.formation_flying.published import course_rows, run, switching_rows, table_rows, truth_rows
 
 ROWS = {row.quantity: row for rows in (table_rows, course_rows, switching_rows, truth_rows) for row in rows()}
 

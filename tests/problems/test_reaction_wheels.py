@@ -25,7 +25,7 @@ from problems.reaction_wheels import (
     target_quaternion,
     wheel_model,
 )
-from problems.reaction_wheels_laws import (
+from problems.reaction_wheels.laws import (
     PRINTED_FLC,
     PRINTED_LQR,
     Linear,
@@ -36,7 +36,7 @@ from problems.reaction_wheels_laws import (
     lqr_gains,
     lqr_poles,
 )
-from problems.reaction_wheels_limits import (
+from problems.reaction_wheels.limits import (
     about_z,
     allocated_run,
     breakdown_time,
@@ -46,8 +46,8 @@ from problems.reaction_wheels_limits import (
     solver_sums,
     unguarded_breakdown,
 )
-from problems.reaction_wheels_numbers import BALANCED_SPEED, BREAKDOWN, CONVERGED, PEAKS
-from problems.reaction_wheels_published import fly, published_slew
+from problems.reaction_wheels.published import BALANCED_SPEED, BREAKDOWN, CONVERGED, PEAKS
+from problems.reaction_wheels.runs import fly, published_slew
 
 BOTH = ("FLC", "LQR")
 ALL = list(CONVERGED)

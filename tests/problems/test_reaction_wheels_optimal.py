@@ -15,7 +15,8 @@ from scipy.integrate import simpson, solve_bvp
 import gnc_opt as go
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.spacecraft import quaternion_angle
-from problems import reaction_wheels, reaction_wheels_report
+from problems import reaction_wheels
+from problems.comparison import Number
 from problems.reaction_wheels import (
     DESIGN_SPEED,
     INERTIA,
@@ -27,13 +28,14 @@ from problems.reaction_wheels import (
     RPM,
     build,
     published_peak_torque,
+    report,
     resting,
     target_quaternion,
     wheel_model,
 )
-from problems.reaction_wheels_laws import design_flc, design_quaternion_lqr
-from problems.reaction_wheels_limits import peak_speed
-from problems.reaction_wheels_optimal import (
+from problems.reaction_wheels.laws import design_flc, design_quaternion_lqr
+from problems.reaction_wheels.limits import peak_speed
+from problems.reaction_wheels.optimal import (
     HALF,
     MANOEUVRE,
     SLEWS,
@@ -44,8 +46,7 @@ from problems.reaction_wheels_optimal import (
     optimal_slew,
     track,
 )
-from problems.reaction_wheels_published import STEP, published_slew
-from problems.reaction_wheels_table import Row
+from problems.reaction_wheels.runs import STEP, published_slew
 
 COMPILER = shutil.which("cc")
 
@@ -207,9 +208,9 @@ def test_main_writes_all_tables(tmp_path, capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_main_fails_where_one_number_is_missed(monkeypatch: pytest.MonkeyPatch) -> None:
-    missed = Row("EULERINT", "deg s", "converged", 454.58, 455.58, 0.4546)
-    monkeypatch.setattr(reaction_wheels_report, "rows", lambda: [missed])
+    missed = Number("EULERINT", 454.58, 455.58, 0.4546, unit="deg s", source="converged")
+    monkeypatch.setattr(report, "rows", lambda: [missed])
     assert reaction_wheels.main([]) == 1
-    monkeypatch.setattr(reaction_wheels_report, "rows", lambda: [replace(missed, ours=454.6)])
+    monkeypatch.setattr(report, "rows", lambda: [replace(missed, ours=454.6)])
     assert reaction_wheels.main([]) == 0
-    assert not replace(missed, ours=float("nan")).agrees
+    assert replace(missed, ours=float("nan")).passes is False

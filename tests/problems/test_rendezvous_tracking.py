@@ -117,7 +117,7 @@ def test_attitude_noise_turns_by_its_angle():
 
 def test_main_writes_statistics_and_figures(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(
-        "problems.rendezvous_tracking_report.price_of_robustness", lambda case: [(1.0, 2.0), (0.5, 3.0)]
+        "problems.rendezvous_tracking.report.price_of_robustness", lambda case: [(1.0, 2.0), (0.5, 3.0)]
     )
     arguments = ["--runs", "4", "--mpc-runs", "1", "--json", str(tmp_path / "out.json")]
     assert main([*arguments, "--report", str(tmp_path / "figures")]) == 0

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 import gnc_opt as go
 from gnc_opt.control import zero_dynamics
+from problems.comparison import Number
 from problems.tethered_formation import (
     DURATION,
     FORCE,
@@ -25,10 +26,16 @@ from problems.tethered_formation import (
     solve,
     tether_model,
 )
-from problems.tethered_formation_control import Gains, design_swing_law, predictive, surface
-from problems.tethered_formation_optimal import DISTURBED, Optimum, ends, track
-from problems.tethered_formation_runs import comparison, fly
-from problems.tethered_formation_table import RESULTS, Row, law_rows, observer_errors, plant_rows, result_rows
+from problems.tethered_formation.laws import Gains, design_swing_law, predictive, surface
+from problems.tethered_formation.optimal import DISTURBED, Optimum, ends, track
+from problems.tethered_formation.published import (
+    RESULTS,
+    law_rows,
+    observer_errors,
+    plant_rows,
+    result_rows,
+)
+from problems.tethered_formation.runs import comparison, fly
 
 COMPILER = shutil.which("cc")
 
@@ -56,11 +63,11 @@ def missed(rows):
 
 
 def test_rows_can_fail():
-    assert Row("a", 1.0, 1.2, 0.1).passes is False
-    assert Row("a", np.inf, 1.0, 0.1).passes is False
-    assert Row("a", 1.0, 1.1, below=True).passes is False
-    assert Row("a", 1.0, np.nan, 0.1).passes is False
-    assert Row("a", 1.0, np.nan, below=True).passes is False
+    assert Number("a", 1.0, 1.2, 0.1).passes is False
+    assert Number("a", np.inf, 1.0, 0.1).passes is False
+    assert Number("a", 1.0, 1.1, below=True).passes is False
+    assert Number("a", 1.0, np.nan, 0.1).passes is False
+    assert Number("a", 1.0, np.nan, below=True).passes is False
 
 
 def test_plant_reference_surface_and_reaching_law():

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from nonlinear import SCHEMES
 
 import gnc_opt as go
-from gnc_opt.transcription.separable import Block, PointFunction, SeparableProgram
+from gnc_opt.transcription.separable import PointBlock, PointFunction, SeparableProgram
 from gnc_opt.transcription.transcription import Transcription, transcribe
 
 MESHES = {
@@ -142,7 +142,7 @@ def test_random_separable_programs(seed: int) -> None:
     n_variables, n_constants, n_rows, n_points = 4, 2, 3, 5
     z, d = ca.SX.sym("z", 3), ca.SX.sym("d")
     expression = ca.vertcat(z[0] * z[1] * d + ca.sin(z[2]), z[0] ** 2 * z[2] + z[1])
-    block = Block(
+    block = PointBlock(
         PointFunction.build("random", z, d, expression),
         rng.integers(0, n_variables + n_constants, (3, n_points)),
         ca.MX(ca.DM(rng.normal(size=(1, n_points)))),

@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 
 import gnc_opt as go
 from gnc_opt.refine.error import estimate_errors, largest_error
-from gnc_opt.refine.history import History, RefinementStatus
-from gnc_opt.refine.hp import refine_mesh
-from gnc_opt.refine.remesh import Remesh
+from gnc_opt.refine.hp.mesh_refinement import refine_mesh
+from gnc_opt.refine.hp.remesh import Remesh
+from gnc_opt.solution.history import History, RefinementStatus
 
 
 def regulator(duration: float = 10.0) -> go.Problem:

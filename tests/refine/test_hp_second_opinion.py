@@ -11,8 +11,9 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.nlp import SolverOptions
-from gnc_opt.refine.history import RefinementStatus
-from gnc_opt.second_opinion import STRATEGY, at_rest, better_of_two
+from gnc_opt.solution.history import RefinementStatus
+from gnc_opt.solution.solve_mesh import STRATEGY
+from gnc_opt.solve import better_of_two
 
 TILT, EFFORT = 0.3, 0.01
 COMMON: dict[str, Any] = {"mesh": "3x3", "scheme": "LG"}
@@ -58,8 +59,8 @@ def test_the_better_minimum_is_kept(sign: float) -> None:
     shallow = go.solve(two_wells(1.0, sign), **COMMON)
     assert sign * shallow.objective == pytest.approx(well(1.0), rel=1e-8)
     restless = refiner(RefinementStatus.STALLED)(shallow)
-    kept = better_of_two(two_wells(-1.0, sign), shallow, restless, go.refine, go.SolverOptions(), COMMON)
-    assert at_rest(kept) and sign * kept.objective == pytest.approx(well(-1.0), rel=1e-8)
+    kept = better_of_two(two_wells(-1.0, sign), shallow, restless, go.refine, go.SolverOptions(), **COMMON)
+    assert kept.converged and sign * kept.objective == pytest.approx(well(-1.0), rel=1e-8)
 
 
 def test_a_worse_minimum_is_not_even_refined() -> None:
@@ -69,7 +70,7 @@ def test_a_worse_minimum_is_not_even_refined() -> None:
     def refuse(_: go.Solution) -> go.Solution:
         raise AssertionError("refined for nothing")
 
-    assert better_of_two(two_wells(1.0), deep, restless, refuse, go.SolverOptions(), COMMON) is restless
+    assert better_of_two(two_wells(1.0), deep, restless, refuse, go.SolverOptions(), **COMMON) is restless
 
 
 def test_a_better_but_less_accurate_answer_is_refused() -> None:
@@ -83,7 +84,7 @@ def test_a_better_but_less_accurate_answer_is_refused() -> None:
         passes = tuple(replace(p, error=1.0) for p in history.passes)
         return replace(spoiled, history=replace(history, passes=passes))
 
-    assert better_of_two(two_wells(-1.0), shallow, restless, spoil, go.SolverOptions(), COMMON) is restless
+    assert better_of_two(two_wells(-1.0), shallow, restless, spoil, go.SolverOptions(), **COMMON) is restless
 
 
 @pytest.mark.parametrize(
@@ -97,7 +98,7 @@ def test_a_better_but_less_accurate_answer_is_refused() -> None:
 def test_a_strategy_that_the_user_chose_is_left_alone(options: SolverOptions) -> None:
     shallow = go.solve(two_wells(1.0), **COMMON)
     restless = refiner(RefinementStatus.STALLED)(shallow)
-    assert better_of_two(two_wells(-1.0), shallow, restless, go.refine, options, COMMON) is restless
+    assert better_of_two(two_wells(-1.0), shallow, restless, go.refine, options, **COMMON) is restless
 
 
 def test_solve_asks_only_when_refinement_does_not_come_to_rest(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,11 +108,11 @@ def test_solve_asks_only_when_refinement_does_not_come_to_rest(monkeypatch: pyte
     asked: list[bool] = []
 
     def note(problem: object, first: object, refined: go.Solution, *_: object) -> go.Solution:
-        asked.append(at_rest(refined))
+        asked.append(refined.converged)
         return refined
 
     monkeypatch.setattr(module, "better_of_two", note)
-    assert at_rest(go.solve(two_wells(1.0), tol=1e-8)) and not asked
+    assert go.solve(two_wells(1.0), tol=1e-8).converged and not asked
     real = module.refine
     monkeypatch.setattr(
         module,

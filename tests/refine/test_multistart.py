@@ -24,10 +24,11 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt import Multistart, cli, multistart
-from gnc_opt.refine.multistart import _Coarse, _Fine
-from gnc_opt.refine.random_guess import with_random_guess
+from gnc_opt.problem.guess.random import with_random_guess
+from gnc_opt.refine.search.multistart import _Coarse, _Fine
+from gnc_opt.solution.solve_mesh import solve_mesh
 from problems import rendezvous
-from problems.rendezvous_global import GlobalOutcome
+from problems.rendezvous.search import GlobalOutcome
 
 WEIGHT = 0.02
 MESH = "6x3"
@@ -249,14 +250,14 @@ def test_ctrl_c_keeps_what_is_found(monkeypatch: pytest.MonkeyPatch, executor: A
 
 def test_an_interrupted_solve_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     module = sys.modules[multistart.__module__]
-    monkeypatch.setattr(module, "solve", _interrupting_solve(at=4))
+    monkeypatch.setattr(module, "solve_mesh", _interrupting_solve(at=4))
     found = search(wells(), n=400)
     assert found.interrupted and found.finished == 3
 
 
 def test_ctrl_c_stops_running_workers(monkeypatch: pytest.MonkeyPatch) -> None:
     """Solves that would go on for very long end with the search, and so do their processes."""
-    monkeypatch.setattr(sys.modules[multistart.__module__], "solve", lambda *_, **__: time.sleep(1000.0))
+    monkeypatch.setattr(sys.modules[multistart.__module__], "solve_mesh", lambda *_, **__: time.sleep(1000.0))
 
     def press_ctrl_c() -> None:
         while not multiprocessing.active_children():
@@ -305,7 +306,7 @@ def _interrupting_solve(at: int) -> Any:
     calls = itertools.count(1)
 
     def solve(*arguments: Any, **more: Any) -> go.Solution:
-        solution = go.solve(*arguments, **more)
+        solution = solve_mesh(*arguments, **more)
         return replace(solution, status=go.Status.INTERRUPTED) if next(calls) == at else solution
 
     return solve

@@ -1,8 +1,11 @@
 """How finely the structure loop begins: coarsely, unless the mesh it got is finer than the default."""
 
-from gnc_opt.refine.plan import FIRST_DEGREE, MAX_DEGREE, Plan, points_of
-from gnc_opt.refine.structure import PhaseStructure
+from gnc_opt.problem.arc import ArcKind
+from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.refine.structure.plan import FIRST_DEGREE, MAX_DEGREE, Plan, points_of
 from gnc_opt.transcription.mesh import Mesh
+
+LOW, UP = ArcKind.LOWER, ArcKind.UPPER
 
 
 def test_points_of_a_mesh_count_its_coarsest_segment() -> None:
@@ -10,7 +13,7 @@ def test_points_of_a_mesh_count_its_coarsest_segment() -> None:
     assert abs(points_of(Mesh((0.0, 0.5, 0.55, 1.0), (9, 3, 9))) - 18) < 1e-12
 
 
-STRUCTURE = PhaseStructure((0.0, 9.25, 10.0), ((1,), (-1,)))
+STRUCTURE = PhaseStructure((0.0, 9.25, 10.0), ((UP,), (LOW,)))
 """One control with a long and a short bang arc."""
 
 

@@ -9,9 +9,11 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import gnc_opt as go
+from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.held import Smooth
-from gnc_opt.refine.structure import PhaseStructure
-from gnc_opt.solution.arc import ArcKind
+from gnc_opt.refine.structure.phase_structure import PhaseStructure
+
+FREE, UP = ArcKind.INTERIOR, ArcKind.UPPER
 
 
 def kinds(solution: go.Solution, channel: str) -> list[ArcKind]:
@@ -179,7 +181,9 @@ def test_kink_on_a_mixed_constraint() -> None:
 
 
 def test_kinks_are_told_from_switches() -> None:
-    structure = PhaseStructure((0.0, 1.0, 2.0, 3.0), ((1, 0), (1, 1), (0, 1)), regular=(True, False))
+    structure = PhaseStructure(
+        (0.0, 1.0, 2.0, 3.0), ((UP, FREE), (UP, UP), (FREE, UP)), regular=(True, False)
+    )
     assert not structure.kinked(1)
     assert structure.kinked(2)
 

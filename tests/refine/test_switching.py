@@ -6,46 +6,48 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.refine.structure import PhaseStructure
-from gnc_opt.solution.arc import ArcKind
+from gnc_opt.problem.arc import ArcKind
+from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from problems import rendezvous
+
+LOW, UP = ArcKind.LOWER, ArcKind.UPPER
 
 # --- operations on structures -----------------------------------------------------------------------------
 
 
 def test_dropping_a_piece_cancels_the_switches_of_one_control() -> None:
-    structure = PhaseStructure((0.0, 1.0, 1.1, 3.0), ((1, 1), (-1, 1), (1, 1)))
-    assert structure.without(1) == PhaseStructure((0.0, 3.0), ((1, 1),))
+    structure = PhaseStructure((0.0, 1.0, 1.1, 3.0), ((UP, UP), (LOW, UP), (UP, UP)))
+    assert structure.without(1) == PhaseStructure((0.0, 3.0), ((UP, UP),))
 
 
 def test_dropping_a_piece_joins_the_switches_of_two_controls() -> None:
-    structure = PhaseStructure((0.0, 1.0, 1.2, 3.0), ((1, 1), (-1, 1), (-1, -1)))
+    structure = PhaseStructure((0.0, 1.0, 1.2, 3.0), ((UP, UP), (LOW, UP), (LOW, LOW)))
     joined = structure.without(1)
-    assert joined.signs == ((1, 1), (-1, -1))
+    assert joined.kinds == ((UP, UP), (LOW, LOW))
     assert joined.times == pytest.approx((0.0, 1.1, 3.0))
 
 
 def test_dropping_the_first_and_last_piece_keeps_the_ends() -> None:
-    structure = PhaseStructure((0.0, 1.0, 2.0, 3.0), ((1,), (-1,), (1,)))
+    structure = PhaseStructure((0.0, 1.0, 2.0, 3.0), ((UP,), (LOW,), (UP,)))
     assert structure.without(0).times == (0.0, 2.0, 3.0)
     assert structure.without(2).times == (0.0, 1.0, 3.0)
 
 
 def test_swapping_exchanges_the_switches_of_two_controls() -> None:
-    structure = PhaseStructure((0.0, 1.0, 1.2, 3.0), ((1, 1), (-1, 1), (-1, -1)))
+    structure = PhaseStructure((0.0, 1.0, 1.2, 3.0), ((UP, UP), (LOW, UP), (LOW, LOW)))
     swapped = structure.swapped(1)
-    assert swapped is not None and swapped.signs == ((1, 1), (1, -1), (-1, -1))
+    assert swapped is not None and swapped.kinds == ((UP, UP), (UP, LOW), (LOW, LOW))
     assert swapped.swapped(1) == structure
-    assert PhaseStructure((0.0, 1.0, 1.1, 3.0), ((1,), (-1,), (1,))).swapped(1) is None
+    assert PhaseStructure((0.0, 1.0, 1.1, 3.0), ((UP,), (LOW,), (UP,))).swapped(1) is None
     assert structure.swapped(0) is None
 
 
 def test_adding_an_arc_splits_pieces() -> None:
-    structure = PhaseStructure((0.0, 2.0, 4.0), ((1, -1), (1, 1)))
-    added = structure.with_arc(0, 1.5, 2.5, -1)
+    structure = PhaseStructure((0.0, 2.0, 4.0), ((UP, LOW), (UP, UP)))
+    added = structure.with_arc(0, 1.5, 2.5, LOW)
     assert added.times == (0.0, 1.5, 2.0, 2.5, 4.0)
-    assert added.signs == ((1, -1), (-1, -1), (-1, 1), (1, 1))
-    assert added.with_arc(0, 1.5, 2.5, 1) == structure
+    assert added.kinds == ((UP, LOW), (LOW, LOW), (LOW, UP), (UP, UP))
+    assert added.with_arc(0, 1.5, 2.5, UP) == structure
 
 
 # --- closed forms ---------------------------------------------------------------------------------------------

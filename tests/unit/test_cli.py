@@ -1,9 +1,13 @@
 """The command line on small problem files: output, files, exit codes, bad input."""
 
+import importlib
 import json
+import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +17,8 @@ import gnc_opt as go
 from gnc_opt import cli
 from gnc_opt.errors import GncOptError
 from gnc_opt.problem_file import ProblemFileError, load_problem_file, parse_setting
+
+ROOT = Path(go.__file__).parents[1]
 
 CART = """
 import gnc_opt as go
@@ -164,6 +170,29 @@ def test_exit_code_of_a_problem_without_solution(
     assert json.loads(target.read_text())["violations"]
 
 
+@pytest.mark.parametrize("asked", [("--tol", "1e-8"), ("--structure", "none")])
+def test_refining_goes_the_way_of_solve(
+    cart: Path, monkeypatch: pytest.MonkeyPatch, asked: tuple[str, ...]
+) -> None:
+    """A solution that does not come to rest is compared with another one, as by solve(tol=...)."""
+    module = importlib.import_module("gnc_opt.solve")
+    refine, compared = module.refine, []
+
+    def restless(solution: go.Solution, **more: Any) -> go.Solution:
+        assert more["tol"] == 1e-8
+        refined = refine(solution, **more)
+        return replace(refined, history=replace(refined.history, status=go.RefinementStatus.STALLED))
+
+    def better_of_two(problem: go.Problem, first: go.Solution, refined: go.Solution, *_: Any) -> go.Solution:
+        compared.append(refined)
+        return refined
+
+    monkeypatch.setattr(module, "refine", restless)
+    monkeypatch.setattr(module, "better_of_two", better_of_two)
+    run("solve", cart, *asked, "--quiet")
+    assert len(compared) == 1
+
+
 def test_exit_code_of_an_interrupted_solve(
     cart: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -172,8 +201,8 @@ def test_exit_code_of_an_interrupted_solve(
 
     original = NlpSolver.solve
 
-    def interrupted(self: NlpSolver, *arguments: Any, callback: Any = None) -> Any:
-        return original(self, *arguments, callback=lambda info: info.iteration >= 2)
+    def interrupted(self: NlpSolver, *arguments: Any, **more: Any) -> Any:
+        return original(self, *arguments, **more | {"callback": lambda info: info.iteration >= 2})
 
     monkeypatch.setattr(NlpSolver, "solve", interrupted)
     assert run("solve", cart) == 130
@@ -265,7 +294,7 @@ def test_bad_files_are_one_sentence(
 
 def test_folder_instead_of_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("check", tmp_path) == 2
-    assert "is a folder" in complaint(capsys)
+    assert "is a folder without __init__.py" in complaint(capsys)
 
 
 def test_report_into_a_file_is_refused_before_solving(
@@ -339,6 +368,122 @@ def test_siblings_can_be_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     )
     with pytest.raises(ProblemFileError, match="ValueError: 14"):
         load_problem_file(folder / "animal.py").build({})
+
+
+MODEL = """
+import gnc_opt as go
+
+def build(far=1.0):
+    cart = go.Model("cart")
+    x, u = cart.state("x"), cart.control("u")
+    cart.ode({x: u})
+    problem = go.Problem("package")
+    leg = problem.phase("leg", cart)
+    leg.time(initial=0.0, final=(0.1, 10.0))
+    leg.initial(x=1.0 / far)
+    leg.final(x=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    return problem
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Path]:
+    """A problem of several files in a package of problems; its names are the test's own, and forgotten after it."""
+    outer = f"herd_of_{request.node.originalname}"
+    folder = tmp_path / outer / "cow"
+    folder.mkdir(parents=True)
+    (tmp_path / outer / "__init__.py").write_text("")
+    (tmp_path / outer / "shared.py").write_text("MESH = '4x3'")
+    (folder / "__init__.py").write_text(
+        f"from {outer}.cow.model import build\nfrom {outer}.shared import MESH\n"
+    )
+    (folder / "model.py").write_text(MODEL)
+    path = list(sys.path)
+    yield folder
+    sys.path[:] = path
+    for name in [name for name in sys.modules if name.partition(".")[0] == outer]:
+        del sys.modules[name]
+
+
+@pytest.mark.parametrize("named", ["cow", "cow/", "cow.py", "cow/__init__.py", "cow/model.py"])
+def test_a_package_is_a_problem_whatever_the_current_folder_is(
+    package: Path, named: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(package)
+    file = load_problem_file(f"{package.parent}/{named}")
+    assert file.build({"far": 2.0}).name == "package"
+    if not named.endswith("model.py"):
+        assert file.mesh == "4x3"
+        assert file.module is sys.modules[f"{package.parent.name}.cow"]
+
+
+def test_the_current_folder_may_be_the_package(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(package)
+    assert load_problem_file(".").mesh == "4x3"
+
+
+@pytest.mark.parametrize("named", ["cow", "cow.py"])
+def test_program_solves_a_package_from_another_folder(package: Path, tmp_path: Path, named: str) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    (elsewhere / package.parent.name).mkdir(parents=True)
+    (elsewhere / package.parent.name / "__init__.py").write_text("raise ImportError('another package')")
+    done = subprocess.run(
+        [sys.executable, "-m", "gnc_opt.cli", "solve", package.parent / named, "--set", "far=2"],
+        capture_output=True, text=True, check=False, cwd=elsewhere, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"objective 0\.5000000\d* ", done.stdout)
+
+
+def test_random_starts_build_a_package_in_other_processes(
+    package: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("multistart", package, "--n", "2", "--no-refine") == 0
+    assert "package" in capsys.readouterr().out
+
+
+def test_an_existing_file_goes_before_a_package_of_its_name(package: Path) -> None:
+    (package.parent / "cow.py").write_text("MESH = '7x7'\ndef build(): ...")
+    assert load_problem_file(package.parent / "cow.py").mesh == "7x7"
+    assert load_problem_file(package.parent / "cow").mesh == "4x3"
+
+
+def test_errors_in_a_package_name_its_file_and_line(
+    package: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("check", package, "--set", "far=0") == 2
+    assert f"{package}/model.py, line 11: ZeroDivisionError" in complaint(capsys)
+
+
+def test_package_hidden_by_another_module_of_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    (tmp_path / "json").mkdir()
+    (tmp_path / "json" / "__init__.py").write_text("def build(): ...")
+    with pytest.raises(
+        ProblemFileError, match=r"hidden by another module named 'json' \(.*\): rename the folder"
+    ):
+        load_problem_file(tmp_path / "json")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("def buld(): ...", "has no function build() that returns the Problem: did you mean 'buld'?"),
+        ("\nimport nothing_of_this_name", "__init__.py, line 2: ModuleNotFoundError"),
+        ("def build(:\n", "__init__.py, line 1: SyntaxError"),
+        ("raise SystemExit(7)", "the package ends the program (exit code 7)"),
+    ],
+)
+def test_bad_packages_are_one_sentence(
+    package: Path, capsys: pytest.CaptureFixture[str], content: str, words: str
+) -> None:
+    (package / "__init__.py").write_text(content)
+    assert run("check", package) == 2
+    assert words in complaint(capsys)
 
 
 def test_file_named_like_a_library_does_not_replace_it(tmp_path: Path) -> None:

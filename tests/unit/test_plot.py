@@ -24,7 +24,7 @@ from gnc_opt.plot import (
 from gnc_opt.plot.refinement import plot_refinement
 from gnc_opt.plot.sampling import sample, zero_crossings
 from gnc_opt.plot.style import name_text, number_text, per_unit, unit_text
-from gnc_opt.refine.history import Pass
+from gnc_opt.solution.history import Pass
 from gnc_opt.transcription.mesh import Mesh
 
 

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import legendre
 
+from gnc_opt.arrays import Array
 from gnc_opt.solution.polynomial import PiecewisePolynomial
-from gnc_opt.transcription.quadrature import Array, collocation_rule
+from gnc_opt.transcription.quadrature import collocation_rule
 
 BREAKS = np.array([1.0, 2.0, 4.5])
 

@@ -16,7 +16,6 @@ from numpy.polynomial import legendre
 from gnc_opt.transcription.quadrature import (
     MAX_POINTS,
     Array,
-    Scheme,
     _decimal_points_and_weights,
     _rule,
     barycentric_weights,
@@ -26,6 +25,7 @@ from gnc_opt.transcription.quadrature import (
     points,
     weights,
 )
+from gnc_opt.transcription.scheme import Scheme
 
 SCHEMES: tuple[Scheme, ...] = ("LG", "LGR", "LGL")
 FEWEST = {"LG": 1, "LGR": 1, "LGL": 2}

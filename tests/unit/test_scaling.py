@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.transcription.scaling import FARTHEST, phase_magnitudes
+from gnc_opt.problem.magnitudes import FARTHEST, phase_magnitudes
 
 
 def double_integrator(**control_bounds: tuple[float, float]) -> tuple[go.Problem, go.Phase]:

@@ -15,7 +15,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.errors import GncOptError, ProblemError
-from gnc_opt.solution import storage
+from gnc_opt.solution.solution import SOLUTION_FILES
 
 
 def pendulum(gravity: float = 9.81, reach: float = 1.0) -> go.Problem:
@@ -192,7 +192,7 @@ def test_file_is_readable_with_numpy_alone(solution: go.Solution, file: Path) ->
     with np.load(file, allow_pickle=False) as archive:
         header = json.loads(str(archive["header"]))
         assert np.array_equal(archive["phases.first.lam_start"], solution.phase("first").lam_start)
-    assert (header["format"], header["version"]) == ("gnc_opt solution", storage.VERSION)
+    assert (header["format"], header["version"]) == ("gnc_opt solution", SOLUTION_FILES.version)
 
 
 def test_number_of_entries_does_not_grow_with_the_mesh(solution: go.Solution, tmp_path: Path) -> None:
@@ -349,14 +349,14 @@ def test_nothing_is_unpickled(file: Path) -> None:
 
 
 def test_stored_classes_belong_to_this_version() -> None:
-    """A change here changes what is in the files: raise storage.VERSION, then adapt this list."""
-    packing = storage.file_format().packing
+    """A change here changes what is in the files: raise SOLUTION_FILES.version, then adapt this list."""
+    packing = SOLUTION_FILES.packing
     known = {
         kind.__name__: " ".join(packing.stored_fields(kind))
         for kind in packing.classes
         if dataclasses.is_dataclass(kind)
     }
-    assert storage.VERSION == 1
+    assert SOLUTION_FILES.version == 1
     assert known["Mesh"] == "breaks degrees movable"
     assert known["Solution"] == (
         "problem_name status objective maximised phases free_parameters parameter_values "

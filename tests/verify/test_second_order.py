@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
+from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.refine import refine
-from gnc_opt.solution.arc import ArcKind
 from gnc_opt.verify import Result
 
 
@@ -58,7 +58,7 @@ def test_verdict_includes_second_order(refined: go.Solution) -> None:
 
 
 def test_induced_gradient_vanishes_and_hessian_matches_finite_differences(refined: go.Solution) -> None:
-    from gnc_opt.verify.samples import PhaseSamples
+    from gnc_opt.solution.samples import PhaseSamples
     from gnc_opt.verify.second_order import induced_problem
     from gnc_opt.verify.verify import _ends
 

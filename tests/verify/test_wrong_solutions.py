@@ -31,8 +31,8 @@ from wrong import (
 
 import gnc_opt as go
 from gnc_opt.problem.interval import Interval
+from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.verify.pushes import settle_edges, unexplained_jumps
-from gnc_opt.verify.samples import PhaseSamples
 
 SMALL = 1e-3
 

@@ -1,0 +1,148 @@
+r"""Margins of a linear loop at the plant's input.
+
+With :math:`L = K (s - A)^{-1} B` (s on the imaginary axis, or :math:`z = e^{j \omega dt}` on the unit circle):
+
+* per channel i, the others closed, :math:`1 + L_i`: gain and phase margins where :math:`L_i` crosses the real axis left
+  of 0 and the unit circle, delay margin = phase margin / crossover frequency;
+* all channels at once: the disk margin :math:`\alpha = 1 / \max_\omega \|S - \tfrac12 1\|`, S = (1 + L)^{-1}: every
+  channel may at the same time change its gain between :math:`(2 - \alpha)/(2 + \alpha)` and its inverse, or its
+  phase by :math:`2 \arctan(\alpha/2)`.
+
+References
+----------
+P. Seiler, A. Packard, P. Gahinet, An introduction to disk margins, IEEE Control Systems 40 (2020), eqs. 9-15.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq, minimize_scalar
+
+from gnc_opt.arrays import Array
+from gnc_opt.control.tolerances import SAME_TIME, TINY
+
+_POINTS = 2000
+_DECADES = 4.0
+_AT_ZERO = 1e-8
+"""Poles this near zero, relative to the largest (sampled: to one), are integrators or delays: no time scale."""
+_BESIDE = 1e-6
+"""Distance of the nodes on either side of a resonance, relative to its frequency."""
+_ROOT = 1e-12
+"""Crossings are found to this, relative to their frequency."""
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Margins at the plant's input, one number per channel unless said otherwise.
+
+    Attributes
+    ----------
+    gain_up, gain_down : array (m,)
+        Factors of the channel's gain at which stability is lost; ``inf`` and 0 if it never is.
+    phase : array (m,)
+        rad; ``inf`` if the loop gain never crosses one.
+    delay : array (m,)
+        s.
+    disk : float
+        alpha of all channels at once, 2 at most for the loops of interest.
+    """
+
+    gain_up: Array
+    gain_down: Array
+    phase: Array
+    delay: Array
+    disk: float
+
+
+def margins(a: Array, b: Array, gain: Array, dt: float | None = None) -> Margins:
+    """Return the margins of the stable loop ``v = -gain e``; ``dt`` (s) if A, B are those of a sampled plant."""
+    omega = _frequencies(a, a - b @ gain, dt)
+    channels = [_channel(a, b, gain, i, omega, dt) for i in range(b.shape[1])]
+    up, down, phase, delay = (np.array(column) for column in zip(*channels, strict=True))
+    return Margins(up, down, phase, delay, _disk(a, b, gain, omega, dt))
+
+
+def _channel(
+    a: Array, b: Array, gain: Array, i: int, omega: Array, dt: float | None
+) -> tuple[float, float, float, float]:
+    others = [j for j in range(b.shape[1]) if j != i]
+    loop = _loop(a - b[:, others] @ gain[others], b[:, [i]], gain[[i]], dt)
+
+    def value(w: float) -> complex:
+        return complex(loop(w)[0, 0])
+
+    values = np.array([value(w) for w in omega])
+    crossings = [
+        1.0 / -value(w).real for w in _roots(lambda w: value(w).imag, omega, values.imag) if value(w).real < 0
+    ]
+    # the real axis is also met at the ends of the frequencies that a sampled loop has
+    crossings += [1.0 / -v.real for v in values[[-1]] if dt is not None and v.real < 0]
+    unit = _roots(lambda w: np.log(abs(value(w))), omega, np.log(np.abs(values) + TINY))
+    phases = [(abs(_wrapped(np.angle(-value(w)))), _lag(value(w)) / w) for w in unit]
+    return (
+        min((c for c in crossings if c > 1), default=np.inf),
+        max((c for c in crossings if c < 1), default=0.0),
+        min((p for p, _ in phases), default=np.inf),
+        min((d for _, d in phases), default=np.inf),
+    )
+
+
+def _disk(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> float:
+    loop, one = _loop(a, b, gain, dt), np.eye(b.shape[1])
+
+    def peak(log_w: float) -> float:
+        sensitivity = np.linalg.inv(one + loop(np.exp(log_w)))
+        return float(np.linalg.norm(sensitivity - 0.5 * one, 2))
+
+    grid = np.log(omega)
+    values = np.array([peak(w) for w in grid])
+    k = int(np.argmax(values))
+    best = minimize_scalar(
+        lambda w: -peak(w), bounds=(grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]), method="bounded"
+    )
+    return 1.0 / max(float(values[k]), -float(best.fun))
+
+
+def _loop(a: Array, b: Array, gain: Array, dt: float | None) -> Callable[[float], Any]:
+    one = np.eye(a.shape[0])
+
+    def value(omega: float) -> Any:
+        s = 1j * omega if dt is None else np.exp(1j * omega * dt)
+        return gain @ np.linalg.solve(s * one - a, b.astype(complex))
+
+    return value
+
+
+def _frequencies(a: Array, closed: Array, dt: float | None) -> Array:
+    """A logarithmic grid around the poles, with the resonances as nodes, half a spacing off them."""
+    poles = np.concatenate([np.linalg.eigvals(a), np.linalg.eigvals(closed)])
+    if dt is not None:
+        poles = np.log(poles[np.abs(poles) > _AT_ZERO]) / dt
+    size = np.abs(poles)
+    size = size[size > _AT_ZERO * size.max(initial=0.0)]
+    if not size.size:
+        size = np.ones(1)
+    low, high = np.log10(size.min()) - _DECADES, np.log10(size.max()) + _DECADES
+    grid = np.logspace(low, high, _POINTS)
+    near = np.abs(poles.imag)[np.abs(poles.imag) > 0]
+    grid = np.unique(np.concatenate([grid, near * (1 - _BESIDE), near * (1 + _BESIDE)]))
+    return grid if dt is None else np.append(grid[grid < np.pi / dt * (1 - SAME_TIME)], np.pi / dt)
+
+
+def _roots(function: Callable[[float], float], omega: Array, values: Array) -> list[float]:
+    change = np.flatnonzero(values[:-1] * values[1:] < 0)
+    return [float(brentq(function, omega[k], omega[k + 1], xtol=TINY, rtol=_ROOT)) for k in change]
+
+
+def _wrapped(angle: float) -> float:
+    return float((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _lag(value: complex) -> float:
+    """How much the phase of L may fall until L = -1, in (0, 2 pi]."""
+    lag = float(np.angle(-value) % (2 * np.pi))
+    return lag if lag > 0 else 2 * np.pi

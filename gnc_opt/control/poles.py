@@ -1,0 +1,28 @@
+"""Poles: polynomials with given ones, and those of sampled loops as rates."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+
+_CONJUGATE = 1e-9
+"""Poles typed as conjugate pairs may differ by this, relative to each coefficient of their polynomial."""
+
+
+def real_polynomial(poles: Any) -> Array | None:
+    """Return the coefficients (n + 1,) of the polynomial with these roots, highest order first.
+
+    ``None`` if they are not in conjugate pairs.
+    """
+    polynomial = np.atleast_1d(np.poly(poles))
+    if np.any(np.abs(polynomial.imag) > _CONJUGATE * np.abs(polynomial)):
+        return None
+    return np.asarray(polynomial.real, dtype=float)
+
+
+def continuous_poles(poles: Any, dt: float | None) -> Any:
+    """Return poles as rates (1/s): ``ln(z)/dt`` for those of a loop sampled with dt (s)."""
+    return poles if dt is None else np.log(poles.astype(complex)) / dt

@@ -1,0 +1,1 @@
+"""Model predictive control: a quadratic programme over a horizon at every step."""

@@ -1,0 +1,377 @@
+r"""Model predictive control: a quadratic programme at every step, linear along the reference.
+
+Over a horizon of N steps, :math:`e_{j+1} = A_j e_j + B_j v_j`, :math:`u_j = u_{ff,j} + v_j`, with plant and cost
+sampled exactly. Written in :math:`v_j = -K_j e_j + w_j` with the gains of the Riccati recursion, the cost is the
+optimal one of the unconstrained problem and a sum of squares,
+
+.. math:: e_0^T P_0 e_0 + \sum_j w_j^T S_j w_j, \qquad S_j = R_j + B_j^T P_{j+1} B_j = L_j L_j^T,
+
+so the programme for :math:`\omega_j = L_j^T w_j` is to find the point of least norm within the limits: perfectly
+conditioned, and :math:`\omega = 0`, exactly the sampled regulator, as long as no limit is met. Limits of controls and
+rates are hard; those of states are soft (exact penalty), so that the programme always has a solution.
+
+The point that the solver returns is judged anew at every step by its optimality conditions; if it fails, the clipped
+regulator's command is given and an alarm is raised.
+
+References
+----------
+J. B. Rawlings, D. Q. Mayne, M. M. Diehl, Model Predictive Control, 2nd ed. (2017), sections 1.3 and 2.5.
+J. A. Rossiter, B. Kouvaritakis, M. J. Rice, A numerically robust state-space approach to stable-predictive control
+strategies, Automatica 34 (1998): the change of variables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias, get_args
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.control.controller import Controller, first_memory, law
+from gnc_opt.control.deviation import Deviation
+from gnc_opt.control.explanation import Explanation, Fact
+from gnc_opt.control.limits import Limits, clip, read_limits, reserve_shares
+from gnc_opt.control.linear.facts import regulator_facts
+from gnc_opt.control.linear.gains import SampledGains, riccati_gains
+from gnc_opt.control.linear.riccati import gain_of
+from gnc_opt.control.linear.weights import Weight, read_cost, read_weight, require_semidefinite
+from gnc_opt.control.predictive.horizon import Rows, prediction, programme
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
+from gnc_opt.control.tolerances import LARGEST, ROUNDING, SAME_TIME, STEP_SLACK, alike
+from gnc_opt.errors import ArgumentError, DesignError, did_you_mean, shown
+from gnc_opt.model.layout import Layout, Variable, as_vector
+from gnc_opt.model.model import Model
+
+QpSolver: TypeAlias = Literal["daqp", "qrqp", "osqp"]
+
+QP_FAILED, NOT_A_NUMBER = 1, 2
+"""Codes of the alarm: the programme was not solved; the measurement was not a number (the feedforward is given)."""
+
+QP_TOLERANCE = 1e-6
+"""Largest residual of the optimality conditions, limits scaled to [-1, 1], that counts as solved."""
+
+_OPTIONS: dict[str, dict[str, Any]] = {
+    "daqp": {},
+    "qrqp": {"print_iter": False, "print_header": False, "print_info": False, "constr_viol_tol": 1e-9},
+    "osqp": {"osqp": {"verbose": False, "eps_abs": 1e-8, "eps_rel": 1e-8, "max_iter": 20000, "polish": True}},
+}
+
+
+def design_mpc(
+    model: Model,
+    reference: Reference,
+    *,
+    Q: Weight,
+    R: Weight,
+    horizon: float,
+    dt: float,
+    limits: Limits,
+    rate_limits: ArrayLike | None = None,
+    state_limits: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None,
+    N: ArrayLike | None = None,
+    terminal: Weight | Literal["riccati"] = "riccati",
+    state_penalty: float = 1e3,
+    solver: QpSolver = "daqp",
+    name: str = "MPC",
+) -> Controller:
+    """Design a model predictive controller that follows a reference within limits.
+
+    Parameters
+    ----------
+    model : Model
+    reference : Reference
+    Q, R, N
+        As in `design_lqr`; sampled exactly.
+    horizon : float
+        s, a whole number of control steps.
+    dt : float
+        Control step, s.
+    limits : (lower, upper)
+        Of the controls.
+    rate_limits : float or array (n_controls,), optional
+        Largest change of each control per second.
+    state_limits : mapping, optional
+        ``{"v_L": (lower, upper)}``, soft, at the steps; infinite numbers for no limit.
+    terminal : weight or "riccati"
+        Of the errors at the end of the horizon; ``"riccati"`` is the cost to go of the (time-varying) regulator.
+    state_penalty : float
+        Price of leaving a state limit by half its range, relative to the cost to go of an error as large.
+    solver : {"daqp", "qrqp", "osqp"}
+    name : str
+        For messages and reports.
+
+    Returns
+    -------
+    Controller
+        Memory ``previous_command``, ``plan``, ``multipliers`` (the warm start) and the alarm ``qp_alarm``, see
+        `QP_FAILED` and `NOT_A_NUMBER`; the first alarm stays.
+
+    Raises
+    ------
+    DesignError
+        As in `design_tvlqr`; limits without room; limits of a state whose error is not a difference.
+    """
+    expect(
+        reference, Reference, "the reference of design_mpc()", "give a Reference, or Reference.constant(...)"
+    )
+    if solver not in get_args(QpSolver):
+        raise ArgumentError(
+            f"there is no QP solver {shown(solver)}: {did_you_mean(str(solver), get_args(QpSolver))}"
+        )
+    dt = read_positive(dt, "the control step dt")
+    count = _steps(read_positive(horizon, "the horizon"), dt)
+    deviation = Deviation(model)
+    gains = riccati_gains(deviation, reference, read_cost(model, Q, R, N), dt=dt)
+    assert isinstance(gains, SampledGains)
+    bounds = read_limits(model, limits)
+    assert bounds is not None
+    end = None
+    if not isinstance(terminal, str):
+        end = read_weight(terminal, model.errors, "the terminal weight")
+        require_semidefinite(end, model.errors.labels, "the terminal weight")
+    elif terminal != "riccati":
+        raise ArgumentError(f'terminal is {shown(terminal)}: write "riccati" or give a weight.')
+    price = read_positive(state_penalty, "the state penalty") * np.diag(gains.costs[-1])
+    change = None if rate_limits is None else _rates(rate_limits, model, dt)
+    in_x, in_e, *of_states = _state_rows(deviation, state_limits or {}, price)
+    rows = Rows(*bounds, change, in_x, in_e, *of_states)
+    windows = _Windows(gains, count, end)
+    schedule = _Schedule(ReferenceSchedule(reference), windows, rows.states)
+    signals = reference_signals(reference, *schedule.more())
+    step, start, memory = _law(deviation, schedule, rows, signals, solver)
+    return Controller(
+        name=name,
+        step=step,
+        start=start,
+        states=model.states,
+        commands=model.controls,
+        signals=signals,
+        memory=memory,
+        schedule=schedule,
+        dt=dt,
+        alarms=("qp_alarm",),
+        span=(reference.initial_time, reference.final_time),
+        explanation=Explanation(
+            f"{name} of '{model.name}' along {reference!r}",
+            (*_facts(gains, windows, rows, solver), *reserve_shares(reference, bounds)),
+        ),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Windows:
+    """The linear dynamics over one horizon, in the variables of the regulator.
+
+    Called with the number of a step it returns A - B K, B L^-T, K, L^-T for the N steps from it, (N, ., .) each.
+    """
+
+    gains: SampledGains
+    count: int
+    terminal: Array | None
+
+    @property
+    def constant(self) -> bool:
+        """Whether every step of the reference is like the last."""
+        last = self.gains.steps[-1]
+        return all(alike(s.a, last.a) and alike(s.b, last.b) for s in self.gains.steps)
+
+    def __call__(self, first: int) -> tuple[Array, Array, Array, Array]:
+        steps, costs = self.gains.steps, self.gains.costs
+        p = costs[min(first + self.count, len(costs) - 1)] if self.terminal is None else self.terminal
+        found = []
+        for k in reversed(range(first, first + self.count)):
+            s = steps[min(k, len(steps) - 1)]
+            gain = gain_of(s.a, s.b, s.r, s.n, p, sampled=True)
+            weight = s.r + s.b.T @ p @ s.b
+            p = s.q + s.a.T @ p @ s.a - (s.b.T @ p @ s.a + s.n.T).T @ gain
+            p = 0.5 * (p + p.T)
+            root = np.linalg.inv(np.linalg.cholesky(weight)).T
+            found.append((s.a - s.b @ gain, s.b @ root, gain, root))
+        a, f, k_, g = (np.stack(matrices) for matrices in zip(*reversed(found), strict=True))
+        return a, f, k_, g
+
+
+@dataclass(frozen=True, eq=False)
+class _Schedule:
+    """Rows x_ref, mean controls over the horizon, limited states over the horizon, and the dynamics if they change."""
+
+    reference: ReferenceSchedule
+    windows: _Windows
+    limited: tuple[int, ...]
+
+    def more(self) -> list[Variable]:
+        """Return the variables after the reference's own."""
+        gains, count = self.windows.gains, self.windows.count
+        n, m = gains.steps[-1].b.shape
+        sizes = {"horizon_ff": m * (count - 1), "horizon_ref": len(self.limited) * count}
+        if not self.windows.constant:
+            sizes |= {"horizon_A": count * n * n, "horizon_F": count * n * m, "horizon_K": count * m * n}
+            sizes |= {"horizon_G": count * m * m}
+        return [Variable(name, size) for name, size in sizes.items() if size]
+
+    def __call__(self, times: Array, dt: float) -> Array:
+        times, count = np.atleast_1d(times), self.windows.count
+        grid = times[:, None] + dt * np.arange(count + 1)
+        _, where, back = np.unique(np.round(grid / dt / STEP_SLACK), return_index=True, return_inverse=True)
+        here = grid.ravel()[where]  # every time once, though horizons overlap
+        reference = self.reference.reference
+        u = reference.mean_control(here, dt)[:, back.reshape(grid.shape)]
+        x = reference.x(here)[:, back.reshape(grid.shape)]
+        rows = [x[:, :, 0], *(u[:, :, j] for j in range(count))]
+        rows += [x[list(self.limited), :, j] for j in range(1, count + 1) if self.limited]
+        if not self.windows.constant:
+            numbers = [self.windows.gains.index(float(t)) for t in times]
+            columns = [np.concatenate([m.ravel() for m in self.windows(k)]) for k in numbers]
+            rows.append(np.stack(columns, axis=1))
+        return np.vstack(rows)
+
+
+def _law(
+    deviation: Deviation, schedule: _Schedule, rows: Rows, signals: Layout, solver: str
+) -> tuple[Any, Any, Layout]:
+    states, m = deviation.model.states.size, rows.lower.size
+    count, limited = schedule.windows.count, len(schedule.limited)
+    t, x, r = ca.MX.sym("t"), ca.MX.sym("x", states), ca.MX.sym("r", signals.size)
+    x_ref, u_ff = r[:states], r[states : states + m * count]
+    x_limited = r[states + m * count : states + (m + limited) * count]
+    regular = ca.sum1(ca.fabs(x) <= LARGEST) == states  # no comparison holds for what is not a number
+    sx, sx_ref = ca.SX.sym("x", states), ca.SX.sym("x_ref", states)
+    error = ca.Function("e", [sx, sx_ref], [deviation.expression(sx, sx_ref)])
+    e = error(ca.if_else(regular, x, x_ref), x_ref)
+    v_e, v_w, e_e, e_w = prediction(_matrices(schedule, r, states + (m + limited) * count))
+    u_free = u_ff + v_e @ e
+
+    size, n_rows = (m + limited) * count, rows.count * count
+    z = ca.MX.sym("z", m + size + n_rows + 1)
+    previous, plan, multipliers, alarm = ca.vertsplit(
+        z, [0, m, m + size, m + size + n_rows, m + size + n_rows + 1]
+    )
+    task = programme(rows, u_free, v_w, x_limited, e_e @ e, e_w, previous)
+    least = ca.DM.eye(size)
+    shape = {"h": least.sparsity(), "a": ca.Sparsity.dense(n_rows, size)}
+    qp = ca.conic("qp", solver, shape, {**_OPTIONS[solver], "error_on_fail": False})
+    from_ = np.concatenate(
+        [np.full(m * count, -np.inf), np.zeros(limited * count)]
+    )  # slacks are not negative
+    answer = qp(
+        h=least, g=task.g, a=task.a, lba=task.low, uba=task.high, lbx=from_, x0=plan, lam_a0=multipliers
+    )
+    omega, lam_a, lam_x = answer["x"], answer["lam_a"], answer["lam_x"]
+    solved = task.optimality_residual(omega, lam_a, lam_x) <= QP_TOLERANCE
+
+    lower, upper = ca.DM(rows.lower), ca.DM(rows.upper)
+    if rows.change is not None:
+        lower, upper = ca.fmax(lower, previous - rows.change), ca.fmin(upper, previous + rows.change)
+    shift = ca.if_else(solved, v_w[:m, :] @ omega[: m * count], 0)
+    u = clip(u_free[:m] + shift, lower, upper)
+    code = ca.if_else(regular, ca.if_else(solved, 0, QP_FAILED), NOT_A_NUMBER)
+    _, later, slacks = ca.vertsplit(omega, [0, m, m * count, size])
+    after = ca.vertcat(
+        u,
+        ca.if_else(solved, ca.vertcat(later, ca.MX.zeros(m), slacks), 0),
+        ca.if_else(solved, lam_a, 0),
+        ca.if_else(alarm == 0, code, alarm),
+    )
+    parts = {"previous_command": m, "plan": size, "multipliers": n_rows, "qp_alarm": 1}
+    memory = Layout("memory", tuple(Variable(k, v) for k, v in parts.items()), "the memory of the controller")
+    first = clip(u_ff[:m], rows.lower, rows.upper)
+    return (
+        law(t, x, r, z, u, after),
+        first_memory(t, x, r, ca.vertcat(first, ca.MX.zeros(size + n_rows + 1))),
+        memory,
+    )
+
+
+def _matrices(schedule: _Schedule, r: Any, place: int) -> list[list[Any]]:
+    """A - B K, B L^-T, K, L^-T of each step: numbers if they never change, else from the schedule's row."""
+    windows = schedule.windows
+    if windows.constant:
+        last = len(windows.gains.steps) - 1 + windows.count
+        return [[ca.DM(matrix) for matrix in matrices] for matrices in windows(last)]
+    n, m = windows.gains.steps[-1].b.shape
+    found = []
+    for height, width in ((n, n), (n, m), (m, n), (m, m)):
+        parts = []
+        for _ in range(windows.count):
+            parts.append(ca.reshape(r[place : place + height * width], width, height).T)
+            place += height * width
+        found.append(parts)
+    return found
+
+
+def _steps(horizon: float, dt: float) -> int:
+    count = round(horizon / dt)
+    if count < 1 or not np.isclose(count * dt, horizon, rtol=SAME_TIME):
+        raise ArgumentError(
+            f"a horizon of {horizon:g} s is no whole number of steps of {dt:g} s: give k * dt, k >= 1."
+        )
+    return count
+
+
+def _rates(value: ArrayLike, model: Model, dt: float) -> Array:
+    rates = as_vector(value, model.controls.size, "the rate limits", ArgumentError)
+    bad = np.flatnonzero(~(rates > 0))
+    if bad.size:
+        raise DesignError(
+            f"the rate limit of control '{model.controls.labels[bad[0]]}' is {rates[bad[0]]:g}: give a number > 0."
+        )
+    return rates * dt
+
+
+def _subtracts(deviation: Deviation, name: str) -> bool:
+    """Whether the error of a state is x - x_ref, judged at a point without symmetries."""
+    states, rows = deviation.model.states, deviation.model.states.slice(name)
+    x, x_ref = np.cos(1.0 + np.arange(states.size)), np.sin(2.0 + np.arange(states.size))
+    e = deviation(x, x_ref)[deviation.errors.slice(name)]
+    return e.size == states[name].size and np.allclose(e, (x - x_ref)[rows], rtol=ROUNDING, atol=ROUNDING)
+
+
+def _state_rows(
+    deviation: Deviation, limits: Mapping[str, tuple[ArrayLike, ArrayLike]], price: Array
+) -> tuple[tuple[int, ...], tuple[int, ...], Array, Array, Array]:
+    """Places of the limited states in x and in e, their limits and the prices of their errors."""
+    model = deviation.model
+    in_x: list[int] = []
+    in_e: list[int] = []
+    lower: list[float] = []
+    upper: list[float] = []
+    for name, pair in limits.items():
+        place = model.states.slice(name)
+        size = model.states[name].size
+        if not _subtracts(deviation, name):
+            raise DesignError(
+                f"the error of state '{name}' is not a difference: a limit of it is not linear; leave it to R and Q."
+            )
+        low, high = (as_vector(v, size, f"the limits of state '{name}'", ArgumentError) for v in pair)
+        if not np.all(low < high):
+            raise DesignError(
+                f"the limits of state '{name}' leave no room: {low} to {high}; give lower < upper."
+            )
+        in_x += range(model.states.size)[place]
+        in_e += range(model.errors.size)[model.errors.slice(name)]
+        lower += list(low)
+        upper += list(high)
+    return tuple(in_x), tuple(in_e), np.array(lower), np.array(upper), price[in_e]
+
+
+def _facts(gains: SampledGains, windows: _Windows, rows: Rows, solver: str) -> list[Fact]:
+    m, count = rows.lower.size, windows.count
+    size = (m + len(rows.states)) * count
+    remark = f"{size} unknowns, {rows.count * count} rows, by {solver}"
+    first = windows(0)
+    facts = [
+        Fact("horizon", count * gains.dt, "s", f"{count} steps; {remark}"),
+        Fact("dynamics along the horizon", "constant" if windows.constant else "from the schedule"),
+        Fact("gain at the start", first[2][0], "", "K of the first command where no limit is met"),
+    ]
+    if gains.steady is not None:
+        last = gains.steps[-1]
+        remark = "without limits, after the end; slowest first"
+        facts += regulator_facts(gains.steady, (last.a, last.b), gains.dt, remark=remark)
+    return facts

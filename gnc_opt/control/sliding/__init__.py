@@ -1,0 +1,1 @@
+"""Sliding modes: surfaces, reaching laws, observers, and what refuses a design."""

@@ -1,0 +1,141 @@
+"""Surfaces of output errors and the law that drives them to zero, whoever chose their coefficients."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import expm
+
+from gnc_opt.arrays import Array
+from gnc_opt.control.controller import Controller
+from gnc_opt.control.explanation import Explanation, Fact
+from gnc_opt.control.guard import (
+    GuardedLaw,
+    Inverse,
+    Memory,
+    check_zero_dynamics,
+    guarded_controller,
+    guarded_inverse,
+)
+from gnc_opt.control.lie import OutputErrors
+from gnc_opt.control.limits import saturated
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
+from gnc_opt.control.sliding.switching import SlidingOptions, Switching
+from gnc_opt.errors import DesignError
+from gnc_opt.model.layout import as_vector
+
+_SETTLED = 40.0
+"""An impulse response is integrated over this many time constants of its slowest pole."""
+_RESPONSE_STEPS = 4000
+
+
+def surface_controller(
+    name: str,
+    title: str,
+    errors: OutputErrors,
+    reference: Reference,
+    coefficients: Sequence[Array],
+    options: SlidingOptions,
+) -> Controller:
+    """Return the controller that drives surfaces of output errors to zero.
+
+    ``coefficients`` holds c_0, ..., c_{r-2}, 1 for each component.
+    """
+    switching = options.switching(errors.pair.model, errors.labels)
+    inverse = guarded_inverse(errors, reference, options.guard)
+    zeros = check_zero_dynamics(errors, reference, options.growth)
+    pairs = list(zip(coefficients, errors.chains, strict=True))
+    s = ca.vertcat(*[_weigh(c, chain, 0) for c, chain in pairs])
+    drift = errors.drift + ca.vertcat(*[_weigh(c[:-1], chain, 1) for c, chain in pairs])
+    memory, u = _command(s, drift, errors, inverse, switching, options.observer)
+    facts = [
+        Fact("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
+        *_surface_facts(errors, coefficients, switching),
+        *_reaching_facts(errors, s, reference, switching, options.start),
+        Fact("smallest determinant on the reference", inverse.lowest, remark=f"largest {inverse.scale:.6g}"),
+        *zeros,
+        *switching.reserve(errors, reference),
+    ]
+    return guarded_controller(
+        name,
+        errors.pair,
+        reference,
+        GuardedLaw(u, inverse.regular, tuple(memory)),
+        dt=switching.dt,
+        explanation=Explanation(title, tuple(facts)),
+    )
+
+
+def _command(
+    s: Any,
+    drift: Any,
+    errors: OutputErrors,
+    inverse: Inverse,
+    switching: Switching,
+    observer: SuperTwistingObserver | None,
+) -> tuple[list[Memory], Any]:
+    """Return the memory and the command of the law."""
+    n, dt = errors.size, switching.dt
+    wanted, twist = switching.demand(s, drift)
+    memory = [Memory("s", ca.SX.sym("s", n), s, s), *twist]  # s of the last step, for the log
+    if observer is None:
+        return memory, inverse(wanted)
+    assert dt is not None
+    s_hat, q = ca.SX.sym("s_hat", n), ca.SX.sym("disturbance", n)
+    u = inverse(wanted - observer.estimate(s, s_hat, q))
+    known = drift + errors.decoupling @ saturated(u, switching.limits)
+    s_next, q_next = observer.update(s, s_hat, q, known, dt)
+    return [*memory, Memory("s_hat", s_hat, s, s_next), Memory("disturbance", q, ca.SX.zeros(n), q_next)], u
+
+
+def _weigh(c: Array, chain: Any, order: int) -> Any:
+    """Return the sum of c_k times the derivative of order k + ``order`` of a chain, SX."""
+    return sum((float(c_k) * chain[k + order] for k, c_k in enumerate(c)), ca.SX(0))
+
+
+def _surface_facts(errors: OutputErrors, coefficients: Sequence[Array], switching: Switching) -> list[Fact]:
+    """Return poles, the band of s and the steady error that it allows, and the sampling limit."""
+    pairs = list(zip(errors.labels, coefficients, strict=True))
+    poles = [Fact(f"surface poles of {label}", np.roots(c[::-1]), "1/s") for label, c in pairs if c.size > 1]
+    steady = np.array([band * _peak_gain(c) for band, c in zip(switching.bands, coefficients, strict=True)])
+    bound = Fact("steady error bound", steady, remark="of the outputs, from the band of s")
+    return [*poles, *switching.facts(), bound]
+
+
+def _reaching_facts(
+    errors: OutputErrors, s: Any, reference: Reference, switching: Switching, start: ArrayLike | None
+) -> list[Fact]:
+    if start is None:
+        return []
+    t, pair = reference.initial_time, errors.pair
+    x = as_vector(start, pair.x.numel(), "the state at the start", DesignError)
+    first = np.asarray(pair.function(s)(t, x, reference.u(t), reference.x(t), reference.u(t)).full())[:, 0]
+    reaching = switching.reaching
+    times = [reaching.reaching_time(float(v), float(b)) for v, b in zip(first, switching.bounds, strict=True)]
+    remark = "upper bound with ideal switching and the disturbance at its bound"
+    return [Fact("s at the start", first), Fact("reaching time", np.array(times), "s", remark)]
+
+
+def _peak_gain(c: Array) -> float:
+    """Return the largest |e| that |s| <= 1 can cause: the integral of the impulse response of 1 / c(p)."""
+    if c.size == 1:
+        return 1.0
+    poles = np.roots(c[::-1])
+    if np.allclose(poles.imag, 0):
+        return float(1 / c[0])  # the response of real poles never changes its sign
+    companion = np.zeros((c.size - 1, c.size - 1))
+    companion[:-1, 1:] = np.eye(c.size - 2)
+    companion[-1] = -c[:-1]
+    span, steps = _SETTLED / float(np.min(-poles.real)), _RESPONSE_STEPS
+    forward = expm(companion * span / steps)
+    state = expm(companion * 0.5 * span / steps)[:, -1]
+    total = 0.0
+    for _ in range(steps):
+        total += abs(state[0]) * span / steps
+        state = forward @ state
+    return total

@@ -1,0 +1,1 @@
+"""Guesses: what users give, straight lines for the rest, and random trajectories."""

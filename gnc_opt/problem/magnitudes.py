@@ -1,0 +1,73 @@
+"""Typical magnitudes of the states and controls of a phase."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.model.evaluation import evaluate
+from gnc_opt.model.layout import Layout
+from gnc_opt.problem.guess.trajectory import PhaseStart, start_phase
+from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.phase import Phase
+
+FARTHEST = 10.0
+"""How much larger than its guess a state without bounds may be taken to be."""
+
+SAMPLES = np.linspace(0.0, 1.0, 9)
+"""Where guess and dynamics are looked at, as fractions of a phase."""
+
+
+def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Array]:
+    """Return typical magnitudes of states (n,) and controls (m,) of a phase.
+
+    In this order: the user's scale, the model's nominal value, finite bounds, the guess and, for states, what the
+    dynamics do to them over the phase: all of it where the guess is zero, at most `FARTHEST` times the guess elsewhere
+    (stiff dynamics at a poor guess point far beyond where the state will ever go).
+    """
+    start = start_phase(leg, SAMPLES, perturbed=False)
+    numbers = leg.numbers
+    controls = magnitude_within(numbers.controls, np.max(np.abs(start.controls), axis=1, initial=0.0))
+    if overridden:
+        _override(controls, leg.model.controls, numbers.scales)
+    reach = np.max(np.abs(start.states), axis=1, initial=0.0)
+    drift = _drift(leg, start, controls)
+    reach = np.where(reach > 0, np.clip(drift, reach, FARTHEST * reach), drift)
+    states = magnitude_within(numbers.states, reach)
+    if overridden:
+        _override(states, leg.model.states, numbers.scales)
+    return states, controls
+
+
+def _drift(leg: Phase, start: PhaseStart, magnitudes: Array) -> Array:
+    """Return how far the dynamics move each state: controls at their bounds, as guessed, or else of their magnitude."""
+    bounds = leg.numbers.controls
+    times = start.times[0] + SAMPLES * (start.times[1] - start.times[0])
+    rates = [np.zeros(leg.model.states.size)]
+    guessed = np.any(start.controls != 0, axis=1)
+    for limit, usual in ((bounds.lower, -magnitudes), (bounds.upper, magnitudes)):
+        endless = np.where(guessed[:, None], start.controls, usual[:, None])
+        controls = np.where(np.isfinite(limit)[:, None], limit[:, None], endless)
+        f = evaluate(leg.model.function, times, start.states, controls, leg.model.parameter_values)
+        rates.append(np.max(np.abs(np.where(np.isfinite(f), f, 0.0)), axis=1))
+    return np.asarray(0.5 * np.max(rates, axis=0) * (start.times[1] - start.times[0]))
+
+
+def magnitude_within(interval: Interval, reach: Array) -> Array:
+    """Return typical magnitudes: the larger of two finite bounds, else the reach, else 1."""
+    bounded = np.isfinite(interval.lower) & np.isfinite(interval.upper)
+    limits = np.maximum(
+        np.abs(np.where(bounded, interval.lower, 0.0)), np.abs(np.where(bounded, interval.upper, 0.0))
+    )
+    scales = np.where(bounded & (limits > 0), limits, reach)
+    return np.where(scales > 0, scales, 1.0)
+
+
+def _override(scales: Array, layout: Layout, user: Mapping[str, Array]) -> None:
+    for variable in layout.variables:
+        if variable.name in user:
+            scales[layout.slice(variable.name)] = user[variable.name]
+        elif variable.nominal is not None:
+            scales[layout.slice(variable.name)] = variable.nominal

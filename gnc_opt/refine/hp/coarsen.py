@@ -1,0 +1,227 @@
+"""Too fine: neighbours merged and degrees lowered where a smaller mesh holds the same trajectory.
+
+A trial segment is what collocation would make of the known trajectory there: interpolate the rates and the
+controls at the trial's points, integrate, and judge the result by the same errors as the solution itself.
+Dynamic programming then picks the cheapest way through a run of accurate segments.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import TypeAlias
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.refine.adjoint import costate_rates, costate_worth, unconstrained
+from gnc_opt.refine.error import PhaseError, Pieces, Yardstick
+from gnc_opt.solution.samples import EXTRA
+from gnc_opt.transcription.quadrature import collocation_rule, gauss_rule, interpolation_matrix
+from gnc_opt.transcription.scheme import Scheme
+
+LADDER = (2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 18, 20, 24)
+"""Degrees that are tried."""
+
+REACH = 8
+"""At most so many neighbours are merged in one pass."""
+
+STEEPEST = 0.05
+"""Largest dH/du that merging and lowering may leave, in shares of H and of the tolerance's root: an error of the
+control affects the cost in second order only."""
+
+SEGMENT_COST = 1.0
+"""What a segment costs beyond its points, in points: its start state."""
+
+Span: TypeAlias = tuple[int, int]
+"""The first segment of a merger, and the one after its last."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A segment of a mesh to be: its ends as times (s) and its degree."""
+
+    start: float
+    end: float
+    degree: int
+
+
+def coarsened(
+    error: PhaseError, run: Sequence[Piece], tol: float, max_degree: int, departure: float
+) -> list[Piece]:
+    """Return the cheapest pieces on the given boundaries whose trial errors stay below ``tol``.
+
+    Parameters
+    ----------
+    error : PhaseError
+    run : sequence of Piece
+        Neighbouring segments in which the trajectory is known accurately.
+    tol : float
+    max_degree : int
+    departure : float
+        How far the states of a trial may be from the known ones, relative to their magnitude.
+    """
+    cost = [0.0]
+    chosen: list[tuple[int, int]] = []
+    degrees = _smallest_degrees(error, run, tol, max_degree, departure)
+    for j in range(1, len(run) + 1):
+        options = [
+            (cost[i] + degrees[i, j] + SEGMENT_COST, i)
+            for i in range(max(0, j - REACH), j)
+            if (i, j) in degrees
+        ]
+        best, i = min(options)
+        cost.append(best)
+        chosen.append((i, degrees[i, j]))
+    pieces, j = [], len(run)
+    while j > 0:
+        i, degree = chosen[j - 1]
+        pieces.append(Piece(run[i].start, run[j - 1].end, degree))
+        j = i
+    return pieces[::-1]
+
+
+def _smallest_degrees(
+    error: PhaseError, run: Sequence[Piece], tol: float, max_degree: int, departure: float
+) -> dict[Span, int]:
+    """Return the smallest sufficient degree of each merger (first, last + 1) that saves points."""
+    found = {(i, i + 1): piece.degree for i, piece in enumerate(run)}
+    trials: list[Piece] = []
+    keys: list[Span] = []
+    for i, j in _mergeable(error, run, tol, max_degree, departure):
+        now = sum(p.degree for p in run[i:j]) + (j - i - 1)
+        for degree in LADDER:
+            if degree < now if j == i + 1 else degree <= min(now, max_degree):
+                trials.append(Piece(run[i].start, run[j - 1].end, degree))
+                keys.append((i, j))
+    good = _acceptable(error, trials, tol, departure)
+    for trial, key in sorted(
+        itertools.compress(zip(trials, keys, strict=True), good), key=lambda e: -e[0].degree
+    ):
+        found[key] = trial.degree
+    return found
+
+
+def _mergeable(
+    error: PhaseError, run: Sequence[Piece], tol: float, max_degree: int, departure: float
+) -> list[Span]:
+    """Return the spans that one segment of the highest degree can hold: no others are worth trying.
+
+    What two neighbouring segments cannot be merged into is not part of a longer merger either.
+    """
+    spans = [(i, i + 1) for i in range(len(run))]
+    shorter = set(spans)
+    for length in range(2, REACH + 1):
+        ends = [(i, i + length) for i in range(len(run) - length + 1)]
+        hopeful = [(i, j) for i, j in ends if {(i, j - 1), (i + 1, j)} <= shorter]
+        probes = [Piece(run[i].start, run[j - 1].end, max_degree) for i, j in hopeful]
+        shorter = set(itertools.compress(hopeful, _acceptable(error, probes, tol, departure)))
+        spans += sorted(shorter)
+    return spans
+
+
+def _acceptable(error: PhaseError, trials: Sequence[Piece], tol: float, departure: float) -> Mask:
+    """Return which trials are as good as the known trajectory, (n_trials,)."""
+    if not trials:
+        return np.zeros(0, dtype=bool)
+    errors, departures, slopes = trial_errors(error, trials)
+    return np.asarray((errors <= tol) & (departures <= departure) & (slopes <= STEEPEST * np.sqrt(tol)))
+
+
+def trial_errors(error: PhaseError, trials: Sequence[Piece]) -> tuple[Array, Array, Array]:
+    """Return what speaks against each trial, (n_trials,) each.
+
+    The largest error; the states' largest departure from the known ones (a trial could skip a transient that
+    neither residual nor cost notice); the largest dH/du (its control could be poor between the points where
+    neither dynamics nor cost tell).
+    """
+    yardstick = error.yardstick
+    pieces = trial_pieces(yardstick, trials)
+    departures = np.abs(pieces.x - yardstick.leg.x(pieces.times)) / yardstick.state[:, None]
+    slopes = pieces.largest(yardstick.stationarity(pieces))
+    return (
+        yardstick.judge(pieces, _adjoint(error, trials, pieces)).worst,
+        np.max(pieces.largest(departures), axis=0),
+        np.max(slopes, axis=0, initial=0.0),
+    )
+
+
+def _adjoint(error: PhaseError, trials: Sequence[Piece], pieces: Pieces) -> Array:
+    """Return the residual of the costates' equation at the trials' samples, (n_states, n_samples).
+
+    A trial's costates follow the interpolant of their known rates.
+    """
+    samples, leg = error.samples, error.samples.leg
+    rules = [collocation_rule(leg.scheme, t.degree) for t in trials]
+    points = np.concatenate(
+        [t.start + 0.5 * (t.end - t.start) * (1 + r.points) for t, r in zip(trials, rules, strict=True)]
+    )
+
+    def rates(times: Array) -> Array:
+        return costate_rates(samples, times, leg.x(times), leg.flown.clipped(times), leg.lam(times))
+
+    known, offset, interpolants = rates(points), 0, []
+    for trial, rule in zip(trials, rules, strict=True):
+        interpolants.append(
+            known[:, offset : offset + rule.n] @ _tables(leg.scheme, trial.degree).interpolate
+        )
+        offset += rule.n
+    segments = np.clip(np.searchsorted(leg.breaks, pieces.times, "right") - 1, 0, leg.mesh.segments - 1)
+    counts = unconstrained(samples, error.yardstick.pure_paths)[segments]
+    residual = np.abs(np.hstack(interpolants) - rates(pieces.times)) * costate_worth(samples)[:, None]
+    return np.where(counts, residual, 0.0)
+
+
+def trial_pieces(yardstick: Yardstick, trials: Sequence[Piece]) -> Pieces:
+    """Return what collocation would make of the known trajectory on each trial segment."""
+    leg, functions = yardstick.leg, yardstick.functions
+    tables = [_tables(leg.scheme, trial.degree) for trial in trials]
+    starts = np.array([t.start for t in trials])
+    halves = np.array([0.5 * (t.end - t.start) for t in trials])
+    rules = [collocation_rule(leg.scheme, t.degree) for t in trials]
+    points = np.concatenate([s + h * (1 + r.points) for s, h, r in zip(starts, halves, rules, strict=True)])
+    x, u = leg.x(points), leg.u(points)
+    rates, integrands = functions.rates(points, x, u), functions.integrands(points, x, u)
+    first_states = leg.x(starts)
+    x_rates, xs, us, integrals, times, weights = [], [], [], [], [], []
+    offset = 0
+    for k, (table, rule) in enumerate(zip(tables, rules, strict=True)):
+        at = slice(offset, offset + rule.n)
+        offset += rule.n
+        half = halves[k]
+        times.append(starts[k] + half * (1 + table.tau))
+        weights.append(half * table.weights)
+        x_rates.append(rates[:, at] @ table.interpolate)
+        xs.append(first_states[:, k : k + 1] + half * (rates[:, at] @ table.integrate))
+        us.append(u[:, at] @ table.interpolate)
+        integrals.append(half * (integrands[:, at] @ rule.weights))
+    sizes = [t.size for t in times]
+    return Pieces(
+        np.concatenate(times),
+        np.concatenate(weights),
+        np.concatenate([[0], np.cumsum(sizes[:-1])]).astype(np.int64),
+        np.hstack(xs),
+        np.hstack(x_rates),
+        np.hstack(us),
+        np.stack(integrals, axis=1),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Tables:
+    """Where a trial of one degree is sampled on [-1, 1], and how its points' values get there."""
+
+    tau: Array
+    weights: Array
+    interpolate: Array
+    integrate: Array
+
+
+@cache
+def _tables(scheme: Scheme, degree: int) -> _Tables:
+    rule, fine = collocation_rule(scheme, degree), gauss_rule(min(degree + EXTRA, 64))
+    tau = np.concatenate([[-1.0], fine.points, [1.0]])
+    weights = np.concatenate([[0.0], fine.weights, [0.0]])
+    return _Tables(tau, weights, interpolation_matrix(rule.points, tau).T, rule.integrate_to(tau).T)

@@ -1,0 +1,145 @@
+"""Where a trajectory is not smooth: switches, and ends of arcs on a bound or path constraint."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.problem.interval import Interval
+from gnc_opt.refine.error import PhaseError, states_at_points
+from gnc_opt.solution.phase_solution import PhaseSolution
+
+UNSURE = 0.05
+"""A switch is trusted to lie this close to its estimate, in shares of its segment."""
+
+CLEAR = 1e-6
+"""A switching function counts as crossing zero if it is larger than this on both sides, in shares of H."""
+
+MOST = 3
+"""More kinks than this in one segment are chatter or noise."""
+
+
+@dataclass(frozen=True)
+class Kink:
+    """An interval of time in which the trajectory has a kink or a jump."""
+
+    start: float
+    end: float
+
+
+def find_kinks(error: PhaseError, k: int, active: Mask) -> list[Kink]:
+    """Return the kinks in segment k, in order and not overlapping; none if they cannot be told from noise.
+
+    Parameters
+    ----------
+    error : PhaseError
+    k : int
+    active : bool array (rows, N)
+        The phase's `activity`, which is dear and the same for all segments.
+    """
+    found = _switches(error, k) or _junctions(error, k, active)
+    found.sort(key=lambda kink: kink.start)
+    merged: list[Kink] = []
+    for kink in found:
+        if merged and kink.start <= merged[-1].end:
+            merged[-1] = Kink(merged[-1].start, max(kink.end, merged[-1].end))
+        else:
+            merged.append(kink)
+    return merged if len(merged) <= MOST else []
+
+
+def _switches(error: PhaseError, k: int) -> list[Kink]:
+    """Zeros of dH/du with a control on its bound: there it leaves the bound, or jumps to the other one."""
+    samples = error.samples
+    leg, bounds = samples.leg, samples.leg.control_bounds
+    inside = np.flatnonzero(samples.segments == k)
+    times = samples.times[inside]
+    margin = UNSURE * (times[-1] - times[0])
+    found = []
+    for i in range(leg.controls.size):
+        unit = samples.control_scale[i] / samples.hamiltonian_scale
+        roots: list[float] = []
+        for level in {float(bounds.lower[i]), float(bounds.upper[i])}:
+            if np.isfinite(level) and _reaches(
+                samples.u_polynomial[i, inside], level, samples.control_scale[i]
+            ):
+                roots += _crossings(_gradient_at(error, i, level, k), times, unit)
+        found += [Kink(t - margin, t + margin) for t in roots]
+    return found
+
+
+def _reaches(values: Array, level: float, scale: float) -> bool:
+    return bool(np.min(np.abs(values - level)) < 0.1 * scale)
+
+
+def _gradient_at(error: PhaseError, i: int, level: float, k: int) -> Callable[[Array], Array]:
+    """Return d(H + mu.c)/du_i over time with control i at a level."""
+    leg, functions = error.samples.leg, error.samples.functions
+
+    def gradient(t: Array) -> Array:
+        u = leg.flown.clipped(t)
+        u[i] = level
+        mu = leg.path_multiplier(t) if leg.path_labels else np.zeros((0, t.size))
+        return np.asarray(functions.control_gradient(t, leg.x(t), u, leg.lam(t), mu)[i])
+
+    return gradient
+
+
+def _crossings(gradient: Callable[[Array], Array], times: Array, unit: float) -> list[float]:
+    values = gradient(times) * unit
+    changes = np.flatnonzero(values[:-1] * values[1:] < 0)
+    if not changes.size or not (np.max(values) > CLEAR and np.min(values) < -CLEAR):
+        return []
+    return [
+        float(brentq(lambda t: float(gradient(np.array([t]))[0]), times[j], times[j + 1])) for j in changes
+    ]
+
+
+def _junctions(error: PhaseError, k: int, active: Mask) -> list[Kink]:
+    """Gaps between neighbouring points on and off a bound or path constraint."""
+    leg = error.samples.leg
+    points, offsets = leg.point_times, leg.mesh.offsets
+    first, last = max(offsets[k] - 1, 0), min(offsets[k + 1], points.size - 1)
+    left, right = leg.breaks[k], leg.breaks[k + 1]
+    changes = np.flatnonzero(np.any(active[:, first:last] != active[:, first + 1 : last + 1], axis=0)) + first
+    kinks = [Kink(max(float(points[j]), left), min(float(points[j + 1]), right)) for j in changes]
+    return [kink for kink in kinks if kink.end > kink.start]
+
+
+def activity(error: PhaseError) -> Mask:
+    """Return which bound or path constraint is active at which collocation point, (rows, N).
+
+    Of slack, in shares of the quantity's magnitude, and multiplier, in shares of H, the larger one tells.
+    """
+    leg, yardstick = error.samples.leg, error.yardstick
+    x, u = states_at_points(leg), np.hstack(leg.u.values)
+    worth = error.samples.hamiltonian_scale
+    rows = [
+        _active(x, leg.state_bounds, leg.state_multipliers, yardstick.state, worth),
+        _active(u, leg.control_bounds, leg.control_multipliers, yardstick.control, worth),
+    ]
+    if leg.path_labels:
+        values = yardstick.functions.paths(leg.point_times, x, u)
+        rows.append(_active(values, leg.path_bounds, leg.path_multipliers, yardstick.path, worth))
+    return np.concatenate(rows)
+
+
+def _active(values: Array, bounds: Interval, multipliers: Array, scale: Array, worth: float) -> Mask:
+    gap = np.minimum(values - bounds.lower[:, None], bounds.upper[:, None] - values)
+    pull = np.abs(multipliers) * scale[:, None] / worth
+    return np.asarray((pull > gap / scale[:, None]) & (bounds.lower < bounds.upper)[:, None] & (pull > CLEAR))
+
+
+def bracketed(leg: PhaseSolution, k: int, kinks: list[Kink]) -> list[float]:
+    """Return boundaries that enclose the kinks of segment k tightly, its own ends included."""
+    left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
+    least = 0.02 * (right - left)
+    cuts = [left]
+    for edge in (edge for kink in kinks for edge in (kink.start, kink.end)):
+        if edge - cuts[-1] > least and right - edge > least:
+            cuts.append(edge)
+    return [*cuts, right]

@@ -1,0 +1,309 @@
+"""hp refinement: solve, estimate the error between the nodes, improve the mesh, until the error is small.
+
+Every pass starts warm from states, controls and multipliers of the last one. The error comes from model and
+trajectory alone, see `gnc_opt.refine.error`; how the mesh changes is in `gnc_opt.refine.hp.remesh`.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from gnc_opt.errors import GncOptError
+from gnc_opt.nlp import SolverOptions, Status
+from gnc_opt.refine.error import NEGLIGIBLE, PhaseError, estimate_errors
+from gnc_opt.refine.hp.remesh import SAFETY, Past, Remesh, known_segments
+from gnc_opt.refine.passes import pass_meter, pass_record
+from gnc_opt.solution.history import Actions, History, Pass, RefinementStatus
+from gnc_opt.solution.solution import Solution
+from gnc_opt.solution.solve_mesh import solve_mesh
+from gnc_opt.transcription.mesh import Mesh
+
+PATIENCE = 4
+"""Passes without progress after which refining stops."""
+
+PROGRESS = 0.5
+"""Progress means that the largest error, or the sum of all, falls to this share of its best so far."""
+
+WARM_ITERATIONS = 150
+"""A warm start that takes longer has lost its way."""
+
+STAGE = 1e-4
+"""Each pass aims at this share of the error before it, and at least at this error."""
+
+WORTH_TRIMMING = 0.9
+"""An accurate solution is solved once more if the mesh can shrink to this share, ..."""
+
+BOLD = 0.5
+"""... expecting this share of the tolerance, ..."""
+
+DEPARTURE = 0.01
+"""... with states that move by this share of the tolerance's root (of an optimal cost, they only move the second
+order), ..."""
+
+TRIMS, REPAIRS = 3, 3
+"""... at most so often, and with so many passes to mend what became too coarse."""
+
+UNEXPLAINED = 10.0
+"""An objective that moves by more than this many times the error of the last mesh has not settled."""
+
+NextMeshes: TypeAlias = "tuple[dict[str, Mesh], Actions]"
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """A solution with its error."""
+
+    solution: Solution
+    errors: dict[str, PhaseError]
+    record: Pass
+
+    @property
+    def total(self) -> float:
+        """Sum of the errors of all segments."""
+        return float(sum(np.sum(np.minimum(e.worst, 1e6)) for e in self.errors.values()))
+
+
+def refine_mesh(
+    solution: Solution,
+    *,
+    tol: float = 1e-8,
+    max_passes: int = 20,
+    max_points: int = 1000,
+    options: SolverOptions | None = None,
+    progress: bool = False,
+) -> tuple[Solution, History]:
+    """Return the solution on a mesh on which its estimated error is at most ``tol``, and how it came about.
+
+    Parameters
+    ----------
+    solution : Solution
+        With its problem; its mesh is the first.
+    tol : float
+        Bound on the error of every segment: dynamics, integrals, bounds and paths between the nodes, each
+        dimensionless; see `gnc_opt.refine.error`.
+    max_passes : int
+        At most so many solves.
+    max_points : int
+        At most so many collocation points in any phase.
+    options : SolverOptions, optional
+        For the solves.
+    progress : bool
+        Show one line per pass.
+
+    Returns
+    -------
+    Solution
+        The best one: the smallest mesh of those within the tolerance, or else the one with the least error.
+    History
+        Its ``status`` and ``message`` say how it ended.
+
+    Raises
+    ------
+    GncOptError
+        The solution has no problem, or did not converge itself.
+    """
+    if not solution.status.solved:
+        raise GncOptError(
+            f"the solution of '{solution.problem_name}' ended as {solution.status.value}: refine one that is solved."
+        )
+    refinement = _Refinement(solution, tol, max_points, options)
+    with pass_meter(solution.problem_name, tol, progress) as show:
+        status = refinement.run(max_passes, show)
+    return refinement.result(status)
+
+
+class _Refinement:
+    """The loop and what it remembers."""
+
+    def __init__(
+        self, solution: Solution, tol: float, max_points: int, options: SolverOptions | None
+    ) -> None:
+        self._problem = solution.need_problem("refine")
+        self._scheme = solution.scheme
+        self._tol, self._max_points = tol, max_points
+        self._options = options or SolverOptions(tolerance=min(1e-9, 0.1 * tol))
+        self._records: list[Pass] = []
+        self._past: dict[str, Past] = {}
+        self._totals: list[float] = []
+        self._trims = self._repairs = 0
+        self._departure = DEPARTURE * math.sqrt(tol)
+        self._confirming = False
+        begin = time.perf_counter()
+        self._state = self._judge(solution, begin, Actions())
+        self._best, self._chosen = self._state, 0
+
+    def run(self, max_passes: int, show: Callable[[Pass], None]) -> RefinementStatus:
+        """Refine until one of the endings."""
+        show(self._records[-1])
+        for _ in range(max_passes):
+            plan = self._plan()
+            if isinstance(plan, RefinementStatus):
+                return plan
+            meshes, actions = plan
+            self._past = {name: known_segments(e) for name, e in self._state.errors.items()}
+            status = self._solve(meshes, actions)
+            show(self._records[-1])
+            if not status.solved:
+                return self._ending_without(status)
+        done = self._converged(self._best.record)
+        return RefinementStatus.CONVERGED if done else RefinementStatus.PASS_LIMIT
+
+    def _plan(self) -> NextMeshes | RefinementStatus:
+        """Return the next meshes with what was done to get them, or how it ends here."""
+        if self._converged(self._state.record):
+            if not self._settled():
+                return RefinementStatus.STALLED if self._confirming else self._confirm()
+            self._confirming = False
+            plan = self._trimmed()
+            if plan is None:
+                return RefinementStatus.CONVERGED
+            self._trims += 1
+            return plan
+        if self._trims:  # mend a mesh that has become too small, as long as it stays smaller
+            plan = self._finer(self._tol, False)
+            self._repairs += 1
+            smaller = _size(plan[0]) < self._best.record.points
+            return plan if smaller and self._repairs <= REPAIRS else RefinementStatus.CONVERGED
+        return self._next()
+
+    def _next(self) -> NextMeshes | RefinementStatus:
+        """Refine what is inaccurate and merge what is too fine, unless merging has just made things worse.
+
+        The aim comes closer in stages: while the trajectory still moves, details are premature. Where the points
+        do not suffice for a stage, they go to the worst segments.
+        """
+        last = self._state.record
+        worse = (
+            last is not self._best.record and isinstance(last.actions, Actions) and last.actions.merged > 0
+        )
+        stage = max(self._tol, min(STAGE * last.error, STAGE))
+        plan = self._finer(stage, not worse)
+        while self._too_many(plan[0]):
+            stage *= 10.0
+            if stage > 0.5 * last.error:
+                return RefinementStatus.POINT_LIMIT
+            plan = self._finer(stage, True)
+        return RefinementStatus.STALLED if self._stalled(plan[0]) else plan
+
+    def _finer(self, stage: float, merging: bool) -> NextMeshes:
+        merge_tol = SAFETY * self._tol if merging else None
+        return self._remeshed(
+            lambda name, error: Remesh(
+                error, stage, self._past.get(name, {}), merge_tol, SAFETY * self._tol
+            ).mesh()
+        )
+
+    def _trimmed(self) -> NextMeshes | None:
+        """Return smaller meshes for an accurate solution, or None if there is not much to gain."""
+        plan = self._remeshed(
+            lambda _, error: Remesh(error, self._tol, {}, BOLD * self._tol, self._departure).mesh()
+        )
+        worth = _size(plan[0]) <= WORTH_TRIMMING * self._state.record.points
+        return plan if worth and self._trims < TRIMS else None
+
+    def _remeshed(self, remesh: Callable[[str, PhaseError], tuple[Mesh, Actions]]) -> NextMeshes:
+        meshes, total = {}, Actions()
+        for name, error in self._state.errors.items():
+            meshes[name], actions = remesh(name, error)
+            total = total + actions
+        return meshes, total
+
+    def _settled(self) -> bool:
+        """Whether the objective has moved no more than the error of the last mesh explains.
+
+        A control that chatters can be exact on every mesh and different on each.
+        """
+        if len(self._records) < 2 or self._trims:
+            return True
+        old, new = self._records[-2:]
+        worth = max(NEGLIGIBLE, abs(new.objective), *(_cost_scale(e) for e in self._state.errors.values()))
+        return abs(new.objective - old.objective) <= (UNEXPLAINED * max(old.error, self._tol)) * worth
+
+    def _confirm(self) -> NextMeshes:
+        """Halve all segments: a proper solution stays where it is."""
+        self._confirming = True
+        meshes = {name: _halved(mesh) for name, mesh in self._state.record.meshes.items()}
+        return meshes, Actions(split=sum(mesh.segments for mesh in self._state.record.meshes.values()))
+
+    def _too_many(self, meshes: dict[str, Mesh]) -> bool:
+        return max(mesh.size for mesh in meshes.values()) > self._max_points
+
+    def result(self, status: RefinementStatus) -> tuple[Solution, History]:
+        """Return the best solution and the record."""
+        best = self._best.record
+        message = f"{status.value}: error {best.error:.1e} (wanted {self._tol:.1e})"
+        message += "" if status is RefinementStatus.CONVERGED else f" at {best.where}. {status.remedy}"
+        history = History(status, self._tol, tuple(self._records), self._chosen, message)
+        return self._best.solution, history
+
+    def _ending_without(self, status: Status) -> RefinementStatus:
+        if self._converged(self._best.record):
+            return RefinementStatus.CONVERGED
+        return RefinementStatus.INTERRUPTED if status is Status.INTERRUPTED else RefinementStatus.FAILED
+
+    def _converged(self, record: Pass) -> bool:
+        return record.solved and record.error <= self._tol
+
+    def _stalled(self, meshes: dict[str, Mesh]) -> bool:
+        """Whether nothing is left to do, or neither the largest error nor the sum of all has fallen lately."""
+        if meshes == self._state.record.meshes:
+            return True
+        if len(self._records) <= PATIENCE:
+            return False
+        errors = [r.error for r in self._records if r.solved]
+        return all(
+            min(values[-PATIENCE:]) > PROGRESS * min(values[:-PATIENCE]) for values in (errors, self._totals)
+        )
+
+    def _solve(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
+        """Solve on new meshes, warm, then cold; remember the pass."""
+        begin = time.perf_counter()
+        solution = solve_mesh(
+            self._problem,
+            meshes,
+            scheme=self._scheme,
+            guess=self._state.solution,
+            options=self._options,
+            warm_iterations=WARM_ITERATIONS,
+        )
+        self._state = self._judge(solution, begin, actions)
+        if self._better(self._state.record, self._best.record):
+            self._best, self._chosen = self._state, len(self._records) - 1
+        return solution.status
+
+    def _judge(self, solution: Solution, begin: float, actions: Actions) -> _State:
+        errors = estimate_errors(solution)
+        record = pass_record(solution, errors, begin, actions)
+        self._records.append(record)
+        state = _State(solution, errors, record)
+        self._totals.append(state.total)
+        return state
+
+    def _better(self, new: Pass, old: Pass) -> bool:
+        if self._converged(new) and self._converged(old):
+            return new.points < old.points
+        return new.solved and new.error < old.error
+
+
+def _size(meshes: dict[str, Mesh]) -> int:
+    return sum(mesh.size for mesh in meshes.values())
+
+
+def _halved(mesh: Mesh) -> Mesh:
+    breaks = np.asarray(mesh.breaks)
+    times = np.sort(np.concatenate([breaks, 0.5 * (breaks[1:] + breaks[:-1])]))
+    return Mesh.at_times(times, [n for n in mesh.degrees for _ in range(2)])
+
+
+def _cost_scale(error: PhaseError) -> float:
+    """The magnitude of the integrals' share of the cost."""
+    leg = error.samples.leg
+    return (
+        float(np.sum(np.abs(leg.integral_weights) * error.yardstick.integral)) if leg.integral_labels else 0.0
+    )

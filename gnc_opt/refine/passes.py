@@ -1,0 +1,38 @@
+"""The passes of a refinement: how each is recorded and whether it is shown."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
+
+from gnc_opt.refine.error import PhaseError, largest_error
+from gnc_opt.solution.history import Actions, Pass
+from gnc_opt.solution.solution import Solution
+
+
+def pass_record(
+    solution: Solution, errors: Mapping[str, PhaseError], begin: float, actions: Actions | str
+) -> Pass:
+    """Return the record of a pass that began at a time (as `time.perf_counter` counts) and ended with a solution."""
+    error, where = largest_error(errors)
+    return Pass(
+        meshes={name: leg.mesh for name, leg in solution.phases.items()},
+        times={name: tuple(float(t) for t in leg.breaks) for name, leg in solution.phases.items()},
+        error=error,
+        where=where,
+        objective=solution.objective,
+        solved=solution.status.solved,
+        iterations=solution.statistics.iterations,
+        seconds=time.perf_counter() - begin,
+        actions=actions,
+    )
+
+
+def pass_meter(name: str, tol: float, shown: bool) -> AbstractContextManager[Callable[[Pass], None]]:
+    """Return a context whose value shows a pass, or does nothing; see `gnc_opt.report.refinement`."""
+    if not shown:
+        return nullcontext(lambda _: None)
+    from gnc_opt.report.refinement import refinement_meter
+
+    return refinement_meter(name, tol)

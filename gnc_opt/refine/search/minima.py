@@ -1,0 +1,121 @@
+"""Local minima and which of them are the same."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.solution.propagation import state_magnitudes
+from gnc_opt.solution.solution import Solution
+
+SAME = 1e-6
+"""Relative difference of the objective below which two minima are one."""
+
+SAME_TRAJECTORY = 1e-2
+"""Difference of two trajectories, in shares of the states' magnitudes, beyond which they are distinct."""
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """A local minimum.
+
+    Attributes
+    ----------
+    solution : Solution
+        The best of those that are equal.
+    objective : float
+    hits : int
+        How many starts ended here.
+    starts : tuple of int
+        Which ones; 0 is the problem's own guess.
+    trajectories : int
+        How many different trajectories with this objective were met, e.g. 2 for mirror twins.
+    coarse_objectives : tuple of float
+        The objectives on the coarse mesh that led here; one minimum may have several discretisations.
+    refined : bool
+        Whether the solution has been refined, or comes from the coarse mesh.
+    verdict_ok : bool
+        Whether it passed the verdict; False if it was not judged.
+    """
+
+    solution: Solution
+    objective: float
+    hits: int
+    starts: tuple[int, ...]
+    trajectories: int
+    coarse_objectives: tuple[float, ...]
+    refined: bool = False
+    verdict_ok: bool = False
+
+    @property
+    def standing(self) -> Literal["ok", "NOT ok", "coarse"]:
+        """What the objective is worth: refined and accepted by the verdict, rejected by it, or of the coarse mesh."""
+        if self.verdict_ok:
+            return "ok"
+        return "NOT ok" if self.refined else "coarse"
+
+
+def merged(minima: Iterable[Minimum]) -> list[Minimum]:
+    """Return the distinct minima, best first, whatever the order they come in."""
+    groups: list[list[Minimum]] = []
+    for minimum in sorted(minima, key=_rank):
+        if groups and equal(groups[-1][-1].objective, minimum.objective):
+            groups[-1].append(minimum)
+        else:
+            groups.append([minimum])
+    return [_one(group) for group in groups]
+
+
+def _rank(minimum: Minimum) -> tuple[float, int]:
+    sense = -1.0 if minimum.solution.maximised else 1.0
+    return sense * minimum.objective, minimum.starts[0]
+
+
+def equal(a: float, b: float) -> bool:
+    """Whether two objectives are one within `SAME`."""
+    return abs(a - b) <= SAME * max(abs(a), abs(b), SAME)
+
+
+def _one(group: Sequence[Minimum]) -> Minimum:
+    """Join equal minima under the most trustworthy solution; among these, that of the earliest start."""
+    chief = min(group, key=lambda m: (not m.verdict_ok, not m.refined, m.starts[0]))
+    starts = sorted(start for minimum in group for start in minimum.starts)
+    return replace(
+        chief,
+        hits=len(starts),
+        starts=tuple(starts),
+        trajectories=_count_trajectories(group),
+        coarse_objectives=_distinct(value for minimum in group for value in minimum.coarse_objectives),
+    )
+
+
+def _distinct(objectives: Iterable[float]) -> tuple[float, ...]:
+    """Return values in increasing order, equal ones once."""
+    kept: list[float] = []
+    for value in sorted(objectives):
+        if not (kept and equal(kept[-1], value)):
+            kept.append(value)
+    return tuple(kept)
+
+
+def _count_trajectories(group: Sequence[Minimum]) -> int:
+    """Count different trajectories among equal minima, each of which may stand for several already."""
+    samples: list[Array] = []
+    for minimum in group:
+        sample = _sample(minimum.solution)
+        if all(np.max(np.abs(sample - other)) > SAME_TRAJECTORY for other in samples):
+            samples.append(sample)
+    return max(len(samples), *(minimum.trajectories for minimum in group))
+
+
+def _sample(solution: Solution) -> Array:
+    """Return all states at 21 times of each phase, in shares of their magnitudes."""
+    rows: list[Array] = []
+    for leg in solution.phases.values():
+        times = np.linspace(leg.initial_time, leg.final_time, 21)
+        rows.append((leg.x(times) / state_magnitudes(leg)[:, None]).ravel())
+    return np.concatenate(rows)

@@ -1,0 +1,1 @@
+"""Derivatives of a solution with respect to the data of its problem."""

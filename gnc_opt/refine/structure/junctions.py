@@ -1,0 +1,102 @@
+r"""Junctions of interior arcs with bound arcs: kinks of a control that H determines.
+
+Where H is strictly convex in a control, the control is continuous, and it enters or leaves a bound (or a mixed path
+constraint) with a kink. The cost hardly depends on the time :math:`t_k` of a kink: held on its bound too long or too
+short by :math:`\delta`, the control is wrong by :math:`O(\delta)` for a time :math:`\delta`, which costs
+:math:`O(\delta^3)`. As a variable of the program the time of a kink would therefore drift to wherever the error of
+the discretisation is most welcome.
+
+But states and costates are wrong only by :math:`O(\delta^2)`. So a kink is kept where it is during a solve, in which
+the control is held on one side and free *of its bounds* on the other; then it moves to where the control of the
+interior arc meets the bound (it was held too short) or the switching function of the held arc changes sign (too
+long). Repeating this converges quadratically.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.optimize import brentq
+
+from gnc_opt.arrays import Array
+from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.refine.structure.plan import Plan
+from gnc_opt.solution.polynomial import Side
+from gnc_opt.solution.samples import PhaseSamples
+
+SETTLED = 1e-8
+"""A kink that wants to move by less than this share of the phase is where it belongs."""
+
+
+def move_kinks(samples: PhaseSamples, plan: Plan) -> PhaseStructure | None:
+    """Return the structure with its kinks where the solution wants them, or None if they are there.
+
+    Pieces may be left with no length, or less.
+    """
+    structure = plan.structure
+    times = list(structure.times)
+    for boundary in range(1, structure.pieces):
+        if structure.kinked(boundary):
+            wanted = [_wanted(samples, plan, boundary, i) for i in structure.changes(boundary)]
+            times[boundary] = max(wanted, key=lambda t: abs(t - structure.times[boundary]))
+    moves = np.abs(np.asarray(times) - np.asarray(structure.times))
+    if np.max(moves) <= SETTLED * (times[-1] - times[0]):
+        return None
+    return structure.at(tuple(times))
+
+
+def _wanted(samples: PhaseSamples, plan: Plan, boundary: int, row: int) -> float:
+    """Where one control or path constraint wants its kink."""
+    before, after = (plan.structure.kinds[k][row] for k in (boundary - 1, boundary))
+    held, interior = (boundary - 1, boundary) if before.at_limit else (boundary, boundary - 1)
+    direction = before.sign or after.sign
+    n_controls = len(plan.structure.controls)
+    signals = _control_signals if row < n_controls else _path_signals
+    pieces = plan.segment_pieces[samples.segments]
+    for piece, number in ((interior, 0), (held, 1)):
+        here = np.flatnonzero(pieces == piece)
+        side: Side = "right"
+        if piece < boundary:
+            here, side = here[::-1], "left"
+        index = row if row < n_controls else row - n_controls
+
+        def offence(t: float, side: Side = side, number: int = number, index: int = index) -> float:
+            return direction * signals(samples, index, direction, side, t)[number]
+
+        reach = _reach(samples.times[here], offence)
+        if reach is not None:
+            return reach
+    return plan.structure.times[boundary]
+
+
+def _control_signals(
+    samples: PhaseSamples, i: int, direction: int, side: Side, t: float
+) -> tuple[float, float]:
+    """How far a control lies above its limit, and its switching function."""
+    leg, bounds = samples.leg, samples.leg.control_bounds
+    u, mu = leg.u(t, side), leg.path_multiplier(t, side)
+    limit = bounds.upper[i] if direction > 0 else bounds.lower[i]
+    gradient = samples.functions.control_gradient(t, leg.x(t, side), u, leg.lam(t, side), mu)
+    return float(u[i] - limit), float(gradient[i])
+
+
+def _path_signals(samples: PhaseSamples, i: int, direction: int, side: Side, t: float) -> tuple[float, float]:
+    """How far a path constraint lies above its limit, and its multiplier with the sign reversed."""
+    leg, bounds = samples.leg, samples.leg.path_bounds
+    limit = bounds.upper[i] if direction > 0 else bounds.lower[i]
+    value = samples.functions.paths(t, leg.x(t, side), leg.u(t, side))[i]
+    return float(value - limit), -float(leg.path_multiplier(t, side)[i])
+
+
+def _reach(times: Array, offence: Callable[[float], float]) -> float | None:
+    """Return up to where an offence that starts at the first time reaches, or None if there is none."""
+    left = float(times[0])
+    if offence(left) <= 0:
+        return None
+    for t in times[1:]:
+        right = float(t)
+        if offence(right) <= 0:
+            return float(brentq(offence, left, right, xtol=1e-14 * max(1.0, abs(right))))
+        left = right
+    return float(times[-1])

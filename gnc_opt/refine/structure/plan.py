@@ -1,0 +1,170 @@
+"""What one pass of the structure loop solves: pieces, how finely each is collocated, which boundaries may move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gnc_opt.arrays import Indices, Mask
+from gnc_opt.problem.arc import ArcKind
+from gnc_opt.problem.held import Smooth
+from gnc_opt.problem.problem import Problem
+from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose
+from gnc_opt.transcription.mesh import Mesh
+
+FIRST_DEGREE, MAX_DEGREE = 6, 12
+"""Collocation points of a piece to begin with, and of one segment at most; a piece that needs more is split."""
+
+SINGULAR_DEGREE, MAX_SINGULAR_DEGREE = 4, 28
+"""Degree of the polynomial that a control is over a singular piece, to begin with and at most."""
+
+HELPED = 0.3
+"""A higher degree of a singular control has helped if it leaves at most this share of dH/du."""
+
+INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
+"""First degree of an interior piece, and the number of its segments if it were the whole phase."""
+
+MAX_SEGMENTS = 32
+"""Segments of a piece at most."""
+
+COARSE = 100
+"""Collocation points per phase up to which a mesh says nothing about pieces; a finer one was asked for."""
+
+THINNED = 1.5
+"""Points of a finer mesh for one point of the pieces, which converge faster than a mesh that switches fall into."""
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """How finely a piece is collocated.
+
+    Attributes
+    ----------
+    segments, degree : int
+        Equal segments and their collocation points.
+    smooth : int
+        Degree of the polynomials that singular controls are over the whole piece; 0: no such polynomials.
+    gradient : float
+        Largest dH/du that was left along the piece with the degree before; see `smoother`.
+    """
+
+    segments: int = 1
+    degree: int = FIRST_DEGREE
+    smooth: int = 0
+    gradient: float = np.inf
+
+    def finer(self) -> Resolution:
+        """Return the next finer resolution of states and costates; the finest one is itself."""
+        if self.degree < MAX_DEGREE:
+            return replace(self, degree=min(self.degree + 3, MAX_DEGREE))
+        return replace(self, segments=min(2 * self.segments, MAX_SEGMENTS))
+
+    def smoother(self, gradient: float) -> Resolution:
+        """Return the resolution with singular controls of a higher degree, and points enough for them.
+
+        It is itself where the last higher degree did not help much: what is left of dH/du is rounding, or no smooth
+        control can remove it.
+        """
+        if self.smooth == 0 or gradient > HELPED * self.gradient:
+            return self
+        smooth = min(self.smooth + 4, MAX_SINGULAR_DEGREE)
+        segments = max(self.segments, int(np.ceil(2 * smooth / self.degree)))
+        return replace(self, smooth=smooth, segments=segments, gradient=gradient)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Structure and resolution of one phase.
+
+    Attributes
+    ----------
+    structure : PhaseStructure
+    resolutions : tuple of Resolution
+        One per piece.
+    points : float
+        Collocation points of the mesh that the structure was found on, if all of it were as coarse as its coarsest
+        segment. Pieces of a fine mesh start with more than the coarsest resolution: oscillations that are many times
+        shorter than a piece are otherwise aliased, and the loop settles on a structure that is none.
+    """
+
+    structure: PhaseStructure
+    resolutions: tuple[Resolution, ...]
+    points: float = 0.0
+
+    @classmethod
+    def of(cls, structure: PhaseStructure, points: float = 0.0) -> Plan:
+        """Return a plan that starts with the coarsest resolution that suits a mesh of so many points."""
+        first = tuple(_first_resolution(structure, k, points) for k in range(structure.pieces))
+        return cls(structure, first, points)
+
+    @property
+    def segment_pieces(self) -> Indices:
+        """The piece of every segment (K,)."""
+        return np.repeat(np.arange(self.structure.pieces), [r.segments for r in self.resolutions])
+
+    @property
+    def piece_ends(self) -> tuple[int, ...]:
+        """Indices of the mesh breaks at which pieces start and end; A + 1 of them."""
+        return (0, *(int(n) for n in np.cumsum([r.segments for r in self.resolutions])))
+
+    def mesh(self) -> Mesh:
+        """Return the mesh whose boundaries between pieces are movable, but for kinks, which stay where they are."""
+        times = [self.structure.times[0]]
+        degrees: list[int] = []
+        for k, r in enumerate(self.resolutions):
+            left, right = self.structure.times[k], self.structure.times[k + 1]
+            times += [left + (right - left) * (i + 1) / r.segments for i in range(r.segments)]
+            degrees += [r.degree] * r.segments
+        fractions = (np.asarray(times) - times[0]) / (times[-1] - times[0])
+        inner = range(1, self.structure.pieces)
+        movable = tuple(self.piece_ends[k] for k in inner if not self.structure.kinked(k))
+        return Mesh(tuple(fractions), tuple(degrees), movable)
+
+    def hold(self, problem: Problem, phase: str) -> Problem:
+        """Return the problem with controls, path constraints and states held as the structure says."""
+        structure, segments = self.structure, self.segment_pieces
+        n_controls, n_paths = len(structure.controls), len(structure.paths)
+        regular = np.asarray(structure.regular, dtype=bool)[:, None]
+        # An interior control may leave its bounds: by how much tells where its arc has to end.
+        controls = _released(structure.controls, regular[:n_controls])
+        controls = choose(controls == ArcKind.SINGULAR, ArcKind.INTERIOR, controls)
+        paths = _released(structure.paths, regular[n_controls : n_controls + n_paths])
+        states = structure.states
+        return problem.with_arcs(
+            phase,
+            arcs=controls[:, segments],
+            paths=paths[:, segments] if paths.size else None,
+            states=states[:, segments] if np.any(states != ArcKind.INTERIOR) else None,
+            smooth=self._smooth(),
+        )
+
+    def _smooth(self) -> tuple[Smooth, ...]:
+        """One polynomial for every control that nothing determines, over each of its pieces."""
+        found, ends = [], self.piece_ends
+        for i, row in enumerate(self.structure.controls):
+            for k in np.flatnonzero(row == ArcKind.SINGULAR):
+                r = self.resolutions[k]
+                if r.smooth and r.smooth < r.segments * r.degree - 1:
+                    found.append(Smooth(i, ends[k], ends[k + 1], r.smooth))
+        return tuple(found)
+
+
+def points_of(mesh: Mesh) -> float:
+    """Return how many points a mesh would have if all of it were as coarse as its coarsest segment."""
+    return float(np.min(np.asarray(mesh.degrees) / np.diff(mesh.breaks)))
+
+
+def _first_resolution(structure: PhaseStructure, piece: int, points: float) -> Resolution:
+    kinds, share = structure.kinds[piece], structure.lengths[piece] / structure.lengths.sum()
+    if ArcKind.SINGULAR in kinds and not structure.constrained(piece):
+        return Resolution(2, FIRST_DEGREE, SINGULAR_DEGREE)
+    if ArcKind.INTERIOR in structure.controls[:, piece]:
+        return Resolution(int(np.ceil(INTERIOR_SEGMENTS * share)), INTERIOR_DEGREE)
+    segments = int(np.ceil(share * points / (THINNED * MAX_DEGREE))) if points > COARSE else 1
+    return Resolution() if segments == 1 else Resolution(min(segments, MAX_SEGMENTS), MAX_DEGREE)
+
+
+def _released(kinds: KindArray, regular: Mask) -> KindArray:
+    """Release the interior pieces of regular rows."""
+    return choose((kinds == ArcKind.INTERIOR) & regular, ArcKind.RELEASED, kinds)

@@ -1,0 +1,322 @@
+"""Switch-time optimisation: the structure loop.
+
+Controls are held on their bounds piece by piece, the times of the switches are variables, and each piece is
+collocated with a high degree; controls between bounds (interior and singular arcs) stay free inside their pieces. The
+costates of the optimum then judge the structure: a piece whose length goes to zero is dropped (or the two switches
+at its ends change places), a switching function of the wrong sign asks for an arc that is missing. The loop ends
+when signs and structure agree everywhere and the error between the nodes is small.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.nlp import SolverOptions
+from gnc_opt.problem.arc import Arc, ArcKind
+from gnc_opt.problem.problem import Problem
+from gnc_opt.refine.error import estimate_errors
+from gnc_opt.refine.passes import pass_meter, pass_record
+from gnc_opt.refine.structure.detect import affine_channels, detect
+from gnc_opt.refine.structure.junctions import move_kinks
+from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose, signs_of
+from gnc_opt.refine.structure.plan import Plan, points_of
+from gnc_opt.solution.history import History, Pass, RefinementStatus
+from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.solution.solution import Solution
+from gnc_opt.solution.solve_mesh import solve_mesh
+
+PATIENCE = 4
+"""Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
+
+KINKS_MOVED, RAISED = "kinks moved", "resolution raised"
+
+VANISHED = 1e-6
+"""A piece shorter than this share of its phase has vanished."""
+
+STATIONARY = 1e-9
+"""First-order gain in H, in shares of H, that may be left along a singular arc."""
+
+WRONG_SIGN = 1e-7
+"""First-order gain in H, in shares of H, beyond which a wrong sign asks for another arc."""
+
+
+def optimise_switches(
+    solution: Solution,
+    *,
+    tol: float = 1e-9,
+    max_passes: int = 40,
+    options: SolverOptions | None = None,
+    progress: bool = False,
+) -> tuple[Solution, History]:
+    """Return the solution with exact switch times and its `structure`, and the history of the loop.
+
+    Parameters
+    ----------
+    solution : Solution
+        A solved collocation solution, with its problem.
+    tol : float
+        On the error between the nodes; see `gnc_opt.refine.error`.
+    max_passes : int
+        At most so many solves.
+    options : SolverOptions, optional
+    progress : bool
+        Show one line per pass.
+    """
+    problem = solution.need_problem("refine")
+    chosen = options or SolverOptions(tolerance=1e-11, max_iterations=200)
+    plans = {name: Plan.of(detect(s), points_of(s.leg.mesh)) for name, s in solution.samples().items()}
+    with pass_meter(solution.problem_name, tol, progress) as show:
+        solution, plans, status, records = _loop(problem, solution, plans, tol, max_passes, chosen, show)
+    best = max(k for k in range(len(records)) if k == 0 or records[k].solved)
+    history = History(status, tol, tuple(records), best, f"{status.value}: {records[-1].actions}")
+    return replace(solution, structure=_arcs(solution, plans)), history
+
+
+def _loop(
+    problem: Problem,
+    solution: Solution,
+    plans: dict[str, Plan],
+    tol: float,
+    max_passes: int,
+    options: SolverOptions,
+    show: Callable[[Pass], None],
+) -> tuple[Solution, dict[str, Plan], RefinementStatus, list[Pass]]:
+    """Solve and mend until nothing is left to mend; return the last solution with its plans and the record."""
+    swapped: set[tuple[str, PhaseStructure]] = set()
+    records: list[Pass] = []
+    current = plans
+    for _ in range(max_passes):
+        begin = time.perf_counter()
+        found = _solve(problem, plans, solution, options)
+        if not found.status.solved:
+            records.append(_record(found, begin, f"not solved ({found.status.value})"))
+            show(records[-1])
+            interrupted = found.status.value == "interrupted"
+            ending = RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
+            return solution, plans, ending, records
+        solution = found
+        current = {name: _at_solution(plan, solution, name) for name, plan in plans.items()}
+        plans, action = _improve(solution, current, swapped, tol)
+        records.append(_record(solution, begin, action or "structure stands"))
+        show(records[-1])
+        if not action:
+            return solution, current, RefinementStatus.CONVERGED, records
+        if _restless(records):
+            return solution, current, RefinementStatus.STALLED, records
+    return solution, current, RefinementStatus.PASS_LIMIT, records
+
+
+def _restless(records: list[Pass]) -> bool:
+    """Whether the structure stays, but neither moving kinks nor finer meshes reduce the error."""
+    last = records[-PATIENCE:]
+    adjusting = all(set(str(r.actions).split(", ")) <= {KINKS_MOVED, RAISED} for r in last)
+    if not adjusting or len(records) <= PATIENCE:
+        return False
+    return min(r.error for r in last) > 0.5 * min(r.error for r in records[:-PATIENCE])
+
+
+def _improve(
+    solution: Solution, plans: dict[str, Plan], swapped: set[tuple[str, PhaseStructure]], tol: float
+) -> tuple[dict[str, Plan], str]:
+    """Mend the structure of one phase, or kinks and resolution of all; return the plans and what was done."""
+    samples = solution.samples()
+    for name, s in samples.items():
+        structure, action = _collapse(s, plans[name].structure, swapped)
+        if structure is not None:
+            return {**plans, name: Plan.of(structure, plans[name].points)}, action
+    adjusted = {name: _adjust(s, plans[name], tol) for name, s in samples.items()}
+    actions = dict.fromkeys(action for _, action in adjusted.values() if action)
+    if actions:
+        return {name: plan for name, (plan, _) in adjusted.items()}, ", ".join(actions)
+    for name, s in samples.items():
+        structure, action = _complete(s, plans[name])
+        if structure is not None:
+            return {**plans, name: Plan.of(structure, plans[name].points)}, action
+    return plans, ""
+
+
+def _adjust(samples: PhaseSamples, plan: Plan, tol: float) -> tuple[Plan, str]:
+    """Move kinks and raise resolutions where the solution asks for it."""
+    moved, finer = move_kinks(samples, plan), _finer(samples, plan, tol)
+    if moved is not None:
+        emptied = np.flatnonzero(moved.lengths < VANISHED * (moved.times[-1] - moved.times[0]))
+        if emptied.size:
+            return Plan.of(
+                plan.structure.without(int(emptied[0])), plan.points
+            ), f"piece {emptied[0] + 1} dropped"
+    actions = (KINKS_MOVED if moved else "", RAISED if finer else "")
+    resolutions = finer.resolutions if finer else plan.resolutions
+    return replace(plan, structure=moved or plan.structure, resolutions=resolutions), ", ".join(
+        filter(None, actions)
+    )
+
+
+def _solve(problem: Problem, plans: Mapping[str, Plan], guess: Solution, options: SolverOptions) -> Solution:
+    held = problem
+    for name, plan in plans.items():
+        held = plan.hold(held, name)
+    meshes = {name: plan.mesh() for name, plan in plans.items()}
+    return replace(solve_mesh(held, meshes, guess=guess, options=options), problem=problem)
+
+
+def _at_solution(plan: Plan, solution: Solution, name: str) -> Plan:
+    """Return the plan with the switch times of the solution."""
+    leg = solution.phases[name]
+    times = tuple(float(t) for t in leg.breaks[list(plan.piece_ends)])
+    return replace(plan, structure=plan.structure.at(times))
+
+
+def _record(solution: Solution, begin: float, action: str) -> Pass:
+    return pass_record(solution, estimate_errors(solution), begin, action)
+
+
+def _arcs(solution: Solution, plans: Mapping[str, Plan]) -> tuple[Arc, ...]:
+    arcs: list[Arc] = []
+    for name, s in solution.samples().items():
+        labels = (*s.leg.controls.labels, *s.leg.path_labels, *s.leg.states.labels)
+        arcs += plans[name].structure.arcs(name, labels)
+    return tuple(arcs)
+
+
+# --- arcs that vanish -----------------------------------------------------------------------------------
+
+
+def _collapse(
+    samples: PhaseSamples, structure: PhaseStructure, swapped: set[tuple[str, PhaseStructure]]
+) -> tuple[PhaseStructure | None, str]:
+    """Return the structure after a piece has vanished and what was done, or None if none has."""
+    lengths = structure.lengths
+    shortest = int(np.argmin(lengths))
+    if structure.pieces == 1 or lengths[shortest] >= VANISHED * lengths.sum():
+        return None, ""
+    other = structure.swapped(shortest)
+    key = (samples.leg.name, structure.at(()))
+    if other is not None and key not in swapped:
+        swapped |= {key, (samples.leg.name, other.at(()))}
+        return _spread(other, shortest), f"switches {shortest} and {shortest + 1} swapped"
+    return structure.without(shortest), f"piece {shortest + 1} dropped"
+
+
+def _spread(structure: PhaseStructure, piece: int) -> PhaseStructure:
+    """Give a swapped piece some length to start from."""
+    times = np.asarray(structure.times)
+    room = 1e-3 * (times[-1] - times[0])
+    middle = 0.5 * (times[piece] + times[piece + 1])
+    left = max(middle - 0.5 * room, 0.5 * (times[piece - 1] + middle))
+    right = min(middle + 0.5 * room, 0.5 * (times[piece + 2] + middle))
+    times[piece], times[piece + 1] = left, right
+    return structure.at(tuple(float(t) for t in times))
+
+
+# --- arcs that are missing --------------------------------------------------------------------------------
+
+
+def _complete(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None, str]:
+    """Return the structure with the arc that a wrong sign asks for and what was done, or None if all agree."""
+    kinds = plan.structure.matrix()[:, plan.segment_pieces[samples.segments]]
+    offence, asked = _offences(samples, plan.structure, kinds)
+    for i in range(offence.shape[0]):
+        _forgive_own_switches(offence[i], kinds[i])
+    if not offence.size or offence.max() < WRONG_SIGN:
+        return None, ""
+    i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
+    start, end = _wrong_interval(samples, offence[i])
+    label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
+    structure = plan.structure.with_arc(i, start, end, asked[i, j])
+    return structure, f"arc of {label} added at {start:.4g} s"
+
+
+def _offences(samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray) -> tuple[Array, KindArray]:
+    """How much each control and path constraint offends where it is, and the place that it asks for.
+
+    A control on a bound with a switching function of the wrong sign offends by the gain in H; it asks for the other
+    bound, or to become interior where H is strictly convex in it. An interior control offends by the share of
+    its range by which it leaves its bounds, and asks for the bound. Mixed path constraints likewise.
+    """
+    bounds, paths = samples.leg.control_bounds, samples.leg.path_bounds
+    values = samples.functions.paths(samples.times, samples.x, samples.u_polynomial)
+    scales = np.concatenate(
+        [samples.control_scale, np.maximum(np.max(np.abs(values), axis=1, initial=0.0), 1e-6)]
+    )
+    # At an upper limit both the switching function and the reversed multiplier must be negative.
+    pull = np.vstack([samples.control_gradient, -samples.mu]) * scales[:, None] / samples.hamiltonian_scale
+    above = np.vstack([samples.u_polynomial - bounds.upper[:, None], values - paths.upper[:, None]])
+    below = np.vstack([bounds.lower[:, None] - samples.u_polynomial, paths.lower[:, None] - values])
+    kinds = kinds[: pull.shape[0]]
+    signs = signs_of(kinds)
+    regular = np.asarray(structure.regular[: pull.shape[0]], dtype=bool)[:, None]
+    affine = np.append(affine_channels(samples), np.zeros(len(values), dtype=bool))[:, None]
+    judged = (affine | regular) & (signs != 0)
+    excess = np.maximum(above, below) / scales[:, None]
+    offence = np.where(judged, signs * pull, np.where(regular & (kinds == ArcKind.INTERIOR), excess, 0.0))
+    opposite = choose(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
+    crossed = choose(above > below, ArcKind.UPPER, ArcKind.LOWER)
+    return offence, choose(judged, choose(regular, ArcKind.INTERIOR, opposite), crossed)
+
+
+def _forgive_own_switches(offence: Array, kinds: KindArray) -> None:
+    """Zero the offences that reach up to one of the channel's own switches.
+
+    There the switching function vanishes at the optimum, and what is left of it is rounding and mesh error.
+    """
+    for j in np.flatnonzero(kinds[1:] != kinds[:-1]):
+        for k in range(int(j), -1, -1):
+            if offence[k] <= 0:
+                break
+            offence[k] = 0.0
+        for k in range(int(j) + 1, offence.size):
+            if offence[k] <= 0:
+                break
+            offence[k] = 0.0
+
+
+def _wrong_interval(samples: PhaseSamples, offence: Array) -> tuple[float, float]:
+    """Return where there is an offence around the worst one: its zeros, from the samples beside them."""
+    times, j = samples.times, int(np.argmax(offence))
+    fine = np.flatnonzero(offence <= 0)
+    before, after = fine[fine < j], fine[fine > j]
+    start = _zero(times, offence, before[-1], before[-1] + 1) if before.size else times[0]
+    end = _zero(times, offence, after[0] - 1, after[0]) if after.size else times[-1]
+    return float(start), float(end)
+
+
+def _zero(times: Array, values: Array, left: int, right: int) -> float:
+    """Zero of a straight line between two samples whose values do not have the same sign."""
+    return float(times[left] - values[left] * (times[right] - times[left]) / (values[right] - values[left]))
+
+
+# --- resolution ---------------------------------------------------------------------------------------------
+
+
+def _finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
+    """Return higher resolutions where dynamics or costates are not met between the nodes, or None."""
+    rates = samples.functions.rates(samples.times, samples.x, samples.u_polynomial)
+    errors = samples.per_segment(samples.x_rate - rates) / samples.state_scale[:, None]
+    gradient = samples.functions.state_gradient(
+        samples.times, samples.x, samples.u_polynomial, samples.lam, samples.mu
+    )
+    residual = samples.per_segment(samples.lam_rate + gradient + samples.state_multiplier)
+    worth = samples.state_scale[:, None] / samples.cost_scale
+    per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
+    worst, open_gradient = np.zeros(plan.structure.pieces), _open_gradient(samples, plan)
+    np.maximum.at(worst, plan.segment_pieces, per_segment)
+    wanted = tuple(
+        r.finer() if e > tol else r.smoother(g) if g > STATIONARY else r
+        for r, e, g in zip(plan.resolutions, worst, open_gradient, strict=True)
+    )
+    return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
+
+
+def _open_gradient(samples: PhaseSamples, plan: Plan) -> Array:
+    """The largest |dH/du| of singular controls in every piece (A,), in shares of H."""
+    kinds = plan.structure.controls[:, plan.segment_pieces[samples.segments]]
+    gain = np.abs(samples.control_gradient) * samples.control_scale[:, None] / samples.hamiltonian_scale
+    per_sample = np.max(np.where(kinds == ArcKind.SINGULAR, gain, 0.0), axis=0, initial=0.0)
+    worst = np.zeros(plan.structure.pieces)
+    np.maximum.at(worst, plan.segment_pieces[samples.segments], per_sample)
+    return worst

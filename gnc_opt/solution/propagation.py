@@ -1,0 +1,110 @@
+"""Independent integration of the dynamics under a solution's control."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.polynomial import legendre
+from scipy.integrate import solve_ivp
+
+from gnc_opt.arrays import Array
+from gnc_opt.problem.functions import PhaseFunctions
+from gnc_opt.solution.phase_solution import PhaseSolution
+
+DIVERGED = 1e8
+"""Growth beyond the trajectory's own magnitude at which propagation is given up."""
+
+
+@dataclass(frozen=True)
+class Propagation:
+    """States that follow from the initial state and the control alone.
+
+    Attributes
+    ----------
+    times : array (n_times,)
+    states : array (n_states, n_times)
+        NaN after the propagation diverged.
+    error : array (n_states,)
+        Final state minus the solution's final state; infinite if it diverged.
+    """
+
+    times: Array
+    states: Array
+    error: Array
+
+
+def propagate(
+    leg: PhaseSolution,
+    functions: PhaseFunctions,
+    *,
+    control: Literal["flown", "polynomial"] = "flown",
+    rtol: float = 1e-11,
+) -> Propagation:
+    """Integrate the dynamics over a phase by DOP853, restarting at every discontinuity of the control.
+
+    Parameters
+    ----------
+    leg : PhaseSolution
+    functions : PhaseFunctions
+        Of the same phase.
+    control : {"flown", "polynomial"}
+        The bounded signal that can be flown, or the collocation polynomial as it is.
+    rtol : float
+        Relative tolerance; the absolute one is ``rtol`` times each state's magnitude.
+    """
+    edges = leg.flown.jumps if control == "flown" else leg.breaks
+    signal = leg.flown if control == "flown" else leg.u
+    magnitude = state_magnitudes(leg)
+    states = [leg.x(leg.breaks[0])]
+    degree = max(leg.mesh.degrees)
+    for left, right in itertools.pairwise(edges):
+        rate = _right_hand_side(functions, signal, left, right, degree)
+        states.append(_integrate(rate, states[-1], left, right, rtol, magnitude))
+        if not np.all(np.isfinite(states[-1])):
+            break
+    columns = np.full((states[0].size, edges.size), np.nan)
+    columns[:, : len(states)] = np.stack(states, axis=1)
+    error = columns[:, -1] - leg.x(leg.breaks[-1], "left")
+    return Propagation(edges, columns, np.where(np.isfinite(error), error, np.inf))
+
+
+def state_magnitudes(leg: PhaseSolution) -> Array:
+    """Return the largest magnitude of each state along the phase (n,), shared by the components of a vector."""
+    largest = np.max(np.abs(leg.x(leg.sample_times())), axis=1)
+    for variable in leg.states.variables:
+        rows = leg.states.slice(variable.name)
+        largest[rows] = np.max(largest[rows])
+    return np.where(largest > 1e-6, largest, 1.0)
+
+
+def _integrate(
+    rate: Callable[[float, Array], Array], x: Array, left: float, right: float, rtol: float, magnitude: Array
+) -> Array:
+    def diverged(_: float, state: Array) -> float:
+        return float(DIVERGED - np.max(np.abs(state) / magnitude))
+
+    diverged.terminal = True  # type: ignore[attr-defined]
+    with np.errstate(all="ignore"):
+        run = solve_ivp(
+            rate, (left, right), x, method="DOP853", rtol=rtol, atol=rtol * magnitude, events=diverged
+        )
+    return np.asarray(run.y[:, -1]) if run.status == 0 else np.full(x.size, np.nan)
+
+
+def _right_hand_side(
+    functions: PhaseFunctions, signal: Callable[..., Array], left: float, right: float, degree: int
+) -> Callable[[float, Array], Array]:
+    """Return dx/dt on an interval where the control is a polynomial of at most the given degree."""
+    tau = np.asarray(legendre.leggauss(degree + 1)[0])
+    half, middle = 0.5 * (right - left), 0.5 * (right + left)
+    coefficients = legendre.legfit(tau, signal(middle + half * tau).T, degree)
+    fast = functions.fast_rates()
+
+    def rate(t: float, x: Array) -> Array:
+        return fast(t, x, np.asarray(legendre.legval((t - middle) / half, coefficients)))
+
+    return rate

@@ -1,0 +1,125 @@
+"""How good a trajectory is between its nodes: three numbers that do not come from the solver."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.problem.interval import Interval
+from gnc_opt.solution.propagation import propagate, state_magnitudes
+from gnc_opt.solution.samples import PhaseSamples
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Independent figures of a trajectory.
+
+    Attributes
+    ----------
+    max_defect : float
+        Largest integral over a segment of |dx/dt - f(t, x, u)|, jump to the next segment included, relative to the
+        state's magnitude.
+    max_bound_violation : float
+        Largest overshoot of a bound or path constraint between nodes, relative to the range of the bounds
+        (or the magnitude of the quantity).
+    terminal_error : float
+        Largest miss at the end of a phase when the flown control is integrated from its initial state,
+        relative to max(1, the state's magnitude).
+    defect_where, bound_where, terminal_where : str
+        Places of the three.
+    """
+
+    max_defect: float
+    defect_where: str
+    max_bound_violation: float
+    bound_where: str
+    terminal_error: float
+    terminal_where: str
+
+
+@dataclass(frozen=True)
+class Worst:
+    """A number and where it occurs."""
+
+    value: float
+    where: str
+
+    def or_worse(self, other: Worst) -> Worst:
+        """Return the larger one; NaN counts as larger."""
+        return other if not other.value <= self.value else self
+
+
+NOTHING = Worst(0.0, "nowhere")
+
+
+def measure_quality(samples: Iterable[PhaseSamples]) -> Quality:
+    """Measure all phases of a solution."""
+    defect = bound = terminal = NOTHING
+    for s in samples:
+        defect = defect.or_worse(worst_defect(s))
+        bound = bound.or_worse(worst_bound_violation(s)).or_worse(worst_path_violation(s))
+        terminal = terminal.or_worse(worst_terminal_error(s))
+    return Quality(defect.value, defect.where, bound.value, bound.where, terminal.value, terminal.where)
+
+
+def worst_defect(samples: PhaseSamples) -> Worst:
+    """Return the worst defect between nodes, along the control polynomial, or jump between segments."""
+    rates = samples.functions.rates(samples.times, samples.x, samples.u_polynomial)
+    errors = samples.per_segment(samples.x_rate - rates) / samples.state_scale[:, None]
+    leg, inner = samples.leg, samples.leg.breaks[1:-1]
+    if inner.size:
+        errors[:, :-1] += np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / samples.state_scale[:, None]
+    i, k = worst_index(errors)
+    return Worst(float(errors[i, k]), samples.segment_place(k, leg.states.labels[i]))
+
+
+def worst_bound_violation(samples: PhaseSamples) -> Worst:
+    """Return the worst overshoot of state and control bounds by their polynomials."""
+    leg = samples.leg
+    worst = NOTHING
+    for values, bounds, labels, scale in (
+        (samples.x, leg.state_bounds, leg.states.labels, samples.state_scale),
+        (samples.u_polynomial, leg.control_bounds, leg.controls.labels, samples.control_scale),
+    ):
+        worst = worst.or_worse(_worst_excess(samples, values, bounds, labels, scale))
+    return worst
+
+
+def worst_path_violation(samples: PhaseSamples) -> Worst:
+    """Return the worst violation of a path constraint along the control polynomial."""
+    leg = samples.leg
+    if not leg.path_labels:
+        return NOTHING
+    values = samples.functions.paths(samples.times, samples.x, samples.u_polynomial)
+    return _worst_excess(samples, values, leg.path_bounds, leg.path_labels, samples.path_scale)
+
+
+def worst_terminal_error(samples: PhaseSamples) -> Worst:
+    """Return the worst final miss of the flown control."""
+    leg = samples.leg
+    run = propagate(leg, samples.functions)
+    misses = np.abs(run.error) / np.maximum(1.0, state_magnitudes(leg))
+    i = int(np.argmax(misses))
+    unit = leg.states.units[i]
+    where = f"phase {leg.name}, {leg.states.labels[i]} misses by {abs(run.error[i]):.3g}{f' {unit}' if unit else ''}"
+    return Worst(float(misses[i]), where)
+
+
+def worst_index(values: Array) -> tuple[int, int]:
+    """Return row and column of the largest entry; NaN counts as largest."""
+    flat = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
+    row, column = np.unravel_index(flat, values.shape)
+    return int(row), int(column)
+
+
+def _worst_excess(
+    samples: PhaseSamples, values: Array, bounds: Interval, labels: tuple[str, ...], scale: Array
+) -> Worst:
+    if not labels:
+        return NOTHING
+    excess = np.maximum(bounds.lower[:, None] - values, values - bounds.upper[:, None]) / scale[:, None]
+    i, j = worst_index(excess)
+    return Worst(max(float(excess[i, j]), 0.0), samples.place(j, labels[i]))

@@ -1,0 +1,259 @@
+"""A phase sampled densely in time, between and at the nodes, from model and trajectory alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.problem.functions import PhaseFunctions
+from gnc_opt.solution.phase_solution import PhaseSolution
+from gnc_opt.solution.polynomial import PiecewisePolynomial
+from gnc_opt.solution.propagation import state_magnitudes
+from gnc_opt.transcription.quadrature import CollocationRule, gauss_rule
+
+AT_BOUND = 1e-6
+"""A value this close to its bound, relative to the range, sits on it."""
+
+EXTRA = 9
+"""Samples per segment beyond the number of collocation points; segment ends come on top."""
+
+_SHORTEST = 1e-9
+"""Phases that vanished are drawn this long (s)."""
+
+NEGLIGIBLE = 1e-4
+"""Costates worth less than this share of what the cost amounts to are rounding: they must not set the scale."""
+
+
+@dataclass(frozen=True)
+class EdgeSegment:
+    """A segment where a state constraint is reached or left, its costate integrated anew (module `pushes`).
+
+    Attributes
+    ----------
+    segment : int
+    costates : array (n_states, n_samples of the segment)
+    offence : array (n_states,)
+        What no legitimate push explains, in shares of the cost.
+    """
+
+    segment: int
+    costates: Array
+    offence: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseSamples:
+    """Everything the conditions need, at the times of a fine quadrature in every segment and at its ends.
+
+    Attributes
+    ----------
+    leg : PhaseSolution
+    functions : PhaseFunctions
+    times : array (n_samples,)
+        Sorted; segment boundaries appear twice, as the end of one and the start of the next segment.
+    segments : int array (n_samples,)
+    weights : array (n_samples,)
+        Quadrature weights in s; zero at segment ends.
+    cost_magnitude : float
+        What the cost amounts to (module `magnitude`); 0 if unknown.
+    edges : tuple of EdgeSegment
+        Segments with other costates than the polynomials'.
+    """
+
+    leg: PhaseSolution
+    functions: PhaseFunctions
+    times: Array
+    segments: Indices
+    weights: Array
+    cost_magnitude: float = 0.0
+    edges: tuple[EdgeSegment, ...] = ()
+
+    @classmethod
+    def of(cls, leg: PhaseSolution, functions: PhaseFunctions) -> PhaseSamples:
+        """Sample a phase."""
+        times, segments, weights = [], [], []
+        for k, degree in enumerate(leg.mesh.degrees):
+            rule = sampling_rule(degree)
+            half = 0.5 * (leg.breaks[k + 1] - leg.breaks[k])
+            inside = leg.breaks[k] + half * (1 + rule.points)
+            times.append(np.concatenate([[leg.breaks[k]], inside, [leg.breaks[k + 1]]]))
+            weights.append(np.concatenate([[0.0], half * rule.weights, [0.0]]))
+            segments.append(np.full(times[-1].size, k))
+        return cls(leg, functions, np.concatenate(times), np.concatenate(segments), np.concatenate(weights))
+
+    @cached_property
+    def at_end(self) -> Mask:
+        """Which samples are the end of their segment."""
+        return np.append(self.segments[1:] > self.segments[:-1], True)
+
+    def sample(self, signal: PiecewisePolynomial) -> Array:
+        """Evaluate a signal at the samples, with the limit from inside each segment."""
+        values = signal(self.times, "right")
+        values[:, self.at_end] = signal(self.times[self.at_end], "left")
+        return values
+
+    @cached_property
+    def x(self) -> Array:
+        """States (n, n_samples)."""
+        return self.sample(self.leg.x)
+
+    @cached_property
+    def x_rate(self) -> Array:
+        """Time derivatives of the state polynomials."""
+        return self.sample(self.leg.x.derivative())
+
+    @cached_property
+    def u_polynomial(self) -> Array:
+        """Controls by their collocation polynomials (m, n_samples)."""
+        return self.sample(self.leg.u)
+
+    @cached_property
+    def u(self) -> Array:
+        """Controls as flown, within bounds."""
+        values = self.leg.flown(self.times, "right")
+        values[:, self.at_end] = self.leg.flown(self.times[self.at_end], "left")
+        return values
+
+    @cached_property
+    def lam(self) -> Array:
+        """Costates (n, n_samples)."""
+        values = self.sample(self.leg.lam)
+        for edge in self.edges:
+            values[:, self.segments == edge.segment] = edge.costates
+        return values
+
+    @cached_property
+    def lam_rate(self) -> Array:
+        """Time derivatives of the costate polynomials."""
+        return self.sample(self.leg.lam.derivative())
+
+    @cached_property
+    def mu(self) -> Array:
+        """Path multiplier densities (n_paths, n_samples)."""
+        return self.sample(self.leg.path_multiplier)
+
+    @cached_property
+    def state_multiplier(self) -> Array:
+        """State bound multiplier densities (n, n_samples)."""
+        return self.sample(self.leg.state_multiplier)
+
+    @cached_property
+    def hamiltonian(self) -> Array:
+        """H along the flown control (n_samples,)."""
+        return self.functions.hamiltonian(self.times, self.x, self.u, self.lam)
+
+    @cached_property
+    def control_gradient(self) -> Array:
+        """d(H + mu.c)/du along the flown control (m, n_samples)."""
+        return self.functions.control_gradient(self.times, self.x, self.u, self.lam, self.mu)
+
+    @cached_property
+    def state_scale(self) -> Array:
+        """Magnitude of each state along the phase (n,)."""
+        return state_magnitudes(self.leg)
+
+    @cached_property
+    def control_scale(self) -> Array:
+        """Range of each control's bounds, or its magnitude along the phase where unbounded (m,)."""
+        bounds = self.leg.control_bounds
+        span = bounds.upper - bounds.lower
+        reach = np.max(np.abs(self.u), axis=1, initial=0.0)
+        return np.where(np.isfinite(span) & (span > 0), span, np.where(reach > 1e-6, reach, 1.0))
+
+    @cached_property
+    def cost_scale(self) -> float:
+        """Largest |lambda_i| x_i along the phase: what the states are worth in units of the cost."""
+        worth = float(np.max(np.abs(self.sample(self.leg.lam)) * self.state_scale[:, None], initial=0.0))
+        worth = max(worth, NEGLIGIBLE * self.cost_magnitude)
+        return worth if worth > 0 else 1.0
+
+    @cached_property
+    def hamiltonian_scale(self) -> float:
+        """Largest sum of the magnitudes of H's terms along the phase (cost per second)."""
+        rates = self.functions.rates(self.times, self.x, self.u)
+        terms = np.sum(np.abs(self.sample(self.leg.lam) * rates), axis=0)
+        integrands = self.functions.integrands(self.times, self.x, self.u)
+        terms = terms + np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
+        # Where H vanishes altogether, as on a singular arc of zero cost, rounding must not set the scale.
+        least = NEGLIGIBLE * self.cost_magnitude / self.span if self.cost_magnitude > 0 else 1e-9
+        return max(float(np.max(terms, initial=0.0)), least)
+
+    @property
+    def span(self) -> float:
+        """Duration between the first and last sample, s; positive even for a phase without length."""
+        return float(self.times[-1] - self.times[0])
+
+    @property
+    def has_length(self) -> bool:
+        """Whether the phase lasts: its duration does not sit on a lower bound of zero."""
+        leg = self.leg
+        least = max(
+            leg.duration_bounds.lower[0], leg.final_time_bounds.lower[0] - leg.initial_time_bounds.upper[0]
+        )
+        most = min(
+            leg.duration_bounds.upper[0], leg.final_time_bounds.upper[0] - leg.initial_time_bounds.lower[0]
+        )
+        near = AT_BOUND * most if np.isfinite(most) else 0.0
+        return bool(least > 0 or leg.duration > max(near, _SHORTEST))
+
+    @cached_property
+    def pure_paths(self) -> Indices:
+        """Path constraints that do not depend on controls."""
+        jacobian = self.functions.path_control_jacobian(self.times, self.x, self.u)
+        return np.flatnonzero(~np.any(jacobian != 0, axis=(1, 2)))
+
+    @cached_property
+    def path_scale(self) -> Array:
+        """Magnitude of each path constraint along the phase and at its limits (n_paths,)."""
+        values, bounds = self.functions.paths(self.times, self.x, self.u), self.leg.path_bounds
+        limits = [np.where(np.isfinite(b), np.abs(b), 0.0) for b in (bounds.lower, bounds.upper)]
+        scale = np.maximum(np.max(np.abs(values), axis=1, initial=0.0), np.maximum(*limits))
+        return np.where(scale > 1e-6, scale, 1.0)
+
+    @cached_property
+    def adjoint_residual(self) -> Array:
+        """Integral of |d(lambda)/dt + dH/dx + z| over each segment, in shares of the cost (n_states, K)."""
+        gradient = self.functions.state_gradient(
+            self.times, self.x, self.u, self.sample(self.leg.lam), self.mu
+        )
+        residual = self.per_segment(self.lam_rate + gradient + self.state_multiplier)
+        residual = residual * self.state_scale[:, None] / self.cost_scale
+        for edge in self.edges:
+            residual[:, edge.segment] = edge.offence
+        return np.asarray(residual)
+
+    def place(self, column: int, what: str = "") -> str:
+        """Return "phase leg, t = 1.23 s, v[2]" for a sample."""
+        return f"phase {self.leg.name}, t = {self.times[column]:.6g} s{f', {what}' if what else ''}"
+
+    def segment_place(self, segment: int, what: str) -> str:
+        """Return the place of a whole segment."""
+        left, right = self.leg.breaks[segment], self.leg.breaks[segment + 1]
+        return f"phase {self.leg.name}, segment {segment + 1} ({left:.6g} to {right:.6g} s), {what}"
+
+    def integral_from_start(self, values: Array) -> Array:
+        """Integrate values (n_samples,) over time from the phase's start to every sample."""
+        result, total = np.empty(self.times.size), 0.0
+        for k, degree in enumerate(self.leg.mesh.degrees):
+            rule, here = sampling_rule(degree), np.flatnonzero(self.segments == k)
+            half = 0.5 * (self.leg.breaks[k + 1] - self.leg.breaks[k])
+            inside = values[here[1:-1]]
+            result[here[0]] = total
+            result[here[1:-1]] = total + half * rule.integration @ inside
+            total += half * float(rule.weights @ inside)
+            result[here[-1]] = total
+        return result
+
+    def per_segment(self, values: Array) -> Array:
+        """Integrate |values| (n, n_samples) over each segment: (n, K)."""
+        weighted = np.abs(values) * self.weights
+        starts = np.searchsorted(self.segments, np.arange(self.leg.mesh.segments))
+        return np.add.reduceat(weighted, starts, axis=1)
+
+
+def sampling_rule(degree: int) -> CollocationRule:
+    """Return the quadrature whose points are the samples within a segment of a given degree."""
+    return gauss_rule(min(degree + EXTRA, 64))

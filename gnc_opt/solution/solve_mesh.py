@@ -1,0 +1,271 @@
+"""solve_mesh: one solve on one mesh, and everything that is tried when it fails.
+
+This is the whole list; nothing else in gnc_opt solves a program twice for want of a solution. In this order:
+
+====================  ======================================  ====================================================
+try                   after                                   how
+====================  ======================================  ====================================================
+`CAREFUL`             endings that rounding can cause         the linear solver pivots with care, from where it stopped
+`ADAPTIVE`            endings without a verdict               IPOPT's adaptive barrier, from the same start
+`TRAJECTORY`          a warm start that has lost its way      the trajectory alone, without its multipliers
+`CONSTRAINTS_FIRST`   "infeasible", without a trajectory as   the constraints are met first, the cost is lowered
+                      a guess                                 afterwards
+====================  ======================================  ====================================================
+
+A solution that was found may be looked for again: by `another_way`, if refining it does not come to rest, and by
+`sharper`, if it is too blunt to tell which limits are active.
+
+All tries of one solve share its limit on wall time, and their effort adds up in its statistics.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices
+from gnc_opt.nlp import NlpPoint, NlpResult, NlpSolver, SolverOptions, Status
+from gnc_opt.problem.guess.random import with_random_guess
+from gnc_opt.problem.problem import Problem
+from gnc_opt.solution.attempt import Attempt, ShowIteration
+from gnc_opt.solution.solution import Solution
+from gnc_opt.solution.start import ProgramStart, start_from_guess, with_trajectory
+from gnc_opt.transcription.mesh import Mesh, MeshLike, read_meshes
+from gnc_opt.transcription.scheme import GAUSS, Scheme
+from gnc_opt.transcription.transcription import Transcription
+
+CAREFUL = (Status.ACCEPTABLE, Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAILED)
+"""Endings that rounding in the linear solver can cause."""
+
+ADAPTIVE = (Status.RESTORATION_FAILED, Status.SEARCH_DIRECTION_FAILED, Status.STEP_TOO_SMALL)
+"""Endings without a verdict. IPOPT's monotone barrier stalls where constraint gradients become dependent at the
+solution (a phase that shrinks to nothing, say); its adaptive barrier is slower on ordinary problems."""
+
+TRAJECTORY = (Status.OPTIMAL, Status.ACCEPTABLE, Status.INTERRUPTED)
+"""Endings of a warm start that are final; after any other the multipliers are given up."""
+
+CONSTRAINTS_FIRST = (Status.INFEASIBLE, Status.RESTORATION_FAILED)
+"""Endings that are looked into once more where the guess is not a trajectory.
+
+A cost pulls the iterates, a free final time above all, into a corner where the constraints cannot be met and their
+violation is stationary: there a solver stops and reports that the problem is infeasible, though it is not. Without
+the cost nothing pulls; with the durations held, what remains of many problems is close to linear. Durations that are
+too short are the usual trap, so longer ones are tried."""
+
+COLD_MU = 1e-2
+"""First barrier parameter when only the trajectory is kept."""
+
+STRETCHES = (1.0, 4.0, 16.0, 64.0)
+"""Multiples of the guessed times at which durations are held while constraints are met."""
+
+RANDOM, SEED = 2, 1
+"""Random starts, with free durations, where the guess itself does not help to meet the constraints."""
+
+STRATEGY = "ipopt.mu_strategy"
+
+CLEARLY = 1e-3
+"""Relative gain in the objective on the same mesh that makes another solution worth refining."""
+
+SHARP = 1e-12
+"""Solver tolerance that tells active limits from others."""
+
+
+def solve_mesh(
+    problem: Problem,
+    mesh: MeshLike | Mapping[str, MeshLike] | None = None,
+    *,
+    scheme: Scheme = GAUSS,
+    guess: Solution | None = None,
+    options: SolverOptions | None = None,
+    warm_iterations: int | None = None,
+    progress: bool = False,
+) -> Solution:
+    """Solve a problem on one mesh, by as many tries as it takes, and return the last iterate, solved or not.
+
+    Parameters
+    ----------
+    problem : Problem
+        One that passes its `check`.
+    mesh : Mesh, str or mapping, optional
+        Default: that of the guess, if it has the same phases, else `DEFAULT_MESH`.
+    scheme : {"LG", "LGR", "LGL"}
+    guess : Solution, optional
+        Start from its trajectory and multipliers.
+    options : SolverOptions, optional
+    warm_iterations : int, optional
+        A start from a guess that takes more iterations has lost its way: `TRAJECTORY` is then tried.
+    progress : bool
+        Show iterations while solving.
+    """
+    chosen = options or SolverOptions()
+    if mesh is None and guess is not None and set(guess.phases) == set(problem.phases):
+        meshes = {name: guess.phases[name].mesh for name in problem.phases}
+    else:
+        meshes = read_meshes(mesh, problem.phases, problem.name)
+    if guess is None or warm_iterations is None:
+        return _solve(problem, meshes, scheme, guess, chosen, progress)
+    brief = replace(chosen, max_iterations=min(warm_iterations, chosen.max_iterations))
+    found = _solve(problem, meshes, scheme, guess, brief, progress)
+    if found.status in TRAJECTORY:
+        return found
+    cold = replace(chosen, mu_init=COLD_MU)
+    again = _solve(with_trajectory(problem, guess), meshes, scheme, None, cold, progress)
+    statistics = again.statistics.after(found.statistics)
+    return replace(again, statistics=statistics, problem=found.problem)
+
+
+def _solve(
+    problem: Problem,
+    meshes: Mapping[str, Mesh],
+    scheme: Scheme,
+    guess: Solution | None,
+    options: SolverOptions,
+    progress: bool,
+) -> Solution:
+    attempt = Attempt.prepare(problem, meshes, scheme, guess, options, progress=progress)
+    point = attempt.point(attempt.start)
+    attempt.solver.set_up(point)  # the limit is on solving, not on setting up
+    deadline = attempt.solver.deadline()
+    with attempt.meter() as show:
+        result = _solve_point(attempt.solver, point, show, deadline)
+    if result.status in CONSTRAINTS_FIRST and guess is None and not knows_trajectory(problem):
+        result = _constraints_first(attempt, result, deadline)
+    return attempt.solution(result)
+
+
+# --- the same program, the same start -------------------------------------------------------------------
+
+
+def _solve_point(
+    solver: NlpSolver, point: NlpPoint, show: ShowIteration | None, deadline: float
+) -> NlpResult:
+    """Solve a program from one point, with other numerics where they can help."""
+    result = solver.solve(point, callback=show, deadline=deadline)
+    if solver.options.solver != "ipopt":
+        return result
+    if result.status in CAREFUL and not solver.options.careful_pivoting:
+        there = replace(point, x0=result.x, lam_x0=result.lam_x, lam_g0=result.lam_g)
+        again = solver.solve(there, "careful", callback=show, deadline=deadline)
+        result = again.with_effort([result, again]) if again.status.solved else result
+    if result.status in ADAPTIVE:
+        again = solver.solve(point.cold(), "adaptive", callback=show, deadline=deadline)
+        result = (result if again.status in ADAPTIVE else again).with_effort([result, again])
+    return result
+
+
+# --- the same program, other starts ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class FeasibilityStart:
+    """Where to look for a point that meets the constraints.
+
+    Attributes
+    ----------
+    variables : array (n_variables,)
+        Physical.
+    held : int array
+        Places of variables to hold while the constraints are being met.
+    """
+
+    variables: Array
+    held: Indices
+
+
+def _constraints_first(attempt: Attempt, failed: NlpResult, deadline: float) -> NlpResult:
+    """Return a solution by way of a point that meets the constraints, or else the failure; with all the effort."""
+    spent = [failed]
+    for place in feasibility_starts(attempt.transcription, attempt.problem, attempt.start.x):
+        if time.perf_counter() > deadline:
+            break
+        point = attempt.point(ProgramStart(place.variables), held=place.held, with_cost=False)
+        with attempt.meter(with_cost=False) as show:
+            spent.append(_solve_point(attempt.solver, point, show, deadline))
+        if spent[-1].status.solved:
+            point = attempt.point(ProgramStart(spent[-1].x * attempt.scaling.variables))
+            with attempt.meter() as show:
+                spent.append(_solve_point(attempt.solver, point, show, deadline))
+            if spent[-1].status not in CONSTRAINTS_FIRST:
+                return spent[-1].with_effort(spent)
+        elif spent[-1].status is Status.INTERRUPTED:
+            break
+    return failed.with_effort(spent)
+
+
+def feasibility_starts(
+    transcription: Transcription, problem: Problem, start: Array
+) -> Iterator[FeasibilityStart]:
+    """Yield starts: the guess with free times, with times held at multiples of the guess, and random ones."""
+    places = np.concatenate([part.times for part in transcription.parts.values()])
+    times = np.unique(places[places < transcription.n_variables])
+    box = transcription.variable_interval(problem)
+    yield FeasibilityStart(start, times[:0])
+    tried: list[Array] = []
+    for stretch in STRETCHES if times.size else ():
+        values = np.clip(stretch * start[times], box.lower[times], box.upper[times])
+        if any(np.array_equal(values, earlier) for earlier in tried):
+            continue
+        tried.append(values)
+        stretched = start.copy()
+        stretched[times] = values
+        yield FeasibilityStart(stretched, times)
+    for index in range(1, RANDOM + 1):
+        twin = with_random_guess(problem, SEED, index)
+        yield FeasibilityStart(start_from_guess(transcription, twin), times[:0])
+
+
+def knows_trajectory(problem: Problem) -> bool:
+    """Whether the problem's guess is a trajectory over time, not merely end values: then its failure is the user's."""
+    guesses = [leg.numbers.guess for leg in problem.phases.values()]
+    return any(
+        callable(value) or (guess.time is not None and guess.time.size > 2)
+        for guess in guesses
+        for value in guess.values.values()
+    )
+
+
+# --- another solution -------------------------------------------------------------------------------------
+
+
+def another_way(
+    problem: Problem,
+    first: Solution,
+    mesh: MeshLike | Mapping[str, MeshLike] | None,
+    scheme: Scheme,
+    options: SolverOptions,
+) -> Solution | None:
+    """Return a clearly better solution on the same mesh by another way through the iterates, or None.
+
+    A local minimum on a coarse mesh need not be one of the problem, and where refining it goes on without end it is a
+    poor one: it hugs bounds that finer meshes shift. Another barrier strategy takes another way from the same guess,
+    for the price of one coarse solve. Both answers are on the same mesh, so a clearly better one is no accident of
+    the discretisation.
+    """
+    if options.solver != "ipopt" or _strategy_chosen(options):
+        return None
+    other = replace(options, extra={**options.extra, STRATEGY: "adaptive"})
+    second = solve_mesh(problem, mesh, scheme=scheme, options=other)
+    return second if second.status.solved and relative_gain(first, second) >= CLEARLY else None
+
+
+def _strategy_chosen(options: SolverOptions) -> bool:
+    nested = options.extra.get("ipopt")
+    return STRATEGY in options.extra or (isinstance(nested, Mapping) and "mu_strategy" in nested)
+
+
+def relative_gain(old: Solution, new: Solution) -> float:
+    """Return by how much the new objective is better, relative to the larger one."""
+    size = max(abs(old.objective), abs(new.objective))
+    gain = new.objective - old.objective if new.maximised else old.objective - new.objective
+    return gain / size if size > 0 else 0.0
+
+
+def sharper(solution: Solution) -> Solution:
+    """Return the solution on its own mesh, sharp enough to tell active limits from others; itself if that fails."""
+    problem = solution.need_problem("solve")
+    options = SolverOptions(tolerance=SHARP)
+    again = solve_mesh(problem, scheme=solution.scheme, guess=solution, options=options)
+    return again if again.status.solved else solution

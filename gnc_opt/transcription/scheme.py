@@ -1,0 +1,223 @@
+"""What distinguishes the families of collocation points; everything that depends on the family asks it here."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from decimal import Decimal
+from difflib import get_close_matches
+from typing import Any, ClassVar, Literal, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import roots_jacobi, roots_legendre
+
+from gnc_opt.arrays import Array, Indices
+from gnc_opt.errors import ArgumentError, shown
+
+Scheme: TypeAlias = Literal["LG", "LGR", "LGL"]
+
+SCHEMES: tuple[Scheme, ...] = get_args(Scheme)
+
+GAUSS: Scheme = "LG"
+"""The default, and the one whose points quadratures take."""
+
+Numbers: TypeAlias = NDArray[Any]
+"""float64, or Decimal held as objects: the same formulas serve both."""
+
+
+class Family(ABC):
+    """One family of points on [-1, 1] and the rows that it makes of a segment.
+
+    Attributes
+    ----------
+    fewest : int
+        Fewest points of a rule.
+    starts_at_point, ends_at_point : bool
+        Whether -1 and +1 are collocation points, so that a segment's first or last point is its boundary.
+    extra_rows : int
+        Vector-valued dynamics rows of a segment beyond its number of points.
+    """
+
+    fewest: ClassVar[int] = 1
+    starts_at_point: ClassVar[bool] = False
+    ends_at_point: ClassVar[bool] = False
+    extra_rows: ClassVar[int] = 0
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the points lie symmetrically about 0."""
+        return self.starts_at_point == self.ends_at_point
+
+    @property
+    def has_end_row(self) -> bool:
+        """Whether the state at a segment's end has a row, and so a multiplier, of its own."""
+        return self.extra_rows > 0
+
+    # --- points -----------------------------------------------------------------------------------
+
+    @abstractmethod
+    def approximate_points(self, n: int) -> Iterable[float]:
+        """Return the points to some 14 digits."""
+
+    @abstractmethod
+    def series(self, n: int) -> dict[int, int]:
+        """Return the polynomial whose simple roots the points are: Legendre degree → coefficient."""
+
+    def square_norms(self, n: int) -> list[Decimal]:
+        """Return the sums ``sum_i w_i P_k(x_i)²``, k = 0 ... n-1."""
+        return [Decimal(2) / (2 * k + 1) for k in range(n)]
+
+    @abstractmethod
+    def state_nodes(self, points: Numbers) -> Numbers:
+        """Return the nodes of the state polynomial, ascending (n + 1,)."""
+
+    # --- rows of a segment ------------------------------------------------------------------------
+
+    @abstractmethod
+    def state_matrix(self, differentiation: Array, end_values: Array) -> Array:
+        """Return the coefficients of the states of `row_nodes` in the dynamics rows: (rows, nodes).
+
+        Parameters
+        ----------
+        differentiation : array (n, n + 1)
+            Values on the state nodes → derivative at the points.
+        end_values : array (n + 1,)
+            Values on the state nodes → value at +1.
+        """
+
+    def dynamics_matrix(self, integration: Array) -> Array:
+        """Return the coefficients of the point values F_j in the dynamics rows, before -w/2: (rows, n).
+
+        Parameters
+        ----------
+        integration : array (n, n)
+            Values at the points → integral of their interpolant from -1 to each point.
+        """
+        return np.eye(len(integration))
+
+    @abstractmethod
+    def row_nodes(self, start: Indices, points: Indices, end: Indices) -> Indices:
+        """Return the variables of the states that the rows join (n_states, nodes).
+
+        Parameters
+        ----------
+        start, end : int array (n_states, 1)
+            At the segment's boundaries.
+        points : int array (n_states, n)
+        """
+
+    def row_place(self, row: int, n: int) -> str:
+        """Name what the row of a segment of n points is about."""
+        return f"point {row + 1}"
+
+
+class Gauss(Family):
+    """Legendre-Gauss: no end is a point; the end state is the polynomial's value there, in a row of its own."""
+
+    extra_rows = 1
+
+    def approximate_points(self, n: int) -> Iterable[float]:
+        return [float(x) for x in roots_legendre(n)[0]]
+
+    def series(self, n: int) -> dict[int, int]:
+        return {n: 1}
+
+    def state_nodes(self, points: Numbers) -> Numbers:
+        return np.array([Decimal(-1), *points])
+
+    def state_matrix(self, differentiation: Array, end_values: Array) -> Array:
+        n = len(differentiation)
+        matrix = np.zeros((n + 1, n + 2))
+        matrix[:n, : n + 1] = differentiation
+        matrix[n, : n + 1] = -end_values
+        matrix[n, n + 1] = 1.0
+        return matrix
+
+    def dynamics_matrix(self, integration: Array) -> Array:
+        n = len(integration)
+        return np.vstack([np.eye(n), np.zeros((1, n))])
+
+    def row_nodes(self, start: Indices, points: Indices, end: Indices) -> Indices:
+        return np.hstack([start, points, end])
+
+    def row_place(self, row: int, n: int) -> str:
+        return "end" if row == n else super().row_place(row, n)
+
+
+class Radau(Family):
+    """Legendre-Gauss-Radau: the start is a point; the end state is a node without collocation."""
+
+    starts_at_point = True
+
+    def approximate_points(self, n: int) -> Iterable[float]:
+        return [-1.0, *(roots_jacobi(n - 1, 0, 1)[0] if n > 1 else [])]
+
+    def series(self, n: int) -> dict[int, int]:
+        return {n: 1, n - 1: 1}
+
+    def state_nodes(self, points: Numbers) -> Numbers:
+        return np.array([*points, Decimal(1)])
+
+    def state_matrix(self, differentiation: Array, end_values: Array) -> Array:
+        return differentiation
+
+    def row_nodes(self, start: Indices, points: Indices, end: Indices) -> Indices:
+        return np.hstack([points, end])
+
+
+class Lobatto(Family):
+    """Legendre-Gauss-Lobatto: both ends are points; each state follows from the first by integration (IIIA)."""
+
+    fewest = 2
+    starts_at_point = ends_at_point = True
+    extra_rows = -1
+
+    def approximate_points(self, n: int) -> Iterable[float]:
+        return [-1.0, *(roots_jacobi(n - 2, 1, 1)[0] if n > 2 else []), 1.0]
+
+    def series(self, n: int) -> dict[int, int]:
+        return {n: 1, n - 2: -1}
+
+    def square_norms(self, n: int) -> list[Decimal]:
+        return [*super().square_norms(n)[:-1], Decimal(2) / (n - 1)]
+
+    def state_nodes(self, points: Numbers) -> Numbers:
+        """Return the points and the midpoint of the widest gap, of two equal gaps the positive one."""
+        gaps = zip(points[1:] - points[:-1], (points[1:] + points[:-1]) / 2, strict=True)
+        _, _, widest = max((gap, -abs(middle), middle) for gap, middle in gaps)
+        return np.array(sorted([*points, widest]))
+
+    def state_matrix(self, differentiation: Array, end_values: Array) -> Array:
+        n = len(differentiation)
+        return np.hstack([-np.ones((n - 1, 1)), np.eye(n - 1)])
+
+    def dynamics_matrix(self, integration: Array) -> Array:
+        return integration[1:, :]
+
+    def row_nodes(self, start: Indices, points: Indices, end: Indices) -> Indices:
+        return points
+
+    def row_place(self, row: int, n: int) -> str:
+        return f"point {row + 2}"
+
+
+_FAMILIES: dict[str, Family] = {"LG": Gauss(), "LGR": Radau(), "LGL": Lobatto()}
+_SPELLINGS = {"lg": "LG", "gauss": "LG", "lgr": "LGR", "radau": "LGR", "lgl": "LGL", "lobatto": "LGL"}
+
+
+def family_of(scheme: Scheme) -> Family:
+    """Return the family of points by its name.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such scheme.
+    """
+    if not isinstance(scheme, str) or scheme not in _FAMILIES:
+        close = get_close_matches(str(scheme).lower(), _SPELLINGS, n=1)
+        hint = f"did you mean '{_SPELLINGS[close[0]]}'? " if close else ""
+        raise ArgumentError(
+            f"unknown scheme {shown(scheme)}: {hint}choose LG (Gauss), LGR (Radau) or LGL (Lobatto)."
+        )
+    return _FAMILIES[scheme]

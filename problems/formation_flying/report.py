@@ -1,0 +1,29 @@
+"""What ``python -m problems.formation_flying`` shows: every row of the comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from problems.comparison import Row, run_comparison
+from problems.formation_flying.optimal import optimal_rows
+from problems.formation_flying.published import (
+    claim_rows,
+    course_rows,
+    sweep_rows,
+    switching_rows,
+    table_rows,
+    truth_rows,
+)
+
+
+def comparison() -> list[Row]:
+    """Return every row: publication, courses, switching, inertial truth, phases, and the optima."""
+    published = table_rows() + course_rows() + switching_rows() + truth_rows() + sweep_rows() + claim_rows()
+    return published + optimal_rows()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the table; return 1 if a number that is asserted misses its tolerance."""
+    from problems.formation_flying.plots import write_figures
+
+    return run_comparison("formation_flying", "Formation flying", comparison, write_figures, arguments)

@@ -1,0 +1,57 @@
+"""Time-optimal rendezvous of a rigid spacecraft in translation and rotation (6 degrees of freedom).
+
+A chaser comes to rest 10 m above its target on a circular orbit and turns by 90 degrees about y, as fast as
+its torques and forces allow. `problems.rendezvous_tracking` follows the plan in closed loop.
+
+To be read in this order:
+
+* `model`: data, the five cases, dynamics, the optimal control problem;
+* `optimal`: the known minimum times with their sources, and their switches;
+* `search`: the local minima, and which of them the published numbers are;
+* `plots`, `report`: what is drawn and printed.
+"""
+
+from problems.rendezvous.model import (
+    ALTITUDE,
+    CASES,
+    EQUATIONS,
+    FINAL_POSITION,
+    FINAL_SIGMA,
+    INERTIA,
+    MASS,
+    MAX_FORCE,
+    MAX_TORQUE,
+    MESH,
+    PAPER_MESH,
+    Equation,
+    build,
+    chaser_model,
+    printed_angular_acceleration,
+)
+from problems.rendezvous.optimal import REFERENCE, SWITCHES, Channel, switch_arcs, switch_mesh
+from problems.rendezvous.report import figures, main
+
+__all__ = [
+    "ALTITUDE",
+    "CASES",
+    "EQUATIONS",
+    "FINAL_POSITION",
+    "FINAL_SIGMA",
+    "INERTIA",
+    "MASS",
+    "MAX_FORCE",
+    "MAX_TORQUE",
+    "MESH",
+    "PAPER_MESH",
+    "REFERENCE",
+    "SWITCHES",
+    "Channel",
+    "Equation",
+    "build",
+    "chaser_model",
+    "figures",
+    "main",
+    "printed_angular_acceleration",
+    "switch_arcs",
+    "switch_mesh",
+]

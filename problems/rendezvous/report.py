@@ -1,0 +1,229 @@
+"""Running the rendezvous: all cases beside the paper's table 4, their verdicts, figures and JSON."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+import gnc_opt as go
+from problems.rendezvous import search
+from problems.rendezvous.model import CASES, EQUATIONS, MESH, PAPER_MESH, Equation, build
+from problems.rendezvous.optimal import REFERENCE
+
+_REMARK = """\
+What fails is what the mesh leaves undone: no node sits on a switch, so the program smears each switch over a
+node or two, and a polynomial through such nodes overshoots. With a segment boundary at every switch all
+conditions pass; see switch_mesh() and switch_arcs() in problems/rendezvous/optimal.py.
+"""
+
+_WIDTH = 130
+"""Columns of the tables where the output is no terminal."""
+
+_STYLES = {go.Result.PASS: "green", go.Result.FAIL: "bold red", go.Result.CANNOT_TELL: "yellow"}
+_MARKS = {go.Result.PASS: "", go.Result.FAIL: " F", go.Result.CANNOT_TELL: " ?"}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A solved case with its verdict."""
+
+    case: int
+    equation: Equation
+    mesh: go.Mesh
+    solution: go.Solution
+    verdict: go.Verdict
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the minimum time is the reference's, as far as there is one for this mesh."""
+        reference = REFERENCE[self.case, self.equation]["20x3"]
+        return (
+            self.mesh != PAPER_MESH or abs(self.solution.objective - reference.value) <= reference.tolerance
+        )
+
+
+def solve_cases(
+    cases: Sequence[int], equations: Sequence[Equation], mesh: go.Mesh = MESH
+) -> Iterator[Outcome]:
+    """Solve and verify one case after the other; each equation is transcribed once."""
+    for equation in equations:
+        problem = build(equation=equation)
+        for case in cases:
+            solution = go.solve(problem.with_initial(r_L=list(CASES[case])), mesh=mesh)
+            yield Outcome(case, equation, mesh, solution, go.verify(solution))
+
+
+def comparison_table(outcomes: Sequence[Outcome]) -> Table:
+    """Return the paper's table 4 beside these solutions and the best known minimum times."""
+    table = _table(f"Minimum times (s), mesh {outcomes[0].mesh}")
+    for heading in ("case", "r_L(0) (m)", "equation"):
+        table.add_column(heading, no_wrap=True)
+    numbers = (
+        ("paper", "GPM"), ("paper", "GPOPS"), ("this", "solution"), ("known", "on 20x3"), ("differs", "by"),
+        ("best", "known"), ("slower", "by"), ("itera-", "tions"), ("solve", "(s)"),
+    )  # fmt: skip
+    for words in numbers:
+        table.add_column("\n".join(words), justify="right", no_wrap=True)
+    for outcome in outcomes:
+        table.add_row(*_cells(outcome))
+    return table
+
+
+def _cells(outcome: Outcome) -> tuple[str, ...]:
+    known = REFERENCE[outcome.case, outcome.equation]
+    spent, t_f = outcome.solution.statistics, outcome.solution.objective
+    published = [f"{known[key].value:.6g}" if key in known else "" for key in ("paper GPM", "paper GPOPS")]
+    return (
+        str(outcome.case),
+        ", ".join(f"{component:g}" for component in CASES[outcome.case]),
+        outcome.equation,
+        *published,
+        f"{t_f:.6f}",
+        f"{known['20x3'].value:.6f}",
+        f"{t_f - known['20x3'].value:+.1e}",
+        f"{known['exact'].value:.8f}",
+        f"{t_f - known['exact'].value:+.1e}",
+        str(spent.iterations),
+        f"{spent.solve_s:.2f}",
+    )
+
+
+def verdict_table(outcomes: Sequence[Outcome]) -> Table:
+    """Return the verdicts of one equation side by side: a row per condition, a column per case."""
+    table = _table(f"Verdicts, {outcomes[0].equation} equation (F fails, ? open)")
+    table.add_column("condition", no_wrap=True)
+    table.add_column("tolerance", justify="right", no_wrap=True)
+    for outcome in outcomes:
+        table.add_column(f"case {outcome.case}", justify="right", no_wrap=True)
+    for condition in outcomes[0].verdict.conditions:
+        cells = [_condition_cell(outcome.verdict[condition.name]) for outcome in outcomes]
+        table.add_row(condition.name, f"{condition.tolerance:.0e}", *cells)
+    table.add_row("verdict", "", *["ok" if outcome.verdict.ok else "NOT ok" for outcome in outcomes])
+    return table
+
+
+def _condition_cell(condition: go.Condition) -> str:
+    style, mark = _STYLES[condition.result], _MARKS[condition.result]
+    return f"[{style}]{condition.value + 0.0:.1e}{mark}[/]"
+
+
+def _table(title: str) -> Table:
+    return Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+
+
+def figures(solution: go.Solution, directory: str | Path | None = None) -> Mapping[str, Any]:
+    """Return the paper's figures 3 to 15 by file stem; the caller writes them, into ``directory`` or not."""
+    from problems.rendezvous.plots import paper_figures
+
+    return paper_figures(solution)
+
+
+# --- command line ---------------------------------------------------------------------------------------
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Solve, compare with the paper, verify and draw; see ``python -m problems.rendezvous --help``.
+
+    Returns
+    -------
+    int
+        0; 1 if a case was not solved, or not to its reference on the paper's mesh; 2 for wrong arguments.
+    """
+    options = _parser().parse_args(arguments)
+    console = _console()
+    cases = list(CASES) if options.case is None else [options.case]
+    if options.search:
+        return _search(console, cases, options)
+    equations = EQUATIONS if options.equation is None else (options.equation,)
+    try:
+        outcomes = list(solve_cases(cases, equations, options.mesh))
+    except go.SolveError as error:
+        print(error, file=sys.stderr)
+        return 1
+    _show(console, outcomes)
+    if options.json is not None:
+        _write_json(outcomes, options.json)
+    _draw(console, outcomes[0], options.report)
+    return 0 if all(outcome.agrees for outcome in outcomes) else 1
+
+
+def _search(console: Console, cases: Sequence[int], options: argparse.Namespace) -> int:
+    equation: Equation = options.equation or "printed"
+    return search.run(console, cases, equation, n=options.n, seed=options.seed, json_path=options.json)
+
+
+def _show(console: Console, outcomes: Sequence[Outcome]) -> None:
+    console.print(comparison_table(outcomes))
+    for equation in dict.fromkeys(outcome.equation for outcome in outcomes):
+        console.print(verdict_table([o for o in outcomes if o.equation == equation]))
+    if not all(outcome.verdict.ok for outcome in outcomes):
+        console.print(_REMARK, markup=False)
+    if len(outcomes) == 1:
+        console.print(str(outcomes[0].solution), markup=False, soft_wrap=True)
+        console.print(outcomes[0].verdict.explain(), markup=False, soft_wrap=True)
+
+
+def _draw(console: Console, outcome: Outcome, folder: Path) -> None:
+    from gnc_opt.plot.style import save_figure
+
+    paths = [
+        save_figure(figure, folder / f"{stem}.png") for stem, figure in figures(outcome.solution).items()
+    ]
+    console.print(f"{len(paths)} figures of case {outcome.case}, {outcome.equation} equation, in {folder}/")
+
+
+def _write_json(outcomes: Sequence[Outcome], path: Path) -> None:
+    from gnc_opt.report.summary_json import summary_dict
+
+    summaries: list[dict[str, Any]] = [
+        {"case": o.case, "equation": o.equation, **summary_dict(o.solution, o.verdict)} for o in outcomes
+    ]
+    path.write_text(
+        json.dumps(summaries, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8"
+    )
+
+
+def _console() -> Console:
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = max(console.width, _WIDTH)
+    return console
+
+
+def _mesh(text: str) -> go.Mesh:
+    try:
+        return go.Mesh.parse(text)
+    except go.ProblemError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m problems.rendezvous",
+        description="Time-optimal rendezvous: solutions beside the paper's table 4, verdicts, figures.",
+    )
+    parser.add_argument("--case", type=int, choices=list(CASES), help="initial position; default: all five")
+    parser.add_argument("--equation", choices=EQUATIONS, help="rotational dynamics; default: both")
+    parser.add_argument("--mesh", type=_mesh, default=MESH, metavar="KxN", help="default: the paper's, 20x3")
+    parser.add_argument(
+        "--report", type=Path, default=Path("report"), metavar="DIR", help="folder of the figures"
+    )
+    parser.add_argument("--json", type=Path, metavar="OUT", help="write the summaries as a list to a file")
+    parser.add_argument(
+        "--global",
+        dest="search",
+        action="store_true",
+        help="search for local minima and name the published ones",
+    )
+    parser.add_argument("--n", type=int, default=100, help="random starts of each case, with --global")
+    parser.add_argument("--seed", type=int, default=1, help="of these starts")
+    return parser

@@ -1,0 +1,63 @@
+"""The time-optimal rendezvous followed: open loop, TVLQR, integral sliding mode and MPC in the same campaign.
+
+    python -m problems.rendezvous_tracking [--case 1..5] [--runs N] [--seed S] [--json OUT] [--report DIR]
+
+To be read in this order: `problems.rendezvous.model`, then here
+
+* `tracking`: the plan, the plant and what it differs by, the controllers, and how their runs are judged;
+* `plots`, `report`: what is drawn and printed.
+"""
+
+from problems.rendezvous import CASES
+from problems.rendezvous_tracking.report import main
+from problems.rendezvous_tracking.tracking import (
+    ACCEPTED,
+    AUTHORITY,
+    CONTROLLERS,
+    CORRECTIONS,
+    DIFFERENTIAL_FORCE,
+    DISPERSIONS,
+    DT,
+    FORCE_STEP,
+    HORIZON,
+    LAG,
+    LAYER,
+    LIMITS,
+    MPC_RUNS,
+    NOISE,
+    REACHING,
+    RESERVE,
+    SETTLING,
+    TORQUE_STEP,
+    Tracking,
+    plan,
+    price_of_robustness,
+    turned,
+)
+
+__all__ = [
+    "ACCEPTED",
+    "AUTHORITY",
+    "CASES",
+    "CONTROLLERS",
+    "CORRECTIONS",
+    "DIFFERENTIAL_FORCE",
+    "DISPERSIONS",
+    "DT",
+    "FORCE_STEP",
+    "HORIZON",
+    "LAG",
+    "LAYER",
+    "LIMITS",
+    "MPC_RUNS",
+    "NOISE",
+    "REACHING",
+    "RESERVE",
+    "SETTLING",
+    "TORQUE_STEP",
+    "Tracking",
+    "main",
+    "plan",
+    "price_of_robustness",
+    "turned",
+]

@@ -1,0 +1,176 @@
+"""Running the followed rendezvous: one campaign per controller, one table, figures, and the price of the reserve."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from gnc_opt.report.campaign import campaign_dict
+from gnc_opt.simulation import Campaign
+from problems.rendezvous import CASES
+from problems.rendezvous_tracking.tracking import (
+    CONTROLLERS,
+    MPC_RUNS,
+    RESERVE,
+    SETTLING,
+    SHOWN,
+    Tracking,
+    plan,
+    price_of_robustness,
+)
+
+DEMANDED = 0.99
+"""Pass rate of the controllers with feedback."""
+_LEVELS = (0.5, 0.99)
+_WIDTH = 190
+_COSTS = {"effort(F_B)": "effort F (N s)", "effort(T_B)": "effort T (N m s)"}
+_SATURATION = {"saturation(F_B)": "F saturated (s)", "saturation(T_B)": "T saturated (s)"}
+
+
+def results_table(campaigns: Mapping[str, Campaign]) -> Table:
+    """Return the table of all controllers: medians / 99 % points / largest values at the end."""
+    table = _table("At the end: 50 % / 99 % / largest")
+    table.add_column("controller", no_wrap=True)
+    for heading in ("runs", "passed (95 % interval)"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for label, _, unit in SHOWN.values():
+        table.add_column(f"{label} ({unit})", justify="right", no_wrap=True)
+    for name, campaign in campaigns.items():
+        cells = [_spread(campaign, measure, factor) for measure, (_, factor, _) in SHOWN.items()]
+        table.add_row(name, str(len(campaign)), str(campaign.pass_rate()), *cells)
+    return table
+
+
+def cost_table(campaigns: Mapping[str, Campaign]) -> Table:
+    """Return what following the plan cost: effort and time in saturation, 50 % / 99 % / largest."""
+    table = _table("Cost: 50 % / 99 % / largest")
+    table.add_column("controller", no_wrap=True)
+    for heading in (*_COSTS.values(), *_SATURATION.values()):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for name, campaign in campaigns.items():
+        cells = [_spread(campaign, measure, 1.0, ".0f") for measure in _COSTS]
+        cells += [_spread(campaign, measure, 1.0, ".2f") for measure in _SATURATION]
+        table.add_row(name, *cells)
+    return table
+
+
+def price_table(price: Sequence[tuple[float, float]]) -> Table:
+    """Return the minimum time against the share of the authority that the plan uses."""
+    table = _table("Price of robustness")
+    for heading in ("plan uses", "reserve", "t_f (s)", "later by (s)", "later by"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    fastest = dict(price)[1.0]
+    for share, t_f in price:
+        late = t_f - fastest
+        table.add_row(
+            f"{share:.0%}", f"{1 - share:.0%}", f"{t_f:.4f}", f"{late:.4f}", f"{late / fastest:.2%}"
+        )
+    return table
+
+
+def _spread(campaign: Campaign, measure: str, factor: float, form: str = ".3g") -> str:
+    values = [campaign.percentile(measure, level).value for level in _LEVELS] + [campaign.maximum(measure)]
+    return " / ".join(format(factor * value, form) for value in values)
+
+
+def _table(title: str) -> Table:
+    return Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+
+
+# --- main -------------------------------------------------------------------------------------------------
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Plan, follow, judge and draw; see ``python -m problems.rendezvous_tracking --help``.
+
+    Returns
+    -------
+    int
+        0; 1 if a controller with feedback misses its pass rate.
+    """
+    options = _parser().parse_args(arguments)
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = max(console.width, _WIDTH)
+    tracking = Tracking(plan(options.case))
+    console.print(
+        f"case {options.case}: planned with {RESERVE:.0%} of the authority, "
+        f"t_f = {tracking.reference.final_time:.6f} s, judged at {tracking.end:.4f} s; seed {options.seed}"
+    )
+    campaigns: dict[str, Campaign] = {}
+    seconds: dict[str, float] = {}
+    for name in CONTROLLERS:
+        runs = min(options.runs, options.mpc_runs) if name == "MPC" else options.runs
+        if runs < 1:
+            continue
+        begin = time.perf_counter()
+        campaigns[name] = tracking.campaign(name, runs, options.seed, progress=console.is_terminal)
+        seconds[name] = time.perf_counter() - begin
+        console.print(f"{name}: {runs} runs in {seconds[name]:.1f} s, design included")
+    console.print()
+    price = price_of_robustness(options.case)
+    for table in (results_table(campaigns), cost_table(campaigns), price_table(price)):
+        console.print(table)
+    if options.json is not None:
+        told = _summary(tracking, options.case, campaigns, seconds, price)
+        options.json.write_text(json.dumps(told, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    if options.report is not None:
+        from gnc_opt.plot.style import save_figure
+        from problems.rendezvous_tracking.plots import all_figures
+
+        figures = all_figures(tracking, campaigns, price)
+        for stem, figure in figures.items():
+            save_figure(figure, options.report / f"{stem}.png")
+        console.print(f"report: {len(figures)} figures in {options.report}")
+    rates = {name: campaign.pass_rate().rate for name, campaign in campaigns.items()}
+    missed = [name for name, rate in rates.items() if name != "open loop" and rate < DEMANDED]
+    for name in missed:
+        console.print(f"{name} passes {rates[name]:.1%} of its runs; {DEMANDED:.0%} are demanded.")
+    return 1 if missed else 0
+
+
+def _summary(
+    tracking: Tracking,
+    case: int,
+    campaigns: Mapping[str, Campaign],
+    seconds: Mapping[str, float],
+    price: Sequence[tuple[float, float]],
+) -> dict[str, Any]:
+    return {
+        "case": case,
+        "share": RESERVE,
+        "planned_time_s": tracking.reference.final_time,
+        "settling_s": SETTLING,
+        "controllers": {
+            name: {
+                **campaign_dict(campaign),
+                "seconds": seconds[name],
+                "saturation_time_s": {m: float(np.mean(campaign.measure(m))) for m in _SATURATION},
+            }
+            for name, campaign in campaigns.items()
+        },
+        "price": [{"share": share, "t_f_s": t_f} for share, t_f in price],
+    }
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m problems.rendezvous_tracking",
+        description="The time-optimal rendezvous followed: open loop, TVLQR, integral sliding mode and MPC.",
+    )
+    parser.add_argument("--case", type=int, choices=list(CASES), default=1, help="initial position")
+    parser.add_argument("--runs", type=int, default=1000, help="per controller, default 1000")
+    parser.add_argument("--mpc-runs", type=int, default=MPC_RUNS, help=f"of the MPC at most, {MPC_RUNS}")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--json", type=Path, metavar="OUT", help="write the statistics to a file")
+    parser.add_argument("--report", type=Path, metavar="DIR", help="write the figures to a folder")
+    return parser

@@ -1,0 +1,265 @@
+"""The plan, the plant and what it differs by, the controllers, and how their runs are judged.
+
+**Plan.** The problem of `problems.rendezvous` ("exact" equation) with 85 % of the torques and forces, refined until
+the switch times are exact. The controllers have the rest of the authority.
+
+**Plant.** Every run differs from the plan in
+
+* mass: normal, 1 sigma 1 %, truncated at 3 %; each moment of inertia: uniform within 5 %;
+* initial position: uniform in a ball of 0.2 m; initial attitude: turned about a random axis (all directions equally
+  probable) by an angle uniform in [0, 2 deg];
+* thrusters: commands rounded to 1 N and 0.1 N m, limited to the full 320 N and 50 N m, first-order lag of 50 ms
+  (uniform within 20 %);
+* a constant differential force of 1 N in a random direction of L, as the acceleration of the nominal mass;
+* measurements, every 0.1 s, with white noise (1 sigma, per axis): 5 mm, 1 mm/s, 0.02 deg, 0.002 deg/s. This is what
+  the filter of a relative navigation by lidar or camera at about 10 m and a gyro deliver. It is consistent with the
+  limits: every standard deviation is at most a fifth of what is permitted at the end.
+
+**Judgement.** 20 s after the planned arrival the chaser has to be within 5 cm, 5 mm/s, 0.5 deg and 0.05 deg/s
+(Euclidean norms; the attitude error is an angle of rotation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+import gnc_opt as go
+from gnc_opt.arrays import Array
+from gnc_opt.control import (
+    ConstantRate,
+    Controller,
+    Reference,
+    SaturationLayer,
+    bryson,
+    design_integral_sliding_mode,
+    design_mpc,
+    design_tvlqr,
+    feedforward,
+)
+from gnc_opt.simulation import (
+    Ball,
+    Campaign,
+    ClosedLoop,
+    Constant,
+    Lag,
+    Noise,
+    Normal,
+    Quantisation,
+    Saturation,
+    Sphere,
+    Turn,
+    Uniform,
+    monte_carlo,
+)
+from gnc_opt.simulation.dispersion import Dispersion
+from gnc_opt.spacecraft import mrp_rate
+from problems.rendezvous import MASS, MAX_FORCE, MAX_TORQUE, PAPER_MESH, build, chaser_model
+
+RESERVE = 0.85
+"""Share of the authority that the plan uses."""
+DT = 0.1
+"""Control step, s."""
+SETTLING = 20.0
+"""Time after the planned arrival, s."""
+
+LIMITS = {
+    "r_L": 0.05,
+    "v_L": 0.005,
+    "angle(sigma)": float(np.deg2rad(0.5)),
+    "omega": float(np.deg2rad(0.05)),
+}
+"""Of the errors at the end: m, m/s, rad, rad/s."""
+
+SHOWN = {
+    "r_L": ("position", 100.0, "cm"),
+    "v_L": ("velocity", 1000.0, "mm/s"),
+    "angle(sigma)": ("attitude", float(np.degrees(1)), "deg"),
+    "omega": ("rate", float(np.degrees(1)), "deg/s"),
+}
+"""Label, factor and unit in which a measure is shown."""
+
+NOISE = {"omega": np.deg2rad(0.002), "sigma": np.deg2rad(0.02), "v_L": 1e-3, "r_L": 5e-3}
+"""1 sigma per axis: rad/s, rad, m/s, m."""
+TORQUE_STEP, FORCE_STEP = 0.1, 1.0
+"""Of the commands, N m and N."""
+LAG = 0.05
+"""Of the thrusters, s."""
+DIFFERENTIAL_FORCE = 1.0
+"""N."""
+
+DISPERSIONS: dict[str, Dispersion] = {
+    "plant.mass": Normal(0.01, relative=True, truncate=3.0),
+    "plant.inertia": Uniform(-0.05, 0.05, relative=True),
+    "initial.r_L": Ball(0.2),
+    "initial.sigma": Turn(Uniform(0.0, float(np.deg2rad(2.0)))),
+    "torque lag.tau": Uniform(-0.2, 0.2, relative=True),
+    "force lag.tau": Uniform(-0.2, 0.2, relative=True),
+    "differential force.level": Sphere(DIFFERENTIAL_FORCE / MASS),
+}
+
+ACCEPTED = {"omega": np.deg2rad(0.1), "sigma": np.deg2rad(0.5), "v_L": 0.01, "r_L": 0.05}
+"""Errors that weigh alike in the regulators: rad/s, rad, m/s, m."""
+CORRECTIONS = {"T_B": 5.0, "F_B": 30.0}
+"""Corrections that weigh as much: N m, N."""
+REACHING, LAYER = 7.0, 14.0
+"""Gain of the sliding mode (N, N m) and half width of its layer (N s, N m s). The gain is what the reserve of the
+torques, 7.5 N m, permits."""
+HORIZON = 1.5
+"""Of the MPC, s."""
+
+MPC_RUNS = 100
+"""Runs of the MPC at most, unless asked otherwise: each solves some 480 quadratic programmes."""
+
+CONTROLLERS = ("open loop", "TVLQR", "integral sliding mode", "MPC")
+
+
+def plan(case: int = 1, reserve: float = RESERVE, *, refined: bool = True) -> go.Solution:
+    """Return the time-optimal rendezvous with a share of the torques and forces.
+
+    Parameters
+    ----------
+    case : int
+    reserve : float
+        In (0, 1]; 1 plans with all there is.
+    refined : bool
+        With exact switch times.
+    """
+    if not 0 < reserve <= 1:
+        raise go.ProblemError(f"a share of {reserve!r} of the authority is none: give a number in (0, 1].")
+    torque, force = reserve * MAX_TORQUE, reserve * MAX_FORCE
+    problem = build(case, "exact").with_bounds(T_B=(-torque, torque), F_B=(-force, force))
+    solution = go.solve(problem, mesh=PAPER_MESH)
+    return go.refine(solution) if refined else solution
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """A planned rendezvous and the loops that follow it.
+
+    Attributes
+    ----------
+    solution : Solution
+        The plan.
+    """
+
+    solution: go.Solution
+
+    @cached_property
+    def reference(self) -> Reference:
+        """The plan, and rest at its end."""
+        return Reference(self.solution)
+
+    @property
+    def end(self) -> float:
+        """When the runs are judged, s."""
+        return self.reference.final_time + SETTLING
+
+    @property
+    def initial(self) -> Array:
+        """Planned initial state (n_states,)."""
+        return self.reference.x(self.reference.initial_time)
+
+    @cached_property
+    def tvlqr(self) -> Controller:
+        """The regulator, sampled; also the nominal law of the sliding mode."""
+        return design_tvlqr(self.reference.model, self.reference, **self._weights, dt=DT, limits=AUTHORITY)
+
+    def controller(self, name: str) -> Controller:
+        """Return one of `CONTROLLERS`."""
+        return self._designs[name]()
+
+    @property
+    def _weights(self) -> dict[str, dict[str, Array]]:
+        model = self.reference.model
+        return {"Q": bryson(model.errors, **ACCEPTED), "R": bryson(model.controls, **CORRECTIONS)}
+
+    @property
+    def _designs(self) -> dict[str, Callable[[], Controller]]:
+        model, reference = self.reference.model, self.reference
+        return {
+            "open loop": lambda: feedforward(reference),
+            "TVLQR": lambda: self.tvlqr,
+            "integral sliding mode": lambda: design_integral_sliding_mode(
+                model,
+                reference,
+                nominal=self.tvlqr,
+                reaching=ConstantRate(REACHING),
+                boundary=SaturationLayer(LAYER),
+                dt=DT,
+                limits=AUTHORITY,
+            ),
+            "MPC": lambda: design_mpc(
+                model, reference, **self._weights, horizon=HORIZON, dt=DT, limits=AUTHORITY
+            ),
+        }
+
+    def loop(self, controller: Controller) -> ClosedLoop:
+        """Return the closed loop with all effects, before they are dispersed."""
+        return ClosedLoop(
+            chaser_model("exact"),
+            controller,
+            [
+                Quantisation("torque steps", TORQUE_STEP, on="T_B"),
+                Quantisation("force steps", FORCE_STEP, on="F_B"),
+                Saturation("torque limit", -MAX_TORQUE, MAX_TORQUE, on="T_B"),
+                Saturation("force limit", -MAX_FORCE, MAX_FORCE, on="F_B"),
+                Lag("torque lag", LAG, on="T_B"),
+                Lag("force lag", LAG, on="F_B"),
+            ],
+            [
+                Noise("gyro", NOISE["omega"], on="omega"),
+                Noise("attitude sensor", np.full(3, NOISE["sigma"]), turned, on="sigma"),
+                Noise("velocity filter", NOISE["v_L"], on="v_L"),
+                Noise("position filter", NOISE["r_L"], on="r_L"),
+            ],
+            [Constant("differential force", np.zeros(3), on="v_L")],
+            dt=DT,
+            accuracy=1e-8,
+        )
+
+    def campaign(
+        self,
+        name: str,
+        runs: int,
+        seed: int,
+        executor: Executor | Literal["serial"] | None = None,
+        *,
+        progress: bool = False,
+    ) -> Campaign:
+        """Fly one of `CONTROLLERS`; the same seed gives all of them the same plants and starts."""
+        return monte_carlo(
+            self.loop(self.controller(name)),
+            runs,
+            x0=self.initial,
+            tf=self.end,
+            seed=seed,
+            dispersions=DISPERSIONS,
+            limits=LIMITS,
+            executor=executor,
+            progress=progress,
+        )
+
+
+AUTHORITY = (
+    np.repeat([-MAX_TORQUE, -MAX_FORCE], 3),
+    np.repeat([MAX_TORQUE, MAX_FORCE], 3),
+)
+"""Of all controls, N m and N."""
+
+
+def turned(sigma: object, angle: object) -> object:
+    """Return an attitude turned by a small rotation vector (rad) in its own axes, to first order."""
+    return sigma + mrp_rate(sigma, angle)  # type: ignore[operator,arg-type]
+
+
+def price_of_robustness(
+    case: int = 1, reserves: Sequence[float] = (1.0, 0.95, 0.9, 0.85, 0.8, 0.7, 0.6)
+) -> list[tuple[float, float]]:
+    """Return pairs of the share of the authority that a plan uses and its time t_f (s)."""
+    return [(share, float(plan(case, share).objective)) for share in reserves]

@@ -1,0 +1,79 @@
+"""The order of the house: which room may import from which, and no circle of files anywhere."""
+
+from __future__ import annotations
+
+import graphlib
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import grimp
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+SHOWING = {
+    ("gnc_opt.solution.solution", "gnc_opt.report.summary"),
+    ("gnc_opt.solution.attempt", "gnc_opt.report.progress"),
+    ("gnc_opt.refine.passes", "gnc_opt.report.refinement"),
+    ("gnc_opt.refine.search.multistart", "gnc_opt.report.search"),
+    ("gnc_opt.simulation.campaign", "gnc_opt.report.campaign"),
+    ("gnc_opt.simulation.monte_carlo", "gnc_opt.report.campaign"),
+}
+"""Imports upwards that are allowed, inside functions only: they draw or print."""
+
+
+@pytest.fixture(scope="module")
+def graph() -> grimp.ImportGraph:
+    """Every import of every file, those inside functions and those for types alone included."""
+    return grimp.build_graph("gnc_opt", exclude_type_checking_imports=False, cache_dir=None)
+
+
+def circle(graph: grimp.ImportGraph) -> list[str]:
+    """A circle of files without the imports that only show something, or nothing."""
+    below = {
+        module: {
+            imported
+            for imported in graph.find_modules_directly_imported_by(module)
+            if (module, imported) not in SHOWING
+        }
+        for module in graph.modules
+    }
+    try:
+        tuple(graphlib.TopologicalSorter(below).static_order())
+    except graphlib.CycleError as error:
+        return list(error.args[1])
+    return []
+
+
+def test_no_circle_of_files(graph: grimp.ImportGraph) -> None:
+    assert circle(graph) == []
+
+
+def test_a_circle_of_files_would_be_found(graph: grimp.ImportGraph) -> None:
+    crooked = grimp.build_graph("gnc_opt", exclude_type_checking_imports=False, cache_dir=None)
+    crooked.add_import(importer="gnc_opt.problem.phase", imported="gnc_opt.problem.problem")
+    assert {"gnc_opt.problem.phase", "gnc_opt.problem.problem"} <= set(circle(crooked))
+
+
+def test_imports_inside_functions_and_for_types_are_seen(graph: grimp.ImportGraph) -> None:
+    for importer, imported in SHOWING:
+        assert graph.direct_import_exists(importer=importer, imported=imported), f"{importer} shows nothing"
+
+
+def test_rooms_import_downwards_only() -> None:
+    """The contracts of pyproject.toml; what they break is named in import-linter's own words."""
+    program = "from importlinter.cli import lint_imports_command; lint_imports_command()"
+    command = [sys.executable, "-c", program, "--no-cache", "--no-logo"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 broken" in done.stdout
+
+
+def test_showing_happens_inside_functions() -> None:
+    """So that whoever only computes loads neither rich nor matplotlib."""
+    for importer, imported in SHOWING:
+        text = ROOT.joinpath(*importer.split(".")).with_suffix(".py").read_text(encoding="utf-8")
+        assert re.search(rf"^ +from {re.escape(imported)} import", text, re.MULTILINE)
+        assert not re.search(rf"^from {re.escape(imported)} import", text, re.MULTILINE)
