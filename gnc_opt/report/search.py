@@ -11,7 +11,12 @@ from gnc_opt.report.summary_json import summary_dict
 
 
 def search_dict(found: Multistart) -> dict[str, Any]:
-    """Return what a search found as plain JSON values; each minimum with the summary of its solution."""
+    """Return what a search found as plain JSON values; each minimum with the summary of its solution.
+
+    Parameters
+    ----------
+    found : Multistart
+    """
     return {
         "problem": found.problem_name,
         "starts": found.starts,
@@ -41,6 +46,23 @@ def search_text(found: Multistart) -> str:
     return json.dumps(search_dict(found), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def write_search(path: str | Path, found: Multistart) -> None:
-    """Write `search_dict` to a file as UTF-8 JSON."""
-    Path(path).write_text(search_text(found), encoding="utf-8")
+def write_search(path: str | Path, found: Multistart) -> Path:
+    """Write `search_dict` to a file as UTF-8 JSON; returns its path.
+
+    Parameters
+    ----------
+    path : str or Path
+    found : Multistart
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    """
+    target = Path(path)
+    target.write_text(search_text(found), encoding="utf-8")
+    return target
