@@ -143,7 +143,8 @@ class WorkerPool(Generic[Object]):
             self._do_again(task, left, split, ledger)
         except KeyboardInterrupt:
             self.interrupted = True
-            ledger.close()
+            # our own are ended at once; ending them stumbles over cancelled futures in older Pythons
+            ledger.close(cancel=self._own is None)
         return ledger.in_order()
 
     # --- internals ----------------------------------------------------------------------------------------
@@ -242,10 +243,11 @@ class _Ledger(Generic[Item, Answer]):
         self.done[place] = done
         self.show(done)
 
-    def close(self) -> None:
-        """Cancel what has not begun, and keep answers that nobody has looked at yet."""
+    def close(self, cancel: bool) -> None:
+        """Cancel what has not begun, if asked to, and keep answers that nobody has looked at yet."""
         for number, future in enumerate(self.futures):
-            future.cancel()
+            if cancel:
+                future.cancel()
             if (number,) not in self.done and future.done() and _error(future) is None:
                 self.done[number,] = Done(self.items[number], future.result())
 
