@@ -4,6 +4,7 @@ import json
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import zlib
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -354,6 +355,10 @@ def test_runs_that_kill_their_process_are_counted_and_the_others_flown(serial):
     assert np.array_equal(campaign.parameters, clean.parameters)
 
 
+@pytest.mark.skipif(
+    sys.version_info < (3, 11),
+    reason="leaving an executor whose process died may wait for ever (python/cpython#94777)",
+)
 def test_dead_processes_of_a_given_executor_do_not_end_the_campaign():
     with ProcessPoolExecutor(1) as executor:
         campaign = fly(n=64, executor=executor, dispersions={"wind.sigma": Deadly(0.04)})
