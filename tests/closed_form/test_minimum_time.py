@@ -198,3 +198,24 @@ def test_brachistochrone(mesh: go.Mesh, scheme: str) -> None:
         hamiltonian=constant(-1.0),
     )
     assert_matches(solution, truth, 1e-8)
+
+
+def test_an_arc_cannot_be_shorter_than_nothing(scheme: str) -> None:
+    """x' = u from 0 to 1: after u = 1 an arc with u = -1 only costs time, unless it lasted less than nothing.
+
+    Arcs of t_1 and t_2 need t_1 - t_2 = 1 and take 1 + 2 t_2: 1 s with t_2 = 0, and less and less below.
+    """
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("one way")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(0.1, 10.0))
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    mesh = go.Mesh.at_times([0.0, 1.2, 1.4], 3, movable=True)
+    solution = solve(problem.with_arcs(arcs=[[1, -1]]), mesh, scheme)
+    assert solution.objective == pytest.approx(1.0, abs=1e-7)
+    assert np.min(np.diff(solution.phase().breaks)) >= 0.0

@@ -169,6 +169,25 @@ def test_touch_down(mesh: go.Mesh, final_time: float, as_path: bool, scheme: str
         np.testing.assert_allclose(leg.state_multiplier(times)[0], -18.0, atol=1e-2)
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e5, 1e-5])
+@pytest.mark.parametrize(("cut", "degrees"), [(0.4, (4, 3, 6, 4)), (0.6, (4, 6, 3, 4))])
+def test_density_at_a_boundary_that_two_unequal_segments_share(
+    cut: float, degrees: tuple[int, ...], unit: float
+) -> None:
+    """LGL states a path constraint twice there; both segments get the density -18, at the ends of the arc only one.
+
+    In any unit, and beside a constraint that is never active.
+    """
+    problem = elastic_line(False, 1.0).with_bounds(x=(None, None))
+    leg = problem.get_phase()
+    leg.path("ceiling", leg.model.symbol("x"), upper=5.0)
+    leg.path("floor", unit * leg.model.symbol("x"), lower=0.0)
+    mesh = go.Mesh.at_times([0.0, 1 / 3, cut, 2 / 3, 1.0], list(degrees))
+    solution = solve(problem, mesh, "LGL", tolerance=1e-12)
+    expected = np.repeat([0.0, -18.0, -18.0, 0.0], degrees)
+    np.testing.assert_allclose(unit * solution.phase().path_multipliers[1], expected, atol=2e-3)
+
+
 # --- first order in minimum time: a speed limit ------------------------------------------------------
 
 

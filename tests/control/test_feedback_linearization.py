@@ -70,6 +70,27 @@ def test_determinant_of_the_decoupling_matrix_is_the_scalar_part_over_384():
         assert np.linalg.det(e) == pytest.approx(q[0] / 384, abs=1e-15)
 
 
+def test_poles_by_output_or_by_component():
+    """A name stands for all components of an output; a component's own poles go first; none at all is refused."""
+    model = spacecraft()
+    reference = Reference.constant(model, [*about_z(20), 0, 0, 0], np.zeros(3))
+
+    def gain(**poles):
+        design = design_feedback_linearization(
+            model, reference, outputs={"q_v": model.symbol("q")[1:]}, poles={**poles}
+        )
+        return design.explain()["K"]
+
+    alike = gain(q_v=[-1.0, -3.0])
+    assert alike == pytest.approx(np.hstack([3 * np.eye(3), 4 * np.eye(3)]), abs=1e-12)
+    one = gain(**{"q_v": [-1.0, -3.0], "q_v[1]": [-2.0, -5.0]})
+    assert one == pytest.approx(np.hstack([np.diag([3.0, 10.0, 3.0]), np.diag([4.0, 7.0, 4.0])]), abs=1e-12)
+    each = gain(**{f"q_v[{i}]": [-1.0, -3.0] for i in range(3)})
+    assert each == pytest.approx(alike, abs=1e-12)
+    with pytest.raises(DesignError, match=r"output 'q_v\[2\]' has no poles: give 2"):
+        gain(**{f"q_v[{i}]": [-1.0, -3.0] for i in range(2)})
+
+
 def test_zero_dynamics_are_neutral_in_four_dimensions_and_absent_on_the_sphere():
     _, plain = slew(about_z(20))
     _, sphere = slew(about_z(20), difference=True)

@@ -306,6 +306,31 @@ def test_gain_margin_of_a_sampled_loop_is_where_a_pole_meets_the_circle():
     assert np.max(np.abs(poles)) == pytest.approx(1.0, abs=1e-9)
 
 
+def test_delay_margin_of_a_loop_with_three_crossovers_is_the_least_of_theirs():
+    """L = 0.5 / s + 0.1 s / (s^2 + 0.05 s + 25): slow, and once more at the resonance, where little delay is needed."""
+    a = np.array([[0, 0, 0], [0, 0, 1], [0, -25.0, -0.05]])
+    b, k = np.array([[1.0], [0], [1]]), np.array([[0.5, 0, 0.1]])
+    found = margins(a, b, k)
+    w = np.geomspace(0.01, 100, 400001)
+    loop = 0.5 / (1j * w) + 0.1 * 1j * w / ((1j * w) ** 2 + 0.05j * w + 25)
+    crossings = np.flatnonzero(np.diff(np.sign(np.abs(loop) - 1)))
+    assert crossings.size == 3
+    lags = np.angle(-loop[crossings]) % (2 * np.pi)
+    delays, phases = lags / w[crossings], np.minimum(lags, 2 * np.pi - lags)
+    assert np.argmin(delays) != 0
+    assert found.delay[0] == pytest.approx(delays.min(), rel=1e-3)
+    assert found.phase[0] == pytest.approx(phases.min(), rel=1e-2)
+
+
+@pytest.mark.parametrize("dt", [None, 0.01])
+def test_damping_of_the_poles_is_their_cosine(dt):
+    """The double integrator with Q = diag(1, 0), R = 1 has the Butterworth poles: damping 1 / sqrt 2."""
+    facts = design_lqr(cart(), [0, 0], Q=np.diag([1.0, 0.0]), R=1.0, dt=dt).explain()
+    assert facts["damping"] == pytest.approx([np.sqrt(0.5)] * 2, rel=1e-2 if dt else 1e-9)
+    assert np.isrealobj(facts["damping"])
+    assert facts["closed-loop poles"].real == pytest.approx([-np.sqrt(0.5)] * 2, rel=1e-2 if dt else 1e-9)
+
+
 def test_the_regulator_has_the_margins_that_theory_promises():
     facts = design_lqr(formation(), np.zeros(6), Q={"r": 0.2, "v": 1e5}, R=1e10).explain()
     assert np.all(np.isinf(facts["gain margin up"]))

@@ -120,6 +120,21 @@ def test_boundary_layer_bounds_the_steady_error(boundary, law):
     assert stated == pytest.approx(width / SLOPE)
 
 
+def test_a_surface_of_first_order_has_no_poles_to_state():
+    """With relative degree one the surface is the error itself; of order two its pole is at -slope."""
+    model = integrators(1)
+    first = design_sliding_mode(
+        model,
+        Reference.constant(model, [0]),
+        outputs="x0",
+        reaching=ConstantRate(1.0),
+        boundary=Sign(),
+        dt=DT,
+    ).explain()
+    assert not any("surface poles" in fact.name for fact in first.facts)
+    assert design(ConstantRate(1.0), Sign()).explain()["surface poles of x0"] == pytest.approx([-SLOPE])
+
+
 def test_power_rate_stays_in_the_band_that_the_disturbance_leaves_it():
     law = PowerRate(1.0, 0.5)
     controller = design(law, SaturationLayer(0.01), bound=0.3)

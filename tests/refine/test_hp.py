@@ -266,6 +266,20 @@ def test_chatter_stalls() -> None:
     assert "chatter" in history.message
 
 
+@pytest.mark.parametrize("gain", [0.0, 1.0, -1.0])
+def test_an_objective_that_the_error_does_not_explain_is_confirmed_on_half_the_segments(gain: float) -> None:
+    """A first mesh in error by 3e-6 that claims an objective off by 1 has found something else."""
+    first = go.solve(regulator(), mesh="6x5")
+    _, history = refine_mesh(replace(first, objective=first.objective + gain), tol=1e-6)
+    assert history.converged
+    before, after = (history.passes[i].meshes["leg"] for i in (1, 2))
+    halves = go.Mesh.at_times(
+        np.sort(np.concatenate([before.breaks, np.convolve(before.breaks, [0.5, 0.5], "valid")])),
+        [n for n in before.degrees for _ in range(2)],
+    )
+    assert (after == halves) == (gain != 0.0)
+
+
 def test_interruption_keeps_the_best_solution() -> None:
     first = go.solve(pendulum(), mesh="3x3")
     options = go.SolverOptions(max_wall_time=1e-9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -117,6 +118,20 @@ def test_segments_on_a_state_constraint_do_not_count(as_path: bool) -> None:
     assert np.any(~counts[near])
     held = ~counts[error.samples.segments]
     assert np.all(error.adjoint[:, held] == 0.0)
+
+
+def test_an_impulse_at_either_end_of_a_segment_speaks_against_it() -> None:
+    """The costate of q jumps at the entry and the exit of the arc: the segments on both sides do not count.
+
+    Impulses at the ends of the phase are the multipliers of given values and speak against nothing.
+    """
+    solution = go.solve(bounded_height(), mesh=go.Mesh((0.0, 0.15, 1 / 3, 2 / 3, 0.85, 1.0), (5,) * 5))
+    error = estimate_errors(solution)["leg"]
+    leg = solution.phase()
+    assert np.flatnonzero(np.abs(leg.state_impulses[0]) > 1.0).tolist() == [0, 2, 3, 5]
+    samples = replace(error.samples, leg=replace(leg, state_multipliers=0.0 * leg.state_multipliers))
+    counts = unconstrained(samples, error.yardstick.pure_paths)
+    assert counts.tolist() == [True, False, False, False, True]
 
 
 def test_state_constraints_still_converge() -> None:

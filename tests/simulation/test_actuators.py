@@ -171,6 +171,13 @@ def test_a_chain_passes_its_blocks_in_order_and_on_named_controls():
     assert run.applied[:, 0] == pytest.approx([0.5, 0.4])
 
 
+def test_a_scale_factor_without_numbers_changes_nothing():
+    assert fly([ScaleFactor("ideal")], wave).applied[0] == pytest.approx(wave(np.arange(20) * DT), abs=1e-15)
+    assert fly([ScaleFactor("off", bias=0.2)], wave).applied[0] == pytest.approx(
+        wave(np.arange(20) * DT) + 0.2
+    )
+
+
 def test_levels_that_make_no_sense_are_refused():
     plant = memory_of_impulse()
     for block, message in (
@@ -180,3 +187,31 @@ def test_levels_that_make_no_sense_are_refused():
     ):
         with pytest.raises(ArgumentError, match=message):
             ClosedLoop(plant, scheduled(plant, wave), [block], dt=DT).layout  # noqa: B018
+
+
+SCALES = np.array([1.0, -0.6, 1.7])
+
+
+@pytest.mark.parametrize(
+    "block",
+    [
+        Saturation("b", -1.0, 1.5), ScaleFactor("b", 1.2, 0.1), Deadband("b", 0.5), Quantisation("b", 0.3),
+        MinimumImpulse("b", 0.05), Lag("b", 0.2), RateLimit("b", 3.0), Delay("b", 0.3),
+        Pwm("b", 1.5), SchmittTrigger("b", 1.0, 0.8, 0.3), Pwpf("b", 1.0, 0.45, 0.15, 0.2, 4.5), Hold("b", 0.4),
+    ],
+    ids=lambda block: type(block).__name__,
+)  # fmt: skip
+def test_each_component_is_treated_as_if_it_were_alone(block):
+    """Three commands at once, one of them of the other sign: applied, counted and summed as three runs of one."""
+    together = fly([block], lambda t: SCALES[:, None] * wave(t + 0.3), size=3, minor_steps=4)
+    for i, scale in enumerate(SCALES):
+        alone = fly([block], lambda t, scale=scale: scale * wave(t + 0.3), minor_steps=4)
+        assert together.applied[i] == pytest.approx(alone.applied[0], abs=1e-13)
+        for sum_ in ("effort", "energy", "saturation", "variation"):
+            assert getattr(together, sum_)[i] == pytest.approx(getattr(alone, sum_)[0], rel=1e-12, abs=1e-13)
+
+
+@pytest.mark.parametrize("steps", [0, -1, 2.5, "two"])
+def test_minor_steps_that_are_no_count_are_refused(steps):
+    with pytest.raises(ArgumentError, match="minor_steps of a closed loop"):
+        fly([], wave, minor_steps=steps)

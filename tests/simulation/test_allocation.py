@@ -24,12 +24,12 @@ def fly(blocks, command, *, tf=1.0, size=3, dt=0.1, **options):
     )
 
 
-def wheel_plant():
+def wheel_plant(axes=PYRAMID):
     plant = Model("spacecraft")
     omega = plant.state("omega", 3, unit="rad/s")
     momenta = plant.state("h", 4, unit="N m s")
     torques = plant.control("T_w", 4, unit="N m")
-    rate = wheel_body_acceleration(INERTIA, PYRAMID, omega, momenta, torques, ca.DM.zeros(3))
+    rate = wheel_body_acceleration(INERTIA, axes, omega, momenta, torques, ca.DM.zeros(3))
     plant.ode({omega: rate, momenta: -torques})
     return plant
 
@@ -44,6 +44,18 @@ def test_pyramid_pseudo_inverse_and_null_vector():
     assert PYRAMID @ inverse == pytest.approx(np.eye(3), abs=1e-15)
     n = null_vector(PYRAMID)
     assert n * np.sign(n[0]) == pytest.approx([1, -1, 1, -1], abs=1e-14)
+
+
+def test_null_vector_leaves_alone_what_no_other_actuator_can_undo():
+    """Two wheels along x, one 1.5 times as strong, can work against each other; those along y and z cannot."""
+    axes = np.array([[1.5, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0]])
+    n = null_vector(axes)
+    assert n / n[3] == pytest.approx([-1 / 1.5, 0, 0, 1], abs=1e-15)
+    assert np.all(n[[1, 2]] == 0) and np.max(n) == 1.0
+    assert null_vector(axes, (1,)) == pytest.approx(n, abs=1e-15)
+    assert null_vector(axes, (0,)) is None
+    with pytest.raises(DesignError, match="2 null directions"):
+        null_vector(np.hstack([axes, axes[:, :1]]))
 
 
 @pytest.mark.parametrize("lost", range(4))
@@ -147,6 +159,28 @@ def test_balancing_keeps_momenta_flat_without_effect_on_the_body():
     peak = {k: np.max(np.abs(r.state("h").values)) for k, r in runs.items()}
     assert peak["momentum"] < peak["none"]
     assert np.max(np.abs(runs["torque"].applied)) < np.max(np.abs(runs["none"].applied))
+
+
+@pytest.mark.parametrize("balance", ["torque", "momentum"])
+def test_balancing_of_unlike_wheels_makes_the_largest_as_small_as_it_can_be(balance):
+    """Three wheels along the axes and one askew: along the null vector they do not move alike."""
+    axes = np.hstack([np.eye(3), np.full((3, 1), 1 / np.sqrt(3))])
+    null = np.array([1.0, 1.0, 1.0, -np.sqrt(3)])
+    assert np.allclose(axes @ null, 0)
+
+    def command(t):
+        return np.vstack([0.3 * np.sin(t), 0.2 * np.cos(2 * t), 0.1 + 0 * t])
+
+    plant = wheel_plant(axes)
+    wheels = WheelArray("wheels", axes, balance=balance, momenta="h", to="T_w")
+    law = scheduled(plant, command, commands=Layout("command", (Variable("T_B", 3),)))
+    run = ClosedLoop(plant, law, [wheels], dt=0.1, accuracy=1e-8).simulate(np.zeros(7), tf=5.0)
+    assert axes @ run.applied == pytest.approx(command(run.times[:-1]), abs=1e-12)
+    values = run.applied if balance == "torque" else run.state("h").values[:, 1:]
+    shifts = np.linspace(-2.0, 2.0, 4001)
+    for value in values.T[::5]:
+        least = np.min(np.max(np.abs(value[:, None] + shifts * null[:, None]), axis=0))
+        assert np.max(np.abs(value)) <= least + 1e-12
 
 
 def test_total_momentum_is_conserved():

@@ -368,3 +368,15 @@ def test_what_does_not_fit_is_refused_by_name():
         loop.simulate([0.0, 0.0], tf=-1.0)
     with pytest.raises(ArgumentError, match="the bias of 'gyro' is given 2 values"):
         ClosedLoop(plant, law, sensors=[Bias("gyro", [0.1, 0.2], on="v")], dt=0.1).layout  # noqa: B018
+
+
+def test_attitude_error_at_a_time_is_that_of_the_nearest_sample():
+    """Turning at 0.2 rad/s about an axis, logged every 0.1 s: 0.1 s is the nearest to 0.14 s."""
+    plant = Model("turntable")
+    sigma, rate = plant.state("sigma", 3), plant.control("rate")
+    axis = ca.DM([0.0, 0.6, 0.8])
+    plant.ode({sigma: (1 + ca.dot(sigma, sigma)) / 4 * rate * axis})
+    reference = Reference.from_functions(plant, lambda t: np.zeros(3), lambda t: [0.2], 0.0, 0.0, tail="hold")
+    run = ClosedLoop(plant, feedforward(reference), dt=0.1).simulate(np.zeros(3), tf=1.0)
+    for at, angle in ((0.0, 0.0), (0.14, 0.02), (0.5, 0.1), (0.86, 0.18), (1.0, 0.2), (None, 0.2)):
+        assert run.attitude_error("sigma", at=at) == pytest.approx(angle, abs=1e-9)

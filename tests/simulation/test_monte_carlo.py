@@ -453,6 +453,8 @@ def test_ctrl_c_ends_processes_and_keeps_what_they_finished(tmp_path):
         ({"target": None}, "follows no reference of 'q'"),
         ({"target": {"r": 1.0}}, "no state 'r'"),
         ({"limits": {"angle(plant)": 1.0}}, "no measure"),
+        ({"limits": {"effrt(a)": 1.0}}, r"did you mean 'effort\(a\)'"),
+        ({"limits": {"saturaton(a)": 1.0}}, r"did you mean 'saturation\(a\)'"),
         ({"seed": -1}, "seed"),
         ({"executor": "threads"}, "executor of monte_carlo"),
         ({"n": 0}, "number of runs"),

@@ -102,6 +102,15 @@ def test_integral_is_exact() -> None:
     )
 
 
+@pytest.mark.parametrize("count", [2, 33, 64, 128])
+def test_integral_with_many_nodes(count: int) -> None:
+    """Of e^t over two segments, from Chebyshev points."""
+    nodes = -np.cos(np.pi * (np.arange(count) + 0.5) / count)
+    values = [np.exp(0.5 * (1 + nodes))[None], np.exp(1 + (1 + nodes))[None]]
+    piece = PiecewisePolynomial([0.0, 1.0, 3.0], (nodes, nodes), tuple(values))  # type: ignore[arg-type]
+    assert piece.integral()[0] == pytest.approx(np.exp(3.0) - 1, rel=0.1 if count == 2 else 1e-12)
+
+
 def test_constants_from_a_single_node() -> None:
     steps = PiecewisePolynomial([0.0, 1.0, 3.0], ([0.0], [0.5]), ([[2.0]], [[-1.0]]))  # type: ignore[arg-type]
     np.testing.assert_array_equal(steps([0.0, 0.9, 1.0, 3.0]), [[2.0, 2.0, -1.0, -1.0]])

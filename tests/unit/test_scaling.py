@@ -8,6 +8,9 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.problem.magnitudes import FARTHEST, phase_magnitudes
+from gnc_opt.solution.start import start_from_guess
+from gnc_opt.transcription.scaling import NEARBY, scale_rows, scale_variables
+from gnc_opt.transcription.transcription import Transcription
 
 
 def double_integrator(**control_bounds: tuple[float, float]) -> tuple[go.Problem, go.Phase]:
@@ -120,3 +123,46 @@ def test_a_steep_hamiltonian_does_not_fail_a_good_control() -> None:
     assert solution.objective == pytest.approx(5.457865263560509, rel=1e-11)
     verdict = go.verify(solution)
     assert verdict.ok, verdict.explain()
+
+
+# --- rows and objective ---------------------------------------------------------------------------------
+
+
+def scales_of(problem: go.Problem) -> tuple[Transcription, np.ndarray, float]:
+    """The transcription on one segment of three points, its row scales and the objective's, at the problem's guess."""
+    transcription = Transcription(problem, {"leg": go.Mesh.uniform(1, 3)}, "LG")
+    start = start_from_guess(transcription, problem)
+    rows, objective = scale_rows(
+        transcription, problem, start, scale_variables(transcription, problem, start)
+    )
+    return transcription, rows, objective
+
+
+@pytest.mark.parametrize("price", [1e-4, 0.03, 1.0, 500.0, -500.0])
+def test_the_steepest_derivative_of_the_scaled_objective_is_one(price: float) -> None:
+    """d(price t_f) over t_f's magnitude, that of its guess, the middle of the range."""
+    problem, leg = double_integrator(u=(-3.0, 2.0))
+    leg.time(0.0, (1.0, 40.0))
+    problem.minimize(price * leg.final_time)
+    assert scales_of(problem)[2] == pytest.approx(1 / (abs(price) * 20.5), rel=1e-12)
+
+
+def test_an_objective_without_slope_keeps_its_scale() -> None:
+    problem, leg = double_integrator(u=(-3.0, 2.0))
+    problem.minimize(0 * leg.final_state("x"))
+    assert scales_of(problem)[2] == 1.0
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e-3])
+@pytest.mark.parametrize("guess", [0.0, 0.05, -0.05])
+def test_a_slope_that_vanishes_at_the_guess_is_seen_nearby(unit: float, guess: float) -> None:
+    """u^2 in any unit: its slope 2 u vanishes at u = 0; a tenth of u's magnitude of 5 further it is at most 1."""
+    problem, leg = double_integrator(u=(-5.0, 5.0))
+    leg.guess(u=guess)
+    leg.path("square", unit * leg.model.symbol("u") ** 2, upper=9.0 * unit)
+    problem.minimize(leg.final_state("x"))
+    transcription, rows, _ = scales_of(problem)
+    slopes = 1 / (rows[transcription.parts["leg"].collocation.path_rows] * unit * 5.0)
+    assert np.all(slopes <= 2 * (abs(guess) + NEARBY * 5.0))
+    assert np.max(slopes) > (0.1 if guess == 0.0 else 2 * abs(guess))
+    assert np.all(slopes >= 2 * abs(guess) * (1 - 1e-9))

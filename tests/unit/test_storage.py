@@ -190,9 +190,19 @@ def test_saving_twice_gives_the_same_bytes(solution: go.Solution, tmp_path: Path
 
 def test_file_is_readable_with_numpy_alone(solution: go.Solution, file: Path) -> None:
     with np.load(file, allow_pickle=False) as archive:
-        header = json.loads(str(archive["header"]))
+        header = json.loads(
+            str(archive["header"]), parse_constant=pytest.fail
+        )  # NaN and Infinity are no JSON
         assert np.array_equal(archive["phases.first.lam_start"], solution.phase("first").lam_start)
     assert (header["format"], header["version"]) == ("gnc_opt solution", SOLUTION_FILES.version)
+
+
+def test_numbers_that_json_does_not_know_come_back(solution: go.Solution, tmp_path: Path) -> None:
+    for value in (np.inf, -np.inf, np.nan, 0.1):
+        file = dataclasses.replace(solution, objective=value).save(tmp_path / "n.npz")
+        with np.load(file) as archive:
+            json.loads(str(archive["header"]), parse_constant=pytest.fail)
+        assert_same(go.load(file).objective, value)
 
 
 def test_number_of_entries_does_not_grow_with_the_mesh(solution: go.Solution, tmp_path: Path) -> None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.arc import ArcKind
+from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.refine.refine import refine
+from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.verify import Result
 
 
@@ -89,3 +91,105 @@ def test_induced_gradient_vanishes_and_hessian_matches_finite_differences(refine
 def test_structure_survives_a_file(refined: go.Solution, tmp_path: object) -> None:
     path = refined.save(f"{tmp_path}/solution.npz")
     assert go.load(path).structure == refined.structure
+
+
+def drifting(start: float) -> go.Problem:
+    """x' = u, |u| <= 1, over 2 s from a free x0; the cost weighs x by the time since the start as well."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("drifting")
+    leg = problem.phase("leg", model)
+    leg.time(start, start + 2.0)
+    leg.bounds(u=(-1.0, 1.0), x=(-5.0, 5.0))
+    since = model.time - start
+    running = leg.integral(-0.8 * x - 0.1 * x**2 + 0.3 * since * x)
+    problem.minimize(running + 0.4 * leg.final_state("x") + 0.75 * leg.initial_state("x") ** 2)
+    return problem
+
+
+@pytest.mark.parametrize("start", [0.0, -1.0, 7.0])
+def test_least_curvature_with_a_free_start_and_a_cost_that_depends_on_time(start: float) -> None:
+    """x = x0 + t up to the switch s and x0 + 2 s - t after it: the cost of (x0, s) is a cubic, differentiated here."""
+    mesh = go.Mesh.at_times([start, start + 0.8, start + 2.0], 5, movable=True)
+    solution = go.solve(drifting(start).with_arcs(arcs=[[1, -1]]), mesh=mesh)
+    arcs = (
+        Arc("leg", "u", ArcKind.UPPER, start, float(solution.phase().breaks[1])),
+        Arc("leg", "u", ArcKind.LOWER, float(solution.phase().breaks[1]), start + 2.0),
+    )
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+
+    def cost(point: np.ndarray) -> float:
+        x0, s = point
+        total = 0.4 * (x0 + 2 * s - 2) + 0.75 * x0**2
+        for left, right in ((0.0, s), (s, 2.0)):
+            t = left + 0.5 * (right - left) * (1 + nodes)
+            x = x0 + np.minimum(t, 2 * s - t)
+            total += 0.5 * (right - left) * weights @ (-0.8 * x - 0.1 * x**2 + 0.3 * t * x)
+        return float(total)
+
+    point = np.array([solution.state("x")(start), solution.phase().breaks[1] - start])
+    step, units = 1e-3, np.eye(2)
+    hessian = np.array(
+        [
+            [
+                sum(a * b * cost(point + step * (a * e + b * f)) for a in (1, -1) for b in (1, -1))
+                / (4 * step**2)
+                for f in units
+            ]
+            for e in units
+        ]
+    )
+    assert solution.objective == pytest.approx(cost(point), rel=1e-9)
+    condition = go.verify(replace(solution, structure=arcs))["second order"]
+    assert condition.value == pytest.approx(-np.linalg.eigvalsh(hessian)[0], rel=1e-5)
+
+
+def test_what_forbids_the_induced_problem_is_named(refined: go.Solution) -> None:
+    """Active constraints on states or paths, and controls between their bounds, are no switch-time problem."""
+    leg = refined.phase()
+    pushed = leg.state_multipliers.copy()
+    pushed[1, 3] = -1.0
+    between = tuple(0.5 * v for v in leg.u.values)
+    for wrong, reason in (
+        (replace(leg, state_multipliers=pushed), "an active state bound"),
+        (
+            replace(leg, u=PiecewisePolynomial(leg.u.breaks, leg.u.nodes, between)),
+            "a control between its bounds",
+        ),
+    ):
+        condition = go.verify(replace(refined, phases={"leg": wrong}))["second order"]
+        assert condition.result is Result.CANNOT_TELL
+        assert condition.where.endswith(reason)
+
+
+@pytest.mark.parametrize("weight", [1e-3, 1.0, 1e3])
+def test_a_push_counts_by_its_share_of_the_cost(weight: float) -> None:
+    """With costates, speed and duration of order one, a density of 1e-5 is rounding and one of 1e-3 is not."""
+    solution = weighted(weight)
+    leg = solution.phase()
+    for share, forbids in ((1e-5, False), (1e-3, True)):
+        pushed = leg.state_multipliers.copy()
+        pushed[1, 3] = -share * weight
+        condition = go.verify(replace(solution, phases={"leg": replace(leg, state_multipliers=pushed)}))[
+            "second order"
+        ]
+        assert condition.where.endswith("an active state bound") is forbids
+
+
+def weighted(weight: float) -> go.Solution:
+    """Rest to rest over 1 m in minimum time, which costs ``weight`` per second."""
+    model = go.Model("double integrator")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("minimum time")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(q=1.0, v=0.0)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.minimize(weight * leg.final_time)
+    mesh = go.Mesh.at_times([0.0, 0.9, 2.0], 5, movable=True)
+    solution = go.solve(problem.with_arcs(arcs=[[-1, 1]]), mesh=mesh)
+    arcs = (Arc("leg", "a", ArcKind.LOWER, 0.0, 1.0), Arc("leg", "a", ArcKind.UPPER, 1.0, 2.0))
+    return replace(solution, structure=arcs)

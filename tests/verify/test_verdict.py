@@ -262,3 +262,24 @@ def test_state_jump_between_segments_fails(energy: go.Solution) -> None:
     shifted = (x.values[0], x.values[1] + 0.01, *x.values[2:])
     wrong = with_leg(energy, x=PiecewisePolynomial(x.breaks, x.nodes, shifted))
     assert "dynamics" in failed(wrong)
+
+
+def test_costates_that_vanish_in_one_phase_only_are_judged() -> None:
+    """The cost is the first phase's final time: the second one's costates are zero, and rightly so."""
+    problem = go.Problem("one of two matters")
+    for name in ("first", "second"):
+        leg = problem.phase(name, double_integrator())
+        leg.time(0.0, (0.1, 10.0) if name == "first" else 1.0)
+        leg.initial(q=1.0, v=0.0)
+        leg.bounds(a=(-1.0, 1.0))
+    problem.phases["first"].final(q=0.0, v=0.0)
+    problem.minimize(problem.phases["first"].final_time)
+    meshes = {"first": go.Mesh.uniform(2, 5), "second": go.Mesh.uniform(2, 5)}
+    solution = go.solve(problem, mesh=meshes)
+    second = solution.phases["second"]
+    still = {"first": solution.phases["first"], "second": replace(second, lam=scaled(second.lam, 0.0))}
+    verdict = go.verify(replace(solution, phases=still), tol=1e-4)
+    assert verdict["adjoint equation"].result is Result.PASS
+    assert verdict["transversality"].result is Result.PASS
+    none = {name: replace(leg, lam=scaled(leg.lam, 0.0)) for name, leg in still.items()}
+    assert go.verify(replace(solution, phases=none))["transversality"].result is Result.CANNOT_TELL

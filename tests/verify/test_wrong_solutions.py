@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -31,6 +32,7 @@ from wrong import (
 
 import gnc_opt as go
 from gnc_opt.problem.interval import Interval
+from gnc_opt.solution.propagation import propagate
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.verify.pushes import settle_edges, unexplained_jumps
 
@@ -145,9 +147,13 @@ def test_condition_sees_what_it_should_and_others_do_not(wrong: Case) -> None:
     correct = wrong.correct()
     before = go.verify(correct)
     assert before.proven, before.explain()
-    found = failed(wrong.wrong(correct, SMALL))
+    verdict = go.verify(wrong.wrong(correct, SMALL))
+    found = {c.name for c in verdict.failed}
     assert wrong.condition in found
     assert found <= {wrong.condition} | wrong.others
+    for c in (*before.conditions, *verdict.conditions):  # what is printed beside each other fits together
+        assert c.result is not go.Result.PASS or c.value <= c.tolerance
+        assert c.result is not go.Result.FAIL or not c.value < c.tolerance
 
 
 def test_errors_too_small_for_a_segment_add_up_in_the_propagation() -> None:
@@ -233,8 +239,9 @@ def test_costates_that_vanish_are_judged_by_what_the_cost_amounts_to() -> None:
     assert "transversality" in failed(added(right, "lam", Q, 1e-3))
 
 
-def test_nothing_is_claimed_about_a_phase_without_length() -> None:
-    verdict = go.verify(nowhere_to_go())
+@pytest.mark.parametrize("start", [0.0, 5.0])
+def test_nothing_is_claimed_about_a_phase_without_length(start: float) -> None:
+    verdict = go.verify(nowhere_to_go(start))
     assert verdict.ok and not verdict.proven, verdict.explain()
     assert verdict["Hamiltonian"].result is go.Result.CANNOT_TELL
     assert "no length" in verdict["Hamiltonian"].meaning
@@ -258,3 +265,232 @@ def test_barely_curved_hamiltonian_is_told_from_a_singular_one() -> None:
         verdict = go.verify(hilltop(-curvature))
         assert verdict["singular arcs"].result is result
         assert verdict["Legendre-Clebsch"].result is result
+
+
+# --- places -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("condition", "wrong", "where"),
+    [
+        ("dynamics", lambda: added(energy(), "x", Q, SMALL, 1, 2), "phase leg, segment 2 (0.25 to 0.5 s), q"),
+        ("dynamics", lambda: added(energy(), "x", V, SMALL, 2, 2), "phase leg, segment 3 (0.5 to 0.75 s), v"),
+        ("adjoint equation", lambda: added(energy(), "lam", V, 6 * SMALL, 1, 2),
+         "phase leg, segment 2 (0.25 to 0.5 s), costate of v"),
+        ("transversality", lambda: with_leg(energy(), final_bounds=free_end(energy(), V)),
+         "phase leg, end, costate of v"),
+        ("transversality", lambda: with_leg(energy(), initial_bounds=free_end(energy(), Q)),
+         "phase leg, start, costate of q"),
+    ],
+)  # fmt: skip
+def test_place_of_the_worst_offence(condition: str, wrong: Callable[[], go.Solution], where: str) -> None:
+    found = go.verify(wrong())[condition]
+    assert (found.result, found.where) == (go.Result.FAIL, where)
+
+
+def free_end(solution: go.Solution, row: int) -> Interval:
+    """The final values of the solution, one of them free."""
+    box = solution.phase().final_bounds
+    free = np.arange(box.lower.size) == row
+    return Interval(np.where(free, -9.0, box.lower), np.where(free, 9.0, box.upper))
+
+
+def test_hamiltonian_is_off_where_the_costates_are() -> None:
+    """H = a^2 / 2 + lam_v a + ... changes by 1 % of lam . f in one of four segments only."""
+    condition = go.verify(scaled(energy(), "lam", 1.01, 1))["Hamiltonian"]
+    assert condition.result is go.Result.FAIL
+    assert 0.25 <= float(condition.where.split("t = ")[1].split(" s")[0]) <= 0.5
+
+
+# --- time -------------------------------------------------------------------------------------------------
+
+
+def carried(current: float, start: float = 0.0) -> go.Problem:
+    """x' = u + current (t - start), from 0 to 1 in 1 s with the least energy: u = 1 - current / 2, lam = -u."""
+    model = go.Model("carried")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u + current * (model.time - start)})
+    problem = go.Problem("carried")
+    leg = problem.phase("leg", model)
+    leg.time(start, start + 1.0)
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    problem.minimize(leg.integral(u**2 / 2))
+    return problem
+
+
+@pytest.mark.parametrize("start", [0.0, -2.0, 5.0])
+def test_hamiltonian_follows_its_explicit_dependence_on_time(start: float) -> None:
+    """dH/dt = current lam = -current (1 - current / 2): constant it is not."""
+    solution = go.solve(carried(0.5, start), mesh="3x4")
+    assert go.verify(solution, tol=1e-9).proven
+    drift = solution.hamiltonian(start + 1.0, side="left") - solution.hamiltonian(start)
+    assert drift == pytest.approx(-0.5 * 0.75, rel=1e-9)
+    still = replace(solution, problem=carried(0.0, start))
+    assert {"dynamics", "propagation"} <= failed(still) and "Hamiltonian" not in failed(still)
+    other = replace(solution, problem=carried(1.0, start))
+    assert go.verify(other)["Hamiltonian"].value == pytest.approx(0.0, abs=1e-9)  # H of that model, that is
+
+
+# --- which controls are admissible ------------------------------------------------------------------------
+
+
+def test_controls_that_one_of_two_mixed_constraints_forbids_are_no_choice() -> None:
+    """`mixed_limit` with a second limit, u - x >= -5, which is never reached."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("two mixed limits")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.path("far", u - x, lower=-5.0)
+    leg.path("limit", u + x, upper=1.0)
+    problem.minimize(leg.integral(0.5 * (u - 2) ** 2))
+    solution = go.solve(problem, mesh="4x6", options=go.SolverOptions(tolerance=1e-11))
+    assert solution.state("x")(1.0) == pytest.approx(1 - np.exp(-1.0), abs=1e-8)
+    verdict = go.verify(solution)
+    assert verdict.proven, verdict.explain()
+
+
+@pytest.mark.parametrize("opens", [0.8, 9.0])
+def test_better_control_counts_from_when_it_is_admissible(opens: float) -> None:
+    """Two valleys at u = 1 and, deeper, u = -1, which u + 4 t >= opens - 1 allows from t = opens / 4 on."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("opening valley")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-2.0, 2.0))
+    leg.path("gate", u + 4 * model.time, lower=opens - 1 if opens < 2 else 0.5)
+    if opens > 2:
+        leg.path("wall", u, lower=0.5)
+    problem.minimize(leg.integral((u**2 - 1) ** 2 + 0.1 * u))
+    box = Interval(np.array([-2.0]), np.array([2.0]))
+    one = go.solve(problem.with_bounds(u=(0.5, 2.0)), mesh="3x4")
+    found = failed(replace(with_leg(one, control_bounds=box), problem=problem))
+    assert found == ({"minimum principle"} if opens < 2 else set())
+
+
+# --- a second constraint changes nothing ----------------------------------------------------------------
+
+
+def test_push_of_one_path_constraint_among_several() -> None:
+    """The ceiling after a speed limit that is never reached: only its own gradient pushes the costates."""
+    right = ceiling("LGR", path=True)
+    problem = go.Problem("ceiling and speed")
+    model = right.need_problem("copy").get_phase().model
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0, v=1.0)
+    leg.final(q=0.0, v=-1.0)
+    leg.path("speed", model.symbol("v"), upper=5.0)
+    leg.path("ceiling", model.symbol("q"), upper=0.1)
+    problem.minimize(0.5 * leg.integral(model.symbol("a") ** 2))
+    mesh = go.Mesh((0.0, 0.3, 0.7, 1.0), (5, 5, 5))
+    solution = go.solve(problem, mesh=mesh, scheme="LGR", options=go.SolverOptions(tolerance=1e-11))
+    verdict = go.verify(solution)
+    assert verdict.proven, verdict.explain()
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1e4, -1.0])
+def test_whether_a_limit_is_reached_does_not_depend_on_units(unit: float) -> None:
+    """A jump at a ceiling, or a floor, is right; at one that is a hundredth further away it is not."""
+    model = go.Model("double integrator")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v * unit, v: a})
+
+    def problem(height: float) -> go.Problem:
+        result = go.Problem("ceiling")
+        leg = result.phase("leg", model)
+        leg.time(0.0, 1.0)
+        leg.initial(q=0.0, v=1.0)
+        leg.final(q=0.0, v=-1.0)
+        leg.bounds(q=(None, height * unit) if unit > 0 else (height * unit, None))
+        result.minimize(0.5 * leg.integral(a**2))
+        return result
+
+    mesh = go.Mesh((0.0, 0.3, 0.7, 1.0), (5, 5, 5))
+    right = go.solve(problem(0.1), mesh=mesh, options=go.SolverOptions(tolerance=1e-11))
+    verdict = go.verify(right)
+    assert verdict.proven, verdict.explain()
+    higher = with_leg(right, state_bounds=problem(0.101).get_phase().numbers.states)
+    assert "adjoint equation" in failed(replace(higher, problem=problem(0.101)))
+
+
+# --- complementarity beyond a limit ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(-0.99, 1.0), (-1.0, 0.99)])
+def test_multiplier_of_a_control_beyond_its_limit_is_not_complementary(lower: float, upper: float) -> None:
+    box = Interval(np.array([lower]), np.array([upper]))
+    assert "complementarity" in failed(with_leg(bang_bang(), control_bounds=box))
+
+
+# --- singular arcs --------------------------------------------------------------------------------------
+
+
+def test_share_and_name_of_the_singular_control_beside_a_regular_one() -> None:
+    """u = -1 until x = 0 at 0.5 s of 2 s, then singular; w is regular throughout."""
+    model = go.Model("two integrators")
+    y, w = model.state("y"), model.control("w")
+    x, u = model.state("x"), model.control("u")
+    model.ode({y: w, x: u})
+    problem = go.Problem("singular beside regular")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    leg.initial(x=0.5, y=0.0)
+    leg.final(y=1.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.integral(x**2 + w**2))
+    solution = go.solve(problem, mesh=go.Mesh((0.0, 0.25, 0.5, 0.75, 1.0), (4,) * 4))
+    condition = go.verify(solution, tol=1e-4)["singular arcs"]
+    assert condition.result is go.Result.CANNOT_TELL
+    assert condition.value == pytest.approx(0.75, abs=0.03)
+    assert ", u, " in condition.where
+
+
+# --- two controls at once -------------------------------------------------------------------------------
+
+
+def test_controls_that_gain_only_together_are_tried_together() -> None:
+    """H = 1 + u w at u = w = 0: no control alone changes it, (1, -1) makes it 0."""
+    model = go.Model("saddle")
+    x, u, w = model.state("x"), model.control("u"), model.control("w")
+    model.ode({x: 0 * u})
+    problem = go.Problem("saddle")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-1.0, 1.0), w=(-1.0, 1.0))
+    problem.minimize(leg.integral(1 + u * w))
+    pinned = go.solve(problem.with_bounds(u=(0.0, 0.0), w=(0.0, 0.0)), mesh="2x3")
+    box = Interval(-np.ones(2), np.ones(2))
+    condition = go.verify(replace(with_leg(pinned, control_bounds=box), problem=problem))["minimum principle"]
+    assert condition.result is go.Result.FAIL
+    assert condition.value == pytest.approx(1.0, rel=1e-6)
+
+
+# --- propagation ----------------------------------------------------------------------------------------
+
+
+def test_propagation_flies_what_respects_the_bounds() -> None:
+    """Cell by cell: v += a h, q += v h + a h^2 / 2. The polynomial, which overshoots, meets its own end better."""
+    problem = bang_bang().need_problem("copy").with_arcs(arcs=None)
+    solution = go.solve(problem, mesh="7x3")
+    leg = solution.phase()
+    jumps = leg.flown.jumps
+    assert jumps.size > 8 and leg.flown.held.any() and not leg.flown.held.all()
+    q, v = 1.0, 0.0
+    for left, right in itertools.pairwise(jumps):
+        inner = np.linspace(left, right, 2001)[1:-1]
+        a, h = float(np.mean(leg.flown(inner))), right - left
+        q, v = q + v * h + a * h**2 / 2, v + a * h
+    miss = max(abs(q), abs(v))
+    assert go.verify(solution)["propagation"].value == pytest.approx(miss, rel=0.02)
+    functions = solution.functions("leg")
+    for control, error in (("flown", [q, v]), ("polynomial", [0.0, 0.0])):
+        run = propagate(leg, functions, control=control)  # type: ignore[arg-type]
+        assert run.error == pytest.approx(error, abs=0.02 * miss)

@@ -147,12 +147,12 @@ def nothing_to_gain() -> go.Solution:
 
 
 @cache
-def nowhere_to_go() -> go.Solution:
+def nowhere_to_go(start: float = 0.0) -> go.Solution:
     """Minimum time from a point to itself: the phase has no length."""
     model = double_integrator()
     problem = go.Problem("nowhere to go")
     leg = problem.phase("leg", model)
-    leg.time(0.0, (0.0, 10.0))
+    leg.time(start, (start, start + 10.0))
     leg.initial(q=1.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))

@@ -1,0 +1,187 @@
+"""The pieces of a control structure: vanishing, swapped and added arcs, and how finely each piece is solved."""
+
+from __future__ import annotations
+
+import casadi as ca
+import pytest
+
+import gnc_opt as go
+from gnc_opt.problem.arc import Arc, ArcKind
+from gnc_opt.refine.structure.detect import detect, switching
+from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.refine.structure.plan import MAX_DEGREE, MAX_SEGMENTS, Resolution
+
+LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER
+
+TWO = PhaseStructure((0.0, 1.0, 2.0, 4.0, 5.0), ((LOW, LOW), (UP, LOW), (UP, UP), (LOW, UP)))
+"""Two controls: the first one is up from 1 s to 4 s, the second one from 2 s on."""
+
+
+# --- arcs that vanish, swap, appear -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("piece", "times", "kinds"),
+    [
+        (0, (0.0, 2.0, 4.0, 5.0), ((UP, LOW), (UP, UP), (LOW, UP))),
+        (1, (0.0, 1.5, 4.0, 5.0), ((LOW, LOW), (UP, UP), (LOW, UP))),
+        (2, (0.0, 1.0, 3.0, 5.0), ((LOW, LOW), (UP, LOW), (LOW, UP))),
+        (3, (0.0, 1.0, 2.0, 5.0), ((LOW, LOW), (UP, LOW), (UP, UP))),
+    ],
+)
+def test_a_piece_that_vanishes_leaves_its_middle(piece: int, times: tuple[float, ...], kinds: object) -> None:
+    left = TWO.without(piece)
+    assert (left.times, left.kinds) == (times, kinds)
+
+
+def test_switches_that_cancel_vanish_with_the_piece_between_them() -> None:
+    bump = PhaseStructure((0.0, 1.0, 1.1, 5.0), ((LOW,), (UP,), (LOW,)))
+    assert (bump.without(1).times, bump.without(1).kinds) == ((0.0, 5.0), ((LOW,),))
+
+
+def test_switches_of_two_controls_change_places_but_not_at_the_ends_nor_of_one_control() -> None:
+    swapped = TWO.swapped(1)
+    assert swapped is not None
+    assert swapped.kinds == ((LOW, LOW), (LOW, UP), (UP, UP), (LOW, UP))
+    assert swapped.times == TWO.times and swapped.swapped(1) == TWO
+    other = TWO.swapped(2)
+    assert other is not None and other.kinds == ((LOW, LOW), (UP, LOW), (LOW, LOW), (LOW, UP))
+    assert TWO.swapped(0) is None and TWO.swapped(3) is None
+    assert PhaseStructure((0.0, 1.0, 2.0, 3.0), ((LOW,), (UP,), (LOW,))).swapped(1) is None
+
+
+@pytest.mark.parametrize(
+    ("row", "start", "end", "kind", "times", "kinds"),
+    [
+        (1, 0.5, 0.8, UP, (0, 0.5, 0.8, 1, 2, 4, 5),
+         ((LOW, LOW), (LOW, UP), (LOW, LOW), (UP, LOW), (UP, UP), (LOW, UP))),
+        (0, 0.5, 1.0, UP, (0, 0.5, 2, 4, 5), ((LOW, LOW), (UP, LOW), (UP, UP), (LOW, UP))),
+        (0, 4.0, 5.0, UP, (0, 1, 2, 5), ((LOW, LOW), (UP, LOW), (UP, UP))),
+        (1, 1.5, 3.0, FREE, (0, 1, 1.5, 3, 4, 5), ((LOW, LOW), (UP, LOW), (UP, FREE), (UP, UP), (LOW, UP))),
+    ],
+)  # fmt: skip
+def test_an_arc_is_added_and_equal_neighbours_are_joined(
+    row: int, start: float, end: float, kind: ArcKind, times: tuple[float, ...], kinds: object
+) -> None:
+    added = TWO.with_arc(row, start, end, kind)
+    assert (added.times, added.kinds) == (times, kinds)
+
+
+def test_arcs_of_controls_paths_and_states() -> None:
+    """Rows: one control, one path constraint, one state; the control is constrained where the state is held."""
+    held = PhaseStructure(
+        (0.0, 1.0, 2.0, 3.0),
+        ((UP, FREE, FREE), (FREE, FREE, LOW), (FREE, FREE, FREE)),
+        n_controls=1,
+        n_paths=1,
+    )
+    assert [held.constrained(k) for k in range(3)] == [False, True, False]
+    assert held.controls.tolist() == [[UP, FREE, FREE]]
+    assert held.paths.tolist() == [[FREE] * 3] and held.states.tolist() == [[FREE, LOW, FREE]]
+    assert held.arcs("leg", ("u", "c", "x")) == (
+        Arc("leg", "u", UP, 0.0, 1.0),
+        Arc("leg", "u", ArcKind.CONSTRAINED, 1.0, 2.0),
+        Arc("leg", "u", FREE, 2.0, 3.0),
+        Arc("leg", "x", LOW, 1.0, 2.0),
+    )
+
+
+# --- resolution -----------------------------------------------------------------------------------------------
+
+
+def test_a_piece_gets_higher_degrees_then_twice_the_segments() -> None:
+    r, seen = Resolution(), []
+    while r.finer() != r:
+        r = r.finer()
+        seen.append((r.segments, r.degree))
+    assert seen == [(1, 9), (1, MAX_DEGREE), (2, MAX_DEGREE), (4, 12), (8, 12), (16, 12), (MAX_SEGMENTS, 12)]
+
+
+def test_only_the_piece_that_is_inaccurate_is_solved_more_finely() -> None:
+    """z' = exp(30 (t - 2)) beside a bang-bang move over 2 s: it hardly changes before the switch at 1 s."""
+    model = go.Model("double integrator")
+    q, v, z = model.state("q"), model.state("v"), model.state("z")
+    a = model.control("a")
+    model.ode({q: v, v: a, z: ca.exp(30 * (model.time - 2))})
+    problem = go.Problem("move and something steep")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(q=1.0, v=0.0, z=0.0)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    solution = go.refine(go.solve(problem, mesh="10x4"), structure="bang-bang")
+    assert solution.objective == pytest.approx(2.0, abs=1e-9)
+    assert solution.state("z")(2.0 - 1e-9) == pytest.approx(1 / 30, rel=1e-6)
+    first, *others = solution.phase().mesh.degrees
+    assert first == Resolution().degree and all(degree > first for degree in others)
+
+
+# --- detection ------------------------------------------------------------------------------------------------
+
+
+def test_switches_are_found_at_the_zeros_of_the_switching_function() -> None:
+    """Not halfway between samples: the costates of a coarse mesh know the switch better than its controls."""
+    model = go.Model("double integrator")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("minimum time")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(q=1.0, v=0.3)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    samples = go.solve(problem, mesh="5x4").samples()["leg"]
+    structure = detect(samples)
+    assert [piece[0] for piece in structure.kinds] == [LOW, UP]
+    assert abs(switching(samples, 0)(structure.times[1])) < 1e-12
+    assert structure.times[0] == 0.0 and structure.times[2] == pytest.approx(samples.leg.final_time)
+
+
+# --- units ----------------------------------------------------------------------------------------------------
+
+
+def pursuit(x_unit: float, u_unit: float, t_unit: float, cost: float) -> go.Problem:
+    """x' = u, |u| <= 2, min of half the integral of (x - sin t)^2, x(0) = 1, x(3) = 3/2, in other units."""
+    model = go.Model("pursuit")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u / u_unit * x_unit / t_unit})
+    problem = go.Problem("pursuit")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 3.0 * t_unit)
+    leg.initial(x=1.0 * x_unit)
+    leg.final(x=1.5 * x_unit)
+    leg.bounds(u=tuple(sorted((-2.0 * u_unit, 2.0 * u_unit))))
+    off = x / x_unit - ca.sin(model.time / t_unit)
+    problem.minimize(0.5 * cost / t_unit * leg.integral(off**2))
+    return problem
+
+
+def regulator(x_unit: float, u_unit: float, t_unit: float, cost: float) -> go.Problem:
+    """x' = u, |u| <= 1, half the integral of x^2 + u^2 over 4 s, x(0) = 3: a kink, in other units."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u / u_unit * x_unit / t_unit})
+    problem = go.Problem("saturated regulator")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 4.0 * t_unit)
+    leg.initial(x=3.0 * x_unit)
+    leg.bounds(u=tuple(sorted((-1.0 * u_unit, 1.0 * u_unit))))
+    problem.minimize(0.5 * cost / t_unit * leg.integral((x / x_unit) ** 2 + (u / u_unit) ** 2))
+    return problem
+
+
+@pytest.mark.parametrize("problem", [pursuit, regulator])
+@pytest.mark.parametrize("units", [(300.0, 1.0, 1.0, 1.0), (1.0, 0.01, 1.0, 1.0), (1.0, 1.0, 60.0, 1.0),
+                                   (1.0, 1.0, 1.0, 1e3), (0.1, -20.0, 0.05, 0.02)])  # fmt: skip
+def test_the_structure_does_not_depend_on_units(problem: object, units: tuple[float, ...]) -> None:
+    """Same arcs, same passes, same mesh; the arcs of a control in a negative unit are upside down."""
+    usual, other = (go.refine(go.solve(problem(*u))) for u in ((1.0,) * 4, units))  # type: ignore[operator]
+    upside_down = {LOW: UP, UP: LOW} if units[1] < 0 else {}
+    for a, b in zip(usual.structure, other.structure, strict=True):
+        assert b.kind is upside_down.get(a.kind, a.kind)
+        assert (b.start, b.end) == pytest.approx((a.start * units[2], a.end * units[2]), rel=1e-7, abs=1e-7)
+    assert usual.history is not None and other.history is not None
+    assert len(usual.history.passes) == len(other.history.passes)
+    assert usual.phase().mesh.degrees == other.phase().mesh.degrees

@@ -1,0 +1,65 @@
+"""The mutation tester changes meaning, one place at a time, and nothing that is only shown."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from benchmarks.mutants.mutations import keys, mutants_of
+
+
+def changes(tmp_path: Path, source: str) -> set[str]:
+    (tmp_path / "module.py").write_text(source, encoding="utf-8")
+    found = mutants_of(tmp_path, "module.py")
+    for mutant in found:
+        ast.parse(mutant.applied(source.encode()))  # each of them is Python
+    return {f"{m.before} -> {m.after}" for m in found}
+
+
+@pytest.mark.parametrize(
+    ("body", "expected"),
+    [
+        ("return a < b", {"a < b -> (a >= b)"}),
+        ("return len(a) > b", {"len(a) > b -> (len(a) <= b)", "len(a) > b -> (len(a) >= b)"}),
+        ("return a + b / c", {"a + b / c -> (a - b / c)", "b / c -> (b * c)"}),
+        ("return -a if b else not c", {"-a -> a", "b -> (not b)", "not c -> c"}),
+        ("return a and max(b, c)", {"a and max(b, c) -> (a or max(b, c))", "max -> min"}),
+        ("return np.abs(a)", {"np.abs(a) -> a"}),
+        ("return np.sum(a, axis=b)", {"np.sum(a, axis=b) -> np.sum(a)"}),
+        ("return a(t, 'left')", {"'left' -> 'right'"}),
+        ("return a[b:c]", {"b:c -> :c", "b:c -> b:"}),
+        ("return a(True, 3, 0.5, 1e-9)", {"True -> False", "3 -> 4", "0.5 -> 1.0"}),
+        ("a[b] = c\n    a += c\n    return a", {"a[b] = c -> pass", "a += c -> pass"}),
+        ("for b in a:\n        b()\n    return a", {"b() -> pass"}),
+        ("if a:\n        return b\n    return c", {"a -> (not a)", "return b -> pass"}),
+        ("return [b for b in a if c]", {"c -> True"}),
+        ("λ = 2\n    return λ - a", {"2 -> 3", "λ - a -> (λ + a)"}),
+    ],
+)
+def test_what_is_changed(tmp_path: Path, body: str, expected: set[str]) -> None:
+    assert changes(tmp_path, f"def f(a, b, c):\n    {body}\n") == expected
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "LEAST = 1e-6\nMOST = 3 * 4\n",
+        'def f(a):\n    """Add 1 + 1."""\n    raise ValueError(f"{a + 1} is > 0")\n',
+        "def f(a):\n    assert a > 0 and a < 1\n",
+        "class A:\n    size: int\n\n    def __str__(self):\n        return 'a' + str(self.size + 1)\n",
+        "def f(a):\n    return [*zip(a, a, strict=True)]\n",
+    ],
+)
+def test_what_is_left_alone(tmp_path: Path, source: str) -> None:
+    assert changes(tmp_path, source) == set()
+
+
+def test_keys_tell_equal_pieces_apart_and_survive_other_edits(tmp_path: Path) -> None:
+    def named(source: str) -> list[str]:
+        (tmp_path / "module.py").write_text(source)
+        return [key for key, _ in keys(mutants_of(tmp_path, "module.py"))]
+
+    function = "def f(a):\n    return g(-a, -a)\n"
+    before = named(function)
+    assert before == ["module.py f: -a -> a", "module.py f: -a -> a #2"]
+    assert named("def e(a):\n    return a\n\n\n" + function) == before

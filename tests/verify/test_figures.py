@@ -1,0 +1,114 @@
+"""The verdict's figures to many digits: what an offence of known size is worth, by hand.
+
+Minimum energy, rest to rest over 1 m in 1 s: a = 6 - 12 t, v = 6 t (1 - t), costates -12 and 12 t - 6, |v| <= 5,
+|a| <= 10. Hence the scales: 1 m and 1.5 m/s, 20 m/s^2, 12 for the cost (|lam_q| q), and 54 for H (|lam_v a| + a^2 / 2,
+at the ends). Minimum time over 1 m: lam_q = 1, lam_v = 1 - t, all scales of H are 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from wrong import added, bang_bang, energy, hilltop, moved, scaled, shifted, upper, with_leg
+
+import gnc_opt as go
+from gnc_opt.problem.interval import Interval
+from gnc_opt.transcription.quadrature import collocation_rule
+
+E = 1e-3
+Q, V, A = 0, 1, 0
+MIDDLE = collocation_rule("LG", 5).weights[2] / 2
+"""Share of a segment that its middle point stands for; the eighth of the points is at 0.375 s, with v = 1.40625."""
+
+
+def limited(low: float, high: float) -> go.Solution:
+    return with_leg(energy(), control_bounds=Interval(np.array([low]), np.array([high])))
+
+
+def multiplied(field: str, row: int, amount: float) -> go.Solution:
+    values = getattr(energy().phase(), field)
+    return with_leg(energy(), **{field: moved(values, (row, 7), amount)})
+
+
+def enough(amount: float) -> go.Solution:
+    return replace(energy(), constraint_multipliers=energy().constraint_multipliers + amount)
+
+
+FIGURES: list[tuple[str, str, Callable[[], go.Solution], float]] = [
+    ("dynamics", "control off for 0.25 s", lambda: added(energy(), "u", A, E, 1), E * 0.25 / 1.5),
+    ("dynamics", "speed jumps", lambda: added(energy(), "x", V, E, 1), E / 1.5),
+    ("propagation", "control off for 0.25 s", lambda: added(energy(), "u", A, E, 1), E * 0.25 / 1.5),
+    ("propagation", "control off all along", lambda: added(energy(), "u", A, E), E / 1.5),
+    ("bounds", "top speed", lambda: with_leg(
+        energy(), state_bounds=upper(energy().phase().state_bounds, V, 1.5 - E)), E / 1.5),
+    ("bounds", "least speed", lambda: with_leg(
+        energy(), state_bounds=Interval(np.array([-9.0, E]), np.array([9.0, 5.0]))), E / 1.5),
+    ("bounds", "largest control", lambda: limited(-10.0, 6 - E), E / (16 - E)),
+    ("bounds", "least control", lambda: limited(-6 + E, 10.0), E / (16 - E)),
+    ("path constraints", "top speed", lambda: with_leg(
+        energy(), path_bounds=upper(energy().phase().path_bounds, 0, 1.5 - E)), E / 1.5),
+    ("path constraints", "least speed", lambda: with_leg(
+        energy(), path_bounds=Interval(np.array([E]), np.array([5.0]))), E / 5.0),
+    ("boundary conditions", "final position too small", lambda: with_leg(
+        energy(), final_bounds=shifted(energy().phase().final_bounds, E)), E),
+    ("boundary conditions", "initial position too large", lambda: with_leg(
+        energy(), initial_bounds=shifted(energy().phase().initial_bounds, -E)), E),
+    ("boundary conditions", "duration", lambda: with_leg(
+        energy(), duration_bounds=Interval(np.array([1.0 + E]), np.array([9.0]))), E),
+    ("cost", "objective too large", lambda: replace(energy(), objective=6 * (1 + E)), E / (1 + E)),
+    ("cost", "objective too small", lambda: replace(energy(), objective=6 * (1 - E)), E / (1 - E)),
+    ("cost", "objective of 1", lambda: replace(hilltop(-0.5), objective=1 + E), E / (1 + E)),
+    ("cost", "objective of 0.5", lambda: replace(hilltop(-0.5), objective=0.5), 0.5),
+    ("adjoint equation", "costates jump there and back", lambda: scaled(energy(), "lam", 1 + E, 1), E / (1 + E)),
+    ("Hamiltonian", "costate of q off where v is up to 1.5", lambda: added(energy(), "lam", Q, E, 1), 1.5 * E / 54),
+    ("stationarity", "control off its minimum", lambda: added(energy(), "u", A, E, 1), E / 20),
+    ("stationarity", "control off its minimum", lambda: added(energy(), "u", A, -E, 1), E / 20),
+    ("Legendre-Clebsch", "curvature 1 over a range of 20", energy, -(20.0**2) / 54),
+    ("control signs", "switch too early", lambda: added(bang_bang(), "lam", V, E), 2 * E / (1 + E)),
+    ("control signs", "switch too late", lambda: added(bang_bang(), "lam", V, -E), 2 * E / (1 + E)),
+    ("minimum principle", "switch too early", lambda: added(bang_bang(), "lam", V, E), 2 * E / (1 + E)),
+    ("strict switches", "slope 1 over a range of 2, for 2 s", bang_bang, -4.0),
+    ("complementarity", "control, pushed from above", lambda: multiplied("control_multipliers", A, E),
+     E * 8.5 * MIDDLE / 54),
+    ("complementarity", "control, pushed from below", lambda: multiplied("control_multipliers", A, -E),
+     E * 11.5 * MIDDLE / 54),
+    ("complementarity", "speed", lambda: multiplied("state_multipliers", V, E), E * 1.5 * MIDDLE / 12),
+    ("complementarity", "path", lambda: multiplied("path_multipliers", 0, E), E * (5 - 1.40625) * MIDDLE / 54),
+    ("complementarity", "impulse", lambda: with_leg(
+        energy(), state_impulses=moved(energy().phase().state_impulses, (V, 2), E)), E * 1.5 / 12),
+    ("complementarity", "boundary constraint", lambda: enough(E), E / 12),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "what", "wrong", "value"), FIGURES, ids=[f"{n}: {w}" for n, w, *_ in FIGURES]
+)
+def test_figure(name: str, what: str, wrong: Callable[[], go.Solution], value: float) -> None:
+    condition = go.verify(wrong())[name]
+    assert condition.value == pytest.approx(value, rel=2e-5), condition.where
+
+
+def test_transversality_of_values_and_times() -> None:
+    """A costate of 6 at a free speed of 1.5 is worth 9 of 12; H = -18 at a free time is a third of its scale."""
+    leg = energy().phase()
+    free = Interval(np.array([1.0, -9.0]), np.array([1.0, 9.0]))
+    verdict = go.verify(with_leg(energy(), final_bounds=free))
+    assert verdict["transversality"].value == pytest.approx(0.75, rel=1e-6)
+    late = Interval(np.array([0.1]), np.array([9.0]))
+    for end, at in (("final", "end"), ("initial", "start")):
+        box = late if end == "final" else Interval(np.array([-9.0]), np.array([9.0]))
+        condition = go.verify(with_leg(energy(), **{f"{end}_time_bounds": box}))["transversality"]
+        assert condition.value == pytest.approx(18 / 54, rel=1e-6)
+        assert condition.where == f"phase leg, H at its {at}"
+    assert leg.duration == 1.0
+
+
+def test_smallest_share_that_counts_as_a_bound() -> None:
+    """A control within a millionth of its range of a bound sits on it: dH/du may then have one sign."""
+    solution = bang_bang()
+    for distance, sits in ((1e-6, True), (4e-6, False)):
+        inside = scaled(solution, "u", 1 - distance)
+        assert (go.verify(inside)["stationarity"].value == 0.0) is sits
