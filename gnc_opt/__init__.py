@@ -28,7 +28,9 @@ from gnc_opt.errors import (
 from gnc_opt.model import Model
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem import Phase, Problem
+from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.refine import History, Minimum, Multistart, RefinementStatus, multistart, polish, refine
+from gnc_opt.refine.sensitivity.derivatives import Sensitivity
 from gnc_opt.refine.sensitivity.sensitivity import sensitivity
 from gnc_opt.simulation import Campaign, ClosedLoop, Outcome, Run, RunStatus, monte_carlo
 from gnc_opt.solution import PhaseSolution, Solution, load
@@ -38,6 +40,8 @@ from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.verify import Condition, Result, Verdict, verify
 
 __all__ = [
+    "Arc",
+    "ArcKind",
     "ArgumentError",
     "Campaign",
     "ClosedLoop",
@@ -63,6 +67,7 @@ __all__ = [
     "Result",
     "Run",
     "RunStatus",
+    "Sensitivity",
     "Solution",
     "SolveError",
     "SolverOptions",

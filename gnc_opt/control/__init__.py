@@ -6,7 +6,13 @@ from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.feedback_linearization import design_feedback_linearization
 from gnc_opt.control.feedforward import feedforward
 from gnc_opt.control.flight_code import FlightCode, export_c
-from gnc_opt.control.lie import decoupling_matrix, lie_derivative, relative_degrees, zero_dynamics
+from gnc_opt.control.lie import (
+    decoupling_matrix,
+    lie_derivative,
+    output_errors,
+    relative_degrees,
+    zero_dynamics,
+)
 from gnc_opt.control.linear.lqr import design_lqr
 from gnc_opt.control.linear.tvlqr import design_tvlqr
 from gnc_opt.control.linear.weights import bryson
@@ -57,6 +63,7 @@ __all__ = [
     "first_memory",
     "law",
     "lie_derivative",
+    "output_errors",
     "relative_degrees",
     "trim",
     "zero_dynamics",

@@ -192,7 +192,19 @@ def decoupling_matrix(model: Model, outputs: Outputs, x: ArrayLike, t: float = 0
 
 
 def output_errors(model: Model, reference: Reference, outputs: Outputs) -> OutputErrors:
-    """Return the errors of outputs with their derivatives up to the relative degree.
+    """Return the errors of outputs with their derivatives up to the relative degree, as `zero_dynamics` takes them.
+
+    Parameters
+    ----------
+    model : Model
+    reference : Reference
+        Near which the relative degrees are found.
+    outputs : name, names, expressions or mapping
+        See `Outputs`.
+
+    Returns
+    -------
+    OutputErrors
 
     Raises
     ------

@@ -2,6 +2,7 @@
 
 from gnc_opt.plot.campaign import plot_dispersion, plot_distributions
 from gnc_opt.plot.path import plot_curves, plot_path
+from gnc_opt.plot.refinement import plot_refinement
 from gnc_opt.plot.run import plot_run_controls, plot_run_errors, plot_run_states
 from gnc_opt.plot.style import save_figure
 from gnc_opt.plot.trajectory import plot_controls, plot_costates, plot_hamiltonian, plot_states
@@ -15,6 +16,7 @@ __all__ = [
     "plot_distributions",
     "plot_hamiltonian",
     "plot_path",
+    "plot_refinement",
     "plot_run_controls",
     "plot_run_errors",
     "plot_run_states",

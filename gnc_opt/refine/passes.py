@@ -30,9 +30,9 @@ def pass_record(
 
 
 def pass_meter(name: str, tol: float, shown: bool) -> AbstractContextManager[Callable[[Pass], None]]:
-    """Return a context whose value shows a pass, or does nothing; see `gnc_opt.report.refinement`."""
+    """Return a context whose value shows a pass, or does nothing; see `gnc_opt.report.progress`."""
     if not shown:
         return nullcontext(lambda _: None)
-    from gnc_opt.report.refinement import refinement_meter
+    from gnc_opt.report.progress import refinement_meter
 
     return refinement_meter(name, tol)

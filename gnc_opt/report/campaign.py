@@ -1,4 +1,4 @@
-"""A campaign: its progress, one bar on standard error, its table, and its statistics as JSON."""
+"""A campaign: its table, and its statistics as JSON."""
 
 from __future__ import annotations
 
@@ -6,18 +6,12 @@ import json
 import math
 import re
 from collections import defaultdict
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.statistics import CONFIDENCE, PassRate, Percentile, share_below_maximum
-
-ShowRuns: TypeAlias = Callable[[int, int], None]
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
 """Of the percentiles that are printed and written."""
@@ -27,46 +21,6 @@ _CAUSES = 8
 
 _LISTED = 5
 """Numbers of failed runs that are printed for each cause."""
-
-
-@contextmanager
-def campaign_meter(total: int, console: Console | None = None) -> Iterator[ShowRuns]:
-    """Show how many of ``total`` runs have ended and how many of those failed.
-
-    Parameters
-    ----------
-    total : int
-    console : rich.console.Console, optional
-        Where to write; default: standard error.
-
-    Yields
-    ------
-    callable
-        ``show(runs, failed)``: so many more have ended, so many of those failed.
-    """
-    columns = (
-        TextColumn("{task.description}", style="bold"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[failed]}"),
-        TimeElapsedColumn(),
-    )
-    console = Console(stderr=True) if console is None else console
-    with Progress(*columns, console=console, auto_refresh=False) as progress:
-        bar = progress.add_task("runs", total=total, failed="")
-        all_failed = 0
-
-        def show(runs: int, failed: int) -> None:
-            nonlocal all_failed
-            all_failed += failed
-            progress.update(
-                bar,
-                advance=runs,
-                failed=f"{all_failed} failed" if all_failed else "",
-                refresh=console.is_terminal,
-            )
-
-        yield show
 
 
 def shown_measures(campaign: Campaign) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""The progress meter of a solve: one line on standard error."""
+"""Progress meters on standard error: of solves, refinements, searches and campaigns."""
 
 from __future__ import annotations
 
@@ -9,9 +9,15 @@ from typing import TypeAlias
 
 from rich.console import Console
 from rich.live import Live
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
+from gnc_opt.solution.history import Pass
+
 Show: TypeAlias = Callable[[int, float, float], None]
+ShowPass: TypeAlias = Callable[[Pass], None]
+ShowEnding: TypeAlias = Callable[["float | None"], None]
+ShowRuns: TypeAlias = Callable[[int, int], None]
 
 PERIOD = 0.1
 """Least time between two updates, s."""
@@ -77,3 +83,124 @@ class _Meter:
             self._live.stop()
         if self._line is not None:
             self._console.print(self._line, soft_wrap=not self._console.is_terminal)
+
+
+@contextmanager
+def refinement_meter(name: str, tolerance: float, console: Console | None = None) -> Iterator[ShowPass]:
+    """Show each pass of a refinement when it is done, and on a terminal that the next one is being solved.
+
+    Parameters
+    ----------
+    name : str
+        Of the problem.
+    tolerance : float
+        What the error should come down to.
+    console : rich.console.Console, optional
+        Where to write; default: standard error.
+
+    Yields
+    ------
+    callable
+        ``show(record)``
+    """
+    console = Console(stderr=True) if console is None else console
+    console.print(Text(f"{name}: refining to {tolerance:.1e}", style="bold"))
+    count = 0
+    with console.status("solving") as status:
+
+        def show(record: Pass) -> None:
+            nonlocal count
+            line = (
+                f"  pass {count}  {record.segments} segments, {record.points} points  error {record.error:.1e}  "
+                f"objective {record.objective:.10g}  {record.iterations} iterations, {record.seconds:.1f} s"
+            )
+            ending = "" if record.solved else "  not solved"
+            console.print(Text(line + ending), soft_wrap=True)
+            count += 1
+            status.update(f"solving pass {count} (error {record.error:.1e})")
+
+        yield show
+
+
+@contextmanager
+def search_meter(
+    name: str, total: int, sense: float = 1.0, console: Console | None = None
+) -> Iterator[ShowEnding]:
+    """Show how many of ``total`` tasks have ended and the best objective among them.
+
+    Parameters
+    ----------
+    name : str
+        What is counted.
+    total : int
+    sense : float
+        Negative where a larger objective is better.
+    console : rich.console.Console, optional
+        Where to write; default: standard error.
+
+    Yields
+    ------
+    callable
+        ``show(objective)``; None for a task without one.
+    """
+    columns = (
+        TextColumn("{task.description}", style="bold"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[best]}"),
+        TimeElapsedColumn(),
+    )
+    console = Console(stderr=True) if console is None else console
+    with Progress(*columns, console=console, auto_refresh=False) as progress:
+        bar = progress.add_task(name, total=total, best="")
+        best: float | None = None
+
+        def show(objective: float | None) -> None:
+            nonlocal best
+            if objective is not None and (best is None or sense * objective < sense * best):
+                best = objective
+            progress.update(
+                bar, advance=1, best="" if best is None else f"best {best:.8g}", refresh=console.is_terminal
+            )
+
+        yield show
+
+
+@contextmanager
+def campaign_meter(total: int, console: Console | None = None) -> Iterator[ShowRuns]:
+    """Show how many of ``total`` runs have ended and how many of those failed.
+
+    Parameters
+    ----------
+    total : int
+    console : rich.console.Console, optional
+        Where to write; default: standard error.
+
+    Yields
+    ------
+    callable
+        ``show(runs, failed)``: so many more have ended, so many of those failed.
+    """
+    columns = (
+        TextColumn("{task.description}", style="bold"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[failed]}"),
+        TimeElapsedColumn(),
+    )
+    console = Console(stderr=True) if console is None else console
+    with Progress(*columns, console=console, auto_refresh=False) as progress:
+        bar = progress.add_task("runs", total=total, failed="")
+        all_failed = 0
+
+        def show(runs: int, failed: int) -> None:
+            nonlocal all_failed
+            all_failed += failed
+            progress.update(
+                bar,
+                advance=runs,
+                failed=f"{all_failed} failed" if all_failed else "",
+                refresh=console.is_terminal,
+            )
+
+        yield show

@@ -1,66 +1,22 @@
-"""A search from many starts: its progress, one bar on standard error, and what it found as JSON."""
+"""What a search from many starts found, as JSON."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-from gnc_opt.refine.search.multistart import Multistart, ShowEnding
+from gnc_opt.refine.search.multistart import Multistart
 from gnc_opt.report.summary_json import summary_dict
 
 
-@contextmanager
-def search_meter(
-    name: str, total: int, sense: float = 1.0, console: Console | None = None
-) -> Iterator[ShowEnding]:
-    """Show how many of ``total`` tasks have ended and the best objective among them.
+def search_dict(found: Multistart) -> dict[str, Any]:
+    """Return what a search found as plain JSON values; each minimum with the summary of its solution.
 
     Parameters
     ----------
-    name : str
-        What is counted.
-    total : int
-    sense : float
-        Negative where a larger objective is better.
-    console : rich.console.Console, optional
-        Where to write; default: standard error.
-
-    Yields
-    ------
-    callable
-        ``show(objective)``; None for a task without one.
+    found : Multistart
     """
-    columns = (
-        TextColumn("{task.description}", style="bold"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[best]}"),
-        TimeElapsedColumn(),
-    )
-    console = Console(stderr=True) if console is None else console
-    with Progress(*columns, console=console, auto_refresh=False) as progress:
-        bar = progress.add_task(name, total=total, best="")
-        best: float | None = None
-
-        def show(objective: float | None) -> None:
-            nonlocal best
-            if objective is not None and (best is None or sense * objective < sense * best):
-                best = objective
-            progress.update(
-                bar, advance=1, best="" if best is None else f"best {best:.8g}", refresh=console.is_terminal
-            )
-
-        yield show
-
-
-def search_dict(found: Multistart) -> dict[str, Any]:
-    """Return what a search found as plain JSON values; each minimum with the summary of its solution."""
     return {
         "problem": found.problem_name,
         "starts": found.starts,
@@ -90,6 +46,23 @@ def search_text(found: Multistart) -> str:
     return json.dumps(search_dict(found), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def write_search(path: str | Path, found: Multistart) -> None:
-    """Write `search_dict` to a file as UTF-8 JSON."""
-    Path(path).write_text(search_text(found), encoding="utf-8")
+def write_search(path: str | Path, found: Multistart) -> Path:
+    """Write `search_dict` to a file as UTF-8 JSON; returns its path.
+
+    Parameters
+    ----------
+    path : str or Path
+    found : Multistart
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    """
+    target = Path(path)
+    target.write_text(search_text(found), encoding="utf-8")
+    return target

@@ -28,14 +28,8 @@ from gnc_opt.simulation.block import (
     scalar,
     values,
 )
-from gnc_opt.simulation.steps import (
-    LAST_DIGITS,
-    ROUNDING,
-    is_first,
-    next_phase,
-    started_steps,
-    whole_steps,
-)
+from gnc_opt.simulation.steps import is_first, next_phase, started_steps, whole_steps
+from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 _INSTANT = 1e-12
 """A time constant below this (s) is none."""
@@ -240,7 +234,7 @@ class Delay(Block):
         return {"delay": (scalar(self.delay, f"the delay of '{self.name}'"), "s")}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
-        return {"delay": (0.0, self._length(h) * h * (1 + LAST_DIGITS))}
+        return {"delay": (0.0, self._length(h) * h * (1 + ROUNDING))}
 
     def _length(self, h: float) -> int:
         longest = self.delay if self.maximum is None else self.maximum
@@ -259,7 +253,7 @@ class Delay(Block):
         for i in range(count):
             weight = ca.fmax(0.0, 1 - ca.fabs(steps - i))
             # not multiplied by a zero weight: a command that is not a number must not arrive early
-            late += ca.if_else(weight > ROUNDING, weight * line[i * size : (i + 1) * size], 0.0)
+            late += ca.if_else(weight > SAME_TIME, weight * line[i * size : (i + 1) * size], 0.0)
         return Step(late, rows(line, 0, state.shape[0]))
 
 

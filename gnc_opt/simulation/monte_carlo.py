@@ -107,7 +107,7 @@ def monte_carlo(
 def _meter(total: int, visible: bool) -> AbstractContextManager[Callable[[int, int], None]]:
     if not visible:
         return nullcontext(lambda runs, failed: None)
-    from gnc_opt.report.campaign import campaign_meter
+    from gnc_opt.report.progress import campaign_meter
 
     return campaign_meter(total)
 

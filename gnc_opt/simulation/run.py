@@ -17,8 +17,8 @@ from gnc_opt.packing import Packing
 from gnc_opt.simulation import metrics
 from gnc_opt.simulation.first_files import run_fields
 from gnc_opt.simulation.outcome import Outcome, RunStatus
-from gnc_opt.simulation.steps import LAST_DIGITS, ROUNDING
 from gnc_opt.strict import Strict
+from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 
 @dataclass(frozen=True)
@@ -46,12 +46,12 @@ class Logged:
         """Return the signal, (size,) at one time t (s), (size, n) at many; states are interpolated linearly."""
         at = np.asarray(t, dtype=float)
         first, last = self.times[0], np.inf if self.held else self.times[-1]
-        if not np.all((at >= first) & (at <= last * (1 + LAST_DIGITS))):
+        if not np.all((at >= first) & (at <= last * (1 + ROUNDING))):
             raise ArgumentError(
                 f"'{self.name}' is logged from {first:g} s to {self.times[-1]:g} s, not at {shown(t)} s."
             )
         if self.held:
-            index = np.searchsorted(self.times, at + ROUNDING * (1 + np.abs(at)), side="right") - 1
+            index = np.searchsorted(self.times, at + SAME_TIME * (1 + np.abs(at)), side="right") - 1
             return np.asarray(self.values[:, index])
         rows = [np.interp(at, self.times, row) for row in self.values]
         return np.stack(rows)

@@ -22,7 +22,8 @@ from gnc_opt.simulation.block import (
     scalar,
     values,
 )
-from gnc_opt.simulation.steps import ROUNDING, is_first, next_phase, whole_steps
+from gnc_opt.simulation.steps import is_first, next_phase, whole_steps
+from gnc_opt.tolerances import SAME_TIME
 
 
 @dataclass(frozen=True)
@@ -201,6 +202,6 @@ class Outage(Block):
         }
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        begin, end = (p[name] - ROUNDING * tick.dt for name in ("begin", "end"))
+        begin, end = (p[name] - SAME_TIME * tick.dt for name in ("begin", "end"))
         out = ca.logic_and(tick.t >= begin, tick.t < end)
         return Step(ca.if_else(out, math.nan, signal), state)

@@ -8,18 +8,13 @@ from typing import Any
 import casadi as ca
 
 from gnc_opt.errors import ArgumentError
-
-ROUNDING = 1e-9
-"""Share of a step by which times may differ that are the same: they are sums and quotients of steps."""
-
-LAST_DIGITS = 1e-12
-"""Share by which a time may exceed its limit: the rounding of a single product."""
+from gnc_opt.tolerances import SAME_TIME
 
 
 def whole_steps(duration: float, step: float, what: str) -> int:
     """Return how many steps make up a duration (s); refuse what is no multiple."""
     count = round(duration / step)
-    if count < 0 or abs(count * step - duration) > ROUNDING * max(step, duration):
+    if count < 0 or abs(count * step - duration) > SAME_TIME * max(step, duration):
         raise ArgumentError(
             f"{what} is {duration:g} s, not a multiple of the step of {step:g} s: choose one."
         )
@@ -28,7 +23,7 @@ def whole_steps(duration: float, step: float, what: str) -> int:
 
 def started_steps(duration: float, step: float) -> int:
     """Return how many steps begin within a duration (s)."""
-    return math.ceil(duration / step - ROUNDING)
+    return math.ceil(duration / step - SAME_TIME)
 
 
 def is_first(phase: Any) -> Any:

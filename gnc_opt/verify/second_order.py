@@ -28,13 +28,19 @@ from gnc_opt.problem.functions import EndGradients, end_function
 from gnc_opt.solution.quality import worst_index
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
-from gnc_opt.tolerances import AT_LIMIT, RANK
+from gnc_opt.tolerances import AT_LIMIT, RANK, TINY
 from gnc_opt.verify.verdict import Condition, Result
 
 STEPS = 300
 """Runge-Kutta steps over the phase, and at least `LEAST_STEPS` from switch to switch."""
 
 LEAST_STEPS = 4
+
+BESIDE = 1e-4
+"""How far from a switch its slope is taken, in shares of the shorter neighbouring segment."""
+
+ACTIVE_PATH, ACTIVE_STATE = 1e-6, 1e-4
+"""Multipliers above these, in shares of H and of the cost, are those of active constraints."""
 
 CURVATURE = 1e-9
 """Least eigenvalue of the reduced Hessian, relative to the largest, that counts as positive."""
@@ -63,7 +69,7 @@ def _least_slope(s: PhaseSamples) -> tuple[float, str]:
     least, place = np.inf, ""
     for t in times:
         before, after = leg.flown(t, "left"), leg.flown(t, "right")
-        step = 1e-4 * min(t - leg.breaks[leg.breaks < t][-1], leg.breaks[leg.breaks > t][0] - t)
+        step = BESIDE * min(t - leg.breaks[leg.breaks < t][-1], leg.breaks[leg.breaks > t][0] - t)
         sides = np.array([t - step, t + step])
         mu = leg.path_multiplier(sides)
         values = s.functions.control_gradient(sides, leg.x(sides), leg.flown(sides), leg.lam(sides), mu)
@@ -100,7 +106,7 @@ class InducedProblem:
     def reduced_hessian(self) -> Array:
         """Hessian on the null space of the constraints' Jacobian."""
         _, sizes, basis = np.linalg.svd(self.jacobian, full_matrices=True)
-        rank = int(np.sum(sizes > RANK * max(float(np.max(sizes, initial=0.0)), 1e-300)))
+        rank = int(np.sum(sizes > RANK * max(float(np.max(sizes, initial=0.0)), TINY)))
         null = basis[rank:].T
         reduced = null.T @ self.hessian @ null
         return np.asarray(0.5 * (reduced + reduced.T))
@@ -138,10 +144,10 @@ def _why_not(samples: list[PhaseSamples]) -> str:
     if not np.all(on_bound):
         i, j = worst_index((~on_bound).astype(float))
         return f"{s.place(j, s.leg.controls.labels[i])}: a control between its bounds"
-    if np.max(np.abs(s.leg.path_multipliers), initial=0.0) > 1e-6 * s.hamiltonian_scale:
+    if np.max(np.abs(s.leg.path_multipliers), initial=0.0) > ACTIVE_PATH * s.hamiltonian_scale:
         return "an active path constraint"
     worth = np.abs(s.leg.state_multipliers) * s.state_scale[:, None] * s.leg.duration
-    if np.max(worth, initial=0.0) > 1e-4 * s.cost_scale:
+    if np.max(worth, initial=0.0) > ACTIVE_STATE * s.cost_scale:
         return "an active state bound"
     return ""
 

@@ -16,10 +16,10 @@ ROOT = Path(__file__).parents[2]
 SHOWING = {
     ("gnc_opt.solution.solution", "gnc_opt.report.summary"),
     ("gnc_opt.solution.attempt", "gnc_opt.report.progress"),
-    ("gnc_opt.refine.passes", "gnc_opt.report.refinement"),
-    ("gnc_opt.refine.search.multistart", "gnc_opt.report.search"),
+    ("gnc_opt.refine.passes", "gnc_opt.report.progress"),
+    ("gnc_opt.refine.search.multistart", "gnc_opt.report.progress"),
     ("gnc_opt.simulation.campaign", "gnc_opt.report.campaign"),
-    ("gnc_opt.simulation.monte_carlo", "gnc_opt.report.campaign"),
+    ("gnc_opt.simulation.monte_carlo", "gnc_opt.report.progress"),
 }
 """Imports upwards that are allowed, inside functions only: they draw or print."""
 

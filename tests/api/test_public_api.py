@@ -20,9 +20,9 @@ import gnc_opt
 
 EXPECTED = {
     "gnc_opt": """
-        ArgumentError Campaign ClosedLoop Condition Controller DesignError Explanation GncOptError
+        Arc ArcKind ArgumentError Campaign ClosedLoop Condition Controller DesignError Explanation GncOptError
         History Mesh Minimum Model ModelError Multistart Outcome Phase PhaseSolution Problem
-        ProblemError ProblemWarning Reference RefinementStatus Result Run RunStatus Solution
+        ProblemError ProblemWarning Reference RefinementStatus Result Run RunStatus Sensitivity Solution
         SolveError SolverOptions Status UnknownAttributeError UnknownNameError Verdict bryson
         design_feedback_linearization design_hierarchical_sliding_mode design_integral_sliding_mode
         design_lqr design_mpc design_sliding_mode design_tvlqr export_c feedforward load monte_carlo
@@ -33,7 +33,7 @@ EXPECTED = {
         PredictiveReaching Reference SaturationLayer Sign SuperTwisting SuperTwistingObserver
         TanhLayer bryson decoupling_matrix design_feedback_linearization
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
-        design_sliding_mode design_tvlqr export_c feedforward first_memory law lie_derivative
+        design_sliding_mode design_tvlqr export_c feedforward first_memory law lie_derivative output_errors
         relative_degrees trim zero_dynamics
     """,
     "gnc_opt.simulation": """
@@ -57,11 +57,11 @@ EXPECTED = {
     """,
     "gnc_opt.plot": """
         plot_controls plot_costates plot_curves plot_dispersion plot_distributions plot_hamiltonian
-        plot_path plot_run_controls plot_run_errors plot_run_states plot_states plot_verdict
-        save_figure
+        plot_path plot_refinement plot_run_controls plot_run_errors plot_run_states plot_states
+        plot_verdict save_figure
     """,
     "gnc_opt.report": """
-        summary summary_dict write_json write_report
+        search_dict summary summary_dict write_json write_report write_search
     """,
 }
 """What users may rely on, by package; whoever changes it changes this list."""

@@ -146,11 +146,11 @@ def test_nan_at_the_guess_is_mended_by_another_guess() -> None:
 @pytest.mark.parametrize("mesh", ["10x3", "5x5"])
 @pytest.mark.parametrize("cost", ["time", "both"])
 def test_vanishing_phase(mesh: str, scheme: str, cost: str) -> None:
-    """Constraint gradients are dependent at the optimum, so the solver gets within about 1e-7 of it."""
+    """A duration t moves q by t^2/4 only, less than tolerances see: rounding decides how near to 0 the solver gets."""
     problem = ill_posed.going_nowhere(cost)
     solution = go.solve(problem, mesh=mesh, scheme=scheme)  # type: ignore[arg-type]
-    assert 0.0 <= solution.objective < 1e-6
-    assert 0.0 <= solution.phase().duration < 1e-6
+    assert 0.0 <= solution.objective < 2e-5
+    assert 0.0 <= solution.phase().duration < 2e-5
     assert solution.state("q")(0.0) == pytest.approx(1.0, abs=1e-9)
     assert solution.state("q")(solution.phase().final_time) == pytest.approx(1.0, abs=1e-9)
     assert np.isfinite(solution.hamiltonian(0.0)) and np.isfinite(solution.quality.max_defect)

@@ -4,6 +4,7 @@ import json
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import zlib
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -23,7 +24,7 @@ from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
 from gnc_opt.plot.campaign import plot_dispersion, plot_distributions
-from gnc_opt.report.campaign import campaign_meter
+from gnc_opt.report.progress import campaign_meter
 from gnc_opt.simulation import (
     ClosedLoop,
     Constant,
@@ -354,6 +355,10 @@ def test_runs_that_kill_their_process_are_counted_and_the_others_flown(serial):
     assert np.array_equal(campaign.parameters, clean.parameters)
 
 
+@pytest.mark.skipif(
+    sys.version_info < (3, 11),
+    reason="leaving an executor whose process died may wait for ever (python/cpython#94777)",
+)
 def test_dead_processes_of_a_given_executor_do_not_end_the_campaign():
     with ProcessPoolExecutor(1) as executor:
         campaign = fly(n=64, executor=executor, dispersions={"wind.sigma": Deadly(0.04)})

@@ -9,7 +9,15 @@ from gnc_opt.simulation.steps import is_first, next_phase, started_steps, whole_
 
 @pytest.mark.parametrize(
     ("duration", "step", "count"),
-    [(1.1, 0.1, 11), (0.7, 0.1, 7), (0.3, 0.1, 3), (0.0, 0.1, 0), (1.15, 0.1, 12), (0.01, 0.1, 1)],
+    [
+        (0.14, 0.02, 7),
+        (1.12, 0.02, 56),
+        (0.7, 0.1, 7),
+        (0.3, 0.1, 3),
+        (0.0, 0.1, 0),
+        (1.15, 0.1, 12),
+        (0.01, 0.1, 1),
+    ],
 )
 def test_steps_that_begin_within_a_duration(duration, step, count):
     assert started_steps(duration, step) == count

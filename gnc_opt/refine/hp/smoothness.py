@@ -8,6 +8,10 @@ from numpy.polynomial import legendre
 from gnc_opt.arrays import Array
 from gnc_opt.refine.error import PhaseError, states_at_points
 from gnc_opt.solution.phase_solution import piecewise
+from gnc_opt.tolerances import TINY
+
+ROUNDED = 1e-14
+"""Legendre coefficients below this, relative to the largest, are rounding."""
 
 SLOWEST, FASTEST = 0.02, 2.0
 """Decay rates are clipped to this range, in decades per degree."""
@@ -43,7 +47,7 @@ def _decay(values: Array, tau: Array) -> float:
     coefficients = np.abs(np.linalg.solve(legendre.legvander(tau, n - 1), values.T))
     sizes = np.max(coefficients, axis=1)
     envelope = np.maximum.accumulate(sizes[::-1])[::-1][1 if n > 5 else 0 :]
-    floor = 1e-14 * max(float(np.max(sizes)), 1e-300)
+    floor = ROUNDED * max(float(np.max(sizes)), TINY)
     kept = envelope[: max(2, int(np.searchsorted(-envelope, -floor)))]
     slope = np.polyfit(np.arange(kept.size), np.log10(np.maximum(kept, floor)), 1)[0]
     return float(np.clip(-slope, SLOWEST, FASTEST))

@@ -32,6 +32,13 @@ MOST_DEGREE = 32
 MOST_SEGMENTS = 2000
 MAX_STEPS = 40
 
+DONE, CLOSE = 1e-14, 1e-9
+"""Lengths of a relative Newton step: there is nothing left to gain; from here on steps are full, and end the iteration
+as soon as they no longer shrink."""
+
+LEAST_DAMPING = 1e-3
+"""Newton's method that would have to be damped further has failed."""
+
 LEAST_SHARE = 1e-3
 """A state, costate or control counts at least this share of its typical magnitude (a costate, of the largest's)."""
 
@@ -174,14 +181,14 @@ def _newton(
         length = float(np.max(np.abs(step)))
         if not np.isfinite(length):
             break
-        if length <= 1e-14 or (length < 1e-9 and length > 0.25 * last):
+        if length <= DONE or (length < CLOSE and length > 0.25 * last):
             return x, iteration
         damping = 1.0
-        while damping > 1e-3:
+        while damping > LEAST_DAMPING:
             trial = x + damping * sizes * step
             moved = (transcription.evaluate(bvp, trial)[0] - box.lower)[equations] / norms
             simplified = factors.solve(moved)
-            if length < 1e-9 or np.max(np.abs(simplified)) <= (1 - damping / 4) * length:
+            if length < CLOSE or np.max(np.abs(simplified)) <= (1 - damping / 4) * length:
                 break
             damping *= 0.5
         else:

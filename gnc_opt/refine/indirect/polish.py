@@ -34,6 +34,9 @@ MAX_PASSES = 12
 CLEAR = 1e-6
 """A quantity nearer than this to a limit (relative to its size) is taken to be held by it."""
 
+SAME = 1e-10
+"""Rates that a full turn of a control changes by less than this, relative to their size, do not know of it."""
+
 FLAT = 1e-8
 """Curvature of H in the controls, relative to the largest, that counts as none."""
 
@@ -109,7 +112,7 @@ def _unwrapped(solution: Solution) -> Solution:
             turned = u.copy()
             turned[i] += 2 * np.pi
             moved = np.vstack([functions.rates(times, x, turned), functions.integrands(times, x, turned)])
-            if np.all(np.abs(moved - plain) <= 1e-10 * sizes):
+            if np.all(np.abs(moved - plain) <= SAME * sizes):
                 u[i] = np.unwrap(u[i])
         phases[name] = replace(leg, u=piecewise(leg.breaks, leg.rules, u))
     return replace(solution, phases=phases)

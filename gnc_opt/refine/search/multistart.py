@@ -271,7 +271,7 @@ def _worth_refining(minima: Sequence[Minimum], within: float | None) -> int:
 def _meter(name: str, total: int, visible: bool, sense: float) -> AbstractContextManager[ShowEnding]:
     if not visible:
         return nullcontext(lambda objective: None)
-    from gnc_opt.report.search import search_meter
+    from gnc_opt.report.progress import search_meter
 
     return search_meter(name, total, sense)
 

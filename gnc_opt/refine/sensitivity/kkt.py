@@ -43,6 +43,9 @@ WEAK = 1e-5
 _RESIDUAL = 1e-10
 """Residual of the scaled conditions to which Newton's method must bring them."""
 
+_ROUNDED = 1e-13
+"""Residual at which only rounding is left."""
+
 _NEWTON_STEPS = 8
 
 
@@ -149,7 +152,7 @@ class KktPoint:
         for _ in range(_NEWTON_STEPS):
             residual = self._linearise()
             size = float(np.max(np.abs(residual), initial=0.0))
-            if size <= 1e-13 or (size <= _RESIDUAL and size > 0.1 * best):
+            if size <= _ROUNDED or (size <= _RESIDUAL and size > 0.1 * best):
                 break
             best = min(best, size)
             step = self._system.solve(-residual)

@@ -11,9 +11,22 @@ from scipy.sparse.linalg import LinearOperator, onenormest, splu
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError
+from gnc_opt.tolerances import TINY
 
 SINGULAR = 1e13
 """Condition number of the scaled system from which its solution has no digits to rely on."""
+
+REFINEMENTS = 6
+"""Steps of inverse iteration and of iterative refinement; each gains the digits that the factors have."""
+
+FREE = 1e-3
+"""A variable that moves by this share of the largest in a null vector is not determined."""
+
+LAST_DIGIT = 1e-15
+"""Relative residual at which refining a solution of the system ends."""
+
+CONSISTENT, NOISE = 1e-7, 1e-13
+"""Relative and absolute residual that the solution of a consistent system keeps below."""
 
 _SHIFT = 1e-9
 """Relative shift under which a singular system is examined."""
@@ -60,10 +73,10 @@ class SaddlePoint:
         signs = np.where(np.arange(n) < self._n, 1.0, -1.0)
         self._factors = splu(sp.csc_array(self._matrix + _SHIFT * sp.diags_array(signs)))
         null = np.random.default_rng(0).standard_normal(n)
-        for _ in range(6):
+        for _ in range(REFINEMENTS):
             null = self._factors.solve(null / np.max(np.abs(null)))
         null /= np.max(np.abs(null))
-        if np.max(np.abs(null[: self._n]), initial=0.0) > 1e-3:
+        if np.max(np.abs(null[: self._n]), initial=0.0) > FREE:
             culprit = self.labels[int(np.argmax(np.abs(null[: self._n])))]
             raise GncOptError(
                 f"the first-order conditions of '{self._name}' do not determine '{culprit}' (the KKT system is "
@@ -75,13 +88,13 @@ class SaddlePoint:
         """Solve with iterative refinement, which also undoes the shift of a redundant system."""
         scaled = self._scale * right
         solved = self._factors.solve(scaled)
-        for _ in range(6):
+        for _ in range(REFINEMENTS):
             rest = scaled - self._matrix @ solved
-            if np.max(np.abs(rest), initial=0.0) <= 1e-15 * np.max(np.abs(scaled), initial=1e-300):
+            if np.max(np.abs(rest), initial=0.0) <= LAST_DIGIT * np.max(np.abs(scaled), initial=TINY):
                 break
             solved = solved + self._factors.solve(rest)
         rest = scaled - self._matrix @ solved
-        if not np.max(np.abs(rest), initial=0.0) <= 1e-7 * np.max(np.abs(scaled), initial=1e-300) + 1e-13:
+        if not np.max(np.abs(rest), initial=0.0) <= CONSISTENT * np.max(np.abs(scaled), initial=TINY) + NOISE:
             culprit = self.labels[int(np.argmax(np.abs(rest)))]
             raise GncOptError(
                 f"the limits of '{self._name}' that are active leave no room for its constraints, at '{culprit}': "

@@ -29,6 +29,12 @@ LINEAR = 1e-9
 SMALL = 2e-2
 """A switching function this small over whole segments, in shares of H, marks a singular arc."""
 
+LAST_DIGITS = 1e-14
+"""Relative accuracy of a time at which a function crosses zero."""
+
+PROBE = 1e-3
+"""Share of a control's range by which it is moved to see whether a rate depends on it."""
+
 SHORT = 2.0
 """Bangs beside a singular arc that are shorter than this many segments belong to it."""
 
@@ -212,7 +218,7 @@ def _commanded(samples: PhaseSamples, state: int, controls: KindArray, here: Mas
     rate = samples.functions.rates(samples.times[j], x, u)[state]
     for channel in np.flatnonzero(controls[:, j] == ArcKind.SINGULAR):
         moved = u.copy()
-        moved[channel] += 1e-3 * samples.control_scale[channel]
+        moved[channel] += PROBE * samples.control_scale[channel]
         if samples.functions.rates(samples.times[j], x, moved)[state] != rate:
             return True
     return False
@@ -242,7 +248,12 @@ def root(function: Callable[[float], float], left: float, right: float) -> float
     """Return a zero between left and right, or their middle where the signs do not differ."""
     if function(left) * function(right) >= 0:
         return 0.5 * (left + right)
-    return float(brentq(function, left, right, xtol=1e-14 * max(1.0, abs(right))))
+    return crossing(function, left, right)
+
+
+def crossing(function: Callable[[float], float], left: float, right: float) -> float:
+    """Return a zero between two times (s) where the signs differ, to the last digits of a time."""
+    return float(brentq(function, left, right, xtol=LAST_DIGITS * max(1.0, abs(right))))
 
 
 def _labels_at(labels: KindArray, changes: list[float], times: Array) -> KindArray:

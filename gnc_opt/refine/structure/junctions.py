@@ -17,9 +17,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import brentq
 
 from gnc_opt.arrays import Array
+from gnc_opt.refine.structure.detect import crossing
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import Plan
 from gnc_opt.solution.polynomial import Side
@@ -97,6 +97,6 @@ def _reach(times: Array, offence: Callable[[float], float]) -> float | None:
     for t in times[1:]:
         right = float(t)
         if offence(right) <= 0:
-            return float(brentq(offence, left, right, xtol=1e-14 * max(1.0, abs(right))))
+            return crossing(offence, left, right)
         left = right
     return float(times[-1])

@@ -36,6 +36,12 @@ PATIENCE = 4
 
 KINKS_MOVED, RAISED = "kinks moved", "resolution raised"
 
+TIGHT, MOST_ITERATIONS = 1e-11, 200
+"""Of each solve: switch times are as good as the solver's optimality, and a warm start needs few iterations."""
+
+ROOM = 1e-3
+"""Share of the phase that a swapped piece gets to start from."""
+
 VANISHED = 1e-6
 """A piece shorter than this share of its phase has vanished."""
 
@@ -69,7 +75,7 @@ def optimise_switches(
         Show one line per pass.
     """
     problem = solution.need_problem("refine")
-    chosen = options or SolverOptions(tolerance=1e-11, max_iterations=200)
+    chosen = options or SolverOptions(tolerance=TIGHT, max_iterations=MOST_ITERATIONS)
     plans = {name: Plan.of(detect(s), points_of(s.leg.mesh)) for name, s in solution.samples().items()}
     with pass_meter(solution.problem_name, tol, progress) as show:
         solution, plans, status, records = _loop(problem, solution, plans, tol, max_passes, chosen, show)
@@ -206,7 +212,7 @@ def _collapse(
 def _spread(structure: PhaseStructure, piece: int) -> PhaseStructure:
     """Give a swapped piece some length to start from."""
     times = np.asarray(structure.times)
-    room = 1e-3 * (times[-1] - times[0])
+    room = ROOM * (times[-1] - times[0])
     middle = 0.5 * (times[piece] + times[piece + 1])
     left = max(middle - 0.5 * room, 0.5 * (times[piece - 1] + middle))
     right = min(middle + 0.5 * room, 0.5 * (times[piece + 2] + middle))
