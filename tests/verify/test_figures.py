@@ -125,8 +125,18 @@ def far(reach: float = 100.0) -> go.Solution:
     leg.time(0.0, 1.0)
     leg.initial(q=0.0, v=0.0)
     leg.final(q=reach, v=0.0)
+    problem.constrain("reach", leg.final_state("q"), upper=5.0 * max(1.0, reach))
     problem.minimize(0.5 * leg.integral(model.symbol("a") ** 2))
     return go.solve(problem, mesh="1x6")
+
+
+@pytest.mark.parametrize(("reach", "room"), [(100.0, 100.0), (2.0, 2.0), (0.1, 1.0), (-100.0, 100.0)])
+def test_room_of_a_boundary_constraint_is_at_most_its_size_or_one(reach: float, room: float) -> None:
+    """A multiplier of a hundredth of the costate 12 reach, on a limit far away; the costates are worth 12 reach^2."""
+    solution = far(reach)
+    wrong = replace(solution, constraint_multipliers=np.array([0.12 * abs(reach)]))
+    expected = 0.12 * abs(reach) * room / (12 * reach**2)
+    assert go.verify(wrong)["complementarity"].value == pytest.approx(expected, rel=1e-3)
 
 
 def test_residual_of_the_costates_without_a_jump() -> None:
