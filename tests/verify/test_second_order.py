@@ -197,3 +197,23 @@ def weighted(weight: float) -> go.Solution:
     solution = go.solve(problem.with_arcs(arcs=[[-1, 1]]), mesh=mesh, options=options)
     arcs = (Arc("leg", "a", ArcKind.LOWER, 0.0, 10.0), Arc("leg", "a", ArcKind.UPPER, 10.0, 20.0))
     return replace(solution, structure=arcs)
+
+
+def test_a_single_arc_has_no_switch_to_judge() -> None:
+    """x' = u from 0 to 1 in minimum time: u = 1 throughout, and as many conditions as unknowns."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("one way")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem.with_arcs(arcs=[[1]]), mesh="1x4")
+    verdict = go.verify(replace(solution, structure=(Arc("leg", "u", ArcKind.UPPER, 0.0, 1.0),)))
+    strict, second = verdict["strict switches"], verdict["second order"]
+    assert (strict.result, strict.value, strict.where) == (Result.PASS, 0.0, "no switch")
+    assert (second.result, second.value) == (Result.PASS, 0.0)
+    assert "nothing is left to vary" in second.where
