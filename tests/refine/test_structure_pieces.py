@@ -11,6 +11,7 @@ from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.refine.structure.detect import detect, switching
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import MAX_DEGREE, MAX_SEGMENTS, Resolution
+from problems import van_der_pol
 
 LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER
 
@@ -227,3 +228,30 @@ def test_power_limit_is_found_though_at_rest_it_does_not_depend_on_the_control(u
         assert (a(right, "left") - a(left)) / (right - left) == pytest.approx(lam(middle), rel=1e-6)
     verdict = go.verify(solution, tol=1e-7)
     assert verdict.ok, verdict.explain()
+
+
+# --- detection of singular arcs on coarse meshes ------------------------------------------------------------------
+
+MESHES = ["8x4", "10x3", "15x4", "20x3", "30x4", "40x3"]
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+@pytest.mark.parametrize("units", [(1.0, 1.0, 1.0, 1.0), (1.0, 0.01, 1.0, 1.0), (40.0, -30.0, 10.0, 1e3)])
+def test_a_singular_arc_is_found_to_a_segment_on_any_mesh(mesh: str, units: tuple[float, ...]) -> None:
+    """Controls chatter beside its ends; the short bangs are not taken for arcs. The ends are 0.338 s and 2.531 s."""
+    solution = go.solve(pursuit(*units), mesh=mesh)
+    structure = detect(solution.samples()["leg"])
+    bangs = [LOW, UP] if units[1] > 0 else [UP, LOW]
+    assert [piece[0] for piece in structure.kinds] == [bangs[0], ArcKind.SINGULAR, bangs[1]]
+    segment = 3.0 * units[2] / solution.phase().mesh.segments
+    assert np.abs(np.array(structure.times[1:3]) - np.array([0.338, 2.531]) * units[2]).max() < segment
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+def test_two_bangs_before_a_singular_arc_are_found_on_any_mesh(mesh: str) -> None:
+    solution = go.solve(van_der_pol.build(), mesh=mesh)
+    (samples,) = solution.samples().values()
+    structure = detect(samples)
+    assert [piece[0] for piece in structure.kinds] == [LOW, UP, ArcKind.SINGULAR]
+    segment = 4.0 / samples.leg.mesh.segments
+    assert np.abs(np.array(structure.times[1:3]) - van_der_pol.SWITCH_TIMES).max() < segment
