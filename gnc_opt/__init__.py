@@ -1,4 +1,4 @@
-"""gnc_opt: trajectory optimisation for guidance, navigation and control, with a proof of optimality."""
+"""gnc_opt: trajectory optimisation for guidance, navigation and control, with a verdict on every answer."""
 
 from gnc_opt.control import (
     Controller,
