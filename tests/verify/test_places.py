@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from wrong import moved
+from wrong import bang_bang, moved
 
 import gnc_opt as go
 from gnc_opt.problem.interval import Interval
@@ -104,3 +104,14 @@ def test_end_of_the_phase_and_component_that_is_missed(phase: str, row: int) -> 
     box = Interval(leg.final_bounds.lower + shift, leg.final_bounds.upper + shift)
     condition = go.verify(changed(phase, final_bounds=box))["boundary conditions"]
     assert condition.where == f"phase {phase}, end, {('q[0]', 'q[1]', 'v[0]', 'v[1]')[row]}"
+
+
+def test_switching_functions_at_one_time_and_many_of_one_control_and_of_several() -> None:
+    """dH/da = a + lam_v vanishes along both axes; of the minimum time it is lam_v = 1 - t."""
+    times = np.array([0.1, 0.6, 0.9])
+    assert two_axes().switching_function("a", times, "there").shape == (2, 3)  # type: ignore[union-attr]
+    assert two_axes().switching_function("a", times, "there") == pytest.approx(np.zeros((2, 3)), abs=1e-6)
+    assert two_axes().switching_function("a", 0.6, "there") == pytest.approx(np.zeros(2), abs=1e-6)
+    assert bang_bang().switching_function("a", times) == pytest.approx(1 - times, abs=1e-7)
+    assert bang_bang().switching_function("a", 0.25) == pytest.approx(0.75, abs=1e-7)
+    assert np.ndim(bang_bang().switching_function("a", 0.25)) == 0
