@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 import pytest
 
 import gnc_opt as go
@@ -10,6 +11,7 @@ from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.refine.structure.detect import detect, switching
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import MAX_DEGREE, MAX_SEGMENTS, Resolution
+from problems import van_der_pol
 
 LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER
 
@@ -185,3 +187,71 @@ def test_the_structure_does_not_depend_on_units(problem: object, units: tuple[fl
     assert usual.history is not None and other.history is not None
     assert len(usual.history.passes) == len(other.history.passes)
     assert usual.phase().mesh.degrees == other.phase().mesh.degrees
+
+
+# --- a mixed constraint whose slope vanishes at rest ------------------------------------------------------------
+
+
+def power_limited(unit: float) -> go.Problem:
+    """Rest to rest over 1 m in 1 s with the least energy and a power a v of at most 3 W/kg, in another unit."""
+    model = go.Model("double integrator")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("power limit")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    leg.guess(q=(0.0, 1.0), v=lambda t: 6 * t * (1 - t), a=lambda t: 6 - 12 * t)
+    leg.path("power", unit * a * v, upper=3.0 * unit)
+    problem.minimize(0.5 * leg.integral(a**2))
+    return problem
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e3])
+def test_power_limit_is_found_though_at_rest_it_does_not_depend_on_the_control(unit: float) -> None:
+    """Free, at the limit (v^2 / 2 grows by 3 t), free again with a linear control: lam_q is constant."""
+    first = go.solve(power_limited(unit), mesh="12x4")
+    rows = [piece[0] for piece in zip(*detect(first.samples()["leg"]).paths.tolist(), strict=True)]
+    assert rows == [FREE, UP, FREE]
+    solution = go.refine(first)
+    assert solution.history is not None and solution.history.converged
+    (active,) = [arc for arc in solution.structure if arc.channel == "power"]
+    assert active.kind is UP and 0.05 < active.start < active.end < 0.6
+    v = solution.state("v")
+    for t in np.linspace(active.start, active.end, 7):
+        assert v(t) ** 2 - v(active.start) ** 2 == pytest.approx(6.0 * (t - active.start), abs=1e-8)
+    a, lam = solution.control("a"), solution.costate("q")
+    for left, right in ((0.0, active.start), (active.end, 1.0)):
+        middle = 0.5 * (left + right)
+        assert a(middle) - 0.5 * (a(left) + a(right, "left")) == pytest.approx(0.0, abs=1e-6)
+        assert (a(right, "left") - a(left)) / (right - left) == pytest.approx(lam(middle), rel=1e-6)
+    verdict = go.verify(solution, tol=1e-7)
+    assert verdict.ok, verdict.explain()
+
+
+# --- detection of singular arcs on coarse meshes ------------------------------------------------------------------
+
+MESHES = ["8x4", "10x3", "15x4", "20x3", "30x4", "40x3"]
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+@pytest.mark.parametrize("units", [(1.0, 1.0, 1.0, 1.0), (1.0, 0.01, 1.0, 1.0), (40.0, -30.0, 10.0, 1e3)])
+def test_a_singular_arc_is_found_to_a_segment_on_any_mesh(mesh: str, units: tuple[float, ...]) -> None:
+    """Controls chatter beside its ends; the short bangs are not taken for arcs. The ends are 0.338 s and 2.531 s."""
+    solution = go.solve(pursuit(*units), mesh=mesh)
+    structure = detect(solution.samples()["leg"])
+    bangs = [LOW, UP] if units[1] > 0 else [UP, LOW]
+    assert [piece[0] for piece in structure.kinds] == [bangs[0], ArcKind.SINGULAR, bangs[1]]
+    segment = 3.0 * units[2] / solution.phase().mesh.segments
+    assert np.abs(np.array(structure.times[1:3]) - np.array([0.338, 2.531]) * units[2]).max() < segment
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+def test_two_bangs_before_a_singular_arc_are_found_on_any_mesh(mesh: str) -> None:
+    solution = go.solve(van_der_pol.build(), mesh=mesh)
+    (samples,) = solution.samples().values()
+    structure = detect(samples)
+    assert [piece[0] for piece in structure.kinds] == [LOW, UP, ArcKind.SINGULAR]
+    segment = 4.0 / samples.leg.mesh.segments
+    assert np.abs(np.array(structure.times[1:3]) - van_der_pol.SWITCH_TIMES).max() < segment

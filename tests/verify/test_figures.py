@@ -12,7 +12,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from wrong import added, bang_bang, energy, hilltop, moved, scaled, shifted, upper, with_leg
+from wrong import (
+    added,
+    bang_bang,
+    double_integrator,
+    energy,
+    hilltop,
+    moved,
+    scaled,
+    shifted,
+    upper,
+    with_leg,
+)
 
 import gnc_opt as go
 from gnc_opt.problem.interval import Interval
@@ -104,6 +115,64 @@ def test_transversality_of_values_and_times() -> None:
         assert condition.value == pytest.approx(18 / 54, rel=1e-6)
         assert condition.where == f"phase leg, H at its {at}"
     assert leg.duration == 1.0
+
+
+def far(reach: float = 100.0) -> go.Solution:
+    """The same move over ``reach``, on one segment."""
+    model = double_integrator()
+    problem = go.Problem("far")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=reach, v=0.0)
+    problem.constrain("reach", leg.final_state("q"), upper=5.0 * max(1.0, reach))
+    problem.minimize(0.5 * leg.integral(model.symbol("a") ** 2))
+    return go.solve(problem, mesh="1x6")
+
+
+@pytest.mark.parametrize(("reach", "room"), [(100.0, 100.0), (2.0, 2.0), (0.1, 1.0), (-100.0, 100.0)])
+def test_room_of_a_boundary_constraint_is_at_most_its_size_or_one(reach: float, room: float) -> None:
+    """A multiplier of a hundredth of the costate 12 reach, on a limit far away; the costates are worth 12 reach^2."""
+    solution = far(reach)
+    wrong = replace(solution, constraint_multipliers=np.array([0.12 * abs(reach)]))
+    expected = 0.12 * abs(reach) * room / (12 * reach**2)
+    assert go.verify(wrong)["complementarity"].value == pytest.approx(expected, rel=1e-3)
+
+
+def test_residual_of_the_costates_without_a_jump() -> None:
+    """d(lam_v)/dt + lam_q is off by E for 1 s, at 1.5 m/s; the costates are worth 12 + E."""
+    condition = go.verify(added(far(1.0), "lam", Q, E))["adjoint equation"]
+    assert condition.value == pytest.approx(1.5 * E / (12 - E), rel=1e-5)
+    assert condition.where.endswith("costate of v")
+
+
+@pytest.mark.parametrize("reach", [100.0, -100.0, 0.1])
+def test_boundary_values_are_missed_in_shares_of_their_size_above_one(reach: float) -> None:
+    wrong = far(reach)
+    target = Interval(np.array([reach + E, 0.0]), np.array([reach + E, 0.0]))
+    wrong = with_leg(wrong, final_bounds=target)
+    assert go.verify(wrong)["boundary conditions"].value == pytest.approx(E / max(1.0, abs(reach)), rel=1e-5)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e-3, -1.0])
+@pytest.mark.parametrize(("place", "inside"), [(0.995, False), (0.97, True), (-0.995, False), (-0.97, True)])
+def test_a_control_within_a_hundredth_of_its_range_of_a_bound_is_not_between(
+    unit: float, place: float, inside: bool
+) -> None:
+    """H = 1 - u^2 / 2 curves downwards; along bounds of +-1, in any unit, that is no offence."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("hill")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-abs(unit), abs(unit)))
+    problem.minimize(leg.integral(1 - 0.5 * (u / unit) ** 2))
+    pinned = go.solve(problem.with_bounds(u=(place * unit, place * unit)), mesh="2x3")
+    box = Interval(np.array([-abs(unit)]), np.array([abs(unit)]))
+    condition = go.verify(replace(with_leg(pinned, control_bounds=box), problem=problem))["Legendre-Clebsch"]
+    assert condition.result is (go.Result.FAIL if inside else go.Result.PASS)
 
 
 def test_smallest_share_that_counts_as_a_bound() -> None:

@@ -164,32 +164,56 @@ def test_what_forbids_the_induced_problem_is_named(refined: go.Solution) -> None
 
 
 @pytest.mark.parametrize("weight", [1e-3, 1.0, 1e3])
-def test_a_push_counts_by_its_share_of_the_cost(weight: float) -> None:
-    """With costates, speed and duration of order one, a density of 1e-5 is rounding and one of 1e-3 is not."""
+@pytest.mark.parametrize("kind", ["state_multipliers", "path_multipliers"])
+def test_a_push_counts_by_its_share_of_the_cost(weight: float, kind: str) -> None:
+    """Over 100 m: 20 s, 10 m/s, costates worth 10 per weight; what matters begins at 5e-6 and 1e-6 per weight."""
     solution = weighted(weight)
     leg = solution.phase()
-    for share, forbids in ((1e-5, False), (1e-3, True)):
-        pushed = leg.state_multipliers.copy()
-        pushed[1, 3] = -share * weight
-        condition = go.verify(replace(solution, phases={"leg": replace(leg, state_multipliers=pushed)}))[
+    reason = "an active state bound" if kind == "state_multipliers" else "an active path constraint"
+    for share, forbids in ((2e-7, False), (1e-4, True)):
+        pushed = getattr(leg, kind).copy()
+        pushed[-1, 3] = -share * weight
+        condition = go.verify(replace(solution, phases={"leg": replace(leg, **{kind: pushed})}))[
             "second order"
         ]
-        assert condition.where.endswith("an active state bound") is forbids
+        assert condition.where.endswith(reason) is forbids
 
 
 def weighted(weight: float) -> go.Solution:
-    """Rest to rest over 1 m in minimum time, which costs ``weight`` per second."""
+    """Rest to rest over 100 m in minimum time, which costs ``weight`` per second."""
     model = go.Model("double integrator")
     q, v, a = model.state("q"), model.state("v"), model.control("a")
     model.ode({q: v, v: a})
     problem = go.Problem("minimum time")
     leg = problem.phase("leg", model)
-    leg.time(0.0, (0.1, 10.0))
-    leg.initial(q=1.0, v=0.0)
+    leg.time(0.0, (0.1, 100.0))
+    leg.initial(q=100.0, v=0.0)
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
+    leg.path("speed", v, lower=-50.0)
     problem.minimize(weight * leg.final_time)
-    mesh = go.Mesh.at_times([0.0, 0.9, 2.0], 5, movable=True)
-    solution = go.solve(problem.with_arcs(arcs=[[-1, 1]]), mesh=mesh)
-    arcs = (Arc("leg", "a", ArcKind.LOWER, 0.0, 1.0), Arc("leg", "a", ArcKind.UPPER, 1.0, 2.0))
+    mesh = go.Mesh.at_times([0.0, 9.0, 20.0], 5, movable=True)
+    options = go.SolverOptions(tolerance=1e-11)
+    solution = go.solve(problem.with_arcs(arcs=[[-1, 1]]), mesh=mesh, options=options)
+    arcs = (Arc("leg", "a", ArcKind.LOWER, 0.0, 10.0), Arc("leg", "a", ArcKind.UPPER, 10.0, 20.0))
     return replace(solution, structure=arcs)
+
+
+def test_a_single_arc_has_no_switch_to_judge() -> None:
+    """x' = u from 0 to 1 in minimum time: u = 1 throughout, and as many conditions as unknowns."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("one way")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem.with_arcs(arcs=[[1]]), mesh="1x4")
+    verdict = go.verify(replace(solution, structure=(Arc("leg", "u", ArcKind.UPPER, 0.0, 1.0),)))
+    strict, second = verdict["strict switches"], verdict["second order"]
+    assert (strict.result, strict.value, strict.where) == (Result.PASS, 0.0, "no switch")
+    assert (second.result, second.value) == (Result.PASS, 0.0)
+    assert "nothing is left to vary" in second.where

@@ -211,6 +211,31 @@ def test_limit_reached_within_a_segment_is_no_adjoint_violation() -> None:
     assert verdict.proven, verdict.explain()
 
 
+@pytest.mark.parametrize("weight", [1e-3, 1e3])
+@pytest.mark.parametrize("unit", [1.0, 0.02, -50.0])
+def test_limit_reached_within_a_segment_in_other_units(weight: float, unit: float) -> None:
+    """The atom that explains the jump is found whatever the cost and the state are measured in."""
+    model = go.Model("double integrator")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v * unit, v: a})
+    problem = go.Problem("ceiling")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0, v=1.0)
+    leg.final(q=0.0, v=-1.0)
+    leg.bounds(q=(None, 0.1 * unit) if unit > 0 else (0.1 * unit, None))
+    problem.minimize(0.5 * weight * leg.integral(a**2))
+    mesh = go.Mesh((0.0, *EDGES, 1.0), (10,) * 5)
+    solution = go.solve(problem, mesh=mesh, options=go.SolverOptions(tolerance=1e-11))
+    polynomials = samples_of(solution)
+    settled = settle_edges(polynomials, 1e-5)
+    assert np.max(polynomials.adjoint_residual) > 5e-5
+    assert {edge.segment for edge in settled.edges} == {1, 3}
+    start = settled.lam[Q, settled.segments == 1][0]
+    assert start == pytest.approx(200 / 9 * weight / unit, rel=2e-3)
+    assert np.max(settled.adjoint_residual) < 1e-5
+
+
 def test_impulses_push_inwards_where_a_bound_is_only_touched_in_a_segment() -> None:
     """The state varies by 3e-9 over (0.2995, 0.3005) s; costates must not be shifted as on an arc along the bound."""
     leg = ceiling(breaks=(0.2995, 0.3005, 0.6995, 0.7005)).phase()
