@@ -15,8 +15,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.linalg import solve_continuous_are
 
 from gnc_opt.arguments import read_numbers, read_positive
 from gnc_opt.arrays import Array
@@ -235,7 +235,7 @@ def _optimal_gain(a: Array, b: Array, q: ArrayLike | None, r: ArrayLike | None) 
             )
         weights.append(matrix)
     try:
-        p = solve_continuous_are(a, b, *weights)
+        p = scipy.linalg.solve_continuous_are(a, b, *weights)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(
             f"the Riccati equation of Q and R has no solution ({error}): give Q >= 0, R > 0."

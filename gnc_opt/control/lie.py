@@ -19,8 +19,8 @@ from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.linalg import null_space
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.reference import Reference
@@ -368,7 +368,7 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
             "the outputs cannot be steered independently there."
         )
     to_state = np.linalg.pinv(d)
-    still = null_space(outputs @ to_state)
+    still = scipy.linalg.null_space(outputs @ to_state)
     closed = (a - b @ np.linalg.pinv(e) @ last) @ to_state
     return ZeroDynamics(still.shape[1], np.linalg.eigvals(still.T @ closed @ still))
 

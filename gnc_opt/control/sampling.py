@@ -21,7 +21,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
+import scipy
 
 from gnc_opt.arrays import Array
 
@@ -47,7 +47,7 @@ def sample(a: Array, b: Array, q: Array, r: Array, n: Array, dt: float) -> Sampl
     flow = _generator(a, b, _stacked(q, r, n))
     size = float(np.linalg.norm(flow[flow.shape[0] // 2 :], 1)) * dt  # of M alone: the cost enters linearly
     halvings = max(0, int(np.ceil(np.log2(max(size, 1.0)))))
-    phi, cost = _blocks(expm(flow * (dt / 2**halvings)))
+    phi, cost = _blocks(scipy.linalg.expm(flow * (dt / 2**halvings)))
     for _ in range(halvings):  # doubling: no growing and decaying exponentials in one matrix
         cost = cost + phi.T @ cost @ phi
         phi = phi @ phi
@@ -70,7 +70,9 @@ def sample_along(
                 _generator(*linearize(middle + s * h * np.sqrt(3) / 6), weight) for s in (-1.0, 1.0)
             )
             commutator = second @ first - first @ second
-            step, part = _blocks(expm(0.5 * h * (first + second) + np.sqrt(3) / 12 * h**2 * commutator))
+            step, part = _blocks(
+                scipy.linalg.expm(0.5 * h * (first + second) + np.sqrt(3) / 12 * h**2 * commutator)
+            )
             cost = cost + phi.T @ part @ phi
             phi = step @ phi
     return _step(phi, cost, q.shape[0])
@@ -79,7 +81,7 @@ def sample_along(
 def zero_order_hold(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
     """Return the plant (A, B) over dt (s) with a held command."""
     n, m = b.shape
-    both = expm(np.block([[a, b], [np.zeros((m, n + m))]]) * dt)
+    both = scipy.linalg.expm(np.block([[a, b], [np.zeros((m, n + m))]]) * dt)
     return both[:n, :n], both[:n, n:]
 
 

@@ -16,8 +16,8 @@ from typing import Any, Literal, TypeAlias, get_args
 
 import casadi as ca
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.linalg import null_space
 
 from gnc_opt.arguments import read_name, read_numbers
 from gnc_opt.arrays import Array
@@ -67,7 +67,7 @@ def null_vector(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the 
     """
     effects = effect_matrix(matrix, failed, what)
     alive = [i for i in range(effects.shape[1]) if i not in failed]
-    basis = null_space(effects[:, alive], rcond=_SINGULAR)
+    basis = scipy.linalg.null_space(effects[:, alive], rcond=_SINGULAR)
     if basis.shape[1] == 0:
         return None
     if basis.shape[1] > 1:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.special import ndtr, ndtri
 
 from gnc_opt.arguments import expect, read_numbers, read_positive
 from gnc_opt.arrays import Array
@@ -77,8 +77,8 @@ class Normal(Dispersion):
         if self.truncate is None:
             z = generator.standard_normal(nominal.size)
         else:  # by the inverse of the distribution: one number each, and never a rejection
-            tail = ndtr(-self.truncate)
-            z = ndtri(tail + generator.random(nominal.size) * (1 - 2 * tail))
+            tail = scipy.special.ndtr(-self.truncate)
+            z = scipy.special.ndtri(tail + generator.random(nominal.size) * (1 - 2 * tail))
         return _deviated(nominal, np.asarray(self.mean) + np.asarray(self.std) * z, self.relative)
 
 

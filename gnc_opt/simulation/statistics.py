@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.stats import binom, binomtest
 
 from gnc_opt.arguments import read_integer, read_numbers
 from gnc_opt.arrays import Array
@@ -79,7 +79,9 @@ def pass_rate(passed: int, runs: int, confidence: float = CONFIDENCE) -> PassRat
     passed = read_integer(passed, "the number of runs passed", 0)
     if passed > runs:
         raise ArgumentError(f"{passed} of {runs} runs cannot have passed: count again.")
-    interval = binomtest(passed, runs).proportion_ci(_share(confidence, "the confidence"), method="exact")
+    interval = scipy.stats.binomtest(passed, runs).proportion_ci(
+        _share(confidence, "the confidence"), method="exact"
+    )
     return PassRate(passed, runs, float(interval.low), float(interval.high), confidence)
 
 
@@ -105,8 +107,10 @@ def percentile(values: ArrayLike, level: float, confidence: float = CONFIDENCE) 
     ordered = _ordered(values)
     p, alpha = _share(level, "the level of a percentile"), 1 - _share(confidence, "the confidence")
     n = ordered.size
-    lower = int(binom.ppf(alpha / 2, n, p))  # the largest l with P(fewer than l below) <= alpha / 2
-    upper = int(binom.ppf(1 - alpha / 2, n, p)) + 1
+    lower = int(
+        scipy.stats.binom.ppf(alpha / 2, n, p)
+    )  # the largest l with P(fewer than l below) <= alpha / 2
+    upper = int(scipy.stats.binom.ppf(1 - alpha / 2, n, p)) + 1
     return Percentile(
         level,
         float(ordered[max(int(np.ceil(n * p - _ROUNDING)), 1) - 1]),

@@ -11,8 +11,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.optimize import linprog
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import DesignError
@@ -59,7 +59,9 @@ class NonNegativeAllocation(Block):
     def _cheapest(self, matrix: Array, i: int, sign: float) -> Array:
         unit = np.zeros(matrix.shape[0])
         unit[i] = sign
-        found = linprog(np.ones(matrix.shape[1]), A_eq=matrix, b_eq=unit, bounds=(0, None), method="highs")
+        found = scipy.optimize.linprog(
+            np.ones(matrix.shape[1]), A_eq=matrix, b_eq=unit, bounds=(0, None), method="highs"
+        )
         if not found.success:
             raise DesignError(
                 f"'{self.name}' cannot produce component {i} of its command with sign {'+' if sign > 0 else '-'} by "

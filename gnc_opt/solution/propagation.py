@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.polynomial import legendre
-from scipy.integrate import solve_ivp
 
 from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import PhaseFunctions
@@ -90,7 +90,7 @@ def _integrate(
 
     diverged.terminal = True  # type: ignore[attr-defined]
     with np.errstate(all="ignore"):
-        run = solve_ivp(
+        run = scipy.integrate.solve_ivp(
             rate, (left, right), x, method="DOP853", rtol=rtol, atol=rtol * magnitude, events=diverged
         )
     return np.asarray(run.y[:, -1]) if run.status == 0 else np.full(x.size, np.nan)

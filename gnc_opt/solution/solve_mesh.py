@@ -7,7 +7,7 @@ try                   after                                   how
 ====================  ======================================  ====================================================
 `CAREFUL`             endings that rounding can cause         the linear solver pivots with care, from where it stopped
 `ADAPTIVE`            endings without a verdict               IPOPT's adaptive barrier, from the same start
-`TRAJECTORY`          a warm start that has lost its way      the trajectory alone, without its multipliers
+`TRAJECTORY_ONLY`     a warm start that has lost its way      the trajectory alone, without its multipliers
 `CONSTRAINTS_FIRST`   "infeasible", without a trajectory as   the constraints are met first, the cost is lowered
                       a guess                                 afterwards
 ====================  ======================================  ====================================================
@@ -44,8 +44,8 @@ ADAPTIVE = (Status.RESTORATION_FAILED, Status.SEARCH_DIRECTION_FAILED, Status.ST
 """Endings without a verdict. IPOPT's monotone barrier stalls where constraint gradients become dependent at the
 solution (a phase that shrinks to nothing, say); its adaptive barrier is slower on ordinary problems."""
 
-TRAJECTORY = (Status.OPTIMAL, Status.ACCEPTABLE, Status.INTERRUPTED)
-"""Endings of a warm start that are final; after any other the multipliers are given up."""
+TRAJECTORY_ONLY = tuple(s for s in Status if not s.solved and s is not Status.INTERRUPTED)
+"""Endings of a warm start after which its multipliers are given up."""
 
 CONSTRAINTS_FIRST = (Status.INFEASIBLE, Status.RESTORATION_FAILED)
 """Endings that are looked into once more where the guess is not a trajectory.
@@ -96,7 +96,7 @@ def solve_mesh(
         Start from its trajectory and multipliers.
     options : SolverOptions, optional
     warm_iterations : int, optional
-        A start from a guess that takes more iterations has lost its way: `TRAJECTORY` is then tried.
+        A start from a guess that takes more iterations has lost its way: `TRAJECTORY_ONLY`.
     progress : bool
         Show iterations while solving.
     """
@@ -109,7 +109,7 @@ def solve_mesh(
         return _solve(problem, meshes, scheme, guess, chosen, progress)
     brief = replace(chosen, max_iterations=min(warm_iterations, chosen.max_iterations))
     found = _solve(problem, meshes, scheme, guess, brief, progress)
-    if found.status in TRAJECTORY:
+    if found.status not in TRAJECTORY_ONLY:
         return found
     cold = replace(chosen, mu_init=COLD_MU)
     again = _solve(with_trajectory(problem, guess), meshes, scheme, None, cold, progress)

@@ -43,8 +43,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
@@ -199,7 +199,7 @@ def mrp_to_rotation(sigma_BL: ArrayLike) -> Any:
     sigma_BL : array (3,) or (3, n_times)
         Modified Rodrigues parameters of B relative to L.
     """
-    return Rotation.from_mrp(np.asarray(sigma_BL, dtype=float).T)
+    return scipy.spatial.transform.Rotation.from_mrp(np.asarray(sigma_BL, dtype=float).T)
 
 
 def mrp_to_euler(sigma_BL: ArrayLike, sequence: str = "YXZ") -> Array:

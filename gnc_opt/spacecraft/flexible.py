@@ -34,7 +34,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import eigh, eigvals
+import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ModelError
@@ -148,7 +148,7 @@ class FlexibleBody:
         n = self.frequencies.size
         stiffness = np.zeros((3 + n, 3 + n))
         stiffness[3:, 3:] = np.diag(self.frequencies**2)
-        squares = eigh(stiffness, self.mass_matrix, eigvals_only=True)[3:]
+        squares = scipy.linalg.eigh(stiffness, self.mass_matrix, eigvals_only=True)[3:]
         return np.asarray(np.sqrt(squares))
 
     def free_damping(self) -> Array:
@@ -157,7 +157,7 @@ class FlexibleBody:
         inverse = np.linalg.inv(self.mass_matrix)[3:, 3:]
         stiff, viscous = np.diag(self.frequencies**2), np.diag(2 * self.damping * self.frequencies)
         state = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ stiff, -inverse @ viscous]])
-        poles = eigvals(state)
+        poles = scipy.linalg.eigvals(state)
         upper = sorted((p for p in poles if p.imag > 0), key=abs)
         return np.array([-p.real / abs(p) for p in upper])
 

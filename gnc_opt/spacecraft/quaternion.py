@@ -30,8 +30,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from gnc_opt.arrays import Array
 from gnc_opt.spacecraft.vector import Matrix, Vector, cross, dot, is_symbolic, stack, stack_rows
@@ -144,7 +144,7 @@ def quaternion_to_rotation(q_BA: ArrayLike) -> Any:
     q_BA : array (4,) or (4, n_times)
         Of B relative to A.
     """
-    return Rotation.from_quat(np.asarray(q_BA, dtype=float).T, scalar_first=True)
+    return scipy.spatial.transform.Rotation.from_quat(np.asarray(q_BA, dtype=float).T, scalar_first=True)
 
 
 def quaternion_from_euler(angles: ArrayLike, sequence: str) -> Array:
@@ -157,7 +157,7 @@ def quaternion_from_euler(angles: ArrayLike, sequence: str) -> Array:
     sequence : str
         Three capital letters, first turn first: ``"ZYX"`` is the 3-2-1 sequence.
     """
-    rotation = Rotation.from_euler(sequence, np.asarray(angles, dtype=float))
+    rotation = scipy.spatial.transform.Rotation.from_euler(sequence, np.asarray(angles, dtype=float))
     return np.asarray(rotation.as_quat(canonical=True, scalar_first=True))
 
 

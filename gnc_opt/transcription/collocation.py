@@ -22,7 +22,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
+import scipy
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.transcription.mesh import Mesh
@@ -257,6 +257,6 @@ class PhaseCollocation:
 def weight_matrix(n_rows: int, n_columns: int, *entries: tuple[Any, Any, Any]) -> Any:
     """Assemble sparse entries (rows, columns, values) into a csc matrix."""
     rows, columns, values = (np.concatenate([np.asarray(e[i]) for e in entries]) for i in range(3))
-    matrix = sp.csc_array((values, (rows, columns)), shape=(n_rows, n_columns))
+    matrix = scipy.sparse.csc_array((values, (rows, columns)), shape=(n_rows, n_columns))
     matrix.sum_duplicates()
     return matrix

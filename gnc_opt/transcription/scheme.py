@@ -9,8 +9,8 @@ from difflib import get_close_matches
 from typing import Any, ClassVar, Literal, TypeAlias, get_args
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import roots_jacobi, roots_legendre
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import ArgumentError, shown
@@ -118,7 +118,7 @@ class Gauss(Family):
     extra_rows = 1
 
     def approximate_points(self, n: int) -> Iterable[float]:
-        return [float(x) for x in roots_legendre(n)[0]]
+        return [float(x) for x in scipy.special.roots_legendre(n)[0]]
 
     def series(self, n: int) -> dict[int, int]:
         return {n: 1}
@@ -151,7 +151,7 @@ class Radau(Family):
     starts_at_point = True
 
     def approximate_points(self, n: int) -> Iterable[float]:
-        return [-1.0, *(roots_jacobi(n - 1, 0, 1)[0] if n > 1 else [])]
+        return [-1.0, *(scipy.special.roots_jacobi(n - 1, 0, 1)[0] if n > 1 else [])]
 
     def series(self, n: int) -> dict[int, int]:
         return {n: 1, n - 1: 1}
@@ -174,7 +174,7 @@ class Lobatto(Family):
     extra_rows = -1
 
     def approximate_points(self, n: int) -> Iterable[float]:
-        return [-1.0, *(roots_jacobi(n - 2, 1, 1)[0] if n > 2 else []), 1.0]
+        return [-1.0, *(scipy.special.roots_jacobi(n - 2, 1, 1)[0] if n > 2 else []), 1.0]
 
     def series(self, n: int) -> dict[int, int]:
         return {n: 1, n - 2: -1}

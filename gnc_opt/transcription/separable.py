@@ -18,7 +18,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy.sparse as sp
+import scipy
 
 from gnc_opt.arrays import Array, Indices
 
@@ -119,8 +119,10 @@ class SeparableProgram:
 
     def rows(self, first: int, end: int) -> SeparableProgram:
         """Return the rows from ``first`` to ``end`` alone, without the blocks that do not enter them."""
-        parts = [replace(b, weights=sp.csc_array(b.weights.tocsr()[first:end])) for b in self.blocks]
-        linear = sp.coo_array(self.linear.tocsr()[first:end])
+        parts = [
+            replace(b, weights=scipy.sparse.csc_array(b.weights.tocsr()[first:end])) for b in self.blocks
+        ]
+        linear = scipy.sparse.coo_array(self.linear.tocsr()[first:end])
         return SeparableProgram(linear, tuple(part for part in parts if part.weights.nnz))
 
     def values(self, x: Any, constants: Any) -> Any:
@@ -211,7 +213,7 @@ class _Entries:
 
     def scatter(self, places: Indices, size: int) -> Any:
         """Return the sparse matrix (size, n_sources) that maps local nonzeros to global ones."""
-        return sp.csc_array((self.factors, (places, self.sources)), shape=(size, self.n_sources))
+        return scipy.sparse.csc_array((self.factors, (places, self.sources)), shape=(size, self.n_sources))
 
 
 def _jacobian_entries(block: PointBlock, n_variables: int) -> _Entries:
@@ -260,7 +262,7 @@ def _gather(extended: Any, block: PointBlock) -> Any:
 
 def _matrix(matrix: Any) -> Any:
     """Convert a scipy sparse matrix to a CasADi DM of the same sparsity."""
-    csc = sp.csc_array(matrix)
+    csc = scipy.sparse.csc_array(matrix)
     csc.sum_duplicates()
     csc.sort_indices()
     pattern = ca.Sparsity(*csc.shape, csc.indptr.tolist(), csc.indices.tolist())

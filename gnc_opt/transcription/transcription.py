@@ -9,7 +9,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy.sparse as sp
+import scipy
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import unknown_name
@@ -195,7 +195,9 @@ class Transcription(Numbering):
         entries = [part.collocation.linear for part in self.parts.values()]
         entries.append(smooth_entries(self._smooth, self._first_smooth_row))
         rows, columns, values = (np.concatenate([e[i] for e in entries]) for i in range(3))
-        return sp.coo_array((values, (1 + rows, columns)), shape=(1 + self.n_constraints, self.n_variables))
+        return scipy.sparse.coo_array(
+            (values, (1 + rows, columns)), shape=(1 + self.n_constraints, self.n_variables)
+        )
 
     # --- the program as CasADi functions ------------------------------------------------------------
 

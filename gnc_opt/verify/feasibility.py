@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import expm
+import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import EndGradients
@@ -87,7 +87,7 @@ def _growth(samples: PhaseSamples) -> float:
     scaled = jacobians * scale[None, :, None] / scale[:, None, None]
     transition, largest = np.eye(scale.size), 1.0
     for k, width in enumerate(np.diff(leg.breaks)):
-        transition = expm(np.clip(scaled[:, :, k] * width, -50.0, 50.0)) @ transition
+        transition = scipy.linalg.expm(np.clip(scaled[:, :, k] * width, -50.0, 50.0)) @ transition
         largest = max(largest, float(np.linalg.norm(transition, 2)))
         if not largest < 1e12:
             break

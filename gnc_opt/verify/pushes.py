@@ -22,7 +22,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import nnls
+import scipy
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.solution.samples import EdgeSegment, PhaseSamples, sampling_rule
@@ -89,7 +89,7 @@ def unexplained_jumps(s: PhaseSamples) -> Array:
     scale = s.state_scale
     for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
         directions = pushers.directions[:, pushers.active[:, k], k]
-        sizes, _ = nnls(directions * scale[:, None], jumps[:, k] * scale)
+        sizes, _ = scipy.optimize.nnls(directions * scale[:, None], jumps[:, k] * scale)
         rest[:, k] -= directions @ sizes
     return rest
 
@@ -139,7 +139,7 @@ def _integrate_anew(s: PhaseSamples, k: int, tolerance: float) -> EdgeSegment | 
     if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(target)) and np.any(sizes > 0)):
         return None
     sizes = np.where(sizes > 0, sizes, 1.0)
-    weights = nnls(matrix / sizes, target)[0] / sizes
+    weights = scipy.optimize.nnls(matrix / sizes, target)[0] / sizes
     costates = free + responses @ weights
     # A polynomial through a jump is off by about the jump; one that is further off is another costate.
     reach = np.max(np.abs(responses) @ weights, axis=1)

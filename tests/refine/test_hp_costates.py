@@ -11,7 +11,8 @@ import pytest
 import gnc_opt as go
 from gnc_opt.refine.adjoint import WORTH, adjoint_density, unconstrained
 from gnc_opt.refine.error import estimate_errors
-from gnc_opt.refine.hp.mesh_refinement import coarsen, refine_mesh
+from gnc_opt.refine.hp import coarsen
+from gnc_opt.refine.hp.mesh_refinement import refine_mesh
 from gnc_opt.solution.samples import PhaseSamples
 
 

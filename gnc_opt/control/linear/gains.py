@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.integrate import solve_ivp
+import scipy
 
 from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
@@ -200,7 +200,7 @@ def _integrate(
             return -_packed(flow + flow.T - half.T @ inverse @ half + q)
 
         scale = max(float(np.max(np.abs(packed))), TINY)
-        found = solve_ivp(
+        found = scipy.integrate.solve_ivp(
             slope, (right, left), packed, method="DOP853", rtol=_RTOL, atol=_ATOL * scale, dense_output=True
         )
         if not found.success or not np.all(np.isfinite(found.y[:, -1])):

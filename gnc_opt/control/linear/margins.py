@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq, minimize_scalar
+import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.tolerances import SAME_TIME, TINY
@@ -101,7 +101,7 @@ def _disk(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> fl
     grid = np.log(omega)
     values = np.array([peak(w) for w in grid])
     k = int(np.argmax(values))
-    best = minimize_scalar(
+    best = scipy.optimize.minimize_scalar(
         lambda w: -peak(w), bounds=(grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]), method="bounded"
     )
     return 1.0 / max(float(values[k]), -float(best.fun))
@@ -135,7 +135,9 @@ def _frequencies(a: Array, closed: Array, dt: float | None) -> Array:
 
 def _roots(function: Callable[[float], float], omega: Array, values: Array) -> list[float]:
     change = np.flatnonzero(values[:-1] * values[1:] < 0)
-    return [float(brentq(function, omega[k], omega[k + 1], xtol=TINY, rtol=_ROOT)) for k in change]
+    return [
+        float(scipy.optimize.brentq(function, omega[k], omega[k + 1], xtol=TINY, rtol=_ROOT)) for k in change
+    ]
 
 
 def _wrapped(angle: float) -> float:

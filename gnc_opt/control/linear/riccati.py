@@ -21,15 +21,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.linalg import (
-    LinAlgError,
-    matrix_balance,
-    orth,
-    solve_continuous_are,
-    solve_continuous_lyapunov,
-    solve_discrete_are,
-    solve_discrete_lyapunov,
-)
+import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import DesignError
@@ -97,10 +89,10 @@ def steady(
     require_stabilizable(a, b, labels, sampled=sampled)
     cross = np.linalg.solve(r, n.T)
     require_detectable(a - b @ cross, q - n @ cross, labels, sampled=sampled)
-    solve = solve_discrete_are if sampled else solve_continuous_are
+    solve = scipy.linalg.solve_discrete_are if sampled else scipy.linalg.solve_continuous_are
     try:
         p = solve(a, b, q, r, s=n)
-    except (LinAlgError, ValueError) as error:
+    except (scipy.linalg.LinAlgError, ValueError) as error:
         raise DesignError(
             f"the Riccati equation has no stabilising solution ({error}): weigh the errors and controls less "
             "unequally, or scale the model's units."
@@ -172,7 +164,7 @@ def unreached(a: Array, b: Array, labels: tuple[str, ...]) -> list[Mode]:
     inputs = b / scale[:, None]
     length = np.linalg.norm(inputs, axis=0)
     inputs = inputs[:, length > 0] / length[length > 0]
-    reached = orth(inputs, rcond=_REACH) if inputs.size else np.zeros((size, 0))
+    reached = scipy.linalg.orth(inputs, rcond=_REACH) if inputs.size else np.zeros((size, 0))
     newest = reached
     while newest.shape[1] and reached.shape[1] < size:
         image = balanced @ newest
@@ -203,7 +195,7 @@ def _balanced(a: Array) -> tuple[Array, Array]:
     a permutation that is not asked for here.
     """
     with np.errstate(invalid="ignore"):
-        balanced, (scale, _) = matrix_balance(a, permute=False, separate=True)
+        balanced, (scale, _) = scipy.linalg.matrix_balance(a, permute=False, separate=True)
     return balanced, scale
 
 
@@ -223,11 +215,11 @@ def _polished(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, sample
         load = q + gain.T @ r @ gain - n @ gain - gain.T @ n.T
         try:
             after = (
-                solve_discrete_lyapunov(closed.T, load)
+                scipy.linalg.solve_discrete_lyapunov(closed.T, load)
                 if sampled
-                else solve_continuous_lyapunov(closed.T, -load)
+                else scipy.linalg.solve_continuous_lyapunov(closed.T, -load)
             )
-        except LinAlgError:
+        except scipy.linalg.LinAlgError:
             return best
         after = 0.5 * (after + after.T)
         error_after = residual(a, b, q, r, n, after, sampled=sampled)

@@ -25,7 +25,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import solve_continuous_lyapunov
+import scipy
 
 from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
@@ -70,7 +70,7 @@ def _lyapunov(k2: float, bound: float) -> tuple[Array, float]:
     shapes = np.array([[[-0.5, 0.5], [-k2 + w * bound, 0.0]] for w in (-1.0, 0.0, 1.0)])
     best, found = (-np.inf, -np.inf), np.eye(2)
     for weight in np.logspace(-3, 3, 61):
-        p = solve_continuous_lyapunov(shapes[1].T, -np.diag([1.0, weight]))
+        p = scipy.linalg.solve_continuous_lyapunov(shapes[1].T, -np.diag([1.0, weight]))
         low, high = np.linalg.eigvalsh(p)
         decay = min(float(np.linalg.eigvalsh(-(a.T @ p + p @ a))[0]) for a in shapes)
         best, found = max((best, found), ((decay * np.sqrt(low) / high, decay), p), key=lambda pair: pair[0])

@@ -7,8 +7,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.linalg import expm
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
@@ -132,8 +132,8 @@ def _peak_gain(c: Array) -> float:
     companion[:-1, 1:] = np.eye(c.size - 2)
     companion[-1] = -c[:-1]
     span, steps = _SETTLED / float(np.min(-poles.real)), _RESPONSE_STEPS
-    forward = expm(companion * span / steps)
-    state = expm(companion * 0.5 * span / steps)[:, -1]
+    forward = scipy.linalg.expm(companion * span / steps)
+    state = scipy.linalg.expm(companion * 0.5 * span / steps)[:, -1]
     total = 0.0
     for _ in range(steps):
         total += abs(state[0]) * span / steps

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.interval import Interval
@@ -95,7 +95,8 @@ def _crossings(gradient: Callable[[Array], Array], times: Array, unit: float) ->
     if not changes.size or not (np.max(values) > CLEAR and np.min(values) < -CLEAR):
         return []
     return [
-        float(brentq(lambda t: float(gradient(np.array([t]))[0]), times[j], times[j + 1])) for j in changes
+        float(scipy.optimize.brentq(lambda t: float(gradient(np.array([t]))[0]), times[j], times[j + 1]))
+        for j in changes
     ]
 
 

@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
+import scipy
 from numpy.polynomial import legendre
-from scipy.sparse.linalg import splu
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError
@@ -165,16 +164,18 @@ def _newton(
     last = np.inf
     for iteration in range(MAX_STEPS):
         values, _, nonzeros = transcription.evaluate(bvp, x)
-        matrix = sp.csr_array((nonzeros * sizes[columns], (rows, columns)), shape=(box.lower.size, x.size))[
-            equations
-        ]
+        matrix = scipy.sparse.csr_array(
+            (nonzeros * sizes[columns], (rows, columns)), shape=(box.lower.size, x.size)
+        )[equations]
         norms = np.asarray(np.abs(matrix).max(axis=1).todense()).ravel()
         norms = np.where(norms > 0, norms, 1.0)
         residual = (values - box.lower)[equations] / norms
         if not np.all(np.isfinite(nonzeros)):
             break
         try:
-            factors = splu(sp.csc_array(sp.diags_array(1 / norms) @ matrix))
+            factors = scipy.sparse.linalg.splu(
+                scipy.sparse.csc_array(scipy.sparse.diags_array(1 / norms) @ matrix)
+            )
             step = factors.solve(-residual)
         except (RuntimeError, ValueError):
             break

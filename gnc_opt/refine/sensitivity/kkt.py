@@ -24,7 +24,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy.sparse as sp
+import scipy
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.errors import GncOptError, warn_user
@@ -174,12 +174,14 @@ class KktPoint:
         g, jacobian = nlp.jac_g(self._x, self._p)
         gradient = nlp.grad_f(self._x, self._p)[1].full().ravel()
         upper = _sparse(nlp.hess_lag(self._x, self._p, 1.0, self._lam))
-        self._hessian = sp.csc_array(upper + sp.triu(upper, 1).T)
+        self._hessian = scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
         self._jacobian = _sparse(jacobian)
         self._gradient = gradient + self._jacobian.T @ self._lam
         free, held = np.flatnonzero(~self.pinned), np.flatnonzero(self.held)
         block = self._jacobian[held][:, free]
-        matrix = sp.block_array([[self._hessian[free][:, free], block.T], [block, None]], format="csc")
+        matrix = scipy.sparse.block_array(
+            [[self._hessian[free][:, free], block.T], [block, None]], format="csc"
+        )
         labels = [transcription.variable_labels[i] for i in free]
         labels += [transcription.row_labels[i] for i in held]
         self._system = SaddlePoint(matrix, free.size, labels, self.problem.name)
@@ -333,4 +335,4 @@ def _scaled(box: Interval, scales: Array) -> Interval:
 def _sparse(matrix: Any) -> Any:
     """Convert a sparse CasADi DM to scipy."""
     pattern = matrix.sparsity()
-    return sp.csc_array((matrix.nonzeros(), pattern.row(), pattern.colind()), shape=matrix.shape)
+    return scipy.sparse.csc_array((matrix.nonzeros(), pattern.row(), pattern.colind()), shape=matrix.shape)

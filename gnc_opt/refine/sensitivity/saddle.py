@@ -5,9 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.csgraph import structural_rank
-from scipy.sparse.linalg import LinearOperator, onenormest, splu
+import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError
@@ -44,13 +42,13 @@ class SaddlePoint:
     def __init__(self, matrix: Any, n_primal: int, labels: list[str], name: str) -> None:
         self.labels, self._n, self._name = labels, n_primal, name
         self._scale = _equilibrate(matrix)
-        diagonal = sp.diags_array(self._scale)
-        self._matrix = sp.csc_array(diagonal @ matrix @ diagonal)
+        diagonal = scipy.sparse.diags_array(self._scale)
+        self._matrix = scipy.sparse.csc_array(diagonal @ matrix @ diagonal)
         # SuperLU may write about a structurally singular matrix instead of raising.
-        self.redundant = structural_rank(self._matrix) < matrix.shape[0]
+        self.redundant = scipy.sparse.csgraph.structural_rank(self._matrix) < matrix.shape[0]
         if not self.redundant:
             try:
-                self._factors = splu(self._matrix)
+                self._factors = scipy.sparse.linalg.splu(self._matrix)
                 self.redundant = not self._condition() < SINGULAR
             except RuntimeError:  # a pivot is exactly zero
                 self.redundant = True
@@ -59,19 +57,25 @@ class SaddlePoint:
 
     def _condition(self) -> float:
         n = self._matrix.shape[0]
-        inverse = LinearOperator(
+        inverse = scipy.sparse.linalg.LinearOperator(
             (n, n),
             matvec=self._factors.solve,
             rmatvec=lambda b: self._factors.solve(b, trans="T"),
             dtype=float,
         )
-        return float(onenormest(inverse) * np.max(np.abs(self._matrix).sum(axis=0))) if n > 1 else 1.0
+        return (
+            float(scipy.sparse.linalg.onenormest(inverse) * np.max(np.abs(self._matrix).sum(axis=0)))
+            if n > 1
+            else 1.0
+        )
 
     def _examine(self) -> None:
         """Find what the singular system leaves undetermined: variables (refuse) or only multipliers (accept)."""
         n = self._matrix.shape[0]
         signs = np.where(np.arange(n) < self._n, 1.0, -1.0)
-        self._factors = splu(sp.csc_array(self._matrix + _SHIFT * sp.diags_array(signs)))
+        self._factors = scipy.sparse.linalg.splu(
+            scipy.sparse.csc_array(self._matrix + _SHIFT * scipy.sparse.diags_array(signs))
+        )
         null = np.random.default_rng(0).standard_normal(n)
         for _ in range(REFINEMENTS):
             null = self._factors.solve(null / np.max(np.abs(null)))
@@ -107,7 +111,7 @@ class SaddlePoint:
 def _equilibrate(matrix: Any) -> Array:
     """Return symmetric scale factors that bring the largest entry of every row near 1."""
     scale = np.ones(matrix.shape[0])
-    absolute = sp.coo_array(np.abs(matrix))
+    absolute = scipy.sparse.coo_array(np.abs(matrix))
     for _ in range(4):
         norms = np.zeros(scale.size)
         np.maximum.at(norms, absolute.row, absolute.data * scale[absolute.row] * scale[absolute.col])

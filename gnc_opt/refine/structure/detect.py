@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.arc import ArcKind
@@ -253,7 +253,7 @@ def root(function: Callable[[float], float], left: float, right: float) -> float
 
 def crossing(function: Callable[[float], float], left: float, right: float) -> float:
     """Return a zero between two times (s) where the signs differ, to the last digits of a time."""
-    return float(brentq(function, left, right, xtol=LAST_DIGITS * max(1.0, abs(right))))
+    return float(scipy.optimize.brentq(function, left, right, xtol=LAST_DIGITS * max(1.0, abs(right))))
 
 
 def _labels_at(labels: KindArray, changes: list[float], times: Array) -> KindArray:
