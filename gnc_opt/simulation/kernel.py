@@ -112,6 +112,8 @@ class _Builder:
                 ("error", 1),
                 ("fault", 1),
                 ("fault time", 1),
+                ("divergence", 1),
+                ("divergence time", 1),
                 ("alarm", 1),
                 ("alarm time", 1),
             )
@@ -282,7 +284,7 @@ class _Builder:
         return ca.Function("act", [column_x, column, self.P, y, u, z], [self.state.join(new), log])
 
     def _watch(self, new: dict[str, Any], state: dict[str, Any], t: Any, watched: Any, z: Any) -> None:
-        """Keep the first thing that is not finite and the first alarm, and their times."""
+        """Keep the first thing that is not finite, the first state too large, the first alarm, and their times."""
         wiring = self.wiring
         fault = ca.SX(0)
         for i in reversed(range(watched.shape[0])):
@@ -294,7 +296,10 @@ class _Builder:
             alarm = ca.if_else(
                 ca.fabs(flag) <= 0, alarm, i + 1.0
             )  # not "!= 0": that is false for NaN in some VMs
-        for name, code in (("fault", fault), ("alarm", alarm)):
+        divergence = ca.SX(0)
+        for i, largest in reversed(list(enumerate(wiring.plausible))):
+            divergence = ca.if_else(ca.fabs(new["plant"][i]) > largest, i + 1.0, divergence)
+        for name, code in (("fault", fault), ("divergence", divergence), ("alarm", alarm)):
             fresh = ca.logic_and(state[name] < 0.5, code > 0.5)
             new[name] = ca.if_else(fresh, code, state[name])
             new[f"{name} time"] = ca.if_else(fresh, t, state[f"{name} time"])

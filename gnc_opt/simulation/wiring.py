@@ -32,6 +32,8 @@ class Wiring:
         Control step, s.
     minor_steps : int
         Parts of a control step.
+    plausible : array (n_states,)
+        Size of the plant's states beyond which a run has diverged.
     """
 
     plant: Model
@@ -41,6 +43,7 @@ class Wiring:
     disturbances: tuple[Link, ...]
     dt: float
     minor_steps: int
+    plausible: Array
 
     @property
     def h(self) -> float:
@@ -101,7 +104,9 @@ class Blocks:
     disturbances: tuple[Disturbance, ...]
 
 
-def wire(plant: Model, controller: Controller, blocks: Blocks, dt: float, minor_steps: int) -> Wiring:
+def wire(
+    plant: Model, controller: Controller, blocks: Blocks, dt: float, minor_steps: int, plausible: Array
+) -> Wiring:
     """Put the blocks in their places.
 
     Raises
@@ -118,7 +123,7 @@ def wire(plant: Model, controller: Controller, blocks: Blocks, dt: float, minor_
         n: (size, f"{unit}/s") for n, (size, unit) in kinds(plant.states).items()
     }
     pushes = [chain([d], targets, "state or control")[0][0] for d in blocks.disturbances]
-    wiring = Wiring(plant, controller, tuple(actuators), sensors, tuple(pushes), dt, minor_steps)
+    wiring = Wiring(plant, controller, tuple(actuators), sensors, tuple(pushes), dt, minor_steps, plausible)
     for link, step in wiring.steps_of_links:
         link.block.check(link.size, step, dt)
     return wiring
