@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -55,6 +56,16 @@ class Wiring:
         """All links with the length (s) of their steps."""
         slow = (*self.sensors, *self.disturbances)
         return [*((link, self.h) for link in self.actuators), *((link, self.dt) for link in slow)]
+
+    @property
+    def in_trim(self) -> bool:
+        """Whether an actuator begins with the feedforward."""
+        return any(link.block.in_trim for link in self.actuators)
+
+    def feedforward(self, r: Any) -> dict[str, Any]:
+        """Return the feedforward (SX) of every command by name, from a row r of the schedule."""
+        signals = self.controller.signals
+        return {n: r[signals.slice(f"{n}_ff")] for n in self.controller.commands.names}
 
     # --- what can be dispersed ----------------------------------------------------------------------------
 
@@ -126,7 +137,18 @@ def wire(
     wiring = Wiring(plant, controller, tuple(actuators), sensors, tuple(pushes), dt, minor_steps, plausible)
     for link, step in wiring.steps_of_links:
         link.block.check(link.size, step, dt)
+    _check_trim(wiring)
     return wiring
+
+
+def _check_trim(wiring: Wiring) -> None:
+    begun = [link.block.name for link in wiring.actuators if link.block.in_trim]
+    for name in wiring.controller.commands.names if begun else ():
+        if f"{name}_ff" not in wiring.controller.signals:
+            raise ArgumentError(
+                f"'{begun[0]}' is to begin in trim, but '{wiring.controller.name}' has no feedforward of '{name}': "
+                "give initial= as a number."
+            )
 
 
 def _sensors(controller: Controller, blocks: Sequence[Block]) -> tuple[Link, ...]:
