@@ -101,10 +101,10 @@ def bang_bang_flow(problem: Problem, s: PhaseSamples, times: Array, free_start: 
 def _steps(s: PhaseSamples, times: Array, n_start: int) -> tuple[Array, Array]:
     """Inputs of all steps (n_inputs, n_steps), and derivatives of their widths (n_steps, n_unknowns)."""
     inputs, changes = [], []
+    controls = s.leg.flown(0.5 * (times[:-1] + times[1:]))
     for k, (left, right) in enumerate(pairwise(times)):
         count = LEAST_STEPS + int(np.ceil(STEPS * (right - left) / (times[-1] - times[0])))
-        control = s.leg.flown(0.5 * (left + right))
-        numbers = np.concatenate([[(right - left) / count], control, s.functions.p, s.functions.q])
+        numbers = np.concatenate([[(right - left) / count], controls[:, k], s.functions.p, s.functions.q])
         change = np.zeros(times.size + n_start)
         change[k : k + 2] = -1 / count, 1 / count
         inputs.append(np.tile(numbers[:, None], count))
