@@ -178,8 +178,12 @@ def legendre_clebsch(samples: list[PhaseSamples], tolerance: float) -> Condition
 
 
 def _least_curvature(s: PhaseSamples) -> tuple[float, str | None]:
-    hessians = s.functions.control_hessian(s.times, s.x, s.u, s.lam, s.mu)
-    scaled = hessians * s.control_scale[:, None, None] * s.control_scale[None, :, None] / s.hamiltonian_scale
+    scaled = (
+        s.control_hessian
+        * s.control_scale[:, None, None]
+        * s.control_scale[None, :, None]
+        / s.hamiltonian_scale
+    )
     interior = _inside(s)
     least, place = np.inf, None
     for j in range(s.times.size):
@@ -244,8 +248,9 @@ def _offences(s: PhaseSamples) -> tuple[Array, Mask]:
 
 def _curvature(s: PhaseSamples) -> Array:
     """Second derivative of H in each control over its range, in shares of H's scale, (m, n_samples)."""
-    hessians = s.functions.control_hessian(s.times, s.x, s.u, s.lam, s.mu)
-    return np.asarray(np.einsum("iij->ij", hessians) * s.control_scale[:, None] ** 2 / s.hamiltonian_scale)
+    return np.asarray(
+        np.einsum("iij->ij", s.control_hessian) * s.control_scale[:, None] ** 2 / s.hamiltonian_scale
+    )
 
 
 def _inside(s: PhaseSamples) -> Mask:
