@@ -33,7 +33,9 @@ REACH = 64.0
 """How far off the allowed set is looked for, in sizes of the flight."""
 
 _STEPS = REACH * 4.0 ** np.arange(-22.0, 1.0)
-_HALVINGS = 26
+"""Places on a line where it is looked at first; what lies between two is then cut in `_PARTS`, `_ROUNDS` times."""
+
+_PARTS, _ROUNDS = 16, 6
 
 
 def bound_offences(found: Violations, bounds: Interval, scale: Array) -> Array:
@@ -92,20 +94,23 @@ class _Line:
 
     def first(self, limits: Limits, start: Array, sense: float, *, allowed: bool) -> Array:
         """Return the first place beyond ``start`` where limits hold, or do not; infinite if there is none."""
+        inside, outside, found = self._bracket(limits, start, start + sense * _STEPS[:, None], allowed)
+        for _ in range(_ROUNDS):
+            cuts = inside + (outside - inside) * (np.arange(1, _PARTS + 1) / _PARTS)[:, None]
+            inside, outside, _ = self._bracket(limits, inside, cuts, allowed)
+        return np.where(found, outside, sense * np.inf)
+
+    def _bracket(
+        self, limits: Limits, start: Array, places: Array, allowed: bool
+    ) -> tuple[Array, Array, Mask]:
+        """Return the first of places (n, m) that is as wanted, the place before it, and whether there is one."""
         columns = np.arange(start.size)
-        places = start + sense * _STEPS[:, None]
-        hits = (
-            self._holds(limits, places.ravel(), np.tile(columns, _STEPS.size)).reshape(places.shape)
-            == allowed
-        )
-        hit = np.argmax(hits, axis=0)
-        inside = np.where(hit > 0, places[hit - 1, columns], start)
-        outside = places[hit, columns]
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (inside + outside)
-            there = self._holds(limits, middle, columns) == allowed
-            inside, outside = np.where(there, inside, middle), np.where(there, middle, outside)
-        return np.where(np.any(hits, axis=0), outside, sense * np.inf)
+        holds = self._holds(limits, places.ravel(), np.tile(columns, places.shape[0]))
+        hits = holds.reshape(places.shape) == allowed
+        found, hit = np.any(hits, axis=0), np.argmax(hits, axis=0)
+        hit = np.where(found, hit, places.shape[0] - 1)
+        before = np.where(hit > 0, places[hit - 1, columns], start)
+        return before, places[hit, columns], found
 
     def _holds(self, limits: Limits, places: Array, which: Indices) -> Mask:
         found, n = self.found, self.found.x.shape[0]

@@ -19,10 +19,13 @@ to the neighbouring samples."""
 FLAT = 1e-9
 """Changes between samples below this share of the usual distance to the limit are noise, not a peak."""
 
-_TRIED = np.linspace(-0.8, 0.8, 9)
-"""Where a bracket [-1, 1] is looked at before it is narrowed to the neighbours of the highest, five times less."""
+_TRIED = np.linspace(-7 / 8, 7 / 8, 15)
+"""Where a bracket [-1, 1] is looked at before it is narrowed to the neighbours of the highest, eight times less."""
 
-_ROUNDS = 9
+_ROUNDS = 6
+
+MOST = 5
+"""So many peaks per limit are looked for, the most promising ones, and so many violations per limit are returned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,43 +100,71 @@ class Violations:
 def violations(samples: PhaseSamples, limits: Limits) -> Violations:
     """Return where the polynomials of a phase leave limits.
 
-    Every sample that neither neighbour exceeds is the top of what may be a peak beside it. Unless the samples tell that
-    none rises above the limit, it is found by narrowing the bracket of the neighbours.
+    A sample that no neighbour surpasses has a peak beside it. Unless that would have to rise far more above the sample
+    than the samples change, it is found by narrowing the bracket between the neighbours.
     """
-    k, j, excess, lowest, left, right, room = _tops(samples, limits)
+    tops = _Tops.of(samples, limits)
+    k, j, excess = tops.limits, tops.samples, tops.excess
     times, x, u = samples.times[j], samples.x[:, j], samples.u_polynomial[:, j]
-    swing = excess - lowest
-    hidden = np.isfinite(excess) & (excess + SWINGS * swing > 0) & (swing > FLAT * room)
-    if np.any(hidden):
-        peaks, heights = _narrowed(samples, limits.some(k[hidden]), left[hidden], right[hidden])
+    promise = excess + SWINGS * tops.swing
+    hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (tops.swing > FLAT * tops.room))
+    hidden = hidden[_highest(k[hidden], promise[hidden])]
+    if hidden.size:
+        peaks, heights = _narrowed(samples, limits.some(k[hidden]), tops.left[hidden], tops.right[hidden])
         higher = heights > excess[hidden]
-        places = np.flatnonzero(hidden)[higher]
+        places = hidden[higher]
         times[places], excess[places] = peaks[higher], heights[higher]
         x[:, places], u[:, places] = samples.leg.x(times[places]), samples.leg.u(times[places])
     beyond = np.flatnonzero(excess > ROUNDING * np.abs(limits.values[k]))
+    beyond = beyond[_highest(k[beyond], excess[beyond])]
     return Violations(limits.some(k[beyond]), times[beyond], excess[beyond], x[:, beyond], u[:, beyond])
 
 
-def _tops(
-    samples: PhaseSamples, limits: Limits
-) -> tuple[Indices, Indices, Array, Array, Array, Array, Array]:
-    """Return limits and samples of the highest excesses among neighbours in a segment.
+def _highest(groups: Indices, values: Array) -> Indices:
+    """Return where the `MOST` highest values of each group are."""
+    order = np.lexsort((-values, groups))
+    starts = np.searchsorted(groups[order], groups[order])
+    return np.asarray(order[np.arange(order.size) - starts < MOST])
 
-    Further, of each: the excess, the lower of its neighbours', the times of both, and the limit's usual distance.
+
+@dataclass(frozen=True, eq=False)
+class _Tops:
+    """Samples whose excess no neighbour in the segment surpasses.
+
+    Attributes
+    ----------
+    limits, samples : int array (m,)
+        Which.
+    excess, swing : array (m,)
+        Excess there, and by how much more it is than at the lower neighbour.
+    left, right : array (m,)
+        Times of the neighbours.
+    room : array (m,)
+        The limit's usual distance along the phase.
     """
-    excess, times, last = (
-        limits.excess(samples.times, samples.x, samples.u_polynomial),
-        samples.times,
-        samples.at_end,
-    )
-    first = np.append(True, last[:-1])
-    before = np.where(first, -np.inf, np.roll(excess, 1, axis=1))
-    after = np.where(last, -np.inf, np.roll(excess, -1, axis=1))
-    k, j = np.nonzero((excess > before) & (excess >= after))
-    lowest = np.minimum(np.where(first, np.inf, before)[k, j], np.where(last, np.inf, after)[k, j])
-    left = np.where(first, times, np.roll(times, 1))[j]
-    right = np.where(last, times, np.roll(times, -1))[j]
-    return k, j, excess[k, j], lowest, left, right, np.median(np.abs(excess), axis=1)[k]
+
+    limits: Indices
+    samples: Indices
+    excess: Array
+    swing: Array
+    left: Array
+    right: Array
+    room: Array
+
+    @classmethod
+    def of(cls, samples: PhaseSamples, limits: Limits) -> _Tops:
+        times, last = samples.times, samples.at_end
+        first = np.append(True, last[:-1])
+        excess = limits.excess(times, samples.x, samples.u_polynomial)
+        before = np.where(first, -np.inf, np.roll(excess, 1, axis=1))
+        after = np.where(last, -np.inf, np.roll(excess, -1, axis=1))
+        k, j = np.nonzero((excess > before) & (excess >= after))
+        lower = np.minimum(np.where(first, np.inf, before)[k, j], np.where(last, np.inf, after)[k, j])
+        top = excess[k, j]
+        swing = np.subtract(top, lower, out=np.zeros(top.size), where=np.isfinite(top))
+        left = np.where(first, times, np.roll(times, 1))[j]
+        right = np.where(last, times, np.roll(times, -1))[j]
+        return cls(k, j, top, swing, left, right, np.median(np.abs(excess), axis=1)[k])
 
 
 def _narrowed(samples: PhaseSamples, limits: Limits, left: Array, right: Array) -> tuple[Array, Array]:
