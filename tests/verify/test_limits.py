@@ -23,43 +23,44 @@ FREE = -1e30
 
 
 def fly_by(
-    miss: float, length: float, time: float, keep_out: Callable[[Any], Any] | None = None
+    miss: float, length: float, time: float, keep_out: Callable[[Any], Any] | None = None, origin: float = 0.0
 ) -> go.Problem:
-    """A straight flight of 10 km that passes a point at a distance, in other units of length and time."""
+    """A straight flight of 10 km that passes a point at a distance; ``origin`` (m) is where that is."""
     model = go.Model("chaser")
     r, v, a = model.state("r", 3), model.state("v", 3), model.control("a", 3)
     model.ode({r: v, v: a})
     problem = go.Problem("fly-by")
     leg = problem.phase("leg", model)
     leg.time(0.0, 1000.0 * time)
-    leg.initial(r=np.array([-5000.0, miss, 0.0]) * length, v=0.0)
-    leg.final(r=np.array([5000.0, miss, 0.0]) * length, v=0.0)
+    leg.initial(r=np.array([origin - 5000.0, miss, 0.0]) * length, v=0.0)
+    leg.final(r=np.array([origin + 5000.0, miss, 0.0]) * length, v=0.0)
     if keep_out is not None:
-        leg.path("keep_out", keep_out((r[0] ** 2 + r[1] ** 2 + r[2] ** 2) / length**2), lower=RADIUS**2)
+        square = ((r[0] - origin * length) ** 2 + r[1] ** 2 + r[2] ** 2) / length**2
+        leg.path("keep_out", keep_out(square), lower=RADIUS**2)
     problem.minimize(leg.integral((a[0] ** 2 + a[1] ** 2 + a[2] ** 2) / length**2 * time**3))
     return problem
 
 
 @cache
-def flown(miss: float, length: float, time: float) -> go.Solution:
-    return go.solve(fly_by(miss, length, time))
+def flown(miss: float, length: float, time: float, origin: float) -> go.Solution:
+    return go.solve(fly_by(miss, length, time, origin=origin))
 
 
 def flown_by(
-    form: Callable[[Any], Any], limit: float, miss: float, length: float, time: float
+    form: Callable[[Any], Any], limit: float, miss: float, length: float, time: float, origin: float = 0.0
 ) -> go.Condition:
     """Judge the straight flight against a lower limit on form(r^2) that the solver did not know of.
 
     ``length`` and ``time`` are how many of the units in use one metre and one second are; ``form`` takes m^2.
     """
-    solution = flown(miss, length, time)
+    solution = flown(miss, length, time, origin)
     limited = with_leg(
         solution,
         path_labels=("keep_out",),
         path_bounds=Interval(np.array([limit]), np.array([np.inf])),
         path_multipliers=np.zeros((1, solution.phase().point_times.size)),
     )
-    return go.verify(replace(limited, problem=fly_by(miss, length, time, form)))["path constraints"]
+    return go.verify(replace(limited, problem=fly_by(miss, length, time, form, origin)))["path constraints"]
 
 
 FORMS: dict[str, tuple[Callable[[Any], Any], float]] = {
@@ -80,6 +81,19 @@ def test_flight_through_a_small_sphere_fails_in_every_form_and_unit(form: str, u
     assert through.value >= 9.0 / 2000.0
     assert grazing.value == pytest.approx(1.0 / 2000.0, rel=1e-5)
     assert (outside.result, outside.value) == (go.Result.PASS, 0.0)
+
+
+@pytest.mark.parametrize("miss", [0.0, 9.0])
+def test_flight_far_from_the_origin_fails_too(miss: float) -> None:
+    """Coordinates of 7000 km, as in orbit: the depth of 1 m is 1e-7 of them, the sphere's width decides."""
+    assert flown_by(lambda square: square, RADIUS**2, miss, 1.0, 1.0, origin=7e6).result is go.Result.FAIL
+
+
+def test_value_that_is_no_number_fails() -> None:
+    """The logarithm has none within 1 km of the point."""
+    condition = flown_by(lambda square: ca.log(square - 1e6), -1e3, 9.0, 1.0, 1.0)
+    assert condition.result is go.Result.FAIL
+    assert condition.value == np.inf
 
 
 def test_default_solution_through_the_centre_fails() -> None:
