@@ -307,9 +307,9 @@ class Pwm(Block):
         on_steps = ca.if_else(on_steps * tick.h < p["minimum_on"], 0.0, on_steps)
         pulse = ca.if_else(phase + 0.5 < on_steps, ca.sign(command) * p["thrust"], 0.0)
         saturated = ca.if_else(ca.fabs(command) > p["thrust"], 1.0, 0.0)
-        # 0 * command carries a command that is not a number into the plant, where it is reported
+        # a command that is not a number goes on into the plant, where it is reported
         after = ca.vertcat(command, next_phase(phase, count))
-        return Step(pulse + 0 * _finite_or_nan(command), after, saturated)
+        return Step(pulse + _finite_or_nan(command), after, saturated)
 
 
 def _finite_or_nan(signal: Any) -> Any:

@@ -215,3 +215,14 @@ def test_each_component_is_treated_as_if_it_were_alone(block):
 def test_minor_steps_that_are_no_count_are_refused(steps):
     with pytest.raises(ArgumentError, match="minor_steps of a closed loop"):
         fly([], wave, minor_steps=steps)
+
+
+@pytest.mark.parametrize(
+    "block", [Pwm("b", 1.5), SchmittTrigger("b", 1.0, 0.8, 0.3)], ids=lambda block: type(block).__name__
+)
+def test_a_command_that_is_no_number_does_not_become_a_pulse(block):
+    plant = memory_of_impulse()
+    lost = scheduled(plant, lambda t: np.where(t < 0.95, 1.0, np.nan))
+    run = ClosedLoop(plant, lost, [block], dt=DT, minor_steps=4).simulate([0.0], tf=2.0)
+    assert not run.outcome.ok
+    assert np.all(np.isfinite(run.states[0, :11])) and np.all(np.isnan(run.states[0, 11:]))
