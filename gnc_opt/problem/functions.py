@@ -143,6 +143,12 @@ class PhaseFunctions:
         m = np.shape(u)[0]
         return flat.reshape(self.functions["paths"].size1_out(0), m, *flat.shape[1:])
 
+    def path_state_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+        """dc/dx, shape (n_paths, n_states, ...)."""
+        flat = self._call("path_state_jacobian", t, x, u)
+        n = np.shape(x)[0]
+        return flat.reshape(self.functions["paths"].size1_out(0), n, *flat.shape[1:])
+
     def _call(
         self,
         name: str,
@@ -192,6 +198,7 @@ def _build_phase_functions(problem: Problem, leg: Phase) -> dict[str, Any]:
         "control_hessian": ca.vec(ca.hessian(augmented, u)[0].T),
         "state_jacobian": ca.vec(ca.jacobian(f, x).T),
         "path_control_jacobian": ca.vec(ca.jacobian(c, u).T),
+        "path_state_jacobian": ca.vec(ca.jacobian(c, x).T),
     }
     arguments = [t, x, u, lam, mu, weights, p, q]
     return {

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.problem.interval import Interval
+from gnc_opt.solution.distance import bound_offences, path_offences
+from gnc_opt.solution.limits import Limits, violations
 from gnc_opt.solution.propagation import propagate, state_magnitudes
 from gnc_opt.solution.samples import PhaseSamples
 
@@ -23,8 +24,8 @@ class Quality:
         Largest integral over a segment of |dx/dt - f(t, x, u)|, jump to the next segment included, relative to the
         state's magnitude.
     max_bound_violation : float
-        Largest overshoot of a bound or path constraint between nodes, relative to the range of the bounds
-        (or the magnitude of the quantity).
+        Farthest that states and controls are beyond a bound or path constraint, at nodes and between, as a share of
+        the flight's size or of the limit's own width (docs/conventions.md, "How far beyond a limit").
     terminal_error : float
         Largest miss at the end of a phase when the flown control is integrated from its initial state,
         relative to max(1, the state's magnitude).
@@ -77,24 +78,33 @@ def worst_defect(samples: PhaseSamples) -> Worst:
 
 
 def worst_bound_violation(samples: PhaseSamples) -> Worst:
-    """Return the worst overshoot of state and control bounds by their polynomials."""
-    leg = samples.leg
-    worst = NOTHING
-    for values, bounds, labels, scale in (
-        (samples.x, leg.state_bounds, leg.states.labels, samples.state_scale),
-        (samples.u_polynomial, leg.control_bounds, leg.controls.labels, samples.control_scale),
+    """Return the worst overshoot of state and control bounds by their polynomials, between samples too."""
+    leg, worst = samples.leg, NOTHING
+    for signals, bounds, labels, scale in (
+        (_states, leg.state_bounds, leg.states.labels, samples.state_scale),
+        (_controls, leg.control_bounds, leg.controls.labels, samples.control_scale),
     ):
-        worst = worst.or_worse(_worst_excess(samples, values, bounds, labels, scale))
+        found = violations(samples, Limits.of(signals, bounds))
+        if found.times.size:
+            offences = bound_offences(found, bounds, scale)
+            i = int(np.argmax(offences))
+            place = samples.place_at(found.times[i], labels[found.limits.rows[i]])
+            worst = worst.or_worse(Worst(float(offences[i]), place))
     return worst
 
 
 def worst_path_violation(samples: PhaseSamples) -> Worst:
-    """Return the worst violation of a path constraint along the control polynomial."""
+    """Return the worst violation of a path constraint along the control polynomial, between samples too."""
     leg = samples.leg
     if not leg.path_labels:
         return NOTHING
-    values = samples.functions.paths(samples.times, samples.x, samples.u_polynomial)
-    return _worst_excess(samples, values, leg.path_bounds, leg.path_labels, samples.path_scale)
+    found = violations(samples, Limits.of(samples.functions.paths, leg.path_bounds))
+    if not found.times.size:
+        return NOTHING
+    offences = path_offences(found, samples)
+    i = int(np.argmax(offences))
+    what = f"{leg.path_labels[found.limits.rows[i]]} = {found.value(i)}"
+    return Worst(float(offences[i]), samples.place_at(found.times[i], what))
 
 
 def worst_terminal_error(samples: PhaseSamples) -> Worst:
@@ -115,11 +125,9 @@ def worst_index(values: Array) -> tuple[int, int]:
     return int(row), int(column)
 
 
-def _worst_excess(
-    samples: PhaseSamples, values: Array, bounds: Interval, labels: tuple[str, ...], scale: Array
-) -> Worst:
-    if not labels:
-        return NOTHING
-    excess = np.maximum(bounds.lower[:, None] - values, values - bounds.upper[:, None]) / scale[:, None]
-    i, j = worst_index(excess)
-    return Worst(max(float(excess[i, j]), 0.0), samples.place(j, labels[i]))
+def _states(_: Array, x: Array, __: Array) -> Array:
+    return x
+
+
+def _controls(_: Array, __: Array, u: Array) -> Array:
+    return u

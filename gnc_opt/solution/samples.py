@@ -230,7 +230,11 @@ class PhaseSamples:
 
     def place(self, column: int, what: str = "") -> str:
         """Return "phase leg, t = 1.23 s, v[2]" for a sample."""
-        return f"phase {self.leg.name}, t = {self.times[column]:.6g} s{f', {what}' if what else ''}"
+        return self.place_at(float(self.times[column]), what)
+
+    def place_at(self, time: float, what: str = "") -> str:
+        """Return "phase leg, t = 1.23 s, v[2]" for any time."""
+        return f"phase {self.leg.name}, t = {time:.6g} s{f', {what}' if what else ''}"
 
     def segment_place(self, segment: int, what: str) -> str:
         """Return the place of a whole segment."""

@@ -106,7 +106,7 @@ def bounds(solution: Solution, samples: list[PhaseSamples], tolerance: float) ->
         "bounds",
         worst,
         tolerance,
-        "State and control polynomials must stay within bounds between the nodes (overshoot relative to the range). "
+        "State and control polynomials must stay within bounds between the nodes (overshoot as a share of their size). "
         "Polynomials through a switch overshoot: fly only flown_control(), and put segment boundaries on the switches.",
     )
 
@@ -120,7 +120,8 @@ def paths(samples: list[PhaseSamples], tolerance: float) -> Condition:
         "path constraints",
         worst,
         tolerance,
-        "Path constraints, enforced at the nodes, must hold between them too; where they do not, refine there.",
+        "Path constraints, enforced at the nodes, must hold between them too (distance to what they allow, as a share "
+        "of the flight's size or of the limit's width); where they do not, refine there.",
     )
 
 

@@ -62,7 +62,7 @@ FIGURES: list[tuple[str, str, Callable[[], go.Solution], float]] = [
     ("path constraints", "top speed", lambda: with_leg(
         energy(), path_bounds=upper(energy().phase().path_bounds, 0, 1.5 - E)), E / 1.5),
     ("path constraints", "least speed", lambda: with_leg(
-        energy(), path_bounds=Interval(np.array([E]), np.array([5.0]))), E / 5.0),
+        energy(), path_bounds=Interval(np.array([E]), np.array([5.0]))), E / 1.5),
     ("boundary conditions", "final position too small", lambda: with_leg(
         energy(), final_bounds=shifted(energy().phase().final_bounds, E)), E),
     ("boundary conditions", "initial position too large", lambda: with_leg(
