@@ -2,7 +2,7 @@
 
     python -m benchmarks.speed [--runs 7] [--quick] [--json OUT]
 
-Workload: the time-optimal rendezvous, case 1, printed equation. Three questions:
+Workload: the time-optimal rendezvous, case 1, printed equation. Four questions:
 
 1. Build and solve from nothing, against `benchmarks.bare_rendezvous` on the same mesh, guess, IPOPT options and
    variable scales (and once unscaled, as such scripts often are). Runs alternate; every run builds a new problem.
@@ -10,6 +10,7 @@ Workload: the time-optimal rendezvous, case 1, printed equation. Three questions
 2. Solving again with other boundary values, on the build of the first solve.
 3. Time per iteration for 20 to 1000 segments of degree 3: the functions of the program (one evaluation of each)
    and, from solves that stop after a few iterations, the rest of IPOPT, which is mostly the linear solver.
+4. The verdict on the refined bang-bang solution, second order included, against one build and solve on 60x4.
 
 One thread. Ratios are of processor time, medians over runs, since other programs disturb it less than wall time, which
 stands beside it; the third question takes the least of its runs. Exit code 1 if a target is missed.
@@ -53,6 +54,11 @@ LARGEST_GROWTH = 1.2
 
 LARGEST_OVERHEAD = 1.15
 """Of a re-solve over IPOPT's time in it."""
+
+LARGEST_VERDICT = 0.2
+"""Of `verify` on the refined solution over one build and solve on `VERDICT_MESH`."""
+
+VERDICT_MESH = (60, 4)
 
 SEGMENTS = (20, 50, 100, 200, 500, 1000)
 ITERATIONS = 8
@@ -160,6 +166,25 @@ def resolve(mesh: str, runs: int) -> dict[str, Any]:
         "target": LARGEST_OVERHEAD,
         "met": statistics.median(overheads) <= LARGEST_OVERHEAD,
         "runs": [asdict(run) for run in found],
+    }
+
+
+def verdict(runs: int) -> dict[str, Any]:
+    """Verify the refined solution again and again, each time after a solve on the mesh that it is compared with."""
+    refined = go.refine(go.solve(build(CASE), mesh="20x3"), structure="bang-bang")
+    verifications, solves = [], []
+    for _ in range(runs):
+        solves.append(ours(*VERDICT_MESH).cpu_s)
+        judged, cpu, _ = _timed(partial(go.verify, refined))
+        assert judged.proven, "the refined solution is not a strict minimum"
+        verifications.append(cpu)
+    verify_s, solve_s = statistics.median(verifications), statistics.median(solves)
+    return {
+        "verify_s": verify_s,
+        "solve_s": solve_s,
+        "ratio": verify_s / solve_s,
+        "target": LARGEST_VERDICT,
+        "met": verify_s / solve_s <= LARGEST_VERDICT,
     }
 
 
@@ -276,6 +301,14 @@ def resolve_table(found: dict[str, Any]) -> Table:
     return _table(title, columns, [(*values, f"{found['total_over_ipopt']:.3f}")])
 
 
+def verdict_table(found: dict[str, Any]) -> Table:
+    """What the verdict takes."""
+    mesh = "x".join(str(n) for n in VERDICT_MESH)
+    columns = ("verify cpu s", f"solve {mesh} cpu s", "ratio")
+    values = [f"{found[key]:.3f}" for key in ("verify_s", "solve_s", "ratio")]
+    return _table(f"verdict (target: <= {found['target']})", columns, [values])
+
+
 def growth_table(rows: list[dict[str, Any]]) -> Table:
     """Time per iteration against segments."""
     columns = (
@@ -365,9 +398,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         console.print(comparison_table(comparisons[-1]))
     again = resolve("20x3", runs)
     console.print(resolve_table(again))
+    judged = verdict(runs)
+    console.print(verdict_table(judged))
     rows = growth([k for k in SEGMENTS if k <= 100 or not arguments.quick], runs)
     console.print(growth_table(rows))
-    met = all(part["met"] for part in (*comparisons, again, *rows))
+    met = all(part["met"] for part in (*comparisons, again, judged, *rows))
     console.print("all targets met" if met else "a target is missed")
     if arguments.json:
         report = {
@@ -378,6 +413,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             "versions": {name: version(name) for name in ("gnc_opt", "casadi", "numpy")},
             "build_and_solve": comparisons,
             "resolve": again,
+            "verdict": judged,
             "growth": rows,
             "met": met,
         }

@@ -120,9 +120,11 @@ def _write_archive(path: str | Path, header: Mapping[str, Any], arrays: Mapping[
             np.savez_compressed(stream, **entries)
         os.chmod(name, 0o666 & ~_umask())
         os.replace(name, target)
-    except BaseException:
+    except BaseException as error:
         with contextlib.suppress(OSError):
             os.unlink(name)
+        if isinstance(error, OSError) and error.filename is None:  # a full disk says so without saying where
+            raise OSError(error.errno, error.strerror, str(target)) from error
         raise
     return target
 

@@ -43,6 +43,7 @@ def feedforward(reference: Reference) -> Controller:
         signals=signals,
         memory=Layout("memory", (), "feedforward"),
         schedule=ReferenceSchedule(reference),
+        span=(reference.initial_time, reference.final_time),
         explanation=Explanation(
             "feedforward (open loop)",
             (Fact("feedback", "none", remark="errors of the initial state and of the model stay or grow"),),

@@ -23,6 +23,12 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout
 
 _TAIL_TOLERANCE = 1e-12
+_C_HEADERS = frozenset({
+    "assert", "complex", "ctype", "errno", "fenv", "float", "inttypes", "iso646",
+    "limits", "locale", "math", "setjmp", "signal", "stdarg", "stdbool",
+    "stddef", "stdint", "stdio", "stdlib", "string", "tgmath", "time", "wchar", "wctype",
+})  # fmt: skip
+"""Standard headers of C99, without suffix (ISO/IEC 9899:1999, 7.1.2)."""
 _LINE = 8
 """Numbers on a line of the table."""
 
@@ -85,12 +91,12 @@ def export_c(
     Raises
     ------
     ArgumentError
-        The law holds operations that have no C (a QP), the schedule still changes after the span, or nobody knows dt or
-        the span.
+        The law holds operations that have no C (a QP), the schedule still changes after the span, nobody knows dt or
+        the span, or the files would be called like a header of C.
     """
     expect(controller, Controller, "what export_c() got", "give what a design function returned")
     dt = controller.step_length(dt)
-    prefix = read_name(_identifier(controller.name) if name is None else name, "C function")
+    prefix = _read_prefix(_identifier(controller.name) if name is None else name)
     step = _elementary(controller.step, controller.name)
     start = _elementary(controller.start, controller.name)
     first, table = _table(controller, dt, span)
@@ -105,6 +111,16 @@ def export_c(
         (folder / file).write_text(text, encoding="ascii")
     paths = [folder / file for file in files]
     return FlightCode(paths[0], paths[1], paths[2], prefix, table.shape[0], dt)
+
+
+def _read_prefix(name: str) -> str:
+    prefix = read_name(name, "C function")
+    if prefix.lower() in _C_HEADERS:  # file systems may not tell capitals apart
+        raise ArgumentError(
+            f"'{prefix}' cannot be the name of flight code: its files would hide the header '{prefix.lower()}.h' of C; "
+            f"give export_c(..., name='{prefix}_law')."
+        )
+    return prefix
 
 
 def _elementary(function: Any, name: str) -> Any:

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arrays import Array
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.evaluation import evaluate
 from gnc_opt.model.symbol import as_expression
@@ -118,6 +118,18 @@ class PhaseFunctions:
         flat = self._call("control_hessian", t, x, u, lam, mu)
         m = np.shape(u)[0]
         return flat.reshape(m, m, *flat.shape[1:])
+
+    @property
+    def separable_controls(self) -> Mask:
+        """Controls of which H is the sum of affine functions and a function of the others (n_controls,).
+
+        None of them enters a path constraint. Told by which expressions depend on which controls, hence some that
+        cancel out may be missing; and a step of H in a control, whose derivative vanishes, is overlooked.
+        """
+        coupled = np.zeros(self.functions["switching"].size1_out(0), dtype=bool)
+        for name in ("switching", "paths"):
+            coupled[self.functions[name].jac_sparsity(0, 2).get_col()] = True
+        return ~coupled
 
     def state_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """df/dx, shape (n_states, n_states, ...)."""

@@ -143,25 +143,14 @@ def search_meter(
     callable
         ``show(objective)``; None for a task without one.
     """
-    columns = (
-        TextColumn("{task.description}", style="bold"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[best]}"),
-        TimeElapsedColumn(),
-    )
-    console = Console(stderr=True) if console is None else console
-    with Progress(*columns, console=console, auto_refresh=False) as progress:
-        bar = progress.add_task(name, total=total, best="")
+    with _bar(name, total, console) as advance:
         best: float | None = None
 
         def show(objective: float | None) -> None:
             nonlocal best
             if objective is not None and (best is None or sense * objective < sense * best):
                 best = objective
-            progress.update(
-                bar, advance=1, best="" if best is None else f"best {best:.8g}", refresh=console.is_terminal
-            )
+            advance(1, "" if best is None else f"best {best:.8g}")
 
         yield show
 
@@ -181,26 +170,32 @@ def campaign_meter(total: int, console: Console | None = None) -> Iterator[ShowR
     callable
         ``show(runs, failed)``: so many more have ended, so many of those failed.
     """
-    columns = (
-        TextColumn("{task.description}", style="bold"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[failed]}"),
-        TimeElapsedColumn(),
-    )
-    console = Console(stderr=True) if console is None else console
-    with Progress(*columns, console=console, auto_refresh=False) as progress:
-        bar = progress.add_task("runs", total=total, failed="")
+    with _bar("runs", total, console) as advance:
         all_failed = 0
 
         def show(runs: int, failed: int) -> None:
             nonlocal all_failed
             all_failed += failed
-            progress.update(
-                bar,
-                advance=runs,
-                failed=f"{all_failed} failed" if all_failed else "",
-                refresh=console.is_terminal,
-            )
+            advance(runs, f"{all_failed} failed" if all_failed else "")
 
         yield show
+
+
+@contextmanager
+def _bar(name: str, total: int, console: Console | None) -> Iterator[Callable[[int, str], None]]:
+    """One bar; yields ``advance(count, note)``, whose note stands behind the bar."""
+    console = Console(stderr=True) if console is None else console
+    columns = (
+        TextColumn("{task.description}", style="bold"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[note]}"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=console, auto_refresh=False) as progress:
+        bar = progress.add_task(name, total=total, note="")
+
+        def advance(count: int, note: str) -> None:
+            progress.update(bar, advance=count, note=note, refresh=console.is_terminal)
+
+        yield advance

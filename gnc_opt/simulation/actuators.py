@@ -7,7 +7,7 @@ impulse is exact where the output varies within the step.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
@@ -33,6 +33,9 @@ from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 _INSTANT = 1e-12
 """A time constant below this (s) is none."""
+
+_TRIM = "trim"
+"""What an actuator is told that begins with the feedforward."""
 
 
 @dataclass(frozen=True)
@@ -153,8 +156,38 @@ class MinimumImpulse(Block):
 
 
 @dataclass(frozen=True)
-class Lag(Block):
-    r"""First-order lag :math:`\tau \dot y = u - y`, from rest; ``tau`` in s (0: none).
+class _Following(Block):
+    """An actuator whose output follows the command from somewhere.
+
+    Attributes
+    ----------
+    initial : float, one per component or "trim"; optional
+        First output, unit of the command; default zero. ``"trim"``: what arrives of the controller's feedforward, so
+        that a vehicle that rests under it stays at rest.
+    """
+
+    initial: ArrayLike | None = field(default=None, kw_only=True)
+
+    @property
+    def in_trim(self) -> bool:
+        """Whether it begins with the feedforward."""
+        return isinstance(self.initial, str) and self.initial == _TRIM
+
+    def _first(self, size: int, unit: str) -> Defaults:
+        """Return the parameter that says where it begins, if a number does."""
+        if self.initial is None or self.in_trim:
+            return {}
+        return {"initial": (values(self.initial, size, f"the first output of '{self.name}'"), unit)}
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        if self.in_trim:
+            return signal
+        return p["initial"] if "initial" in p else ca.SX.zeros(signal.shape[0])
+
+
+@dataclass(frozen=True)
+class Lag(_Following):
+    r"""First-order lag :math:`\tau \dot y = u - y`, from ``initial``; ``tau`` in s (0: none).
 
     Over a minor step the mean :math:`u + (y_0 - u)(1 - e^{-h/\tau})\tau/h` is applied: the impulse is exact.
 
@@ -162,18 +195,18 @@ class Lag(Block):
     ----------
     tau : float or one per component
         s, >= 0.
+    initial : float, one per component or "trim"; optional
+        First output, unit of the command; default zero. ``"trim"``: the feedforward that arrives.
     """
 
     tau: ArrayLike
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        return {"tau": (values(self.tau, size, f"the time constant of '{self.name}'"), "s")}
+        tau = values(self.tau, size, f"the time constant of '{self.name}'")
+        return {"tau": (tau, "s"), **self._first(size, unit)}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"tau": (0.0, math.inf)}
-
-    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
-        return signal
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         ratio = tick.h / ca.fmax(p["tau"], _INSTANT)
@@ -182,8 +215,8 @@ class Lag(Block):
 
 
 @dataclass(frozen=True)
-class RateLimit(Block):
-    """The output follows the command with at most ``rate`` (unit of the command per s), from zero.
+class RateLimit(_Following):
+    """The output follows the command with at most ``rate`` (unit of the command per s), from ``initial``.
 
     The mean over a minor step of the ramp and the plateau after it is applied.
 
@@ -191,18 +224,18 @@ class RateLimit(Block):
     ----------
     rate : float or one per component
         Unit of the command per s, > 0.
+    initial : float, one per component or "trim"; optional
+        First output, unit of the command; default zero. ``"trim"``: the feedforward that arrives.
     """
 
     rate: ArrayLike
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        return {"rate": (values(self.rate, size, f"the rate of '{self.name}'"), f"{unit}/s")}
+        rate = values(self.rate, size, f"the rate of '{self.name}'")
+        return {"rate": (rate, f"{unit}/s"), **self._first(size, unit)}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"rate": (POSITIVE, math.inf)}
-
-    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
-        return signal
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         reach = p["rate"] * tick.h
@@ -213,8 +246,8 @@ class RateLimit(Block):
 
 
 @dataclass(frozen=True)
-class Delay(Block):
-    """The command arrives ``delay`` (s) later, zero before; any delay up to ``maximum`` (default: the delay itself).
+class Delay(_Following):
+    """The command arrives ``delay`` (s) later, ``initial`` before; any delay up to ``maximum`` (default: itself).
 
     Exact for commands held over minor steps: a delay between two multiples of the minor step gives the mean of the
     two commands that share the step.
@@ -225,13 +258,15 @@ class Delay(Block):
         s, >= 0.
     maximum : float, optional
         Longest delay that a run may have, s; default the delay itself.
+    initial : float, one per component or "trim"; optional
+        First output, unit of the command; default zero. ``"trim"``: the feedforward that arrives.
     """
 
     delay: float
     maximum: float | None = None
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        return {"delay": (scalar(self.delay, f"the delay of '{self.name}'"), "s")}
+        return {"delay": (scalar(self.delay, f"the delay of '{self.name}'"), "s"), **self._first(size, unit)}
 
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"delay": (0.0, self._length(h) * h * (1 + ROUNDING))}
@@ -242,7 +277,7 @@ class Delay(Block):
         return started_steps(longest, h)
 
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
-        return ca.repmat(signal, self._length(tick.h), 1)
+        return ca.repmat(super().start(signal, p, tick), self._length(tick.h), 1)
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size = signal.shape[0]
@@ -307,9 +342,9 @@ class Pwm(Block):
         on_steps = ca.if_else(on_steps * tick.h < p["minimum_on"], 0.0, on_steps)
         pulse = ca.if_else(phase + 0.5 < on_steps, ca.sign(command) * p["thrust"], 0.0)
         saturated = ca.if_else(ca.fabs(command) > p["thrust"], 1.0, 0.0)
-        # 0 * command carries a command that is not a number into the plant, where it is reported
+        # a command that is not a number goes on into the plant, where it is reported
         after = ca.vertcat(command, next_phase(phase, count))
-        return Step(pulse + 0 * _finite_or_nan(command), after, saturated)
+        return Step(pulse + _finite_or_nan(command), after, saturated)
 
 
 def _finite_or_nan(signal: Any) -> Any:

@@ -89,6 +89,11 @@ class Block:
                 f"a block cannot be called '{self.name}': choose a name without dots that is not 'plant' or 'initial'."
             )
 
+    @property
+    def in_trim(self) -> bool:
+        """Whether it begins with the feedforward."""
+        return False
+
     def parameters(self, size: int, unit: str) -> Defaults:
         """Return the values and units of the parameters, for a signal of ``size`` components in ``unit``."""
         return {}
@@ -111,7 +116,10 @@ class Block:
         """Raise `ArgumentError` if the block cannot act on ``size`` components with these steps (s)."""
 
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
-        """Return the memory at the beginning, SX; ``signal`` is the first sample (sensors) or zero (actuators)."""
+        """Return the memory at the beginning, SX.
+
+        ``signal`` is the first sample (sensors); zero, or the feedforward that arrives where actuators begin in trim.
+        """
         return ca.SX(0, 1)
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:

@@ -81,6 +81,8 @@ class Flight:
     error_layout : Layout
     watched, alarms : tuple of str
         Quantities that must stay finite, and entries of the memory that must stay 0.
+    plausible : array (n_states,)
+        Size of the states beyond which a run has diverged.
     accuracy : float
         Asked of the integration, relative.
     minor_steps : int
@@ -104,6 +106,7 @@ class Flight:
     error_layout: Layout
     watched: tuple[str, ...]
     alarms: tuple[str, ...]
+    plausible: Array
     accuracy: float
     minor_steps: int
 
@@ -262,6 +265,13 @@ class Flight:
                 RunStatus.NOT_FINITE,
                 self.watched[int(parts["fault"][0, i]) - 1],
                 float(parts["fault time"][0, i]),
+            )
+        if parts["divergence"][0, i] != 0:
+            k = int(parts["divergence"][0, i]) - 1
+            return Outcome(
+                RunStatus.DIVERGED,
+                f"state '{self.states.labels[k]}' beyond {self.plausible[k]:g}",
+                float(parts["divergence time"][0, i]),
             )
         if parts["alarm"][0, i] != 0:
             return Outcome(

@@ -112,6 +112,8 @@ class _Builder:
                 ("error", 1),
                 ("fault", 1),
                 ("fault time", 1),
+                ("divergence", 1),
+                ("divergence time", 1),
                 ("alarm", 1),
                 ("alarm time", 1),
             )
@@ -182,6 +184,19 @@ class _Builder:
         missing = {n: ca.SX.zeros(controls[n].size) for n in controls.names if n not in signals}
         return take({**signals, **missing}, controls.names), take(saturated, commands.names)
 
+    def _first_outputs(self, tick: Tick, r: Any) -> dict[str, Any]:
+        """Return the memories with which the actuators begin; the feedforward passes them where one begins in trim."""
+        wiring, memory = self.wiring, {}
+        signals = wiring.feedforward(r) if wiring.in_trim else {}
+        for i, link in enumerate(wiring.actuators):
+            block, p = link.block, self._parameters(link)
+            signal = take(signals, link.on) if wiring.in_trim else ca.SX.zeros(link.size)
+            memory[f"actuator {i}"] = first = block.start(signal, p, tick)
+            if wiring.in_trim:
+                quiet = ca.SX.zeros(block.noise(link.size))
+                signals = put(signals, link, block.step(tick, signal, first, p, quiet).signal)
+        return memory
+
     def _rate(self, u: Any, pushes: dict[str, Any]) -> Any:
         """Return f(t, x) of the plant under applied controls and disturbances."""
         plant, links = self.wiring.plant, self.wiring.disturbances
@@ -215,9 +230,9 @@ class _Builder:
         tick = Tick(w["t"], self.h, wiring.dt, 0, self._by_state(x))
         parts: dict[str, Any] = {name: ca.SX.zeros(n) for name, n in self.state.parts}
         parts |= {"plant": x, **sensors}
-        for key, links in (("actuator", wiring.actuators), ("push", wiring.disturbances)):
-            for i, link in enumerate(links):
-                parts[f"{key} {i}"] = link.block.start(ca.SX.zeros(link.size), self._parameters(link), tick)
+        parts |= self._first_outputs(tick, w["r"])
+        for i, link in enumerate(wiring.disturbances):
+            parts[f"push {i}"] = link.block.start(ca.SX.zeros(link.size), self._parameters(link), tick)
         before = ca.Function("before", [column, self.P], [y, self.state.join(parts)])
         kind = _symbol_kind(wiring.controller.start)
         w_, p_ = kind.sym("w", self.known.size), kind.sym("P", self.P.shape[0])
@@ -282,7 +297,7 @@ class _Builder:
         return ca.Function("act", [column_x, column, self.P, y, u, z], [self.state.join(new), log])
 
     def _watch(self, new: dict[str, Any], state: dict[str, Any], t: Any, watched: Any, z: Any) -> None:
-        """Keep the first thing that is not finite and the first alarm, and their times."""
+        """Keep the first thing that is not finite, the first state too large, the first alarm, and their times."""
         wiring = self.wiring
         fault = ca.SX(0)
         for i in reversed(range(watched.shape[0])):
@@ -294,7 +309,10 @@ class _Builder:
             alarm = ca.if_else(
                 ca.fabs(flag) <= 0, alarm, i + 1.0
             )  # not "!= 0": that is false for NaN in some VMs
-        for name, code in (("fault", fault), ("alarm", alarm)):
+        divergence = ca.SX(0)
+        for i, largest in reversed(list(enumerate(wiring.plausible))):
+            divergence = ca.if_else(ca.fabs(new["plant"][i]) > largest, i + 1.0, divergence)
+        for name, code in (("fault", fault), ("divergence", divergence), ("alarm", alarm)):
             fresh = ca.logic_and(state[name] < 0.5, code > 0.5)
             new[name] = ca.if_else(fresh, code, state[name])
             new[f"{name} time"] = ca.if_else(fresh, t, state[f"{name} time"])

@@ -26,6 +26,9 @@ from gnc_opt.simulation.wiring import Blocks, Wiring, wire
 MAX_SUBSTEPS = 64
 """Integration steps per minor step at most; a plant that needs more is too fast for this step."""
 
+PLAUSIBLE = 1e15
+"""Size of a state beyond which a run has diverged, in any unit: a hundred times as far as Neptune, in metres."""
+
 _STABLE = 3.0
 """The Runge-Kutta method damps a real mode up to 3.3 times the inverse of its step."""
 
@@ -69,6 +72,9 @@ class ClosedLoop:
         magnitude smaller. Runs that miss it are flagged.
     substeps : int, optional
         Integration steps per minor step; default: chosen by ``accuracy``.
+    plausible : float or mapping
+        Size of the plant's states, one for all or by name, beyond which a run counts as *diverged*; default 1e15 in any
+        unit, also for the states that a mapping leaves out.
 
     Raises
     ------
@@ -85,6 +91,7 @@ class ClosedLoop:
     minor_steps: int = field(default=1, kw_only=True)
     accuracy: float = field(default=1e-9, kw_only=True)
     substeps: int | None = field(default=None, kw_only=True)
+    plausible: float | Mapping[str, ArrayLike] = field(default=PLAUSIBLE, kw_only=True)
     wiring: Wiring = field(init=False, repr=False)
     _kernels: dict[int, Kernel] = field(init=False, repr=False, default_factory=dict)
 
@@ -111,7 +118,8 @@ class ClosedLoop:
                     f"use those of gnc_opt.simulation.{name}",
                 )
         blocks = Blocks(tuple(self.actuators), tuple(self.sensors), tuple(self.disturbances))
-        set_(self, "wiring", wire(self.plant, self.controller, blocks, self.dt, self.minor_steps))
+        plausible = _read_plausible(self.plausible, self.plant.states)
+        set_(self, "wiring", wire(self.plant, self.controller, blocks, self.dt, self.minor_steps, plausible))
 
     # --- what can be dispersed ----------------------------------------------------------------------------
 
@@ -211,6 +219,8 @@ class ClosedLoop:
             # a run that leaves the finite numbers is not one whose accuracy could be had by more steps
             if error <= self.accuracy or not np.isfinite(error) or ending.outcomes[0].not_finite:
                 return flight
+            if substeps >= MAX_SUBSTEPS and ending.outcomes[0].diverged:
+                return flight  # also when integrated as finely as can be: that is what is to be told
             if substeps >= MAX_SUBSTEPS:
                 raise self._too_fast(f"leave an error of {error:.1e} where {self.accuracy:.1e} is asked for")
             # the local error of the embedded fourth-order solution, summed over a run, falls with h^4
@@ -299,6 +309,7 @@ class ClosedLoop:
             error_layout=self.plant.errors,
             watched=tuple(watched_labels(self.wiring)),
             alarms=tuple(alarm_labels(self.wiring)),
+            plausible=self.wiring.plausible,
             accuracy=self.accuracy,
             minor_steps=self.minor_steps,
         )
@@ -340,3 +351,17 @@ class ClosedLoop:
     def _error_function(self) -> Any:
         x, x_ref = (ca.SX.sym(n, self.plant.states.size) for n in ("x", "x_ref"))
         return ca.Function("e", [x, x_ref], [self.plant.error_expression(x, x_ref)])
+
+
+def _read_plausible(value: float | Mapping[str, ArrayLike], states: Layout) -> Array:
+    """Return the largest plausible sizes of the states, (n_states,)."""
+    largest = np.full(states.size, PLAUSIBLE)
+    given = value if isinstance(value, Mapping) else dict.fromkeys(states.names, value)
+    for name, size in given.items():
+        if name not in states:
+            raise unknown_name("state", name, "the plausible sizes of a closed loop", states.names)
+        what = f"the plausible size of '{name}'"
+        largest[states.slice(name)] = as_vector(size, states[name].size, what, ArgumentError)
+    if not np.all(largest > 0):
+        raise ArgumentError(f"the plausible sizes of the states are {largest}: give positive ones.")
+    return largest

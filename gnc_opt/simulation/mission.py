@@ -62,12 +62,15 @@ class Flown:
     ending : Ending or None
     mishap : str
         Why there is no ending.
+    died : bool
+        Whether the process that was to fly it died.
     """
 
     batch: Batch
     parameters: Array | None
     ending: Ending | None
     mishap: str = ""
+    died: bool = False
 
 
 def batches(runs: int) -> list[Batch]:
@@ -89,7 +92,7 @@ def flown_parts(done: Done[Batch, list[Flown]]) -> list[Flown]:
     if done.answer is not None:
         return done.answer
     assert done.error is not None
-    return [Flown(done.item, None, None, in_words(done.error))]
+    return [Flown(done.item, None, None, in_words(done.error), isinstance(done.error, WorkerDied))]
 
 
 def in_words(error: BaseException) -> str:

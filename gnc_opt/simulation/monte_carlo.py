@@ -131,10 +131,16 @@ def _tally(done: Done[Batch, list[Flown]]) -> tuple[int, int]:
 
 
 def _refuse_total_loss(flown: Sequence[Flown]) -> None:
-    if flown and all(part.ending is None for part in flown):
-        raise GncOptError(
-            f"not one run could be flown ({flown[0].mishap}): simulate() one of them to see why."
+    if not flown or any(part.ending is not None for part in flown):
+        return
+    remedy = "simulate() one of them to see why"
+    if all(part.died for part in flown):
+        # processes that are not forked import the script that started them
+        remedy = (
+            "call monte_carlo() below 'if __name__ == \"__main__\":' of the script, without which new processes begin "
+            f'the campaign again; or {remedy}, or use executor="serial"'
         )
+    raise GncOptError(f"not one run could be flown ({flown[0].mishap}): {remedy}.")
 
 
 def _with_parameters(flown: Sequence[Flown], mission: Mission) -> list[Flown]:

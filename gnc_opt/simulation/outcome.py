@@ -15,6 +15,7 @@ class RunStatus(Enum):
     OK : everything stayed finite, no alarm, the integration as accurate as asked for.
     INACCURATE : the integration's own error estimate exceeds the accuracy asked for.
     ALARM : the controller reported that it could not keep its promise.
+    DIVERGED : a state left its plausible size, see ``plausible`` of `ClosedLoop`.
     NOT_FINITE : a measurement, command, applied control or state is not a finite number.
     REFUSED : a parameter is outside its permitted range; the run was not flown.
     LOST : the process that flew it died, or the run raised an exception.
@@ -23,6 +24,7 @@ class RunStatus(Enum):
     OK = "ok"
     INACCURATE = "inaccurate"
     ALARM = "alarm"
+    DIVERGED = "diverged"
     NOT_FINITE = "not finite"
     REFUSED = "refused"
     LOST = "lost"
@@ -56,6 +58,11 @@ class Outcome:
     def ok(self) -> bool:
         """Whether all is well."""
         return self.status is RunStatus.OK
+
+    @property
+    def diverged(self) -> bool:
+        """Whether a state left its plausible size."""
+        return self.status is RunStatus.DIVERGED
 
     @property
     def not_finite(self) -> bool:

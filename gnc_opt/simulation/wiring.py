@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +33,8 @@ class Wiring:
         Control step, s.
     minor_steps : int
         Parts of a control step.
+    plausible : array (n_states,)
+        Size of the plant's states beyond which a run has diverged.
     """
 
     plant: Model
@@ -41,6 +44,7 @@ class Wiring:
     disturbances: tuple[Link, ...]
     dt: float
     minor_steps: int
+    plausible: Array
 
     @property
     def h(self) -> float:
@@ -52,6 +56,16 @@ class Wiring:
         """All links with the length (s) of their steps."""
         slow = (*self.sensors, *self.disturbances)
         return [*((link, self.h) for link in self.actuators), *((link, self.dt) for link in slow)]
+
+    @property
+    def in_trim(self) -> bool:
+        """Whether an actuator begins with the feedforward."""
+        return any(link.block.in_trim for link in self.actuators)
+
+    def feedforward(self, r: Any) -> dict[str, Any]:
+        """Return the feedforward (SX) of every command by name, from a row r of the schedule."""
+        signals = self.controller.signals
+        return {n: r[signals.slice(f"{n}_ff")] for n in self.controller.commands.names}
 
     # --- what can be dispersed ----------------------------------------------------------------------------
 
@@ -101,7 +115,9 @@ class Blocks:
     disturbances: tuple[Disturbance, ...]
 
 
-def wire(plant: Model, controller: Controller, blocks: Blocks, dt: float, minor_steps: int) -> Wiring:
+def wire(
+    plant: Model, controller: Controller, blocks: Blocks, dt: float, minor_steps: int, plausible: Array
+) -> Wiring:
     """Put the blocks in their places.
 
     Raises
@@ -118,10 +134,21 @@ def wire(plant: Model, controller: Controller, blocks: Blocks, dt: float, minor_
         n: (size, f"{unit}/s") for n, (size, unit) in kinds(plant.states).items()
     }
     pushes = [chain([d], targets, "state or control")[0][0] for d in blocks.disturbances]
-    wiring = Wiring(plant, controller, tuple(actuators), sensors, tuple(pushes), dt, minor_steps)
+    wiring = Wiring(plant, controller, tuple(actuators), sensors, tuple(pushes), dt, minor_steps, plausible)
     for link, step in wiring.steps_of_links:
         link.block.check(link.size, step, dt)
+    _check_trim(wiring)
     return wiring
+
+
+def _check_trim(wiring: Wiring) -> None:
+    begun = [link.block.name for link in wiring.actuators if link.block.in_trim]
+    for name in wiring.controller.commands.names if begun else ():
+        if f"{name}_ff" not in wiring.controller.signals:
+            raise ArgumentError(
+                f"'{begun[0]}' is to begin in trim, but '{wiring.controller.name}' has no feedforward of '{name}': "
+                "give initial= as a number."
+            )
 
 
 def _sensors(controller: Controller, blocks: Sequence[Block]) -> tuple[Link, ...]:

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gnc_opt.arguments import read_integer, read_numbers
-from gnc_opt.arrays import Array
+from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.tolerances import ROUNDING
 from gnc_opt.transcription.quadrature import (
@@ -77,11 +78,14 @@ class PiecewisePolynomial:
             raise ArgumentError(f"the side of a segment boundary is {shown(side)}: give 'left' or 'right'.")
         times = self._clamped(np.atleast_1d(read_numbers(t, "the time")))
         segment = np.clip(np.searchsorted(self.breaks, times, side) - 1, 0, len(self.nodes) - 1)
+        tau, first = self._tau(segment, times), self._first_alike[segment]
         result = np.empty((self.values[0].shape[0], times.size))
-        for k in np.unique(segment):
-            here = segment == k
-            basis = interpolation_matrix(self.nodes[k], self._tau(int(k), times[here]))
-            result[:, here] = self.values[k] @ basis.T
+        for alike in np.unique(first):
+            here = np.flatnonzero(first == alike)
+            basis = interpolation_matrix(self.nodes[alike], tau[here])
+            for k in np.unique(segment[here]):
+                rows = segment[here] == k
+                result[:, here[rows]] = self.values[k] @ basis[rows].T
         return result if np.ndim(t) else result[:, 0]
 
     def derivative(self) -> "PiecewisePolynomial":
@@ -121,8 +125,14 @@ class PiecewisePolynomial:
             )
         return np.clip(times, first, last)
 
-    def _tau(self, k: int, times: Array) -> Array:
-        initial, final = self.breaks[k], self.breaks[k + 1]
+    @cached_property
+    def _first_alike(self) -> Indices:
+        """For each segment the first one with the same nodes (K,): they share one interpolation matrix."""
+        first: dict[bytes, int] = {}
+        return np.array([first.setdefault(x.tobytes(), k) for k, x in enumerate(self.nodes)])
+
+    def _tau(self, segment: Indices, times: Array) -> Array:
+        initial, final = self.breaks[segment], self.breaks[segment + 1]
         return np.asarray(((times - initial) - (final - times)) / (final - initial))
 
 

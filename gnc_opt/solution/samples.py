@@ -113,9 +113,14 @@ class PhaseSamples:
         return values
 
     @cached_property
+    def lam_polynomial(self) -> Array:
+        """Costates by their polynomials (n, n_samples)."""
+        return self.sample(self.leg.lam)
+
+    @cached_property
     def lam(self) -> Array:
-        """Costates (n, n_samples)."""
-        values = self.sample(self.leg.lam)
+        """Costates (n, n_samples), integrated anew in the edges."""
+        values = self.lam_polynomial.copy()
         for edge in self.edges:
             values[:, self.segments == edge.segment] = edge.costates
         return values
@@ -146,6 +151,11 @@ class PhaseSamples:
         return self.functions.control_gradient(self.times, self.x, self.u, self.lam, self.mu)
 
     @cached_property
+    def control_hessian(self) -> Array:
+        """d2(H + mu.c)/du2 along the flown control (m, m, n_samples)."""
+        return self.functions.control_hessian(self.times, self.x, self.u, self.lam, self.mu)
+
+    @cached_property
     def state_scale(self) -> Array:
         """Magnitude of each state along the phase (n,)."""
         return state_magnitudes(self.leg)
@@ -161,7 +171,7 @@ class PhaseSamples:
     @cached_property
     def cost_scale(self) -> float:
         """Largest |lambda_i| x_i along the phase: what the states are worth in units of the cost."""
-        worth = float(np.max(np.abs(self.sample(self.leg.lam)) * self.state_scale[:, None], initial=0.0))
+        worth = float(np.max(np.abs(self.lam_polynomial) * self.state_scale[:, None], initial=0.0))
         worth = max(worth, NEGLIGIBLE * self.cost_magnitude)
         return worth if worth > 0 else 1.0
 
@@ -169,7 +179,7 @@ class PhaseSamples:
     def hamiltonian_scale(self) -> float:
         """Largest sum of the magnitudes of H's terms along the phase (cost per second)."""
         rates = self.functions.rates(self.times, self.x, self.u)
-        terms = np.sum(np.abs(self.sample(self.leg.lam) * rates), axis=0)
+        terms = np.sum(np.abs(self.lam_polynomial * rates), axis=0)
         integrands = self.functions.integrands(self.times, self.x, self.u)
         terms = terms + np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
         # Where H vanishes altogether, as on a singular arc of zero cost, rounding must not set the scale.
@@ -211,9 +221,7 @@ class PhaseSamples:
     @cached_property
     def adjoint_residual(self) -> Array:
         """Integral of |d(lambda)/dt + dH/dx + z| over each segment, in shares of the cost (n_states, K)."""
-        gradient = self.functions.state_gradient(
-            self.times, self.x, self.u, self.sample(self.leg.lam), self.mu
-        )
+        gradient = self.functions.state_gradient(self.times, self.x, self.u, self.lam_polynomial, self.mu)
         residual = self.per_segment(self.lam_rate + gradient + self.state_multiplier)
         residual = residual * self.state_scale[:, None] / self.cost_scale
         for edge in self.edges:

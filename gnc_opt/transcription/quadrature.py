@@ -108,10 +108,7 @@ def barycentric_weights(nodes: ArrayLike) -> Array:
     ArgumentError
         Nodes that are not one-dimensional, finite and distinct.
     """
-    x = _vector(nodes)
-    if x.size == 0 or not np.all(np.isfinite(x)) or np.unique(x).size < x.size:
-        raise ArgumentError(f"interpolation nodes must be finite and distinct, at least one; got {x}")
-    return _cached_barycentric_weights(x.tobytes())
+    return _cached_barycentric_weights(_vector(nodes).tobytes())
 
 
 def differentiation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
@@ -241,8 +238,11 @@ def _values_at_one(x: Numbers, w: Numbers) -> Numbers:
 
 @lru_cache(maxsize=1024)
 def _cached_barycentric_weights(nodes: bytes) -> Array:
+    x = np.frombuffer(nodes)
+    if x.size == 0 or not np.all(np.isfinite(x)) or np.unique(x).size < x.size:
+        raise ArgumentError(f"interpolation nodes must be finite and distinct, at least one; got {x}")
     with _many_digits():
-        w = _reciprocal_products(_decimals(np.frombuffer(nodes)))
+        w = _reciprocal_products(_decimals(x))
         return _rounded(w / max(abs(w)))
 
 

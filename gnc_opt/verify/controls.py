@@ -6,6 +6,8 @@ phase. The module `costates` states the principle and its sources.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
@@ -22,7 +24,9 @@ CLEARLY_INSIDE = 1e-2
 """A control this far from both bounds, relative to the range, is between them on purpose."""
 
 _GRID = 9
+_MOST_CORNERS = 6
 _MOST_TIMES = 400
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 def stationarity(samples: list[PhaseSamples], tolerance: float) -> Condition:
@@ -76,49 +80,75 @@ def _worst_control(s: PhaseSamples, loss: Array) -> Worst:
 
 
 def minimum(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """No other admissible control has a smaller H (sampled)."""
+    """No other admissible control has a smaller H: exactly where H is affine in it, sampled elsewhere."""
     meaning = (
         "At every time the control must give the smallest H among all admissible ones, not only a stationary one "
-        "(checked against a grid of other controls; share of H's scale that could be gained)."
+        "(by its switching function where a control enters H affinely, against a grid of other controls elsewhere; "
+        "share of H's scale that could be gained)."
     )
     worst = NOTHING
     for s in samples:
         if s.leg.controls.size:
-            worst = worst.or_worse(_sampled_minimum(s))
+            worst = worst.or_worse(_largest_gain(s))
     return judge("minimum principle", worst, tolerance, meaning)
 
 
-def _sampled_minimum(s: PhaseSamples) -> Worst:
+def _largest_gain(s: PhaseSamples) -> Worst:
+    gain = _separable_gain(s)
     chosen = np.unique(np.linspace(0, s.times.size - 1, _MOST_TIMES).astype(int))
     times, x, u, lam = s.times[chosen], s.x[:, chosen], s.u[:, chosen], s.lam[:, chosen]
-    base = s.functions.hamiltonian(times, x, u, lam)
-    gain = np.zeros(chosen.size)
+    base, best = s.hamiltonian[chosen], np.zeros(chosen.size)
     for other in _other_controls(s, u):
         value = s.functions.hamiltonian(times, x, other, lam)
         admissible = _admissible(s, times, x, other) & np.isfinite(value)
-        gain = np.maximum(gain, np.where(admissible, base - value, 0.0))
-    gain = np.where(np.isnan(base), np.inf, gain / s.hamiltonian_scale)
+        best = np.maximum(best, np.where(admissible, base - value, 0.0))
+    elsewhere = base - s.functions.hamiltonian(times, x, _scattered_controls(s, u), lam)
+    best = np.fmax(gain[chosen] + best, np.where(np.isfinite(elsewhere), elsewhere, 0.0))
+    gain[chosen] = best
+    gain = np.where(np.isnan(s.hamiltonian), np.inf, gain / s.hamiltonian_scale)
     j = int(np.argmax(gain))
-    return Worst(float(gain[j]), s.place(int(chosen[j])))
+    return Worst(float(gain[j]), s.place(j))
+
+
+def _separable_gain(s: PhaseSamples) -> Array:
+    """What H loses at most by other values of its separable controls: each goes where its slope says."""
+    apart = s.functions.separable_controls
+    lower, upper = (limit[apart, None] for limit in _limits(s))
+    slope, u = s.control_gradient[apart], s.u[apart]
+    return np.asarray(np.sum(np.maximum(slope * (u - lower), slope * (u - upper)), axis=0))
+
+
+def _scattered_controls(s: PhaseSamples, u: Array) -> Array:
+    """Separable controls anywhere between their limits: a step of H, whose slope is zero, shows nowhere else."""
+    lower, upper = _limits(s)
+    shares = np.outer(1 + np.arange(u.shape[0]), _GOLDEN * np.arange(u.shape[1])) % 1.0
+    other = lower[:, None] + (upper - lower)[:, None] * shares
+    return np.where(s.functions.separable_controls[:, None], other, u)
 
 
 def _other_controls(s: PhaseSamples, u: Array) -> list[Array]:
-    """Controls that differ from u in one channel, and the corners of the box where they are few."""
-    bounds, m = s.leg.control_bounds, u.shape[0]
-    reach = 2.0 * np.maximum(np.max(np.abs(u), axis=1), s.control_scale)
-    lower = np.where(np.isfinite(bounds.lower), bounds.lower, -reach)
-    upper = np.where(np.isfinite(bounds.upper), bounds.upper, reach)
+    """Controls that differ from u in one channel that is not separable, and all corners where those are few."""
+    coupled, (lower, upper) = np.flatnonzero(~s.functions.separable_controls), _limits(s)
     others = []
-    for i in range(m):
+    for i in coupled:
         for value in np.linspace(lower[i], upper[i], _GRID):
             other = u.copy()
             other[i] = value
             others.append(other)
-    if m <= 6:
-        for corner in range(2**m):
-            high = (corner >> np.arange(m)) & 1
-            others.append(np.tile(np.where(high, upper, lower)[:, None], u.shape[1]))
+    if 0 < coupled.size <= _MOST_CORNERS:
+        for corner in itertools.product(*zip(lower[coupled], upper[coupled], strict=True)):
+            other = u.copy()
+            other[coupled] = np.array(corner)[:, None]
+            others.append(other)
     return others
+
+
+def _limits(s: PhaseSamples) -> tuple[Array, Array]:
+    """Bounds of the controls; where there is none, well beyond the values that occur."""
+    bounds = s.leg.control_bounds
+    reach = 2.0 * np.maximum(np.max(np.abs(s.u), axis=1), s.control_scale)
+    lower = np.where(np.isfinite(bounds.lower), bounds.lower, -reach)
+    return lower, np.where(np.isfinite(bounds.upper), bounds.upper, reach)
 
 
 def _admissible(s: PhaseSamples, times: Array, x: Array, u: Array) -> Mask:
@@ -148,8 +178,12 @@ def legendre_clebsch(samples: list[PhaseSamples], tolerance: float) -> Condition
 
 
 def _least_curvature(s: PhaseSamples) -> tuple[float, str | None]:
-    hessians = s.functions.control_hessian(s.times, s.x, s.u, s.lam, s.mu)
-    scaled = hessians * s.control_scale[:, None, None] * s.control_scale[None, :, None] / s.hamiltonian_scale
+    scaled = (
+        s.control_hessian
+        * s.control_scale[:, None, None]
+        * s.control_scale[None, :, None]
+        / s.hamiltonian_scale
+    )
     interior = _inside(s)
     least, place = np.inf, None
     for j in range(s.times.size):
@@ -214,8 +248,9 @@ def _offences(s: PhaseSamples) -> tuple[Array, Mask]:
 
 def _curvature(s: PhaseSamples) -> Array:
     """Second derivative of H in each control over its range, in shares of H's scale, (m, n_samples)."""
-    hessians = s.functions.control_hessian(s.times, s.x, s.u, s.lam, s.mu)
-    return np.asarray(np.einsum("iij->ij", hessians) * s.control_scale[:, None] ** 2 / s.hamiltonian_scale)
+    return np.asarray(
+        np.einsum("iij->ij", s.control_hessian) * s.control_scale[:, None] ** 2 / s.hamiltonian_scale
+    )
 
 
 def _inside(s: PhaseSamples) -> Mask:

@@ -10,14 +10,13 @@ SIAM 2012, ch. 5-7)
 * the Hessian of the Lagrangian :math:`\Phi + \nu^T\psi` in :math:`\theta` is positive definite on the
   null space of the constraints' Jacobian.
 
-The induced problem is built here from the model alone: explicit integration from switch to switch, differentiated
-twice; neither collocation nor the solver takes part.
+The induced problem is built from the model alone: explicit integration from switch to switch, differentiated
+twice (module `bang_bang_flow`); neither collocation nor the solver takes part.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -25,16 +24,13 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import EndGradients, end_function
+from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.quality import worst_index
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, RANK, TINY
+from gnc_opt.verify.bang_bang_flow import bang_bang_flow
 from gnc_opt.verify.verdict import Condition, Result
-
-STEPS = 300
-"""Runge-Kutta steps over the phase, and at least `LEAST_STEPS` from switch to switch."""
-
-LEAST_STEPS = 4
 
 BESIDE = 1e-4
 """How far from a switch its slope is taken, in shares of the shorter neighbouring segment."""
@@ -57,7 +53,7 @@ def strict_switches(samples: list[PhaseSamples]) -> Condition:
         slope, where = _least_slope(s)
         if slope < least:
             least, place = slope, where
-    if not np.isfinite(least):
+    if least == np.inf:
         return Condition("strict switches", Result.PASS, 0.0, 0.0, place, meaning)
     result = Result.PASS if least > 0 else Result.FAIL
     return Condition("strict switches", result, -least, 0.0, place, meaning)
@@ -65,23 +61,24 @@ def strict_switches(samples: list[PhaseSamples]) -> Condition:
 
 def _least_slope(s: PhaseSamples) -> tuple[float, str]:
     leg = s.leg
-    times = leg.breaks[list(leg.mesh.movable)] if leg.mesh.movable else np.zeros(0)
-    least, place = np.inf, ""
-    for t in times:
-        before, after = leg.flown(t, "left"), leg.flown(t, "right")
-        step = BESIDE * min(t - leg.breaks[leg.breaks < t][-1], leg.breaks[leg.breaks > t][0] - t)
-        sides = np.array([t - step, t + step])
-        mu = leg.path_multiplier(sides)
-        values = s.functions.control_gradient(sides, leg.x(sides), leg.flown(sides), leg.lam(sides), mu)
-        slopes = (
-            (values[:, 1] - values[:, 0]) / (2 * step) * s.control_scale * leg.duration / s.hamiltonian_scale
-        )
-        # Onto a singular arc the switching function comes in flat.
-        for i in np.flatnonzero(np.abs(after - before) > (1 - AT_LIMIT) * s.control_scale):
-            signed = -float(np.sign(after[i] - before[i]) * slopes[i])
-            if signed < least:
-                least, place = signed, f"phase {leg.name}, t = {t:.6g} s, {leg.controls.labels[i]}"
-    return least, place
+    times = leg.breaks[list(leg.mesh.movable)]
+    if not (times.size and leg.controls.size):
+        return np.inf, ""
+    before, after = leg.flown(times, "left"), leg.flown(times, "right")
+    neighbours = np.searchsorted(leg.breaks, times)
+    widths = np.minimum(times - leg.breaks[neighbours - 1], leg.breaks[neighbours + 1] - times)
+    sides = np.concatenate([times - BESIDE * widths, times + BESIDE * widths])
+    mu = leg.path_multiplier(sides)
+    values = s.functions.control_gradient(sides, leg.x(sides), leg.flown(sides), leg.lam(sides), mu)
+    early, late = np.hsplit(values, 2)
+    unit = s.control_scale[:, None] * leg.duration / s.hamiltonian_scale
+    slopes = (late - early) / (2 * BESIDE * widths) * unit
+    # Onto a singular arc the switching function comes in flat.
+    switches = np.abs(after - before) > (1 - AT_LIMIT) * s.control_scale[:, None]
+    signed = np.where(switches, -np.sign(after - before) * slopes, np.inf)
+    signed[np.isnan(signed)] = -np.inf
+    i, j = np.unravel_index(np.argmin(signed), signed.shape)
+    return float(signed[i, j]), f"phase {leg.name}, t = {times[j]:.6g} s, {leg.controls.labels[i]}"
 
 
 @dataclass(frozen=True)
@@ -156,83 +153,40 @@ def induced_problem(solution: Solution, s: PhaseSamples, ends: EndGradients) -> 
     """Differentiate the induced problem of a single-phase bang-bang solution at its switch times."""
     problem, leg = solution.problem, s.leg
     assert problem is not None, "verify refuses solutions without a problem"
-    anchors = leg.breaks[list(leg.mesh.anchors)]
-    first, last = 0, anchors.size - 1
+    times = leg.breaks[list(leg.mesh.anchors)]
     free_start = np.flatnonzero(leg.initial_bounds.lower != leg.initial_bounds.upper)
     fixed_end = np.flatnonzero(leg.final_bounds.lower == leg.final_bounds.upper)
-    times = ca.MX.sym("times", anchors.size)
-    start = ca.MX.sym("start", free_start.size)
-    initial = ca.MX(ca.DM(leg.x(leg.breaks[0])))
-    if free_start.size:
-        initial[free_start.tolist()] = start
-    final = _flow(s, initial, times, anchors)
-    n = leg.states.size
-    cost, constraints, *_ = end_function(problem)(
-        initial,
-        final[:n],
-        times[first],
-        times[last],
-        final[n:],
-        s.functions.p,
-        s.functions.q,
-        np.zeros(len(problem.constraint_labels())),
+    flow = bang_bang_flow(problem, s, times, free_start)
+    derivatives = problem.once("end derivatives", lambda: _end_derivatives(problem))
+    numbers = (s.functions.p, s.functions.q, solution.constraint_multipliers)
+    at_ends, ends_hessian, ends_jacobian = (v.full() for v in derivatives(flow.initial, flow.final, *numbers))
+    at_start, at_end = np.split(at_ends.ravel(), 2)
+    at_end[fixed_end] += (s.lam[:, -1] - ends.final_state[leg.name])[fixed_end]
+    changes = np.vstack([flow.initial_sensitivity, flow.final_sensitivity])
+    gradient = np.concatenate([at_start, at_end]) @ changes
+    hessian = changes.T @ ends_hessian @ changes + flow.curvature(at_end)
+    jacobian = np.vstack([flow.final_sensitivity[fixed_end], ends_jacobian @ changes])
+    labels = [f"time {k}" for k in range(times.size)]
+    labels += [f"initial {leg.states.labels[i]}" for i in free_start]
+    free = np.ones(len(labels), dtype=bool)
+    free[0], free[times.size - 1] = ~leg.initial_time_bounds.fixed[0], ~leg.final_time_bounds.fixed[0]
+    return InducedProblem(
+        gradient[free], hessian[np.ix_(free, free)], jacobian[:, free], tuple(np.array(labels)[free])
     )
-    rows = ca.vertcat(final[fixed_end.tolist()], constraints)
-    nu_end = (s.lam[:, -1] - ends.final_state[leg.name])[fixed_end]
-    lagrangian = problem.sense * cost + ca.dot(
-        ca.DM(np.append(nu_end, solution.constraint_multipliers)), rows
-    )
-    kept = [
-        k
-        for k in range(anchors.size)
-        if not (k == first and leg.initial_time_bounds.fixed[0])
-        and not (k == last and leg.final_time_bounds.fixed[0])
-    ]
-    unknowns = ca.vertcat(times, start)
-    places = [*kept, *range(anchors.size, anchors.size + free_start.size)]
-    hessian, gradient = ca.hessian(lagrangian, unknowns)
-    function = ca.Function("induced", [unknowns], [gradient, hessian, ca.jacobian(rows, unknowns)])
-    point = np.concatenate([anchors, leg.x(leg.breaks[0])[free_start]])
-    g, h, j = (np.asarray(v.full()) for v in function(point))
-    labels = [f"time {k}" for k in kept] + [f"initial {leg.states.labels[i]}" for i in free_start]
-    return InducedProblem(g.ravel()[places], h[np.ix_(places, places)], j[:, places], tuple(labels))
 
 
-def _flow(s: PhaseSamples, initial: Any, times: Any, anchors: Array) -> Any:
-    """Final states and integrals (MX) after flying each piece's constant control between symbolic times."""
-    step, n_integrals = _runge_kutta_step(s)
-    state = ca.vertcat(initial, ca.MX(n_integrals, 1), times[0])
-    span = anchors[-1] - anchors[0]
-    for k, (left, right) in enumerate(pairwise(anchors)):
-        count = LEAST_STEPS + int(np.ceil(STEPS * (right - left) / span))
-        control = s.leg.flown(0.5 * (left + right))
-        width = (times[k + 1] - times[k]) / count
-        state = step.fold(count)(state, ca.repmat(ca.vertcat(width, ca.DM(control)), 1, count))
-    return state[:-1]
+def _end_derivatives(problem: Problem) -> Any:
+    """Gradient and Hessian of the cost and the constraints with their multipliers, and the constraints' Jacobian.
 
-
-def _runge_kutta_step(s: PhaseSamples) -> tuple[Any, int]:
-    """One classical fourth-order step of (x, integrals, t) as a CasADi Function of (state, [width; control])."""
-    rates, integrands = s.functions.functions["rates"], s.functions.functions["integrands"]
-    n, m, n_integrals = s.leg.states.size, s.leg.controls.size, s.leg.integrals.size
-    state, inputs = ca.SX.sym("state", n + n_integrals + 1), ca.SX.sym("inputs", 1 + m)
-    width, control = inputs[0], inputs[1:]
-
-    def derivative(z: Any) -> Any:
-        numbers = (
-            np.zeros(n),
-            np.zeros(len(s.leg.path_labels)),
-            s.functions.weights,
-            s.functions.p,
-            s.functions.q,
-        )
-        here = (z[-1], z[:n], control, *numbers)
-        return ca.vertcat(rates(*here), integrands(*here), 1)
-
-    k1 = derivative(state)
-    k2 = derivative(state + 0.5 * width * k1)
-    k3 = derivative(state + 0.5 * width * k2)
-    k4 = derivative(state + width * k3)
-    return ca.Function(
-        "step", [state, inputs], [state + width / 6 * (k1 + 2 * k2 + 2 * k3 + k4)]
-    ), n_integrals
+    A CasADi Function of (states, integrals, time) at the start, the same at the end, p, q and nu; all derivatives are
+    by the first two.
+    """
+    ends = end_function(problem)
+    x0, xf, t0, tf, integrals, p, q, nu = (ca.SX.sym("v", ends.size1_in(i)) for i in range(8))
+    cost, constraints, *_ = ends(x0, xf, t0, tf, integrals, p, q, nu)
+    unused = ca.SX.sym("unused", integrals.shape[0])
+    start, final = ca.vertcat(x0, unused, t0), ca.vertcat(xf, integrals, tf)
+    varied = ca.vertcat(start, final)
+    hessian, gradient = ca.hessian(problem.sense * cost + ca.dot(nu, constraints), varied)
+    jacobian = ca.jacobian(constraints, varied)
+    return ca.Function("end_derivatives", [start, final, p, q, nu], [gradient, hessian, jacobian])

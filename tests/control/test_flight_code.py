@@ -205,6 +205,25 @@ def test_table_ends_with_the_tail(tmp_path):
     assert code.rows == 32  # 30.3 steps: 31 rows of the reference and one of the tail
 
 
+def test_open_loop_knows_its_span(tmp_path):
+    _, reference = pendulum()
+    code = export_c(go.feedforward(reference), tmp_path, dt=0.1)
+    given = export_c(go.feedforward(reference), tmp_path / "given", dt=0.1, span=(0.5, 3.53))
+    assert code.rows == given.rows == 32
+    assert code.source.read_text() == given.source.read_text()
+
+
+@pytest.mark.parametrize("name", ["math", "stdio", "Time_", "limits", "Float"])
+def test_files_are_not_called_like_headers_of_c(tmp_path, name):
+    """<math.h> of the law and <stdio.h> of the driver are not to be found beside them."""
+    if name == "Time_":
+        assert export_c(follower(), tmp_path, dt=0.1, name=name).header.name == "Time_.h"
+        return
+    with pytest.raises(ArgumentError, match=rf"'{name}' .* header '{name.lower()}\.h' .* name='{name}_law'"):
+        export_c(follower(), tmp_path, dt=0.1, name=name)
+    assert not list(tmp_path.iterdir())
+
+
 def test_refusals(tmp_path):
     model, reference = pendulum()
     horizon = design_mpc(model, reference, Q=1, R=1, horizon=0.2, dt=0.1, limits=(-9, 9))

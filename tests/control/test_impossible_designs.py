@@ -2,12 +2,16 @@
 
 import numpy as np
 import pytest
+from stepping import step_through
 
 import gnc_opt as go
 from gnc_opt.control import (
     ConstantRate,
+    ExponentialRate,
     Reference,
     SaturationLayer,
+    Sign,
+    SuperTwisting,
     design_integral_sliding_mode,
     design_lqr,
     design_mpc,
@@ -44,6 +48,58 @@ def test_steps_too_long_for_the_switching_gain_are_refused(design):
     design(dt=0.19)
     with pytest.raises(DesignError, match=r"too long for the switching gain: .* dt < 0\.2 s"):
         design(dt=0.21)
+
+
+def chain(order: int) -> go.Model:
+    model = go.Model("chain")
+    x = [model.state(f"x{i}") for i in range(order)]
+    model.ode(dict(zip(x, [*x[1:], model.control("u")], strict=True)))
+    return model
+
+
+@pytest.mark.parametrize(
+    "reaching", [ConstantRate(0.1), SuperTwisting(0.3, 0.05)], ids=lambda law: type(law).__name__
+)
+@pytest.mark.parametrize("boundary", [Sign(), SaturationLayer(1.0)], ids=lambda layer: type(layer).__name__)
+@pytest.mark.parametrize(("order", "largest"), [(2, 2.0), (3, 1.0)])
+def test_steps_too_long_for_the_surface_are_refused(order, largest, boundary, reaching):
+    """Held over a step, the rates have the polynomials z - 1 + l (one) and z^2 + (l^2/2 + 2 l - 2) z + ... (two).
+
+    l = lambda dt; Jury's conditions are l < 2, and 4 - 4 l > 0 at z = -1.
+    """
+
+    def design(share, dt=0.1):
+        return design_sliding_mode(
+            chain(order), [0.0] * order, outputs="x0", slopes=share * largest / dt, reaching=reaching,
+            boundary=boundary, dt=dt,
+        )  # fmt: skip
+
+    design(0.99)
+    for share in (1.0, 2.5):
+        with pytest.raises(DesignError, match=r"control steps of 0.1 s are too long for the surface of 'x0'"):
+            design(share)
+
+
+def test_steps_too_long_for_the_linear_part_of_a_reaching_law_are_refused():
+    """s+ = (1 - k dt) s from afar, with and without a boundary layer; two integrators: 4 - 2 (lambda + k) dt > 0."""
+    for order, slopes, k in ((1, (), 20.0), (2, 5.0, 15.0)):
+        options = {"outputs": "x0", "slopes": slopes, "boundary": Sign(), "dt": 0.1}
+        design_sliding_mode(chain(order), [0.0] * order, reaching=ExponentialRate(0.1, 0.99 * k), **options)
+        with pytest.raises(DesignError, match="are too long for the surface of 'x0'"):
+            design_sliding_mode(
+                chain(order), [0.0] * order, reaching=ExponentialRate(0.1, 1.01 * k), **options
+            )
+
+
+def test_the_slope_that_a_step_can_carry_is_where_the_loop_runs_away():
+    """Outside the layer the rate is multiplied by 1 - lambda dt per step: beyond 2 it grows, whatever the gain."""
+    model, dt = chain(2), 0.1
+    options = {"outputs": "x0", "reaching": ConstantRate(0.1), "boundary": SaturationLayer(1.0)}
+    law = design_sliding_mode(model, [0.0, 0.0], slopes=18.0, dt=dt, **options)
+    assert abs(step_through(law, model, [0.1, 0.0], dt=dt, tf=60.0).x[0, -1]) < 0.01
+    free = design_sliding_mode(model, [0.0, 0.0], slopes=25.0, **options)  # no step, no promise
+    ends = [step_through(free, model, [0.1, 0.0], dt=dt, tf=tf).x[1, -1] for tf in (10.0, 11.0)]
+    assert abs(ends[1] / ends[0]) == pytest.approx(1.5**10, rel=0.5)
 
 
 @pytest.mark.parametrize("design", [slide, integral])

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
+from scipy.optimize import bisect
 
 import gnc_opt as go
 from gnc_opt.control.linear.lqr import design_lqr
@@ -12,7 +13,7 @@ from gnc_opt.control.linear.margins import margins
 from gnc_opt.control.linear.riccati import steady, unreached
 from gnc_opt.control.linear.weights import bryson
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.sampling import sample, sample_along
+from gnc_opt.control.sampling import sample, sample_along, zero_order_hold
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
 
 ORBIT_RATE = np.sqrt(398600.0 / 7171.0**3)
@@ -339,6 +340,68 @@ def test_the_regulator_has_the_margins_that_theory_promises():
     # |S| <= 1 (Kalman's inequality) bounds the disk of S - 1/2 from below by 2/3
     assert facts["disk margin"] >= 2 / 3
     assert facts["Riccati residual"] < 1e-10
+
+
+@pytest.mark.parametrize("dt", [None, 0.05])
+@pytest.mark.parametrize("price", [1e-4, 1.0, 1e4])
+def test_a_statically_unstable_plant_is_lost_where_the_gain_no_longer_carries_it(price, dt):
+    """theta'' = g theta + u: a pole comes to 0 where the gain falls to g / k1, whatever the rate's gain."""
+    model = go.Model("inverted pendulum")
+    theta, rate, u = model.state("theta"), model.state("rate"), model.control("u")
+    model.ode({theta: rate, rate: 9.81 * theta + u})
+    controller = design_lqr(model, [0, 0], Q=1, R=price, dt=dt)
+    down = np.asarray(controller.explain()["gain margin down"])
+    assert down == pytest.approx([9.81 / gain(controller)[0, 0]], rel=1e-9)
+
+
+def test_static_margins_are_those_of_each_channel_with_the_others_closed():
+    """L_i at omega = 0 by hand: unstable, an integrator, and a stable plant under positive feedback."""
+    a, b, k = np.diag([2.0, 0.0, -1.0]), np.eye(3), np.diag([5.0, 1.0, -0.25])
+    k[0, 2] = 3.0  # triangular: the poles stay, and so do the margins
+    found = margins(a, b, k)
+    assert found.gain_down == pytest.approx([2 / 5, 0, 0], rel=1e-12)
+    assert found.gain_up == pytest.approx([np.inf, np.inf, 4], rel=1e-12)
+
+
+def test_integrators_that_are_so_to_rounding_need_next_to_no_gain():
+    mixing = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    a = mixing @ np.array([[0, 1.0, 0], [0, 0, 0], [0, 0, -1]]) @ mixing.T
+    b, k = mixing @ np.array([[0], [1.0], [0]]), np.array([[1.0, 1.5, 0]]) @ mixing.T
+    assert margins(a, b, k).gain_down < 1e-12
+    sampled = zero_order_hold(a, b, 0.1)
+    assert margins(*sampled, k, 0.1).gain_down < 1e-12
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("dt", [1e-5, 0.1, 1.0, 1e5])
+def test_margins_of_a_loop_with_negative_sampled_poles_do_not_depend_on_the_unit_of_time(dt):
+    """A double integrator with K = (1.49 / dt^2, 1.73 / dt): z^2 + a1 z + a0 with both roots negative.
+
+    The characteristic polynomial at z = -1 is 4 - 2 f k2 dt for a gain of f times K.
+    """
+    a, b = np.array([[1.0, dt], [0, 1]]), np.array([[dt**2 / 2], [dt]])
+    k = np.array([[1.49 / dt**2, 1.73 / dt]])
+    assert np.all(np.linalg.eigvals(a - b @ k) < 0)
+    found = margins(a, b, k, dt)
+    assert found.gain_up == pytest.approx([2 / 1.73], rel=1e-9)
+    assert found.gain_down == 0
+
+    scaled = np.array([[1.0, 1], [0, 1]]), np.array([[0.5], [1]]), np.array([[1.49, 1.73]])
+
+    def stable(lag: float) -> bool:
+        closed = scaled[0] - scaled[1] @ scaled[2] * np.exp(-1j * lag)
+        return bool(np.max(np.abs(np.linalg.eigvals(closed))) < 1)
+
+    lag = bisect(lambda lag: 1.0 if stable(lag) else -1.0, 0.0, 1.0, xtol=1e-12)
+    assert found.phase == pytest.approx([lag], rel=1e-8)
+
+
+def test_a_deadbeat_loop_has_margins():
+    """L = 1 / (z - 1), the closed pole at 0: |L| = 1 at omega dt = pi / 3, where the phase is -120 deg."""
+    found = margins(np.eye(1), np.eye(1), np.eye(1), 5e5)
+    assert found.gain_up == pytest.approx([2.0], rel=1e-9)
+    assert found.phase == pytest.approx([np.pi / 3], rel=1e-9)
+    assert found.delay == pytest.approx([5e5], rel=1e-9)
 
 
 def test_disk_margin_of_a_single_loop():

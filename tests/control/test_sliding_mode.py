@@ -160,13 +160,25 @@ def test_chattering_falls_more_than_a_hundredfold_from_sign_to_saturation():
     assert variation[Sign] > 100 * variation[TanhLayer]
 
 
-def test_a_chattering_band_is_told_of_laws_that_switch_the_rate_of_the_surface():
-    """Super-twisting switches the rate of its command: gain times step is no length of s there."""
+def test_a_chattering_band_is_told_of_laws_without_a_layer():
     assert design(ConstantRate(0.2), Sign()).explain()["chattering band of s"] == pytest.approx(0.2 * DT)
-    for law, boundary in ((SuperTwisting(1.5, 1.1), Sign()), (ConstantRate(0.2), SaturationLayer(0.1))):
-        names = [fact.name for fact in design(law, boundary).explain()]
-        assert "chattering band of s" not in names
-        assert "band of s" in names
+    names = [fact.name for fact in design(ConstantRate(0.2), SaturationLayer(0.1)).explain()]
+    assert "chattering band of s" not in names
+    assert "band of s" in names
+
+
+@pytest.mark.parametrize(("k1", "k2"), [(1.5, 1.1), (3.0, 2.0)])
+@pytest.mark.parametrize("dt", [1e-3, 2.0])
+def test_super_twisting_chatters_in_a_band_that_falls_with_the_square_of_the_step(k1, k2, dt):
+    """s = dt^2 sigma turns the sampled law into one map for all steps; an integrator with a held command obeys it."""
+    model = integrators(1)
+    law = design_sliding_mode(
+        model, [0.0], outputs="x0", reaching=SuperTwisting(k1, k2), boundary=Sign(), dt=dt
+    )
+    band = law.explain()["chattering band of s"]
+    for start in (0.3, -0.07):
+        s = step_through(law, model, [start * dt**2], dt=dt, tf=6000 * dt).x[0]
+        assert 0.5 * band < np.max(np.abs(s[3000:])) <= 1.01 * band
 
 
 def test_the_sampling_limit_is_where_the_sampled_surface_begins_to_grow():
@@ -179,9 +191,8 @@ def test_the_sampling_limit_is_where_the_sampled_surface_begins_to_grow():
     assert grown[1.9] < 0.01 < 100 < grown[2.1]
     with pytest.raises(DesignError, match=r"gain \* dt / phi = 2.1 is not below 2"):
         design(ConstantRate(1.0), SaturationLayer(1.0), dt=2.1)
-    assert design(ConstantRate(1.0), SaturationLayer(1.0), dt=1.9).explain()[
-        "sampling limit"
-    ] == pytest.approx(2.0)
+    facts = design(ConstantRate(1.0), SaturationLayer(1.0), dt=1.9, slopes=1e-3).explain()
+    assert facts["sampling limit"] == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("poles", [[-1.0, -2.0, -3.0], [-2.0, -1 + 1j, -1 - 1j]])

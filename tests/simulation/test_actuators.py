@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 from loops import memory_of_impulse, scheduled
 
+from gnc_opt.control.feedforward import feedforward
+from gnc_opt.control.reference import Reference
 from gnc_opt.errors import ArgumentError
+from gnc_opt.model.model import Model
 from gnc_opt.simulation import (
     ClosedLoop,
     Deadband,
@@ -87,6 +90,87 @@ def test_delay_beyond_its_line_is_refused():
     loop = ClosedLoop(plant, scheduled(plant, wave), [Delay("pipe", 0.2)], dt=DT)
     with pytest.raises(ArgumentError, match=r"'pipe\.delay' is 0\.3, outside \[0, 0\.2\]"):
         loop.simulate([0.0], tf=1.0, parameters={"pipe.delay": 0.3})
+
+
+# --- where actuators begin ------------------------------------------------------------------------------
+
+
+def test_lag_begins_where_it_is_told_to():
+    tau, begin = 0.13, -2.0
+    run = fly([Lag("lag", tau, initial=begin)], lambda t: np.ones_like(t))
+    impulse = run.times + tau * (begin - 1) * (1 - np.exp(-run.times / tau))
+    assert run.states[0] == pytest.approx(impulse, abs=1e-14)
+
+
+def test_rate_limit_begins_where_it_is_told_to():
+    run = fly([RateLimit("slew", 3.0, initial=4.0)], lambda t: np.full_like(t, 1.0))
+    assert run.states[0] == pytest.approx(
+        np.where(run.times < 1, 4 * run.times - 1.5 * run.times**2, 1.5 + run.times)
+    )
+
+
+def test_delay_begins_with_what_it_is_told():
+    run = fly([Delay("pipe", 0.25, initial=[0.5, -3.0])], lambda t: np.ones((2, t.size)), size=2)
+    for i, begin in enumerate((0.5, -3.0)):
+        expected = np.where(np.arange(20) < 2, begin, 1.0)
+        expected[2] = 0.5 * (begin + 1)
+        assert run.applied[i] == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_given_beginning_is_a_parameter_of_the_loop():
+    run = fly([Lag("lag", 0.2, initial=1.0)], lambda t: np.zeros_like(t), parameters={"lag.initial": 5.0})
+    assert run.states[0] == pytest.approx(5.0 * 0.2 * (1 - np.exp(-run.times / 0.2)), abs=1e-14)
+    assert "lag.initial" in run.layouts["parameter"]
+    assert "lag.initial" not in fly([Lag("lag", 0.2)], wave).layouts["parameter"]
+
+
+GRAVITY = 9.81
+
+
+def hover(*actuators):
+    vehicle = Model("hovering vehicle")
+    h, w, f = vehicle.state("h", unit="m"), vehicle.state("w", unit="m/s"), vehicle.control("f", unit="N")
+    vehicle.ode({h: w, w: f / 2.0 - GRAVITY})
+    loop = ClosedLoop(vehicle, feedforward(Reference.constant(vehicle, [10.0, 0.0])), actuators, dt=DT)
+    return loop.simulate([10.0, 0.0], tf=2.0)
+
+
+ACTUATORS = {
+    "lag": lambda **at: Lag("a", 0.3, **at),
+    "rate": lambda **at: RateLimit("a", 20.0, **at),
+    "delay": lambda **at: Delay("a", 0.25, **at),
+}
+
+
+@pytest.mark.parametrize("kind", ACTUATORS)
+def test_a_vehicle_in_trim_hovers_from_the_first_moment(kind):
+    """From rest the thrust that is missing is lost for ever: tau, half the time of the ramp, or the delay, times g."""
+    actuator = ACTUATORS[kind]
+    assert hover(actuator(initial="trim")).states == pytest.approx(
+        np.array([[10.0], [0.0]]) * np.ones(21), abs=1e-11
+    )
+    missing = {"lag": 0.3 * (1 - np.exp(-2.0 / 0.3)), "rate": 0.5 * 2 * GRAVITY / 20.0, "delay": 0.25}[kind]
+    assert hover(actuator()).states[1, -1] == pytest.approx(-GRAVITY * missing, rel=1e-9)
+
+
+def test_trim_is_what_arrives_at_the_actuator():
+    """Behind a scale factor of one half and a limit the lag begins at what they leave of the feedforward."""
+    weak = hover(
+        ScaleFactor("weak", 0.5), Lag("motor", 0.3, initial="trim"), Delay("pipe", 0.1, initial="trim")
+    )
+    assert weak.applied == pytest.approx(np.full((1, 20), GRAVITY), rel=1e-12)
+    low = hover(Saturation("limit", 0.0, 7.0), RateLimit("slew", 1.0, initial="trim"))
+    assert low.applied == pytest.approx(np.full((1, 20), 7.0), rel=1e-12)
+
+
+def test_trim_without_feedforward_is_refused():
+    plant = memory_of_impulse()
+    with pytest.raises(
+        ArgumentError, match="'lag' is to begin in trim, but 'by hand' has no feedforward of 'a'"
+    ):
+        ClosedLoop(plant, scheduled(plant, wave), [Lag("lag", 0.1, initial="trim")], dt=DT)
+    with pytest.raises(ArgumentError, match="first output of 'lag'"):
+        fly([Lag("lag", 0.1, initial="rest")], wave)
 
 
 def test_saturation_limits_and_counts_its_time():
@@ -215,3 +299,14 @@ def test_each_component_is_treated_as_if_it_were_alone(block):
 def test_minor_steps_that_are_no_count_are_refused(steps):
     with pytest.raises(ArgumentError, match="minor_steps of a closed loop"):
         fly([], wave, minor_steps=steps)
+
+
+@pytest.mark.parametrize(
+    "block", [Pwm("b", 1.5), SchmittTrigger("b", 1.0, 0.8, 0.3)], ids=lambda block: type(block).__name__
+)
+def test_a_command_that_is_no_number_does_not_become_a_pulse(block):
+    plant = memory_of_impulse()
+    lost = scheduled(plant, lambda t: np.where(t < 0.95, 1.0, np.nan))
+    run = ClosedLoop(plant, lost, [block], dt=DT, minor_steps=4).simulate([0.0], tf=2.0)
+    assert not run.outcome.ok
+    assert np.all(np.isfinite(run.states[0, :11])) and np.all(np.isnan(run.states[0, 11:]))

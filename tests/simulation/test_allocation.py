@@ -46,6 +46,14 @@ def test_pyramid_pseudo_inverse_and_null_vector():
     assert n * np.sign(n[0]) == pytest.approx([1, -1, 1, -1], abs=1e-14)
 
 
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_whether_actuators_span_all_axes_does_not_depend_on_units(unit):
+    assert pseudo_inverse(unit * PYRAMID) == pytest.approx(pseudo_inverse(PYRAMID) / unit, rel=1e-12)
+    flat = np.array([[1.0, 0, 1], [0, 1, 1], [0, 0, 0]])
+    with pytest.raises(DesignError, match="span 2 of 3 directions"):
+        pseudo_inverse(unit * flat)
+
+
 def test_null_vector_leaves_alone_what_no_other_actuator_can_undo():
     """Two wheels along x, one 1.5 times as strong, can work against each other; those along y and z cannot."""
     axes = np.array([[1.5, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0]])

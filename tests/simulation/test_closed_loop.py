@@ -294,6 +294,58 @@ def test_an_unstable_loop_ends_and_is_flagged():
     assert run.outcome.status is RunStatus.NOT_FINITE and 0 < run.outcome.time < 200
 
 
+def unstable() -> Model:
+    """dx/dt = x beside dy/dt = 0."""
+    plant = Model("unstable")
+    x, y, u = plant.state("x", 2, unit="m"), plant.state("y"), plant.control("u")
+    plant.ode({x: x, y: 0 * u})
+    return plant
+
+
+def test_a_state_beyond_its_plausible_size_has_diverged():
+    """e^t passes 1e15 at 34.54 s: in the step that begins at 34 s; a run that ends before it is all right."""
+    plant = unstable()
+    idle, x0 = feedback(plant, [[0.0] * 3]), [0.0, -1.0, 2.0]
+    loop = ClosedLoop(plant, idle, dt=1.0, accuracy=1e-7)
+    assert loop.simulate(x0, tf=34.0).outcome.ok
+    run = loop.simulate(x0, tf=40.0)
+    assert run.outcome.status is RunStatus.DIVERGED and run.outcome.diverged and not run.outcome.not_finite
+    assert str(run.outcome) == "diverged: state 'x[1]' beyond 1e+15 at 34 s"
+    assert run.states[1, -1] == pytest.approx(-np.exp(40.0), rel=1e-7)
+
+
+def test_plausible_sizes_are_given_by_name_or_for_all_states():
+    plant = unstable()
+    idle, x0 = feedback(plant, [[0.0] * 3]), [0.5, -1.0, 2.0]
+
+    def outcome(plausible):
+        loop = ClosedLoop(plant, idle, dt=1.0, accuracy=1e-7, plausible=plausible)
+        return loop.simulate(x0, tf=40.0).outcome
+
+    assert outcome(np.inf).ok and outcome({"x": 1e18}).ok
+    assert (outcome({"x": [10.0, 1e18]}).what, outcome({"x": [10.0, 1e18]}).time) == (
+        "state 'x[0]' beyond 10",
+        2.0,
+    )
+    assert outcome({"y": 1.0}).what == "state 'y' beyond 1"  # the others keep the default: x diverges later
+    assert outcome(3.0).time == 1.0
+    with pytest.raises(UnknownNameError, match="'z'"):
+        outcome({"z": 1.0})
+    for bad in (0.0, {"x": [1.0, np.nan]}, {"x": [1.0, 2.0, 3.0]}):
+        with pytest.raises(ArgumentError, match="plausible size"):
+            outcome(bad)
+
+
+def test_a_diverging_run_is_no_plant_too_fast_for_its_step():
+    """No number of integration steps gives a run that has left all scales its accuracy."""
+    plant = Model("stiffening")
+    x, u = plant.state("x"), plant.control("u")
+    plant.ode({x: u})
+    cubic = controller(plant, lambda t, x, r, z: (-3 * x**3, z))
+    run = ClosedLoop(plant, cubic, dt=0.5).simulate([2.0], tf=2.5)
+    assert run.outcome.status is RunStatus.DIVERGED
+
+
 @pytest.mark.parametrize("symbols", [ca.SX, ca.MX])
 def test_alarms_of_the_controller_are_reported(symbols):
     plant = double_integrator()

@@ -1,6 +1,7 @@
 """Files of runs and campaigns: every field comes back, also from files of the first version."""
 
 import dataclasses
+import errno
 import json
 import math
 
@@ -16,6 +17,22 @@ def loop():
     cart = double_integrator(2)
     gain = np.hstack([np.eye(2), 1.6 * np.eye(2)])
     return ClosedLoop(cart, feedback(cart, gain), sensors=[Noise("radar", 0.01, on="q")], dt=0.1)
+
+
+def test_a_full_disk_names_the_file_and_leaves_the_old_one(tmp_path, monkeypatch):
+    run = loop().simulate([1.0, 0.5, 0.0, 0.0], tf=0.3)
+    path = run.save(tmp_path / "run.npz")
+    before = path.read_bytes()
+
+    def full(stream, **arrays):
+        stream.write(b"PK")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.raises(OSError, match=r"No space left on device: '.*run\.npz'") as refused:
+        run.save(path)
+    assert refused.value.errno == errno.ENOSPC and refused.value.filename == str(path)
+    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ import json
 import multiprocessing
 import os
 import signal
+import subprocess
 import sys
 import threading
 import zlib
@@ -369,6 +370,31 @@ def test_dead_processes_of_a_given_executor_do_not_end_the_campaign():
 def test_a_campaign_without_a_single_run_is_an_error():
     with pytest.raises(GncOptError, match="not one run"):
         fly(n=4, executor=None, dispersions={"wind.sigma": Deadly(1.1)})
+
+
+SCRIPT = """
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+import gnc_opt as go
+
+cart = go.Model("cart")
+q, v, a = cart.state("q"), cart.state("v"), cart.control("a")
+cart.ode({q: v, v: a})
+loop = go.ClosedLoop(cart, go.design_lqr(cart, [0, 0], Q=1, R=1, dt=0.1))
+spawned = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
+go.monte_carlo(loop, 4, x0=[1, 0], tf=1.0, executor=spawned)
+"""
+
+
+@pytest.mark.slow
+def test_a_script_that_new_processes_would_run_again_is_told_of_its_guard(tmp_path):
+    """Spawned processes import the script: without the guard each begins a campaign of its own, and dies."""
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    ended = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, timeout=300)
+    assert ended.returncode != 0
+    last = ended.stderr.strip().splitlines()[-1]
+    assert "not one run could be flown" in last and 'if __name__ == "__main__":' in last
 
 
 @dataclass(frozen=True)

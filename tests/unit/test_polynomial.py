@@ -57,6 +57,16 @@ def test_values_do_not_depend_on_the_order_of_times() -> None:
     np.testing.assert_array_equal(two_segments()(t), two_segments()(np.sort(t))[:, np.argsort(np.argsort(t))])
 
 
+def test_segments_with_the_same_nodes_are_told_apart() -> None:
+    """Every other segment shares its nodes; each has the power of t that is its number."""
+    breaks = np.array([0.0, 1.0, 1.5, 3.0, 3.25])
+    nodes = tuple(collocation_rule("LG", n).state_nodes for n in (3, 5, 3, 5))
+    times = [breaks[k] + (x + 1) / 2 * (breaks[k + 1] - breaks[k]) for k, x in enumerate(nodes)]
+    curve = PiecewisePolynomial(breaks, nodes, tuple(t[None, :] ** k for k, t in enumerate(times)))
+    t = np.array([3.1, 0.2, 2.9, 1.2, 0.9, 3.2, 1.6])
+    np.testing.assert_allclose(curve(t)[0], t ** np.array([3, 0, 2, 1, 0, 3, 2]), rtol=1e-14)
+
+
 def test_the_side_decides_at_a_break() -> None:
     curve = two_segments()
     assert curve(2.0)[1] == pytest.approx(-2.0)

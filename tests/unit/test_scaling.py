@@ -9,6 +9,7 @@ import pytest
 import gnc_opt as go
 from gnc_opt.problem.magnitudes import FARTHEST, phase_magnitudes
 from gnc_opt.solution.start import start_from_guess
+from gnc_opt.transcription.quadrature import Scheme
 from gnc_opt.transcription.scaling import NEARBY, scale_rows, scale_variables
 from gnc_opt.transcription.transcription import Transcription
 
@@ -166,3 +167,19 @@ def test_a_slope_that_vanishes_at_the_guess_is_seen_nearby(unit: float, guess: f
     assert np.all(slopes <= 2 * (abs(guess) + NEARBY * 5.0))
     assert np.max(slopes) > (0.1 if guess == 0.0 else 2 * abs(guess))
     assert np.all(slopes >= 2 * abs(guess) * (1 - 1e-9))
+
+
+@pytest.mark.parametrize(
+    ("scheme", "points"),
+    [("LG", ["point 1", "point 2", "point 3", "end"]), ("LGR", ["point 1", "point 2", "point 3"]),
+     ("LGL", ["point 2", "point 3"])],
+)  # fmt: skip
+def test_rows_are_called_by_their_points(scheme: Scheme, points: list[str]) -> None:
+    """Every row of the dynamics by state and point; Lobatto's first row is its second point."""
+    problem, leg = double_integrator(u=(-5.0, 5.0))
+    problem.minimize(leg.final_state("x"))
+    labels = Transcription(problem, {"leg": go.Mesh.uniform(2, 3)}, scheme).row_labels
+    expected = [
+        f"{state} defect, phase leg, segment {k}, {p}" for k in (1, 2) for p in points for state in ("x", "v")
+    ]
+    assert list(labels[: len(expected)]) == expected

@@ -181,3 +181,27 @@ def test_smallest_share_that_counts_as_a_bound() -> None:
     for distance, sits in ((1e-6, True), (4e-6, False)):
         inside = scaled(solution, "u", 1 - distance)
         assert (go.verify(inside)["stationarity"].value == 0.0) is sits
+
+
+@pytest.mark.parametrize(("sign", "size"), [(1.0, 1.25), (-1.0, 0.75)])
+def test_parameter_in_the_dynamics(sign: float, size: float) -> None:
+    """x' = u + k from 0 to 1 in 1 s with the least u^2 / 2 + k^2 / 2: u = k = 1/2, lam = -1/2.
+
+    Of k (1 + E) the derivative of the cost is E / 2. The cost changes by 3 k^2 / 2 if k grows by 1/2 from 1/2, and by
+    k^2 / 2 from -1/2: 3/4 or 1/4 per k; |lam| adds 1/2.
+    """
+    model = go.Model("helped")
+    x, u = model.state("x"), model.control("u")
+    shift = model.parameter("k", 0.0)
+    model.ode({x: u + sign * shift})
+    problem = go.Problem("helped")
+    k = problem.parameter("k", lower=-2.0, upper=2.0)
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    problem.minimize(leg.integral(u**2 / 2) + k**2 / 2)
+    solution = go.solve(problem, mesh="2x4")
+    assert solution.parameter_values[0] == pytest.approx(sign * 0.5, abs=1e-8)
+    wrong = replace(solution, parameter_values=solution.parameter_values * (1 + E))
+    assert go.verify(wrong)["parameters"].value == pytest.approx(E / 2 / size, rel=1e-2)

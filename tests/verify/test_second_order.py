@@ -10,9 +10,13 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.problem.arc import Arc, ArcKind
+from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.refine.refine import refine
 from gnc_opt.solution.polynomial import PiecewisePolynomial
+from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.verify import Result
+from gnc_opt.verify.judged import ends_of
+from gnc_opt.verify.second_order import induced_problem, strict_switches
 
 
 def oscillator(control_bound: float = 1.0) -> go.Problem:
@@ -60,10 +64,6 @@ def test_verdict_includes_second_order(refined: go.Solution) -> None:
 
 
 def test_induced_gradient_vanishes_and_hessian_matches_finite_differences(refined: go.Solution) -> None:
-    from gnc_opt.solution.samples import PhaseSamples
-    from gnc_opt.verify.judged import ends_of
-    from gnc_opt.verify.second_order import induced_problem
-
     leg = refined.phase()
     samples = PhaseSamples.of(leg, refined.functions("leg"))
     induced = induced_problem(refined, samples, ends_of(refined))
@@ -143,6 +143,16 @@ def test_least_curvature_with_a_free_start_and_a_cost_that_depends_on_time(start
     assert solution.objective == pytest.approx(cost(point), rel=1e-9)
     condition = go.verify(replace(solution, structure=arcs))["second order"]
     assert condition.value == pytest.approx(-np.linalg.eigvalsh(hessian)[0], rel=1e-5)
+
+
+def test_a_slope_that_is_no_number_is_not_strict(
+    refined: go.Solution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    samples = PhaseSamples.of(refined.phase(), refined.functions("leg"))
+    assert strict_switches([samples]).result is Result.PASS
+    unknown = lambda self, t, x, u, lam, mu: np.full(np.shape(u), np.nan)  # noqa: E731
+    monkeypatch.setattr(PhaseFunctions, "control_gradient", unknown)
+    assert strict_switches([samples]).result is Result.FAIL
 
 
 def test_what_forbids_the_induced_problem_is_named(refined: go.Solution) -> None:

@@ -140,8 +140,8 @@ def test_limit_of_the_duration_is_paid_for_at_both_ends(
 # --- curvature beside a mixed constraint ----------------------------------------------------------------
 
 
-def ridge(along: float, across: float, side: str) -> go.Problem:
-    """Two controls with u1 + u2 limited at 1; H has one curvature along the limit and another across it."""
+def ridge(along: float, across: float, side: str, unit: float = 1.0, wide: float = 2.0) -> go.Problem:
+    """Two controls with u + w limited at 1; H has one curvature along the limit and another across it."""
     model = go.Model("ridge")
     x = model.state("x")
     u, w = model.control("u"), model.control("w")
@@ -150,26 +150,33 @@ def ridge(along: float, across: float, side: str) -> go.Problem:
     leg = problem.phase("leg", model)
     leg.time(0.0, 1.0)
     leg.initial(x=0.0)
-    leg.bounds(u=(-2.0, 2.0), w=(-2.0, 2.0))
+    leg.bounds(u=(-2.0, 2.0), w=(-wide, wide))
     if side == "upper":
-        leg.path("sum", u + w, upper=1.0)
+        leg.path("sum", unit * (u + w), upper=unit)
     else:
-        leg.path("sum", -(u + w), lower=-1.0)
+        leg.path("sum", -unit * (u + w), lower=-unit)
     problem.minimize(leg.integral(along * (u - w) ** 2 / 2 + across * (u + w) ** 2 / 2 - 10 * (u + w)))
     return problem
 
 
 @pytest.mark.parametrize("side", ["upper", "lower"])
-def test_curvature_counts_along_an_active_mixed_constraint_and_not_across_it(side: str) -> None:
+@pytest.mark.parametrize(("unit", "wide"), [(1.0, 2.0), (1e6, 2.0), (1e-3, 2.0), (1.0, 8.0)])
+def test_curvature_counts_along_an_active_mixed_constraint_and_not_across_it(
+    side: str, unit: float, wide: float
+) -> None:
     """At u = w = 1/2 the limit is active: what H does across it is no choice of the controls."""
-    solution = go.solve(ridge(1.0, -1.0, side), mesh="2x4")
+    solution = go.solve(ridge(1.0, -0.5, side, unit, wide), mesh="2x4")
     assert np.allclose(np.hstack(solution.phase().u.values), 0.5, atol=1e-6)
     verdict = go.verify(solution)
     assert verdict["Legendre-Clebsch"].result is go.Result.PASS, verdict.explain()
-    hill = go.verify(replace(solution, problem=ridge(-1.0, 1.0, side)))
+    hill = go.verify(replace(solution, problem=ridge(-1.0, 0.5, side, unit, wide)))
     assert hill["Legendre-Clebsch"].result is go.Result.FAIL
-    # d2(u - w)^2/2 = 2 along (1, -1) / sqrt 2, over ranges of 4; |L| = 10 (u + w) + (u + w)^2 / 2 is H's scale.
-    assert verdict["Legendre-Clebsch"].value == pytest.approx(-2 * 4**2 / 10.5, rel=1e-6)
+    # (u - w)^2 / 2 has the curvature 4 along (1, -1), which in shares of the ranges a = 4 and b is (b, -a); H's scale
+    # is |L| = 10 (u + w) + (u + w)^2 / 4.
+    a, b = 4.0, 2 * wide
+    assert verdict["Legendre-Clebsch"].value == pytest.approx(
+        -4 * (a * b) ** 2 / (a**2 + b**2) / 10.25, rel=1e-5
+    )
 
 
 # --- how fast errors grow -------------------------------------------------------------------------------

@@ -226,11 +226,11 @@ LIMITS = {
 """Limits in the solution of a phase, and what they are called in its problem."""
 
 
-def with_leg(solution: go.Solution, **changes: Any) -> go.Solution:
-    """Replace fields of the only phase; limits are replaced in its problem too."""
-    leg = solution.phase()
-    problem = solution.need_problem("change").with_bounds()
-    stated = problem.get_phase()
+def with_leg(solution: go.Solution, phase: str | None = None, /, **changes: Any) -> go.Solution:
+    """Replace fields of a phase, or of the only one; limits are replaced in its problem too."""
+    leg = solution.phase(phase)
+    problem = solution.need_problem("change").with_bounds(leg.name)
+    stated = problem.get_phase(leg.name)
     numbers = {LIMITS[name]: box for name, box in changes.items() if name in LIMITS}
     stated.numbers = replace(stated.numbers, **numbers)
     if "path_bounds" in changes:
@@ -239,7 +239,7 @@ def with_leg(solution: go.Solution, **changes: Any) -> go.Solution:
             rows = slice(first, first + path.size)
             stated.paths[name] = replace(path, interval=Interval(ends.lower[rows], ends.upper[rows]))
             first += path.size
-    return replace(solution, problem=problem, phases={leg.name: replace(leg, **changes)})
+    return replace(solution, problem=problem, phases={**solution.phases, leg.name: replace(leg, **changes)})
 
 
 def forged(solution: go.Solution, **changes: Any) -> go.Solution:

@@ -3,7 +3,8 @@ r"""Margins of a linear loop at the plant's input.
 With :math:`L = K (s - A)^{-1} B` (s on the imaginary axis, or :math:`z = e^{j \omega dt}` on the unit circle):
 
 * per channel i, the others closed, :math:`1 + L_i`: gain and phase margins where :math:`L_i` crosses the real axis left
-  of 0 and the unit circle, delay margin = phase margin / crossover frequency;
+  of 0 and the unit circle, delay margin = phase margin / crossover frequency. The real axis is also met at
+  :math:`\omega = 0` (a statically unstable plant needs a least gain) and, sampled, at :math:`\omega = \pi / dt`;
 * all channels at once: the disk margin :math:`\alpha = 1 / \max_\omega \|S - \tfrac12 1\|`, S = (1 + L)^{-1}: every
   channel may at the same time change its gain between :math:`(2 - \alpha)/(2 + \alpha)` and its inverse, or its
   phase by :math:`2 \arctan(\alpha/2)`.
@@ -23,6 +24,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
+from gnc_opt.control.poles import continuous_poles
 from gnc_opt.tolerances import SAME_TIME, TINY
 
 _POINTS = 2000
@@ -33,6 +35,8 @@ _BESIDE = 1e-6
 """Distance of the nodes on either side of a resonance, relative to its frequency."""
 _ROOT = 1e-12
 """Crossings are found to this, relative to their frequency."""
+_ROUNDED = 1e-4
+"""A gain at rest that rounding of A may change by more than this share is that of an integrator."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +83,10 @@ def _channel(
     crossings = [
         1.0 / -value(w).real for w in _roots(lambda w: value(w).imag, omega, values.imag) if value(w).real < 0
     ]
-    # the real axis is also met at the ends of the frequencies that a sampled loop has
-    crossings += [1.0 / -v.real for v in values[[-1]] if dt is not None and v.real < 0]
+    # the real axis is also met at the ends of the frequencies that there are
+    ends = [_at_rest(a - b[:, others] @ gain[others], b[:, i], gain[i], dt)]
+    ends += [] if dt is None else [values[-1].real]
+    crossings += [1.0 / -v for v in ends if v < 0]
     unit = _roots(lambda w: np.log(abs(value(w))), omega, np.log(np.abs(values) + TINY))
     phases = [(abs(_wrapped(np.angle(-value(w)))), _lag(value(w)) / w) for w in unit]
     return (
@@ -117,15 +123,32 @@ def _loop(a: Array, b: Array, gain: Array, dt: float | None) -> Callable[[float]
     return value
 
 
+def _at_rest(a: Array, b: Array, gain: Array, dt: float | None) -> float:
+    """Return L at omega = 0; infinite for integrators, which need no least gain.
+
+    A matrix that is singular but for rounding shows in what rounding of its entries, each by itself, does to L, to
+    first order: that does not depend on units.
+    """
+    still = -a if dt is None else np.eye(a.shape[0]) - a
+    entries = np.abs(a) if dt is None else np.abs(a) + np.eye(a.shape[0])
+    try:
+        right, left = np.linalg.solve(still, b), np.linalg.solve(still.T, gain)
+    except np.linalg.LinAlgError:
+        return np.inf
+    value = float(gain @ right)
+    change = np.finfo(float).eps * float(np.abs(left) @ entries @ np.abs(right))
+    return value if change < _ROUNDED * abs(value) else np.inf
+
+
 def _frequencies(a: Array, closed: Array, dt: float | None) -> Array:
     """A logarithmic grid around the poles, with the resonances as nodes, half a spacing off them."""
     poles = np.concatenate([np.linalg.eigvals(a), np.linalg.eigvals(closed)])
     if dt is not None:
-        poles = np.log(poles[np.abs(poles) > _AT_ZERO]) / dt
+        poles = continuous_poles(poles[np.abs(poles) > _AT_ZERO], dt)
     size = np.abs(poles)
     size = size[size > _AT_ZERO * size.max(initial=0.0)]
     if not size.size:
-        size = np.ones(1)
+        size = np.array([1.0 if dt is None else np.pi / dt])
     low, high = np.log10(size.min()) - _DECADES, np.log10(size.max()) + _DECADES
     grid = np.logspace(low, high, _POINTS)
     near = np.abs(poles.imag)[np.abs(poles.imag) > 0]

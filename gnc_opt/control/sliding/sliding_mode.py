@@ -94,7 +94,7 @@ def design_sliding_mode(
     ------
     DesignError
         Undefined relative degree, singular decoupling matrix, disturbances above the gain, gain above the
-        authority, steps too long for the boundary layer, unstable surface or zero dynamics.
+        authority, steps too long for the boundary layer or the slopes, unstable surface or zero dynamics.
     """
     reference = read_plant(model, reference, "design_sliding_mode")
     errors = output_errors(model, reference, outputs)

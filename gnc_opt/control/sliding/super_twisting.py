@@ -31,6 +31,10 @@ from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import DesignError
 
+_BAND_STARTS = np.geomspace(1e-2, 1e2, 32)
+"""Where the map of the sampled law begins, in units of k1^2 h^2: its band has no other start in it."""
+_BAND_STEPS = 4000
+
 
 def check_gains(k1: float, k2: float, bound: float, what: str) -> None:
     """Raise `DesignError` unless k2 > bound and k1 > sqrt(k2 + bound)."""
@@ -63,6 +67,24 @@ def convergence_time(k1: float, k2: float, s: float, *, z: float = 0.0, bound: f
     zeta = np.array([np.sign(s) * np.sqrt(abs(s)) / k1, z / k1**2])
     low, high = np.linalg.eigvalsh(p)
     return float(2 * np.sqrt(zeta @ p @ zeta) * high / (np.sqrt(low) * decay))
+
+
+def sampled_band(k1: float, k2: float, dt: float) -> float:
+    """Return the largest |s| that the law, its command held over steps of dt (s), comes back to; undisturbed.
+
+    With :math:`s = h^2 \\sigma`, :math:`z = h \\zeta` the steps
+    :math:`\\sigma_+ = \\sigma - k_1 |\\sigma|^{1/2} \\mathrm{sgn}\\,\\sigma + \\zeta`,
+    :math:`\\zeta_+ = \\zeta - k_2\\,\\mathrm{sgn}\\,\\sigma` do not know their length: the band falls with its square.
+    """
+    sigma, zeta = _BAND_STARTS * k1**2, np.zeros(_BAND_STARTS.size)
+    largest = 0.0
+    for step in range(_BAND_STEPS):
+        sign = np.sign(sigma)
+        # the law takes the memory of before the step
+        sigma, zeta = sigma - k1 * np.sqrt(np.abs(sigma)) * sign + zeta, zeta - k2 * sign
+        if step >= _BAND_STEPS // 2:
+            largest = max(largest, float(np.max(np.abs(sigma))))
+    return largest * dt**2
 
 
 def _lyapunov(k2: float, bound: float) -> tuple[Array, float]:

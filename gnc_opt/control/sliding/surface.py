@@ -24,6 +24,8 @@ from gnc_opt.control.guard import (
 from gnc_opt.control.lie import OutputErrors
 from gnc_opt.control.limits import saturated
 from gnc_opt.control.reference import Reference
+from gnc_opt.control.sampling import spectral_radius, zero_order_hold
+from gnc_opt.control.sliding.reaching import ExponentialRate
 from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
 from gnc_opt.control.sliding.switching import SlidingOptions, Switching
 from gnc_opt.errors import DesignError
@@ -45,8 +47,14 @@ def surface_controller(
     """Return the controller that drives surfaces of output errors to zero.
 
     ``coefficients`` holds c_0, ..., c_{r-2}, 1 for each component.
+
+    Raises
+    ------
+    DesignError
+        Steps too long for the surface, and what the parts refuse.
     """
     switching = options.switching(errors.pair.model, errors.labels)
+    _require_decay(errors.labels, coefficients, switching)
     inverse = guarded_inverse(errors, reference, options.guard)
     zeros = check_zero_dynamics(errors, reference, options.growth)
     pairs = list(zip(coefficients, errors.chains, strict=True))
@@ -91,6 +99,29 @@ def _command(
     known = drift + errors.decoupling @ saturated(u, switching.limits)
     s_next, q_next = observer.update(s, s_hat, q, known, dt)
     return [*memory, Memory("s_hat", s_hat, s, s_next), Memory("disturbance", q, ca.SX.zeros(n), q_next)], u
+
+
+def _require_decay(labels: Sequence[str], coefficients: Sequence[Array], switching: Switching) -> None:
+    """Refuse steps over which the errors, sampled, grow from afar.
+
+    The law holds e^(r) = -sum c_k e^(k+1) - rho over a step. From afar only what is linear in rho counts, k s: the
+    rest is bounded or grows like |s|^alpha. Without k, s itself neither decays nor grows: the rates alone are judged.
+    """
+    if switching.dt is None:
+        return
+    k = switching.reaching.k if isinstance(switching.reaching, ExponentialRate) else 0.0
+    for label, c in zip(labels, coefficients, strict=True):
+        gain = k * c + np.append(0.0, c[:-1]) if k else c[:-1]
+        if not gain.size:
+            continue
+        a, b = zero_order_hold(np.eye(gain.size, k=1), np.eye(gain.size)[:, [-1]], switching.dt)
+        radius = spectral_radius(a - b @ gain[None])
+        if radius >= 1:
+            raise DesignError(
+                f"control steps of {switching.dt:g} s are too long for the surface of '{label}': away from it "
+                f"the sampled errors grow by a factor of {radius:.4g} per step; give a shorter dt, smaller slopes or a "
+                "smaller rate k."
+            )
 
 
 def _weigh(c: Array, chain: Any, order: int) -> Any:

@@ -27,7 +27,7 @@ from gnc_opt.control.sliding.reaching import (
     TanhLayer,
     read_bounds,
 )
-from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
+from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver, sampled_band
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
 
@@ -106,15 +106,22 @@ class Switching:
         """Return the bands of s and the sampling limit."""
         remark = "where a disturbance at its bound may hold s, continuous control"
         facts = [Fact("band of s", self.bands, remark=remark)]
-        gain = self._switched
-        if self.dt is not None and isinstance(self.boundary, Sign) and 0 < gain < np.inf:
-            remark = "one control step at full gain"
-            facts.append(Fact("chattering band of s", gain * self.dt, remark=remark))
+        if self.dt is not None and isinstance(self.boundary, Sign):
+            facts += self._chattering(self.dt)
         slope = self.reaching.slope(self.boundary)
         if np.isfinite(slope):
             remark = "longer control steps chatter in the boundary layer"
             facts.append(Fact("sampling limit", 2 / slope, "s", remark))
         return facts
+
+    def _chattering(self, dt: float) -> list[Fact]:
+        """Return the fact about the |s| within which a law without a boundary layer switches, if that is known."""
+        if isinstance(self.reaching, SuperTwisting):
+            band = sampled_band(self.reaching.k1, self.reaching.k2, dt)
+            return [Fact("chattering band of s", band, remark="of the sampled law, undisturbed")]
+        if not np.isfinite(self._switched):
+            return []
+        return [Fact("chattering band of s", self._switched * dt, remark="one control step at full gain")]
 
     def reserve(self, errors: OutputErrors, reference: Reference) -> list[Fact]:
         """Return the fact about the authority that is left on the reference beyond the switching gain.

@@ -1,0 +1,57 @@
+"""Small parts of a solution: what tries cost together, named integrals."""
+
+import pytest
+
+import gnc_opt as go
+from gnc_opt.solution.solution import Statistics
+
+
+def test_costs_of_tries_add_up() -> None:
+    first = Statistics(iterations=3, build_s=0.5, solve_s=2.0, function_s=0.25, linear_solver_s=1.0)
+    second = Statistics(
+        iterations=10, build_s=0.0, solve_s=4.0, function_s=0.5, linear_solver_s=3.0, build_reused=True
+    )
+    assert second.after(first) == Statistics(13, 0.5, 6.0, 0.75, 4.0, True)
+
+
+def test_integrals_by_name() -> None:
+    """x' = u = 1 / 2 from 0 to 1 in 2 s: the integral of u^2 is 1 / 2, that of x is 1."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("two integrals")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    leg.integral(x, name="area")
+    problem.minimize(leg.integral(u**2, name="effort"))
+    phase = go.solve(problem, mesh="2x4").phase()
+    assert (phase.integral("area"), phase.integral("effort")) == pytest.approx((1.0, 0.5), rel=1e-8)
+    with pytest.raises(go.UnknownNameError, match="did you mean 'effort'"):
+        phase.integral("efort")
+    with pytest.raises(go.UnknownNameError, match="no integral"):
+        phase.integral(1)  # type: ignore[arg-type]
+
+
+def test_numbers_are_numbers_and_vectors_are_vectors() -> None:
+    """Two parameters of one component and of two, and constraints likewise: (p - 1)^2 + |q - (2, 3)|^2, q held at 1."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("parameters")
+    p, q = problem.parameter("p"), problem.parameter("q", 2)
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    problem.constrain("both", q, equals=[1.0, 1.0])
+    problem.constrain("one", p, upper=5.0)
+    problem.minimize(leg.integral(u**2) + (p - 1) ** 2 + (q[0] - 2) ** 2 + (q[1] - 3) ** 2)
+    solution = go.solve(problem, mesh="1x4")
+    assert isinstance(solution.parameter("p"), float) and isinstance(solution.multiplier("one"), float)
+    assert solution.parameter("p") == pytest.approx(1.0, abs=1e-7)
+    assert solution.parameter("q") == pytest.approx([1.0, 1.0], abs=1e-9)
+    assert solution.multiplier("both") == pytest.approx([2.0, 4.0], rel=1e-6)
+    assert solution.multiplier("one") == pytest.approx(0.0, abs=1e-6)
+    with pytest.raises(go.UnknownNameError, match="did you mean 'both'"):
+        solution.multiplier("bth")
