@@ -50,7 +50,7 @@ def plot_verdict(verdict: Verdict) -> Figure:
 
 
 def _headline(verdict: Verdict) -> str:
-    return "every condition passes" if verdict.proven else "ok" if verdict.ok else "NOT ok"
+    return "every condition passes" if verdict.proven else verdict.word
 
 
 def _size(condition: Condition) -> float:

@@ -38,8 +38,8 @@ def verdict_headline(verdict: Verdict) -> Text:
             (Result.CANNOT_TELL, "cannot tell"),
         )
     )
-    word, style = ("ok", "green") if verdict.ok else ("NOT ok", "bold red")
-    return Text.assemble(f"verdict on '{verdict.problem_name}': ", (word, style), f" ({counts})")
+    style = "green" if verdict.ok else "bold red" if verdict.failed else "yellow"
+    return Text.assemble(f"verdict on '{verdict.problem_name}': ", (verdict.word, style), f" ({counts})")
 
 
 def verdict_text(verdict: Verdict, width: int = 120) -> str:

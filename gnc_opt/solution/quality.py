@@ -50,7 +50,7 @@ class Worst:
 
     def or_worse(self, other: Worst) -> Worst:
         """Return the larger one; NaN counts as larger."""
-        return other if not other.value <= self.value else self
+        return self if np.isnan(self.value) or other.value <= self.value else other
 
 
 NOTHING = Worst(0.0, "nowhere")

@@ -126,8 +126,10 @@ def hamiltonian(samples: list[PhaseSamples], tolerance: float) -> Condition:
     for s in samples:
         drift = s.functions.time_gradient(s.times, s.x, s.u, s.lam, s.mu)
         expected = s.integral_from_start(drift)
-        offset = float(np.median(s.hamiltonian - expected))
-        band = np.abs(s.hamiltonian - expected - offset) / s.hamiltonian_scale
+        levels = s.hamiltonian - expected
+        told = levels[np.isfinite(levels)]
+        offset = float(np.median(told)) if told.size else 0.0
+        band = np.abs(levels - offset) / s.hamiltonian_scale
         j = int(np.argmax(np.where(np.isnan(band), np.inf, band)))
         where = f"{s.place(j)}, H = {s.hamiltonian[j]:.8g} (median {np.median(s.hamiltonian):.8g})"
         worst = worst.or_worse(Worst(float(band[j]), where))

@@ -13,6 +13,7 @@ from gnc_opt.solution.quality import (
     Worst,
     worst_bound_violation,
     worst_defect,
+    worst_index,
     worst_path_violation,
     worst_terminal_error,
 )
@@ -52,8 +53,9 @@ def propagation(samples: list[PhaseSamples], tolerance: float) -> Condition:
     """Flying the bounded control from the initial state arrives at the final state."""
     worst, growth = NOTHING, 1.0
     for s in samples:
-        worst = worst.or_worse(worst_terminal_error(s))
-        growth = max(growth, _growth(s))
+        gap = _missing_number(s)
+        worst = worst.or_worse(gap or worst_terminal_error(s))
+        growth = growth if gap else max(growth, _growth(s))
     condition = judge(
         "propagation",
         worst,
@@ -72,6 +74,14 @@ def propagation(samples: list[PhaseSamples], tolerance: float) -> Condition:
             "says nothing about the solution; the condition 'dynamics' judges it segment by segment.",
         )
     return condition
+
+
+def _missing_number(s: PhaseSamples) -> Worst | None:
+    """The first sample at which a number is missing: an integrator would never come back from there."""
+    if not np.all(np.isfinite(s.functions.q)):
+        return Worst(np.inf, "a free parameter is not finite")
+    gaps = ~np.all(np.isfinite(np.vstack([s.times[None, :], s.x, s.u])), axis=0)
+    return Worst(np.inf, f"{s.place(int(np.argmax(gaps)))}: not finite") if np.any(gaps) else None
 
 
 def _growth(samples: PhaseSamples) -> float:
@@ -160,20 +170,31 @@ def boundary(solution: Solution, ends: EndGradients, tolerance: float) -> Condit
     )
 
 
-def cost(solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float) -> Condition:
-    """The reported cost is that of the trajectory between its nodes."""
-    missing = 0.0
-    for s in samples:
-        exact = s.functions.integrands(s.times, s.x, s.u) @ s.weights
-        missing += float(s.leg.integral_weights @ (exact - s.leg.integrals))
-    sign = -1.0 if solution.maximised else 1.0
-    error = abs(ends.cost + sign * missing - solution.objective) / max(1.0, abs(solution.objective))
+def cost(
+    stored: Solution, judged: list[PhaseSamples], ends: EndGradients, told: bool, tolerance: float
+) -> Condition:
+    """The reported cost, its integrals and their weights are those of the trajectory between its nodes."""
+    yardstick = max(1.0, abs(stored.objective))
+    worst = Worst(abs(ends.cost - stored.objective) / yardstick, "objective")
+    for s in judged:
+        leg, kept = s.leg, stored.phases[s.leg.name]
+        if not leg.integral_labels:
+            continue
+        reach = np.abs(s.functions.integrands(s.times, s.x, s.u)) @ s.weights
+        rows = [("integral", leg.integral_weights * (kept.integrals - leg.integrals))]
+        if told:
+            rows.append(("weight of integral", reach * (kept.integral_weights - leg.integral_weights)))
+        for what, off in rows:
+            errors = np.abs(off)[None, :] / yardstick
+            _, i = worst_index(errors)
+            place = f"phase {leg.name}, {what} {leg.integral_labels[i]}"
+            worst = worst.or_worse(Worst(float(errors[0, i]), place))
     return judge(
         "cost",
-        Worst(error, "objective"),
+        worst,
         tolerance,
-        "The objective, recomputed from the end points and a finer quadrature of the integrals along the flown "
-        "control, must agree with the one reported.",
+        "The objective, its integrals and their weights, recomputed from the end points and a finer quadrature along "
+        "the flown control, must agree with those reported (in shares of max(1, objective)).",
     )
 
 

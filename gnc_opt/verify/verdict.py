@@ -50,15 +50,21 @@ class Verdict:
     ----------
     problem_name : str
     conditions : tuple of Condition
+    not_judged : str
+        Why nothing of the minimum principle could be judged: "no costates"; empty if it was.
     """
 
     problem_name: str
     conditions: tuple[Condition, ...]
+    not_judged: str = ""
 
     @property
     def ok(self) -> bool:
-        """Whether no condition fails. Conditions that cannot be told do not fail; see ``proven``."""
-        return all(c.result is not Result.FAIL for c in self.conditions)
+        """Whether no condition fails and the minimum principle was judged.
+
+        Single conditions that cannot be told do not fail; see ``proven``.
+        """
+        return not self.failed and not self.not_judged
 
     @property
     def proven(self) -> bool:
@@ -70,6 +76,13 @@ class Verdict:
         """The conditions that fail."""
         return tuple(c for c in self.conditions if c.result is Result.FAIL)
 
+    @property
+    def word(self) -> str:
+        """The verdict in a word or two: "ok", "NOT ok" or "not judged: no costates"."""
+        if self.failed:
+            return "NOT ok"
+        return f"not judged: {self.not_judged}" if self.not_judged else "ok"
+
     def __getitem__(self, name: str) -> Condition:
         for condition in self.conditions:
             if condition.name == name:
@@ -79,10 +92,8 @@ class Verdict:
 
     def explain(self) -> str:
         """Return a paragraph per condition that does not pass, or one that says all do."""
-        headline = f"Verdict on '{self.problem_name}': " + (
-            "every condition passes." if self.proven else "ok." if self.ok else "NOT ok."
-        )
-        lines = [headline]
+        word = "every condition passes" if self.proven else self.word
+        lines = [f"Verdict on '{self.problem_name}': {word}."]
         for c in self.conditions:
             if c.result is not Result.PASS:
                 lines.append(
@@ -95,4 +106,4 @@ class Verdict:
         lines = [
             f"{c.name:<{width}}  {c.result.value:<11}  {c.value:9.2e}  {c.where}" for c in self.conditions
         ]
-        return "\n".join([*lines, f"verdict: {'ok' if self.ok else 'NOT ok'}"])
+        return "\n".join([*lines, f"verdict: {self.word}"])

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from wrong import bang_bang, moved
+from wrong import bang_bang, moved, with_leg
 
 import gnc_opt as go
 from gnc_opt.problem.interval import Interval
@@ -41,7 +40,7 @@ def two_axes() -> go.Solution:
 
 def changed(phase: str, **fields: object) -> go.Solution:
     solution = two_axes()
-    return replace(solution, phases={**solution.phases, phase: replace(solution.phases[phase], **fields)})
+    return with_leg(solution, phase, **fields)
 
 
 def added(phase: str, piece: str, row: int, amount: float, segment: int) -> go.Solution:

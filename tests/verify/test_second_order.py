@@ -15,8 +15,8 @@ from gnc_opt.refine.refine import refine
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.verify import Result
+from gnc_opt.verify.judged import ends_of
 from gnc_opt.verify.second_order import induced_problem, strict_switches
-from gnc_opt.verify.verify import _ends
 
 
 def oscillator(control_bound: float = 1.0) -> go.Problem:
@@ -66,7 +66,7 @@ def test_verdict_includes_second_order(refined: go.Solution) -> None:
 def test_induced_gradient_vanishes_and_hessian_matches_finite_differences(refined: go.Solution) -> None:
     leg = refined.phase()
     samples = PhaseSamples.of(leg, refined.functions("leg"))
-    induced = induced_problem(refined, samples, _ends(refined))
+    induced = induced_problem(refined, samples, ends_of(refined))
     np.testing.assert_allclose(induced.gradient, 0.0, atol=1e-6)
     np.testing.assert_allclose(induced.hessian, induced.hessian.T, atol=1e-12)
     # Final state of the oscillator in closed form: turning about (u, 0) at unit rate from switch to switch.

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from wrong import with_leg
 
 import gnc_opt as go
 from gnc_opt.problem.interval import Interval
@@ -47,10 +48,6 @@ def switching(times: list[float], arcs: list[int]) -> go.Solution:
     """The minimum-time problem with a given control structure, switch times optimised."""
     mesh = go.Mesh.at_times(times, 5, movable=True)
     return go.solve(minimum_time().with_arcs(arcs=[arcs]), mesh=mesh)
-
-
-def with_leg(solution: go.Solution, **changes: object) -> go.Solution:
-    return replace(solution, phases={"leg": replace(solution.phase(), **changes)})
 
 
 def scaled(polynomial: PiecewisePolynomial, factor: float) -> PiecewisePolynomial:

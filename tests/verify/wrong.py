@@ -218,8 +218,32 @@ def one_switch(bend: float) -> go.Solution:
 # --- ways of being wrong ------------------------------------------------------------------------------
 
 
-def with_leg(solution: go.Solution, **changes: Any) -> go.Solution:
-    """Replace fields of the only phase."""
+LIMITS = {
+    **{f"{end}_bounds": end for end in ("initial", "final", "initial_time", "final_time", "duration")},
+    "state_bounds": "states",
+    "control_bounds": "controls",
+}
+"""Limits in the solution of a phase, and what they are called in its problem."""
+
+
+def with_leg(solution: go.Solution, phase: str | None = None, /, **changes: Any) -> go.Solution:
+    """Replace fields of a phase, or of the only one; limits are replaced in its problem too."""
+    leg = solution.phase(phase)
+    problem = solution.need_problem("change").with_bounds(leg.name)
+    stated = problem.get_phase(leg.name)
+    numbers = {LIMITS[name]: box for name, box in changes.items() if name in LIMITS}
+    stated.numbers = replace(stated.numbers, **numbers)
+    if "path_bounds" in changes:
+        ends, first = changes["path_bounds"], 0
+        for name, path in stated.paths.items():
+            rows = slice(first, first + path.size)
+            stated.paths[name] = replace(path, interval=Interval(ends.lower[rows], ends.upper[rows]))
+            first += path.size
+    return replace(solution, problem=problem, phases={**solution.phases, leg.name: replace(leg, **changes)})
+
+
+def forged(solution: go.Solution, **changes: Any) -> go.Solution:
+    """Replace fields of the only phase, and leave its problem as it is."""
     leg = solution.phase()
     return replace(solution, phases={leg.name: replace(leg, **changes)})
 
