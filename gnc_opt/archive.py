@@ -123,8 +123,8 @@ def _write_archive(path: str | Path, header: Mapping[str, Any], arrays: Mapping[
     except BaseException as error:
         with contextlib.suppress(OSError):
             os.unlink(name)
-        if isinstance(error, OSError) and error.filename is None:  # a full disk says so without saying where
-            raise OSError(error.errno, error.strerror, str(target)) from error
+        if isinstance(error, OSError) and error.errno is not None and error.filename is None:
+            error.filename = str(target)  # a full disk says so without saying where
         raise
     return target
 
