@@ -23,7 +23,12 @@ FREE = -1e30
 
 
 def fly_by(
-    miss: float, length: float, time: float, keep_out: Callable[[Any], Any] | None = None, origin: float = 0.0
+    miss: float,
+    length: float,
+    time: float,
+    keep_out: Callable[[Any], Any] | None = None,
+    origin: float = 0.0,
+    limit: float = RADIUS**2,
 ) -> go.Problem:
     """A straight flight of 10 km that passes a point at a distance; ``origin`` (m) is where that is."""
     model = go.Model("chaser")
@@ -36,7 +41,7 @@ def fly_by(
     leg.final(r=np.array([origin + 5000.0, miss, 0.0]) * length, v=0.0)
     if keep_out is not None:
         square = ((r[0] - origin * length) ** 2 + r[1] ** 2 + r[2] ** 2) / length**2
-        leg.path("keep_out", keep_out(square), lower=RADIUS**2)
+        leg.path("keep_out", keep_out(square), lower=limit)
     problem.minimize(leg.integral((a[0] ** 2 + a[1] ** 2 + a[2] ** 2) / length**2 * time**3))
     return problem
 
@@ -60,7 +65,9 @@ def flown_by(
         path_bounds=Interval(np.array([limit]), np.array([np.inf])),
         path_multipliers=np.zeros((1, solution.phase().point_times.size)),
     )
-    return go.verify(replace(limited, problem=fly_by(miss, length, time, form, origin)))["path constraints"]
+    return go.verify(replace(limited, problem=fly_by(miss, length, time, form, origin, limit)))[
+        "path constraints"
+    ]
 
 
 FORMS: dict[str, tuple[Callable[[Any], Any], float]] = {
