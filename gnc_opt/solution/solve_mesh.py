@@ -112,8 +112,9 @@ def solve_mesh(
     if found.status not in TRAJECTORY_ONLY:
         return found
     cold = replace(chosen, mu_init=COLD_MU)
-    again = _solve(with_trajectory(problem, guess), meshes, scheme, None, cold, progress)
-    statistics = again.statistics.after(found.statistics)
+    spent = found.statistics
+    again = _solve(with_trajectory(problem, guess), meshes, scheme, None, cold, progress, spent.solve_s)
+    statistics = again.statistics.after(spent)
     return replace(again, statistics=statistics, problem=found.problem)
 
 
@@ -124,11 +125,13 @@ def _solve(
     guess: Solution | None,
     options: SolverOptions,
     progress: bool,
+    spent: float = 0.0,
 ) -> Solution:
+    """Solve from one guess; ``spent`` (s) of the limit on wall time is gone."""
     attempt = Attempt.prepare(problem, meshes, scheme, guess, options, progress=progress)
     point = attempt.point(attempt.start)
     attempt.solver.set_up(point)  # the limit is on solving, not on setting up
-    deadline = attempt.solver.deadline()
+    deadline = attempt.solver.deadline() - spent
     with attempt.meter() as show:
         result = _solve_point(attempt.solver, point, show, deadline)
     if result.status in CONSTRAINTS_FIRST and guess is None and not knows_trajectory(problem):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -109,3 +111,21 @@ def test_all_tries_share_one_limit_of_wall_time(monkeypatch: pytest.MonkeyPatch)
     watch = Stumbling(monkeypatch, Status.RESTORATION_FAILED, Status.RESTORATION_FAILED, Status.ACCEPTABLE)
     solve_mesh(regulator(), "3x4", options=go.SolverOptions(max_wall_time=60.0))
     assert len(watch.deadlines) > 3 and len(set(watch.deadlines)) == 1
+
+
+def test_the_trajectory_alone_has_what_the_warm_start_left_of_the_limit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    known = solve_mesh(regulator(0.1), "3x4")
+    original, left = NlpSolver.solve, []  # type: ignore[var-annotated]
+
+    def slow_and_lost(solver: NlpSolver, point: NlpPoint, way: str | None = None, **more: Any) -> NlpResult:
+        left.append(more["deadline"] - time.perf_counter())
+        result = original(solver, point, way, **more)  # type: ignore[arg-type]
+        lost = point.way == "warm"
+        return replace(result, status=Status.ITERATION_LIMIT, wall_time=500.0) if lost else result
+
+    monkeypatch.setattr(NlpSolver, "solve", slow_and_lost)
+    limit = go.SolverOptions(max_wall_time=600.0)
+    assert solve_mesh(regulator(), "3x4", guess=known, options=limit, warm_iterations=50).status.solved
+    assert left[0] > 500.0 > 100.0 >= left[1]
