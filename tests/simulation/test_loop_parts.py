@@ -96,6 +96,8 @@ def test_numbers_of_a_loop_are_given_by_keyword():
         "dt": None, "minor_steps": 1, "accuracy": 1e-9, "substeps": None, "plausible": 1e15
     }  # fmt: skip
     assert [found[n][1] for n in ("actuators", "sensors", "disturbances")] == [(), (), ()]
+    loop = ClosedLoop(double_integrator(), idle(double_integrator()), dt=DT)
+    assert (loop.dt, loop.minor_steps, loop.accuracy, loop.substeps) == (DT, 1, 1e-9, None)
 
 
 def loop_of_all(**options):
