@@ -94,8 +94,8 @@ def test_vector_controls_have_a_switching_function_each() -> None:
 
 def test_parameters_and_multipliers_by_name(moved: Solution) -> None:
     free = replace(
-        moved, free_parameters=Layout("parameter", (Variable("p"), Variable("q", 2))), parameter_values=np.array([1.0, 2.0, 3.0]),
-        constraint_labels=("c", "d[0]", "d[1]"), constraint_multipliers=np.array([4.0, 5.0, 6.0]),
+        moved, free_parameters=Layout("parameter", (Variable("p"), Variable("q", 2))),
+        parameter_values=np.array([1.0, 2.0, 3.0]), constraint_labels=("c", "d[0]", "d[1]"), constraint_multipliers=np.array([4.0, 5.0, 6.0]),
     )  # fmt: skip
     assert free.parameter("p") == 1.0 and isinstance(free.parameter("p"), float)
     assert list(free.parameter("q")) == [2.0, 3.0]  # type: ignore[arg-type]
@@ -315,7 +315,7 @@ def test_a_trajectory_is_more_than_end_values() -> None:
 
 
 def test_starts_for_the_constraints_are_stretched_within_bounds_and_random() -> None:
-    """A final time guessed at 2 s, at most 9 s: free, held at 2, 8 and 9 (once), then two random ones with free times."""
+    """A final time guessed at 2 s, at most 9 s: free, held at 2, 8 and 9 (once), then two random ones."""
     problem = cart()
     leg = problem.get_phase()
     leg.time(0.0, (0.5, 9.0))
@@ -342,7 +342,8 @@ def test_starts_for_the_constraints_are_stretched_within_bounds_and_random() -> 
     ("options", "objective", "status", "found"),
     [
         ({}, 5.0, Status.OPTIMAL, True), ({}, 5.999, Status.OPTIMAL, False), ({}, 5.0, Status.INFEASIBLE, False),
-        ({"solver": "sqpmethod", "extra": {}}, 5.0, Status.OPTIMAL, False), ({"extra": {"ipopt.mu_strategy": "monotone"}}, 5.0, Status.OPTIMAL, False),
+        ({"solver": "sqpmethod", "extra": {}}, 5.0, Status.OPTIMAL, False),
+        ({"extra": {"ipopt.mu_strategy": "monotone"}}, 5.0, Status.OPTIMAL, False),
         ({"extra": {"ipopt": {"mu_strategy": "monotone"}}}, 5.0, Status.OPTIMAL, False),
         ({"extra": {"ipopt": {"tol": 1e-9}}}, 5.0, Status.OPTIMAL, True),
     ],
