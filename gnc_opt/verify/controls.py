@@ -171,7 +171,9 @@ def legendre_clebsch(samples: list[PhaseSamples], tolerance: float) -> Condition
     )
     places = [(value, place) for value, place in map(_least_curvature, samples) if place is not None]
     if not places:
-        return Condition(name, Result.PASS, 0.0, 0.0, "no control between its bounds", meaning, sufficient=True)
+        return Condition(
+            name, Result.PASS, 0.0, 0.0, "no control between its bounds", meaning, sufficient=True
+        )
     least, place = min(places, key=lambda item: item[0])
     result = Result.PASS if least >= tolerance else Result.CANNOT_TELL if least > -tolerance else Result.FAIL
     return Condition(name, result, -least, -tolerance, place, meaning, sufficient=True)

@@ -13,7 +13,9 @@ PASS, FAIL, UNTOLD = Result.PASS, Result.FAIL, Result.CANNOT_TELL
 def verdict(necessary: Result, sufficient: Result | None, not_judged: str = "") -> Verdict:
     conditions = [Condition("adjoint equation", necessary, 1e-7, 1e-5, "phase leg", "It must hold.")]
     if sufficient is not None:
-        conditions.append(Condition("second order", sufficient, 1e-7, 1e-5, "phase leg", "It must hold.", True))
+        conditions.append(
+            Condition("second order", sufficient, 1e-7, 1e-5, "phase leg", "It must hold.", True)
+        )
     return Verdict("double integrator", tuple(conditions), not_judged)
 
 
