@@ -18,7 +18,7 @@ TOLERANCE = 1e-5
 
 _CANNOT_VARY = "Costates or other numbers are missing, so that what varied switch times cost cannot be told."
 
-_NO_SWITCH_TIMES = "Sufficient conditions of the second order are checked where switch times were optimised; this solution has none."
+_NO_SWITCH_TIMES = "Sufficient conditions of the second order are checked where switch times were optimised, and here they were not."
 
 
 def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
