@@ -18,7 +18,9 @@ TOLERANCE = 1e-5
 
 _CANNOT_VARY = "Costates or other numbers are missing, so that what varied switch times cost cannot be told."
 
-_NO_SWITCH_TIMES = "Sufficient conditions of the second order are checked where switch times were optimised, and here they were not."
+_NO_SWITCH_TIMES = (
+    "Sufficient conditions of the second order are checked where switch times were optimised only."
+)
 
 
 def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
