@@ -95,7 +95,9 @@ def test_vector_controls_have_a_switching_function_each() -> None:
 def test_parameters_and_multipliers_by_name(moved: Solution) -> None:
     free = replace(
         moved, free_parameters=Layout("parameter", (Variable("p"), Variable("q", 2))),
-        parameter_values=np.array([1.0, 2.0, 3.0]), constraint_labels=("c", "d[0]", "d[1]"), constraint_multipliers=np.array([4.0, 5.0, 6.0]),
+        parameter_values=np.array([1.0, 2.0, 3.0]),
+        constraint_labels=("c", "d[0]", "d[1]"),
+        constraint_multipliers=np.array([4.0, 5.0, 6.0]),
     )  # fmt: skip
     assert free.parameter("p") == 1.0 and isinstance(free.parameter("p"), float)
     assert list(free.parameter("q")) == [2.0, 3.0]  # type: ignore[arg-type]
