@@ -15,7 +15,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array
+from gnc_opt.arrays import Array, Indices
 
 Method: TypeAlias = Literal["bspline", "linear", "pchip"]
 
@@ -39,7 +39,7 @@ class Pieces:
     stride: int
 
     @property
-    def windows(self) -> Array:
+    def windows(self) -> Indices:
         """Places of the coefficients of each interval, (n, window)."""
         n, window, _ = self.matrices.shape
         return np.asarray(self.stride * np.arange(n)[:, None] + np.arange(window))

@@ -112,7 +112,9 @@ class Table(Strict):
             )
         if any(isinstance(a, (ca.SX, ca.MX)) for a in arguments):
             return self._expression([self._read_expression(a) for a in arguments])
-        numbers = [read_numbers(a, f"argument {i} of table '{self.name}'") for i, a in enumerate(arguments, 1)]
+        numbers = [
+            read_numbers(a, f"argument {i} of table '{self.name}'") for i, a in enumerate(arguments, 1)
+        ]
         if self.outside == "error":
             self._refuse_outside(numbers)
         try:
@@ -148,7 +150,9 @@ class Table(Strict):
         rows = max(column.shape[0] for column in columns)
         if any(column.shape[0] not in (1, rows) for column in columns):
             sizes = ", ".join(str(column.shape[0]) for column in columns)
-            raise ModelError(f"the arguments of table '{self.name}' have {sizes} components: give equal sizes.")
+            raise ModelError(
+                f"the arguments of table '{self.name}' have {sizes} components: give equal sizes."
+            )
         values = []
         for i in range(rows):
             point = ca.vertcat(*(column[i if column.shape[0] > 1 else 0] for column in columns))
@@ -281,8 +285,8 @@ def table(
         refinement dearly; cubics with one continuous derivative that never overshoot in one dimension.
     outside : {"linear", "hold", "error"}
         Beyond the grid: continued with the slope at its end; held at the value there; refused. A solver's iterates
-        may leave any table, hence expressions of one that refuses are continued linearly; its numbers, a guess that leaves it
-        and, in the summary, a solution that does, are reported.
+        may leave any table, hence expressions of one that refuses are continued linearly, while numbers and a guess
+        outside of it are errors. The summary of a solution names every table that it leaves.
     name : str, optional
         For messages.
 
@@ -306,7 +310,9 @@ def table(
     data = read_numbers(values, f"what table '{name}' holds")
     for given, known, what in ((method, METHODS, "method"), (outside, get_args(Outside), "outside")):
         if given not in known:
-            raise ArgumentError(f"table '{name}' knows no {what} {shown(given)}: {did_you_mean(str(given), known)}")
+            raise ArgumentError(
+                f"table '{name}' knows no {what} {shown(given)}: {did_you_mean(str(given), known)}"
+            )
     return Table(_read_grids(x, data, name), data, method, outside, name)
 
 
@@ -325,7 +331,9 @@ def _read_grids(x: Any, data: Array, name: str) -> list[Array]:
                 "give as many points as values along that axis, two or more."
             )
         if not np.all(np.isfinite(grid)) or not np.all(np.diff(grid) > 0):
-            raise ArgumentError(f"grid {i} of table '{name}' does not increase: sort it and drop what is double.")
+            raise ArgumentError(
+                f"grid {i} of table '{name}' does not increase: sort it and drop what is double."
+            )
     if not np.all(np.isfinite(data)):
         place = ", ".join(f"{g[i]:g}" for g, i in zip(grids, np.argwhere(~np.isfinite(data))[0], strict=True))
         raise ArgumentError(f"table '{name}' has no finite value at ({place}): fill the gap.")

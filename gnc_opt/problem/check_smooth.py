@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -45,7 +44,7 @@ def warn_of_kinks(problem: Statement, leg: Phase) -> None:
         if table.method == "linear":
             warn_user(
                 f"table '{table.name}' in {leg.where} is linear and has a kink at each of its points, which "
-                "slows solvers and refinement down: use method=\"bspline\" or \"pchip\", or, if it is one of time, "
+                'slows solvers and refinement down: use method="bspline" or "pchip", or, if it is one of time, '
                 "put mesh boundaries there."
             )
     if not operations_in(along(leg)) & _KINKS.keys():
@@ -66,7 +65,9 @@ def check_guess_in_tables(problem: Statement, leg: Phase) -> None:
     p = leg.model.parameter_values
     for found in outside_tables(problem, leg, times, start.states, start.controls, p, q):
         if found.table.outside == "error":
-            raise ProblemError(f"the guess leaves a table ({found}): give another guess(), or a larger table.")
+            raise ProblemError(
+                f"the guess leaves a table ({found}): give another guess(), or a larger table."
+            )
         warn_user(f"the guess leaves a table ({found}), which goes on there as '{found.table.outside}' says.")
 
 

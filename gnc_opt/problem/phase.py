@@ -389,7 +389,9 @@ class Phase(Strict):
             plus, minus = self.model.split_controls[name]
             box = read_interval(value, plus.variable.size, what)
             if np.any(box.lower > 0) or np.any(box.upper < 0):
-                raise ProblemError(f"{what} leave out zero, which a split control needs: declare it with control().")
+                raise ProblemError(
+                    f"{what} leave out zero, which a split control needs: declare it with control()."
+                )
             parts[plus.variable.name] = (np.zeros(box.upper.size), box.upper)
             parts[minus.variable.name] = (np.zeros(box.lower.size), -box.lower)
         return parts

@@ -249,7 +249,9 @@ class Solution:
         for name, leg in problem.phases.items():
             if table_uses(problem, leg):
                 s = PhaseSamples.of(self.phases[name], self.functions(name))
-                found += outside_tables(problem, leg, s.times, s.x, s.u, s.leg.parameters, self.parameter_values)
+                found += outside_tables(
+                    problem, leg, s.times, s.x, s.u, s.leg.parameters, self.parameter_values
+                )
         return found
 
     def propagate(

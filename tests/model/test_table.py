@@ -192,7 +192,9 @@ def test_calls_that_cannot_be_meant() -> None:
 
 def hop(method: Method = "bspline", outside: Any = "linear", top: float = 0.5) -> go.Problem:
     """x'' = u from 0 to 1 in 1 s, paying for the table's value of x, which ends at ``top``."""
-    price = go.table(np.linspace(0.0, top, 6), np.linspace(0.0, top, 6) ** 2, method=method, outside=outside, name="price")
+    price = go.table(
+        np.linspace(0.0, top, 6), np.linspace(0.0, top, 6) ** 2, method=method, outside=outside, name="price"
+    )
     model = go.Model("hop")
     x, v, u = model.state("x"), model.state("v"), model.control("u")
     model.ode({x: v, v: u})
@@ -220,7 +222,7 @@ def test_a_solution_inside_of_its_table_is_not(recwarn: pytest.WarningsRecorder)
 
 
 def test_a_table_that_refuses_what_is_outside() -> None:
-    with pytest.raises(go.ProblemError, match="the guess leaves a table .*give another guess"):
+    with pytest.raises(go.ProblemError, match=r"the guess leaves a table .*give another guess"):
         hop(outside="error").check()
 
 
