@@ -158,11 +158,12 @@ def _stuck(path: Path, errors: OutputErrors, limits: Authority, count: int) -> s
     step = int(np.argmax(path.cut(limits)))
     excess = np.maximum(path.wanted[:, step] - limits[1], limits[0] - path.wanted[:, step])
     k = int(np.argmax(excess))
+    control, asked = errors.pair.model.controls.labels[k], path.wanted[k, step]
     return (
-        f"from this start the limits keep {errors.labels[output]} from coming down: the law asks control "
-        f"'{errors.pair.model.controls.labels[k]}' for {path.wanted[k, step]:.4g} at t = {path.times[step]:.4g} s, where "
-        f"its limits are {limits[0][k]:g} and {limits[1][k]:g}, and the error is still {path.outputs[output, -1]:.4g} at "
-        f"t = {path.times[-1]:.4g} s; give wider limits, a nearer start or slower dynamics."
+        f"from this start the limits keep {errors.labels[output]} from coming down: the law asks control '{control}' for "
+        f"{asked:.4g} at t = {path.times[step]:.4g} s, where its limits are {limits[0][k]:g} and {limits[1][k]:g}, and the "
+        f"error is still {path.outputs[output, -1]:.4g} at t = {path.times[-1]:.4g} s; give wider limits, a nearer start "
+        "or slower dynamics."
     )
 
 
