@@ -265,11 +265,11 @@ def _message(status: RefinementStatus, history: History, verdict: Verdict | None
         return f"{text}, verdict ok"
     if not history.converged:
         text += f" at {history.final.where}"
-    failed = () if verdict is None else verdict.failed
-    if failed:
+    left = () if verdict is None else verdict.open
+    if left:
         named = "; ".join(
-            f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.where}" for c in failed[:NAMED]
+            f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.where}" for c in left[:NAMED]
         )
-        more = f"; and {len(failed) - NAMED} more" if len(failed) > NAMED else ""
+        more = f"; and {len(left) - NAMED} more" if len(left) > NAMED else ""
         text += f". Open: {named}{more}"
     return f"{text}. {status.remedy}"

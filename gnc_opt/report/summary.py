@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from gnc_opt.problem.tables import OutsideTable
 from gnc_opt.solution.history import RefinementStatus
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.quality import Quality
@@ -33,8 +34,8 @@ def summary(solution: Solution) -> str:
     Status and objective; times; mesh and cost of the solve; worst defect between nodes; worst bound violation
     between nodes; terminal miss when the flown control is integrated, each with its place. A refined solution tells
     its verdict and the error asked for and reached; a verdict that is ok speaks for defect and bounds. Further lines
-    name controls whose polynomial overshoots, say what to do after a failed solve, and warn when the figures
-    were not measured just now but when the solution was saved.
+    name controls whose polynomial overshoots and tables that the trajectory leaves, say what to do after a failed
+    solve, and warn when the figures were not measured just now but when the solution was saved.
 
     Parameters
     ----------
@@ -55,6 +56,7 @@ def summary(solution: Solution) -> str:
     ]
     lines += list(_quality_lines(quality, brief=solution.converged))
     lines += list(_overshoot(solution))
+    lines += [_line("table", str(found)) for found in _outside_tables(solution)]
     if quality is not None and solution.problem is None:
         lines.append(
             _line("note", "defect, bounds and propagation were measured when the solution was saved")
@@ -122,12 +124,10 @@ def _refinement(solution: Solution) -> Iterator[str]:
     verdict = kept_verdict(solution, TOLERANCE)
     if verdict is None:
         yield _line("verdict", _UNKEPT.get(history.status, "not judged: verify() does"))
-    elif not verdict.failed:
-        yield _line("verdict", verdict.word)
-    for c in () if verdict is None else verdict.failed[:WORST]:
-        yield _line(
-            "verdict", f"{verdict.word}: {c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.where}"
-        )
+    else:
+        yield _line("verdict", verdict.headline)
+        for c in verdict.open[:WORST]:
+            yield _line("open", f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.where}")
     final = history.final
     yield _line(
         "refinement",
@@ -176,7 +176,7 @@ def _quality_lines(quality: Quality | None, brief: bool) -> Iterator[str]:
     if np.isfinite(quality.terminal_error):
         miss = f"{quality.terminal_error:.2g} relative, flown control integrated: {quality.terminal_where}"
     else:
-        miss = f"diverges when the flown control is integrated: {quality.terminal_where}"
+        miss = f"ends early when the flown control is integrated: {quality.terminal_where}"
     yield _line("propagation", miss)
 
 
@@ -193,6 +193,10 @@ def _overshoot(solution: Solution) -> Iterator[str]:
             f"control polynomials leave their bounds between nodes ({', '.join(named[:WORST])}{more}): "
             "fly flown_control or refine",
         )
+
+
+def _outside_tables(solution: Solution) -> list[OutsideTable]:
+    return [] if solution.problem is None else solution.outside_tables()
 
 
 def _words(value: str) -> str:

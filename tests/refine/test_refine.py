@@ -87,7 +87,7 @@ def test_converged_means_that_error_and_verdict_pass(cart: go.Solution) -> None:
     assert history.tolerance == 1e-7 and history.final.error <= 1e-7
     assert refined.objective == pytest.approx(3.0, abs=1e-9)
     text = str(refined)
-    assert "refined (converged)" in text and "(wanted 1.0e-07)" in text and "verdict      ok" in text
+    assert "refined (converged)" in text and "(wanted 1.0e-07)" in text and "strict local minimum" in text
     assert f"{history.final.error:.1e}" in text and len(text.splitlines()) == 6
 
 
@@ -114,7 +114,11 @@ def test_a_verdict_that_fails_is_no_convergence(
     assert "stationarity 2.0e-04 (tolerance 1e-05) at phase leg, t = 1 s, a" in history.message
     text = str(refined)
     assert "NOT CONVERGED (verdict fails)" in text and "optimal" not in text
-    assert "NOT ok: stationarity 2.0e-04" in text and "(wanted 1.0e-05)" in text
+    assert (
+        "verdict      NOT ok" in text
+        and "open         stationarity 2.0e-04" in text
+        and "(wanted 1.0e-05)" in text
+    )
     loaded = str(go.load(refined.save(tmp_path / "failed.npz")))
     assert "NOT CONVERGED (verdict fails)" in loaded and "NOT ok when it was refined" in loaded
 
