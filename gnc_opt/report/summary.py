@@ -132,7 +132,7 @@ def _refinement(solution: Solution) -> Iterator[str]:
     yield _line(
         "refinement",
         f"error {final.error:.1e} between the nodes (wanted {history.tolerance:.1e}), "
-        f"{len(history.passes)} passes, {history.seconds:.2f} s"
+        f"{len(history.passes)} pass{'es' * (len(history.passes) != 1)}, {history.seconds:.2f} s"
         + ("" if history.converged else f": {final.where}"),
     )
 
