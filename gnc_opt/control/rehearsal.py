@@ -159,11 +159,12 @@ def _stuck(path: Path, errors: OutputErrors, limits: Authority, count: int) -> s
     excess = np.maximum(path.wanted[:, step] - limits[1], limits[0] - path.wanted[:, step])
     k = int(np.argmax(excess))
     control, asked = errors.pair.model.controls.labels[k], path.wanted[k, step]
+    left = path.outputs[output, -1]
     return (
-        f"from this start the limits keep {errors.labels[output]} from coming down: the law asks control '{control}' for "
-        f"{asked:.4g} at t = {path.times[step]:.4g} s, where its limits are {limits[0][k]:g} and {limits[1][k]:g}, and the "
-        f"error is still {path.outputs[output, -1]:.4g} at t = {path.times[-1]:.4g} s; give wider limits, a nearer start "
-        "or slower dynamics."
+        f"from this start the limits keep {errors.labels[output]} from coming down: the law asks control "
+        f"'{control}' for {asked:.4g} at t = {path.times[step]:.4g} s, where its limits are {limits[0][k]:g} and "
+        f"{limits[1][k]:g}, and the error is still {left:.4g} at t = {path.times[-1]:.4g} s; "
+        "give wider limits, a nearer start or slower dynamics."
     )
 
 
