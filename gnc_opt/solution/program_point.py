@@ -24,6 +24,10 @@ from gnc_opt.transcription.scaling import Scaling, scale_rows, scale_variables
 from gnc_opt.transcription.transcription import Transcription, transcribe
 
 
+WEAK = 1e-5
+"""A limit is weakly active if both the distance to it and its multiplier are below this (scaled)."""
+
+
 @dataclass(frozen=True, eq=False)
 class Limits:
     """Limits of all variables or of all rows, and which of them are active (scaled).
@@ -62,6 +66,10 @@ class Limits:
         """Distance of what is not active to its nearer limit, negative beyond; NaN elsewhere."""
         room = np.minimum(values - self.box.lower, self.box.upper - values)
         return np.where(self.active, np.nan, room)
+
+    def weak(self, values: Array, multipliers: Array) -> Mask:
+        """Which limits are as good as reached without being needed, or needed without being reached."""
+        return np.asarray((self.push(multipliers) < WEAK) | (self.room(values) < WEAK))
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,15 +27,12 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.errors import GncOptError, warn_user
 from gnc_opt.problem.problem import Problem
-from gnc_opt.solution.program_point import Limits, ProgramPoint, saddle_matrix
+from gnc_opt.solution.program_point import WEAK, Limits, ProgramPoint, saddle_matrix
 from gnc_opt.solution.saddle import SaddlePoint
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import sharper
 from gnc_opt.transcription.scaling import Scaling
 from gnc_opt.transcription.transcription import Transcription
-
-WEAK = 1e-5
-"""A limit is weakly active if both the distance to it and its multiplier are below this (scaled)."""
 
 _RESIDUAL = 1e-10
 """Residual of the scaled conditions to which Newton's method must bring them."""
@@ -136,8 +133,8 @@ class KktPoint:
         """What is wrong if a limit pushes the wrong way or is broken, now that the conditions hold; else nothing."""
         culprits = [
             limits.labels[i]
-            for limits, push, room in self._sides()
-            for i in np.flatnonzero((push < -WEAK) | (room < -WEAK))
+            for limits, values, multipliers in self._sides()
+            for i in np.flatnonzero((limits.push(multipliers) < -WEAK) | (limits.room(values) < -WEAK))
         ]
         if not culprits:
             return ""
@@ -150,8 +147,8 @@ class KktPoint:
     def _warn_of_weak_limits(self) -> None:
         weak = [
             limits.labels[i]
-            for limits, push, room in self._sides()
-            for i in np.flatnonzero((push < WEAK) | (room < WEAK))
+            for limits, values, multipliers in self._sides()
+            for i in np.flatnonzero(limits.weak(values, multipliers))
         ]
         if weak:
             others = f" and {len(weak) - 1} more" if len(weak) > 1 else ""
@@ -161,18 +158,12 @@ class KktPoint:
             )
 
     def _sides(self) -> list[tuple[Limits, Array, Array]]:
-        """Limits of variables and rows, how much each is needed, and the room to those that are not."""
+        """Limits of variables and of rows, each with values and multipliers."""
         point = self._point
         # Multipliers that are not unique tell nothing by their signs.
         unique = np.nan if self._system.redundant else 1.0
-        densities = point.multiplier_densities
-        return [
-            (limits, limits.push(unique * multipliers), limits.room(values))
-            for limits, multipliers, values in (
-                (point.variables, densities[0], point.x),
-                (point.rows, densities[1], point.values),
-            )
-        ]
+        bounds, rows = point.multiplier_densities
+        return [(point.variables, point.x, unique * bounds), (point.rows, point.values, unique * rows)]
 
     # --- derivatives ------------------------------------------------------------------------------
 
