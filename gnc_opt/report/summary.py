@@ -130,7 +130,7 @@ def _quality_lines(quality: Quality | None) -> Iterator[str]:
     if np.isfinite(quality.terminal_error):
         miss = f"{quality.terminal_error:.2g} relative, flown control integrated: {quality.terminal_where}"
     else:
-        miss = f"diverges when the flown control is integrated: {quality.terminal_where}"
+        miss = f"ends early when the flown control is integrated: {quality.terminal_where}"
     yield _line("propagation", miss)
 
 

@@ -54,9 +54,9 @@ def strict_switches(samples: list[PhaseSamples]) -> Condition:
         if slope < least:
             least, place = slope, where
     if least == np.inf:
-        return Condition("strict switches", Result.PASS, 0.0, 0.0, place, meaning)
+        return Condition("strict switches", Result.PASS, 0.0, 0.0, place, meaning, sufficient=True)
     result = Result.PASS if least > 0 else Result.FAIL
-    return Condition("strict switches", result, -least, 0.0, place, meaning)
+    return Condition("strict switches", result, -least, 0.0, place, meaning, sufficient=True)
 
 
 def _least_slope(s: PhaseSamples) -> tuple[float, str]:
@@ -118,17 +118,17 @@ def second_order(solution: Solution, samples: list[PhaseSamples], ends: EndGradi
     )
     reason = _why_not(samples)
     if reason:
-        return Condition(name, Result.CANNOT_TELL, float("nan"), 0.0, reason, meaning)
+        return Condition(name, Result.CANNOT_TELL, float("nan"), 0.0, reason, meaning, sufficient=True)
     s = samples[0]
     reduced = induced_problem(solution, s, ends).reduced_hessian()
     if not reduced.size:
         place = f"phase {s.leg.name}: as many conditions as switch times, nothing is left to vary"
-        return Condition(name, Result.PASS, 0.0, 0.0, place, meaning)
+        return Condition(name, Result.PASS, 0.0, 0.0, place, meaning, sufficient=True)
     eigenvalues = np.linalg.eigvalsh(reduced)
     least, largest = float(eigenvalues[0]), float(np.max(np.abs(eigenvalues)))
     place = f"phase {s.leg.name}, {eigenvalues.size} degrees of freedom"
     result = Result.PASS if least > CURVATURE * largest else Result.FAIL
-    return Condition(name, result, -least, 0.0, place, meaning)
+    return Condition(name, result, -least, 0.0, place, meaning, sufficient=True)
 
 
 def _why_not(samples: list[PhaseSamples]) -> str:

@@ -31,7 +31,7 @@ EXPECTED = {
     "gnc_opt.control": """
         ConstantRate Controller Deviation Explanation ExponentialRate Fact FlightCode PowerRate
         PredictiveReaching Reference SaturationLayer Sign SuperTwisting SuperTwistingObserver
-        TanhLayer bryson decoupling_matrix design_feedback_linearization
+        TanhLayer bridge_dropouts bryson decoupling_matrix design_feedback_linearization
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
         design_sliding_mode design_tvlqr export_c feedforward first_memory law lie_derivative output_errors
         relative_degrees trim zero_dynamics

@@ -133,7 +133,7 @@ def test_summary_states_the_payoff_as_stated() -> None:
 def test_summary_of_a_propagation_that_diverges(good: go.Solution) -> None:
     twin = dataclasses.replace(good)
     vars(twin)["quality"] = dataclasses.replace(good.quality, terminal_error=float("inf"))
-    assert "diverges when the flown control is integrated" in summary(twin)
+    assert "ends early when the flown control is integrated" in summary(twin)
     assert summary_dict(twin)["terminal_error"] is None
 
 
