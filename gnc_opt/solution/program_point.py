@@ -23,7 +23,6 @@ from gnc_opt.solution.start import program_start
 from gnc_opt.transcription.scaling import Scaling, scale_rows, scale_variables
 from gnc_opt.transcription.transcription import Transcription, transcribe
 
-
 WEAK = 1e-5
 """A limit is weakly active if both the distance to it and its multiplier are below this (scaled)."""
 

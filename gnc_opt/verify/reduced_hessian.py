@@ -17,8 +17,9 @@ The least curvature is that of variations of size 1,
           + \text{squares of varied ends, times and parameters}
 
 in shares of their magnitudes, in which the second variation of a regular problem is bounded below (Maurer &
-Pickenhain, J. Optim. Theory Appl. 86(3), 1995). It is found by Lanczos' method on :math:`(\nabla^2\mathcal L + \sigma)^{-1}`,
-restricted to the null space by one sparse factorisation (Golub & Van Loan, Matrix Computations, 2013, sec. 10.3).
+Pickenhain, J. Optim. Theory Appl. 86(3), 1995). It is found by Lanczos' method on
+:math:`(\nabla^2\mathcal L + \sigma)^{-1}`, restricted to the null space by one sparse factorisation (Golub & Van
+Loan, Matrix Computations, 2013, sec. 10.3).
 """
 
 from __future__ import annotations
@@ -32,14 +33,15 @@ import scipy
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.solution.program_point import Limits, ProgramPoint, quadrature_weights, saddle_matrix
+from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
-from gnc_opt.tolerances import TINY
+from gnc_opt.tolerances import AT_LIMIT, TINY
 from gnc_opt.transcription.transcription import Transcription
 from gnc_opt.verify.verdict import Condition, Result
 
-CURVED = 1e-5
-"""Curvature, in shares of the Hessian's mean row, from which it is told from none: what is left of
-first-order errors at a verdict's tolerance, and below what singular arcs leave on a mesh."""
+UPWARDS, DOWNWARDS = 1e-6, 1e-4
+"""Curvature, in shares of the Hessian's mean row, from which it is told from none: upwards above what is left of
+first-order errors, downwards below what a singular arc leaves on a mesh, whose curvature vanishes with the mesh."""
 
 CANCELLED = 1e-6
 """Curvature that is less than this share of its own terms is what they leave when they cancel."""
@@ -85,30 +87,33 @@ class Curvature:
     @property
     def sign(self) -> int:
         """1 if positive, -1 if negative, 0 if too small to tell."""
-        if abs(self.value) <= CURVED or abs(self.share) <= CANCELLED:
+        if abs(self.share) <= CANCELLED:
             return 0
-        return 1 if self.value > 0 else -1
+        return int(self.value > UPWARDS) - int(self.value < -DOWNWARDS)
 
 
-def reduced_hessian(solution: Solution) -> Condition:
+def reduced_hessian(solution: Solution, samples: list[PhaseSamples]) -> Condition:
     """No variation that keeps the active limits lowers the cost to second order."""
     name = "second order"
     meaning = (
-        "Along every variation of controls, times and parameters that keeps what is active, the cost must curve upwards "
-        "(value: least curvature of the Lagrangian on the solution's mesh with the sign reversed, in shares of its "
-        "mean row); where it curves downwards, a cheaper trajectory is nearby."
+        "Along every variation of controls, times and parameters that keeps what is active, the cost must curve "
+        "upwards (value: least curvature of the Lagrangian on the solution's mesh with the sign reversed, in shares "
+        "of its mean row); where it curves downwards, a cheaper trajectory is nearby."
     )
 
-    def judged(result: Result, value: float, where: str) -> Condition:
-        return Condition(name, result, value, -CURVED, where, meaning)
+    def judged(result: Result, value: float, where: str, tolerance: float = -UPWARDS) -> Condition:
+        return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
 
     cone = CriticalCone.of(ProgramPoint.of(solution))
     free = cone.least_curvature()
+    jumping = "" if solution.structure else _jumping_control(samples)
     if np.isnan(free.value):
-        return judged(*_nothing_to_vary(cone))
+        told = Result.CANNOT_TELL if jumping else Result.PASS
+        return judged(told, 0.0, jumping or "as many conditions as unknowns, nothing is left to vary", 0.0)
     place = cone.place(solution, free)
     if free.sign > 0:
-        return judged(Result.PASS, -free.value, place)
+        told = Result.CANNOT_TELL if jumping else Result.PASS
+        return judged(told, -free.value, jumping or place)
     if not np.any(cone.weak):
         result = Result.FAIL if free.sign < 0 else Result.CANNOT_TELL
         return judged(result, -free.value, place + cone.tale(free))
@@ -120,12 +125,18 @@ def reduced_hessian(solution: Solution) -> Condition:
     return judged(Result.CANNOT_TELL, -free.value, place + cone.doubt(free))
 
 
-def _nothing_to_vary(cone: CriticalCone) -> tuple[Result, float, str]:
-    held = cone.controls & (cone.strong | cone.weak)[: cone.controls.size]
-    if np.any(held):
-        where = "every control is held by its limits on this mesh: optimised switch times can be judged"
-        return Result.CANNOT_TELL, float("nan"), where
-    return Result.PASS, 0.0, "nothing is left to vary"
+def _jumping_control(samples: list[PhaseSamples]) -> str:
+    """Name a control that reaches both bounds without H curving in it: its switch times vary, and the mesh is fixed."""
+    for s in samples:
+        lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
+        straight = np.einsum("iij->ij", s.control_hessian) * s.control_scale[:, None] ** 2 <= (
+            AT_LIMIT * s.hamiltonian_scale
+        )
+        jumps = np.any(lower & straight, axis=1) & np.any(upper & straight, axis=1)
+        if np.any(jumps):
+            label = s.leg.controls.labels[int(np.argmax(jumps))]
+            return f"phase {s.leg.name}, {label}: switch times that are not variables of the mesh do not vary"
+    return ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,15 +168,6 @@ class CriticalCone:
             strong.append(told.active & ~doubtful)
             weak.append(doubtful)
         return cls(point, np.concatenate(strong), np.concatenate(weak))
-
-    @property
-    def controls(self) -> Mask:
-        """Which variables are controls (n_variables,)."""
-        parts = self.point.transcription.parts.values()
-        return np.isin(
-            np.arange(self.point.x.size),
-            np.concatenate([part.collocation.point_controls.ravel() for part in parts]),
-        )
 
     def least_curvature(self, *, weak_too: bool = False) -> Curvature:
         """Return the least curvature where strongly active limits bind, or the weakly active ones as well."""
@@ -214,7 +216,7 @@ class CriticalCone:
     def tale(self, curvature: Curvature) -> str:
         """Return what a step along a direction would gain, or that this cannot be told."""
         if curvature.sign >= 0:
-            return f": the cost is flat there (curvature {curvature.value:.1e}, errors of {CURVED:.0e})"
+            return f": flat (what is between -{DOWNWARDS:.0e} and {UPWARDS:.0e} is not told from zero)"
         return f": a step of {100 * STEP:.0f} % of its magnitude gains {curvature.gain:.3g} in the cost"
 
     def doubt(self, curvature: Curvature) -> str:
