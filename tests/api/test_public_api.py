@@ -23,10 +23,10 @@ EXPECTED = {
         Arc ArcKind ArgumentError Campaign ClosedLoop Condition Controller DesignError Explanation GncOptError
         History Mesh Minimum Model ModelError Multistart Outcome Phase PhaseSolution Problem
         ProblemError ProblemWarning Reference RefinementStatus Result Run RunStatus Sensitivity Solution
-        SolveError SolverOptions Status UnknownAttributeError UnknownNameError Verdict bryson
+        SolveError SolverOptions Status Table UnknownAttributeError UnknownNameError Verdict bryson
         design_feedback_linearization design_hierarchical_sliding_mode design_integral_sliding_mode
         design_lqr design_mpc design_sliding_mode design_tvlqr export_c feedforward load monte_carlo
-        multistart polish refine sensitivity solve verify
+        multistart polish refine sensitivity smooth_abs solve table table_from_csv verify
     """,
     "gnc_opt.control": """
         ConstantRate Controller Deviation Explanation ExponentialRate Fact FlightCode PowerRate
