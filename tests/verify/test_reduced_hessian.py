@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import casadi as ca
@@ -32,7 +33,7 @@ def great_circle(arc: float, phases: int = 1) -> go.Problem:
         leg.guess(time=ends, theta=0.5 * np.pi + 0 * ends, phi=arc * ends)
     legs[0].initial(theta=0.5 * np.pi, phi=0.0)
     legs[-1].final(theta=0.5 * np.pi, phi=arc)
-    for first, second in zip(legs, legs[1:], strict=False):
+    for first, second in itertools.pairwise(legs):
         problem.link(first, second, time=False)
     problem.minimize(sum(leg.integral(0.5 * (a**2 + ca.sin(theta) ** 2 * b**2)) for leg in legs))
     return problem
