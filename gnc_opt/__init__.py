@@ -24,7 +24,7 @@ from gnc_opt.solution import PhaseSolution, Solution, load
 from gnc_opt.solution.failure import SolveError
 from gnc_opt.solve import solve
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.verify import Condition, Result, Verdict, verify
+from gnc_opt.verify import Condition, Result, Verdict, verify, verify_trajectory
 
 if TYPE_CHECKING:
     from gnc_opt.control import (
@@ -98,6 +98,7 @@ __all__ = [
     "sensitivity",
     "solve",
     "verify",
+    "verify_trajectory",
 ]
 
 _FOLLOWING = ("control", "simulation")

@@ -26,7 +26,7 @@ EXPECTED = {
         SolveError SolverOptions Status UnknownAttributeError UnknownNameError Verdict bryson
         design_feedback_linearization design_hierarchical_sliding_mode design_integral_sliding_mode
         design_lqr design_mpc design_sliding_mode design_tvlqr export_c feedforward load monte_carlo
-        multistart polish refine sensitivity solve verify
+        multistart polish refine sensitivity solve verify verify_trajectory
     """,
     "gnc_opt.control": """
         ConstantRate Controller Deviation Explanation ExponentialRate Fact FlightCode PowerRate
