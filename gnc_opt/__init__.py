@@ -14,6 +14,8 @@ from gnc_opt.errors import (
     UnknownNameError,
 )
 from gnc_opt.model import Model
+from gnc_opt.model.smooth import smooth_abs
+from gnc_opt.model.table import Table, table, table_from_csv
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem import Phase, Problem
 from gnc_opt.problem.arc import Arc, ArcKind
@@ -77,6 +79,7 @@ __all__ = [
     "SolveError",
     "SolverOptions",
     "Status",
+    "Table",
     "UnknownAttributeError",
     "UnknownNameError",
     "Verdict",
@@ -96,7 +99,10 @@ __all__ = [
     "polish",
     "refine",
     "sensitivity",
+    "smooth_abs",
     "solve",
+    "table",
+    "table_from_csv",
     "verify",
     "verify_trajectory",
 ]

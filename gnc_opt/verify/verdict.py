@@ -88,6 +88,11 @@ class Verdict:
         return tuple(c for c in self.conditions if c.result is Result.CANNOT_TELL)
 
     @property
+    def open(self) -> tuple[Condition, ...]:
+        """The conditions that keep it from being ok: those that fail, then necessary ones that cannot be told."""
+        return (*self.failed, *(c for c in self.untold if not c.sufficient))
+
+    @property
     def word(self) -> str:
         """The verdict in a word or two: "ok", "NOT ok", or what was not judged: "not judged: no costates"."""
         if self.failed:

@@ -10,6 +10,7 @@ from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.solution.solution import Solution
 from gnc_opt.verify import controls, costates, feasibility, second_order
 from gnc_opt.verify.judged import ends_of, from_problem, has_costates, missing_number, stored_numbers
+from gnc_opt.verify.kept import keep_verdict, kept_verdict
 from gnc_opt.verify.magnitude import cost_magnitude
 from gnc_opt.verify.pushes import settle_edges
 from gnc_opt.verify.verdict import Condition, Result, Verdict
@@ -45,6 +46,7 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         conditions, cost, stored numbers, adjoint equation, transversality, Hamiltonian, stationarity, control signs,
         minimum principle, complementarity, Legendre-Clebsch, singular arcs, parameters, second order; and, for a
         solution whose switch times were optimised, strict switches.
+        A solution keeps its verdict: asked again, at the same tolerance, nothing is computed anew.
 
     Raises
     ------
@@ -55,6 +57,14 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         raise GncOptError(f"verify() needs a Solution, as solve() returns it, not {type(solution).__name__}.")
     if not (np.isfinite(tol) and tol > 0):
         raise ProblemError(f"the tolerance of verify() is {tol!r}: give a positive number.")
+    known = kept_verdict(solution, tol) if solution.problem is not None else None
+    if known is None:
+        known = _judge(solution, tol)
+        keep_verdict(solution, known, tol)
+    return known
+
+
+def _judge(solution: Solution, tol: float) -> Verdict:
     stored, solution = solution, from_problem(solution)
     samples = list(solution.samples().values())
     ends, amount = ends_of(solution), cost_magnitude(solution, samples)
