@@ -1,8 +1,8 @@
 r"""A trajectory known at samples, as piecewise polynomials: states by Hermite, controls by spline interpolation.
 
 Between two samples the states are the cubic through both values with the slopes :math:`f(t, x, u)` there, fourth order
-in the sampling interval. Controls are interpolated between their jumps, by a cubic spline where they are smooth and by a
-modified Akima spline, which has no ripples, beside kinks: from sample to sample by that of the two with which the
+in the sampling interval. Controls are interpolated between their jumps: by a cubic spline where they are smooth, beside
+kinks by a modified Akima spline, which has no ripples; from sample to sample by that of the two with which the
 dynamics carry the states closer to the next sample. A jump is a time given twice, or a change from one sample to
 the next that is ten times those before and after it; where in between it happens is told by the states in the
 same way.
@@ -10,6 +10,7 @@ same way.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -121,7 +122,7 @@ class _Controls:
         self._pieces = []
         for c, own in enumerate(self._jumps):
             edges = [0, *(j.after + 1 for j in own), samples.t.size]
-            pairs = zip(edges[:-1], edges[1:], strict=True)
+            pairs = itertools.pairwise(edges)
             self._pieces.append([_interpolants(samples.t[a:b], samples.u[c, a:b]) for a, b in pairs])
 
     def __call__(self, t: float | Array, middle: float | Array) -> Array:
@@ -169,7 +170,7 @@ def _place(samples: Samples, controls: _Controls, jumps: list[_Jump], rates: Rat
             jump.time = float(time)
         ends = np.unique([first, *np.clip(times, first, last), last])
         x = samples.x[:, i]
-        for a, b in zip(ends[:-1], ends[1:], strict=True):
+        for a, b in itertools.pairwise(ends):
             x = _carried(x[:, None], np.array([a]), np.array([b]), controls, rates)[:, 0]
         return np.asarray(
             np.nan_to_num((x - samples.x[:, i + 1]) / size, nan=_LOST, posinf=_LOST, neginf=-_LOST)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -144,7 +145,7 @@ def _arcs(leg: PhaseSolution) -> list[Arc]:
     slack = AT_LIMIT * np.maximum(1.0, np.max(np.abs(leg.u(leg.point_times)), axis=1))
     for i, label in enumerate(leg.controls.labels):
         lower, upper = leg.control_bounds.near(leg.u(leg.point_times), slack)
-        for start, end in zip(breaks[:-1], breaks[1:], strict=True):
+        for start, end in itertools.pairwise(breaks):
             within = (leg.point_times > start) & (leg.point_times < end)
             kinds = {ArcKind.LOWER: lower[i, within], ArcKind.UPPER: upper[i, within]}
             kind = next((k for k, on in kinds.items() if np.all(on)), None)
