@@ -29,7 +29,7 @@ from gnc_opt.solution.failure import SolveError
 from gnc_opt.solution.start import guess_from_solution
 from gnc_opt.solve import solve
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.verify import Condition, Result, Verdict, verify
+from gnc_opt.verify import Condition, Result, Verdict, verify, verify_trajectory
 
 if TYPE_CHECKING:
     from gnc_opt.control import (
@@ -110,6 +110,7 @@ __all__ = [
     "table",
     "table_from_csv",
     "verify",
+    "verify_trajectory",
 ]
 
 _FOLLOWING = ("control", "simulation")
