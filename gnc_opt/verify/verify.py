@@ -39,7 +39,7 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         PASS, FAIL or CANNOT TELL per condition: dynamics, propagation, bounds, path constraints, boundary
         conditions, cost, stored numbers, adjoint equation, transversality, Hamiltonian, stationarity, control signs,
         minimum principle, complementarity, Legendre-Clebsch, singular arcs, parameters; and, for a solution whose
-        switch times were optimised, strict switches and second order.
+        switch times were optimised or that is bang-bang, strict switches, induced gradient and second order.
 
     Raises
     ------
@@ -78,10 +78,13 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         controls.singular_arcs(lasting, tol),
     ]
     switches = []
-    if solution.structure and told and not missing.value:
-        switches = [second_order.strict_switches(lasting), second_order.second_order(solution, samples, ends)]
-    elif solution.structure:
-        switches = [_untold(n, 0.0, missing.where, _CANNOT_VARY) for n in ("strict switches", "second order")]
+    switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
+    if switching and told and not missing.value:
+        varied = second_order.second_order(solution, lasting, ends, tol)
+        switches = [second_order.strict_switches(lasting), *varied]
+    elif switching:
+        names = ("strict switches", "induced gradient", "second order")
+        switches = [_untold(n, 0.0, missing.where, _CANNOT_VARY) for n in names]
     if len(lasting) < len(samples):
         vanished = next(s.leg.name for s in samples if not s.has_length)
         along, switches = ([_without_length(c, vanished) for c in part] for part in (along, switches))
