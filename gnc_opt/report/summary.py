@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from gnc_opt.problem.tables import OutsideTable
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.quality import Quality
 from gnc_opt.solution.solution import Solution
@@ -23,8 +24,8 @@ def summary(solution: Solution) -> str:
 
     Status and objective; times; mesh and cost of the solve; worst defect between nodes; worst bound violation
     between nodes; terminal miss when the flown control is integrated, each with its place. Further lines name
-    controls whose polynomial overshoots, say what to do after a failed solve, and warn when the figures
-    were not measured just now but when the solution was saved.
+    controls whose polynomial overshoots and tables that the trajectory leaves, say what to do after a failed
+    solve, and warn when the figures were not measured just now but when the solution was saved.
 
     Parameters
     ----------
@@ -39,6 +40,7 @@ def summary(solution: Solution) -> str:
     lines = [_headline(solution), *_failure(solution), _times(solution), _cost(solution)]
     lines += list(_quality_lines(quality))
     lines += list(_overshoot(solution))
+    lines += [_line("table", str(found)) for found in _outside_tables(solution)]
     if quality is not None and solution.problem is None:
         lines.append(
             _line("note", "defect, bounds and propagation were measured when the solution was saved")
@@ -130,7 +132,7 @@ def _quality_lines(quality: Quality | None) -> Iterator[str]:
     if np.isfinite(quality.terminal_error):
         miss = f"{quality.terminal_error:.2g} relative, flown control integrated: {quality.terminal_where}"
     else:
-        miss = f"diverges when the flown control is integrated: {quality.terminal_where}"
+        miss = f"ends early when the flown control is integrated: {quality.terminal_where}"
     yield _line("propagation", miss)
 
 
@@ -147,6 +149,10 @@ def _overshoot(solution: Solution) -> Iterator[str]:
             f"control polynomials leave their bounds between nodes ({', '.join(named[:WORST])}{more}): "
             "fly flown_control or refine",
         )
+
+
+def _outside_tables(solution: Solution) -> list[OutsideTable]:
+    return [] if solution.problem is None else solution.outside_tables()
 
 
 def _words(value: str) -> str:

@@ -22,6 +22,7 @@ from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.problem.functions import PhaseFunctions, evaluator, phase_functions
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
+from gnc_opt.problem.tables import OutsideTable, outside_tables, table_uses
 from gnc_opt.solution.history import History
 from gnc_opt.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.solution.polynomial import PiecewisePolynomial, Side
@@ -240,6 +241,18 @@ class Solution:
     def quality(self) -> Quality:
         """Between-node defect, bound violation and propagation error, computed from the model alone."""
         return measure_quality(self.samples().values())
+
+    def outside_tables(self) -> list[OutsideTable]:
+        """Return where the trajectory is outside of the tables of its models; needs the problem."""
+        problem = self.need_problem("look for the tables of")
+        found: list[OutsideTable] = []
+        for name, leg in problem.phases.items():
+            if table_uses(problem, leg):
+                s = PhaseSamples.of(self.phases[name], self.functions(name))
+                found += outside_tables(
+                    problem, leg, s.times, s.x, s.u, s.leg.parameters, self.parameter_values
+                )
+        return found
 
     def propagate(
         self,

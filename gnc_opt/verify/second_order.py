@@ -72,13 +72,13 @@ def strict_switches(samples: list[PhaseSamples]) -> Condition:
     )
     least, place = min((_least_slope(s) for s in samples), key=lambda found: found[0], default=(np.inf, ""))
     touched = next(filter(None, map(_touched, samples)), "")
-    if not least > 0:
-        return Condition("strict switches", Result.FAIL, -least, 0.0, place, meaning)
-    if touched:
-        return Condition("strict switches", Result.CANNOT_TELL, 0.0, 0.0, touched, meaning)
+    name = "strict switches"
+    if touched and least >= -GRAZES:
+        return Condition(name, Result.CANNOT_TELL, 0.0, 0.0, touched, meaning, sufficient=True)
     if least == np.inf:
-        return Condition("strict switches", Result.PASS, 0.0, 0.0, "no switch", meaning)
-    return Condition("strict switches", Result.PASS, -least, 0.0, place, meaning)
+        return Condition(name, Result.PASS, 0.0, 0.0, "no switch", meaning, sufficient=True)
+    result = Result.PASS if least > GRAZES else Result.CANNOT_TELL if least >= -GRAZES else Result.FAIL
+    return Condition(name, result, -least, -GRAZES, place, meaning, sufficient=True)
 
 
 def _least_slope(s: PhaseSamples) -> tuple[float, str]:
@@ -177,10 +177,8 @@ def second_order(
     if not reason and np.prod([float(s.n_orders) for s in switches.values()]) > MOST_ORDERS:
         reason = f"more than {MOST_ORDERS} orders in which simultaneous switches could come"
     if reason:
-        untold = (float("nan"), 0.0, reason)
-        return [
-            Condition(n, Result.CANNOT_TELL, *untold, m) for n, m in zip(names, meanings, strict=True)
-        ]
+<<<<<<< HEAD
+        return [Condition(names[1], Result.CANNOT_TELL, float("nan"), 0.0, reason, meanings[1], sufficient=True)]
     unknowns = Unknowns.of(solution, samples, switches)
     found = [
         _judge(solution, samples, ends, unknowns, dict(zip(switches, orders, strict=True)), switches)
@@ -202,9 +200,10 @@ def second_order(
         place += ": no curvature beyond its error" if small else ": negative, but beyond one-sided conditions"
     phases = ", ".join(s.leg.name for s in samples)
     value = 0.0 if worst.freedom == 0 else -worst.least
+    place = f"phase {phases}: {place}"
     return [
-        Condition(names[0], gradient, off.offence, allowed, off.where, meanings[0]),
-        Condition(names[1], worst.result, value, -worst.error, f"phase {phases}: {place}", meanings[1]),
+        Condition(names[0], gradient, off.offence, allowed, off.where, meanings[0], sufficient=True),
+        Condition(names[1], worst.result, value, -worst.error, place, meanings[1], sufficient=True),
     ]
 
 
@@ -307,6 +306,19 @@ def is_bang_bang(samples: list[PhaseSamples]) -> bool:
 def _on_bound(s: PhaseSamples) -> Mask:
     at_lower, at_upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
     return at_lower | at_upper
+=======
+        return Condition(name, Result.CANNOT_TELL, float("nan"), 0.0, reason, meaning, sufficient=True)
+    s = samples[0]
+    reduced = induced_problem(solution, s, ends).reduced_hessian()
+    if not reduced.size:
+        place = f"phase {s.leg.name}: as many conditions as switch times, nothing is left to vary"
+        return Condition(name, Result.PASS, 0.0, 0.0, place, meaning, sufficient=True)
+    eigenvalues = np.linalg.eigvalsh(reduced)
+    least, largest = float(eigenvalues[0]), float(np.max(np.abs(eigenvalues)))
+    place = f"phase {s.leg.name}, {eigenvalues.size} degrees of freedom"
+    result = Result.PASS if least > CURVATURE * largest else Result.FAIL
+    return Condition(name, result, -least, 0.0, place, meaning, sufficient=True)
+>>>>>>> main
 
 
 def _why_not(samples: list[PhaseSamples]) -> str:

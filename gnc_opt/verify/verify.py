@@ -18,6 +18,10 @@ TOLERANCE = 1e-5
 
 _CANNOT_VARY = "Costates or other numbers are missing, so that what varied switch times cost cannot be told."
 
+_NO_SWITCH_TIMES = (
+    "Sufficient conditions of the second order are checked where every control sits on its bounds only."
+)
+
 
 def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
     """Judge a solution's trajectory and costates against its problem, densely in time.
@@ -36,10 +40,11 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
     Returns
     -------
     Verdict
-        PASS, FAIL or CANNOT TELL per condition: dynamics, propagation, bounds, path constraints, boundary
+        ``ok`` if the necessary conditions of a minimum hold, ``minimum`` if sufficient ones do too; PASS, FAIL or
+        CANNOT TELL per condition: dynamics, propagation, bounds, path constraints, boundary
         conditions, cost, stored numbers, adjoint equation, transversality, Hamiltonian, stationarity, control signs,
-        minimum principle, complementarity, Legendre-Clebsch, singular arcs, parameters; and, for a solution whose
-        switch times were optimised or that is bang-bang, strict switches, induced gradient and second order.
+        minimum principle, complementarity, Legendre-Clebsch, singular arcs, parameters, second order; for a solution
+        whose switch times were optimised or that is bang-bang, strict switches; for the latter, induced gradient.
 
     Raises
     ------
@@ -77,14 +82,13 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         controls.legendre_clebsch(lasting, tol),
         controls.singular_arcs(lasting, tol),
     ]
-    switches = []
-    switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
-    if switching and told and not missing.value:
+    if not (solution.structure or second_order.is_bang_bang(lasting)):
+        switches = [_untold("second order", "everywhere", _NO_SWITCH_TIMES)]
+    elif told and not missing.value:
         varied = second_order.second_order(solution, lasting, ends, tol)
         switches = [second_order.strict_switches(lasting), *varied]
-    elif switching:
-        names = ("strict switches", "induced gradient", "second order")
-        switches = [_untold(n, 0.0, missing.where, _CANNOT_VARY) for n in names]
+    else:
+        switches = [_untold(n, missing.where, _CANNOT_VARY) for n in ("strict switches", "second order")]
     if len(lasting) < len(samples):
         vanished = next(s.leg.name for s in samples if not s.has_length)
         along, switches = ([_without_length(c, vanished) for c in part] for part in (along, switches))
@@ -98,14 +102,17 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
     )
 
 
-def _untold(name: str, tolerance: float, where: str, meaning: str) -> Condition:
-    return Condition(name, Result.CANNOT_TELL, float("nan"), tolerance, where, meaning)
+def _untold(name: str, where: str, meaning: str) -> Condition:
+    return Condition(name, Result.CANNOT_TELL, float("nan"), 0.0, where, meaning, sufficient=True)
+
+
+def _cannot_tell(condition: Condition, where: str, meaning: str) -> Condition:
+    return replace(condition, result=Result.CANNOT_TELL, value=float("nan"), where=where, meaning=meaning)
 
 
 def _without_costates(condition: Condition) -> Condition:
-    return _untold(
-        condition.name,
-        condition.tolerance,
+    return _cannot_tell(
+        condition,
         "everywhere",
         "The solution has no costates (none finite and non-zero), so that the minimum principle cannot be checked.",
     )
@@ -115,18 +122,16 @@ def _incomplete(condition: Condition, where: str) -> Condition:
     """A pass without all numbers is none."""
     if condition.result is not Result.PASS:
         return condition
-    return _untold(
-        condition.name, condition.tolerance, where, "It holds as far as can be seen, but a number is missing."
-    )
+    return _cannot_tell(condition, where, "It holds as far as can be seen, but a number is missing.")
 
 
 def _without_length(condition: Condition, phase: str) -> Condition:
     if condition.result is Result.FAIL:  # in another phase
         return condition
-    return _untold(
-        condition.name,
-        condition.tolerance,
+    untold = _cannot_tell(
+        condition,
         f"phase {phase}",
         "The phase has no length: its duration sits on its lower bound of zero, and there is no time along which "
         "costates and controls could be judged. Leave the phase out, or ask for a positive duration.",
     )
+    return replace(untold, sufficient=True)  # nothing to tell is not against the solution
