@@ -1,8 +1,8 @@
 r"""The flow of a bang-bang control, and its first two derivatives in switch times and start.
 
 The flow is a chain of integration steps, :math:`y_{j+1} = M_j(y_j, h_j)`, with the state y of the phase, its
-integrals, the time and the free parameters, and the width h of a step. With the sensitivities :math:`S_j = dy_j/d\theta` and
-:math:`D_j = (S_j, dh_j/d\theta)`,
+integrals, the time and the free parameters, and the width h of a step. With the sensitivities
+:math:`S_j = dy_j/d\theta` and :math:`D_j = (S_j, dh_j/d\theta)`,
 
 .. math:: S_{j+1} = M_j' D_j, \qquad
           \frac{d^2 (p^T y_N)}{d\theta^2} = \sum_j D_j^T (p_{j+1}^T M_j'') D_j, \qquad

@@ -1,10 +1,10 @@
 r"""The finite-dimensional problem that a bang-bang control induces.
 
-Its unknowns :math:`\theta` are, phase by phase, the start, one time for every switch of a control, the end and the start
-values, and the free parameters. It minimises the cost :math:`\Phi(\theta)` under the conditions
-:math:`\underline\psi \le \psi(\theta) \le \overline\psi` on the ends: limits of end values, times, durations and parameters,
-boundary constraints and linkages. Conditions at a limit are active, the others do not count. Everything is computed
-from the model by explicit integration from switch to switch (module `bang_bang_flow`).
+Its unknowns :math:`\theta` are, phase by phase, the start, one time for every switch of a control, the end and the
+start values, and the free parameters. It minimises the cost :math:`\Phi(\theta)` under the conditions
+:math:`\underline\psi \le \psi(\theta) \le \overline\psi` on the ends: limits of end values, times, durations and
+parameters, boundary constraints and linkages. Conditions at a limit are active, the others do not count. Everything is
+computed from the model by explicit integration from switch to switch (module `bang_bang_flow`).
 
 Unknowns and conditions are made dimensionless: unknowns by durations and magnitudes, conditions by what they change
 when the unknowns change by these.
@@ -41,7 +41,8 @@ class Unknowns:
     scale : array (n,)
         By which each is measured.
     worth : array (n,)
-        What a change by the scale is worth, in units of the cost: the largest switching function, H or costate times it.
+        What a change by the scale is worth, in units of the cost: the largest switching function, H or costate times
+        it.
     places : mapping from phase to int array
         Where the unknowns of its flow are: start, switches, end, free start values, free parameters.
     free_start : mapping from phase to int array
@@ -58,7 +59,9 @@ class Unknowns:
     free: Mask
 
     @classmethod
-    def of(cls, solution: Solution, samples: list[PhaseSamples], switches: Mapping[str, Switches]) -> Unknowns:
+    def of(
+        cls, solution: Solution, samples: list[PhaseSamples], switches: Mapping[str, Switches]
+    ) -> Unknowns:
         """Number the unknowns of all phases."""
         labels: list[str] = []
         scale: list[float] = []
@@ -76,7 +79,9 @@ class Unknowns:
             largest = np.max(np.abs(s.control_gradient), axis=1, initial=0.0) * s.control_scale
             least = TINY + NEGLIGIBLE * s.hamiltonian_scale
             at_switches = np.maximum(largest, least)[switches[leg.name].channels]
-            worth += list(s.span * np.concatenate([[s.hamiltonian_scale], at_switches, [s.hamiltonian_scale]]))
+            worth += list(
+                s.span * np.concatenate([[s.hamiltonian_scale], at_switches, [s.hamiltonian_scale]])
+            )
             worth += [s.cost_scale] * starts[leg.name].size
             free += [not leg.initial_time_bounds.fixed[0], *[True] * (len(times) - 2)]
             free += [not leg.final_time_bounds.fixed[0], *[True] * starts[leg.name].size]
@@ -88,7 +93,9 @@ class Unknowns:
         free += list(~problem.parameter_interval().fixed)
         worth += [max(s.cost_scale for s in samples)] * shared.size
         places = {name: np.concatenate([columns, shared]) for name, columns in own.items()}
-        return cls(tuple(labels), np.asarray(scale), np.asarray(worth), places, starts, np.asarray(free, dtype=bool))
+        return cls(
+            tuple(labels), np.asarray(scale), np.asarray(worth), places, starts, np.asarray(free, dtype=bool)
+        )
 
 
 @dataclass(frozen=True)

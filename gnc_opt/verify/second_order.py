@@ -1,23 +1,24 @@
 r"""Second-order sufficient conditions of a bang-bang solution.
 
 For controls that sit on their bounds everywhere, the control problem is one of finitely many unknowns
-:math:`\theta`, one for every switch of every control (module `induced`). A first-order point is a strict local minimum if
-(Maurer & Osmolovskii, SIAM J. Control Optim. 42(6), 2004; Osmolovskii & Maurer, Applications to Regular and Bang-Bang
-Control, SIAM 2012, ch. 5-7)
+:math:`\theta`, one for every switch of every control (module `induced`). A first-order point is a strict local
+minimum if (Maurer & Osmolovskii, SIAM J. Control Optim. 42(6), 2004; Osmolovskii & Maurer, Applications to Regular
+and Bang-Bang Control, SIAM 2012, ch. 5-7)
 
 * every switching function vanishes only where its control switches, and crosses zero there with a slope of the right
   sign (strict bang-bang property),
-* the gradient of the Lagrangian :math:`\Phi + \nu^T\psi` in :math:`\theta` vanishes, with multipliers of the right signs,
+* the gradient of the Lagrangian :math:`\Phi + \nu^T\psi` in :math:`\theta` vanishes, with multipliers of the right
+  signs,
 * its Hessian is positive definite on the directions that keep the active conditions: those at a limit with a
   multiplier. One at a limit without a multiplier restricts directions to a half-space only.
 
 Where several controls switch at one time the problem is smooth only as long as their order stays. The Hessian then
-has to be positive definite for every order, on the directions that keep it (Poggiolini & Spadini, SIAM J. Control Optim.
-49(1), 2011, for two of them). A quadratic form that is positive on a half-space is so everywhere; with more conditions than one,
-being positive everywhere is sufficient only, and CANNOT TELL the answer where it is not.
+has to be positive definite for every order, on the directions that keep it (Poggiolini & Spadini, SIAM J. Control
+Optim. 49(1), 2011, for two of them). A quadratic form that is positive on a half-space is so everywhere; with more
+conditions than one, being positive everywhere is sufficient only, and CANNOT TELL the answer where it is not.
 
-Multipliers are those of least squares, nearest to the solution's. Derivatives come from two grids, extrapolated; what these differ by
-bounds their error.
+Multipliers are those of least squares, nearest to the solution's. Derivatives come from two grids, extrapolated; what
+these differ by estimates their error.
 """
 
 from __future__ import annotations
@@ -66,9 +67,9 @@ SLACK = 1e-6
 def strict_switches(samples: list[PhaseSamples]) -> Condition:
     """Switching functions cross zero with the right slope at every switch, and vanish nowhere else."""
     meaning = (
-        "At a switch the switching function must pass through zero with a slope on both sides (value: smallest slope with "
-        "its sign reversed, in shares of H per phase), and between switches it must not touch zero: an arc next to a touching "
-        "zero could vanish or grow."
+        "At a switch the switching function must pass through zero with a slope on both sides (value: smallest slope "
+        "with its sign reversed, in shares of H per phase), and between switches it must not touch zero: an arc next "
+        "to a touching zero could vanish or grow."
     )
     least, place = min((_least_slope(s) for s in samples), key=lambda found: found[0], default=(np.inf, ""))
     touched = next(filter(None, map(_touched, samples)), "")
@@ -88,9 +89,7 @@ def _least_slope(s: PhaseSamples) -> tuple[float, str]:
     if not times.size:
         return np.inf, ""
     neighbours = np.searchsorted(leg.breaks, times)
-    steps = BESIDE * np.minimum(
-        times - leg.breaks[neighbours - 1], leg.breaks[neighbours + 1] - times
-    )
+    steps = BESIDE * np.minimum(times - leg.breaks[neighbours - 1], leg.breaks[neighbours + 1] - times)
     beside = np.concatenate([times + k * steps for k in (-2, -1, 1, 2)])
     mu = leg.path_multiplier(beside)
     values = s.functions.control_gradient(beside, leg.x(beside), leg.flown(beside), leg.lam(beside), mu)
@@ -129,13 +128,13 @@ class SecondOrder:
     offence : float
         Largest component of the Lagrangian's gradient, or multiplier of the wrong sign.
     offence_error : float
-        Bound of the error of the gradient.
+        Estimated error of the gradient.
     where : str
         Of the offence.
     least : float
         Smallest eigenvalue of the reduced Hessian, in shares of its terms; infinite if nothing is left to vary.
     error : float
-        Bound of its error.
+        Its estimated error.
     freedom : int
         Directions that are left.
     attained : bool
@@ -164,12 +163,13 @@ def second_order(
     """The gradient of the induced problem vanishes, and its reduced Hessian is positive definite."""
     names = ("induced gradient", "second order")
     meanings = (
-        "Moving a switch, an end time, a free end value or parameter within what the conditions allow must not change the "
-        "cost at first order (largest derivative, in shares of the largest switching function, of H or of the cost; found by "
-        "an integration of its own): a failure means that a switch belongs elsewhere, or the wrong sign of a multiplier.",
+        "Moving a switch, an end time, a free end value or parameter within what the conditions allow must not change "
+        "the cost at first order (largest derivative by an integration of its own, in shares of the largest "
+        "switching function, of H or of the cost): a failure means a switch in the wrong place, or a multiplier of the "
+        "wrong sign.",
         "The Hessian of the Lagrangian in switch times, end times, free end values and parameters, on directions that "
-        "keep the active conditions, must be positive definite in every order that simultaneous switches can take (value: its "
-        "smallest eigenvalue with the sign reversed, in shares of its terms; tolerance: the bound of its error, reversed). "
+        "keep the active conditions, must be positive definite in every order that simultaneous switches can take "
+        "(value: its smallest eigenvalue, reversed, in shares of its terms; tolerance: its estimated error, reversed). "
         "A negative one means that the cost falls along its direction; within the error, that it may.",
     )
     reason = _why_not(samples)
@@ -177,17 +177,17 @@ def second_order(
     if not reason and np.prod([float(s.n_orders) for s in switches.values()]) > MOST_ORDERS:
         reason = f"more than {MOST_ORDERS} orders in which simultaneous switches could come"
     if reason:
-<<<<<<< HEAD
-        return [Condition(names[1], Result.CANNOT_TELL, float("nan"), 0.0, reason, meanings[1], sufficient=True)]
+        return [
+            Condition(names[1], Result.CANNOT_TELL, float("nan"), 0.0, reason, meanings[1], sufficient=True)
+        ]
     unknowns = Unknowns.of(solution, samples, switches)
     found = [
         _judge(solution, samples, ends, unknowns, dict(zip(switches, orders, strict=True)), switches)
         for orders in itertools.product(*(s.orders() for s in switches.values()))
     ]
     off = max(found, key=lambda f: np.inf if np.isnan(f.offence) else f.offence)
-    allowed = tolerance + off.offence_error
-    gradient = Result.FAIL if not off.offence <= allowed else Result.PASS
-    if gradient is Result.PASS and off.offence_error > tolerance:
+    gradient = Result.PASS if off.offence <= tolerance else Result.FAIL
+    if tolerance < off.offence <= tolerance + off.offence_error:
         gradient = Result.CANNOT_TELL
     worst = min(found, key=lambda f: (f.result is not Result.FAIL, f.least - f.error))
     place = f"{worst.freedom} degrees of freedom"
@@ -202,7 +202,7 @@ def second_order(
     value = 0.0 if worst.freedom == 0 else -worst.least
     place = f"phase {phases}: {place}"
     return [
-        Condition(names[0], gradient, off.offence, allowed, off.where, meanings[0], sufficient=True),
+        Condition(names[0], gradient, off.offence, tolerance, off.where, meanings[0], sufficient=True),
         Condition(names[1], worst.result, value, -worst.error, place, meanings[1], sufficient=True),
     ]
 
@@ -249,7 +249,9 @@ def _judge(
     sided = np.vstack([-sides[~strong, None] * rows[~strong], precedences[pushes <= WEAK * cost]])
     null = _null_space(kept)
     if not null.shape[1]:
-        return SecondOrder(offence, offence_error, labels[place] if labels else "no unknown", np.inf, 0.0, 0, True)
+        return SecondOrder(
+            offence, offence_error, labels[place] if labels else "no unknown", np.inf, 0.0, 0, True
+        )
     (h_fine, size), (h_coarse, _) = fine.hessian(every), coarse.hessian(every)
     hessian = _extrapolated(h_fine, h_coarse)[np.ix_(free, free)]
     reduced = null.T @ hessian @ null
@@ -300,25 +302,12 @@ def _null_space(rows: Array) -> Array:
 
 def is_bang_bang(samples: list[PhaseSamples]) -> bool:
     """Whether every control sits on a bound all along."""
-    return all(np.all(_on_bound(s)) for s in samples)
+    return bool(samples) and all(np.all(_on_bound(s)) for s in samples)
 
 
 def _on_bound(s: PhaseSamples) -> Mask:
     at_lower, at_upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
     return at_lower | at_upper
-=======
-        return Condition(name, Result.CANNOT_TELL, float("nan"), 0.0, reason, meaning, sufficient=True)
-    s = samples[0]
-    reduced = induced_problem(solution, s, ends).reduced_hessian()
-    if not reduced.size:
-        place = f"phase {s.leg.name}: as many conditions as switch times, nothing is left to vary"
-        return Condition(name, Result.PASS, 0.0, 0.0, place, meaning, sufficient=True)
-    eigenvalues = np.linalg.eigvalsh(reduced)
-    least, largest = float(eigenvalues[0]), float(np.max(np.abs(eigenvalues)))
-    place = f"phase {s.leg.name}, {eigenvalues.size} degrees of freedom"
-    result = Result.PASS if least > CURVATURE * largest else Result.FAIL
-    return Condition(name, result, -least, 0.0, place, meaning, sufficient=True)
->>>>>>> main
 
 
 def _why_not(samples: list[PhaseSamples]) -> str:

@@ -65,7 +65,9 @@ class Switches:
         first = np.where(at_upper, bounds.upper, bounds.lower)
         toggled = bounds.lower + bounds.upper
         first[at_start] = toggled[at_start] - first[at_start]
-        labels = tuple(f"switch of {leg.controls.labels[i]} at {t:.6g} s" for i, t in zip(channels, times, strict=True))
+        labels = tuple(
+            f"switch of {leg.controls.labels[i]} at {t:.6g} s" for i, t in zip(channels, times, strict=True)
+        )
         return cls(times, channels, first, ends, toggled, labels)
 
     @property
