@@ -23,7 +23,7 @@ from gnc_opt.problem.functions import PhaseFunctions, evaluator, phase_functions
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
 from gnc_opt.problem.tables import OutsideTable, outside_tables, table_uses
-from gnc_opt.solution.history import History
+from gnc_opt.solution.history import Actions, History, Pass, RefinementStatus
 from gnc_opt.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.solution.propagation import Propagation, propagate
@@ -110,7 +110,7 @@ class Solution:
     structure : tuple of Arc
         Which control sits on which bound when, from a refinement that optimised switch times; else empty.
     history : History or None
-        What a refinement did; not written to files.
+        What a refinement did.
     provenance : dict of str
         Versions, options, scheme, mesh and the problem's fingerprint.
     problem : Problem or None
@@ -142,7 +142,7 @@ class Solution:
 
     @property
     def converged(self) -> bool:
-        """Whether a refinement reached its tolerance."""
+        """Whether a refinement reached its tolerance and the verdict."""
         return self.history is not None and self.history.converged
 
     # --- evaluation -------------------------------------------------------------------------------
@@ -308,7 +308,7 @@ class Solution:
         """
         known = vars(self).get("quality") if self.problem is None else self.quality
         written_by = self.provenance.get("gnc_opt", "unknown")
-        return SOLUTION_FILES.write(path, self, written_by=written_by, quality=known)
+        return SOLUTION_FILES.write(path, self, written_by=written_by, quality=known, history=self.history)
 
     def with_problem(self, problem: Problem) -> Solution:
         """Return this solution joined to its problem, e.g. after `load`.
@@ -355,6 +355,7 @@ SOLUTION_FILES = FileFormat(
         (
             *(Solution, PhaseSolution, PiecewisePolynomial, Layout, Variable, Interval, Mesh),
             *(Statistics, Violation, Arc, ArcKind, Status, Quality),
+            *(History, Pass, Actions, RefinementStatus),
         ),
         left_out={Solution: ("problem", "history")},
     ),
@@ -388,6 +389,7 @@ def load(path: str | Path, problem: Problem | None = None) -> Solution:
     """
     solution, more = SOLUTION_FILES.read(path)
     assert isinstance(solution, Solution)
+    solution = replace(solution, history=more.get("history"))
     if problem is not None:
         return solution.with_problem(problem)
     if more.get("quality") is not None:

@@ -172,7 +172,7 @@ def second_order(
         "(value: its smallest eigenvalue, reversed, in shares of its terms; tolerance: its estimated error, reversed). "
         "A negative one means that the cost falls along its direction; within the error, that it may.",
     )
-    reason = _why_not(samples)
+    reason = obstacle(samples)
     switches = {} if reason else {s.leg.name: Switches.of(s) for s in samples}
     if not reason and np.prod([float(s.n_orders) for s in switches.values()]) > MOST_ORDERS:
         reason = f"more than {MOST_ORDERS} orders in which simultaneous switches could come"
@@ -310,8 +310,10 @@ def _on_bound(s: PhaseSamples) -> Mask:
     return at_lower | at_upper
 
 
-def _why_not(samples: list[PhaseSamples]) -> str:
-    """Why the induced problem cannot be built, or nothing."""
+def obstacle(samples: list[PhaseSamples]) -> str:
+    """Why the induced problem says nothing, or nothing."""
+    if not samples:
+        return "no phase lasts"
     for s in samples:
         on_bound = _on_bound(s)
         if not np.all(on_bound):

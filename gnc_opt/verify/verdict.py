@@ -57,11 +57,14 @@ class Verdict:
     conditions : tuple of Condition
     not_judged : str
         Why nothing of the minimum principle could be judged: "no costates"; empty if it was.
+    estimated : bool
+        Whether costates and multipliers are estimates, because the trajectory came without (`verify_trajectory`).
     """
 
     problem_name: str
     conditions: tuple[Condition, ...]
     not_judged: str = ""
+    estimated: bool = False
 
     @property
     def ok(self) -> bool:
@@ -83,6 +86,11 @@ class Verdict:
     def untold(self) -> tuple[Condition, ...]:
         """The conditions that cannot be told."""
         return tuple(c for c in self.conditions if c.result is Result.CANNOT_TELL)
+
+    @property
+    def open(self) -> tuple[Condition, ...]:
+        """The conditions that keep it from being ok: those that fail, then necessary ones that cannot be told."""
+        return (*self.failed, *(c for c in self.untold if not c.sufficient))
 
     @property
     def word(self) -> str:
@@ -110,7 +118,8 @@ class Verdict:
 
     def explain(self) -> str:
         """Return a paragraph per condition that does not pass, or one that says all do."""
-        lines = [f"Verdict on '{self.problem_name}': {self.headline}."]
+        how = " (multipliers estimated)" if self.estimated else ""
+        lines = [f"Verdict on '{self.problem_name}'{how}: {self.headline}."]
         for c in self.conditions:
             if c.result is not Result.PASS:
                 lines.append(
