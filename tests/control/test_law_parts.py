@@ -519,6 +519,20 @@ def test_optimal_gains_take_numbers_or_matrices():
     assert _polynomial(chains((1,), ("a",)), "a", 1, [-3.0]).tolist() == [3.0]
 
 
+def test_the_reserve_is_least_where_the_control_does_least():
+    """A gain of 2 on the rate of v takes 2 / cos q: least is left at the end of a reference that turns to 1 rad."""
+    turning = Reference.from_functions(crane(), lambda t: [t, 1.0], lambda t: [0.5], 0.0, 1.0)
+    errors = output_errors(turning.model, turning, "v")
+    limits = (np.array([-5.0]), np.array([5.0]))
+    (fact,) = switching(ConstantRate(2.0), SIGN, limits=limits).reserve(errors, turning)
+    assert fact.value == pytest.approx(4.5 - 2 / np.cos(1.0)) and "at t = 1 s" in fact.remark
+    assert (
+        switching(SuperTwisting(9.0, 2.0), SIGN, 0.1, limits=limits).reserve(errors, turning)[0].value == 4.5
+    )
+    assert switching(PowerRate(2.0, 0.5), SIGN, limits=limits).reserve(errors, turning) == []
+    assert switching(ConstantRate(2.0), SIGN).reserve(errors, turning) == []
+
+
 # --- integral surfaces --------------------------------------------------------------------------------------
 
 
