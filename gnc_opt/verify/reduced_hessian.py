@@ -32,11 +32,12 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.solution.program_point import Limits, ProgramPoint, quadrature_weights, saddle_matrix
+from gnc_opt.solution.program_point import ProgramPoint, quadrature_weights, saddle_matrix
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, TINY
 from gnc_opt.transcription.transcription import Transcription
+from gnc_opt.verify.critical_cone import CriticalCone
 from gnc_opt.verify.verdict import Condition, Result
 
 UPWARDS, DOWNWARDS = 1e-6, 1e-4
@@ -105,24 +106,32 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples]) -> Conditio
         return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
 
     cone = CriticalCone.of(ProgramPoint.of(solution))
-    free = cone.least_curvature()
+    free = least_curvature(cone.point, cone.strong)
     jumping = "" if solution.structure else _jumping_control(samples)
-    if np.isnan(free.value):
+    if np.isnan(free.value) or free.sign > 0:
         told = Result.CANNOT_TELL if jumping else Result.PASS
-        return judged(told, 0.0, jumping or "as many conditions as unknowns, nothing is left to vary", 0.0)
-    place = cone.place(solution, free)
-    if free.sign > 0:
-        told = Result.CANNOT_TELL if jumping else Result.PASS
-        return judged(told, -free.value, jumping or place)
-    if not np.any(cone.weak):
-        result = Result.FAIL if free.sign < 0 else Result.CANNOT_TELL
-        return judged(result, -free.value, place + cone.tale(free))
-    bound = cone.least_curvature(weak_too=True)
-    if bound.sign < 0:
-        return judged(Result.FAIL, -bound.value, cone.place(solution, bound) + cone.tale(bound))
-    if free.sign < 0 and cone.admits(free.direction):
-        return judged(Result.FAIL, -free.value, place + cone.tale(free))
-    return judged(Result.CANNOT_TELL, -free.value, place + cone.doubt(free))
+        if np.isnan(free.value):
+            return judged(
+                told, 0.0, jumping or "as many conditions as unknowns, nothing is left to vary", 0.0
+            )
+        return judged(told, -free.value, jumping or _place(cone.point, solution, free.direction))
+    # Where weakly active limits bind as well, less is left to vary; what is downwards there is so in the cone.
+    bound = least_curvature(cone.point, cone.strong | cone.weak) if np.any(cone.weak) else free
+    for found in (free, bound):
+        admitted = (cone.admits(sign * found.direction, samples) for sign in (1.0, -1.0))
+        if found.sign < 0 and any(admitted):
+            gain = f": a step of {100 * STEP:.0f} % of its magnitude gains {found.gain:.3g} in the cost"
+            place = _place(cone.point, solution, found.direction)
+            return judged(Result.FAIL, -found.value, place + gain)
+    return judged(
+        Result.CANNOT_TELL, -free.value, _place(cone.point, solution, free.direction) + _doubt(free)
+    )
+
+
+def _doubt(curvature: Curvature) -> str:
+    if curvature.sign < 0:
+        return ": limits that are only just active, or the values between the nodes, may forbid to go there"
+    return f": flat (what is between -{DOWNWARDS:.0e} and {UPWARDS:.0e} is not told from zero)"
 
 
 def _jumping_control(samples: list[PhaseSamples]) -> str:
@@ -139,91 +148,42 @@ def _jumping_control(samples: list[PhaseSamples]) -> str:
     return ""
 
 
-@dataclass(frozen=True, eq=False)
-class CriticalCone:
-    """The variations of a point that are free to first order.
+def _place(point: ProgramPoint, solution: Solution, direction: Array) -> str:
+    """Return where along time a direction is largest."""
+    size = np.abs(direction)
+    for name, part in point.transcription.parts.items():
+        leg, places = solution.phases[name], part.collocation.point_controls
+        if places.size and np.max(size[places]) >= np.max(size):
+            i, j = np.unravel_index(np.argmax(size[places]), places.shape)
+            return f"phase {name}, t = {leg.point_times[j]:.6g} s, {leg.controls.labels[i]}"
+    return point.variables.labels[int(np.argmax(size))]
 
-    Attributes
+
+def least_curvature(point: ProgramPoint, held: Mask) -> Curvature:
+    """Return the least curvature of the Lagrangian where some variables and rows do not vary.
+
+    Parameters
     ----------
     point : ProgramPoint
-    strong, weak : bool array (n_variables + n_constraints,)
-        Variables and rows that are held, and those at a limit that does not push.
+    held : bool array (n_variables + n_constraints,)
     """
-
-    point: ProgramPoint
-    strong: Mask
-    weak: Mask
-
-    @classmethod
-    def of(cls, point: ProgramPoint) -> CriticalCone:
-        """Tell from the gradient of the Lagrangian which limits push."""
-        bounds, rows = point.multiplier_densities
-        strong, weak = [], []
-        for limits, values, multipliers in (
-            (point.variables, point.x, bounds),
-            (point.rows, point.values, rows),
-        ):
-            told = Limits.of(limits.box, values, multipliers, limits.labels)
-            doubtful = told.weak(values, multipliers)
-            strong.append(told.active & ~doubtful)
-            weak.append(doubtful)
-        return cls(point, np.concatenate(strong), np.concatenate(weak))
-
-    def least_curvature(self, *, weak_too: bool = False) -> Curvature:
-        """Return the least curvature where strongly active limits bind, or the weakly active ones as well."""
-        point = self.point
-        held = self.strong | self.weak if weak_too else self.strong
-        free, rows = np.flatnonzero(~held[: point.x.size]), np.flatnonzero(held[point.x.size :])
-        root = 1 / np.sqrt(_metric(point.transcription)[free])
-        unit = scipy.sparse.diags_array(root)
-        hessian = scipy.sparse.csc_array(unit @ point.hessian[free][:, free] @ unit)
-        jacobian = scipy.sparse.csc_array(point.jacobian[rows][:, free] @ unit)
-        sizes = np.sqrt(np.asarray((hessian**2).sum(axis=1)))
-        typical = float(np.mean(sizes)) if np.any(sizes > 0) else 1.0
-        direction = _least_direction(hessian / typical, jacobian)
-        if direction is None:
-            return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
-        curvature = float(direction @ (hessian @ direction))
-        terms = float(np.abs(direction) @ (abs(hessian) @ np.abs(direction)))
-        whole = np.zeros(point.x.size)
-        whole[free] = root * direction
-        largest = float(np.max(np.abs(whole)))
-        gain = -0.5 * curvature * (STEP / largest) ** 2 / point.scaling.objective
-        return Curvature(curvature / typical, curvature / max(terms, TINY), whole / largest, gain)
-
-    def admits(self, direction: Array) -> bool:
-        """Whether a direction or its opposite moves off weakly active limits, not beyond them."""
-        point = self.point
-        changes = np.concatenate([direction, point.jacobian @ direction])[self.weak]
-        boxes = [point.variables.box, point.rows.box]
-        values = np.concatenate([point.x, point.values])[self.weak]
-        lower, upper = (
-            np.concatenate([getattr(b, side) for b in boxes])[self.weak] for side in ("lower", "upper")
-        )
-        inwards = np.where(values - lower < upper - values, changes, -changes)
-        return bool(np.all(inwards >= -CANCELLED) or np.all(inwards <= CANCELLED))
-
-    def place(self, solution: Solution, curvature: Curvature) -> str:
-        """Return where along time a direction is largest."""
-        point, direction = self.point, np.abs(curvature.direction)
-        for name, part in point.transcription.parts.items():
-            leg, places = solution.phases[name], part.collocation.point_controls
-            if places.size and np.max(direction[places]) >= np.max(direction):
-                i, j = np.unravel_index(np.argmax(direction[places]), places.shape)
-                return f"phase {name}, t = {leg.point_times[j]:.6g} s, {leg.controls.labels[i]}"
-        return point.variables.labels[int(np.argmax(direction))]
-
-    def tale(self, curvature: Curvature) -> str:
-        """Return what a step along a direction would gain, or that this cannot be told."""
-        if curvature.sign >= 0:
-            return f": flat (what is between -{DOWNWARDS:.0e} and {UPWARDS:.0e} is not told from zero)"
-        return f": a step of {100 * STEP:.0f} % of its magnitude gains {curvature.gain:.3g} in the cost"
-
-    def doubt(self, curvature: Curvature) -> str:
-        """Return which weakly active limit decides."""
-        labels = (*self.point.variables.labels, *self.point.rows.labels)
-        weak = labels[int(np.flatnonzero(self.weak)[0])]
-        return f"{self.tale(curvature)}, but '{weak}' is only just at its limit, which may forbid it"
+    free, rows = np.flatnonzero(~held[: point.x.size]), np.flatnonzero(held[point.x.size :])
+    root = 1 / np.sqrt(_metric(point.transcription)[free])
+    unit = scipy.sparse.diags_array(root)
+    hessian = scipy.sparse.csc_array(unit @ point.hessian[free][:, free] @ unit)
+    jacobian = scipy.sparse.csc_array(point.jacobian[rows][:, free] @ unit)
+    sizes = np.sqrt(np.asarray((hessian**2).sum(axis=1)))
+    typical = float(np.mean(sizes)) if np.any(sizes > 0) else 1.0
+    direction = _least_direction(hessian / typical, jacobian)
+    if direction is None:
+        return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
+    curvature = float(direction @ (hessian @ direction))
+    terms = float(np.abs(direction) @ (abs(hessian) @ np.abs(direction)))
+    whole = np.zeros(point.x.size)
+    whole[free] = root * direction
+    largest = float(np.max(np.abs(whole)))
+    gain = -0.5 * curvature * (STEP / largest) ** 2 / point.scaling.objective
+    return Curvature(curvature / typical, curvature / max(terms, TINY), whole / largest, gain)
 
 
 def _metric(transcription: Transcription) -> Array:
