@@ -4,3 +4,7 @@ In the order of reading: `statements` (problems in any units, with any origin an
 makes the answer of one problem a wrong answer of another), `extremals` (stationary, but no minimum), `forged`
 (numbers changed in a file), `right` (what must pass), `cases`, `command`.
 """
+
+from benchmarks.verdict.command import main
+
+__all__ = ["main"]

@@ -1,6 +1,6 @@
 """``python -m benchmarks.verdict``."""
 
-from benchmarks.verdict.command import main
+from benchmarks.verdict import main
 
 if __name__ == "__main__":
     raise SystemExit(main())
