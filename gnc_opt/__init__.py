@@ -28,6 +28,7 @@ from gnc_opt.solution import PhaseSolution, Solution, load
 from gnc_opt.solution.failure import SolveError
 from gnc_opt.solution.start import guess_from_solution
 from gnc_opt.solve import solve
+from gnc_opt.study import Continuation, ContinuationStatus, Sweep, continue_in, sweep
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.verify import Condition, Result, Verdict, verify, verify_trajectory
 
@@ -56,6 +57,8 @@ __all__ = [
     "Campaign",
     "ClosedLoop",
     "Condition",
+    "Continuation",
+    "ContinuationStatus",
     "Controller",
     "DesignError",
     "Explanation",
@@ -82,11 +85,13 @@ __all__ = [
     "SolveError",
     "SolverOptions",
     "Status",
+    "Sweep",
     "Table",
     "UnknownAttributeError",
     "UnknownNameError",
     "Verdict",
     "bryson",
+    "continue_in",
     "design_feedback_linearization",
     "design_hierarchical_sliding_mode",
     "design_integral_sliding_mode",
@@ -107,6 +112,7 @@ __all__ = [
     "simulate_guess",
     "smooth_abs",
     "solve",
+    "sweep",
     "table",
     "table_from_csv",
     "verify",

@@ -43,8 +43,8 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         ``ok`` if the necessary conditions of a minimum hold, ``minimum`` if sufficient ones do too; PASS, FAIL or
         CANNOT TELL per condition: dynamics, propagation, bounds, path constraints, boundary
         conditions, cost, stored numbers, adjoint equation, transversality, Hamiltonian, stationarity, control signs,
-        minimum principle, complementarity, Legendre-Clebsch, singular arcs, parameters, second order; and, for a
-        solution whose switch times were optimised, strict switches.
+        minimum principle, complementarity, Legendre-Clebsch, singular arcs, parameters, second order; for a solution
+        whose switch times were optimised or that is bang-bang, strict switches; for the latter, induced gradient.
         A solution keeps its verdict: asked again, at the same tolerance, nothing is computed anew.
 
     Raises
@@ -91,10 +91,11 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         controls.legendre_clebsch(lasting, tol),
         controls.singular_arcs(lasting, tol),
     ]
-    names = ("strict switches", "second order") if solution.structure else ("second order",)
+    switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
+    names = ("strict switches", "second order") if switching else ("second order",)
     if told and not missing.value:
-        switches = [second_order.strict_switches(lasting)] if solution.structure else []
-        switches.append(_second_order(solution, samples, ends))
+        switches = [second_order.strict_switches(lasting)] if switching else []
+        switches += _second_order(solution, samples, lasting, ends, tol)
     else:
         switches = [_untold(name, missing.where, _CANNOT_VARY) for name in names]
     if len(lasting) < len(samples):
@@ -110,13 +111,17 @@ def _judge(solution: Solution, tol: float) -> Verdict:
     )
 
 
-def _second_order(solution: Solution, samples: list[PhaseSamples], ends: EndGradients) -> Condition:
+def _second_order(
+    solution: Solution,
+    samples: list[PhaseSamples],
+    lasting: list[PhaseSamples],
+    ends: EndGradients,
+    tolerance: float,
+) -> list[Condition]:
     """By the switch times where they alone are left to vary, else on the mesh."""
-    if solution.structure:
-        induced = second_order.second_order(solution, samples, ends)
-        if induced.result is not Result.CANNOT_TELL:
-            return induced
-    return reduced_hessian(solution, samples)
+    if not second_order.obstacle(lasting):
+        return second_order.second_order(solution, lasting, ends, tolerance)
+    return [reduced_hessian(solution, samples)]
 
 
 def _untold(name: str, where: str, meaning: str) -> Condition:

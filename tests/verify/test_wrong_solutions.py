@@ -141,6 +141,8 @@ CASES = [
          lambda s, e: hilltop(e), "second order"),
     case("second order", "a maximum over the switch time", lambda: one_switch(1 - SMALL),
          lambda s, e: one_switch(1 + e)),
+    case("induced gradient", "a switch too late", lambda: one_switch(0.5),
+         lambda s, e: one_switch(0.5, 1 + e), "control signs", "minimum principle", "Hamiltonian"),
     case("strict switches", "costates reversed", bang_bang, lambda s, e: scaled(s, "lam", -e),
          "control signs", "minimum principle", "transversality", "Hamiltonian", "second order"),
     case("parameters", "parameter off", designed,
