@@ -121,7 +121,7 @@ class Sweep:
         try:
             import xarray
         except ImportError as error:
-            raise GncOptError('xarray is not installed: pip install "gnc_opt[xarray]".') from error
+            raise GncOptError('xarray is not installed: pip install "gnc_opt[data]".') from error
         names = ["objective", "final_time", "iterations", *self.outputs]
         data = {name: (tuple(self.grid), self.array(name)) for name in names}
         data["ending"] = (tuple(self.grid), self.endings.astype(str))
