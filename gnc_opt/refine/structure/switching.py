@@ -253,9 +253,9 @@ def _collapse(
     if structure.pieces == 1 or lengths[shortest] >= VANISHED * lengths.sum():
         return None, ""
     other = structure.swapped(shortest)
-    key = (samples.leg.name, structure.at(()))
-    if other is not None and key not in swapped:
-        swapped |= {key, (samples.leg.name, other.at(()))}
+    swapped.add((samples.leg.name, structure.at(())))
+    # Only an order that has been left before is not tried again.
+    if other is not None and (samples.leg.name, other.at(())) not in swapped:
         return _spread(other, shortest), f"switches {shortest} and {shortest + 1} swapped"
     return structure.without(shortest), f"piece {shortest + 1} dropped"
 
