@@ -133,6 +133,13 @@ class Block:
 
         Devices that work once per minor step take the mean and hold their output; blocks that are `memoryless` act at
         every time.
+
+        Parameters
+        ----------
+        tick, state, p, noise
+            As in `step`.
+        wave : Wave
+            What comes in.
         """
         step = self.step(tick, wave.mean, state, p, noise)
         if self.memoryless:
