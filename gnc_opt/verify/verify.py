@@ -16,6 +16,7 @@ from gnc_opt.verify.kept import keep_verdict, kept_verdict
 from gnc_opt.verify.magnitude import cost_magnitude
 from gnc_opt.verify.pushes import settle_edges
 from gnc_opt.verify.reduced_hessian import reduced_hessian
+from gnc_opt.verify.singular import generalised_legendre_clebsch
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 
 TOLERANCE = 1e-5
@@ -43,8 +44,9 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         ``ok`` if the necessary conditions of a minimum hold, ``minimum`` if sufficient ones do too; PASS, FAIL or
         CANNOT TELL per condition: dynamics, propagation, bounds, path constraints, boundary
         conditions, cost, stored numbers, adjoint equation, transversality, Hamiltonian, stationarity, control signs,
-        minimum principle, complementarity, Legendre-Clebsch, singular arcs, parameters, second order; for a solution
-        whose switch times were optimised or that is bang-bang, strict switches; for the latter, induced gradient.
+        minimum principle, complementarity, Legendre-Clebsch, singular arcs, generalised Legendre-Clebsch, parameters,
+        second order; for a solution whose switch times were optimised or that is bang-bang, strict switches; for the
+        latter, induced gradient.
         A solution keeps its verdict: asked again, at the same tolerance, nothing is computed anew.
 
     Raises
@@ -90,6 +92,7 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         costates.complementarity(solution, lasting, ends, tol),
         controls.legendre_clebsch(lasting, tol),
         controls.singular_arcs(lasting, tol),
+        generalised_legendre_clebsch(solution.need_problem("verify"), lasting, tol),
     ]
     switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
     names = ("strict switches", "second order") if switching else ("second order",)

@@ -459,22 +459,21 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
     """The loop with solves and mending as told: `script` is (status, action) of every pass."""
     problem = cart()
     base = solution(problem, phase(problem))
-    structure = PhaseStructure((0.0, 1.0), ((FREE,) * 5,), (), 1, 2)
-    plans = {"leg": Plan(structure, (Resolution(2, 4),))}
 
-    def run(script: list[tuple[Status, str]], passes: int = 40) -> Any:
-        shown: list[Pass] = []
-        left = iter(script)
-        now: dict[str, Any] = {}
+    def run(script: list[tuple[Status, str]], **more: Any) -> Any:
+        left, asked = iter(script), []
+        now: dict[str, Any] = {"passes": 0}
 
-        def solve(*_: Any) -> Any:
+        def solve(problem: Any, plans: Any, guess: Any, options: SolverOptions, *_: Any) -> Any:
+            asked.append(options)
             now["status"], now["action"] = next(left)
-            return replace(base, status=now["status"], objective=float(len(shown)))
+            now["passes"] += 1
+            return replace(base, status=now["status"], objective=float(now["passes"]))
 
         monkeypatch.setattr(s, "_solve", solve)
-        monkeypatch.setattr(s, "_improve", lambda sol, current, swapped, tol: (plans, now["action"]))
-        found = s._loop(problem, base, plans, 1e-9, passes, SolverOptions(), shown.append)
-        return found, shown
+        monkeypatch.setattr(s, "_at_solution", lambda plan, found, name: plan)
+        monkeypatch.setattr(s, "_improve", lambda found, plans, swapped, tol: (plans, now["action"]))
+        return *s.optimise_switches(base, **more), asked
 
     return run
 
@@ -491,11 +490,20 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
     ],
 )
 def test_how_the_loop_ends(scripted: Any, script: Any, passes: int, status: str, actions: list[str]) -> None:
-    (found, plans, ending, records), shown = scripted(script, passes)
-    assert ending is RefinementStatus(status) and [r.actions for r in records] == actions and shown == records
-    solved = [st for st, _ in script if st.solved]
-    assert found.objective == (6.0 if not solved else float(len(solved) - 1))
-    assert [r.solved for r in records] == [st.solved for st, _ in script] and set(plans) == {"leg"}
+    found, history, _ = scripted(script, max_passes=passes)
+    assert history.status is RefinementStatus(status) and [p.actions for p in history.passes] == actions
+    assert [p.solved for p in history.passes] == [st.solved for st, _ in script]
+    assert history.message == f"{status}: {actions[-1]}"
+    if status == "converged":
+        assert found.objective == len(script) and history.chosen == len(script) - 1
+
+
+def test_solves_of_the_loop_are_sharp_and_brief(scripted: Any) -> None:
+    _, history, (options,) = scripted([(Status.OPTIMAL, "")])
+    assert (options.tolerance, options.max_iterations) == (s.TIGHT, s.MOST_ITERATIONS)
+    own = SolverOptions(tolerance=1e-5)
+    _, looser, (options,) = scripted([(Status.OPTIMAL, "")], options=own, tol=1e-3)
+    assert options is own and (history.tolerance, looser.tolerance) == (1e-9, 1e-3)
 
 
 def test_plans_follow_the_switch_times_of_their_solution() -> None:
@@ -571,29 +579,3 @@ def test_arcs_of_all_phases_have_the_names_of_their_rows() -> None:
     structure = PhaseStructure((0.0, 1.0), ((UP, FREE, LOW, FREE, FREE),), (), 1, 2)
     found = s._arcs(solution(problem, phase(problem)), {"leg": Plan.of(structure)})
     assert found == (Arc("leg", "a", UP, 0.0, 1.0), Arc("leg", "pure", LOW, 0.0, 1.0))
-
-
-def test_the_best_pass_is_the_last_that_was_solved(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = cart()
-    problem.get_phase().bounds(a=(-20.0, 20.0))
-    base = solution(problem, phase(problem, control_bounds=interval(-20.0, 20.0)))
-    seen: dict[str, Any] = {}
-
-    def loop(
-        problem: Any, found: Any, plans: Any, tol: float, passes: int, options: SolverOptions, show: Any
-    ) -> Any:
-        seen.update(plans=plans, tol=tol, passes=passes, options=options)
-        lost = replace(record(1.0, "lost"), solved=False)
-        return found, plans, RefinementStatus.FAILED, [record(1.0, "x"), record(0.1, "y"), lost]
-
-    monkeypatch.setattr(s, "_loop", loop)
-    found, history = s.optimise_switches(base)
-    assert history.chosen == 1 and history.message == "failed: lost" and history.tolerance == 1e-9
-    assert (seen["tol"], seen["passes"]) == (1e-9, 40)
-    assert (seen["options"].tolerance, seen["options"].max_iterations) == (s.TIGHT, s.MOST_ITERATIONS)
-    assert [arc.kind for arc in found.structure] == [FREE] and seen["plans"]["leg"].points == pytest.approx(
-        8.0
-    )
-    own = SolverOptions(tolerance=1e-5)
-    s.optimise_switches(base, options=own, tol=1e-3, max_passes=3)
-    assert seen["options"] is own and (seen["tol"], seen["passes"]) == (1e-3, 3)
