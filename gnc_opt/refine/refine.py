@@ -50,7 +50,8 @@ def refine(
     Parameters
     ----------
     solution : Solution
-        A solved one, with its problem.
+        A solved one, with its problem. Arcs that this holds by hand (`Problem.with_arcs`) belong to its mesh: the
+        refined solution is one of the problem without them.
     tol : float
         On the dimensionless error between the nodes; see `gnc_opt.refine.error`.
     structure : {"auto", "bang-bang", "none"}
@@ -94,6 +95,7 @@ def refine(
     begin = time.perf_counter()
     limit = math.inf if max_wall_time is None else read_positive(max_wall_time, "max_wall_time of refine()")
     _check(solution)
+    solution = _released(solution)
     task = _Task(solution, tol, max_passes, max_points, options, begin + limit, progress)
     attempts: list[_Attempt] = []
     try:
@@ -112,6 +114,15 @@ def _check(solution: Solution) -> None:
         raise GncOptError(
             f"the solution of '{solution.problem_name}' ended as {solution.status.value}: refine one that is solved."
         )
+
+
+def _released(solution: Solution) -> Solution:
+    """Return the solution with a problem that holds no arcs: those are told segment by segment of one mesh."""
+    problem = solution.need_problem("refine")
+    held = [name for name, leg in problem.phases.items() if leg.numbers.arcs is not None]
+    for name in held:
+        problem = problem.with_arcs(name, arcs=None)
+    return replace(solution, problem=problem.frozen()) if held else solution
 
 
 # --- what is tried --------------------------------------------------------------------------------------------
