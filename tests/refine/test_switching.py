@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import pytest
 import gnc_opt as go
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.switching import _collapse
+from gnc_opt.refine.structure.switching import _collapse, optimise_switches
 from gnc_opt.solution.samples import PhaseSamples
 from problems import rendezvous
 
@@ -227,3 +228,27 @@ def test_arcs_held_by_hand_are_a_start() -> None:
         refined = go.refine(solution, structure=structure)
         assert refined.objective == pytest.approx(2.0, abs=1e-7)
         assert refined.problem is not None and refined.problem.fingerprint() == problem.fingerprint()
+
+
+def test_a_structure_that_cannot_be_met_is_sought_once_more_on_a_finer_mesh(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem, leg = double_integrator(-1.0, 1.0)
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(x=1.0, v=0.0)
+    leg.final(x=0.0, v=0.0)
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem, mesh="5x3")
+    meshes: list[str] = []
+
+    def infeasible_at_first(start: go.Solution, **options: Any) -> tuple[go.Solution, go.History]:
+        meshes.append(str(start.phase().mesh))
+        # One arc is too few, whatever its length.
+        wrong = {"leg": PhaseStructure((0.0, 2.0), ((UP,),))}
+        return optimise_switches(start, **{**options, **({"structures": wrong} if len(meshes) == 1 else {})})
+
+    monkeypatch.setattr(sys.modules["gnc_opt.refine.refine"], "optimise_switches", infeasible_at_first)
+    refined = go.refine(solution, structure="bang-bang")
+    assert meshes == ["5x3", "5x4"]
+    assert refined.history is not None and refined.history.converged
+    assert refined.objective == pytest.approx(2.0, abs=1e-9)
