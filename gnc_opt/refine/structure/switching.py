@@ -61,6 +61,7 @@ def optimise_switches(
     *,
     tol: float = FINEST,
     max_passes: int = 40,
+    max_points: int = 1000,
     structures: Mapping[str, PhaseStructure] | None = None,
     options: SolverOptions | None = None,
     deadline: float = math.inf,
@@ -76,6 +77,8 @@ def optimise_switches(
         On the error between the nodes; see `gnc_opt.refine.error`.
     max_passes : int
         At most so many solves.
+    max_points : int
+        At most so many collocation points in any phase.
     structures : mapping of PhaseStructure, optional
         What to start from, by phase, if it has been detected already.
     options : SolverOptions, optional
@@ -99,9 +102,8 @@ def optimise_switches(
     tries: list[_Try] = []
     with pass_meter(solution.problem_name, tol, progress) as show:
         try:
-            status = _loop(
-                problem, solution, plans, min(tol, FINEST), max_passes, chosen, deadline, show, tries
-            )
+            limits = _Limits(max_passes, max_points, deadline)
+            status = _loop(problem, solution, plans, min(tol, FINEST), limits, chosen, show, tries)
         except KeyboardInterrupt:
             status = RefinementStatus.INTERRUPTED
     best = _best(tries, status)
@@ -112,6 +114,15 @@ def optimise_switches(
         return solution, history
     solution, plans = tries[best].solution, tries[best].plans
     return replace(solution, structure=_arcs(solution, plans)), history
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """Where the loop gives up."""
+
+    passes: int
+    points: int
+    deadline: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,19 +147,20 @@ def _loop(
     solution: Solution,
     plans: dict[str, Plan],
     tol: float,
-    max_passes: int,
+    limits: _Limits,
     options: SolverOptions,
-    deadline: float,
     show: Callable[[Pass], None],
     tries: list[_Try],
 ) -> RefinementStatus:
     """Solve and mend until nothing is left to mend; add every pass to ``tries``."""
     swapped: set[tuple[str, PhaseStructure]] = set()
-    for _ in range(max_passes):
+    for _ in range(limits.passes):
         begin = time.perf_counter()
-        if begin > deadline:
+        if begin > limits.deadline:
             return RefinementStatus.INTERRUPTED
-        found = _solve(problem, plans, solution, options, deadline)
+        if any(plan.mesh().size > limits.points for plan in plans.values()):
+            return RefinementStatus.POINT_LIMIT
+        found = _solve(problem, plans, solution, options, limits.deadline)
         if not found.status.solved:
             tries.append(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
             show(tries[-1].record)
