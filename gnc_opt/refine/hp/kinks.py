@@ -14,11 +14,11 @@ from gnc_opt.refine.error import PhaseError, states_at_points
 from gnc_opt.solution.phase_solution import PhaseSolution
 
 UNSURE = 0.05
-"""A switch is trusted to lie this close to its estimate, in shares of its segment, ..."""
+"""A switch is trusted to lie this close to its estimate, in shares of its segment."""
 
 SHARPENING = 2.0
-"""... and closer in short segments, in shares of their own share of the phase: the error of the estimate is of second
-order in the length of the segment that the switch lies in."""
+"""A kink that multipliers point at is trusted to lie closer the shorter the gap that it lies in, in shares of the gap's
+own share of the phase: the error of the estimate is of second order in its length."""
 
 SHARP = 1e-6
 """A kink that is known this closely, in shares of the phase, is not enclosed any more: a boundary is placed on it."""
@@ -130,24 +130,18 @@ def _closed_in(times: Array, pull: Array, j: int, duration: float) -> tuple[floa
     beside it point at the time.
     """
     start, end = float(times[j]), float(times[j + 1])
-    if pull[j] * pull[j + 1] < 0:
-        a, b = j, j + 1
-    elif pull[j] == 0 and j > 0 and pull[j - 1] * pull[j + 1] < 0:
-        a, b = j - 1, j + 1
-    elif pull[j + 1] == 0 and j + 2 < times.size and pull[j] * pull[j + 2] < 0:
-        a, b = j, j + 2
-    elif pull[j] == 0 and j + 2 < times.size and pull[j + 1] * pull[j + 2] > 0:
-        a, b = j + 1, j + 2
-    elif pull[j + 1] == 0 and j > 0 and pull[j] * pull[j - 1] > 0:
-        a, b = j - 1, j
+    across = [(a, b) for a, b in ((j, j + 1), (j - 1, j + 1), (j, j + 2)) if 0 <= a and b < times.size]
+    across = [(a, b) for a, b in across if pull[a] * pull[b] < 0]
+    if across:
+        a, b = across[0]
+        start, end = float(times[a]), float(times[b])
     else:
-        return start, end
-    zero = times[a] - pull[a] * (times[b] - times[a]) / (pull[b] - pull[a]) if pull[a] != pull[b] else np.nan
-    low, high = min(start, float(times[a])), max(end, float(times[b]))
-    if pull[a] * pull[b] > 0:  # extrapolated
-        low, high = start, end
-    margin = min(UNSURE, SHARPENING * (high - low) / duration) * (high - low)
-    return (max(low, zero - margin), min(high, zero + margin)) if low < zero < high else (low, high)
+        a, b = (j - 1, j) if pull[j + 1] == 0 else (j + 1, j + 2)
+        if a < 0 or b >= times.size or pull[a] * pull[b] <= 0 or pull[a] == pull[b]:
+            return start, end
+    zero = float(times[a] - pull[a] * (times[b] - times[a]) / (pull[b] - pull[a]))
+    margin = min(UNSURE, SHARPENING * (end - start) / duration) * (end - start)
+    return (max(start, zero - margin), min(end, zero + margin)) if start < zero < end else (start, end)
 
 
 def activity(error: PhaseError) -> Array:
