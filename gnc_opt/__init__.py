@@ -19,14 +19,18 @@ from gnc_opt.model.table import Table, table, table_from_csv
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem import Phase, Problem
 from gnc_opt.problem.arc import Arc, ArcKind
+from gnc_opt.problem.guess.data import guess_from_data
+from gnc_opt.problem.guess.simulate import simulate_guess
 from gnc_opt.refine import History, Minimum, Multistart, RefinementStatus, multistart, polish, refine
 from gnc_opt.refine.sensitivity.derivatives import Sensitivity
 from gnc_opt.refine.sensitivity.sensitivity import sensitivity
 from gnc_opt.solution import PhaseSolution, Solution, load
 from gnc_opt.solution.failure import SolveError
+from gnc_opt.solution.start import guess_from_solution
 from gnc_opt.solve import solve
+from gnc_opt.study import Continuation, ContinuationStatus, Sweep, continue_in, sweep
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.verify import Condition, Result, Verdict, verify
+from gnc_opt.verify import Condition, Result, Verdict, verify, verify_trajectory
 
 if TYPE_CHECKING:
     from gnc_opt.control import (
@@ -53,6 +57,8 @@ __all__ = [
     "Campaign",
     "ClosedLoop",
     "Condition",
+    "Continuation",
+    "ContinuationStatus",
     "Controller",
     "DesignError",
     "Explanation",
@@ -79,11 +85,13 @@ __all__ = [
     "SolveError",
     "SolverOptions",
     "Status",
+    "Sweep",
     "Table",
     "UnknownAttributeError",
     "UnknownNameError",
     "Verdict",
     "bryson",
+    "continue_in",
     "design_feedback_linearization",
     "design_hierarchical_sliding_mode",
     "design_integral_sliding_mode",
@@ -93,17 +101,22 @@ __all__ = [
     "design_tvlqr",
     "export_c",
     "feedforward",
+    "guess_from_data",
+    "guess_from_solution",
     "load",
     "monte_carlo",
     "multistart",
     "polish",
     "refine",
     "sensitivity",
+    "simulate_guess",
     "smooth_abs",
     "solve",
+    "sweep",
     "table",
     "table_from_csv",
     "verify",
+    "verify_trajectory",
 ]
 
 _FOLLOWING = ("control", "simulation")

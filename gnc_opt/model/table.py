@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,6 +15,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_label, read_numbers
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import ArgumentError, ModelError, did_you_mean, shown
+from gnc_opt.model.columns import read_columns
 from gnc_opt.model.pieces import METHODS, Method, Pieces
 from gnc_opt.model.symbol import owners_of
 from gnc_opt.strict import Strict
@@ -374,35 +374,14 @@ def table_from_csv(
         A missing column, an entry that is no number, or a grid with gaps or double points.
     """
     names = [x] if isinstance(x, str) else list(x)
-    rows = _read_columns(Path(path), [*names, values])
+    columns = read_columns(Path(path), [*names, values])
+    rows = [columns[name] for name in [*names, values]]
     axes, where = zip(*(np.unique(column, return_inverse=True) for column in rows[:-1]), strict=True)
     data = np.full([axis.size for axis in axes], np.nan)
     data[where] = rows[-1]
-    if data.size != rows.shape[1] or np.any(np.isnan(data)):
+    if data.size != rows[0].size or np.any(np.isnan(data)):
         raise ArgumentError(
-            f"the {rows.shape[1]} rows of {path} are not the {' x '.join(str(n) for n in data.shape)} points of a "
+            f"the {rows[0].size} rows of {path} are not the {' x '.join(str(n) for n in data.shape)} points of a "
             f"full grid of {', '.join(names)}: give each point once."
         )
     return table(list(axes), data, method=method, outside=outside, name=values)
-
-
-def _read_columns(path: Path, names: Sequence[str]) -> Array:
-    """Return named columns of a CSV file, (n_names, n_rows)."""
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        lines = csv.DictReader(file, skipinitialspace=True)
-        known = [field.strip() for field in lines.fieldnames or ()]
-        lines.fieldnames = known
-        for name in names:
-            if name not in known:
-                raise ArgumentError(f"{path} has no column {shown(name)}: {did_you_mean(str(name), known)}")
-        columns = []
-        for line in lines:
-            try:
-                columns.append([float(line[name]) for name in names])
-            except (TypeError, ValueError):
-                raise ArgumentError(
-                    f"line {lines.line_num} of {path} has entries that are no numbers: correct it."
-                ) from None
-    if not columns:
-        raise ArgumentError(f"{path} has no rows below its first one: give the values.")
-    return np.array(columns).T

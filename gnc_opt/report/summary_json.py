@@ -99,6 +99,7 @@ def _verdict(verdict: Verdict) -> dict[str, Any]:
     return {
         "ok": verdict.ok,
         "minimum": verdict.minimum,
+        "estimated": verdict.estimated,
         "conditions": [_condition(c) for c in verdict.conditions],
     }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -23,6 +23,7 @@ from gnc_opt.problem.functions import PhaseFunctions, evaluator, phase_functions
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
 from gnc_opt.problem.tables import OutsideTable, outside_tables, table_uses
+from gnc_opt.solution.export import data_frame, dataset
 from gnc_opt.solution.history import Actions, History, Pass, RefinementStatus
 from gnc_opt.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.solution.polynomial import PiecewisePolynomial, Side
@@ -83,7 +84,7 @@ class Violation:
     amount: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Solution:
     """A trajectory with its costates and multipliers.
 
@@ -133,7 +134,7 @@ class Solution:
     provenance: Mapping[str, str]
     structure: tuple[Arc, ...] = ()
     history: History | None = None
-    problem: Problem | None = field(default=None, repr=False)
+    problem: Problem | None = None
 
     @property
     def scheme(self) -> Scheme:
@@ -284,7 +285,56 @@ class Solution:
 
         return summary(self)
 
-    # --- files ------------------------------------------------------------------------------------
+    def __repr__(self) -> str:
+        state = f"{self.status.value}, objective={self.objective:.10g}, phases={list(self.phases)}"
+        return f"Solution({self.problem_name!r}, {state})"
+
+    # --- files and tables -------------------------------------------------------------------------
+
+    def to_pandas(self, phase: str | None = None, times: ArrayLike | None = None) -> Any:
+        """Return states, flown controls and costates as a table, one column per component, by time (s).
+
+        Parameters
+        ----------
+        phase : str, optional
+            May be left out when there is only one.
+        times : array (n_times,), optional
+            s; default ten intervals of every segment. Where a control jumps, the value after the jump is given.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns such as ``r[0]`` and ``lam_r[0]``; ``attrs["units"]`` holds the unit of each.
+
+        Raises
+        ------
+        GncOptError
+            pandas is not installed; it comes with the extra ``data``.
+        """
+        return data_frame(self.phase(phase), times)
+
+    def to_xarray(self, phase: str | None = None, times: ArrayLike | None = None) -> Any:
+        """Return states, flown controls and costates as variables over time (s), each with its unit.
+
+        Parameters
+        ----------
+        phase : str, optional
+            May be left out when there is only one.
+        times : array (n_times,), optional
+            As for `to_pandas`.
+
+        Returns
+        -------
+        xarray.Dataset
+            Vectors have a dimension for their components; problem, status, objective and provenance are attributes.
+
+        Raises
+        ------
+        GncOptError
+            xarray is not installed; it comes with the extra ``data``.
+        """
+        told = {"problem": self.problem_name, "status": self.status.value, "objective": self.objective}
+        return dataset(self.phase(phase), times).assign_attrs({**told, **self.provenance})
 
     def save(self, path: str | Path) -> Path:
         """Write the numbers to a file that `load` reads without the model.

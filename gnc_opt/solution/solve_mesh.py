@@ -33,7 +33,7 @@ from gnc_opt.problem.guess.random import with_random_guess
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.attempt import Attempt, ShowIteration
 from gnc_opt.solution.solution import Solution
-from gnc_opt.solution.start import ProgramStart, start_from_guess, with_trajectory
+from gnc_opt.solution.start import ProgramStart, guess_from_solution, start_from_guess
 from gnc_opt.transcription.mesh import Mesh, MeshLike, read_meshes
 from gnc_opt.transcription.scheme import GAUSS, Scheme
 from gnc_opt.transcription.transcription import Transcription
@@ -117,7 +117,7 @@ def solve_mesh(
         return found
     cold = replace(chosen, mu_init=COLD_MU)
     spent = found.statistics
-    start = with_trajectory(problem, guess)
+    start = guess_from_solution(problem, guess)
     again = _solve(start, meshes, scheme, None, cold, progress, deadline, spent.solve_s)
     statistics = again.statistics.after(spent)
     return replace(again, statistics=statistics, problem=found.problem)

@@ -57,11 +57,14 @@ class Verdict:
     conditions : tuple of Condition
     not_judged : str
         Why nothing of the minimum principle could be judged: "no costates"; empty if it was.
+    estimated : bool
+        Whether costates and multipliers are estimates, because the trajectory came without (`verify_trajectory`).
     """
 
     problem_name: str
     conditions: tuple[Condition, ...]
     not_judged: str = ""
+    estimated: bool = False
 
     @property
     def ok(self) -> bool:
@@ -115,7 +118,8 @@ class Verdict:
 
     def explain(self) -> str:
         """Return a paragraph per condition that does not pass, or one that says all do."""
-        lines = [f"Verdict on '{self.problem_name}': {self.headline}."]
+        how = " (multipliers estimated)" if self.estimated else ""
+        lines = [f"Verdict on '{self.problem_name}'{how}: {self.headline}."]
         for c in self.conditions:
             if c.result is not Result.PASS:
                 lines.append(

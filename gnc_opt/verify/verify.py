@@ -7,21 +7,21 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.errors import GncOptError, ProblemError
+from gnc_opt.problem.functions import EndGradients
+from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.verify import controls, costates, feasibility, second_order
 from gnc_opt.verify.judged import ends_of, from_problem, has_costates, missing_number, stored_numbers
 from gnc_opt.verify.kept import keep_verdict, kept_verdict
 from gnc_opt.verify.magnitude import cost_magnitude
 from gnc_opt.verify.pushes import settle_edges
+from gnc_opt.verify.reduced_hessian import reduced_hessian
+from gnc_opt.verify.singular import generalised_legendre_clebsch
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 
 TOLERANCE = 1e-5
 
-_CANNOT_VARY = "Costates or other numbers are missing, so that what varied switch times cost cannot be told."
-
-_NO_SWITCH_TIMES = (
-    "Sufficient conditions of the second order are checked where switch times were optimised only."
-)
+_CANNOT_VARY = "Costates or other numbers are missing, so that what variations cost cannot be told."
 
 
 def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
@@ -44,8 +44,9 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         ``ok`` if the necessary conditions of a minimum hold, ``minimum`` if sufficient ones do too; PASS, FAIL or
         CANNOT TELL per condition: dynamics, propagation, bounds, path constraints, boundary
         conditions, cost, stored numbers, adjoint equation, transversality, Hamiltonian, stationarity, control signs,
-        minimum principle, complementarity, Legendre-Clebsch, singular arcs, parameters, second order; and, for a
-        solution whose switch times were optimised, strict switches.
+        minimum principle, complementarity, Legendre-Clebsch, singular arcs, generalised Legendre-Clebsch, parameters,
+        second order; for a solution whose switch times were optimised or that is bang-bang, strict switches; for the
+        latter, induced gradient.
         A solution keeps its verdict: asked again, at the same tolerance, nothing is computed anew.
 
     Raises
@@ -91,13 +92,15 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         costates.complementarity(solution, lasting, ends, tol),
         controls.legendre_clebsch(lasting, tol),
         controls.singular_arcs(lasting, tol),
+        generalised_legendre_clebsch(solution.need_problem("verify"), lasting, tol),
     ]
-    if not solution.structure:
-        switches = [_untold("second order", "everywhere", _NO_SWITCH_TIMES)]
-    elif told and not missing.value:
-        switches = [second_order.strict_switches(lasting), second_order.second_order(solution, samples, ends)]
+    switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
+    names = ("strict switches", "second order") if switching else ("second order",)
+    if told and not missing.value:
+        switches = [second_order.strict_switches(lasting)] if switching else []
+        switches += _second_order(solution, samples, lasting, ends, tol)
     else:
-        switches = [_untold(n, missing.where, _CANNOT_VARY) for n in ("strict switches", "second order")]
+        switches = [_untold(name, missing.where, _CANNOT_VARY) for name in names]
     if len(lasting) < len(samples):
         vanished = next(s.leg.name for s in samples if not s.has_length)
         along, switches = ([_without_length(c, vanished) for c in part] for part in (along, switches))
@@ -109,6 +112,19 @@ def _judge(solution: Solution, tol: float) -> Verdict:
     return Verdict(
         solution.problem_name, (*conditions, *map(_without_costates, judged)), not_judged="no costates"
     )
+
+
+def _second_order(
+    solution: Solution,
+    samples: list[PhaseSamples],
+    lasting: list[PhaseSamples],
+    ends: EndGradients,
+    tolerance: float,
+) -> list[Condition]:
+    """By the switch times where they alone are left to vary, else on the mesh."""
+    if not second_order.obstacle(lasting):
+        return second_order.second_order(solution, lasting, ends, tolerance)
+    return [reduced_hessian(solution, samples)]
 
 
 def _untold(name: str, where: str, meaning: str) -> Condition:

@@ -123,7 +123,7 @@ def test_csv_of_a_grid_in_any_order(tmp_path: Path) -> None:
     "text, message",
     [
         ("mach,cd\n0,1\n1,2\n", "has no column 'drag': known: mach, cd"),
-        ("mach,drag\n0,1\n1,many\n", "line 3 of .* has entries that are no numbers"),
+        ("mach,drag\n0,1\n1,many\n", "line 3 of .* has no number in column 'drag'"),
         ("mach,drag\n0,1\n0,2\n", "2 rows of .* are not the 1 points of a full grid of mach"),
         ("mach,drag\n", "has no rows below its first one"),
     ],

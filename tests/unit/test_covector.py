@@ -25,7 +25,7 @@ from gnc_opt.solution.covector import (
     settle_doubled_paths,
 )
 from gnc_opt.solution.extract import _mesh_in_time, _point_times, _time_multipliers, model_parameters
-from gnc_opt.solution.start import start_from_guess, start_from_solution, with_integrals, with_trajectory
+from gnc_opt.solution.start import guess_from_solution, start_from_guess, start_from_solution, with_integrals
 from gnc_opt.transcription.collocation import PhaseCollocation
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.scheme import SCHEMES, Scheme
@@ -477,7 +477,7 @@ def test_integrals_that_are_variables_start_at_their_values() -> None:
 
 def test_the_trajectory_alone_becomes_the_guess(solved: Any) -> None:
     attempt, _, solution = solved
-    problem = with_trajectory(attempt.problem, solution)
+    problem = guess_from_solution(attempt.problem, solution)
     transcription = attempt.transcription
     x = start_from_guess(transcription, problem)
     start = start_from_solution(transcription, attempt.problem, solution, np.zeros(x.size))

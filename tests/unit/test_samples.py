@@ -312,18 +312,23 @@ def test_only_the_flown_control_respects_its_bounds(control: Any) -> None:
 
 def test_what_runs_away_is_given_up() -> None:
     model = go.Model("unstable")
-    x, u = model.state("x"), model.control("u")
-    model.ode({x: 60 * x + u})
+    x, still, u = model.state("x"), model.state("still"), model.control("u")
+    model.ode({x: 60 * x + u, still: 0 * u})
     problem = go.Problem("unstable")
     leg = problem.phase("leg", model)
     leg.time(0.0, 1.0)
     problem.minimize(leg.integral(u**2))
     run = propagate(
-        phase(problem, lambda t, k: [1 + 0 * t], lambda t, k: 0 * t, lambda t, k: [t]), functions(problem)
+        phase(problem, lambda t, k: [1 + 0 * t, 0 * t], lambda t, k: 0 * t, lambda t, k: [t, t]),
+        functions(problem),
     )
     assert np.isnan(run.states[0, 1:]).all() and run.states[0, 0] == 1.0 and run.error[0] == np.inf
     slow = phase(
-        problem, lambda t, k: [1 + 0 * t], lambda t, k: 0 * t, lambda t, k: [t], breaks=(0.0, 0.15, 0.3)
+        problem,
+        lambda t, k: [1 + 0 * t, 0 * t],
+        lambda t, k: 0 * t,
+        lambda t, k: [t, t],
+        breaks=(0.0, 0.15, 0.3),
     )
     assert propagate(slow, functions(problem)).states[0] == pytest.approx(np.exp([0.0, 9.0, 18.0]), rel=1e-8)
 

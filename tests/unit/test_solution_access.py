@@ -145,12 +145,11 @@ def one_pass(segments: int, seconds: float) -> Pass:
 def test_a_history_of_passes() -> None:
     passes = (one_pass(3, 0.5), one_pass(4, 1.5))
     history = History(RefinementStatus.CONVERGED, 1e-6, passes, 1, "done")
-    assert history.converged and history.final is passes[1] and history.seconds == 2.0
+    assert history.converged and history.final is passes[1]
     assert (passes[0].points, passes[0].segments) == (19, 5)
     assert not replace(history, status=RefinementStatus.STALLED).converged
-    assert [line[3] for line in str(history).splitlines()[1:3]] == [" ", "*"] and str(history).endswith(
-        "done"
-    )
+    lines = str(history).splitlines()
+    assert [line[3] for line in lines[1:3]] == [" ", "*"] and lines[-1].startswith("done")
     assert all(status.remedy.endswith(".") for status in RefinementStatus)
     assert len({status.remedy for status in RefinementStatus}) == len(RefinementStatus)
 
@@ -408,10 +407,9 @@ def test_a_warm_start_is_given_so_many_iterations(moved: Solution, monkeypatch: 
         scheme: Any,
         guess: Any,
         options: SolverOptions,
-        progress: bool,
-        spent: float = 0.0,
+        *more: Any,
     ) -> Solution:
-        taken.append((guess, options.max_iterations, options.mu_init, spent))
+        taken.append((guess, options.max_iterations, options.mu_init))
         return replace(moved, status=Status.ITERATION_LIMIT if guess is not None else Status.OPTIMAL)
 
     monkeypatch.setattr(tries, "_solve", solve)
@@ -420,8 +418,8 @@ def test_a_warm_start_is_given_so_many_iterations(moved: Solution, monkeypatch: 
         problem, guess=moved, warm_iterations=7, options=SolverOptions(max_iterations=50)
     )
     assert taken == [
-        (moved, 7, SolverOptions().mu_init, 0.0),
-        (None, 50, tries.COLD_MU, moved.statistics.solve_s),
+        (moved, 7, SolverOptions().mu_init),
+        (None, 50, tries.COLD_MU),
     ]
     assert found.statistics.iterations == 2 * moved.statistics.iterations and found.status is Status.OPTIMAL
     tries.solve_mesh(problem, guess=moved, warm_iterations=70, options=SolverOptions(max_iterations=50))

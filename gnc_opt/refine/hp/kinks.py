@@ -130,7 +130,7 @@ def _closed_in(times: Array, pull: Array, j: int, duration: float) -> tuple[floa
     beside it point at the time.
     """
     start, end = float(times[j]), float(times[j + 1])
-    across = [(a, b) for a, b in ((j, j + 1), (j - 1, j + 1), (j, j + 2)) if 0 <= a and b < times.size]
+    across = [(a, b) for a, b in ((j, j + 1), (j - 1, j + 1), (j, j + 2)) if a >= 0 and b < times.size]
     across = [(a, b) for a, b in across if pull[a] * pull[b] < 0]
     if across:
         a, b = across[0]
