@@ -211,7 +211,8 @@ class Flight:
             parts = self.kernel.state.split(np.column_stack([X, after]))
             # the states at the beginnings of the steps; that at the end of the run follows
             at = np.arange(first + (-first) % every, first + len(rows), every) - first
-            self._note(log, parts, self.kernel.log.split(logs[:, at]), at, first + at)
+            if at.size:
+                self._note(log, parts, self.kernel.log.split(logs[:, at]), at, first + at)
             X = np.ascontiguousarray(after[:, -1])
         end = np.array([0])
         self._note(log, self.kernel.state.split(X[:, None]), {}, end, np.array([self.n_steps]))
