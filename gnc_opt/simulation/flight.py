@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -132,6 +133,16 @@ class Flight:
     def n_steps(self) -> int:
         """Number of control steps."""
         return int(self.times.size - 1)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Digest of everything that decides the bits of a run, beside its parameters and its seed."""
+        digest = hashlib.sha256()
+        for function in (self.kernel.start, self.kernel.constants, self.kernel.step):
+            digest.update(function.serialize().encode())
+        for array in (self.times, self.schedule):
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
 
     def final(self, P: Array, seeds: Sequence[Any]) -> Ending:
         """Fly n runs and return how they ended; failed ones are flagged, never dropped.
