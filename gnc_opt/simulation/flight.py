@@ -38,6 +38,8 @@ class Ending:
         Sum of the changes of the commands: chattering.
     integration_error : array (n,)
         Estimated, relative to max(1, \\|x\\|).
+    averaging_error : array (n,)
+        What of it is owed to actuators that took the mean of a wave.
     outcomes : tuple of n Outcome
     """
 
@@ -49,6 +51,7 @@ class Ending:
     saturation_time: Array
     variation: Array
     integration_error: Array
+    averaging_error: Array
     outcomes: tuple[Outcome, ...]
 
 
@@ -87,6 +90,8 @@ class Flight:
         Asked of the integration, relative.
     minor_steps : int
         Per control step.
+    growth : float
+        By how much the errors of single integration steps grow until the end of the nominal run, at least 1.
     """
 
     kernel: Kernel
@@ -109,6 +114,7 @@ class Flight:
     plausible: Array
     accuracy: float
     minor_steps: int
+    growth: float = 1.0
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in vars(self).items() if not k.startswith("_")}
@@ -224,7 +230,8 @@ class Flight:
     def _whole(self, outputs: Callable[[Any, Any, Any], list[Any]]) -> Any:
         w, p = ca.MX.sym("w", self.kernel.known.size, self.n_steps), ca.MX.sym("P", self.layout.size)
         first = self.kernel.start(w[:, 0], p)
-        return ca.Function("whole", [w, p], outputs(first, w, ca.repmat(p, 1, self.n_steps)))
+        constants = ca.repmat(self.kernel.constants(p), 1, self.n_steps)
+        return ca.Function("whole", [w, p], outputs(first, w, constants))
 
     @cached_property
     def _fixed(self) -> Array:
@@ -255,7 +262,8 @@ class Flight:
             parts["energy"],
             parts["saturation"],
             parts["variation"],
-            parts["error"][0],
+            self._error(parts),
+            parts["blur"][0],
             outcomes,
         )
 
@@ -277,10 +285,14 @@ class Flight:
             return Outcome(
                 RunStatus.ALARM, self.alarms[int(parts["alarm"][0, i]) - 1], float(parts["alarm time"][0, i])
             )
-        error = float(parts["error"][0, i])
+        error = float(self._error(parts)[i])
         if not error <= self.accuracy:
             return Outcome(RunStatus.INACCURATE, f"integration error {error:.2g}")
         return Outcome(RunStatus.OK)
+
+    def _error(self, parts: dict[str, Array]) -> Array:
+        """Return the estimated errors of runs: those of single steps, grown, and what averaging adds to them."""
+        return np.asarray(self.growth * parts["error"][0] + parts["blur"][0])
 
     def _relative(self, states: Array, columns: slice) -> Array | None:
         """Return the errors of plant states relative to the reference; states without one are not-a-number."""
@@ -296,4 +308,4 @@ class Flight:
 def _without_log(step: Any) -> Any:
     """Return the step without its log, so that what only the log needs is not computed."""
     symbols = step.sx_in() if step.is_a("SXFunction") else step.mx_in()
-    return ca.Function("only", symbols, [step(*symbols)[0]], ["X", "w", "P"], ["X_next"])
+    return ca.Function("only", symbols, [step(*symbols)[0]], ["X", "w", "C"], ["X_next"])

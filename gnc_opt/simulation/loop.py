@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -18,7 +18,7 @@ from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.disturbances import Disturbance
-from gnc_opt.simulation.flight import Flight
+from gnc_opt.simulation.flight import Ending, Flight
 from gnc_opt.simulation.kernel import Kernel, alarm_labels, build_kernel, watched_labels
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.wiring import Blocks, Wiring, wire
@@ -41,6 +41,9 @@ _MAX_STEPS = 2_000_000
 _PART_OF_A_STEP = 1e-6
 """A run that ends by less than this share of a step after a control step ends with that step: the quotient of a long
 time and a short step has so few digits."""
+
+_ROUNDING_OF_A_RUN = 1e-14
+"""Local errors that sum up to less are as small as rounding: what differs between runs is no measure of them."""
 
 _MAX_UNROLLED = 2000
 """Integration steps per control step at most: they are written out one by one in the compiled function."""
@@ -209,20 +212,30 @@ class ClosedLoop:
         nominal = self.parameters(x0, parameters)
         times = self._times(t0, tf)
         rows = self._schedule(times)
-        if self.substeps is not None:
-            return self._flight(nominal, times, rows, self.substeps)
-        substeps = self._stable_substeps(nominal, times[0])
+        substeps = self.substeps or self._stable_substeps(nominal, times[0])
+        coarse = None
         while True:
             flight = self._flight(nominal, times, rows, substeps)
             ending = flight.final(nominal[:, None], [0])
-            error = float(ending.integration_error[0])
             # a run that leaves the finite numbers is not one whose accuracy could be had by more steps
-            if error <= self.accuracy or not np.isfinite(error) or ending.outcomes[0].not_finite:
+            if not np.isfinite(ending.integration_error[0]) or ending.outcomes[0].not_finite:
                 return flight
             if substeps >= MAX_SUBSTEPS and ending.outcomes[0].diverged:
                 return flight  # also when integrated as finely as can be: that is what is to be told
+            local = float(ending.integration_error[0] - ending.averaging_error[0])
+            if coarse is None and (local <= self.accuracy or self.substeps is not None):
+                finer = self._flight(nominal, times, rows, substeps + 1).final(nominal[:, None], [0])
+                flight = replace(flight, growth=_growth(ending, finer, local, substeps / (substeps + 1)))
+            elif coarse is not None:
+                flight = replace(flight, growth=_growth(*coarse[:1], ending, coarse[1], coarse[2] / substeps))
+            error = flight.growth * local
+            if error <= self.accuracy or self.substeps is not None:
+                return flight
+            if substeps >= MAX_SUBSTEPS and local <= self.accuracy:
+                return flight  # errors grow: runs are flagged
             if substeps >= MAX_SUBSTEPS:
                 raise self._too_fast(f"leave an error of {error:.1e} where {self.accuracy:.1e} is asked for")
+            coarse = (ending, local, substeps)
             # the local error of the embedded fourth-order solution, summed over a run, falls with h^4
             needed = substeps * (error / self.accuracy) ** 0.25 * _MARGIN
             substeps = int(min(MAX_SUBSTEPS, max(substeps + 1, np.ceil(needed))))
@@ -365,3 +378,15 @@ def _read_plausible(value: float | Mapping[str, ArrayLike], states: Layout) -> A
     if not np.all(largest > 0):
         raise ArgumentError(f"the plausible sizes of the states are {largest}: give positive ones.")
     return largest
+
+
+def _growth(coarse: Ending, fine: Ending, local: float, ratio: float) -> float:
+    """Return by how much the local errors of a run have grown until its end, from the same run with shorter steps.
+
+    ``local`` is the sum of local errors of the coarse run, ``ratio`` that of the lengths of the steps, below 1. The
+    error at the end falls with the fifth power of the step.
+    """
+    if not local > _ROUNDING_OF_A_RUN or not np.all(np.isfinite(fine.states)):
+        return 1.0
+    apart = np.abs(coarse.states - fine.states) / np.maximum(1.0, np.abs(fine.states))
+    return max(1.0, float(np.max(apart)) / ((1 - ratio**5) * local))
