@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -18,7 +19,7 @@ from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.disturbances import Disturbance
-from gnc_opt.simulation.flight import Ending, Flight
+from gnc_opt.simulation.flight import LEG, Ending, Flight
 from gnc_opt.simulation.kernel import Kernel, alarm_labels, build_kernel, watched_labels
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.wiring import Blocks, Wiring, wire
@@ -248,6 +249,8 @@ class ClosedLoop:
         tf: float,
         seed: Any = 0,
         parameters: Mapping[str, ArrayLike] | None = None,
+        every: int = 1,
+        folder: str | Path | None = None,
     ) -> Run:
         """Run the loop once and log everything.
 
@@ -261,6 +264,11 @@ class ClosedLoop:
             Of the random numbers: the same seed gives the same bits.
         parameters : mapping
             Changes by dotted name, see `layout`.
+        every : int
+            Of so many control steps one is logged; the end always is. What is summed up (effort, say) takes in all.
+        folder : path, optional
+            Where the log is written while flying, as ``states.npy`` and so on; the run's arrays are read from there as
+            they are needed. For long runs: memory does not grow with the log.
 
         Returns
         -------
@@ -268,7 +276,7 @@ class ClosedLoop:
             Also of a run that fails: ``run.outcome`` says what happened and when.
         """
         flight = self.flight(x0, t0=t0, tf=tf, parameters=parameters)
-        return flight.run(flight.nominal, seed)
+        return flight.run(flight.nominal, seed, every=every, folder=folder)
 
     def kernel(self, substeps: int) -> Kernel:
         """Return the symbolic step with that many integration steps per minor step."""
@@ -342,12 +350,19 @@ class ClosedLoop:
         return np.asarray(begin + self.dt * np.arange(count + 1), dtype=np.float64)
 
     def _schedule(self, times: Array) -> Array:
-        rows = np.asarray(self.controller.schedule(times, self.dt), dtype=float)
-        if rows.shape != (self.controller.signals.size, times.size):
-            raise ArgumentError(
-                f"the schedule of '{self.controller.name}' has the shape {rows.shape} where "
-                f"({self.controller.signals.size}, {times.size}) is needed."
-            )
+        size = self.controller.signals.size
+        rows = np.empty((size, times.size))
+        for first in range(
+            0, times.size, LEG
+        ):  # leg by leg: what a schedule needs on its way may be many times its size
+            some = times[first : first + LEG]
+            found = np.asarray(self.controller.schedule(some, self.dt), dtype=float)
+            if found.shape != (size, some.size):
+                raise ArgumentError(
+                    f"the schedule of '{self.controller.name}' has the shape {found.shape} where ({size}, {some.size}) "
+                    "is needed."
+                )
+            rows[:, first : first + LEG] = found
         return rows
 
     def _followed(self, rows: Array) -> Array | None:

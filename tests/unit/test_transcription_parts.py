@@ -647,3 +647,27 @@ def test_rows_are_scaled_by_their_states_or_by_their_slopes() -> None:
     assert objective > 0 and NEARBY == 0.1
     again = scale_rows(program, problem.with_scale(v=1e-3), start, scales)
     assert again[1] == pytest.approx(objective) and again[0] == pytest.approx(rows)
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_slopes_are_looked_at_on_one_side_of_the_guess(sense: float) -> None:
+    """Of x^3 at the end, guessed at +-2: 12 there, and 12 (1 + NEARBY c)^2 beside it, c the cosine of its place."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("cubic")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.guess(x=(2.0 * sense, 2.0 * sense), u=(1.0, 1.0))
+    problem.minimize(leg.final_state("x") ** 3)
+    program = Transcription(problem, {"leg": Mesh.uniform(1, 3)}, "LG")
+    start = np.full(program.n_variables, 2.0 * sense)
+    place = int(program.parts["leg"].collocation.boundary_states[0, -1])
+    golden = np.pi * (3 - np.sqrt(5))
+    near = 2.0 * sense + NEARBY * min(2.0, scale_variables(program, problem, start)[place]) * np.cos(
+        golden * place
+    )
+    steepest = max(12.0, 3 * near**2)
+    scales = np.ones(program.n_variables)
+    assert scale_rows(program, problem, start, scales)[1] == pytest.approx(1 / steepest)
+    assert (steepest > 12.0) == (sense * np.cos(golden * place) > 0)
