@@ -55,6 +55,7 @@ _SHORT = {
     "Hamiltonian": "H", "stationarity": "stat", "control signs": "sign", "minimum principle": "min",
     "complementarity": "compl", "Legendre-Clebsch": "LC", "singular arcs": "sing", "parameters": "par",
     "generalised Legendre-Clebsch": "GLC", "induced gradient": "grad", "strict switches": "strict",
+    "normality": "norm", "conjugate points": "conj",
 }  # fmt: skip
 
 

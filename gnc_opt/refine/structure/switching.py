@@ -27,6 +27,7 @@ from gnc_opt.refine.structure.junctions import move_kinks
 from gnc_opt.refine.structure.newton import settle
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose, signs_of
 from gnc_opt.refine.structure.plan import Plan, points_of
+from gnc_opt.refine.structure.simultaneous import settle_costates
 from gnc_opt.solution.history import History, Pass, RefinementStatus
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
@@ -115,6 +116,8 @@ def optimise_switches(
     if best is None:
         return solution, history
     solution, plans = tries[best].solution, tries[best].plans
+    if status is RefinementStatus.CONVERGED:
+        solution = settle_costates(solution)
     return replace(solution, structure=_arcs(solution, plans)), history
 
 
