@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -133,6 +134,16 @@ class Flight:
         """Number of control steps."""
         return int(self.times.size - 1)
 
+    @cached_property
+    def fingerprint(self) -> str:
+        """Digest of everything that decides the bits of a run, beside its parameters and its seed."""
+        digest = hashlib.sha256()
+        for function in (self.kernel.start, self.kernel.constants, self.kernel.step):
+            digest.update(function.serialize().encode())
+        for array in (self.times, self.schedule):
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
     def final(self, P: Array, seeds: Sequence[Any]) -> Ending:
         """Fly n runs and return how they ended; failed ones are flagged, never dropped.
 
@@ -211,7 +222,8 @@ class Flight:
             parts = self.kernel.state.split(np.column_stack([X, after]))
             # the states at the beginnings of the steps; that at the end of the run follows
             at = np.arange(first + (-first) % every, first + len(rows), every) - first
-            self._note(log, parts, self.kernel.log.split(logs[:, at]), at, first + at)
+            if at.size:
+                self._note(log, parts, self.kernel.log.split(logs[:, at]), at, first + at)
             X = np.ascontiguousarray(after[:, -1])
         end = np.array([0])
         self._note(log, self.kernel.state.split(X[:, None]), {}, end, np.array([self.n_steps]))
