@@ -24,7 +24,6 @@ Loan, Matrix Computations, 2013, sec. 10.3).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,13 +31,13 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.solution.program_point import ProgramPoint, quadrature_weights, saddle_matrix
+from gnc_opt.solution.program_point import ProgramPoint
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
-from gnc_opt.tolerances import AT_LIMIT, TINY
+from gnc_opt.tolerances import AT_LIMIT
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.transcription.transcription import Transcription
 from gnc_opt.verify.critical_cone import CriticalCone
+from gnc_opt.verify.null_space import FOUND, NullSpace, lanczos, quadratic
 from gnc_opt.verify.verdict import Condition, Result
 
 POINTS = 30
@@ -60,16 +59,6 @@ SHIFT = 0.1
 
 STEPS = 80
 """Steps of Lanczos' method; the ends of the spectrum of a compact operator settle in far fewer."""
-
-SLACK, REFINEMENTS = 1e-12, 1
-"""Of the rows, scaled to unit gradients, so that dependent ones do no harm, and the steps of iterative refinement by
-which the others are kept all the same."""
-
-SETTLED = 1e-4
-"""Residual of the eigenvectors, beside the largest eigenvalue, at which the method ends."""
-
-FOUND = 1e-6
-"""Inverse curvatures below this, beside that of the shift, are rounding: nothing is left to vary there."""
 
 STEP = 0.1
 """Step, in shares of the magnitudes, for which the gain is told."""
@@ -106,7 +95,13 @@ class Curvature:
         return self.value < -steep and self.share < -CANCELLED
 
 
-def reduced_hessian(solution: Solution, samples: list[PhaseSamples]) -> Condition:
+def critical_cone(solution: Solution) -> CriticalCone:
+    """Return what is free to vary along a solution, on a mesh with room for it."""
+    meshes = {name: _rich(leg.mesh) for name, leg in solution.phases.items()}
+    return CriticalCone.of(ProgramPoint.of(solution, meshes))
+
+
+def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: CriticalCone) -> Condition:
     """No variation that keeps the active limits lowers the cost to second order."""
     name = "second order"
     meaning = (
@@ -118,8 +113,6 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples]) -> Conditio
     def judged(result: Result, value: float, where: str, tolerance: float = -UPWARDS) -> Condition:
         return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
 
-    meshes = {name: _rich(leg.mesh) for name, leg in solution.phases.items()}
-    cone = CriticalCone.of(ProgramPoint.of(solution, meshes))
     steep = DOWNWARDS_SINGULAR if any(map(_has_singular_control, samples)) else DOWNWARDS
     free = least_curvature(cone.point, cone.strong)
     jumping = "" if solution.structure else _jumping_control(samples)
@@ -198,60 +191,26 @@ def least_curvature(point: ProgramPoint, held: Mask) -> Curvature:
     point : ProgramPoint
     held : bool array (n_variables + n_constraints,)
     """
-    free, rows = np.flatnonzero(~held[: point.x.size]), np.flatnonzero(held[point.x.size :])
-    root = 1 / np.sqrt(_metric(point.transcription)[free])
-    unit = scipy.sparse.diags_array(root)
-    hessian = scipy.sparse.csc_array(unit @ point.hessian[free][:, free] @ unit)
-    jacobian = scipy.sparse.csc_array(point.jacobian[rows][:, free] @ unit)
+    space = NullSpace.of(point, held)
+    hessian = space.in_shares(point.hessian)
     sizes = np.sqrt(np.asarray((hessian**2).sum(axis=1)))
     typical = float(np.mean(sizes)) if np.any(sizes > 0) else 1.0
-    direction = _least_direction(hessian / typical, jacobian)
+    direction = _least_direction(space, hessian / typical)
     if direction is None:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
-    curvature = float(direction @ (hessian @ direction))
-    terms = float(np.abs(direction) @ (abs(hessian) @ np.abs(direction)))
-    whole = np.zeros(point.x.size)
-    whole[free] = root * direction
+    curvature, share = quadratic(hessian, direction)
+    whole = space.variables(direction)
     largest = float(np.max(np.abs(whole)))
     gain = -0.5 * curvature * (STEP / largest) ** 2 / point.scaling.objective
-    return Curvature(curvature / typical, curvature / max(terms, TINY), whole / largest, gain)
+    return Curvature(curvature / typical, share, whole / largest, gain)
 
 
-def _metric(transcription: Transcription) -> Array:
-    """Weights of the squares of scaled variables in the size of a variation (n_variables,)."""
-    weights, _ = quadrature_weights(transcription)
-    for part in transcription.parts.values():
-        collocation = part.collocation
-        # States at inner boundaries follow from the points; together they count once.
-        weights[collocation.boundary_states[:, 1:-1]] = 1.0 / collocation.mesh.segments
-    return weights
-
-
-def _least_direction(hessian: Any, jacobian: Any) -> Array | None:
-    """Return the direction of least curvature (unit length) in the null space of the Jacobian, or None if that is 0.
-
-    Parameters
-    ----------
-    hessian : sparse (n, n)
-        With rows of about unit length.
-    jacobian : sparse (n_rows, n)
-    """
-    n, rows = hessian.shape[0], jacobian.shape[0]
+def _least_direction(space: NullSpace, hessian: Any) -> Array | None:
+    """Return the direction of least curvature (unit length) in a null space, or None if that is 0."""
+    n = hessian.shape[0]
     if n == 0:
         return None
-    norms = np.sqrt(np.asarray((jacobian**2).sum(axis=1)))
-    unit = scipy.sparse.diags_array(1 / np.where(norms > 0, norms, 1.0)) @ jacobian
-    matrix = saddle_matrix(hessian + SHIFT * scipy.sparse.eye_array(n), unit)
-    slack = scipy.sparse.diags_array(np.where(np.arange(n + rows) < n, 0.0, SLACK))
-    factors = scipy.sparse.linalg.splu(scipy.sparse.csc_array(matrix - slack))
-
-    def inverse(vector: Array) -> Array:
-        right = np.concatenate([vector, np.zeros(rows)])
-        solved = factors.solve(right)
-        for _ in range(REFINEMENTS):
-            solved = solved + factors.solve(right - matrix @ solved)
-        return np.asarray(solved[:n])
-
+    inverse = space.projected_inverse(hessian + SHIFT * scipy.sparse.eye_array(n))
     start = inverse(np.random.default_rng(0).standard_normal(n))
     values, vectors = lanczos(inverse, start, STEPS)
     if not values.size or np.max(np.abs(values)) * SHIFT < FOUND:
@@ -261,42 +220,3 @@ def _least_direction(hessian: Any, jacobian: Any) -> Array | None:
     chosen = vectors[:, np.argmin(values)] if np.any(found) else vectors[:, np.argmax(values)]
     direction = inverse(chosen)
     return np.asarray(direction / np.linalg.norm(direction))
-
-
-def lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> tuple[Array, Array]:
-    """Return approximate eigenvalues (k,) and eigenvectors (n, k) of a symmetric operator.
-
-    With full reorthogonalisation; ends early where the ends of the spectrum have settled.
-
-    Parameters
-    ----------
-    operate : function of a vector (n,)
-    start : array (n,)
-    steps : int
-    """
-    size = float(np.linalg.norm(start))
-    if not size > 0:
-        return np.zeros(0), np.zeros((start.size, 0))
-    space = np.empty((min(steps, start.size) + 1, start.size))
-    space[0] = start / size
-    diagonal: list[float] = []
-    beside: list[float] = []
-    for k in range(space.shape[0] - 1):
-        image = operate(space[k])
-        diagonal.append(float(space[k] @ image))
-        for _ in range(2):
-            image = image - space[: k + 1].T @ (space[: k + 1] @ image)
-        length = float(np.linalg.norm(image))
-        if length <= FOUND * max(map(abs, diagonal)) or (k % 10 == 9 and _settled(diagonal, beside, length)):
-            break
-        beside.append(length)
-        space[k + 1] = image / length
-    n = len(diagonal)
-    values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside[: n - 1])
-    return values, space[:n].T @ vectors
-
-
-def _settled(diagonal: list[float], beside: list[float], length: float) -> bool:
-    """Whether both ends of the spectrum are found, by the last components of their eigenvectors."""
-    values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside)
-    return bool(np.max(length * np.abs(vectors[-1, [0, -1]])) <= SETTLED * np.max(np.abs(values)))

@@ -11,11 +11,13 @@ from gnc_opt.problem.functions import EndGradients
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.verify import controls, costates, feasibility, second_order
+from gnc_opt.verify.conjugate_points import conjugate_points
 from gnc_opt.verify.judged import ends_of, from_problem, has_costates, missing_number, stored_numbers
 from gnc_opt.verify.kept import keep_verdict, kept_verdict
 from gnc_opt.verify.magnitude import cost_magnitude
+from gnc_opt.verify.normality import normality
 from gnc_opt.verify.pushes import settle_edges
-from gnc_opt.verify.reduced_hessian import reduced_hessian
+from gnc_opt.verify.reduced_hessian import critical_cone, reduced_hessian
 from gnc_opt.verify.singular import generalised_legendre_clebsch
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 
@@ -46,7 +48,8 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         conditions, cost, stored numbers, adjoint equation, transversality, Hamiltonian, stationarity, control signs,
         minimum principle, complementarity, Legendre-Clebsch, singular arcs, generalised Legendre-Clebsch, parameters,
         second order; for a solution whose switch times were optimised or that is bang-bang, strict switches; for the
-        latter, induced gradient.
+        latter, induced gradient; for all others, normality and,
+        along smooth phases, conjugate points.
         A solution keeps its verdict: asked again, at the same tolerance, nothing is computed anew.
 
     Raises
@@ -98,7 +101,7 @@ def _judge(solution: Solution, tol: float) -> Verdict:
     names = ("strict switches", "second order") if switching else ("second order",)
     if told and not missing.value:
         switches = [second_order.strict_switches(lasting)] if switching else []
-        switches += _second_order(solution, samples, lasting, ends, tol)
+        switches += _second_order(solution, samples, ends, tol)
     else:
         switches = [_untold(name, missing.where, _CANNOT_VARY) for name in names]
     if len(lasting) < len(samples):
@@ -115,16 +118,14 @@ def _judge(solution: Solution, tol: float) -> Verdict:
 
 
 def _second_order(
-    solution: Solution,
-    samples: list[PhaseSamples],
-    lasting: list[PhaseSamples],
-    ends: EndGradients,
-    tolerance: float,
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
 ) -> list[Condition]:
     """By the switch times where they alone are left to vary, else on the mesh."""
-    if not second_order.obstacle(lasting):
-        return second_order.second_order(solution, lasting, ends, tolerance)
-    return [reduced_hessian(solution, samples)]
+    if not second_order.obstacle(samples):
+        return second_order.second_order(solution, samples, ends, tolerance)
+    cone = critical_cone(solution)
+    smooth = conjugate_points(solution.need_problem("verify"), samples)
+    return [normality(cone), *smooth, reduced_hessian(solution, samples, cone)]
 
 
 def _untold(name: str, where: str, meaning: str) -> Condition:

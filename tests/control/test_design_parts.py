@@ -592,6 +592,19 @@ def test_margins_of_an_integrator_with_gain():
     assert unstable.gain_down == pytest.approx([0.25]) and unstable.gain_up.tolist() == [INF]
 
 
+@pytest.mark.parametrize("c", [1.0, 1.9, 1.9999999])
+def test_a_sampled_integrator_has_the_phase_margin_of_its_crossing(c):
+    """L = c / (z - 1) has the size one at w dt = 2 asin(c / 2), also just below the last frequency there is."""
+    dt = 0.1
+    found = margins(np.ones((1, 1)), np.array([[dt]]), np.array([[c / dt]]), dt)
+    crossing = 2 * np.arcsin(c / 2) / dt
+    phase = np.pi / 2 - np.arcsin(c / 2)
+    assert found.phase == pytest.approx([phase], abs=1e-9) and found.delay == pytest.approx(
+        [phase / crossing], abs=1e-9
+    )
+    assert found.gain_up == pytest.approx([2 / c])
+
+
 def test_the_disk_margin_is_that_of_the_highest_peak():
     """Of S - 1/2 = (1 - L) / (2 (1 + L)) over all frequencies, not only those of a grid."""
     a, b, k = np.array([[0.0, 1.0], [0.0, -0.7]]), np.array([[0.0], [1.0]]), np.array([[3.0, 0.2]])

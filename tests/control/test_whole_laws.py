@@ -240,6 +240,65 @@ def test_commands_within_limits_of_size_and_rate_are_those_of_the_programme(solv
     assert after[0] == pytest.approx(u[0]) and after[law.memory.slice("qp_alarm")].tolist() == [0.0]
 
 
+def swinging() -> tuple[Model, Reference]:
+    """A pendulum that is swung along cos t, so that A and B change with time; two controls."""
+    model = Model("pendulum")
+    q, w = model.state("q"), model.state("w")
+    u, c = model.control("u"), model.control("c")
+    model.ode({q: w + 0.1 * c, w: -4 * ca.sin(q) + u * ca.cos(q)})
+    return model, Reference.from_functions(
+        model, lambda t: [np.cos(t), -np.sin(t)], lambda t: [0.3, 0.0], 0.0, 3.0
+    )
+
+
+def test_a_horizon_over_dynamics_that_change_takes_them_from_its_schedule():
+    """Without a limit in reach the time-varying regulator; with limits the programme, by a general solver."""
+    model, reference = swinging()
+    options = {"Q": [3.0, 1.0], "R": [0.5, 1.0], "horizon": 0.6, "dt": 0.2}
+    free = design_mpc(model, reference, limits=(-99.0, 99.0), **options)
+    regulator = design_tvlqr(model, reference, Q=[3.0, 1.0], R=[0.5, 1.0], dt=0.2)
+    x = np.array([0.5, 0.9])
+    for t in (0.0, 0.4, 2.6):
+        assert free(t, x)[0] == pytest.approx(regulator(t, x)[0], rel=1e-6)
+    names = {v.name: v.size for v in free.signals.variables}
+    assert names == {
+        "q_ref": 1,
+        "w_ref": 1,
+        "u_ff": 1,
+        "c_ff": 1,
+        "horizon_ff": 4,
+        "horizon_A": 12,
+        "horizon_F": 12,
+        "horizon_K": 12,
+        "horizon_G": 12,
+    }
+    assert free.explain()["dynamics along the horizon"] == "from the schedule"
+
+    tight = design_mpc(model, reference, limits=([-1.0, -0.5], [2.0, 0.5]), **options)
+    gains, t = regulator.schedule.gains, 0.4
+    steps, p = gains.steps[2:5], gains.P(1.0)
+    ahead = reference.mean_control(t + 0.2 * np.arange(3), 0.2)
+
+    def cost(v):
+        e, total = x - reference.x(t), 0.0
+        for k, s in enumerate(steps):
+            w = v[2 * k : 2 * k + 2] - ahead[:, k]
+            total += e @ s.q @ e + w @ s.r @ w + 2 * e @ s.n @ w
+            e = s.a @ e + s.b @ w
+        return total + e @ p @ e
+
+    best = minimize(
+        cost,
+        np.zeros(6),
+        bounds=[(-1.0, 2.0), (-0.5, 0.5)] * 3,
+        method="SLSQP",
+        options={"ftol": 1e-15, "maxiter": 300},
+    )
+    u, after = tight(t, x)
+    assert u == pytest.approx(best.x[:2], abs=1e-4) and np.max(np.abs(u - free(t, x)[0])) > 0.05
+    assert after[tight.memory.slice("qp_alarm")].tolist() == [0.0]
+
+
 def test_a_limited_state_is_kept_by_a_soft_row():
     """v_ref = 1 m/s and at most 1.2 m/s: from 1.5 m/s the command brakes harder than without, and recovers."""
     free, kept = predictive(), predictive(state_limits={"v": (-np.inf, 1.2)})
