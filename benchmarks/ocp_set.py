@@ -41,8 +41,8 @@ TOLERANCE = 1e-8
 STARTS = 12
 """Of a search."""
 
-WALL_TIME = 60.0
-"""Limit on the solver's time for one problem, s."""
+WALL_TIME = 600.0
+"""Limit on solving and refining one problem, s."""
 
 ACCEPT = 1e-5
 """Relative error of the objective that passes where the file gives none."""
@@ -54,6 +54,8 @@ _SHORT = {
     "boundary conditions": "ends", "cost": "cost", "adjoint equation": "adj", "transversality": "trans",
     "Hamiltonian": "H", "stationarity": "stat", "control signs": "sign", "minimum principle": "min",
     "complementarity": "compl", "Legendre-Clebsch": "LC", "singular arcs": "sing", "parameters": "par",
+    "generalised Legendre-Clebsch": "GLC", "induced gradient": "grad", "strict switches": "strict",
+    "normality": "norm", "conjugate points": "conj",
 }  # fmt: skip
 
 

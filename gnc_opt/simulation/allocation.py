@@ -52,7 +52,7 @@ def pseudo_inverse(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "t
             f"{what}: {effects.shape[1] - len(failed)} actuators{lost} span {rank} of {effects.shape[0]} directions, "
             f"none acts along {np.round(left[:, -1], 4)} (singular value {least:.1e}): add actuators or command less."
         )
-    inverse = np.asarray(np.linalg.pinv(effects, rcond=_SINGULAR))
+    inverse = np.asarray(np.linalg.pinv(effects))
     inverse[list(failed)] = 0.0
     return inverse
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any, Literal
@@ -195,11 +196,14 @@ def hilltop(steepness: float) -> go.Solution:
 
 
 @cache
-def one_switch(bend: float) -> go.Solution:
+def one_switch(
+    bend: float, at: float = 1.0, more: Callable[[go.Problem, go.Phase], Any] = lambda problem, leg: 0.0
+) -> go.Solution:
     """x' = u, |u| <= 1 over 2 s; u switches from 1 to -1 at 1 s, an extremal for every bend, a minimum for bend < 1.
 
     The cost is x_f plus the integral of (bend / 3 - 1) x - bend x^2 / 3. The costate rises through zero at 1 s, and
-    as a function of the switch time the cost has the second derivative 2 - 2 bend there.
+    as a function of the switch time the cost has the second derivative 2 - 2 bend there. ``more`` may constrain the
+    problem and add to its cost, and the switch may be ``at`` a wrong time.
     """
     model = go.Model("integrator")
     x, u = model.state("x"), model.control("u")
@@ -209,10 +213,33 @@ def one_switch(bend: float) -> go.Solution:
     leg.time(0.0, 2.0)
     leg.initial(x=0.0)
     leg.bounds(u=(-1.0, 1.0))
-    problem.minimize(leg.integral((bend / 3 - 1) * x - bend / 3 * x**2) + leg.final_state("x"))
-    held = go.solve(problem.with_arcs(arcs=[[1, -1]]), mesh=go.Mesh.at_times([0.0, 1.0, 2.0], 4))
-    arcs = (Arc("leg", "u", ArcKind.UPPER, 0.0, 1.0), Arc("leg", "u", ArcKind.LOWER, 1.0, 2.0))
-    return replace(with_leg(held, mesh=go.Mesh.at_times([0.0, 1.0, 2.0], 4, movable=True)), structure=arcs)
+    cost = leg.integral((bend / 3 - 1) * x - bend / 3 * x**2) + leg.final_state("x")
+    problem.minimize(cost + more(problem, leg))
+    held = go.solve(problem.with_arcs(arcs=[[1, -1]]), mesh=go.Mesh.at_times([0.0, at, 2.0], 4))
+    arcs = (Arc("leg", "u", ArcKind.UPPER, 0.0, at), Arc("leg", "u", ArcKind.LOWER, at, 2.0))
+    return replace(with_leg(held, mesh=go.Mesh.at_times([0.0, at, 2.0], 4, movable=True)), structure=arcs)
+
+
+def singular_problem(stiffness: float) -> go.Problem:
+    """x' = u, |u| <= 1, and r' = w, from rest to x = 0, r = 1 at the cost of stiffness x^2 (1 + r) + w^2 / 2."""
+    model = go.Model("beside")
+    x, r = model.state("x"), model.state("r")
+    u, w = model.control("u"), model.control("w")
+    model.ode({x: u, r: w})
+    problem = go.Problem("beside")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0, r=0.0)
+    leg.final(x=0.0, r=1.0)
+    leg.bounds(u=(-1.0, 1.0), w=(-5.0, 5.0))
+    problem.minimize(leg.integral(stiffness * x**2 * (1 + r) + 0.5 * w**2))
+    return problem
+
+
+@cache
+def singular() -> go.Solution:
+    """x = 0 throughout, on a singular arc, whatever the stiffness; a minimum if that is positive."""
+    return go.solve(singular_problem(1.0), mesh="2x4")
 
 
 # --- ways of being wrong ------------------------------------------------------------------------------

@@ -1,0 +1,222 @@
+r"""Second order on the solution's mesh: curvature of the Lagrangian along what the active limits leave free.
+
+At a local minimum of the transcribed program with multipliers :math:`\lambda` (Nocedal & Wright, Numerical
+Optimization, 2006, theorems 12.5 and 12.6)
+
+.. math:: d^T \nabla^2 \mathcal L\, d \ge 0 \quad\text{for all } d \text{ in the critical cone}:
+          \quad \nabla g_C\, d = 0, \quad d_P = 0,
+
+rows C and variables P being those on their limits; > 0 for all of them but zero is sufficient. A limit whose
+multiplier vanishes (weakly active) need only be kept from one side: the cone lies between the space where it binds
+and the one where it does not. All variables take part: controls, free parameters, free times, every phase, links and
+integrals.
+
+The least curvature is that of variations of size 1,
+
+.. math:: |d|^2 = \int \Big(\frac{\delta x}{x}\Big)^2 + \Big(\frac{\delta u}{u}\Big)^2
+          + \text{squares of varied ends, times and parameters}
+
+in shares of their magnitudes, in which the second variation of a regular problem is bounded below (Maurer &
+Pickenhain, J. Optim. Theory Appl. 86(3), 1995). It is found by Lanczos' method on
+:math:`(\nabla^2\mathcal L + \sigma)^{-1}`, restricted to the null space by one sparse factorisation (Golub & Van
+Loan, Matrix Computations, 2013, sec. 10.3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.solution.program_point import ProgramPoint
+from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import AT_LIMIT
+from gnc_opt.transcription.mesh import Mesh
+from gnc_opt.verify.critical_cone import CriticalCone
+from gnc_opt.verify.null_space import FOUND, NullSpace, lanczos, quadratic
+from gnc_opt.verify.verdict import Condition, Result
+
+POINTS = 30
+"""Collocation points that a phase has at least: the mesh of a solution that is simple has no room for variations."""
+
+UPWARDS, DOWNWARDS = 1e-6, 1e-4
+"""Curvature, in shares of the Hessian's mean row, from which it is told from none: above what is left of first-order
+errors, those of the mesh between active limits included."""
+
+DOWNWARDS_SINGULAR = 1e-2
+"""The same where a control is singular: there quadrature may take a control that alternates from node to node for one
+that gains something."""
+
+CANCELLED = 1e-6
+"""Curvature that is less than this share of its own terms is what they leave when they cancel."""
+
+SHIFT = 0.1
+"""The shift, in shares of the Hessian's mean row: large beside curvatures that are as good as none."""
+
+STEPS = 80
+"""Steps of Lanczos' method; the ends of the spectrum of a compact operator settle in far fewer."""
+
+STEP = 0.1
+"""Step, in shares of the magnitudes, for which the gain is told."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curvature:
+    """The least curvature of the Lagrangian on a linear space of variations.
+
+    Attributes
+    ----------
+    value : float
+        In shares of the mean of the Hessian's diagonal; NaN if nothing is left to vary.
+    share : float
+        In shares of the terms that add up to it.
+    direction : array (n_variables,)
+        Scaled, its largest component 1.
+    gain : float
+        What a step of `STEP` along it takes from the minimised cost, physical.
+    """
+
+    value: float
+    share: float
+    direction: Array
+    gain: float
+
+    @property
+    def upwards(self) -> bool:
+        """Whether it is told to be positive."""
+        return self.value > UPWARDS and self.share > CANCELLED
+
+    def downwards(self, steep: float) -> bool:
+        """Whether it is told to be negative, by more than ``steep``."""
+        return self.value < -steep and self.share < -CANCELLED
+
+
+def critical_cone(solution: Solution) -> CriticalCone:
+    """Return what is free to vary along a solution, on a mesh with room for it."""
+    meshes = {name: _rich(leg.mesh) for name, leg in solution.phases.items()}
+    return CriticalCone.of(ProgramPoint.of(solution, meshes))
+
+
+def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: CriticalCone) -> Condition:
+    """No variation that keeps the active limits lowers the cost to second order."""
+    name = "second order"
+    meaning = (
+        "Along every variation of controls, times and parameters that keeps what is active, the cost must curve "
+        "upwards (value: least curvature of the Lagrangian on the solution's mesh with the sign reversed, in shares "
+        "of its mean row); where it curves downwards, a cheaper trajectory is nearby."
+    )
+
+    def judged(result: Result, value: float, where: str, tolerance: float = -UPWARDS) -> Condition:
+        return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
+
+    steep = DOWNWARDS_SINGULAR if any(map(_has_singular_control, samples)) else DOWNWARDS
+    free = least_curvature(cone.point, cone.strong)
+    jumping = "" if solution.structure else _jumping_control(samples)
+    if np.isnan(free.value) or free.upwards:
+        told = Result.CANNOT_TELL if jumping else Result.PASS
+        if np.isnan(free.value):
+            return judged(
+                told, 0.0, jumping or "as many conditions as unknowns, nothing is left to vary", 0.0
+            )
+        return judged(told, -free.value, jumping or _place(cone.point, solution, free.direction))
+    # Where weakly active limits bind as well, less is left to vary; what is downwards there is so in the cone.
+    bound = least_curvature(cone.point, cone.strong | cone.weak) if np.any(cone.weak) else free
+    for found in (free, bound):
+        admitted = (cone.admits(sign * found.direction, samples) for sign in (1.0, -1.0))
+        if found.downwards(steep) and any(admitted):
+            gain = f": a step of {100 * STEP:.0f} % of its magnitude gains {found.gain:.3g} in the cost"
+            place = _place(cone.point, solution, found.direction)
+            return judged(Result.FAIL, -found.value, place + gain)
+    place = _place(cone.point, solution, free.direction)
+    return judged(Result.CANNOT_TELL, -free.value, place + _doubt(free, steep))
+
+
+def _doubt(curvature: Curvature, steep: float) -> str:
+    if curvature.downwards(steep):
+        return ": limits that are only just active, or the values between the nodes, may forbid to go there"
+    return f": flat (what is between -{steep:.0e} and {UPWARDS:.0e} is not told from zero)"
+
+
+def _rich(mesh: Mesh) -> Mesh:
+    """Return a mesh with room for variations, where that of a solution that is simple has none."""
+    least = -(-POINTS // mesh.segments)
+    return Mesh(mesh.breaks, tuple(max(n, least) for n in mesh.degrees), mesh.movable)
+
+
+def _jumping_control(samples: list[PhaseSamples]) -> str:
+    """Name a control that reaches both bounds without H curving in it: its switch times vary, and the mesh is fixed."""
+    for s in samples:
+        lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
+        straight = _straight(s)
+        jumps = np.any(lower & straight, axis=1) & np.any(upper & straight, axis=1)
+        if np.any(jumps):
+            label = s.leg.controls.labels[int(np.argmax(jumps))]
+            return f"phase {s.leg.name}, {label}: switch times that are not variables of the mesh do not vary"
+    return ""
+
+
+def _has_singular_control(s: PhaseSamples) -> bool:
+    """Whether a control is between its bounds where H does not curve in it."""
+    lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
+    return bool(np.any(_straight(s) & ~lower & ~upper))
+
+
+def _straight(s: PhaseSamples) -> Mask:
+    """Where H does not curve upwards in a control (n_controls, n_samples)."""
+    curvature = np.einsum("iij->ij", s.control_hessian) * s.control_scale[:, None] ** 2
+    return np.asarray(curvature <= AT_LIMIT * s.hamiltonian_scale)
+
+
+def _place(point: ProgramPoint, solution: Solution, direction: Array) -> str:
+    """Return where along time a direction is largest."""
+    size = np.abs(direction)
+    for name, part in point.transcription.parts.items():
+        leg, places = solution.phases[name], part.collocation.point_controls
+        if places.size and np.max(size[places]) >= np.max(size):
+            i, j = np.unravel_index(np.argmax(size[places]), places.shape)
+            time = leg.initial_time + part.collocation.fractions[j] * leg.duration
+            return f"phase {name}, t = {time:.6g} s, {leg.controls.labels[i]}"
+    return point.variables.labels[int(np.argmax(size))]
+
+
+def least_curvature(point: ProgramPoint, held: Mask) -> Curvature:
+    """Return the least curvature of the Lagrangian where some variables and rows do not vary.
+
+    Parameters
+    ----------
+    point : ProgramPoint
+    held : bool array (n_variables + n_constraints,)
+    """
+    space = NullSpace.of(point, held)
+    hessian = space.in_shares(point.hessian)
+    sizes = np.sqrt(np.asarray((hessian**2).sum(axis=1)))
+    typical = float(np.mean(sizes)) if np.any(sizes > 0) else 1.0
+    direction = _least_direction(space, hessian / typical)
+    if direction is None:
+        return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
+    curvature, share = quadratic(hessian, direction)
+    whole = space.variables(direction)
+    largest = float(np.max(np.abs(whole)))
+    gain = -0.5 * curvature * (STEP / largest) ** 2 / point.scaling.objective
+    return Curvature(curvature / typical, share, whole / largest, gain)
+
+
+def _least_direction(space: NullSpace, hessian: Any) -> Array | None:
+    """Return the direction of least curvature (unit length) in a null space, or None if that is 0."""
+    n = hessian.shape[0]
+    if n == 0:
+        return None
+    inverse = space.projected_inverse(hessian + SHIFT * scipy.sparse.eye_array(n))
+    start = inverse(np.random.default_rng(0).standard_normal(n))
+    values, vectors = lanczos(inverse, start, STEPS)
+    if not values.size or np.max(np.abs(values)) * SHIFT < FOUND:
+        return None
+    # 1 / (curvature + shift): below -shift it is negative, and above it is largest where the curvature is least.
+    found = values < -FOUND * np.max(np.abs(values))
+    chosen = vectors[:, np.argmin(values)] if np.any(found) else vectors[:, np.argmax(values)]
+    direction = inverse(chosen)
+    return np.asarray(direction / np.linalg.norm(direction))
