@@ -124,7 +124,7 @@ def _second_order(
     if not second_order.obstacle(samples):
         return second_order.second_order(solution, samples, ends, tolerance)
     cone = critical_cone(solution)
-    smooth = conjugate_points(solution.need_problem("verify"), samples)
+    smooth = conjugate_points(solution, samples)
     return [normality(cone), *smooth, reduced_hessian(solution, samples, cone)]
 
 

@@ -249,6 +249,7 @@ def test_explanations_are_read_by_name_and_printed():
         str(Fact("third", np.array([1 / 3]))) == "third: [0.333333]"
         and str(Fact("third", 1 / 3)) == "third: 0.333333"
     )
+    assert str(Fact("two", 2.0)) == "two: 2" and str(Fact("small", 1e-9, "s")) == "small: 1e-09 s"
     assert str(explanation).splitlines() == ["title", *(f"  {f}" for f in facts)]
     assert explanation["pole"] == -1.25
     with pytest.raises(UnknownNameError, match="no fact 'pale': did you mean 'pole'"):

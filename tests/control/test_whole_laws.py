@@ -9,7 +9,7 @@ from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
 
 from gnc_opt.control import ConstantRate, SaturationLayer, design_lqr, design_mpc, design_tvlqr
-from gnc_opt.control.feedback_linearization import _sampling_facts
+from gnc_opt.control.feedback_linearization import _sampling_facts, design_feedback_linearization
 from gnc_opt.control.guard import check_zero_dynamics, guarded_inverse
 from gnc_opt.control.lie import output_errors
 from gnc_opt.control.linear.margins import margins
@@ -472,3 +472,13 @@ def test_an_integral_surface_stays_at_zero_undisturbed_and_sums_a_matched_distur
         s = z[law.memory.slice("s")][0]
         assert s == pytest.approx(push * dt, abs=1e-12)
         assert u == pytest.approx(-gain @ x - s / 0.5)
+
+
+def test_a_law_around_another_one_has_its_alarms_too():
+    rest = Reference.constant(cart(), [0.0, 0.0])
+    inner = design_feedback_linearization(cart(), rest, outputs="q", poles=[-1.0, -2.0], dt=0.1)
+    outer = design_integral_sliding_mode(
+        cart(), rest, nominal=inner, reaching=ConstantRate(1.0), boundary=SaturationLayer(0.5), dt=0.1
+    )
+    assert "singular" in inner.alarms and {"singular", "nominal_singular"} <= set(outer.alarms)
+    assert {"singular", "nominal_singular"} <= set(outer.memory.names)

@@ -118,4 +118,5 @@ def test_figures_and_places_do_not_depend_on_units(units: Units) -> None:
 def test_every_figure_is_worth_comparing() -> None:
     figures = {c.name: abs(c.value) for c in go.verify(offended(Units())).conditions}
     silent = {name for name, value in figures.items() if not value > 1e-6}
-    assert silent <= RELATIVE_TO_ONE | {"singular arcs", "stored numbers"}
+    none = {"singular arcs", "stored numbers", "generalised Legendre-Clebsch", "normality"}
+    assert silent <= RELATIVE_TO_ONE | none
