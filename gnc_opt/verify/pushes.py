@@ -127,10 +127,10 @@ def _integrate_anew(s: PhaseSamples, k: int, tolerance: float) -> EdgeSegment | 
     if not responses.shape[2]:
         return None
     worth = s.state_scale / s.cost_scale
-    slopes = _control_slopes(s, times, x, u)
+    slopes = s.functions.input_jacobian(times, x, u)
     bounds, near = s.leg.control_bounds, (AT_LIMIT * s.control_scale)[:, None]
     inside = (u > bounds.lower[:, None] + near) & (u < bounds.upper[:, None] - near)
-    share = inside * (s.control_scale / s.hamiltonian_scale)[:, None] / np.sqrt(here.size)
+    share = inside * (s.control_span / s.control_worth)[:, None] / np.sqrt(here.size)
     gradient = s.functions.control_gradient(times, x, u, free, s.mu[:, here]) * share
     moved = np.einsum("imt,ita->mta", slopes, responses) * share[:, :, None]
     matrix = np.vstack([responses[:, -1] * worth[:, None], moved.reshape(-1, moved.shape[2])])
@@ -186,15 +186,3 @@ def _responses(pushers: Pushers, fundamental: Array) -> Array:
             response[:, j + 1 :] = -np.einsum("abt,b->at", fundamental[:, :, j + 1 :], push)
             columns.append(response)
     return np.stack(columns, axis=2) if columns else np.zeros((n, m, 0))
-
-
-def _control_slopes(s: PhaseSamples, times: Array, x: Array, u: Array) -> Array:
-    """d2H/(dlambda du) = df/du, (n_states, n_controls, n_times)."""
-    mu, lam = np.zeros((len(s.leg.path_labels), times.size)), np.zeros_like(x)
-    without = s.functions.control_gradient(times, x, u, lam, mu)
-    rows = []
-    for i in range(x.shape[0]):
-        lam[i] = 1.0
-        rows.append(s.functions.control_gradient(times, x, u, lam, mu) - without)
-        lam[i] = 0.0
-    return np.stack(rows)
