@@ -1,20 +1,8 @@
 """gnc_opt: trajectory optimisation for guidance, navigation and control, with a verdict on every answer."""
 
-from gnc_opt.control import (
-    Controller,
-    Explanation,
-    Reference,
-    bryson,
-    design_feedback_linearization,
-    design_hierarchical_sliding_mode,
-    design_integral_sliding_mode,
-    design_lqr,
-    design_mpc,
-    design_sliding_mode,
-    design_tvlqr,
-    export_c,
-    feedforward,
-)
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from gnc_opt.errors import (
     ArgumentError,
     DesignError,
@@ -26,18 +14,41 @@ from gnc_opt.errors import (
     UnknownNameError,
 )
 from gnc_opt.model import Model
+from gnc_opt.model.smooth import smooth_abs
+from gnc_opt.model.table import Table, table, table_from_csv
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem import Phase, Problem
 from gnc_opt.problem.arc import Arc, ArcKind
+from gnc_opt.problem.guess.data import guess_from_data
+from gnc_opt.problem.guess.simulate import simulate_guess
 from gnc_opt.refine import History, Minimum, Multistart, RefinementStatus, multistart, polish, refine
 from gnc_opt.refine.sensitivity.derivatives import Sensitivity
 from gnc_opt.refine.sensitivity.sensitivity import sensitivity
-from gnc_opt.simulation import Campaign, ClosedLoop, Outcome, Run, RunStatus, monte_carlo
 from gnc_opt.solution import PhaseSolution, Solution, load
 from gnc_opt.solution.failure import SolveError
+from gnc_opt.solution.start import guess_from_solution
 from gnc_opt.solve import solve
+from gnc_opt.study import Continuation, ContinuationStatus, Sweep, continue_in, sweep
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.verify import Condition, Result, Verdict, verify
+from gnc_opt.verify import Condition, Result, Verdict, verify, verify_trajectory
+
+if TYPE_CHECKING:
+    from gnc_opt.control import (
+        Controller,
+        Explanation,
+        Reference,
+        bryson,
+        design_feedback_linearization,
+        design_hierarchical_sliding_mode,
+        design_integral_sliding_mode,
+        design_lqr,
+        design_mpc,
+        design_sliding_mode,
+        design_tvlqr,
+        export_c,
+        feedforward,
+    )
+    from gnc_opt.simulation import Campaign, ClosedLoop, Outcome, Run, RunStatus, monte_carlo
 
 __all__ = [
     "Arc",
@@ -46,6 +57,8 @@ __all__ = [
     "Campaign",
     "ClosedLoop",
     "Condition",
+    "Continuation",
+    "ContinuationStatus",
     "Controller",
     "DesignError",
     "Explanation",
@@ -72,10 +85,13 @@ __all__ = [
     "SolveError",
     "SolverOptions",
     "Status",
+    "Sweep",
+    "Table",
     "UnknownAttributeError",
     "UnknownNameError",
     "Verdict",
     "bryson",
+    "continue_in",
     "design_feedback_linearization",
     "design_hierarchical_sliding_mode",
     "design_integral_sliding_mode",
@@ -85,12 +101,39 @@ __all__ = [
     "design_tvlqr",
     "export_c",
     "feedforward",
+    "guess_from_data",
+    "guess_from_solution",
     "load",
     "monte_carlo",
     "multistart",
     "polish",
     "refine",
     "sensitivity",
+    "simulate_guess",
+    "smooth_abs",
     "solve",
+    "sweep",
+    "table",
+    "table_from_csv",
     "verify",
+    "verify_trajectory",
 ]
+
+_FOLLOWING = ("control", "simulation")
+_ROOMS = (*_FOLLOWING, "plot", "report", "spacecraft")
+
+if not TYPE_CHECKING:  # Type checkers would take any name for one of the package.
+
+    def __getattr__(name: str) -> Any:
+        """Load what follows trajectories when it is first asked for: it is as large as all the rest together."""
+        if name in _ROOMS:
+            return import_module(f"{__name__}.{name}")
+        if name in __all__:
+            for room in _FOLLOWING:
+                module = import_module(f"{__name__}.{room}")
+                if name in module.__all__:
+                    return globals().setdefault(name, getattr(module, name))
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *__all__, *_ROOMS})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 import traceback
 import warnings
@@ -57,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Without the program's name; default ``sys.argv[1:]``.
     """
     args = _parser().parse_args(arguments)
+    args.command = shlex.join(["gnc-opt", *(sys.argv[1:] if arguments is None else arguments)])
     try:
         return int(args.run(args))
     except KeyboardInterrupt:
@@ -206,8 +208,8 @@ def _write(
     elif args.json is not None:
         write_json(args.json, solution, verdict)
     if args.report is not None:
-        paths = write_report(solution, verdict, args.report, figures=file.figures)
-        _say(console, f"report: {len(paths)} files in {args.report}")
+        paths = write_report(solution, verdict, args.report, figures=file.figures, command=args.command)
+        _say(console, f"report: {paths[0]}")
 
 
 def _description(file: ProblemFile, problem: Problem) -> str:
@@ -309,7 +311,7 @@ def _add_solve(commands: Any) -> None:
     )
     add("--solver-tol", type=float, metavar="TOL", help="tolerance of the NLP solver")
     add("--json", metavar="OUT", help="write the summary as JSON to a file, '-' for standard output")
-    add("--report", metavar="DIR", help="write summary, verdict, solution and figures to a folder")
+    add("--report", metavar="DIR", help="write report.html, the solution and figures to a folder")
     add("--no-verify", action="store_true", help="skip the verdict")
     add("--exit-zero", action="store_true", help="exit with 0 even if the verdict fails")
     command.set_defaults(run=_solve)

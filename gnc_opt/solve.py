@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 
 from gnc_opt.arguments import expect
@@ -9,8 +10,10 @@ from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.refine import StructureChoice, refine
 from gnc_opt.solution.failure import SolveError, failure_message
+from gnc_opt.solution.history import RefinementStatus
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import another_way, relative_gain, solve_mesh
+from gnc_opt.tolerances import SHORTEST
 from gnc_opt.transcription.mesh import MeshLike
 from gnc_opt.transcription.scheme import GAUSS, Scheme, family_of
 
@@ -46,13 +49,13 @@ def solve(
     structure : {"auto", "bang-bang", "none"}
         How to refine; see `refine`.
     options : SolverOptions, optional
-        Solver, tolerances, limits and raw options.
+        Solver, tolerances, limits and raw options. The limit on wall time is one on solving and refining together.
     progress : bool
         Show iterations while solving.
     throw : bool
         Raise `SolveError` when no solution was reached; with ``False`` the last iterate is returned, its
         ``status`` says what happened and ``violations`` name the worst constraints. An interrupted solve
-        (Ctrl-C, time limit) never raises.
+        (Ctrl-C, time limit) never raises; interrupted while refining, the best solution so far is returned.
 
     Returns
     -------
@@ -72,6 +75,7 @@ def solve(
     options = SolverOptions() if options is None else options
     expect(options, SolverOptions, "the options of solve()", "write options=SolverOptions(tolerance=1e-9)")
     problem.check()
+    begin = time.perf_counter()
     solution = solve_mesh(problem, mesh, scheme=scheme, guess=guess, options=options, progress=progress)
     if throw and not (solution.status.solved or solution.status is Status.INTERRUPTED):
         raise SolveError(failure_message(solution), solution)
@@ -79,12 +83,21 @@ def solve(
         return solution
 
     def refined(found: Solution) -> Solution:
-        return refine(found, tol=tol, structure=structure, progress=progress)
+        limit = options.max_wall_time
+        left = None if limit is None else max(limit - (time.perf_counter() - begin), SHORTEST)
+        return refine(found, tol=tol, structure=structure, max_wall_time=left, progress=progress)
 
     final = refined(solution)
-    if final.converged or guess is not None:
+    if final.converged or guess is not None or _stopped(final):
         return final
-    return better_of_two(problem, solution, final, refined, options, mesh, scheme)
+    try:
+        return better_of_two(problem, solution, final, refined, options, mesh, scheme)
+    except KeyboardInterrupt:
+        return final
+
+
+def _stopped(refined: Solution) -> bool:
+    return refined.history is not None and refined.history.status is RefinementStatus.INTERRUPTED
 
 
 def better_of_two(

@@ -64,7 +64,7 @@ def run(
         _write_json(options.json, solution, verdict, reference)
     if options.report is not None:
         paths = write_report(solution, verdict, options.report)
-        _say(console, f"report: {len(paths)} files in {options.report}")
+        _say(console, f"report: {paths[0]}")
     unexplained = [condition for condition in verdict.failed if condition.name not in known]
     return 0 if reference.agrees(solution.objective) and not unexplained else 1
 

@@ -2,6 +2,7 @@
 
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
+from gnc_opt.control.dropout import bridge_dropouts
 from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.feedback_linearization import design_feedback_linearization
 from gnc_opt.control.feedforward import feedforward
@@ -49,6 +50,7 @@ __all__ = [
     "SuperTwisting",
     "SuperTwistingObserver",
     "TanhLayer",
+    "bridge_dropouts",
     "bryson",
     "decoupling_matrix",
     "design_feedback_linearization",

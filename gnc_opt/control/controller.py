@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -54,6 +54,8 @@ class Controller:
     explanation : Explanation
     span : tuple of two floats, optional
         Times (s) between which the schedule changes; after the second it stays as it is. Without it, nobody knows.
+    unbridged : Controller, optional
+        The same law without its provision for lost samples, see `bridge_dropouts`.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Controller:
     dt: float | None = None
     alarms: tuple[str, ...] = ()
     span: tuple[float, float] | None = None
+    unbridged: Controller | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         sizes = (1, self.states.size, self.signals.size, self.memory.size)

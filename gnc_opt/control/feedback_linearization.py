@@ -28,25 +28,23 @@ from gnc_opt.control.guard import (
     GuardedLaw,
     Inverse,
     check_zero_dynamics,
+    determinant_on,
     guarded_controller,
     guarded_inverse,
 )
 from gnc_opt.control.lie import OutputErrors, Outputs, given_for, output_errors
-from gnc_opt.control.limits import Limits, read_limits, require_reserve
+from gnc_opt.control.limits import Authority, Limits, read_limits, require_reserve
 from gnc_opt.control.poles import real_polynomial
 from gnc_opt.control.reference import Reference, read_plant
+from gnc_opt.control.rehearsal import FINENESS, Path, Rehearsal, limit_facts, rehearse
 from gnc_opt.control.sampling import spectral_radius, zero_order_hold
 from gnc_opt.control.schedule import reference_times
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import as_vector
 from gnc_opt.model.model import Model
 
-_REHEARSAL = 20.0
+_SPAN = 20.0
 """A rehearsal lasts this many time constants of the slowest pole."""
-_FINENESS = 0.02
-"""Step of a rehearsal, in time constants of the fastest pole."""
-_LONGEST = 20_000
-"""Most steps of a rehearsal; the fastest poles are then followed less finely."""
 
 
 def design_feedback_linearization(
@@ -94,7 +92,8 @@ def design_feedback_linearization(
     limits : (lower, upper), optional
         Authority; the reserve is reported.
     start : array (n_states,), optional
-        State from which the closed loop is rehearsed: designs that meet a singular E on the way are refused.
+        State from which the closed loop is rehearsed, its commands cut to ``limits``: designs that meet a singular E on
+        the way are refused, and those that run away or are kept from settling.
     dt : float, optional
         Length of a control step, s: the sampled chains have to be stable.
     name : str
@@ -108,7 +107,7 @@ def design_feedback_linearization(
     ------
     DesignError
         Undefined relative degree, singular decoupling matrix on the reference or on the way to it, unstable poles or
-        zero dynamics, steps too long.
+        zero dynamics, steps too long, a start from which the limited loop runs away or does not settle.
     """
     reference = read_plant(model, reference, "design_feedback_linearization")
     errors = output_errors(model, reference, outputs)
@@ -128,8 +127,6 @@ def design_feedback_linearization(
         *require_reserve(reference, authority, reference_times(reference)),
     ]
     u = inverse(-ca.DM(gain) @ _ordered(errors) - errors.drift)
-    if start is not None:
-        facts.append(_rehearse(errors, reference, inverse, u, closed, start, guard))
     spare = None
     if fallback is not None:
         shape = (pair.u.numel(), model.errors.size)
@@ -146,6 +143,9 @@ def design_feedback_linearization(
         GuardedLaw(u, inverse.regular, fallback=spare),
         dt=dt,
         explanation=Explanation(f"feedback linearisation of '{model.name}'", tuple(facts)),
+        rehearsal=None
+        if start is None
+        else _rehearsal(errors, reference, inverse, closed, start, authority, dt, guard),
     )
 
 
@@ -263,46 +263,25 @@ def _sampling_facts(errors: OutputErrors, gain: Array, dt: float | None) -> list
     return [Fact("sampled spectral radius", radius, remark=f"steps of {dt:g} s")]
 
 
-def _rehearse(
+def _rehearsal(
     errors: OutputErrors,
     reference: Reference,
     inverse: Inverse,
-    u: Any,
     poles: Array,
     start: ArrayLike,
+    limits: Authority | None,
+    dt: float | None,
     guard: float,
-) -> Fact:
-    """Return the smallest determinant that the undisturbed loop meets from ``start``; refuse below the guard.
+) -> Rehearsal:
+    """Return the rehearsal of a start, which refuses a way on which E becomes singular."""
+    span = max(_SPAN / float(np.min(-poles.real)), reference.duration)
+    step = FINENESS / float(np.max(np.abs(poles))) if dt is None else dt
 
-    Classical Runge-Kutta with the law evaluated continuously: a rehearsal of the design, not of its sampling.
-    """
-    pair = errors.pair
-    x = as_vector(start, pair.x.numel(), "the state at the start", DesignError)
-    span = max(_REHEARSAL / float(np.min(-poles.real)), reference.duration)
-    steps = int(np.clip(np.ceil(span * float(np.max(np.abs(poles))) / _FINENESS), 100, _LONGEST))
-    h = span / steps
-    x_dot = ca.substitute(pair.f, pair.u, u)
-    loop = ca.Function(
-        "loop", [pair.t, pair.x, pair.x_ref, pair.u_ref], [x_dot, errors.determinant, inverse.regular]
-    )
-    t0, lowest, where = reference.initial_time, np.inf, reference.initial_time
-    times = t0 + h * np.arange(2 * steps + 1) / 2
-    x_ref, u_ref = reference.x(times), reference.u(times)
-    for i in range(0, 2 * steps, 2):
-        k1, determinant, regular = loop(times[i], x, x_ref[:, i], u_ref[:, i])
-        size = abs(float(determinant))
-        if size < lowest:
-            lowest, where = size, float(times[i])
-        if not float(regular):
-            raise DesignError(
-                f"from this start the decoupling matrix becomes singular: |det E| = {size:.3g} at t = {times[i]:.4g} s "
-                f"falls below {guard:g} times its largest value {inverse.scale:.3g} on the reference; choose other "
-                "outputs (errors instead of absolute attitudes), less overshoot, or a detour."
-            )
-        k2 = loop(times[i + 1], x + h / 2 * k1, x_ref[:, i + 1], u_ref[:, i + 1])[0]
-        k3 = loop(times[i + 1], x + h / 2 * k2, x_ref[:, i + 1], u_ref[:, i + 1])[0]
-        k4 = loop(times[i + 2], x + h * k3, x_ref[:, i + 2], u_ref[:, i + 2])[0]
-        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return Fact(
-        "smallest determinant on the way", lowest, remark=f"at t = {where:.4g} s, from the given start"
-    )
+    def watch(path: Path) -> Fact:
+        return determinant_on(path, errors, reference, inverse, guard)
+
+    def rehearsal(controller: Controller) -> list[Fact]:
+        path = rehearse(controller, errors, reference, start, limits, dt=step, span=span, watch=watch)
+        return [watch(path), *limit_facts(path, limits, step)]
+
+    return rehearsal

@@ -1,18 +1,13 @@
 """Laws that invert a decoupling matrix, and what they do where they cannot: no division passes silently.
 
-At a control step a guarded law does one of three things:
-
-* all is well: it commands ``u``;
-* the decoupling matrix is (nearly) singular: alarm ``singular``, it commands the fallback, its memory stands still;
-* the measurement (or the memory) is not finite, or beyond `LARGEST`: alarm ``invalid``, it repeats the last command,
-  its memory stands still.
-
-Alarms stay at 1 once raised; the law itself goes back to work as soon as it can.
+Where the decoupling matrix is (nearly) singular, a guarded law raises the alarm ``singular`` and commands the fallback,
+or else its last command again; its memory stands still. The alarm stays at 1 once raised; the law itself goes back to
+work as soon as it can. What it does without a measurement is the business of `gnc_opt.control.dropout`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -20,15 +15,18 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, Schedule, first_memory, law
+from gnc_opt.control.dropout import bridge_dropouts
 from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.lie import OutputErrors, Pair, zero_dynamics
 from gnc_opt.control.reference import Reference
+from gnc_opt.control.rehearsal import Path, Rehearsal
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, reference_times
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import Layout, Variable
-from gnc_opt.tolerances import LARGEST, dependent
+from gnc_opt.tolerances import dependent
 
-ALARMS = ("singular", "invalid")
+SINGULAR = "singular"
+"""The alarm."""
 GUARD = 0.05
 """Smallest |det E|, relative to its largest on the reference, with which a law works."""
 GROWTH = 1e-9
@@ -110,6 +108,34 @@ def guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) ->
     return Inverse(ca.densify(safe), regular, scale, float(signed[worst]))
 
 
+def determinant_on(
+    path: Path, errors: OutputErrors, reference: Reference, inverse: Inverse, guard: float
+) -> Fact:
+    """Return the fact about the smallest |det E| on a rehearsed path.
+
+    Raises
+    ------
+    DesignError
+        It falls below ``guard`` times the largest on the reference.
+    """
+    pair, times = errors.pair, path.times
+    columns = (times[None, :], path.x, reference.x(times), reference.u(times))
+    look = ca.Function(
+        "look", [pair.t, pair.x, pair.x_ref, pair.u_ref], [errors.determinant, inverse.regular]
+    )
+    size, regular = (np.asarray(v.full())[0] for v in look(*columns))
+    lost = np.flatnonzero(~(regular > 0) & np.all(np.isfinite(path.x), axis=0))
+    if lost.size:
+        raise DesignError(
+            f"from this start the decoupling matrix becomes singular: |det E| = {abs(size[lost[0]]):.3g} at t = "
+            f"{times[lost[0]]:.4g} s falls below {guard:g} times its largest value {inverse.scale:.3g} on the "
+            "reference; choose other outputs (errors instead of absolute attitudes), less overshoot, or a detour."
+        )
+    least = int(np.nanargmin(np.abs(size)))
+    remark = f"at t = {times[least]:.4g} s, from the given start"
+    return Fact("smallest determinant on the way", abs(float(size[least])), remark=remark)
+
+
 def check_zero_dynamics(errors: OutputErrors, reference: Reference, growth: float) -> list[Fact]:
     """Return the facts of the zero dynamics at the end of the reference; raise `DesignError` if they grow."""
     t = reference.final_time
@@ -160,31 +186,27 @@ def guarded_controller(
     *,
     dt: float | None,
     explanation: Explanation,
+    rehearsal: Rehearsal | None = None,
 ) -> Controller:
-    """Return the controller of a law with its guards."""
+    """Return the controller of a law with its guards, rehearsed."""
     memory, nominal = guarded.memory, guarded.nominal
     last = ca.SX.sym("u_last", pair.u.numel())
-    singular, invalid = (ca.SX.sym(alarm) for alarm in ALARMS)
-    valid = _all_finite(ca.vertcat(pair.x, *[part.symbol for part in memory]))
-    works = ca.logic_and(valid, guarded.regular)
-    spare = last if guarded.fallback is None else guarded.fallback
-    u = ca.if_else(valid, ca.if_else(guarded.regular, guarded.command, spare), last)
-    lost = ca.logic_and(valid, ca.logic_not(guarded.regular))
+    singular, regular = ca.SX.sym(SINGULAR), guarded.regular
+    u = ca.if_else(regular, guarded.command, last if guarded.fallback is None else guarded.fallback)
     own = [
         *memory,
         Memory("u_last", last, pair.u_ref, u),
-        Memory("singular", singular, ca.SX(0), _or(singular, lost)),
-        Memory("invalid", invalid, ca.SX(0), _or(invalid, ca.logic_not(valid))),
+        Memory(SINGULAR, singular, ca.SX(0), ca.fmax(singular, ca.logic_not(regular))),
     ]
     z = ca.vertcat(*[part.symbol for part in own])
     start = ca.vertcat(*[part.start for part in own])
-    frozen = [ca.if_else(works, part.after, part.symbol) for part in memory]
+    frozen = [ca.if_else(regular, part.after, part.symbol) for part in memory]
     after = ca.vertcat(*frozen, *[part.after for part in own[len(memory) :]])
     inner_signals: list[Variable] = []
     variables = [part.variable for part in own]
     r = ca.vertcat(pair.x_ref, pair.u_ref)
     schedule: Schedule = ReferenceSchedule(reference)
-    alarms: tuple[str, ...] = ALARMS
+    alarms: tuple[str, ...] = (SINGULAR,)
     if nominal is not None:
         variables += nominal.variables
         inner_signals = nominal.signals
@@ -192,9 +214,9 @@ def guarded_controller(
         schedule = _Stacked(schedule, nominal.controller.schedule)
         z, r = ca.vertcat(z, nominal.z), ca.vertcat(r, nominal.r)
         start = ca.vertcat(start, nominal.start)
-        after = ca.vertcat(after, ca.if_else(valid, nominal.after, nominal.z))
+        after = ca.vertcat(after, nominal.after)
     model = pair.model
-    return Controller(
+    guarded_law = Controller(
         name=name,
         step=law(pair.t, pair.x, r, z, u, after),
         start=first_memory(pair.t, pair.x, r, start),
@@ -208,12 +230,17 @@ def guarded_controller(
         span=(reference.initial_time, reference.final_time),
         alarms=alarms,
     )
+    if rehearsal is not None:
+        told = Explanation(explanation.title, (*explanation.facts, *rehearsal(guarded_law)))
+        guarded_law = replace(guarded_law, explanation=told)
+    return bridge_dropouts(guarded_law)
 
 
 class Nominal:
     """A controller inside another one: its law on the symbols of the outer law."""
 
     def __init__(self, controller: Controller, pair: Pair) -> None:
+        controller = controller.unbridged or controller  # the outer law bridges dropouts
         if controller.states.labels != pair.model.states.labels:
             raise DesignError(
                 f"the nominal controller '{controller.name}' is for other states than model '{pair.model.name}'."
@@ -258,18 +285,6 @@ class _Stacked:
 
 def _renamed(variable: Variable) -> Variable:
     return Variable(f"nominal_{variable.name}", variable.size, variable.unit)
-
-
-def _or(flag: Any, now: Any) -> Any:
-    return ca.fmax(flag, now)
-
-
-def _all_finite(x: Any) -> Any:
-    """Return 1 if all entries are measurements, see `LARGEST`; a comparison with NaN is false."""
-    flag = ca.SX(1)
-    for entry in ca.vertsplit(x):
-        flag = ca.logic_and(flag, ca.fabs(entry) <= LARGEST)
-    return flag
 
 
 def _solve(matrix: Any, y: Any) -> Any:

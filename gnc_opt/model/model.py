@@ -16,6 +16,7 @@ from gnc_opt.errors import ModelError, did_you_mean, unknown_name
 from gnc_opt.model.evaluation import checked, evaluate
 from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.symbol import Symbol, as_expression, foreign_symbols
+from gnc_opt.model.table import TableUse
 from gnc_opt.strict import Strict
 
 _KINDS = ("state", "control", "parameter")
@@ -46,6 +47,7 @@ class Model(Strict):
         "_in_use_by",
         "_outputs",
         "_parameter_values",
+        "_split_controls",
         "_symbols",
         "_time",
         "name",
@@ -58,8 +60,9 @@ class Model(Strict):
         self._equations: dict[str, Any] = {}
         self._outputs: dict[str, tuple[Variable, Any]] = {}
         self._differences: dict[str, Callable[[Any, Any], Any]] = {}
-        self._time = ca.SX.sym("t")
+        self._time = Symbol(Variable("t", unit="s"))
         self._in_use_by: str | None = None
+        self._split_controls: dict[str, tuple[Symbol, Symbol]] = {}
         self._functions: dict[str, Any] = {}
 
     def __repr__(self) -> str:
@@ -96,6 +99,36 @@ class Model(Strict):
     ) -> Symbol:
         """Declare a control; arguments and errors as in `state`."""
         return self._declare("control", name, size, unit, nominal)
+
+    def split_control(
+        self, name: str, size: int = 1, *, unit: str = "", nominal: ArrayLike | None = None
+    ) -> tuple[Any, Any]:
+        """Declare a control whose absolute value costs, without a kink: as a difference of two that push one way.
+
+        The controls are ``name_plus`` and ``name_minus``, both >= 0. An optimum that pays for their sum never
+        pushes both ways at once, hence the sum is the absolute value, and a cost of it is linear (the way to state
+        an L1 norm, such as the fuel of opposed thrusters). ``Phase.bounds`` takes the range of ``name``, which is
+        also an output.
+
+        Parameters
+        ----------
+        name, size, unit, nominal
+            As in `state`.
+
+        Returns
+        -------
+        tuple of casadi.SX
+            The control and, per component, its absolute value, (size, 1) each.
+
+        Raises
+        ------
+        ModelError
+            As in `state`.
+        """
+        plus = self.control(f"{name}_plus", size, unit=unit, nominal=nominal)
+        minus = self.control(f"{name}_minus", size, unit=unit, nominal=nominal)
+        self._split_controls[name] = (plus, minus)
+        return self.output(name, plus - minus, unit=unit), plus + minus
 
     def parameter(self, name: str, value: ArrayLike, *, unit: str = "") -> Symbol:
         """Declare a constant with its value (scalar or vector); change it with `with_parameters`.
@@ -193,6 +226,11 @@ class Model(Strict):
         return Layout("output", tuple(v for v, _ in self._outputs.values()), f"model '{self.name}'")
 
     @property
+    def split_controls(self) -> Mapping[str, tuple[Symbol, Symbol]]:
+        """The two one-sided controls behind each control of `split_control`."""
+        return self._split_controls
+
+    @property
     def parameter_values(self) -> Array:
         """Stacked parameter values, shape (n_parameters,)."""
         return self.parameters.stack(self._parameter_values)
@@ -237,6 +275,11 @@ class Model(Strict):
                 f"model '{self.name}' has no states: declare some with state() and state their ode()."
             )
         return ca.vertcat(*[self._equations[name] for name in self.states.names])
+
+    def table_uses(self) -> list[TableUse]:
+        """Return the calls of tables with expressions in the model's symbols, wherever those have gone."""
+        symbols = [symbol for kind in _KINDS for symbol in self._symbols[kind].values()]
+        return [use for symbol in [self._time, *symbols] for use in symbol.table_uses]
 
     def output_expression(self, name: str) -> Any:
         """Return the SX expression of a declared output."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
+from weakref import WeakValueDictionary
 
 import casadi as ca
 
 from gnc_opt.arguments import ErrorType
 from gnc_opt.errors import ModelError, shown
+from gnc_opt.model.graph import holds_nan
 from gnc_opt.model.layout import Variable
 
 
@@ -15,17 +18,43 @@ class Symbol(ca.SX):  # type: ignore[misc]
     """A named CasADi SX column vector.
 
     Use it in CasADi expressions (``ca.sin(q)``, ``q[0]``, ``a / m``) and as a dictionary key.
+
+    Attributes
+    ----------
+    variable : Variable
+    table_uses : list
+        Calls of tables with expressions of this symbol: the only trace of a table in an expression.
     """
 
     def __init__(self, variable: Variable) -> None:
         super().__init__(ca.SX.sym(variable.name, variable.size))
         self.variable = variable
+        self.table_uses: list[Any] = []
+        for element in ca.vertsplit(self):
+            _OWNERS[element.element_hash()] = self
+
+    def __float__(self) -> float:
+        name = self.variable.name
+        raise ModelError(
+            f"'{name}' is a symbol and has no number: write ca.sin({name}), with casadi imported as ca, not "
+            f"math.sin({name})."
+        )
 
     # Keys are compared by identity: CasADi's == builds an expression instead of answering.
     __hash__ = object.__hash__
 
     def __repr__(self) -> str:
         return f"<{self.variable.name}[{self.variable.size}]>"
+
+
+_OWNERS: WeakValueDictionary[int, Symbol] = WeakValueDictionary()
+"""From scalar symbols to the declared symbol that they are part of."""
+
+
+def owners_of(scalars: Iterable[Any]) -> list[Symbol]:
+    """Return the declared symbols that scalar SX symbols are part of, each once."""
+    found = (_OWNERS.get(scalar.element_hash()) for scalar in scalars)
+    return list({id(symbol): symbol for symbol in found if symbol is not None}.values())
 
 
 def as_expression(value: Any, what: str, size: int | None = None, failure: ErrorType = ModelError) -> Any:
@@ -55,6 +84,10 @@ def as_expression(value: Any, what: str, size: int | None = None, failure: Error
         raise failure(f"{what} has the shape {expression.shape}: give a column vector.")
     if size is not None and expression.shape[0] != size:
         raise failure(f"{what} has {expression.shape[0]} components: give {size}.")
+    if holds_nan(expression):
+        raise failure(
+            f"{what} contains nan: give numbers, and write ca.sin(x), with casadi imported as ca, not math.sin(x)."
+        )
     return ca.densify(expression)
 
 

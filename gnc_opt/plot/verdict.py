@@ -44,13 +44,9 @@ def plot_verdict(verdict: Verdict) -> Figure:
         axes.set_yticks(rows, [c.name for c in verdict.conditions])
         axes.tick_params(axis="y", length=0)
         axes.set_xlabel("worst offence (dimensionless)")
-        axes.set_title(f"{verdict.problem_name}: {_headline(verdict)}")
+        axes.set_title(f"{verdict.problem_name}: {verdict.headline}")
         legend_on_top(figure, axes.get_legend_handles_labels()[0])
         return figure
-
-
-def _headline(verdict: Verdict) -> str:
-    return "every condition passes" if verdict.proven else verdict.word
 
 
 def _size(condition: Condition) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from gnc_opt.errors import ProblemError, did_you_mean, warn_user
 from gnc_opt.model.layout import Variable
+from gnc_opt.problem.check_smooth import check_guess_in_tables, warn_of_kinks
 from gnc_opt.problem.check_values import check_values
 from gnc_opt.problem.interval import Interval, intersect
 from gnc_opt.problem.phase import Phase
@@ -28,6 +29,8 @@ def check_problem(problem: Statement) -> None:
     if "checked" not in problem.builds:
         for leg in problem.phases.values():
             _check_unused_controls(problem, leg)
+            warn_of_kinks(problem, leg)
+            check_guess_in_tables(problem, leg)
         _check_unused_parameters(problem)
         problem.builds["checked"] = True
     check_values(problem)

@@ -87,6 +87,7 @@ class Phase(Strict):
         self.numbers = PhaseNumbers(
             None, None, Interval(np.zeros(1), np.full(1, np.inf)), free(n), free(n), free(n), free(m)
         )
+        self.numbers = replace(self.numbers, controls=self._without_negative_parts())
         self.paths: dict[str, Constraint] = {}
         self.integrands: dict[str, tuple[Any, Any]] = {}
         self.initial_time: Any = ca.SX.sym(f"{name}_initial_time")
@@ -146,7 +147,7 @@ class Phase(Strict):
 
     def bounds(self, **ranges: Any) -> None:
         """State bounds of states and controls over the whole phase: ``bounds(a=(-1, 1), v=(None, 3))``."""
-        states, controls = self._split(ranges, "bounds")
+        states, controls = self._split(self._one_sided(ranges), "bounds")
         self._set(
             states=self._merge(self.numbers.states, states, "bounds"),
             controls=self._merge(self.numbers.controls, controls, "bounds", self.model.controls),
@@ -368,6 +369,32 @@ class Phase(Strict):
         for name, value in values.items():
             (states if self._owner_layout(name, what).kind == "state" else controls)[name] = value
         return states, controls
+
+    def _without_negative_parts(self) -> Interval:
+        """Return the bounds of controls before any are stated: the parts of split controls are >= 0."""
+        box = free(self.model.controls.size)
+        for parts in self.model.split_controls.values():
+            for part in parts:
+                box.lower[self.model.controls.slice(part.variable.name)] = 0.0
+        return box
+
+    def _one_sided(self, ranges: Mapping[str, Any]) -> dict[str, Any]:
+        """Return ranges in which those of split controls are of their two parts: u = plus - minus."""
+        parts: dict[str, Any] = {}
+        for name, value in ranges.items():
+            if name not in self.model.split_controls:
+                parts[name] = value
+                continue
+            what = f"the bounds of '{name}' in {self.where}"
+            plus, minus = self.model.split_controls[name]
+            box = read_interval(value, plus.variable.size, what)
+            if np.any(box.lower > 0) or np.any(box.upper < 0):
+                raise ProblemError(
+                    f"{what} leave out zero, which a split control needs: declare it with control()."
+                )
+            parts[plus.variable.name] = (np.zeros(box.upper.size), box.upper)
+            parts[minus.variable.name] = (np.zeros(box.lower.size), -box.lower)
+        return parts
 
     def _owner_layout(self, name: str, what: str) -> Layout:
         for layout in (self.model.states, self.model.controls):

@@ -12,6 +12,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.layout import Layout
 from gnc_opt.model.symbol import Symbol
+from gnc_opt.model.table import TableUse
 from gnc_opt.problem.constraint import Constraint
 from gnc_opt.problem.interval import Interval, free
 from gnc_opt.problem.phase import Phase
@@ -70,6 +71,10 @@ class Statement(Strict):
     def parameter_symbols(self) -> Any:
         """Stacked SX symbols of the free parameters."""
         return ca.vertcat(*self._parameters.values()) if self._parameters else ca.SX(0, 1)
+
+    def parameter_table_uses(self) -> list[TableUse]:
+        """Return the calls of tables with expressions in the free parameters."""
+        return [use for symbol in self._parameters.values() for use in symbol.table_uses]
 
     def parameter_interval(self) -> Interval:
         """Bounds of the stacked free parameters."""

@@ -1,10 +1,11 @@
-"""refine: from a first solution to one that is right to many digits."""
+"""refine: from a first solution to one that is right to many digits, and is known to be."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -12,17 +13,25 @@ import numpy as np
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
 from gnc_opt.nlp import SolverOptions
+from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.hp.mesh_refinement import refine_mesh
+from gnc_opt.refine.passes import pass_record
 from gnc_opt.refine.structure.detect import affine_channels, detect, regular_channels
+from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.switching import optimise_switches
-from gnc_opt.solution.history import History
+from gnc_opt.solution.history import History, RefinementStatus
 from gnc_opt.solution.solution import Solution
-from gnc_opt.verify.verify import verify
+from gnc_opt.verify.kept import keep_verdict
+from gnc_opt.verify.verdict import Verdict
+from gnc_opt.verify.verify import TOLERANCE, verify
 
 StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]
 
 PATIENCE = 25
 """Passes after which a control structure that nobody asked for is given up."""
+
+NAMED = 3
+"""So many open conditions are named."""
 
 
 def refine(
@@ -32,6 +41,7 @@ def refine(
     structure: StructureChoice = "auto",
     max_passes: int = 40,
     max_points: int = 1000,
+    max_wall_time: float | None = None,
     options: SolverOptions | None = None,
     progress: bool = False,
 ) -> Solution:
@@ -51,19 +61,22 @@ def refine(
         ``"auto"``: the latter where the structure has more than one piece, if the result passes the verdict; else hp,
         and the structure once more from there if that does not pass.
     max_passes : int
-        At most so many solves.
+        At most so many solves (of each attempt, where structure and mesh are tried in turn).
     max_points : int
         At most so many collocation points in any phase (hp).
+    max_wall_time : float, optional
+        Limit in s on all of it; then, and after Ctrl-C, the best solution so far is returned, without a verdict.
     options : SolverOptions, optional
-        For the solves.
+        For the solves; a limit on wall time in it is that of one solve.
     progress : bool
         Show one line per pass.
 
     Returns
     -------
     Solution
-        With ``history`` (its ``status`` says whether the tolerance was reached) and, where switch times were
-        optimised, ``structure``.
+        With ``history`` and, where switch times were optimised, ``structure``. The history ends as CONVERGED only
+        if the tolerance was reached and no condition of the verdict fails; otherwise its message says what is open.
+        The solution keeps that verdict: ``verify(solution)`` returns it without judging again.
 
     Raises
     ------
@@ -78,33 +91,19 @@ def refine(
         raise ProblemError(
             f"refine() knows no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
         )
+    begin = time.perf_counter()
+    limit = math.inf if max_wall_time is None else read_positive(max_wall_time, "max_wall_time of refine()")
     _check(solution)
-    switch = partial(optimise_switches, tol=min(tol, 1e-9), options=options, progress=progress)
-    if structure == "bang-bang":
-        if not _switches(solution, at_least=0):
-            raise ProblemError(
-                f"no control of '{solution.problem_name}' enters the Hamiltonian linearly between two finite bounds: "
-                'use structure="none".'
-            )
-        return _with_history(*switch(solution, max_passes=max_passes))
-    attempt = partial(_convincing, switch=partial(switch, max_passes=min(max_passes, PATIENCE)))
-    candidate = attempt(solution) if structure == "auto" else None
-    if candidate is not None:
-        return candidate
-    refined = _with_history(
-        *refine_mesh(
-            solution,
-            tol=tol,
-            max_passes=max_passes,
-            max_points=max_points,
-            options=options,
-            progress=progress,
-        )
-    )
-    # A fine mesh shows arcs that the first one was too coarse for.
-    if structure == "auto" and not verify(refined).ok:
-        return attempt(refined) or refined
-    return refined
+    task = _Task(solution, tol, max_passes, max_points, options, begin + limit, progress)
+    attempts: list[_Attempt] = []
+    try:
+        for attempt in task.attempts(structure):
+            attempts.append(attempt)
+            if attempt.final:
+                break
+    except KeyboardInterrupt:
+        attempts.append(_interrupted(solution, tol, begin))
+    return _result(solution, attempts, tol, begin)
 
 
 def _check(solution: Solution) -> None:
@@ -115,27 +114,162 @@ def _check(solution: Solution) -> None:
         )
 
 
-def _with_history(solution: Solution, history: History) -> Solution:
-    return replace(solution, history=history)
+# --- what is tried --------------------------------------------------------------------------------------------
 
 
-def _switches(solution: Solution, at_least: int) -> bool:
+@dataclass(frozen=True, eq=False)
+class _Attempt:
+    """What one way of refining led to."""
+
+    solution: Solution
+    history: History
+
+    @property
+    def error(self) -> float:
+        return self.history.final.error
+
+    @property
+    def stopped(self) -> bool:
+        """Whether Ctrl-C or the limit on time ended it."""
+        return self.history.status is RefinementStatus.INTERRUPTED
+
+    @property
+    def final(self) -> bool:
+        """Whether nothing else is worth trying: it has been stopped, or it came to rest and passes the verdict."""
+        rests = self.history.converged or not self.solution.structure
+        return self.stopped or (rests and verify(self.solution).ok)
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What is to be refined, and within which limits."""
+
+    solution: Solution
+    tol: float
+    max_passes: int
+    max_points: int
+    options: SolverOptions | None
+    deadline: float
+    progress: bool
+
+    def attempts(self, structure: StructureChoice) -> Iterator[_Attempt]:
+        """Yield what one way after the other leads to, for as long as that is asked for."""
+        if structure == "bang-bang":
+            found = _structures(self.solution)
+            if not _switches(self.solution, found, at_least=0):
+                raise ProblemError(
+                    f"no control of '{self.solution.problem_name}' enters the Hamiltonian linearly between two finite "
+                    'bounds: use structure="none".'
+                )
+            yield self._by_structure(self.solution, found, self.max_passes)
+            return
+        if structure == "auto":
+            yield from self._unasked(self.solution)
+        by_mesh = self._by_mesh()
+        yield by_mesh
+        # A fine mesh shows arcs that the first one was too coarse for.
+        if structure == "auto":
+            yield from self._unasked(by_mesh.solution)
+
+    def _unasked(self, start: Solution) -> Iterator[_Attempt]:
+        """Try a structure that nobody asked for, if there is one."""
+        found = _structures(start)
+        if _switches(start, found, at_least=1):
+            yield self._by_structure(start, found, min(self.max_passes, PATIENCE))
+
+    def _by_structure(
+        self, start: Solution, found: Mapping[str, PhaseStructure], max_passes: int
+    ) -> _Attempt:
+        return _Attempt(
+            *optimise_switches(
+                start,
+                tol=self.tol,
+                max_passes=max_passes,
+                structures=found,
+                options=self.options,
+                deadline=self.deadline,
+                progress=self.progress,
+            )
+        )
+
+    def _by_mesh(self) -> _Attempt:
+        return _Attempt(
+            *refine_mesh(
+                self.solution,
+                tol=self.tol,
+                max_passes=self.max_passes,
+                max_points=self.max_points,
+                options=self.options,
+                deadline=self.deadline,
+                progress=self.progress,
+            )
+        )
+
+
+def _structures(solution: Solution) -> dict[str, PhaseStructure]:
+    return {name: detect(samples) for name, samples in solution.samples().items()}
+
+
+def _switches(solution: Solution, found: Mapping[str, PhaseStructure], at_least: int) -> bool:
     """Whether some control can have switches or kinks and the structure has more pieces than that."""
-    for samples in solution.samples().values():
-        pieces = detect(samples).pieces
-        if np.any(affine_channels(samples)) and pieces > at_least:
+    for name, samples in solution.samples().items():
+        if np.any(affine_channels(samples)) and found[name].pieces > at_least:
             return True
         # Controls that H determines have nothing to settle if they stay between their bounds.
-        if np.any(regular_channels(samples)) and pieces > 1:
+        if np.any(regular_channels(samples)) and found[name].pieces > 1:
             return True
     return False
 
 
-def _convincing(start: Solution, switch: Callable[[Solution], tuple[Solution, History]]) -> Solution | None:
-    """Return the solution with a structure that nobody asked for, if there is one and it passes the verdict."""
-    if not _switches(start, at_least=1):
-        return None
-    candidate, history = switch(start)
-    if history.converged and verify(candidate).ok:
-        return _with_history(candidate, history)
-    return None
+# --- what came of it --------------------------------------------------------------------------------------------
+
+
+def _interrupted(solution: Solution, tol: float, begin: float) -> _Attempt:
+    """Return the given solution as what is left when Ctrl-C came between two attempts."""
+    record = pass_record(solution, estimate_errors(solution), begin, "interrupted")
+    return _Attempt(solution, History(RefinementStatus.INTERRUPTED, tol, (record,), 0, ""))
+
+
+def _result(given: Solution, attempts: Sequence[_Attempt], tol: float, begin: float) -> Solution:
+    """Return the solution to keep, its history with the passes of all attempts, and its verdict."""
+    if attempts[-1].stopped:
+        attempts = [*attempts, _interrupted(given, tol, begin)]
+        chosen = min(range(len(attempts)), key=lambda k: attempts[k].error)
+    elif attempts[-1].final:
+        chosen = len(attempts) - 1
+    else:  # a structure that nobody asked for is not worth more than the mesh if it does not convince
+        chosen = next((k for k, a in enumerate(attempts) if not a.solution.structure), len(attempts) - 1)
+    solution, history = attempts[chosen].solution, attempts[chosen].history
+    verdict = None if attempts[-1].stopped else verify(solution)
+    status = RefinementStatus.INTERRUPTED if verdict is None else history.status
+    if history.converged and verdict is not None and not verdict.ok:
+        status = RefinementStatus.VERDICT_FAILS
+    told = replace(
+        history,
+        status=status,
+        passes=tuple(p for a in attempts for p in a.history.passes),
+        chosen=sum(len(a.history.passes) for a in attempts[:chosen]) + history.chosen,
+        message=_message(status, history, verdict, tol),
+        seconds=time.perf_counter() - begin,
+    )
+    refined = replace(solution, history=told)
+    if verdict is not None:
+        keep_verdict(refined, verdict, TOLERANCE)
+    return refined
+
+
+def _message(status: RefinementStatus, history: History, verdict: Verdict | None, tol: float) -> str:
+    """Say how it ended: the error asked for and reached, and what is open."""
+    text = f"{status.value}: error {history.final.error:.1e} (wanted {tol:.1e})"
+    if status is RefinementStatus.CONVERGED:
+        return f"{text}, verdict ok"
+    if not history.converged:
+        text += f" at {history.final.where}"
+    left = () if verdict is None else verdict.open
+    if left:
+        named = "; ".join(
+            f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.where}" for c in left[:NAMED]
+        )
+        more = f"; and {len(left) - NAMED} more" if len(left) > NAMED else ""
+        text += f". Open: {named}{more}"
+    return f"{text}. {status.remedy}"

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 from matplotlib.figure import Figure
 
 from gnc_opt.errors import GncOptError
-from gnc_opt.report.summary import summary
+from gnc_opt.report.page import page
 from gnc_opt.report.summary_json import write_json
 from gnc_opt.solution.solution import Solution
 from gnc_opt.verify.verdict import Verdict
@@ -18,9 +18,14 @@ Figures: TypeAlias = "Callable[[Solution, Path], Any]"
 
 
 def write_report(
-    solution: Solution, verdict: Verdict | None, directory: str | Path, *, figures: Figures | None = None
+    solution: Solution,
+    verdict: Verdict | None,
+    directory: str | Path,
+    *,
+    figures: Figures | None = None,
+    command: str | None = None,
 ) -> list[Path]:
-    """Write summary, verdict, the solution itself and figures into a folder.
+    """Write one page that shows everything, the solution itself, its summary as JSON, and the figures into a folder.
 
     Parameters
     ----------
@@ -33,11 +38,14 @@ def write_report(
     figures : callable, optional
         ``figures(solution, directory)`` draws a problem's own figures. It either writes them and returns
         their path(s), or returns matplotlib figures: one, a list, or a dict by name.
+    command : str, optional
+        How to get this report again, for the page.
 
     Returns
     -------
     list of Path
-        ``summary.txt``, ``verdict.txt``, ``summary.json``, ``solution.npz`` and the figures (PNG).
+        ``report.html``, ``summary.json``, ``solution.npz`` and the figures (SVG). The page holds all figures
+        and needs no other file.
 
     Raises
     ------
@@ -50,28 +58,15 @@ def write_report(
     if folder.exists() and not folder.is_dir():
         raise GncOptError(f"cannot write the report to '{folder}', which is a file: name a folder.")
     folder.mkdir(parents=True, exist_ok=True)
-    written = [_write(folder / "summary.txt", summary(solution) + "\n")]
+    pictures = _save_figures(folder, _generic_figures(solution))
     if verdict is not None:
-        written.append(_write(folder / "verdict.txt", _verdict_text(verdict)))
-    written.append(write_json(folder / "summary.json", solution, verdict))
-    written.append(solution.save(folder / "solution.npz"))
-    written += _save_figures(folder, _generic_figures(solution))
-    if verdict is not None:
-        written += _save_figures(folder, [("verdict", _verdict_figure(verdict))])
+        pictures += _save_figures(folder, [("verdict", _verdict_figure(verdict))])
     if figures is not None:
-        written += _own_figures(folder, figures(solution, folder))
-    return written
-
-
-def _write(path: Path, text: str) -> Path:
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
-def _verdict_text(verdict: Verdict) -> str:
-    from gnc_opt.report.verdict_table import verdict_text
-
-    return f"{verdict_text(verdict)}\n{verdict.explain()}\n"
+        pictures += _own_figures(folder, figures(solution, folder))
+    told = folder / "report.html"
+    told.write_text(page(solution, verdict, pictures, command=command), encoding="utf-8")
+    summary = write_json(folder / "summary.json", solution, verdict)
+    return [told, summary, solution.save(folder / "solution.npz"), *pictures]
 
 
 def _verdict_figure(verdict: Verdict) -> Figure:
@@ -111,4 +106,4 @@ def _own_figures(folder: Path, result: Any) -> list[Path]:
 def _save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> list[Path]:
     from gnc_opt.plot.style import save_figure
 
-    return [save_figure(figure, folder / f"{stem}.png") for stem, figure in figures]
+    return [save_figure(figure, folder / f"{stem}.svg") for stem, figure in figures]

@@ -6,9 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from gnc_opt.problem.tables import OutsideTable
+from gnc_opt.solution.history import RefinementStatus
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.quality import Quality
 from gnc_opt.solution.solution import Solution
+from gnc_opt.verify.kept import kept_verdict
+from gnc_opt.verify.verify import TOLERANCE
 
 WIDTH = 13
 WORST = 3
@@ -17,14 +21,21 @@ WORST = 3
 NEGLIGIBLE = 1e-9
 """Relative bound violations below this are rounding."""
 
+_UNKEPT = {
+    RefinementStatus.CONVERGED: "ok when it was refined",
+    RefinementStatus.VERDICT_FAILS: "NOT ok when it was refined",
+}
+"""What is known of the verdict of a refinement without the verdict itself, after loading."""
+
 
 def summary(solution: Solution) -> str:
     """Return about six lines on a solution.
 
     Status and objective; times; mesh and cost of the solve; worst defect between nodes; worst bound violation
-    between nodes; terminal miss when the flown control is integrated, each with its place. Further lines name
-    controls whose polynomial overshoots, say what to do after a failed solve, and warn when the figures
-    were not measured just now but when the solution was saved.
+    between nodes; terminal miss when the flown control is integrated, each with its place. A refined solution tells
+    its verdict and the error asked for and reached; a verdict that is ok speaks for defect and bounds. Further lines
+    name controls whose polynomial overshoots and tables that the trajectory leaves, say what to do after a failed
+    solve, and warn when the figures were not measured just now but when the solution was saved.
 
     Parameters
     ----------
@@ -36,9 +47,16 @@ def summary(solution: Solution) -> str:
         Lines without a trailing newline.
     """
     quality = known_quality(solution)
-    lines = [_headline(solution), *_failure(solution), _times(solution), _cost(solution)]
-    lines += list(_quality_lines(quality))
+    lines = [
+        _headline(solution),
+        *_failure(solution),
+        *_refinement(solution),
+        _times(solution),
+        _cost(solution),
+    ]
+    lines += list(_quality_lines(quality, brief=solution.converged))
     lines += list(_overshoot(solution))
+    lines += [_line("table", str(found)) for found in _outside_tables(solution)]
     if quality is not None and solution.problem is None:
         lines.append(
             _line("note", "defect, bounds and propagation were measured when the solution was saved")
@@ -80,11 +98,14 @@ def mesh_text(solution: Solution) -> str:
 
 def _headline(solution: Solution) -> str:
     sense = "maximised" if solution.maximised else "minimised"
-    status = "solved" if solution.status.solved else "NOT SOLVED"
-    return (
-        f"{solution.problem_name}: {status} ({_words(solution.status.value)}), "
-        f"objective {solution.objective:.10g} ({sense})"
-    )
+    history = solution.history
+    if not solution.status.solved:
+        status = f"NOT SOLVED ({_words(solution.status.value)})"
+    elif history is None:
+        status = f"solved ({_words(solution.status.value)})"
+    else:
+        status = f"{'refined' if history.converged else 'NOT CONVERGED'} ({_words(history.status.value)})"
+    return f"{solution.problem_name}: {status}, objective {solution.objective:.10g} ({sense})"
 
 
 def _failure(solution: Solution) -> Iterator[str]:
@@ -93,6 +114,27 @@ def _failure(solution: Solution) -> Iterator[str]:
     yield _line("what to do", solution.status.remedy)
     for violation in solution.violations[:WORST]:
         yield _line("broken", f"{violation.name}, off by {violation.amount:.2g} of its scale")
+
+
+def _refinement(solution: Solution) -> Iterator[str]:
+    """What a refinement was asked for and reached, and which conditions of its verdict are open."""
+    history = solution.history
+    if history is None:
+        return
+    verdict = kept_verdict(solution, TOLERANCE)
+    if verdict is None:
+        yield _line("verdict", _UNKEPT.get(history.status, "not judged: verify() does"))
+    else:
+        yield _line("verdict", verdict.headline)
+        for c in verdict.open[:WORST]:
+            yield _line("open", f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.where}")
+    final = history.final
+    yield _line(
+        "refinement",
+        f"error {final.error:.1e} between the nodes (wanted {history.tolerance:.1e}), "
+        f"{len(history.passes)} pass{'es' * (len(history.passes) != 1)}, {history.seconds:.2f} s"
+        + ("" if history.converged else f": {final.where}"),
+    )
 
 
 def _times(solution: Solution) -> str:
@@ -116,13 +158,17 @@ def _cost(solution: Solution) -> str:
     )
 
 
-def _quality_lines(quality: Quality | None) -> Iterator[str]:
+def _quality_lines(quality: Quality | None, brief: bool) -> Iterator[str]:
     if quality is None:
         yield _line("quality", "unknown: load the solution with its problem to measure it")
         return
-    yield _line("defect", f"{quality.max_defect:.2g} relative, worst between nodes: {quality.defect_where}")
+    if not brief:
+        yield _line(
+            "defect", f"{quality.max_defect:.2g} relative, worst between nodes: {quality.defect_where}"
+        )
     if quality.max_bound_violation <= NEGLIGIBLE:
-        yield _line("bounds", "kept at and between nodes")
+        if not brief:
+            yield _line("bounds", "kept at and between nodes")
     else:
         yield _line(
             "bounds", f"broken by {quality.max_bound_violation:.2g} of their range: {quality.bound_where}"
@@ -130,7 +176,7 @@ def _quality_lines(quality: Quality | None) -> Iterator[str]:
     if np.isfinite(quality.terminal_error):
         miss = f"{quality.terminal_error:.2g} relative, flown control integrated: {quality.terminal_where}"
     else:
-        miss = f"diverges when the flown control is integrated: {quality.terminal_where}"
+        miss = f"ends early when the flown control is integrated: {quality.terminal_where}"
     yield _line("propagation", miss)
 
 
@@ -147,6 +193,10 @@ def _overshoot(solution: Solution) -> Iterator[str]:
             f"control polynomials leave their bounds between nodes ({', '.join(named[:WORST])}{more}): "
             "fly flown_control or refine",
         )
+
+
+def _outside_tables(solution: Solution) -> list[OutsideTable]:
+    return [] if solution.problem is None else solution.outside_tables()
 
 
 def _words(value: str) -> str:

@@ -15,7 +15,7 @@ from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.solution import Solution
 from gnc_opt.verify.verdict import Condition, Verdict
 
-SCHEMA = 1
+SCHEMA = 2
 """Raised when a key is removed or changes its meaning; new keys may come at any time."""
 
 
@@ -98,7 +98,8 @@ def json_text(solution: Solution, verdict: Verdict | None = None) -> str:
 def _verdict(verdict: Verdict) -> dict[str, Any]:
     return {
         "ok": verdict.ok,
-        "proven": verdict.proven,
+        "minimum": verdict.minimum,
+        "estimated": verdict.estimated,
         "conditions": [_condition(c) for c in verdict.conditions],
     }
 
@@ -111,6 +112,7 @@ def _condition(condition: Condition) -> dict[str, Any]:
         "tolerance": condition.tolerance,
         "where": condition.where,
         "meaning": condition.meaning,
+        "sufficient": condition.sufficient,
     }
 
 

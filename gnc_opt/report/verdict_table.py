@@ -30,16 +30,17 @@ def verdict_table(verdict: Verdict) -> Table:
 
 def verdict_headline(verdict: Verdict) -> Text:
     """Return "verdict on '...': ok, 11 pass, 0 fail, 2 cannot tell", in colour."""
-    counts = ", ".join(
-        f"{sum(c.result is result for c in verdict.conditions)} {word}"
-        for result, word in (
-            (Result.PASS, "pass"),
-            (Result.FAIL, "fail"),
-            (Result.CANNOT_TELL, "cannot tell"),
-        )
-    )
     style = "green" if verdict.ok else "bold red" if verdict.failed else "yellow"
-    return Text.assemble(f"verdict on '{verdict.problem_name}': ", (verdict.word, style), f" ({counts})")
+    return Text.assemble(
+        f"verdict on '{verdict.problem_name}': ", (verdict.word, style), f" ({verdict_counts(verdict)})"
+    )
+
+
+def verdict_counts(verdict: Verdict) -> str:
+    """Return "11 pass, 0 fail, 2 cannot tell"."""
+    words = {Result.PASS: "pass", Result.FAIL: "fail", Result.CANNOT_TELL: "cannot tell"}
+    results = [condition.result for condition in verdict.conditions]
+    return ", ".join(f"{results.count(result)} {word}" for result, word in words.items())
 
 
 def verdict_text(verdict: Verdict, width: int = 120) -> str:
@@ -53,11 +54,12 @@ def _cells(condition: Condition) -> tuple[Text, ...]:
     return (
         Text(condition.name),
         Text(condition.result.value, _STYLES[condition.result]),
-        Text(_number(condition.value)),
+        Text(number_text(condition.value)),
         Text(f"{condition.tolerance:.0e}"),
         Text(condition.where),
     )
 
 
-def _number(value: float) -> str:
+def number_text(value: float) -> str:
+    """Return two digits of a number, "-" for none."""
     return f"{value + 0.0:.1e}" if math.isfinite(value) else "-" if math.isnan(value) else "inf"

@@ -292,16 +292,16 @@ class _Builder:
             "error": state["error"] + error,
         }
         new["variation"] += ca.if_else(state["steps"] > 0.5, ca.fabs(u - state["command"]), 0.0)
-        self._watch(new, state, w["t"], ca.vertcat(y, u, mean, x), z)
+        self._watch(new, state, w["t"], ca.vertcat(*watched(wiring, y), u, mean, x), z)
         log = self.log.join({"measured": y, "commands": u, "applied": mean, "error": error})
         return ca.Function("act", [column_x, column, self.P, y, u, z], [self.state.join(new), log])
 
-    def _watch(self, new: dict[str, Any], state: dict[str, Any], t: Any, watched: Any, z: Any) -> None:
+    def _watch(self, new: dict[str, Any], state: dict[str, Any], t: Any, seen: Any, z: Any) -> None:
         """Keep the first thing that is not finite, the first state too large, the first alarm, and their times."""
         wiring = self.wiring
         fault = ca.SX(0)
-        for i in reversed(range(watched.shape[0])):
-            fault = ca.if_else(ca.fabs(watched[i]) < _LARGE, fault, i + 1.0)
+        for i in reversed(range(seen.shape[0])):
+            fault = ca.if_else(ca.fabs(seen[i]) < _LARGE, fault, i + 1.0)
         places = [wiring.controller.memory.slice(name) for name in wiring.controller.alarms]
         flags = [z[k] for place in places for k in range(place.start, place.stop)]
         alarm = ca.SX(0)
@@ -318,10 +318,15 @@ class _Builder:
             new[f"{name} time"] = ca.if_else(fresh, t, state[f"{name} time"])
 
 
+def watched(wiring: Wiring, measured: Any) -> tuple[Any, ...]:
+    """Return the measurement, of which a controller that bridges dropouts has to make the best itself: nothing."""
+    return (measured,) if wiring.controller.unbridged is None else ()
+
+
 def watched_labels(wiring: Wiring) -> list[str]:
     """Return what the codes of the first non-finite quantity mean, code 1 first."""
     groups = (
-        ("measured", wiring.controller.states),
+        *watched(wiring, ("measured", wiring.controller.states)),
         ("command", wiring.controller.commands),
         ("applied", wiring.plant.controls),
         ("state", wiring.plant.states),

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
-
-import numpy as np
 
 from gnc_opt.transcription.mesh import Mesh
 
@@ -14,6 +12,7 @@ class RefinementStatus(Enum):
     """How a refinement ended; `remedy` says what it means and what to do."""
 
     CONVERGED = "converged"
+    VERDICT_FAILS = "verdict_fails"
     POINT_LIMIT = "point_limit"
     PASS_LIMIT = "pass_limit"
     STALLED = "stalled"
@@ -27,7 +26,14 @@ class RefinementStatus(Enum):
 
 
 _REMEDIES = {
-    RefinementStatus.CONVERGED: "The estimated error is below the tolerance. Nothing needs to be done.",
+    RefinementStatus.CONVERGED: (
+        "The estimated error is below the tolerance, and no condition of the verdict fails. Nothing needs to be done."
+    ),
+    RefinementStatus.VERDICT_FAILS: (
+        "The estimated error is below the tolerance, but a condition of the verdict fails: the trajectory is that of "
+        "its mesh, and no optimum yet. The meaning of the condition says what that can be; a tighter `tol`, another "
+        "first mesh or another guess may help."
+    ),
     RefinementStatus.POINT_LIMIT: (
         "The next mesh would have had more points than `max_points`. Raise it or loosen `tol`; where a control "
         'jumps between its bounds, structure="bang-bang" needs far fewer points.'
@@ -45,7 +51,8 @@ _REMEDIES = {
         "alone; the best solution so far is returned. Improve the scaling, or loosen `tol`."
     ),
     RefinementStatus.INTERRUPTED: (
-        "The refinement was stopped; the best solution so far is returned. Refine it again to carry on."
+        "The refinement was stopped by Ctrl-C or by its time limit; the best solution so far is returned, without a "
+        "verdict. Refine it again to carry on."
     ),
 }
 
@@ -137,12 +144,15 @@ class History:
     ----------
     status : RefinementStatus
     tolerance : float
+        What was asked for.
     passes : tuple of Pass
-        The first is the solution that was given.
+        The first of an hp refinement is the solution that was given. Attempts that were given up are among them.
     chosen : int
         Index of the pass whose solution was returned.
     message : str
         How it ended, in one or two sentences.
+    seconds : float
+        Wall time of all of it: passes, structures sought, verdicts.
     """
 
     status: RefinementStatus
@@ -150,10 +160,11 @@ class History:
     passes: tuple[Pass, ...]
     chosen: int
     message: str
+    seconds: float = 0.0
 
     @property
     def converged(self) -> bool:
-        """Whether the estimated error of the returned solution is below the tolerance."""
+        """Whether the returned solution is within the tolerance and, after `refine`, passes the verdict."""
         return self.status is RefinementStatus.CONVERGED
 
     @property
@@ -161,10 +172,14 @@ class History:
         """The pass whose solution was returned."""
         return self.passes[self.chosen]
 
-    @property
-    def seconds(self) -> float:
-        """Time of all passes, s."""
-        return float(np.sum([p.seconds for p in self.passes]))
+    def after(self, earlier: History) -> History:
+        """Return this record with the passes of an earlier attempt before its own."""
+        return replace(
+            self,
+            passes=earlier.passes + self.passes,
+            chosen=len(earlier.passes) + self.chosen,
+            seconds=earlier.seconds + self.seconds,
+        )
 
     def __str__(self) -> str:
         lines = [
@@ -176,4 +191,4 @@ class History:
                 f"{i:>3}{mark} {p.segments:>8} {p.points:>6} {p.error:>8.1e} {p.objective:>18.11g} "
                 f"{p.iterations:>4} {p.seconds:>6.2f}  {p.actions}"
             )
-        return "\n".join([*lines, self.message])
+        return "\n".join([*lines, f"{self.message} ({self.seconds:.2f} s in all)"])

@@ -8,16 +8,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import scipy
 from numpy.polynomial import legendre
 
 from gnc_opt.arrays import Array
+from gnc_opt.model.integration import Budget, EndedError, Rate, integrate
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import magnitude
-
-DIVERGED = 1e8
-"""Growth beyond the trajectory's own magnitude at which propagation is given up."""
 
 
 @dataclass(frozen=True)
@@ -28,14 +25,17 @@ class Propagation:
     ----------
     times : array (n_times,)
     states : array (n_states, n_times)
-        NaN after the propagation diverged.
+        NaN after the propagation ended.
     error : array (n_states,)
-        Final state minus the solution's final state; infinite if it diverged.
+        Final state minus the solution's final state; infinite if the propagation ended early.
+    ended : str
+        Why and where it ended early, e.g. ``"the rate of state 'h' is nan at t = 2.5 s"``; else empty.
     """
 
     times: Array
     states: Array
     error: Array
+    ended: str = ""
 
 
 def propagate(
@@ -62,15 +62,19 @@ def propagate(
     magnitude = state_magnitudes(leg)
     states = [leg.x(leg.breaks[0])]
     degree = max(leg.mesh.degrees)
+    fast, budget, ended = functions.fast_rates(), Budget(leg.states.labels), ""
     for left, right in itertools.pairwise(edges):
-        rate = _right_hand_side(functions, signal, left, right, degree)
-        states.append(_integrate(rate, states[-1], left, right, rtol, magnitude))
-        if not np.all(np.isfinite(states[-1])):
+        rate = _right_hand_side(fast, signal, left, right, degree)
+        try:
+            run = integrate(rate, states[-1], left, right, rtol=rtol, magnitude=magnitude, budget=budget)
+        except EndedError as why:
+            ended = str(why)
             break
+        states.append(run.states[:, -1])
     columns = np.full((states[0].size, edges.size), np.nan)
     columns[:, : len(states)] = np.stack(states, axis=1)
     error = columns[:, -1] - leg.x(leg.breaks[-1], "left")
-    return Propagation(edges, columns, np.where(np.isfinite(error), error, np.inf))
+    return Propagation(edges, columns, np.where(np.isfinite(error), error, np.inf), ended)
 
 
 def state_magnitudes(leg: PhaseSolution) -> Array:
@@ -82,28 +86,17 @@ def state_magnitudes(leg: PhaseSolution) -> Array:
     return magnitude(largest)
 
 
-def _integrate(
-    rate: Callable[[float, Array], Array], x: Array, left: float, right: float, rtol: float, magnitude: Array
-) -> Array:
-    def diverged(_: float, state: Array) -> float:
-        return float(DIVERGED - np.max(np.abs(state) / magnitude))
-
-    diverged.terminal = True  # type: ignore[attr-defined]
-    with np.errstate(all="ignore"):
-        run = scipy.integrate.solve_ivp(
-            rate, (left, right), x, method="DOP853", rtol=rtol, atol=rtol * magnitude, events=diverged
-        )
-    return np.asarray(run.y[:, -1]) if run.status == 0 else np.full(x.size, np.nan)
-
-
 def _right_hand_side(
-    functions: PhaseFunctions, signal: Callable[..., Array], left: float, right: float, degree: int
-) -> Callable[[float, Array], Array]:
+    fast: Callable[[float, Array, Array], Array],
+    signal: Callable[..., Array],
+    left: float,
+    right: float,
+    degree: int,
+) -> Rate:
     """Return dx/dt on an interval where the control is a polynomial of at most the given degree."""
     tau = np.asarray(legendre.leggauss(degree + 1)[0])
     half, middle = 0.5 * (right - left), 0.5 * (right + left)
     coefficients = legendre.legfit(tau, signal(middle + half * tau).T, degree)
-    fast = functions.fast_rates()
 
     def rate(t: float, x: Array) -> Array:
         return fast(t, x, np.asarray(legendre.legval((t - middle) / half, coefficients)))

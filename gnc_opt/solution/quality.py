@@ -114,7 +114,8 @@ def worst_terminal_error(samples: PhaseSamples) -> Worst:
     misses = np.abs(run.error) / samples.end_scale
     i = int(np.argmax(misses))
     unit = leg.states.units[i]
-    where = f"phase {leg.name}, {leg.states.labels[i]} misses by {abs(run.error[i]):.3g}{f' {unit}' if unit else ''}"
+    miss = f"{leg.states.labels[i]} misses by {abs(run.error[i]):.3g}{f' {unit}' if unit else ''}"
+    where = f"phase {leg.name}, {run.ended or miss}"
     return Worst(float(misses[i]), where)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -22,7 +22,9 @@ from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.problem.functions import PhaseFunctions, evaluator, phase_functions
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
-from gnc_opt.solution.history import History
+from gnc_opt.problem.tables import OutsideTable, outside_tables, table_uses
+from gnc_opt.solution.export import data_frame, dataset
+from gnc_opt.solution.history import Actions, History, Pass, RefinementStatus
 from gnc_opt.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.solution.propagation import Propagation, propagate
@@ -82,7 +84,7 @@ class Violation:
     amount: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Solution:
     """A trajectory with its costates and multipliers.
 
@@ -109,7 +111,7 @@ class Solution:
     structure : tuple of Arc
         Which control sits on which bound when, from a refinement that optimised switch times; else empty.
     history : History or None
-        What a refinement did; not written to files.
+        What a refinement did.
     provenance : dict of str
         Versions, options, scheme, mesh and the problem's fingerprint.
     problem : Problem or None
@@ -132,7 +134,7 @@ class Solution:
     provenance: Mapping[str, str]
     structure: tuple[Arc, ...] = ()
     history: History | None = None
-    problem: Problem | None = field(default=None, repr=False)
+    problem: Problem | None = None
 
     @property
     def scheme(self) -> Scheme:
@@ -141,7 +143,7 @@ class Solution:
 
     @property
     def converged(self) -> bool:
-        """Whether a refinement reached its tolerance."""
+        """Whether a refinement reached its tolerance and the verdict."""
         return self.history is not None and self.history.converged
 
     # --- evaluation -------------------------------------------------------------------------------
@@ -241,6 +243,18 @@ class Solution:
         """Between-node defect, bound violation and propagation error, computed from the model alone."""
         return measure_quality(self.samples().values())
 
+    def outside_tables(self) -> list[OutsideTable]:
+        """Return where the trajectory is outside of the tables of its models; needs the problem."""
+        problem = self.need_problem("look for the tables of")
+        found: list[OutsideTable] = []
+        for name, leg in problem.phases.items():
+            if table_uses(problem, leg):
+                s = PhaseSamples.of(self.phases[name], self.functions(name))
+                found += outside_tables(
+                    problem, leg, s.times, s.x, s.u, s.leg.parameters, self.parameter_values
+                )
+        return found
+
     def propagate(
         self,
         phase: str | None = None,
@@ -271,7 +285,56 @@ class Solution:
 
         return summary(self)
 
-    # --- files ------------------------------------------------------------------------------------
+    def __repr__(self) -> str:
+        state = f"{self.status.value}, objective={self.objective:.10g}, phases={list(self.phases)}"
+        return f"Solution({self.problem_name!r}, {state})"
+
+    # --- files and tables -------------------------------------------------------------------------
+
+    def to_pandas(self, phase: str | None = None, times: ArrayLike | None = None) -> Any:
+        """Return states, flown controls and costates as a table, one column per component, by time (s).
+
+        Parameters
+        ----------
+        phase : str, optional
+            May be left out when there is only one.
+        times : array (n_times,), optional
+            s; default ten intervals of every segment. Where a control jumps, the value after the jump is given.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns such as ``r[0]`` and ``lam_r[0]``; ``attrs["units"]`` holds the unit of each.
+
+        Raises
+        ------
+        GncOptError
+            pandas is not installed; it comes with the extra ``data``.
+        """
+        return data_frame(self.phase(phase), times)
+
+    def to_xarray(self, phase: str | None = None, times: ArrayLike | None = None) -> Any:
+        """Return states, flown controls and costates as variables over time (s), each with its unit.
+
+        Parameters
+        ----------
+        phase : str, optional
+            May be left out when there is only one.
+        times : array (n_times,), optional
+            As for `to_pandas`.
+
+        Returns
+        -------
+        xarray.Dataset
+            Vectors have a dimension for their components; problem, status, objective and provenance are attributes.
+
+        Raises
+        ------
+        GncOptError
+            xarray is not installed; it comes with the extra ``data``.
+        """
+        told = {"problem": self.problem_name, "status": self.status.value, "objective": self.objective}
+        return dataset(self.phase(phase), times).assign_attrs({**told, **self.provenance})
 
     def save(self, path: str | Path) -> Path:
         """Write the numbers to a file that `load` reads without the model.
@@ -295,7 +358,7 @@ class Solution:
         """
         known = vars(self).get("quality") if self.problem is None else self.quality
         written_by = self.provenance.get("gnc_opt", "unknown")
-        return SOLUTION_FILES.write(path, self, written_by=written_by, quality=known)
+        return SOLUTION_FILES.write(path, self, written_by=written_by, quality=known, history=self.history)
 
     def with_problem(self, problem: Problem) -> Solution:
         """Return this solution joined to its problem, e.g. after `load`.
@@ -342,6 +405,7 @@ SOLUTION_FILES = FileFormat(
         (
             *(Solution, PhaseSolution, PiecewisePolynomial, Layout, Variable, Interval, Mesh),
             *(Statistics, Violation, Arc, ArcKind, Status, Quality),
+            *(History, Pass, Actions, RefinementStatus),
         ),
         left_out={Solution: ("problem", "history")},
     ),
@@ -375,6 +439,7 @@ def load(path: str | Path, problem: Problem | None = None) -> Solution:
     """
     solution, more = SOLUTION_FILES.read(path)
     assert isinstance(solution, Solution)
+    solution = replace(solution, history=more.get("history"))
     if problem is not None:
         return solution.with_problem(problem)
     if more.get("quality") is not None:

@@ -20,6 +20,7 @@ All tries of one solve share its limit on wall time, and their effort adds up in
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -32,7 +33,7 @@ from gnc_opt.problem.guess.random import with_random_guess
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.attempt import Attempt, ShowIteration
 from gnc_opt.solution.solution import Solution
-from gnc_opt.solution.start import ProgramStart, start_from_guess, with_trajectory
+from gnc_opt.solution.start import ProgramStart, guess_from_solution, start_from_guess
 from gnc_opt.transcription.mesh import Mesh, MeshLike, read_meshes
 from gnc_opt.transcription.scheme import GAUSS, Scheme
 from gnc_opt.transcription.transcription import Transcription
@@ -81,6 +82,7 @@ def solve_mesh(
     guess: Solution | None = None,
     options: SolverOptions | None = None,
     warm_iterations: int | None = None,
+    deadline: float = math.inf,
     progress: bool = False,
 ) -> Solution:
     """Solve a problem on one mesh, by as many tries as it takes, and return the last iterate, solved or not.
@@ -97,6 +99,8 @@ def solve_mesh(
     options : SolverOptions, optional
     warm_iterations : int, optional
         A start from a guess that takes more iterations has lost its way: `TRAJECTORY_ONLY`.
+    deadline : float
+        When to stop, as `time.perf_counter` counts, if the options do not stop it sooner.
     progress : bool
         Show iterations while solving.
     """
@@ -106,14 +110,15 @@ def solve_mesh(
     else:
         meshes = read_meshes(mesh, problem.phases, problem.name)
     if guess is None or warm_iterations is None:
-        return _solve(problem, meshes, scheme, guess, chosen, progress)
+        return _solve(problem, meshes, scheme, guess, chosen, progress, deadline)
     brief = replace(chosen, max_iterations=min(warm_iterations, chosen.max_iterations))
-    found = _solve(problem, meshes, scheme, guess, brief, progress)
+    found = _solve(problem, meshes, scheme, guess, brief, progress, deadline)
     if found.status not in TRAJECTORY_ONLY:
         return found
     cold = replace(chosen, mu_init=COLD_MU)
     spent = found.statistics
-    again = _solve(with_trajectory(problem, guess), meshes, scheme, None, cold, progress, spent.solve_s)
+    start = guess_from_solution(problem, guess)
+    again = _solve(start, meshes, scheme, None, cold, progress, deadline, spent.solve_s)
     statistics = again.statistics.after(spent)
     return replace(again, statistics=statistics, problem=found.problem)
 
@@ -125,13 +130,14 @@ def _solve(
     guess: Solution | None,
     options: SolverOptions,
     progress: bool,
+    deadline: float,
     spent: float = 0.0,
 ) -> Solution:
     """Solve from one guess; ``spent`` (s) of the limit on wall time is gone."""
     attempt = Attempt.prepare(problem, meshes, scheme, guess, options, progress=progress)
     point = attempt.point(attempt.start)
     attempt.solver.set_up(point)  # the limit is on solving, not on setting up
-    deadline = attempt.solver.deadline() - spent
+    deadline = min(deadline, attempt.solver.deadline() - spent)
     with attempt.meter() as show:
         result = _solve_point(attempt.solver, point, show, deadline)
     if result.status in CONSTRAINTS_FIRST and guess is None and not knows_trajectory(problem):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from gnc_opt.arguments import expect
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError
 from gnc_opt.problem.guess.trajectory import start_phase
@@ -125,7 +126,7 @@ def _matching(guess: Solution, leg: Phase) -> PhaseSolution:
         if mine.labels != theirs.labels:
             raise ProblemError(
                 f"the guess for {leg.where} has the {kind} {list(theirs.labels)}, "
-                f"but the model has {list(mine.labels)}: give a solution of a problem with the same ones."
+                f"but the model has {list(mine.labels)}: use guess_from_solution()."
             )
     return old
 
@@ -202,16 +203,64 @@ def _stretch(old: PhaseSolution, fractions: Array) -> Array:
     return np.asarray(first + fractions * (last - first))
 
 
-def with_trajectory(problem: Problem, solution: Solution) -> Problem:
-    """Return the problem with a solution's trajectory as its guess, without multipliers."""
-    for name, leg in solution.phases.items():
-        values = {state: _function(leg, leg.x, leg.states.slice(state)) for state in leg.states.names}
-        values |= {
-            control: _function(leg, leg.flown.clipped, leg.controls.slice(control))
-            for control in leg.controls.names
-        }
-        problem = problem.with_guess(name, leg.breaks[[0, -1]], **values)
-    return problem
+def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
+    """Return the problem with the trajectory of another one's solution as its guess, as far as both agree.
+
+    For the solution of a simpler problem: with fewer states, another model or other phases. (A solution of a problem
+    with the same phases, states and controls is worth more as ``solve(problem, guess=solution)``: that takes its
+    multipliers, too.)
+
+    Parameters
+    ----------
+    problem : Problem
+    solution : Solution
+        Phases go by their names, or, if both have a single one, together; states, controls and free parameters by
+        theirs and their sizes. What the solution does not have is guessed.
+
+    Returns
+    -------
+    Problem
+        Like ``problem.with_guess``.
+
+    Raises
+    ------
+    ProblemError
+        The two have no phase, or no state and no control, in common.
+    """
+    expect(problem, Problem, "what guess_from_solution() got", "write guess_from_solution(problem, solution)")
+    expect(solution, Solution, "the solution of guess_from_solution()", "give what solve() returned")
+    common = {name: solution.phases[name] for name in problem.phases if name in solution.phases}
+    if len(problem.phases) == len(solution.phases) == 1:
+        common = dict(zip(problem.phases, solution.phases.values(), strict=True))
+    guessed = problem
+    for name, leg in common.items():
+        guessed = _with_phase(guessed, name, leg)
+    if guessed is problem:
+        raise ProblemError(
+            f"problem '{problem.name}' and the solution of '{solution.problem_name}' have no phase with states or "
+            "controls of the same names: rename them, or use guess_from_data()."
+        )
+    known, parameters = solution.free_parameters, problem.parameters
+    shared = {
+        v.name: solution.parameter_values[known.slice(v.name)]
+        for v in parameters.variables
+        if v.name in known and known[v.name].size == v.size
+    }
+    return guessed.with_parameter_guess(**shared) if shared else guessed
+
+
+def _with_phase(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
+    """Return the problem with one phase's trajectory as its guess; itself if they share no variable."""
+    model = problem.phases[name].model
+    values: dict[str, Callable[[Any], Array]] = {}
+    for mine, theirs, signal in (
+        (model.states, leg.states, leg.x),
+        (model.controls, leg.controls, leg.flown.clipped),
+    ):
+        for v in mine.variables:
+            if v.name in theirs and theirs[v.name].size == v.size:
+                values[v.name] = _function(leg, signal, theirs.slice(v.name))
+    return problem.with_guess(name, leg.breaks[[0, -1]], **values) if values else problem
 
 
 def _function(leg: PhaseSolution, signal: Callable[[float], Array], rows: slice) -> Callable[[Any], Array]:

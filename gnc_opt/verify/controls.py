@@ -186,10 +186,12 @@ def legendre_clebsch(samples: list[PhaseSamples], tolerance: float) -> Condition
     )
     places = [(value, place) for value, place in map(_least_curvature, samples) if place is not None]
     if not places:
-        return Condition(name, Result.PASS, 0.0, 0.0, "no control between its bounds", meaning)
+        return Condition(
+            name, Result.PASS, 0.0, 0.0, "no control between its bounds", meaning, sufficient=True
+        )
     least, place = min(places, key=lambda item: item[0])
     result = Result.PASS if least >= tolerance else Result.CANNOT_TELL if least > -tolerance else Result.FAIL
-    return Condition(name, result, -least, -tolerance, place, meaning)
+    return Condition(name, result, -least, -tolerance, place, meaning, sufficient=True)
 
 
 def _least_curvature(s: PhaseSamples) -> tuple[float, str | None]:
@@ -230,7 +232,7 @@ def singular_arcs(samples: list[PhaseSamples], tolerance: float) -> Condition:
     """No control is between its bounds where H does not determine it."""
     meaning = (
         "Where a control is between its bounds, dH/du and the curvature of H both vanish: H does not determine the "
-        "control there, and first-order conditions alone do not prove it (a singular arc, or a chattering solution)."
+        "control there, and first-order conditions alone do not suffice (a singular arc, or a chattering solution)."
     )
     total, place = 0.0, "nowhere"
     for s in samples:
@@ -243,7 +245,7 @@ def singular_arcs(samples: list[PhaseSamples], tolerance: float) -> Condition:
             j = int(np.flatnonzero(singular[i])[0])
             place = f"from {s.place(j, s.leg.controls.labels[i])}, {100 * total:.1f} % of the phase"
     result = Result.PASS if total <= tolerance else Result.CANNOT_TELL
-    return Condition("singular arcs", result, total, tolerance, place, meaning)
+    return Condition("singular arcs", result, total, tolerance, place, meaning, sufficient=True)
 
 
 def _offences(s: PhaseSamples) -> tuple[Array, Mask]:

@@ -77,6 +77,7 @@ def propagation(samples: list[PhaseSamples], tolerance: float) -> Condition:
             worst.where,
             f"The dynamics amplify errors about {growth:.0e} times over the phase, so that a propagation in one go "
             "says nothing about the solution; the condition 'dynamics' judges it segment by segment.",
+            sufficient=True,  # a second opinion: what is necessary is told by 'dynamics'
         )
     return condition
 

@@ -1,192 +1,327 @@
 r"""Second-order sufficient conditions of a bang-bang solution.
 
-For controls that sit on their bounds everywhere, the control problem is one of finitely many unknowns: the
-switch times and the free end times, :math:`\theta`. A first-order point is a strict local minimum if (Maurer &
-Osmolovskii, SIAM J. Control Optim. 42(6), 2004; Osmolovskii & Maurer, Applications to Regular and Bang-Bang Control,
-SIAM 2012, ch. 5-7)
+For controls that sit on their bounds everywhere, the control problem is one of finitely many unknowns
+:math:`\theta`, one for every switch of every control (module `induced`). A first-order point is a strict local
+minimum if (Maurer & Osmolovskii, SIAM J. Control Optim. 42(6), 2004; Osmolovskii & Maurer, Applications to Regular
+and Bang-Bang Control, SIAM 2012, ch. 5-7)
 
-* every switching function crosses zero with a slope of the right sign where its control switches, one
-  control at a time (strict bang-bang property), and
-* the Hessian of the Lagrangian :math:`\Phi + \nu^T\psi` in :math:`\theta` is positive definite on the
-  null space of the constraints' Jacobian.
+* every switching function vanishes only where its control switches, and crosses zero there with a slope of the right
+  sign (strict bang-bang property),
+* the gradient of the Lagrangian :math:`\Phi + \nu^T\psi` in :math:`\theta` vanishes, with multipliers of the right
+  signs,
+* its Hessian is positive definite on the directions that keep the active conditions: those at a limit with a
+  multiplier. One at a limit without a multiplier restricts directions to a half-space only.
 
-The induced problem is built from the model alone: explicit integration from switch to switch, differentiated
-twice (module `bang_bang_flow`); neither collocation nor the solver takes part.
+Where several controls switch at one time the problem is smooth only as long as their order stays. The Hessian then
+has to be positive definite for every order, on the directions that keep it (Poggiolini & Spadini, SIAM J. Control
+Optim. 49(1), 2011, for two of them). A quadratic form that is positive on a half-space is so everywhere; with more
+conditions than one, being positive everywhere is sufficient only, and CANNOT TELL the answer where it is not.
+
+Multipliers are those of least squares, nearest to the solution's. Derivatives come from two grids, extrapolated; what
+these differ by estimates their error.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
-from typing import Any
 
-import casadi as ca
 import numpy as np
+import scipy
 
-from gnc_opt.arrays import Array
-from gnc_opt.problem.functions import EndGradients, end_function
-from gnc_opt.problem.problem import Problem
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.problem.functions import EndGradients
 from gnc_opt.solution.quality import worst_index
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, RANK, TINY
-from gnc_opt.verify.bang_bang_flow import bang_bang_flow
+from gnc_opt.verify.induced import InducedProblem, Unknowns
+from gnc_opt.verify.switches import GRAZES, Switches, inner_switches
 from gnc_opt.verify.verdict import Condition, Result
 
 BESIDE = 1e-4
 """How far from a switch its slope is taken, in shares of the shorter neighbouring segment."""
 
+OWN = 1e-4
+"""Up to this share of the phase beside a control's own switch its switching function is judged by its slope alone."""
+
 ACTIVE_PATH, ACTIVE_STATE = 1e-6, 1e-4
 """Multipliers above these, in shares of H and of the cost, are those of active constraints."""
 
-CURVATURE = 1e-9
-"""Least eigenvalue of the reduced Hessian, relative to the largest, that counts as positive."""
+EXACT = 1e-9
+"""Share of the terms that the Hessian is made of below which its eigenvalues are rounding."""
+
+WEAK = 1e-6
+"""Multipliers below this share of the cost may be zero: their conditions restrict directions to a half-space only."""
+
+MOST_ORDERS = 24
+"""Orders of simultaneous switches that are tried."""
+
+ORDER = 4
+"""Of the integration: halving its steps reduces errors by 2 to this power."""
+
+SLACK = 1e-6
+"""A direction may break a half-space condition by this share and still counts as keeping it."""
 
 
 def strict_switches(samples: list[PhaseSamples]) -> Condition:
-    """Switching functions cross zero with the right slope at every switch."""
+    """Switching functions cross zero with the right slope at every switch, and vanish nowhere else."""
     meaning = (
-        "At a switch the switching function must pass through zero with a slope (value: smallest slope with its sign "
-        "reversed, in shares of H per phase); a touching zero means that the arc next to it could vanish or grow."
+        "At a switch the switching function must pass through zero with a slope on both sides (value: smallest slope "
+        "with its sign reversed, in shares of H per phase), and between switches it must not touch zero: an arc next "
+        "to a touching zero could vanish or grow."
     )
-    least, place = np.inf, "no switch"
-    for s in samples:
-        slope, where = _least_slope(s)
-        if slope < least:
-            least, place = slope, where
+    least, place = min((_least_slope(s) for s in samples), key=lambda found: found[0], default=(np.inf, ""))
+    touched = next(filter(None, map(_touched, samples)), "")
+    name = "strict switches"
+    if touched and least >= -GRAZES:
+        return Condition(name, Result.CANNOT_TELL, 0.0, 0.0, touched, meaning, sufficient=True)
     if least == np.inf:
-        return Condition("strict switches", Result.PASS, 0.0, 0.0, place, meaning)
-    result = Result.PASS if least > 0 else Result.FAIL
-    return Condition("strict switches", result, -least, 0.0, place, meaning)
+        return Condition(name, Result.PASS, 0.0, 0.0, "no switch", meaning, sufficient=True)
+    result = Result.PASS if least > GRAZES else Result.CANNOT_TELL if least >= -GRAZES else Result.FAIL
+    return Condition(name, result, -least, -GRAZES, place, meaning, sufficient=True)
 
 
 def _least_slope(s: PhaseSamples) -> tuple[float, str]:
+    """The smallest slope beside a switch, with the sign that it should have."""
     leg = s.leg
-    times = leg.breaks[list(leg.mesh.movable)]
-    if not (times.size and leg.controls.size):
+    times, channels = inner_switches(s)
+    if not times.size:
         return np.inf, ""
-    before, after = leg.flown(times, "left"), leg.flown(times, "right")
     neighbours = np.searchsorted(leg.breaks, times)
-    widths = np.minimum(times - leg.breaks[neighbours - 1], leg.breaks[neighbours + 1] - times)
-    sides = np.concatenate([times - BESIDE * widths, times + BESIDE * widths])
-    mu = leg.path_multiplier(sides)
-    values = s.functions.control_gradient(sides, leg.x(sides), leg.flown(sides), leg.lam(sides), mu)
-    early, late = np.hsplit(values, 2)
-    unit = s.control_scale[:, None] * leg.duration / s.hamiltonian_scale
-    slopes = (late - early) / (2 * BESIDE * widths) * unit
-    # Onto a singular arc the switching function comes in flat.
-    switches = np.abs(after - before) > (1 - AT_LIMIT) * s.control_scale[:, None]
-    signed = np.where(switches, -np.sign(after - before) * slopes, np.inf)
+    steps = BESIDE * np.minimum(times - leg.breaks[neighbours - 1], leg.breaks[neighbours + 1] - times)
+    beside = np.concatenate([times + k * steps for k in (-2, -1, 1, 2)])
+    mu = leg.path_multiplier(beside)
+    values = s.functions.control_gradient(beside, leg.x(beside), leg.flown(beside), leg.lam(beside), mu)
+    values = values.reshape(-1, 4, times.size)[channels, :, np.arange(times.size)]
+    slopes = np.stack([values[:, 1] - values[:, 0], values[:, 3] - values[:, 2]]) / steps
+    unit = s.control_scale[channels] * leg.duration / s.hamiltonian_scale
+    falls = np.sign(leg.flown(times, "left") - leg.flown(times))[channels, np.arange(times.size)]
+    signed = np.min(falls * slopes * unit, axis=0)
     signed[np.isnan(signed)] = -np.inf
-    i, j = np.unravel_index(np.argmin(signed), signed.shape)
-    return float(signed[i, j]), f"phase {leg.name}, t = {times[j]:.6g} s, {leg.controls.labels[i]}"
+    j = int(np.argmin(signed))
+    return float(signed[j]), f"phase {leg.name}, t = {times[j]:.6g} s, {leg.controls.labels[channels[j]]}"
 
 
-@dataclass(frozen=True)
-class InducedProblem:
-    """Lagrangian of the switch-time problem at a solution.
-
-    Attributes
-    ----------
-    gradient : array (n,)
-    hessian : array (n, n)
-    jacobian : array (n_constraints, n)
-        Of the final values that are fixed and the boundary constraints.
-    labels : tuple of str
-        The unknowns.
-    """
-
-    gradient: Array
-    hessian: Array
-    jacobian: Array
-    labels: tuple[str, ...]
-
-    def reduced_hessian(self) -> Array:
-        """Hessian on the null space of the constraints' Jacobian."""
-        _, sizes, basis = np.linalg.svd(self.jacobian, full_matrices=True)
-        rank = int(np.sum(sizes > RANK * max(float(np.max(sizes, initial=0.0)), TINY)))
-        null = basis[rank:].T
-        reduced = null.T @ self.hessian @ null
-        return np.asarray(0.5 * (reduced + reduced.T))
-
-
-def second_order(solution: Solution, samples: list[PhaseSamples], ends: EndGradients) -> Condition:
-    """The reduced Hessian of the induced switch-time problem is positive definite."""
-    name = "second order"
-    meaning = (
-        "The Hessian of the switch-time problem's Lagrangian, on directions that keep the boundary conditions, must be "
-        "positive definite (value: its smallest eigenvalue with the sign reversed, cost per s^2)."
-    )
-    reason = _why_not(samples)
-    if reason:
-        return Condition(name, Result.CANNOT_TELL, float("nan"), 0.0, reason, meaning)
-    s = samples[0]
-    reduced = induced_problem(solution, s, ends).reduced_hessian()
-    if not reduced.size:
-        place = f"phase {s.leg.name}: as many conditions as switch times, nothing is left to vary"
-        return Condition(name, Result.PASS, 0.0, 0.0, place, meaning)
-    eigenvalues = np.linalg.eigvalsh(reduced)
-    least, largest = float(eigenvalues[0]), float(np.max(np.abs(eigenvalues)))
-    place = f"phase {s.leg.name}, {eigenvalues.size} degrees of freedom"
-    result = Result.PASS if least > CURVATURE * largest else Result.FAIL
-    return Condition(name, result, -least, 0.0, place, meaning)
-
-
-def _why_not(samples: list[PhaseSamples]) -> str:
-    """Why the induced problem cannot be built, or nothing."""
-    if len(samples) != 1:
-        return "several phases: the induced problem of one phase says nothing about the others"
-    s = samples[0]
-    at_lower, at_upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
-    on_bound = at_lower | at_upper
-    if not np.all(on_bound):
-        i, j = worst_index((~on_bound).astype(float))
-        return f"{s.place(j, s.leg.controls.labels[i])}: a control between its bounds"
-    if np.max(np.abs(s.leg.path_multipliers), initial=0.0) > ACTIVE_PATH * s.hamiltonian_scale:
-        return "an active path constraint"
-    worth = np.abs(s.leg.state_multipliers) * s.state_scale[:, None] * s.leg.duration
-    if np.max(worth, initial=0.0) > ACTIVE_STATE * s.cost_scale:
-        return "an active state bound"
+def _touched(s: PhaseSamples) -> str:
+    """Where a switching function touches zero between two switches of a bang-bang control, or nothing."""
+    times, channels = inner_switches(s)
+    worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
+    bounds = s.leg.control_bounds
+    for i in np.flatnonzero(np.all(_on_bound(s), axis=1) & (bounds.lower < bounds.upper)):
+        ends = np.concatenate([s.times[:1], times[channels == i], s.times[-1:]])
+        away = np.min(np.abs(s.times[:, None] - ends), axis=1) > OWN * s.span
+        here = worth[i]
+        lowest = (here[1:-1] <= here[:-2]) & (here[1:-1] <= here[2:]) & (here[1:-1] < GRAZES)
+        touching = np.flatnonzero(lowest & away[1:-1])
+        if touching.size:
+            return f"{s.place(int(touching[0]) + 1, s.leg.controls.labels[i])}: touches zero between switches"
     return ""
 
 
-def induced_problem(solution: Solution, s: PhaseSamples, ends: EndGradients) -> InducedProblem:
-    """Differentiate the induced problem of a single-phase bang-bang solution at its switch times."""
-    problem, leg = solution.problem, s.leg
-    assert problem is not None, "verify refuses solutions without a problem"
-    times = leg.breaks[list(leg.mesh.anchors)]
-    free_start = np.flatnonzero(leg.initial_bounds.lower != leg.initial_bounds.upper)
-    fixed_end = np.flatnonzero(leg.final_bounds.lower == leg.final_bounds.upper)
-    flow = bang_bang_flow(problem, s, times, free_start)
-    derivatives = problem.once("end derivatives", lambda: _end_derivatives(problem))
-    numbers = (s.functions.p, s.functions.q, solution.constraint_multipliers)
-    at_ends, ends_hessian, ends_jacobian = (v.full() for v in derivatives(flow.initial, flow.final, *numbers))
-    at_start, at_end = np.split(at_ends.ravel(), 2)
-    at_end[fixed_end] += (s.lam[:, -1] - ends.final_state[leg.name])[fixed_end]
-    changes = np.vstack([flow.initial_sensitivity, flow.final_sensitivity])
-    gradient = np.concatenate([at_start, at_end]) @ changes
-    hessian = changes.T @ ends_hessian @ changes + flow.curvature(at_end)
-    jacobian = np.vstack([flow.final_sensitivity[fixed_end], ends_jacobian @ changes])
-    labels = [f"time {k}" for k in range(times.size)]
-    labels += [f"initial {leg.states.labels[i]}" for i in free_start]
-    free = np.ones(len(labels), dtype=bool)
-    free[0], free[times.size - 1] = ~leg.initial_time_bounds.fixed[0], ~leg.final_time_bounds.fixed[0]
-    return InducedProblem(
-        gradient[free], hessian[np.ix_(free, free)], jacobian[:, free], tuple(np.array(labels)[free])
-    )
+@dataclass(frozen=True)
+class SecondOrder:
+    """What the induced problem says for one order of its switches; numbers are dimensionless.
 
-
-def _end_derivatives(problem: Problem) -> Any:
-    """Gradient and Hessian of the cost and the constraints with their multipliers, and the constraints' Jacobian.
-
-    A CasADi Function of (states, integrals, time) at the start, the same at the end, p, q and nu; all derivatives are
-    by the first two.
+    Attributes
+    ----------
+    offence : float
+        Largest component of the Lagrangian's gradient, or multiplier of the wrong sign.
+    offence_error : float
+        Estimated error of the gradient.
+    where : str
+        Of the offence.
+    least : float
+        Smallest eigenvalue of the reduced Hessian, in shares of its terms; infinite if nothing is left to vary.
+    error : float
+        Its estimated error.
+    freedom : int
+        Directions that are left.
+    attained : bool
+        Whether the direction of the smallest eigenvalue keeps all one-sided conditions.
     """
-    ends = end_function(problem)
-    x0, xf, t0, tf, integrals, p, q, nu = (ca.SX.sym("v", ends.size1_in(i)) for i in range(8))
-    cost, constraints, *_ = ends(x0, xf, t0, tf, integrals, p, q, nu)
-    unused = ca.SX.sym("unused", integrals.shape[0])
-    start, final = ca.vertcat(x0, unused, t0), ca.vertcat(xf, integrals, tf)
-    varied = ca.vertcat(start, final)
-    hessian, gradient = ca.hessian(problem.sense * cost + ca.dot(nu, constraints), varied)
-    jacobian = ca.jacobian(constraints, varied)
-    return ca.Function("end_derivatives", [start, final, p, q, nu], [gradient, hessian, jacobian])
+
+    offence: float
+    offence_error: float
+    where: str
+    least: float
+    error: float
+    freedom: int
+    attained: bool
+
+    @property
+    def result(self) -> Result:
+        """Whether the form is positive definite."""
+        if self.least > self.error:
+            return Result.PASS
+        return Result.FAIL if self.least < -self.error and self.attained else Result.CANNOT_TELL
+
+
+def second_order(
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
+) -> list[Condition]:
+    """The gradient of the induced problem vanishes, and its reduced Hessian is positive definite."""
+    names = ("induced gradient", "second order")
+    meanings = (
+        "Moving a switch, an end time, a free end value or parameter within what the conditions allow must not change "
+        "the cost at first order (largest derivative by an integration of its own, in shares of the largest "
+        "switching function, of H or of the cost): a failure means a switch in the wrong place, or a multiplier of the "
+        "wrong sign.",
+        "The Hessian of the Lagrangian in switch times, end times, free end values and parameters, on directions that "
+        "keep the active conditions, must be positive definite in every order that simultaneous switches can take "
+        "(value: its smallest eigenvalue, reversed, in shares of its terms; tolerance: its estimated error, reversed). "
+        "A negative one means that the cost falls along its direction; within the error, that it may.",
+    )
+    reason = obstacle(samples)
+    switches = {} if reason else {s.leg.name: Switches.of(s) for s in samples}
+    if not reason and np.prod([float(s.n_orders) for s in switches.values()]) > MOST_ORDERS:
+        reason = f"more than {MOST_ORDERS} orders in which simultaneous switches could come"
+    if reason:
+        return [
+            Condition(names[1], Result.CANNOT_TELL, float("nan"), 0.0, reason, meanings[1], sufficient=True)
+        ]
+    unknowns = Unknowns.of(solution, samples, switches)
+    found = [
+        _judge(solution, samples, ends, unknowns, dict(zip(switches, orders, strict=True)), switches)
+        for orders in itertools.product(*(s.orders() for s in switches.values()))
+    ]
+    off = max(found, key=lambda f: np.inf if np.isnan(f.offence) else f.offence)
+    gradient = Result.PASS if off.offence <= tolerance else Result.FAIL
+    if tolerance < off.offence <= tolerance + off.offence_error:
+        gradient = Result.CANNOT_TELL
+    worst = min(found, key=lambda f: (f.result is not Result.FAIL, f.least - f.error))
+    place = f"{worst.freedom} degrees of freedom"
+    if worst.freedom == 0:
+        place = "as many conditions as switch times, nothing is left to vary"
+    elif len(found) > 1:
+        place += f", {len(found)} orders of simultaneous switches"
+    if worst.result is Result.CANNOT_TELL:
+        small = abs(worst.least) <= worst.error
+        place += ": no curvature beyond its error" if small else ": negative, but beyond one-sided conditions"
+    phases = ", ".join(s.leg.name for s in samples)
+    value = 0.0 if worst.freedom == 0 else -worst.least
+    place = f"phase {phases}: {place}"
+    return [
+        Condition(names[0], gradient, off.offence, tolerance, off.where, meanings[0], sufficient=True),
+        Condition(names[1], worst.result, value, -worst.error, place, meanings[1], sufficient=True),
+    ]
+
+
+def _judge(
+    solution: Solution,
+    samples: list[PhaseSamples],
+    ends: EndGradients,
+    unknowns: Unknowns,
+    orders: dict[str, tuple[int, ...]],
+    switches: dict[str, Switches],
+) -> SecondOrder:
+    """Judge the induced problem for one order of the switches of every phase."""
+    pieces = {name: switches[name].pieces(order) for name, order in orders.items()}
+    coarse, fine = (InducedProblem.of(solution, samples, ends, unknowns, pieces, n) for n in (1, 2))
+    free, conditions = unknowns.free, fine.conditions
+    gradient, jacobian = _extrapolated(fine.gradient, coarse.gradient), conditions.jacobian
+    jacobian = _extrapolated(jacobian, coarse.conditions.jacobian)
+    cost = float(np.max(unknowns.worth[free], initial=0.0)) + max(s.cost_scale for s in samples)
+    at_lower, at_upper = conditions.active
+    norms = np.linalg.norm(jacobian[:, free], axis=1)
+    # What only given unknowns could change is no condition on the others.
+    told = norms > RANK * np.linalg.norm(jacobian, axis=1)
+    active = np.flatnonzero((at_lower | at_upper) & told)
+    rows = jacobian[np.ix_(active, free)] / norms[active, None]
+    guess = conditions.multipliers[active] * norms[active]
+    step = np.linalg.lstsq(rows.T, -(gradient[free] + rows.T @ guess), rcond=RANK)[0]
+    multipliers = guess + step
+    sides = np.where(at_lower & at_upper, 0, np.where(at_upper, 1, -1))[active]
+    precedences = _precedences(unknowns, orders, switches)[:, free]
+    residual, pushes = _explained(gradient[free] + rows.T @ multipliers, precedences)
+    wrong = np.maximum(-sides * multipliers, 0.0) / cost
+    shares = np.concatenate([np.abs(residual) / unknowns.worth[free], wrong])
+    labels = [*np.array(unknowns.labels)[free], *(conditions.labels[k] for k in active)]
+    place = int(np.argmax(shares)) if shares.size else -1
+    offence = float(shares[place]) if shares.size else 0.0
+    every = np.zeros(conditions.values.size)
+    every[active] = multipliers / norms[active]
+    gap = fine.gradient - coarse.gradient + every @ (conditions.jacobian - coarse.conditions.jacobian)
+    offence_error = float(np.max(np.abs(gap[free]) / unknowns.worth[free], initial=0.0)) / (2**ORDER - 1)
+    # A condition without a multiplier, or an order without one, only restricts directions to one side.
+    strong = (sides == 0) | (np.abs(multipliers) > WEAK * cost)
+    kept = np.vstack([rows[strong], precedences[pushes > WEAK * cost]])
+    sided = np.vstack([-sides[~strong, None] * rows[~strong], precedences[pushes <= WEAK * cost]])
+    null = _null_space(kept)
+    if not null.shape[1]:
+        return SecondOrder(
+            offence, offence_error, labels[place] if labels else "no unknown", np.inf, 0.0, 0, True
+        )
+    (h_fine, size), (h_coarse, _) = fine.hessian(every), coarse.hessian(every)
+    hessian = _extrapolated(h_fine, h_coarse)[np.ix_(free, free)]
+    reduced = null.T @ hessian @ null
+    eigenvalues, vectors = np.linalg.eigh(0.5 * (reduced + reduced.T))
+    error = float(np.linalg.norm(h_fine - h_coarse)) / (2**ORDER - 1) / (size + cost)
+    error += EXACT + offence
+    keeps = sided @ (null @ vectors[:, 0])
+    attained = bool(np.all(keeps >= -SLACK) or np.all(keeps <= SLACK))
+    least = float(eigenvalues[0]) / (size + cost)
+    return SecondOrder(offence, offence_error, labels[place], least, error, null.shape[1], attained)
+
+
+def _extrapolated(fine: Array, coarse: Array) -> Array:
+    """Richardson's extrapolation from two grids."""
+    return np.asarray(fine + (fine - coarse) / (2**ORDER - 1))
+
+
+def _precedences(
+    unknowns: Unknowns, orders: dict[str, tuple[int, ...]], switches: dict[str, Switches]
+) -> Array:
+    """Combinations of the unknowns that must not be negative for the order of the switches to hold (k, n)."""
+    rows = [np.zeros((0, unknowns.scale.size))]
+    for name, order in orders.items():
+        own = switches[name].precedences(order)
+        block = np.zeros((own.shape[0], unknowns.scale.size))
+        block[:, unknowns.places[name][: own.shape[1]]] = own
+        rows.append(block)
+    return np.vstack(rows)
+
+
+def _explained(residual: Array, precedences: Array) -> tuple[Array, Array]:
+    """What the order of simultaneous switches leaves of a gradient, and how much each precedence pushes.
+
+    Where controls act on each other, a switch is worth something else before than after another one.
+    """
+    if not precedences.size:
+        return residual, np.zeros(precedences.shape[0])
+    pushes = scipy.optimize.nnls(precedences.T, residual)[0]
+    return residual - precedences.T @ pushes, pushes
+
+
+def _null_space(rows: Array) -> Array:
+    """An orthonormal basis (n, d) of the directions that change none of the rows."""
+    _, sizes, basis = np.linalg.svd(rows, full_matrices=True)
+    rank = int(np.sum(sizes > RANK * max(float(np.max(sizes, initial=0.0)), TINY)))
+    return np.asarray(basis[rank:].T)
+
+
+def is_bang_bang(samples: list[PhaseSamples]) -> bool:
+    """Whether every control sits on a bound all along."""
+    return bool(samples) and all(np.all(_on_bound(s)) for s in samples)
+
+
+def _on_bound(s: PhaseSamples) -> Mask:
+    at_lower, at_upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
+    return at_lower | at_upper
+
+
+def obstacle(samples: list[PhaseSamples]) -> str:
+    """Why the induced problem says nothing, or nothing."""
+    if not samples:
+        return "no phase lasts"
+    for s in samples:
+        on_bound = _on_bound(s)
+        if not np.all(on_bound):
+            i, j = worst_index((~on_bound).astype(float))
+            return f"{s.place(j, s.leg.controls.labels[i])}: a control between its bounds"
+        if np.max(np.abs(s.leg.path_multipliers), initial=0.0) > ACTIVE_PATH * s.hamiltonian_scale:
+            return f"phase {s.leg.name}: an active path constraint"
+        worth = np.abs(s.leg.state_multipliers) * s.state_scale[:, None] * s.leg.duration
+        if np.max(worth, initial=0.0) > ACTIVE_STATE * s.cost_scale:
+            return f"phase {s.leg.name}: an active state bound"
+    return ""

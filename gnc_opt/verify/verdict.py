@@ -18,7 +18,7 @@ class Result(Enum):
 
 @dataclass(frozen=True)
 class Condition:
-    """One necessary condition and how well it holds.
+    """One condition of optimality and how well it holds.
 
     Attributes
     ----------
@@ -32,6 +32,10 @@ class Condition:
         Phase, time and quantity of the worst offence.
     meaning : str
         What the condition says and what its failure means, in one or two sentences.
+    sufficient : bool
+        False: necessary for a minimum, and ``Verdict.ok`` needs it told. True: part of what suffices for a strict
+        local minimum, so that only ``Verdict.minimum`` needs it told; FAIL says then that its necessary form is
+        violated too, CANNOT TELL that the margin is missing or that there is no test.
     """
 
     name: str
@@ -40,6 +44,7 @@ class Condition:
     tolerance: float
     where: str
     meaning: str
+    sufficient: bool = False
 
 
 @dataclass(frozen=True)
@@ -52,24 +57,25 @@ class Verdict:
     conditions : tuple of Condition
     not_judged : str
         Why nothing of the minimum principle could be judged: "no costates"; empty if it was.
+    estimated : bool
+        Whether costates and multipliers are estimates, because the trajectory came without (`verify_trajectory`).
     """
 
     problem_name: str
     conditions: tuple[Condition, ...]
     not_judged: str = ""
+    estimated: bool = False
 
     @property
     def ok(self) -> bool:
-        """Whether no condition fails and the minimum principle was judged.
-
-        Single conditions that cannot be told do not fail; see ``proven``.
-        """
-        return not self.failed and not self.not_judged
+        """Whether the necessary conditions of a minimum hold: none fails, and none of them is untold."""
+        return not self.failed and not self.not_judged and all(c.sufficient for c in self.untold)
 
     @property
-    def proven(self) -> bool:
-        """Whether every condition passes."""
-        return all(c.result is Result.PASS for c in self.conditions)
+    def minimum(self) -> bool:
+        """Whether sufficient conditions hold too, every one of them: a strict local minimum, within the tolerance."""
+        judged = any(c.sufficient for c in self.conditions)
+        return self.ok and judged and not self.untold
 
     @property
     def failed(self) -> tuple[Condition, ...]:
@@ -77,11 +83,31 @@ class Verdict:
         return tuple(c for c in self.conditions if c.result is Result.FAIL)
 
     @property
+    def untold(self) -> tuple[Condition, ...]:
+        """The conditions that cannot be told."""
+        return tuple(c for c in self.conditions if c.result is Result.CANNOT_TELL)
+
+    @property
+    def open(self) -> tuple[Condition, ...]:
+        """The conditions that keep it from being ok: those that fail, then necessary ones that cannot be told."""
+        return (*self.failed, *(c for c in self.untold if not c.sufficient))
+
+    @property
     def word(self) -> str:
-        """The verdict in a word or two: "ok", "NOT ok" or "not judged: no costates"."""
+        """The verdict in a word or two: "ok", "NOT ok", or what was not judged: "not judged: no costates"."""
         if self.failed:
             return "NOT ok"
-        return f"not judged: {self.not_judged}" if self.not_judged else "ok"
+        missing = self.not_judged or ", ".join(c.name for c in self.untold if not c.sufficient)
+        return f"not judged: {missing}" if missing else "ok"
+
+    @property
+    def headline(self) -> str:
+        """The verdict in a sentence: its word and, if it is ok, whether it is known to be a minimum."""
+        if self.minimum:
+            return "every condition passes: a strict local minimum"
+        if self.ok:
+            return "ok: necessary conditions hold, sufficient ones are not known to"
+        return self.word
 
     def __getitem__(self, name: str) -> Condition:
         for condition in self.conditions:
@@ -92,8 +118,8 @@ class Verdict:
 
     def explain(self) -> str:
         """Return a paragraph per condition that does not pass, or one that says all do."""
-        word = "every condition passes" if self.proven else self.word
-        lines = [f"Verdict on '{self.problem_name}': {word}."]
+        how = " (multipliers estimated)" if self.estimated else ""
+        lines = [f"Verdict on '{self.problem_name}'{how}: {self.headline}."]
         for c in self.conditions:
             if c.result is not Result.PASS:
                 lines.append(

@@ -7,16 +7,20 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.errors import GncOptError, ProblemError
+from gnc_opt.problem.functions import EndGradients
+from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.verify import controls, costates, feasibility, second_order
 from gnc_opt.verify.judged import ends_of, from_problem, has_costates, missing_number, stored_numbers
+from gnc_opt.verify.kept import keep_verdict, kept_verdict
 from gnc_opt.verify.magnitude import Magnitudes
 from gnc_opt.verify.pushes import settle_edges
+from gnc_opt.verify.reduced_hessian import reduced_hessian
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 
 TOLERANCE = 1e-5
 
-_CANNOT_VARY = "Costates or other numbers are missing, so that what varied switch times cost cannot be told."
+_CANNOT_VARY = "Costates or other numbers are missing, so that what variations cost cannot be told."
 
 
 def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
@@ -36,10 +40,12 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
     Returns
     -------
     Verdict
-        PASS, FAIL or CANNOT TELL per condition: dynamics, propagation, bounds, path constraints, boundary
+        ``ok`` if the necessary conditions of a minimum hold, ``minimum`` if sufficient ones do too; PASS, FAIL or
+        CANNOT TELL per condition: dynamics, propagation, bounds, path constraints, boundary
         conditions, cost, stored numbers, adjoint equation, transversality, Hamiltonian, stationarity, control signs,
-        minimum principle, complementarity, Legendre-Clebsch, singular arcs, parameters; and, for a solution whose
-        switch times were optimised, strict switches and second order.
+        minimum principle, complementarity, Legendre-Clebsch, singular arcs, parameters, second order; for a solution
+        whose switch times were optimised or that is bang-bang, strict switches; for the latter, induced gradient.
+        A solution keeps its verdict: asked again, at the same tolerance, nothing is computed anew.
 
     Raises
     ------
@@ -50,6 +56,14 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         raise GncOptError(f"verify() needs a Solution, as solve() returns it, not {type(solution).__name__}.")
     if not (np.isfinite(tol) and tol > 0):
         raise ProblemError(f"the tolerance of verify() is {tol!r}: give a positive number.")
+    known = kept_verdict(solution, tol) if solution.problem is not None else None
+    if known is None:
+        known = _judge(solution, tol)
+        keep_verdict(solution, known, tol)
+    return known
+
+
+def _judge(solution: Solution, tol: float) -> Verdict:
     stored, solution = solution, from_problem(solution)
     samples = list(solution.samples().values())
     ends, amounts = ends_of(solution), Magnitudes.of(solution, samples)
@@ -77,11 +91,13 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         controls.legendre_clebsch(lasting, tol),
         controls.singular_arcs(lasting, tol),
     ]
-    switches = []
-    if solution.structure and told and not missing.value:
-        switches = [second_order.strict_switches(lasting), second_order.second_order(solution, samples, ends)]
-    elif solution.structure:
-        switches = [_untold(n, 0.0, missing.where, _CANNOT_VARY) for n in ("strict switches", "second order")]
+    switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
+    names = ("strict switches", "second order") if switching else ("second order",)
+    if told and not missing.value:
+        switches = [second_order.strict_switches(lasting)] if switching else []
+        switches += _second_order(solution, samples, lasting, ends, tol)
+    else:
+        switches = [_untold(name, missing.where, _CANNOT_VARY) for name in names]
     if len(lasting) < len(samples):
         vanished = next(s.leg.name for s in samples if not s.has_length)
         along, switches = ([_without_length(c, vanished) for c in part] for part in (along, switches))
@@ -95,14 +111,30 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
     )
 
 
-def _untold(name: str, tolerance: float, where: str, meaning: str) -> Condition:
-    return Condition(name, Result.CANNOT_TELL, float("nan"), tolerance, where, meaning)
+def _second_order(
+    solution: Solution,
+    samples: list[PhaseSamples],
+    lasting: list[PhaseSamples],
+    ends: EndGradients,
+    tolerance: float,
+) -> list[Condition]:
+    """By the switch times where they alone are left to vary, else on the mesh."""
+    if not second_order.obstacle(lasting):
+        return second_order.second_order(solution, lasting, ends, tolerance)
+    return [reduced_hessian(solution, samples)]
+
+
+def _untold(name: str, where: str, meaning: str) -> Condition:
+    return Condition(name, Result.CANNOT_TELL, float("nan"), 0.0, where, meaning, sufficient=True)
+
+
+def _cannot_tell(condition: Condition, where: str, meaning: str) -> Condition:
+    return replace(condition, result=Result.CANNOT_TELL, value=float("nan"), where=where, meaning=meaning)
 
 
 def _without_costates(condition: Condition) -> Condition:
-    return _untold(
-        condition.name,
-        condition.tolerance,
+    return _cannot_tell(
+        condition,
         "everywhere",
         "The solution has no costates (none finite and non-zero), so that the minimum principle cannot be checked.",
     )
@@ -112,18 +144,16 @@ def _incomplete(condition: Condition, where: str) -> Condition:
     """A pass without all numbers is none."""
     if condition.result is not Result.PASS:
         return condition
-    return _untold(
-        condition.name, condition.tolerance, where, "It holds as far as can be seen, but a number is missing."
-    )
+    return _cannot_tell(condition, where, "It holds as far as can be seen, but a number is missing.")
 
 
 def _without_length(condition: Condition, phase: str) -> Condition:
     if condition.result is Result.FAIL:  # in another phase
         return condition
-    return _untold(
-        condition.name,
-        condition.tolerance,
+    untold = _cannot_tell(
+        condition,
         f"phase {phase}",
         "The phase has no length: its duration sits on its lower bound of zero, and there is no time along which "
         "costates and controls could be judged. Leave the phase out, or ask for a positive duration.",
     )
+    return replace(untold, sufficient=True)  # nothing to tell is not against the solution

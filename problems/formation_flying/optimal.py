@@ -79,7 +79,7 @@ def build_fast(limit: float = LIMIT, j2: bool = True) -> go.Problem:
 
 
 REFERENCE = Reference(
-    1.184250594, "own structure-exact solution, all conditions of optimality proven", 1e-6, "m/s"
+    1.184250594, "own structure-exact solution, all conditions of optimality pass", 1e-6, "m/s"
 )
 
 

@@ -82,7 +82,7 @@ def optimal_rows() -> list[Optimal]:
                 fastest_wheel(solution),
                 published.peak_speed,
                 verdict.ok,
-                tuple(c.name for c in verdict.conditions if c.result is go.Result.CANNOT_TELL),
+                tuple(c.name for c in verdict.untold),
             )
         )
     return found

@@ -171,7 +171,7 @@ def report(console: Console, outcomes: Sequence[GlobalOutcome]) -> None:
     if any(minimum.standing != "ok" for outcome in outcomes for minimum in outcome.found.minima):
         console.print(
             "NOT ok: refined, but the optimality conditions do not hold. Coarse: not refined, the number is that of "
-            "the 20x3 mesh. Neither is proven to be a minimum."
+            "the 20x3 mesh. Neither is known to be a minimum."
         )
     if any(outcome.published for outcome in outcomes):
         console.print(published_table(outcomes))

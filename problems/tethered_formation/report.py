@@ -122,7 +122,7 @@ def _show_optima(
 ) -> None:
     for name, optimum in optima.items():
         verdict = optimum.verdict
-        open_ = [c.name for c in verdict.conditions if c.result is go.Result.CANNOT_TELL]
+        open_ = [c.name for c in verdict.untold]
         line = (
             f"{name}: {optimum.leg.final_time:.8f} s, effort {optimum.effort:.8f} rad^2/s, "
             f"loss {optimum.loss:.5f} m/s, verdict {'ok' if verdict.ok else 'NOT ok'}"

@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+import gnc_opt
+
 HEAVY = (
     "scipy.stats",
     "scipy.optimize",
@@ -26,3 +28,19 @@ def test_import_loads_nothing_heavy(package: str) -> None:
     program = f"import sys, {package}; print(*sorted(set({HEAVY!r}) & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
+
+
+def test_import_leaves_the_closed_loop_until_it_is_asked_for() -> None:
+    program = (
+        "import sys, gnc_opt as go; rooms = {'gnc_opt.control', 'gnc_opt.simulation'};"
+        "print(rooms & set(sys.modules)); go.ClosedLoop, go.design_lqr; print(rooms <= set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["set()", "True"]
+
+
+def test_every_public_name_is_there_and_no_other() -> None:
+    assert set(gnc_opt.__all__) <= set(dir(gnc_opt))
+    assert all(hasattr(gnc_opt, name) for name in gnc_opt.__all__)
+    with pytest.raises(AttributeError, match="'gnc_opt' has no attribute 'design_lqg'"):
+        gnc_opt.design_lqg  # type: ignore[attr-defined]  # noqa: B018

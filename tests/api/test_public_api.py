@@ -20,18 +20,20 @@ import gnc_opt
 
 EXPECTED = {
     "gnc_opt": """
-        Arc ArcKind ArgumentError Campaign ClosedLoop Condition Controller DesignError Explanation GncOptError
-        History Mesh Minimum Model ModelError Multistart Outcome Phase PhaseSolution Problem
-        ProblemError ProblemWarning Reference RefinementStatus Result Run RunStatus Sensitivity Solution
-        SolveError SolverOptions Status UnknownAttributeError UnknownNameError Verdict bryson
-        design_feedback_linearization design_hierarchical_sliding_mode design_integral_sliding_mode
-        design_lqr design_mpc design_sliding_mode design_tvlqr export_c feedforward load monte_carlo
-        multistart polish refine sensitivity solve verify
+        Arc ArcKind ArgumentError Campaign ClosedLoop Condition Continuation ContinuationStatus Controller
+        DesignError Explanation GncOptError History Mesh Minimum Model ModelError Multistart Outcome Phase
+        PhaseSolution Problem ProblemError ProblemWarning Reference RefinementStatus Result Run RunStatus
+        Sensitivity Solution SolveError SolverOptions Status Sweep Table UnknownAttributeError
+        UnknownNameError Verdict bryson continue_in design_feedback_linearization
+        design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
+        design_sliding_mode design_tvlqr export_c feedforward guess_from_data guess_from_solution load
+        monte_carlo multistart polish refine sensitivity simulate_guess smooth_abs solve sweep table
+        table_from_csv verify verify_trajectory
     """,
     "gnc_opt.control": """
         ConstantRate Controller Deviation Explanation ExponentialRate Fact FlightCode PowerRate
         PredictiveReaching Reference SaturationLayer Sign SuperTwisting SuperTwistingObserver
-        TanhLayer bryson decoupling_matrix design_feedback_linearization
+        TanhLayer bridge_dropouts bryson decoupling_matrix design_feedback_linearization
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
         design_sliding_mode design_tvlqr export_c feedforward first_memory law lie_derivative output_errors
         relative_degrees trim zero_dynamics

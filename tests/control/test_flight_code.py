@@ -187,12 +187,13 @@ def test_header_names_sizes_and_units(tmp_path):
     text = code.header.read_text()
     for line in (
         "#define HOLD___TRIM_N_STATES 2",
-        "#define HOLD___TRIM_N_MEMORY 1",
+        "#define HOLD___TRIM_N_MEMORY 5",
         "#define HOLD___TRIM_N_ROWS 1",
         "#define HOLD___TRIM_DT 0.1 /* control step, s */",
         " *   [1] v, rad/s",
         " *   [0] a, 1/s^2",
         " *   [0] integral_q, rad s",
+        " *   [1] last_good_q, rad",
         " *   [2] a_ff, 1/s^2",
         "void hold___trim_step(double t, const double *x, double *z, double *u);",
     ):

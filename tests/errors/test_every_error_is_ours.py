@@ -25,7 +25,10 @@ ALLOWED = {
     "NotImplementedError": "abstract methods",
     "SystemExit": "the command line's exit code",
     "FileNotFoundError": "a missing file is what Python says it is",
+    "__init__.py: AttributeError": "what Python expects of a module's __getattr__",
+    "integration.py: EndedError": "caught at once: why a propagation ended",
     "multistart.py: KeyboardInterrupt": "Ctrl-C, passed on to the search, which keeps what it has found",
+    "sweep.py: KeyboardInterrupt": "Ctrl-C, passed on to the sweep, which keeps what it has found",
     "archive.py: _NoArchive": "caught at once and turned into 'is no archive'",
     "archive.py: zipfile.BadZipFile": "caught at once and turned into 'is damaged'",
 }

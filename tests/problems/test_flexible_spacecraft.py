@@ -124,7 +124,7 @@ def test_disturbance_has_the_published_mean_and_range() -> None:
 
 
 @pytest.mark.slow
-def test_least_time_is_proven_bang_bang_and_leaves_no_vibration() -> None:
+def test_least_time_is_bang_bang_and_leaves_no_vibration() -> None:
     """Fifteen switches, H = -1 and the signs of the switching functions, by a verdict that recomputes them all."""
     solution = optimal.solved("fast")
     assert solution.objective == pytest.approx(optimal.REFERENCE.value, abs=optimal.REFERENCE.tolerance)
@@ -142,7 +142,7 @@ def test_least_time_is_proven_bang_bang_and_leaves_no_vibration() -> None:
 
 
 @pytest.mark.slow
-def test_least_vibration_is_proven_and_beats_the_published_slew() -> None:
+def test_least_vibration_passes_and_beats_the_published_slew() -> None:
     solution = gentle()
     assert go.verify(solution).ok
     leg = solution.phase()

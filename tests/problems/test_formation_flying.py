@@ -58,7 +58,7 @@ def test_integral_surface_has_no_reaching_phase() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["least Delta-V", "least time"])
-def test_optimum_is_proven_and_held(name: str) -> None:
+def test_optimum_passes_and_is_held(name: str) -> None:
     best = plan(name)
     assert best.verdict.ok and not best.verdict.failed
     planned = plan(name, RESERVE, False)

@@ -330,7 +330,7 @@ def test_main_writes_what_it_is_asked_for(tmp_path: Path, capsys: pytest.Capture
     assert told["verdict"]["ok"]
     assert told["reference"]["agrees"]
     assert told["reference"]["value"] == pytest.approx(2 * math.sqrt(17), rel=1e-15)
-    assert {"summary.txt", "verdict.txt", "states.png"} <= {path.name for path in folder.iterdir()}
+    assert {"report.html", "states.svg"} <= {path.name for path in folder.iterdir()}
     printed = capsys.readouterr().out
     assert "pass" in printed.splitlines()[-2]
     assert "soft landing on the Moon" in printed

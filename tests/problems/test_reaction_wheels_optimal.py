@@ -106,7 +106,7 @@ def test_optimal_slews_obey_the_minimum_principle_and_the_limits(name: str) -> N
     assert verdict.ok, verdict.explain()
     # on the speed limit the torque is between its bounds, and H is linear in it
     linear = {"Legendre-Clebsch", "singular arcs"} if name == "time, speed limit" else set()
-    assert {c.name for c in verdict.conditions if c.result is not go.Result.PASS} == linear
+    assert {c.name for c in verdict.untold} - {"second order"} == linear
     assert fastest_wheel(solution) <= DESIGN_SPEED * (1 + 1e-9)
     assert (fastest_wheel(solution) > DESIGN_SPEED * (1 - 1e-9)) == ("half" in name or "speed" in name)
     end = solution.phase().final_time

@@ -83,7 +83,7 @@ def test_asymmetric_bounds() -> None:
     assert solution.objective == pytest.approx(t_f, abs=1e-8)
     assert switch_times(solution) == pytest.approx([t_f * b / (a + b)], abs=1e-8)
     assert [arc.kind for arc in solution.structure] == [ArcKind.UPPER, ArcKind.LOWER]
-    assert go.verify(solution, tol=1e-8).proven
+    assert go.verify(solution, tol=1e-8).minimum
 
 
 def test_minimum_fuel() -> None:
@@ -141,7 +141,7 @@ def test_singular_arc_is_found() -> None:
     assert [arc.kind for arc in solution.structure] == [ArcKind.LOWER, ArcKind.UPPER, ArcKind.SINGULAR]
     assert solution.objective == pytest.approx(0.757617928659, abs=1e-9)
     verdict = go.verify(solution)
-    assert verdict.ok and not verdict.proven, verdict.explain()
+    assert verdict.ok and not verdict.minimum, verdict.explain()
 
 
 # --- the rendezvous -----------------------------------------------------------------------------------------------
@@ -157,7 +157,7 @@ def test_rendezvous_from_the_default_guess(case: int, equation: rendezvous.Equat
     assert solution.history is not None and solution.history.converged, solution.history
     assert solution.objective == pytest.approx(reference.value, abs=1e-9)
     verdict = go.verify(solution, tol=1e-8)
-    assert verdict.proven, verdict.explain()
+    assert verdict.minimum, verdict.explain()
     assert solution.quality.terminal_error < 1e-8
     times = np.linspace(0.0, solution.objective, 10_000)
     np.testing.assert_allclose(np.asarray(solution.hamiltonian(times)), -1.0, atol=2e-8)

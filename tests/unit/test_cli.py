@@ -98,8 +98,9 @@ def test_solve_writes_json_and_report(cart: Path, tmp_path: Path, capsys: pytest
     assert told["problem"] == "probe"
     assert told["verdict"]["ok"] is True
     assert told["objective"] == pytest.approx(2.0, abs=1e-7)
-    assert {"summary.txt", "verdict.txt", "solution.npz", "states.png"} <= {p.name for p in folder.iterdir()}
-    assert f"files in {folder}" in capsys.readouterr().out
+    assert {"report.html", "summary.json", "solution.npz", "states.svg"} <= {p.name for p in folder.iterdir()}
+    assert f"report: {folder / 'report.html'}" in capsys.readouterr().out
+    assert f"gnc-opt solve {cart} --json {target}" in (folder / "report.html").read_text(encoding="utf-8")
     assert go.load(folder / "solution.npz").objective == told["objective"]
 
 

@@ -4,6 +4,8 @@ import dataclasses
 import io
 import json
 import re
+from html import escape
+from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -133,7 +135,7 @@ def test_summary_states_the_payoff_as_stated() -> None:
 def test_summary_of_a_propagation_that_diverges(good: go.Solution) -> None:
     twin = dataclasses.replace(good)
     vars(twin)["quality"] = dataclasses.replace(good.quality, terminal_error=float("inf"))
-    assert "diverges when the flown control is integrated" in summary(twin)
+    assert "ends early when the flown control is integrated" in summary(twin)
     assert summary_dict(twin)["terminal_error"] is None
 
 
@@ -280,23 +282,19 @@ def test_report_folder(smeared: go.Solution, tmp_path: Path) -> None:
     paths = write_report(smeared, VERDICT, folder, figures=figures)
     names = [path.name for path in paths]
     assert names == [
-        "summary.txt",
-        "verdict.txt",
+        "report.html",
         "summary.json",
         "solution.npz",
-        "states.png",
-        "controls.png",
-        "costates.png",
-        "hamiltonian.png",
-        "verdict.png",
+        "states.svg",
+        "controls.svg",
+        "costates.svg",
+        "hamiltonian.svg",
+        "verdict.svg",
         "own.txt",
-        "figure_1.png",
+        "figure_1.svg",
     ]
     assert sorted(names) == sorted(path.name for path in folder.iterdir())
     assert all(path.stat().st_size > 0 for path in paths)
-    assert (folder / "states.png").read_bytes().startswith(b"\x89PNG")
-    assert (folder / "summary.txt").read_text(encoding="utf-8") == summary(smeared) + "\n"
-    assert "Each control obeys its sign." in (folder / "verdict.txt").read_text(encoding="utf-8")
     assert json.loads((folder / "summary.json").read_text(encoding="utf-8"))["verdict"]["ok"] is False
     assert go.load(folder / "solution.npz").objective == smeared.objective
 
@@ -312,14 +310,16 @@ def test_problem_figures_may_come_in_several_forms(good: go.Solution, tmp_path: 
 
 
 def test_report_of_a_failed_solve_has_no_verdict(failed: go.Solution, tmp_path: Path) -> None:
-    names = [path.name for path in write_report(failed, None, tmp_path)]
-    assert "verdict.txt" not in names and "summary.txt" in names
+    paths = write_report(failed, None, tmp_path)
+    assert "verdict.svg" not in [path.name for path in paths]
+    text = paths[0].read_text(encoding="utf-8")
+    assert "Not judged." in text and escape(failed.status.remedy) in text
 
 
 def test_report_of_a_loaded_solution_has_no_hamiltonian(good: go.Solution, tmp_path: Path) -> None:
     loaded = go.load(good.save(tmp_path / "a.npz"))
     names = [path.name for path in write_report(loaded, None, tmp_path / "report")]
-    assert "hamiltonian.png" not in names and "costates.png" in names
+    assert "hamiltonian.svg" not in names and "costates.svg" in names
 
 
 def test_report_into_a_file_is_refused(good: go.Solution, tmp_path: Path) -> None:
@@ -328,7 +328,8 @@ def test_report_into_a_file_is_refused(good: go.Solution, tmp_path: Path) -> Non
         write_report(good, None, tmp_path / "report")
 
 
-def test_report_of_a_refined_solution_shows_how_it_came_about(tmp_path: Path) -> None:
+def rest_to_rest() -> go.Problem:
+    """From q = 1 to 0 at rest in least time, 2 s; lambda_q = 1 all along, one switch at 1 s."""
     cart = go.Model("cart")
     q, v, a = cart.state("q"), cart.state("v"), cart.control("a")
     cart.ode({q: v, v: a})
@@ -339,5 +340,84 @@ def test_report_of_a_refined_solution_shows_how_it_came_about(tmp_path: Path) ->
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
     problem.minimize(leg.final_time)
-    names = [path.name for path in write_report(go.solve(problem, tol=1e-8), None, tmp_path / "report")]
-    assert "refinement.png" in names
+    return problem
+
+
+def test_report_of_a_refined_solution_shows_how_it_came_about(tmp_path: Path) -> None:
+    names = [
+        path.name for path in write_report(go.solve(rest_to_rest(), tol=1e-8), None, tmp_path / "report")
+    ]
+    assert "refinement.svg" in names
+
+
+# --- page ---------------------------------------------------------------------------------------------
+
+
+class Parsed(HTMLParser):
+    """Tags and what they point to; complains about tags that close none or are left open."""
+
+    EMPTY = frozenset({"meta", "img"})
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in self.EMPTY:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+@pytest.fixture(scope="module")
+def parsed(smeared: go.Solution, tmp_path_factory: pytest.TempPathFactory) -> Parsed:
+    folder = tmp_path_factory.mktemp("page")
+    named = dataclasses.replace(smeared, problem_name="<script>alert('a & b')</script>")
+    return Parsed(
+        write_report(named, VERDICT, folder, command="gnc-opt solve a.py")[0].read_text(encoding="utf-8")
+    )
+
+
+def test_page_needs_nothing_else(parsed: Parsed) -> None:
+    sources = [attributes["src"] for tag, attributes in parsed.tags if "src" in attributes]
+    assert len(sources) == 5 and all(
+        str(source).startswith("data:image/svg+xml;base64,") for source in sources
+    )
+    assert not {"script", "link", "iframe"} & {tag for tag, _ in parsed.tags}
+
+
+def test_links_of_the_page_lead_somewhere(parsed: Parsed) -> None:
+    targets = [str(attributes["href"]) for tag, attributes in parsed.tags if tag == "a"]
+    assert len(targets) > 3
+    assert set(targets) <= {f"#{attributes['id']}" for _, attributes in parsed.tags if "id" in attributes}
+
+
+def test_page_tells_every_condition_and_opens_those_that_fail(parsed: Parsed) -> None:
+    opened = ["open" in attributes for tag, attributes in parsed.tags if tag == "details"]
+    assert opened == [condition.result is Result.FAIL for condition in VERDICT.conditions]
+    assert {condition.meaning for condition in VERDICT.conditions} <= set(parsed.words)
+
+
+def test_page_gives_objective_name_and_command(parsed: Parsed, smeared: go.Solution) -> None:
+    assert f"{smeared.objective:.12g}" in parsed.words
+    assert parsed.words.count("<script>alert('a & b')</script>") == 2
+    assert "gnc-opt solve a.py" in parsed.words
+
+
+def test_page_tells_passes_arcs_and_multipliers(tmp_path: Path) -> None:
+    solution = go.solve(rest_to_rest(), tol=1e-8)
+    words = Parsed(write_report(solution, go.verify(solution), tmp_path)[0].read_text(encoding="utf-8")).words
+    assert solution.history is not None and f"{solution.history.passes[-1].objective:.12g}" in words
+    switch = words.index("lower")
+    assert [float(word) for word in words[switch + 1 : switch + 3]] == pytest.approx([0.0, 1.0], abs=1e-8)
+    costate = words[words.index("costate of q, phase leg") + 1]
+    assert float(costate.split()[0]) == pytest.approx(1.0, abs=1e-7)

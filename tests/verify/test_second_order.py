@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from wrong import one_switch
 
 import gnc_opt as go
 from gnc_opt.problem.arc import Arc, ArcKind
@@ -15,8 +17,10 @@ from gnc_opt.refine.refine import refine
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.verify import Result
-from gnc_opt.verify.judged import ends_of
-from gnc_opt.verify.second_order import induced_problem, strict_switches
+from gnc_opt.verify.induced import InducedProblem, Unknowns
+from gnc_opt.verify.judged import ends_of, from_problem
+from gnc_opt.verify.second_order import second_order, strict_switches
+from gnc_opt.verify.switches import Switches
 
 
 def oscillator(control_bound: float = 1.0) -> go.Problem:
@@ -58,17 +62,30 @@ def test_switches_are_half_periods_apart(refined: go.Solution) -> None:
 
 def test_verdict_includes_second_order(refined: go.Solution) -> None:
     verdict = go.verify(refined, tol=1e-8)
-    assert verdict.proven, verdict.explain()
+    assert verdict.minimum, verdict.explain()
     assert verdict["strict switches"].result is Result.PASS
     assert verdict["second order"].result is Result.PASS
 
 
-def test_induced_gradient_vanishes_and_hessian_matches_finite_differences(refined: go.Solution) -> None:
+def induced_problem(solution: go.Solution, refinement: int = 4) -> InducedProblem:
+    """The induced problem of a solution with one phase and no simultaneous switches."""
+    solution = from_problem(solution)
+    samples = list(solution.samples().values())
+    name = samples[0].leg.name
+    switches = {name: Switches.of(samples[0])}
+    pieces = {name: switches[name].pieces(next(switches[name].orders()))}
+    unknowns = Unknowns.of(solution, samples, switches)
+    return InducedProblem.of(solution, samples, ends_of(solution), unknowns, pieces, refinement)
+
+
+def test_induced_jacobian_is_that_of_the_flow_in_closed_form(refined: go.Solution) -> None:
     leg = refined.phase()
-    samples = PhaseSamples.of(leg, refined.functions("leg"))
-    induced = induced_problem(refined, samples, ends_of(refined))
-    np.testing.assert_allclose(induced.gradient, 0.0, atol=1e-6)
-    np.testing.assert_allclose(induced.hessian, induced.hessian.T, atol=1e-12)
+    induced = induced_problem(refined)
+    assert induced.unknowns.labels[-1] == "phase leg, final time"
+    assert list(induced.unknowns.free) == [False] + [True] * (len(induced.unknowns.labels) - 1)
+    # The costates are multipliers: they leave nothing of the cost's gradient.
+    left = induced.gradient + induced.conditions.multipliers @ induced.conditions.jacobian
+    np.testing.assert_allclose(left[1:], 0.0, atol=1e-6)
     # Final state of the oscillator in closed form: turning about (u, 0) at unit rate from switch to switch.
     knots = leg.breaks[list(leg.mesh.anchors)]
     controls = leg.flown(0.5 * (knots[1:] + knots[:-1]))[0]
@@ -85,7 +102,8 @@ def test_induced_gradient_vanishes_and_hessian_matches_finite_differences(refine
         shift = np.zeros(knots.size)
         shift[k] = step
         columns.append((final_state(knots + shift) - final_state(knots - shift)) / (2 * step))
-    np.testing.assert_allclose(induced.jacobian, np.stack(columns, axis=1), atol=1e-6)
+    found = induced.conditions.jacobian[:2, 1:] / induced.unknowns.scale[1:]
+    np.testing.assert_allclose(found, np.stack(columns, axis=1), atol=1e-6)
 
 
 def test_structure_survives_a_file(refined: go.Solution, tmp_path: object) -> None:
@@ -141,8 +159,17 @@ def test_least_curvature_with_a_free_start_and_a_cost_that_depends_on_time(start
         ]
     )
     assert solution.objective == pytest.approx(cost(point), rel=1e-9)
-    condition = go.verify(replace(solution, structure=arcs))["second order"]
-    assert condition.value == pytest.approx(-np.linalg.eigvalsh(hessian)[0], rel=1e-5)
+    verdict = go.verify(replace(solution, structure=arcs))
+    assert verdict["induced gradient"].result is verdict["second order"].result is Result.PASS
+    induced = induced_problem(replace(solution, structure=arcs))
+    order = [induced.unknowns.labels.index(what) for what in ("phase leg, initial x", switch_label(induced))]
+    scale = induced.unknowns.scale[order]
+    found = induced.hessian(induced.conditions.multipliers)[0][np.ix_(order, order)] / np.outer(scale, scale)
+    np.testing.assert_allclose(found, hessian, rtol=1e-5)
+
+
+def switch_label(induced: InducedProblem) -> str:
+    return next(label for label in induced.unknowns.labels if "switch of" in label)
 
 
 def test_a_slope_that_is_no_number_is_not_strict(
@@ -168,9 +195,14 @@ def test_what_forbids_the_induced_problem_is_named(refined: go.Solution) -> None
             "a control between its bounds",
         ),
     ):
-        condition = go.verify(replace(refined, phases={"leg": wrong}))["second order"]
+        condition = of_switch_times(replace(refined, phases={"leg": wrong}))
         assert condition.result is Result.CANNOT_TELL
         assert condition.where.endswith(reason)
+
+
+def of_switch_times(solution: go.Solution) -> go.Condition:
+    judged = from_problem(solution)
+    return second_order(judged, list(judged.samples().values()), ends_of(judged), 1e-5)[-1]
 
 
 @pytest.mark.parametrize("weight", [1e-3, 1.0, 1e3])
@@ -183,9 +215,7 @@ def test_a_push_counts_by_its_share_of_the_cost(weight: float, kind: str) -> Non
     for share, forbids in ((2e-7, False), (1e-4, True)):
         pushed = getattr(leg, kind).copy()
         pushed[-1, 3] = -share * weight
-        condition = go.verify(replace(solution, phases={"leg": replace(leg, **{kind: pushed})}))[
-            "second order"
-        ]
+        condition = of_switch_times(replace(solution, phases={"leg": replace(leg, **{kind: pushed})}))
         assert condition.where.endswith(reason) is forbids
 
 
@@ -227,3 +257,133 @@ def test_a_single_arc_has_no_switch_to_judge() -> None:
     assert (strict.result, strict.value, strict.where) == (Result.PASS, 0.0, "no switch")
     assert (second.result, second.value) == (Result.PASS, 0.0)
     assert "nothing is left to vary" in second.where
+
+
+# --- what is active, what is free, and what comes together ------------------------------------------------
+
+
+def far_limit(problem: go.Problem, leg: go.Phase) -> float:
+    problem.constrain("far", leg.final_state("x"), upper=100.0)
+    return 0.0
+
+
+def designed(curvature: float) -> Callable[[go.Problem, go.Phase], object]:
+    def more(problem: go.Problem, leg: go.Phase) -> object:
+        k = problem.parameter("k", lower=-1.0, upper=1.0, guess=0.0)
+        return curvature * k**2
+
+    return more
+
+
+@pytest.mark.parametrize(
+    ("bend", "more", "result"),
+    [
+        (1.5, far_limit, Result.FAIL),
+        (0.5, far_limit, Result.PASS),
+        (0.5, designed(-1.0), Result.FAIL),
+        (0.5, designed(1.0), Result.PASS),
+        (1.0, far_limit, Result.CANNOT_TELL),
+    ],
+)
+def test_only_what_is_active_takes_directions(
+    bend: float, more: Callable[[go.Problem, go.Phase], object], result: Result
+) -> None:
+    """A limit that is far away takes none, a free parameter adds one, and no curvature at all is neither."""
+    assert go.verify(one_switch(bend, more=more))["second order"].result is result
+
+
+def cart(problem: go.Problem) -> go.Phase:
+    model = go.Model("double integrator")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    leg = problem.phase("leg", model)
+    leg.bounds(a=(-1.0, 1.0))
+    return leg
+
+
+def test_range_of_the_final_time_at_its_limit() -> None:
+    """From rest to rest in at most 2 s: 1 m, and the switch at 1 s leaves nothing to vary."""
+    problem = go.Problem("farthest")
+    leg = cart(problem)
+    leg.time(0.0, (0.1, 2.0))
+    leg.initial(q=0.0, v=0.0)
+    leg.final(v=0.0)
+    problem.maximize(leg.final_state("q"))
+    solution = go.solve(problem, tol=1e-8)
+    assert solution.objective == pytest.approx(1.0, abs=1e-8) and solution.structure
+    assert go.verify(solution).minimum
+
+
+def test_range_of_an_initial_value_at_its_limit() -> None:
+    """To the origin with any speed, from 0.5 m to 1 m away and at rest: from 0.5 m, in 1 s."""
+    problem = go.Problem("start anywhere")
+    leg = cart(problem)
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(q=(0.5, 1.0), v=0.0)
+    leg.final(q=0.0, v=0.0)
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem, tol=1e-8)
+    assert solution.objective == pytest.approx(np.sqrt(2.0), abs=1e-8) and solution.structure
+    assert go.verify(solution).minimum
+
+
+def pair(kappa: float) -> go.Solution:
+    """Two controls that switch at 1 s together; the cost falls by kappa / 2 times the square of what parts them."""
+    model = go.Model("pair")
+    x, y = model.state("x"), model.state("y")
+    u, w = model.control("u"), model.control("w")
+    model.ode({x: u, y: w})
+    problem = go.Problem("pair")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    leg.initial(x=0.0, y=0.0)
+    leg.bounds(u=(-1.0, 1.0), w=(-1.0, 1.0))
+    ends = leg.final_state("x") - leg.final_state("y")
+    total = leg.final_state("x") + leg.final_state("y") - leg.integral(x + y)
+    problem.minimize(total - kappa / 8 * ends**2)
+    mesh = go.Mesh.at_times([0.0, 0.9, 2.0], 5, movable=True)
+    solution = go.solve(problem.with_arcs(arcs=[[1, -1], [1, -1]]), mesh=mesh)
+    arcs = [
+        Arc("leg", c, k, *e)
+        for c in "uw"
+        for k, e in ((ArcKind.UPPER, (0.0, 1.0)), (ArcKind.LOWER, (1.0, 2.0)))
+    ]
+    return replace(solution, structure=tuple(arcs))
+
+
+@pytest.mark.parametrize(("kappa", "result"), [(0.9, Result.PASS), (1.1, Result.FAIL)])
+def test_simultaneous_switches_may_part(kappa: float, result: Result) -> None:
+    """J = -2 + (s - 1)^2 + (r - 1)^2 - kappa / 2 (s - r)^2 at switches s and r: a saddle beyond kappa = 1."""
+    condition = go.verify(pair(kappa))["second order"]
+    assert condition.result is result and "2 orders" in condition.where
+
+
+def through_phases(pull: float) -> go.Solution:
+    """A cart whose thrust is twice as strong from 1 s on, from rest to rest over 1 m in minimum time, in two phases."""
+    problem = go.Problem("stronger later")
+    legs = []
+    for name, strength in (("weak", 1.0), ("strong", pull)):
+        model = go.Model(name)
+        q, v, a = model.state("q"), model.state("v"), model.control("a")
+        model.ode({q: v, v: strength * a})
+        legs.append(problem.phase(name, model))
+        legs[-1].bounds(a=(-1.0, 1.0))
+    legs[0].time(0.0, 0.5)
+    legs[1].time(0.5, (0.6, 10.0))
+    legs[0].initial(q=1.0, v=0.0)
+    legs[1].final(q=0.0, v=0.0)
+    problem.link("weak", "strong")
+    problem.minimize(legs[1].final_time)
+    return go.solve(problem, tol=1e-8)
+
+
+def test_several_phases_with_dynamics_switched_by_time() -> None:
+    """v = -1/2 at 1/2 s, then thrust 2: -1/2 - 2 s + 2 r = 0 and the way covered is 1 m."""
+    solution = through_phases(2.0)
+    verdict = go.verify(solution)
+    assert verdict["induced gradient"].result is verdict["second order"].result is Result.PASS, (
+        verdict.explain()
+    )
+    # q = 7/8 - s/2 - s^2 when the thrust turns, s after 1/2 s; the same speed is lost in r = s + 1/4 with r^2 = q.
+    s = (-1 + np.sqrt(1 + 13 / 2)) / 4
+    assert solution.objective == pytest.approx(0.5 + 2 * s + 0.25, abs=1e-7)

@@ -185,7 +185,8 @@ def test_verdict_does_not_depend_on_any_affine_change_of_variables(seed: int) ->
     for condition in usual.conditions:
         twin = other[condition.name]
         assert twin.result is condition.result, condition.name
-        assert twin.value == pytest.approx(condition.value, rel=1e-4, abs=1e-9), condition.name
+        if condition.name != "second order":  # whose sign counts
+            assert twin.value == pytest.approx(condition.value, rel=1e-4, abs=1e-9), condition.name
 
 
 def test_every_figure_is_worth_comparing() -> None:

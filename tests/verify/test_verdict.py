@@ -70,15 +70,16 @@ def bang_bang() -> go.Solution:
     return switching([0.0, 0.9, 2.0], [-1, 1])
 
 
-def test_smooth_optimum_is_proven_to_rounding(energy: go.Solution) -> None:
+def test_smooth_optimum_holds_to_rounding(energy: go.Solution) -> None:
     verdict = go.verify(energy, tol=1e-10)
-    assert verdict.proven and verdict.ok, verdict.explain()
-    assert "every condition passes" in verdict.explain()
+    assert verdict.ok, verdict.explain()
+    assert {c.name for c in verdict.untold} <= {"second order"}
 
 
-def test_bang_bang_optimum_is_proven_with_hamiltonian_minus_one(bang_bang: go.Solution) -> None:
+def test_bang_bang_optimum_holds_with_hamiltonian_minus_one(bang_bang: go.Solution) -> None:
     verdict = go.verify(bang_bang, tol=1e-8)
-    assert verdict.proven, verdict.explain()
+    assert verdict.ok, verdict.explain()
+    assert {c.name for c in verdict.untold} <= {"second order"}
     assert bang_bang.objective == pytest.approx(2.0, abs=1e-9)
     times = np.linspace(0.0, bang_bang.objective, 101)
     np.testing.assert_allclose(bang_bang.hamiltonian(times), -1.0, atol=1e-8)
@@ -136,6 +137,7 @@ def test_vanished_arc_on_the_wrong_side_is_named() -> None:
     solution = switching([0.0, 0.5, 1.5, 2.5], [1, -1, 1])
     assert solution.objective == pytest.approx(2.0, abs=1e-7)
     allowed = {"control signs", "minimum principle", "Hamiltonian", "complementarity"}
+    allowed |= {"strict switches", "induced gradient"}
     assert "control signs" in failed(solution, tol=1e-4) and failed(solution, tol=1e-4) <= allowed
 
 
@@ -171,7 +173,7 @@ def test_maximum_of_the_hamiltonian_fails() -> None:
     free = replace(
         with_leg(pinned, control_bounds=Interval(np.array([-2.0]), np.array([2.0]))), problem=problem
     )
-    assert failed(free) == {"minimum principle", "Legendre-Clebsch"}
+    assert failed(free) == {"minimum principle", "Legendre-Clebsch", "second order"}
 
 
 def test_singular_control_cannot_be_told() -> None:
@@ -186,14 +188,14 @@ def test_singular_control_cannot_be_told() -> None:
     problem.minimize(leg.integral(x**2))  # u = -1 down to x = 0 at t = 0.5 s, then u = 0 is singular
     verdict = go.verify(go.solve(problem, mesh="4x4"), tol=1e-4)
     assert verdict["singular arcs"].result is Result.CANNOT_TELL
-    assert verdict.ok and not verdict.proven
+    assert verdict.ok and not verdict.minimum
 
 
 def test_solution_without_costates_cannot_be_told(energy: go.Solution) -> None:
     verdict = go.verify(with_leg(energy, lam=scaled(energy.phase().lam, np.nan)))
     assert verdict["adjoint equation"].result is Result.CANNOT_TELL
     assert verdict["dynamics"].result is Result.PASS
-    assert not verdict.proven
+    assert not verdict.minimum
 
 
 def test_broken_boundary_value_fails(energy: go.Solution) -> None:
@@ -237,7 +239,7 @@ def test_unstable_dynamics_are_not_judged_by_a_single_propagation() -> None:
 
 def test_every_condition_reports_number_place_and_meaning(bang_bang: go.Solution) -> None:
     for condition in go.verify(bang_bang).conditions:
-        assert np.isfinite(condition.value)
+        assert np.isfinite(condition.value) or condition.result is Result.CANNOT_TELL
         assert condition.where and len(condition.meaning) > 40
     table = str(go.verify(bang_bang))
     assert "Hamiltonian" in table and table.endswith("verdict: ok")

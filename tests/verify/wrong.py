@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any, Literal
@@ -195,11 +196,14 @@ def hilltop(steepness: float) -> go.Solution:
 
 
 @cache
-def one_switch(bend: float) -> go.Solution:
+def one_switch(
+    bend: float, at: float = 1.0, more: Callable[[go.Problem, go.Phase], Any] = lambda problem, leg: 0.0
+) -> go.Solution:
     """x' = u, |u| <= 1 over 2 s; u switches from 1 to -1 at 1 s, an extremal for every bend, a minimum for bend < 1.
 
     The cost is x_f plus the integral of (bend / 3 - 1) x - bend x^2 / 3. The costate rises through zero at 1 s, and
-    as a function of the switch time the cost has the second derivative 2 - 2 bend there.
+    as a function of the switch time the cost has the second derivative 2 - 2 bend there. ``more`` may constrain the
+    problem and add to its cost, and the switch may be ``at`` a wrong time.
     """
     model = go.Model("integrator")
     x, u = model.state("x"), model.control("u")
@@ -209,10 +213,11 @@ def one_switch(bend: float) -> go.Solution:
     leg.time(0.0, 2.0)
     leg.initial(x=0.0)
     leg.bounds(u=(-1.0, 1.0))
-    problem.minimize(leg.integral((bend / 3 - 1) * x - bend / 3 * x**2) + leg.final_state("x"))
-    held = go.solve(problem.with_arcs(arcs=[[1, -1]]), mesh=go.Mesh.at_times([0.0, 1.0, 2.0], 4))
-    arcs = (Arc("leg", "u", ArcKind.UPPER, 0.0, 1.0), Arc("leg", "u", ArcKind.LOWER, 1.0, 2.0))
-    return replace(with_leg(held, mesh=go.Mesh.at_times([0.0, 1.0, 2.0], 4, movable=True)), structure=arcs)
+    cost = leg.integral((bend / 3 - 1) * x - bend / 3 * x**2) + leg.final_state("x")
+    problem.minimize(cost + more(problem, leg))
+    held = go.solve(problem.with_arcs(arcs=[[1, -1]]), mesh=go.Mesh.at_times([0.0, at, 2.0], 4))
+    arcs = (Arc("leg", "u", ArcKind.UPPER, 0.0, at), Arc("leg", "u", ArcKind.LOWER, at, 2.0))
+    return replace(with_leg(held, mesh=go.Mesh.at_times([0.0, at, 2.0], 4, movable=True)), structure=arcs)
 
 
 # --- ways of being wrong ------------------------------------------------------------------------------

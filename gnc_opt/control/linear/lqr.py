@@ -31,6 +31,7 @@ from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
+from gnc_opt.control.dropout import bridge_dropouts
 from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.limits import Authority, Limits, clip, read_limits, reserve_shares
 from gnc_opt.control.linear.facts import regulator_facts
@@ -103,7 +104,7 @@ def design_lqr(
     step, start, memory = _law(model, deviation, solution.gain, integrals, bounds)
     signals = reference_signals(reference, *([Variable("step", 1, "s")] if integrals.size else []))
     facts = [*_facts(solution, plant, model.controls, dt), *reserve_shares(reference, bounds)]
-    return Controller(
+    regulator = Controller(
         name=name,
         step=step,
         start=start,
@@ -116,6 +117,7 @@ def design_lqr(
         span=(reference.initial_time, reference.final_time),
         explanation=Explanation(f"{name} of '{model.name}'", tuple(facts)),
     )
+    return bridge_dropouts(regulator)
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,6 +28,7 @@ from gnc_opt.arguments import expect
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
+from gnc_opt.control.dropout import bridge_dropouts
 from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.limits import Limits, read_limits, reserve_shares
 from gnc_opt.control.linear.facts import regulator_facts
@@ -115,7 +116,7 @@ def design_tvlqr(
     bounds = read_limits(model, limits)
     step, start = _law(deviation)
     facts = [*_facts(deviation, reference, gains, cost), *reserve_shares(reference, bounds)]
-    return Controller(
+    regulator = Controller(
         name=name,
         step=step,
         start=start,
@@ -128,6 +129,7 @@ def design_tvlqr(
         span=(reference.initial_time, reference.final_time),
         explanation=Explanation(f"{name} of '{model.name}' along {reference!r}", tuple(facts)),
     )
+    return bridge_dropouts(regulator)
 
 
 def _law(deviation: Deviation) -> tuple[Any, Any]:

@@ -34,6 +34,7 @@ from gnc_opt.arguments import expect, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
+from gnc_opt.control.dropout import bridge_dropouts
 from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.limits import Limits, clip, read_limits, reserve_shares
 from gnc_opt.control.linear.facts import regulator_facts
@@ -46,12 +47,10 @@ from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
 from gnc_opt.errors import ArgumentError, DesignError, did_you_mean, shown
 from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.model import Model
-from gnc_opt.tolerances import LARGEST, ROUNDING, SAME_TIME, STEP_SLACK, alike
+from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, alike
 
 QpSolver: TypeAlias = Literal["daqp", "qrqp", "osqp"]
 
-QP_FAILED, NOT_A_NUMBER = 1, 2
-"""Codes of the alarm: the programme was not solved; the measurement was not a number (the feedforward is given)."""
 
 QP_TOLERANCE = 1e-6
 """Largest residual of the optimality conditions, limits scaled to [-1, 1], that counts as solved."""
@@ -109,8 +108,8 @@ def design_mpc(
     Returns
     -------
     Controller
-        Memory ``previous_command``, ``plan``, ``multipliers`` (the warm start) and the alarm ``qp_alarm``, see
-        `QP_FAILED` and `NOT_A_NUMBER`; the first alarm stays.
+        Memory ``previous_command``, ``plan``, ``multipliers`` (the warm start) and the alarm ``qp_alarm``, 1 from the
+        first programme on that was not solved.
 
     Raises
     ------
@@ -145,7 +144,7 @@ def design_mpc(
     schedule = _Schedule(ReferenceSchedule(reference), windows, rows.states)
     signals = reference_signals(reference, *schedule.more())
     step, start, memory = _law(deviation, schedule, rows, signals, solver)
-    return Controller(
+    regulator = Controller(
         name=name,
         step=step,
         start=start,
@@ -162,6 +161,7 @@ def design_mpc(
             (*_facts(gains, windows, rows, solver), *reserve_shares(reference, bounds)),
         ),
     )
+    return bridge_dropouts(regulator)
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,10 +240,9 @@ def _law(
     t, x, r = ca.MX.sym("t"), ca.MX.sym("x", states), ca.MX.sym("r", signals.size)
     x_ref, u_ff = r[:states], r[states : states + m * count]
     x_limited = r[states + m * count : states + (m + limited) * count]
-    regular = ca.sum1(ca.fabs(x) <= LARGEST) == states  # no comparison holds for what is not a number
     sx, sx_ref = ca.SX.sym("x", states), ca.SX.sym("x_ref", states)
     error = ca.Function("e", [sx, sx_ref], [deviation.expression(sx, sx_ref)])
-    e = error(ca.if_else(regular, x, x_ref), x_ref)
+    e = error(x, x_ref)
     v_e, v_w, e_e, e_w = prediction(_matrices(schedule, r, states + (m + limited) * count))
     u_free = u_ff + v_e @ e
 
@@ -270,13 +269,12 @@ def _law(
         lower, upper = ca.fmax(lower, previous - rows.change), ca.fmin(upper, previous + rows.change)
     shift = ca.if_else(solved, v_w[:m, :] @ omega[: m * count], 0)
     u = clip(u_free[:m] + shift, lower, upper)
-    code = ca.if_else(regular, ca.if_else(solved, 0, QP_FAILED), NOT_A_NUMBER)
     _, later, slacks = ca.vertsplit(omega, [0, m, m * count, size])
     after = ca.vertcat(
         u,
         ca.if_else(solved, ca.vertcat(later, ca.MX.zeros(m), slacks), 0),
         ca.if_else(solved, lam_a, 0),
-        ca.if_else(alarm == 0, code, alarm),
+        ca.if_else(solved, alarm, 1),
     )
     parts = {"previous_command": m, "plan": size, "multipliers": n_rows, "qp_alarm": 1}
     memory = Layout("memory", tuple(Variable(k, v) for k, v in parts.items()), "the memory of the controller")

@@ -76,7 +76,8 @@ def design_sliding_mode(
         Authority, each a number or (n_controls,): checked along the reference, and the observer takes the
         limited command for the one in force. The law itself does not limit its command.
     start : array (n_states,), optional
-        State from which it begins, for the reaching time in `Controller.explain`.
+        State from which the closed loop is rehearsed, its commands cut to ``limits``: a start from which it runs away
+        or does not come back is refused, and the reaching time in `Controller.explain` is that of the limited command.
     dt : float, optional
         Length of a control step, s; needed by laws with memory.
     guard : float
@@ -94,7 +95,8 @@ def design_sliding_mode(
     ------
     DesignError
         Undefined relative degree, singular decoupling matrix, disturbances above the gain, gain above the
-        authority, steps too long for the boundary layer or the slopes, unstable surface or zero dynamics.
+        authority, steps too long for the boundary layer or the slopes, unstable surface or zero dynamics, a start from
+        which the limited loop does not come back.
     """
     reference = read_plant(model, reference, "design_sliding_mode")
     errors = output_errors(model, reference, outputs)

@@ -8,7 +8,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
@@ -18,12 +17,14 @@ from gnc_opt.control.guard import (
     Inverse,
     Memory,
     check_zero_dynamics,
+    determinant_on,
     guarded_controller,
     guarded_inverse,
 )
 from gnc_opt.control.lie import OutputErrors
 from gnc_opt.control.limits import saturated
 from gnc_opt.control.reference import Reference
+from gnc_opt.control.rehearsal import FINENESS, Path, Rehearsal, limit_facts, rehearse
 from gnc_opt.control.sampling import spectral_radius, zero_order_hold
 from gnc_opt.control.sliding.reaching import ExponentialRate
 from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
@@ -34,6 +35,8 @@ from gnc_opt.model.layout import as_vector
 _SETTLED = 40.0
 """An impulse response is integrated over this many time constants of its slowest pole."""
 _RESPONSE_STEPS = 4000
+_SPAN = 20.0
+"""A rehearsal lasts this many time constants of the slowest pole of the surface, and the reaching time."""
 
 
 def surface_controller(
@@ -64,7 +67,6 @@ def surface_controller(
     facts = [
         Fact("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
         *_surface_facts(errors, coefficients, switching),
-        *_reaching_facts(errors, s, reference, switching, options.start),
         Fact("smallest determinant on the reference", inverse.lowest, remark=f"largest {inverse.scale:.6g}"),
         *zeros,
         *switching.reserve(errors, reference),
@@ -76,6 +78,7 @@ def surface_controller(
         GuardedLaw(u, inverse.regular, tuple(memory)),
         dt=switching.dt,
         explanation=Explanation(title, tuple(facts)),
+        rehearsal=_reaching(errors, s, coefficients, reference, switching, inverse, options),
     )
 
 
@@ -138,18 +141,62 @@ def _surface_facts(errors: OutputErrors, coefficients: Sequence[Array], switchin
     return [*poles, *switching.facts(), bound]
 
 
-def _reaching_facts(
-    errors: OutputErrors, s: Any, reference: Reference, switching: Switching, start: ArrayLike | None
-) -> list[Fact]:
+def _reaching(
+    errors: OutputErrors,
+    s: Any,
+    coefficients: Sequence[Array],
+    reference: Reference,
+    switching: Switching,
+    inverse: Inverse,
+    options: SlidingOptions,
+) -> Rehearsal | None:
+    """Return the rehearsal of a start: how long the surface takes, with what the limits leave of the command."""
+    start = options.start
     if start is None:
-        return []
-    t, pair = reference.initial_time, errors.pair
+        return None
+    t, pair, reaching = reference.initial_time, errors.pair, switching.reaching
     x = as_vector(start, pair.x.numel(), "the state at the start", DesignError)
     first = np.asarray(pair.function(s)(t, x, reference.u(t), reference.x(t), reference.u(t)).full())[:, 0]
-    reaching = switching.reaching
-    times = [reaching.reaching_time(float(v), float(b)) for v, b in zip(first, switching.bounds, strict=True)]
-    remark = "upper bound with ideal switching and the disturbance at its bound"
-    return [Fact("s at the start", first), Fact("reaching time", np.array(times), "s", remark)]
+    ideal = np.array(
+        [reaching.reaching_time(float(v), float(b)) for v, b in zip(first, switching.bounds, strict=True)]
+    )
+    rates = np.concatenate([np.empty(0), *[np.roots(c[::-1]) for c in coefficients]])
+    slope = reaching.slope(switching.boundary)
+    rates = np.abs(np.append(rates.real, slope if np.isfinite(slope) else 1.0))
+    step = FINENESS / float(np.max(rates)) if switching.dt is None else switching.dt
+    span = max(
+        _SPAN / float(np.min(rates)),
+        reference.duration,
+        float(np.max(ideal[np.isfinite(ideal)], initial=0.0)),
+    )
+
+    def rehearsal(controller: Controller) -> list[Fact]:
+        def watch(path: Path) -> Fact:
+            return determinant_on(path, errors, reference, inverse, options.guard)
+
+        path = rehearse(controller, errors, reference, x, switching.limits, dt=step, span=span, watch=watch)
+        times, remark = ideal, "upper bound with ideal switching and the disturbance at its bound"
+        if path.cut(switching.limits).any():
+            times, remark = (
+                _arrivals(path, controller, first, switching),
+                "rehearsed within the limits, undisturbed",
+            )
+        return [
+            Fact("s at the start", first),
+            Fact("reaching time", times, "s", remark),
+            *limit_facts(path, switching.limits, step),
+        ]
+
+    return rehearsal
+
+
+def _arrivals(path: Path, controller: Controller, first: Array, switching: Switching) -> Array:
+    """Return when each s first changes its sign or enters its boundary layer (s after the start)."""
+    s = path.memory[controller.memory.slice("s")][:, 1:]  # that of the step before
+    layer = 1 / switching.boundary.slope
+    there = (s * first[:, None] <= 0) | (np.abs(s) <= np.maximum(layer, switching.bands)[:, None])
+    times = path.times[:-1] - path.times[0]
+    return np.array([times[np.argmax(row)] if row.any() else np.inf for row in there])
 
 
 def _peak_gain(c: Array) -> float:

@@ -76,6 +76,7 @@ def refine_mesh(
     max_passes: int = 20,
     max_points: int = 1000,
     options: SolverOptions | None = None,
+    deadline: float = math.inf,
     progress: bool = False,
 ) -> tuple[Solution, History]:
     """Return the solution on a mesh on which its estimated error is at most ``tol``, and how it came about.
@@ -93,6 +94,8 @@ def refine_mesh(
         At most so many collocation points in any phase.
     options : SolverOptions, optional
         For the solves.
+    deadline : float
+        When to stop, as `time.perf_counter` counts. Ctrl-C stops it, too.
     progress : bool
         Show one line per pass.
 
@@ -112,9 +115,12 @@ def refine_mesh(
         raise GncOptError(
             f"the solution of '{solution.problem_name}' ended as {solution.status.value}: refine one that is solved."
         )
-    refinement = _Refinement(solution, tol, max_points, options)
+    refinement = _Refinement(solution, tol, max_points, options, deadline)
     with pass_meter(solution.problem_name, tol, progress) as show:
-        status = refinement.run(max_passes, show)
+        try:
+            status = refinement.run(max_passes, show)
+        except KeyboardInterrupt:
+            status = refinement.ending_without(Status.INTERRUPTED)
     return refinement.result(status)
 
 
@@ -122,11 +128,16 @@ class _Refinement:
     """The loop and what it remembers."""
 
     def __init__(
-        self, solution: Solution, tol: float, max_points: int, options: SolverOptions | None
+        self,
+        solution: Solution,
+        tol: float,
+        max_points: int,
+        options: SolverOptions | None,
+        deadline: float,
     ) -> None:
         self._problem = solution.need_problem("refine")
         self._scheme = solution.scheme
-        self._tol, self._max_points = tol, max_points
+        self._tol, self._max_points, self._deadline = tol, max_points, deadline
         self._options = options or SolverOptions(tolerance=min(1e-9, 0.1 * tol))
         self._records: list[Pass] = []
         self._past: dict[str, Past] = {}
@@ -134,14 +145,16 @@ class _Refinement:
         self._trims = self._repairs = 0
         self._departure = DEPARTURE * math.sqrt(tol)
         self._confirming = False
-        begin = time.perf_counter()
-        self._state = self._judge(solution, begin, Actions())
+        self._begin = time.perf_counter()
+        self._state = self._judge(solution, self._begin, Actions())
         self._best, self._chosen = self._state, 0
 
     def run(self, max_passes: int, show: Callable[[Pass], None]) -> RefinementStatus:
         """Refine until one of the endings."""
         show(self._records[-1])
         for _ in range(max_passes):
+            if time.perf_counter() > self._deadline:
+                return self.ending_without(Status.INTERRUPTED)
             plan = self._plan()
             if isinstance(plan, RefinementStatus):
                 return plan
@@ -150,7 +163,7 @@ class _Refinement:
             status = self._solve(meshes, actions)
             show(self._records[-1])
             if not status.solved:
-                return self._ending_without(status)
+                return self.ending_without(status)
         done = self._converged(self._best.record)
         return RefinementStatus.CONVERGED if done else RefinementStatus.PASS_LIMIT
 
@@ -239,10 +252,12 @@ class _Refinement:
         best = self._best.record
         message = f"{status.value}: error {best.error:.1e} (wanted {self._tol:.1e})"
         message += "" if status is RefinementStatus.CONVERGED else f" at {best.where}. {status.remedy}"
-        history = History(status, self._tol, tuple(self._records), self._chosen, message)
+        seconds = time.perf_counter() - self._begin
+        history = History(status, self._tol, tuple(self._records), self._chosen, message, seconds)
         return self._best.solution, history
 
-    def _ending_without(self, status: Status) -> RefinementStatus:
+    def ending_without(self, status: Status) -> RefinementStatus:
+        """Return how it ends without another solution, because of what became of the last solve."""
         if self._converged(self._best.record):
             return RefinementStatus.CONVERGED
         return RefinementStatus.INTERRUPTED if status is Status.INTERRUPTED else RefinementStatus.FAILED
@@ -271,6 +286,7 @@ class _Refinement:
             guess=self._state.solution,
             options=self._options,
             warm_iterations=WARM_ITERATIONS,
+            deadline=self._deadline,
         )
         self._state = self._judge(solution, begin, actions)
         if self._better(self._state.record, self._best.record):

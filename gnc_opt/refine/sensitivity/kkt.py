@@ -19,26 +19,20 @@ and the minimum itself by :math:`\dot f = \mathcal L_p \dot p + \mathcal L_P \do
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.errors import GncOptError, warn_user
-from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
-from gnc_opt.refine.sensitivity.saddle import SaddlePoint
+from gnc_opt.solution.program_point import WEAK, Limits, ProgramPoint, saddle_matrix
+from gnc_opt.solution.saddle import SaddlePoint
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import sharper
-from gnc_opt.solution.start import program_start
-from gnc_opt.transcription.scaling import Scaling, scale_rows, scale_variables
-from gnc_opt.transcription.transcription import Transcription, transcribe
-
-WEAK = 1e-5
-"""A limit is weakly active if both the distance to it and its multiplier are below this (scaled)."""
+from gnc_opt.transcription.scaling import Scaling
+from gnc_opt.transcription.transcription import Transcription
 
 _RESIDUAL = 1e-10
 """Residual of the scaled conditions to which Newton's method must bring them."""
@@ -84,13 +78,6 @@ class KktPoint:
     solution : Solution
         Solved, with its problem.
 
-    Attributes
-    ----------
-    transcription : Transcription
-    problem : Problem
-    pinned, held : bool arrays (n_variables,), (n_constraints,)
-        Variables and rows on their limits.
-
     Raises
     ------
     GncOptError
@@ -98,10 +85,6 @@ class KktPoint:
     """
 
     def __init__(self, solution: Solution) -> None:
-        problem = solution.problem
-        assert problem is not None, "the caller has seen to it"
-        self.problem: Problem = problem
-        self.transcription = _transcription(problem, solution)
         trouble = self._attempt(solution)
         if trouble:
             trouble = self._attempt(sharper(solution))
@@ -113,35 +96,8 @@ class KktPoint:
 
     def _attempt(self, solution: Solution) -> str:
         """Take the active limits from a solution and solve the conditions; return what is wrong, or nothing."""
-        self._start(solution)
-        self._limits()
+        self._point = ProgramPoint.of(solution)
         return self._converge() or self._wrong_limit()
-
-    def _start(self, solution: Solution) -> None:
-        transcription, problem = self.transcription, self.problem
-        start = program_start(transcription, problem, solution)
-        x, lam_x, lam_g = start.x, start.lam_x, start.lam_g
-        assert lam_x is not None and lam_g is not None, "a solution has multipliers"
-        scales = scale_variables(transcription, problem, x)
-        rows, objective = scale_rows(transcription, problem, x, scales)
-        self.scaling = Scaling(scales, rows, objective)
-        self._p = transcription.parameter_vector(problem, scales, rows, objective)
-        self._x, self._lam = x / scales, lam_g / rows * objective
-        self._lam_x = lam_x * scales * objective
-
-    def _limits(self) -> None:
-        """Decide which limits are active: those whose multiplier outweighs the distance to them."""
-        transcription, scaling = self.transcription, self.scaling
-        box = _scaled(transcription.variable_interval(self.problem), scaling.variables)
-        rows = _scaled(transcription.row_interval(self.problem), 1 / scaling.rows)
-        g = transcription.nlp.jac_g(self._x, self._p)[0].full().ravel()
-        weights = _weights(transcription)
-        self._box, self._rows = box, rows
-        self._variable_weights, self._row_weights = weights
-        self.pinned, self._at = _active(box, self._x, self._lam_x / weights[0])
-        self.held, self._row_at = _active(rows, g, self._lam / weights[1])
-        self._x = np.where(self.pinned, self._at, self._x)
-        self._lam = np.where(self.held, self._lam, 0.0)
 
     def _converge(self) -> str:
         """Newton's method on the conditions, so that derivatives belong to the exact minimum of the program.
@@ -150,15 +106,13 @@ class KktPoint:
         """
         best = np.inf
         for _ in range(_NEWTON_STEPS):
-            residual = self._linearise()
+            self._factorise()
+            residual = self._point.residual
             size = float(np.max(np.abs(residual), initial=0.0))
             if size <= _ROUNDED or (size <= _RESIDUAL and size > 0.1 * best):
                 break
             best = min(best, size)
-            step = self._system.solve(-residual)
-            n = int(np.sum(~self.pinned))
-            self._x[~self.pinned] += step[:n]
-            self._lam[self.held] += step[n:]
+            self._point = self._point.moved(self._system.solve(-residual))
         if not best <= _RESIDUAL and not size <= _RESIDUAL:
             worst = int(np.argmax(np.abs(residual)))
             return (
@@ -168,28 +122,20 @@ class KktPoint:
             )
         return ""
 
-    def _linearise(self) -> Array:
-        """Factorise the system at the present point; return the residual of the conditions on F and C."""
-        nlp, transcription = self.transcription.nlp, self.transcription
-        g, jacobian = nlp.jac_g(self._x, self._p)
-        gradient = nlp.grad_f(self._x, self._p)[1].full().ravel()
-        upper = _sparse(nlp.hess_lag(self._x, self._p, 1.0, self._lam))
-        self._hessian = scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
-        self._jacobian = _sparse(jacobian)
-        self._gradient = gradient + self._jacobian.T @ self._lam
+    def _factorise(self) -> None:
+        point = self._point
         free, held = np.flatnonzero(~self.pinned), np.flatnonzero(self.held)
-        block = self._jacobian[held][:, free]
-        matrix = scipy.sparse.block_array(
-            [[self._hessian[free][:, free], block.T], [block, None]], format="csc"
-        )
-        labels = [transcription.variable_labels[i] for i in free]
-        labels += [transcription.row_labels[i] for i in held]
+        matrix = saddle_matrix(point.hessian[free][:, free], point.jacobian[held][:, free])
+        labels = [point.variables.labels[i] for i in free] + [point.rows.labels[i] for i in held]
         self._system = SaddlePoint(matrix, free.size, labels, self.problem.name)
-        return np.concatenate([self._gradient[free], (g.full().ravel() - self._row_at)[held]])
 
     def _wrong_limit(self) -> str:
         """What is wrong if a limit pushes the wrong way or is broken, now that the conditions hold; else nothing."""
-        culprits = [label for side in self._sides() for label in side.wrong_labels]
+        culprits = [
+            limits.labels[i]
+            for limits, values, multipliers in self._sides()
+            for i in np.flatnonzero((limits.push(multipliers) < -WEAK) | (limits.room(values) < -WEAK))
+        ]
         if not culprits:
             return ""
         return (
@@ -199,7 +145,11 @@ class KktPoint:
         )
 
     def _warn_of_weak_limits(self) -> None:
-        weak = [label for side in self._sides() for label in side.weak_labels]
+        weak = [
+            limits.labels[i]
+            for limits, values, multipliers in self._sides()
+            for i in np.flatnonzero(limits.weak(values, multipliers))
+        ]
         if weak:
             others = f" and {len(weak) - 1} more" if len(weak) > 1 else ""
             warn_user(
@@ -207,91 +157,69 @@ class KktPoint:
                 "the solution has two one-sided derivatives; the sensitivities are those of one of the sides."
             )
 
-    def _sides(self) -> tuple[_Side, _Side]:
-        """Variables and rows with their limits and multipliers at the present point."""
-        transcription = self.transcription
-        g = transcription.nlp.jac_g(self._x, self._p)[0].full().ravel()
+    def _sides(self) -> list[tuple[Limits, Array, Array]]:
+        """Limits of variables and of rows, each with values and multipliers."""
+        point = self._point
         # Multipliers that are not unique tell nothing by their signs.
         unique = np.nan if self._system.redundant else 1.0
-        bound = -unique * self._gradient / self._variable_weights
-        row = unique * self._lam / self._row_weights
-        return (
-            _Side(self._box, self._x, bound, self.pinned, self._at, transcription.variable_labels),
-            _Side(self._rows, g, row, self.held, self._row_at, transcription.row_labels),
-        )
+        bounds, rows = point.multiplier_densities
+        return [(point.variables, point.x, unique * bounds), (point.rows, point.values, unique * rows)]
 
     # --- derivatives ------------------------------------------------------------------------------
 
     def respond(self, change: Change) -> Response:
         """Return the derivative of the minimum in a direction of the data."""
-        scales, rows = self.scaling.variables, self.scaling.rows
-        n_rest = self._p.size - change.numbers.size
+        point, scales, rows = self._point, self.scaling.variables, self.scaling.rows
+        n_rest = point.numbers.size - change.numbers.size
         direction = np.concatenate([change.numbers, np.zeros(n_rest)])
         moved = np.where(self.pinned, change.limits, 0.0) / scales
         shifted = np.where(self.held, change.row_limits, 0.0) * rows
         of_lagrangian, of_gradient, of_rows = (
-            v.full().ravel() for v in _derivatives(self.transcription)(self._x, self._p, self._lam, direction)
+            v.full().ravel()
+            for v in _derivatives(self.transcription)(point.x, point.numbers, point.lam, direction)
         )
         free, held = ~self.pinned, self.held
         right = np.concatenate(
             [
-                (of_gradient + self._hessian @ moved)[free],
-                (of_rows + self._jacobian @ moved - shifted)[held],
+                (of_gradient + point.hessian @ moved)[free],
+                (of_rows + point.jacobian @ moved - shifted)[held],
             ]
         )
         solved = self._system.solve(-right)
         variables = moved.copy()
         variables[free] = solved[: int(np.sum(free))]
-        objective = float(of_lagrangian[0] + self._gradient @ moved - self._lam @ shifted)
+        objective = float(of_lagrangian[0] + point.gradient @ moved - point.lam @ shifted)
         return Response(objective / self.scaling.objective, variables * scales)
+
+    @property
+    def problem(self) -> Problem:
+        """Of the solution."""
+        return self._point.problem
+
+    @property
+    def transcription(self) -> Transcription:
+        """The program, on the solution's mesh."""
+        return self._point.transcription
+
+    @property
+    def scaling(self) -> Scaling:
+        """Of the program."""
+        return self._point.scaling
+
+    @property
+    def pinned(self) -> Mask:
+        """Variables on their limits (n_variables,)."""
+        return self._point.variables.active
+
+    @property
+    def held(self) -> Mask:
+        """Rows on their limits (n_constraints,)."""
+        return self._point.rows.active
 
     @property
     def variables(self) -> Array:
         """The variables (n_variables,) at the minimum, physical."""
-        return self._x * self.scaling.variables
-
-
-@dataclass(frozen=True, eq=False)
-class _Side:
-    """Limits of all variables, or of all rows, and which of them are taken for active (scaled)."""
-
-    box: Interval
-    values: Array
-    multipliers: Array
-    active: Mask
-    at: Array
-    labels: tuple[str, ...]
-
-    @cached_property
-    def push(self) -> Array:
-        """How much each active limit is needed: its multiplier, > 0 if it pushes inwards; NaN elsewhere."""
-        upper = (self.at == self.box.upper) & (self.box.lower < self.box.upper)
-        push = np.where(upper, self.multipliers, -self.multipliers)
-        return np.where(self.active & ~self.box.fixed, push, np.nan)
-
-    @cached_property
-    def room(self) -> Array:
-        """Distance of what is not active to its nearer limit, negative beyond; NaN elsewhere."""
-        room = np.minimum(self.values - self.box.lower, self.box.upper - self.values)
-        return np.where(self.active, np.nan, room)
-
-    @property
-    def wrong_labels(self) -> list[str]:
-        """What pulls outwards or lies beyond its limit."""
-        return self._labels((self.push < -WEAK) | (self.room < -WEAK))
-
-    @property
-    def weak_labels(self) -> list[str]:
-        """What is as good as at its limit without being held there."""
-        return self._labels((self.push < WEAK) | (self.room < WEAK))
-
-    def _labels(self, which: Mask) -> list[str]:
-        return [self.labels[i] for i in np.flatnonzero(which)]
-
-
-def _transcription(problem: Problem, solution: Solution) -> Transcription:
-    meshes = {name: leg.mesh for name, leg in solution.phases.items()}
-    return transcribe(problem, meshes, solution.scheme)
+        return self._point.x * self.scaling.variables
 
 
 def _derivatives(transcription: Transcription) -> Any:
@@ -304,35 +232,3 @@ def _derivatives(transcription: Transcription) -> Any:
         outputs = [ca.densify(ca.jtimes(e, nlp.p, dp)) for e in (lagrangian, gradient, nlp.g)]
         transcription.built["sensitivity"] = ca.Function("sensitivity", [nlp.x, nlp.p, lam, dp], outputs)
     return transcription.built["sensitivity"]
-
-
-def _active(box: Interval, values: Array, multipliers: Array) -> tuple[Mask, Array]:
-    """Which limits are active, and the limits (0 where none is)."""
-    below = (multipliers < 0) & (values - box.lower < -multipliers)
-    above = (multipliers > 0) & (box.upper - values < multipliers)
-    active = box.fixed | below | above
-    limit = np.where(above, box.upper, box.lower)
-    return active, np.where(active, limit, 0.0)
-
-
-def _weights(transcription: Transcription) -> tuple[Array, Array]:
-    """Quadrature weights (shares of the phase) by which multipliers become densities; 1 elsewhere."""
-    variables, rows = np.ones(transcription.n_variables), np.ones(transcription.n_constraints)
-    for part in transcription.parts.values():
-        collocation = part.collocation
-        variables[collocation.point_controls] = collocation.quadrature
-        inner = ~np.isin(collocation.point_states, collocation.boundary_states)
-        wide = np.broadcast_to(collocation.quadrature, inner.shape)
-        variables[collocation.point_states[inner]] = wide[inner]
-        rows[collocation.path_rows] = collocation.quadrature
-    return variables, rows
-
-
-def _scaled(box: Interval, scales: Array) -> Interval:
-    return Interval(box.lower / scales, box.upper / scales)
-
-
-def _sparse(matrix: Any) -> Any:
-    """Convert a sparse CasADi DM to scipy."""
-    pattern = matrix.sparsity()
-    return scipy.sparse.csc_array((matrix.nonzeros(), pattern.row(), pattern.colind()), shape=matrix.shape)

@@ -9,9 +9,10 @@ when signs and structure agree everywhere and the error between the nodes is sma
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +37,9 @@ PATIENCE = 4
 
 KINKS_MOVED, RAISED = "kinks moved", "resolution raised"
 
+FINEST = 1e-9
+"""Switch times are asked for at least this accurately: that costs a solve of a few iterations, if any."""
+
 TIGHT, MOST_ITERATIONS = 1e-11, 200
 """Of each solve: switch times are as good as the solver's optimality, and a warm start needs few iterations."""
 
@@ -55,9 +59,11 @@ WRONG_SIGN = 1e-7
 def optimise_switches(
     solution: Solution,
     *,
-    tol: float = 1e-9,
+    tol: float = FINEST,
     max_passes: int = 40,
+    structures: Mapping[str, PhaseStructure] | None = None,
     options: SolverOptions | None = None,
+    deadline: float = math.inf,
     progress: bool = False,
 ) -> tuple[Solution, History]:
     """Return the solution with exact switch times and its `structure`, and the history of the loop.
@@ -70,18 +76,59 @@ def optimise_switches(
         On the error between the nodes; see `gnc_opt.refine.error`.
     max_passes : int
         At most so many solves.
+    structures : mapping of PhaseStructure, optional
+        What to start from, by phase, if it has been detected already.
     options : SolverOptions, optional
+    deadline : float
+        When to stop, as `time.perf_counter` counts. Ctrl-C stops it, too.
     progress : bool
         Show one line per pass.
+
+    Returns
+    -------
+    Solution
+        Where the loop comes to rest; else that of the pass with the least error, or the given one if no pass had a
+        solution.
+    History
     """
+    begin = time.perf_counter()
     problem = solution.need_problem("refine")
     chosen = options or SolverOptions(tolerance=TIGHT, max_iterations=MOST_ITERATIONS)
-    plans = {name: Plan.of(detect(s), points_of(s.leg.mesh)) for name, s in solution.samples().items()}
+    found = structures or {name: detect(s) for name, s in solution.samples().items()}
+    plans = {name: Plan.of(s, points_of(solution.phases[name].mesh)) for name, s in found.items()}
+    tries: list[_Try] = []
     with pass_meter(solution.problem_name, tol, progress) as show:
-        solution, plans, status, records = _loop(problem, solution, plans, tol, max_passes, chosen, show)
-    best = max(k for k in range(len(records)) if k == 0 or records[k].solved)
-    history = History(status, tol, tuple(records), best, f"{status.value}: {records[-1].actions}")
+        try:
+            status = _loop(
+                problem, solution, plans, min(tol, FINEST), max_passes, chosen, deadline, show, tries
+            )
+        except KeyboardInterrupt:
+            status = RefinementStatus.INTERRUPTED
+    best = _best(tries, status)
+    records = [t.record for t in tries] or [_record(solution, begin, "not begun")]
+    message, seconds = f"{status.value}: {records[-1].actions}", time.perf_counter() - begin
+    history = History(status, tol, tuple(records), best or 0, message, seconds)
+    if best is None:
+        return solution, history
+    solution, plans = tries[best].solution, tries[best].plans
     return replace(solution, structure=_arcs(solution, plans)), history
+
+
+@dataclass(frozen=True, eq=False)
+class _Try:
+    """One pass: what was found for which structure."""
+
+    solution: Solution
+    plans: dict[str, Plan]
+    record: Pass
+
+
+def _best(tries: list[_Try], status: RefinementStatus) -> int | None:
+    """Return the pass to keep: where the loop came to rest, or the one with the least error; None without any."""
+    solved = [k for k, t in enumerate(tries) if t.record.solved]
+    if status is RefinementStatus.CONVERGED:
+        return solved[-1]
+    return min(solved, key=lambda k: tries[k].record.error, default=None)
 
 
 def _loop(
@@ -91,31 +138,32 @@ def _loop(
     tol: float,
     max_passes: int,
     options: SolverOptions,
+    deadline: float,
     show: Callable[[Pass], None],
-) -> tuple[Solution, dict[str, Plan], RefinementStatus, list[Pass]]:
-    """Solve and mend until nothing is left to mend; return the last solution with its plans and the record."""
+    tries: list[_Try],
+) -> RefinementStatus:
+    """Solve and mend until nothing is left to mend; add every pass to ``tries``."""
     swapped: set[tuple[str, PhaseStructure]] = set()
-    records: list[Pass] = []
-    current = plans
     for _ in range(max_passes):
         begin = time.perf_counter()
-        found = _solve(problem, plans, solution, options)
+        if begin > deadline:
+            return RefinementStatus.INTERRUPTED
+        found = _solve(problem, plans, solution, options, deadline)
         if not found.status.solved:
-            records.append(_record(found, begin, f"not solved ({found.status.value})"))
-            show(records[-1])
+            tries.append(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
+            show(tries[-1].record)
             interrupted = found.status.value == "interrupted"
-            ending = RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
-            return solution, plans, ending, records
+            return RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
         solution = found
         current = {name: _at_solution(plan, solution, name) for name, plan in plans.items()}
         plans, action = _improve(solution, current, swapped, tol)
-        records.append(_record(solution, begin, action or "structure stands"))
-        show(records[-1])
+        tries.append(_Try(solution, current, _record(solution, begin, action or "structure stands")))
+        show(tries[-1].record)
         if not action:
-            return solution, current, RefinementStatus.CONVERGED, records
-        if _restless(records):
-            return solution, current, RefinementStatus.STALLED, records
-    return solution, current, RefinementStatus.PASS_LIMIT, records
+            return RefinementStatus.CONVERGED
+        if _restless([t.record for t in tries]):
+            return RefinementStatus.STALLED
+    return RefinementStatus.PASS_LIMIT
 
 
 def _restless(records: list[Pass]) -> bool:
@@ -163,12 +211,15 @@ def _adjust(samples: PhaseSamples, plan: Plan, tol: float) -> tuple[Plan, str]:
     )
 
 
-def _solve(problem: Problem, plans: Mapping[str, Plan], guess: Solution, options: SolverOptions) -> Solution:
+def _solve(
+    problem: Problem, plans: Mapping[str, Plan], guess: Solution, options: SolverOptions, deadline: float
+) -> Solution:
     held = problem
     for name, plan in plans.items():
         held = plan.hold(held, name)
     meshes = {name: plan.mesh() for name, plan in plans.items()}
-    return replace(solve_mesh(held, meshes, guess=guess, options=options), problem=problem)
+    found = solve_mesh(held, meshes, guess=guess, options=options, deadline=deadline)
+    return replace(found, problem=problem)
 
 
 def _at_solution(plan: Plan, solution: Solution, name: str) -> Plan:
@@ -202,9 +253,9 @@ def _collapse(
     if structure.pieces == 1 or lengths[shortest] >= VANISHED * lengths.sum():
         return None, ""
     other = structure.swapped(shortest)
-    key = (samples.leg.name, structure.at(()))
-    if other is not None and key not in swapped:
-        swapped |= {key, (samples.leg.name, other.at(()))}
+    swapped.add((samples.leg.name, structure.at(())))
+    # Only an order that has been left before is not tried again.
+    if other is not None and (samples.leg.name, other.at(())) not in swapped:
         return _spread(other, shortest), f"switches {shortest} and {shortest + 1} swapped"
     return structure.without(shortest), f"piece {shortest + 1} dropped"
 

@@ -1,0 +1,126 @@
+r"""Dropouts: what a law does while its measurement is no measurement.
+
+A sample is *lost* if any of its numbers is not finite or beyond `LARGEST`. A bridged law
+
+1. goes on with the last good sample for up to ``hold`` lost samples in a row;
+2. then, or where there has been no good sample yet, gives the safe command, raises the alarm ``invalid`` and leaves its
+   memory alone;
+3. goes back to work with the next good sample, which is its first one if there was none before; the alarm stays.
+
+A command or a memory that is not finite although the sample is good counts as 2. All of it is part of the symbolic
+law, so that simulations and flight code do the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect, read_integer
+from gnc_opt.control.controller import Controller, first_memory, law
+from gnc_opt.control.explanation import Explanation, Fact
+from gnc_opt.errors import ArgumentError
+from gnc_opt.model.layout import Layout, Variable, as_vector
+from gnc_opt.tolerances import LARGEST
+
+HOLD = 3
+"""Lost samples in a row that a law bridges unless told otherwise."""
+
+INVALID = "invalid"
+"""The alarm."""
+
+_NEVER = -1.0
+"""Count of lost samples before the first good one."""
+
+
+def bridge_dropouts(controller: Controller, *, hold: int = HOLD, safe: ArrayLike | None = None) -> Controller:
+    """Return a controller that bridges lost samples, or bridges them otherwise than it did.
+
+    Parameters
+    ----------
+    controller : Controller
+        Those that design functions return bridge dropouts with the defaults of this function.
+    hold : int
+        Lost samples in a row for which the last good one is taken, >= 0.
+    safe : array (n_commands,), optional
+        Command after that; default the feedforward of the schedule, zero where there is none.
+
+    Returns
+    -------
+    Controller
+        Its memory has, after the law's own, ``last_good`` (n_states,), ``lost`` (samples in a row, -1 before the first
+        good one) and the alarm ``invalid``.
+
+    Raises
+    ------
+    ArgumentError
+        It is no controller; bad numbers; or its own memory has these names.
+    """
+    expect(controller, Controller, "what bridge_dropouts() got", "give what a design function returned")
+    hold = read_integer(hold, "the number of lost samples to bridge", 0)
+    inner = controller.unbridged or controller
+    given = None if safe is None else as_vector(safe, inner.commands.size, "the safe command", ArgumentError)
+    if given is not None and not np.all(np.isfinite(given)):
+        raise ArgumentError(f"the safe command is {given}: give finite numbers.")
+    own = (
+        *(Variable(f"last_good_{v.name}", v.size, v.unit) for v in inner.states.variables),
+        Variable("lost", 1),
+        Variable(INVALID, 1),
+    )
+    step, start = _functions(inner, hold, given)
+    words = "the feedforward" if given is None else f"the command {given}"
+    remark = f"lost samples bridged with the last good one; then {words} and the alarm '{INVALID}'"
+    told = inner.explanation
+    return replace(
+        inner,
+        step=step,
+        start=start,
+        memory=Layout("memory", (*inner.memory.variables, *own), f"controller '{inner.name}'"),
+        alarms=(*inner.alarms, INVALID),
+        explanation=Explanation(told.title, (*told.facts, Fact("dropouts", str(hold), remark=remark))),
+        unbridged=inner,
+    )
+
+
+def _functions(inner: Controller, hold: int, safe: Any) -> tuple[Any, Any]:
+    """Return the law and the first memory of the bridged controller."""
+    states, size = inner.states.size, inner.memory.size
+    kind = ca.SX if inner.step.is_a("SXFunction") and inner.start.is_a("SXFunction") else ca.MX
+    t, x, r = kind.sym("t"), kind.sym("x", states), kind.sym("r", inner.signals.size)
+    z = kind.sym("z", size + states + 2)
+    memory, last, lost, invalid = ca.vertsplit(
+        z, [0, size, size + states, size + states + 1, size + states + 2]
+    )
+    good = _finite(x)
+    # the sample that a law begins with when there is none: any number, what it makes of it is not used
+    first = inner.start(t, ca.if_else(good, x, 0), r)
+    usable = ca.logic_or(good, ca.logic_and(lost > _NEVER / 2, lost < hold - 0.5))
+    y = ca.if_else(good, x, last)
+    u, after = inner.step(t, y, r, ca.if_else(lost < _NEVER / 2, first, memory))
+    works = ca.logic_and(usable, ca.logic_and(_finite(u), _finite(after)))
+    spare = _feedforward(inner, r) if safe is None else ca.DM(safe)
+    z_next = ca.vertcat(
+        ca.if_else(works, after, memory),
+        y,
+        ca.if_else(good, 0, ca.if_else(lost < _NEVER / 2, _NEVER, lost + 1)),
+        ca.if_else(works, invalid, 1),
+    )
+    step = law(t, x, r, z, ca.if_else(works, u, spare), z_next)
+    begun = ca.if_else(good, ca.vertcat(first, x), 0)
+    return step, first_memory(t, x, r, ca.vertcat(begun, ca.if_else(good, 0, _NEVER), 0))
+
+
+def _feedforward(inner: Controller, r: Any) -> Any:
+    """Return the feedforward of a row of the schedule, zero where it has none."""
+    names = [(f"{v.name}_ff", v.size) for v in inner.commands.variables]
+    parts = [r[inner.signals.slice(n)] if n in inner.signals else ca.DM.zeros(size) for n, size in names]
+    return ca.vertcat(*parts)
+
+
+def _finite(column: Any) -> Any:
+    """Return 1 if all entries are finite and not beyond `LARGEST`; no comparison holds for what is not a number."""
+    return ca.sum1(ca.fabs(column) <= LARGEST) == column.shape[0]

@@ -1,0 +1,207 @@
+"""Rehearsal: the sampled law flown on its own model from a given start, its commands cut to the limits.
+
+What a design promises of a start (a reaching time, a way clear of singularities, decaying errors) holds for the command
+that actuators can give, not for the one that the law asks for. So a start and limits are judged together, undisturbed,
+by classical Runge-Kutta between the control steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arrays import Array
+from gnc_opt.control.controller import Controller
+from gnc_opt.control.deviation import evaluate_columns
+from gnc_opt.control.explanation import Fact
+from gnc_opt.control.lie import OutputErrors
+from gnc_opt.control.limits import Authority, saturated
+from gnc_opt.control.reference import Reference
+from gnc_opt.errors import DesignError
+from gnc_opt.model.layout import as_vector
+from gnc_opt.tolerances import LARGEST, ROUNDING
+
+Rehearsal: TypeAlias = Callable[[Controller], list[Fact]]
+"""Flies a finished law; returns what that shows, or raises `DesignError`."""
+
+FINENESS = 0.02
+"""Control step of the rehearsal of a law for any step, in time constants of its fastest pole."""
+_FAST = 0.1
+"""Step of the integration, in time constants of the plant's fastest mode on the reference."""
+_MOST_INNER = 50
+"""Integration steps per control step at most."""
+_MOST_STEPS = 20_000
+"""Control steps of one act at most."""
+_ACTS = 12
+"""Where limits hold the errors up, the rehearsal goes on for so many times its span."""
+_SETTLED = 0.1
+"""Share of its largest size to which an output error has to come down for good where limits acted."""
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """The rehearsed way.
+
+    Attributes
+    ----------
+    times : array (n + 1,)
+        s.
+    x : array (n_states, n + 1)
+    wanted : array (n_commands, n)
+        What the law asked for.
+    memory : array (n_memory, n + 1)
+        Of the law.
+    outputs : array (n_outputs, n + 1)
+        Output errors.
+    """
+
+    times: Array
+    x: Array
+    wanted: Array
+    memory: Array
+    outputs: Array
+
+    def cut(self, limits: Authority | None) -> Array:
+        """Return whether limits acted at each step, bool (n,)."""
+        if limits is None:
+            return np.zeros(self.wanted.shape[1], dtype=bool)
+        room = ROUNDING * (limits[1] - limits[0])[:, None]
+        below, above = limits[0][:, None] - room, limits[1][:, None] + room
+        return np.asarray(np.any((self.wanted < below) | (self.wanted > above), axis=0))
+
+
+def rehearse(
+    controller: Controller,
+    errors: OutputErrors,
+    reference: Reference,
+    start: ArrayLike,
+    limits: Authority | None,
+    *,
+    dt: float,
+    span: float,
+    watch: Callable[[Path], object],
+) -> Path:
+    """Fly a law from ``start`` (n_states,) for ``span`` (s), longer where limits hold the errors up.
+
+    ``watch`` is shown the path as it grows, and may refuse it.
+
+    Raises
+    ------
+    DesignError
+        The state leaves all bounds, or the limits keep the output errors from coming down.
+    """
+    x = as_vector(start, errors.pair.x.numel(), "the state at the start", DesignError)
+    t = reference.initial_time
+    count = int(np.clip(np.ceil(span / dt), 100, _MOST_STEPS))
+    act = _step(controller, errors, reference, limits, dt).mapaccum(count)
+    state = np.concatenate([x, controller.initial_memory(t, x, dt)])
+    values = evaluate_columns(_outputs(errors), [t], x[:, None], reference.x([t]))
+    path = Path(
+        np.array([t]), x[:, None], np.empty((controller.commands.size, 0)), state[x.size :, None], values
+    )
+    for _ in range(_ACTS):
+        times = path.times[-1] + dt * np.arange(count + 1)
+        found, wanted, outputs = act(
+            state, times[:-1], controller.schedule(times[:-1], dt), reference.x(times[1:])
+        )
+        states = np.asarray(found.full())
+        path = Path(
+            np.append(path.times, times[1:]),
+            np.hstack([path.x, states[: x.size]]),
+            np.hstack([path.wanted, wanted.full()]),
+            np.hstack([path.memory, states[x.size :]]),
+            np.hstack([path.outputs, outputs.full()]),
+        )
+        watch(path)
+        _require_bounded(path, errors)
+        if not path.cut(limits).any() or np.all(_left(path, count) <= _SETTLED):
+            return path
+        state = states[:, -1]
+    assert limits is not None
+    raise DesignError(_stuck(path, errors, limits, count))
+
+
+def limit_facts(path: Path, limits: Authority | None, dt: float) -> list[Fact]:
+    """Return the fact about how long limits act on the way."""
+    if limits is None:
+        return []
+    spent = float(np.sum(path.cut(limits)) * dt)
+    return [Fact("limits act for", spent, "s", "rehearsed from the given start, undisturbed")]
+
+
+def _left(path: Path, count: int) -> Array:
+    """Return the share of its largest size that each output error still has in the last tenth of an act."""
+    size = np.abs(path.outputs)
+    largest = np.max(size, axis=1)
+    return np.asarray(np.max(size[:, -max(count // 10, 1) :], axis=1) / np.where(largest > 0, largest, 1.0))
+
+
+def _require_bounded(path: Path, errors: OutputErrors) -> None:
+    lost = ~(np.abs(path.x) <= LARGEST)
+    if not lost.any():
+        return
+    column = int(np.argmax(lost.any(axis=0)))
+    label = errors.pair.model.states.labels[int(np.argmax(lost[:, column]))]
+    raise DesignError(
+        f"from this start the loop runs away: '{label}' leaves all bounds at t = {path.times[column]:.4g} s, whatever "
+        f"becomes of {', '.join(errors.labels)}; choose other outputs, a nearer start or wider limits."
+    )
+
+
+def _stuck(path: Path, errors: OutputErrors, limits: Authority, count: int) -> str:
+    output = int(np.argmax(_left(path, count)))
+    step = int(np.argmax(path.cut(limits)))
+    excess = np.maximum(path.wanted[:, step] - limits[1], limits[0] - path.wanted[:, step])
+    k = int(np.argmax(excess))
+    control, asked = errors.pair.model.controls.labels[k], path.wanted[k, step]
+    left = path.outputs[output, -1]
+    return (
+        f"from this start the limits keep {errors.labels[output]} from coming down: the law asks control "
+        f"'{control}' for {asked:.4g} at t = {path.times[step]:.4g} s, where its limits are {limits[0][k]:g} and "
+        f"{limits[1][k]:g}, and the error is still {left:.4g} at t = {path.times[-1]:.4g} s; "
+        "give wider limits, a nearer start or slower dynamics."
+    )
+
+
+def _outputs(errors: OutputErrors) -> ca.Function:
+    pair = errors.pair
+    return ca.Function(
+        "e", [pair.t, pair.x, pair.x_ref], [ca.vertcat(*[chain[0] for chain in errors.chains])]
+    )
+
+
+def _step(
+    controller: Controller, errors: OutputErrors, reference: Reference, limits: Authority | None, dt: float
+) -> ca.Function:
+    """Return ``(x and z, t, r, x_ref at the end) -> (x and z, wanted command, output errors at the end)``."""
+    pair = errors.pair
+    n, size = pair.x.numel(), controller.memory.size
+    inner = _inner_steps(errors, reference, dt)
+    f = ca.Function("f", [pair.t, pair.x, pair.u], [pair.f])
+    state, t, r = ca.SX.sym("state", n + size), ca.SX.sym("t"), ca.SX.sym("r", controller.signals.size)
+    x, h = state[:n], dt / inner
+    wanted, z = controller.step(t, x, r, state[n:])
+    u = saturated(wanted, limits)
+    for j in range(inner):
+        now = t + j * h
+        k1 = f(now, x, u)
+        k2 = f(now + h / 2, x + h / 2 * k1, u)
+        k3 = f(now + h / 2, x + h / 2 * k2, u)
+        k4 = f(now + h, x + h * k3, u)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    x_ref = ca.SX.sym("x_ref", n)
+    outputs = _outputs(errors)(t + dt, x, x_ref)
+    return ca.Function("act", [state, t, r, x_ref], [ca.vertcat(x, z), wanted, outputs])
+
+
+def _inner_steps(errors: OutputErrors, reference: Reference, dt: float) -> int:
+    pair, t = errors.pair, reference.initial_time
+    a = ca.Function("a", [pair.t, pair.x, pair.u], [ca.jacobian(pair.f, pair.x)])
+    slopes = np.asarray(a(t, reference.x(t), reference.u(t)).full())
+    fastest = float(np.max(np.abs(np.linalg.eigvals(slopes)))) if np.all(np.isfinite(slopes)) else 0.0
+    return int(np.clip(np.ceil(fastest * dt / _FAST), 2, _MOST_INNER))

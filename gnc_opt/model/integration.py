@@ -1,0 +1,152 @@
+"""Integration of dynamics that always ends, and says where and why it ended early."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array
+
+Rate: TypeAlias = Callable[[float, Array], Array]
+"""dx/dt as a function of t and x."""
+
+DIVERGED = 1e8
+"""Growth beyond the trajectory's own magnitude at which integration is given up."""
+
+MOST_NOT_FINITE = 1000
+"""Rates that are not finite, after which integration is given up: an integrator that meets the edge of the dynamics'
+domain shortens its step without end."""
+
+MOST_RATES = 500_000
+"""Evaluations of the dynamics; stiff dynamics would take an explicit integrator any number of them."""
+
+
+class EndedError(Exception):
+    """Integration cannot go on; the message says why and where."""
+
+
+class Budget:
+    """Counts evaluations of dynamics, and remembers the earliest time at which they are not finite.
+
+    Parameters
+    ----------
+    labels : sequence of str
+        Names of the states.
+    """
+
+    def __init__(self, labels: Sequence[str]) -> None:
+        self.labels = labels
+        self.count = self.not_finite = 0
+        self.earliest, self.edge = np.inf, ""
+
+    def watched(self, rate: Rate) -> Rate:
+        """Return the rate, which raises `EndedError` when the budget is spent."""
+
+        def counted(t: float, x: Array) -> Array:
+            values = rate(t, x)
+            self.count += 1
+            if not np.isfinite(values).all() and np.isfinite(x).all():
+                self._note(t, values)
+            if self.count > MOST_RATES:
+                raise EndedError(f"{MOST_RATES:,} evaluations of the dynamics led to t = {t:.4g} s only")
+            return values
+
+        return counted
+
+    def _note(self, t: float, values: Array) -> None:
+        self.not_finite += 1
+        if t < self.earliest:
+            i = int(np.argmin(np.isfinite(values)))
+            self.earliest = t
+            self.edge = f"the rate of state '{self.labels[i]}' is {values[i]} at t = {round(t, 15):.4g} s"
+        if self.not_finite > MOST_NOT_FINITE:
+            raise EndedError(self.edge)
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What `integrate` found.
+
+    Attributes
+    ----------
+    times : array (n_times,)
+        Of the integrator's steps; the last one is that of the stop, if there was one.
+    states : array (n_states, n_times)
+    dense : callable
+        States at any time between, where asked for.
+    """
+
+    times: Array
+    states: Array
+    dense: Callable[[Array], Array] | None
+
+
+def integrate(
+    rate: Rate,
+    x: Array,
+    left: float,
+    right: float,
+    *,
+    rtol: float,
+    magnitude: Array,
+    budget: Budget,
+    stop: Callable[[float, Array], float] | None = None,
+    dense: bool = False,
+) -> Flight:
+    """Integrate dx/dt = rate(t, x) from ``left`` to ``right`` by DOP853.
+
+    Parameters
+    ----------
+    rate : callable
+    x : array (n_states,)
+        Initial state.
+    left, right : float
+    rtol : float
+        Relative tolerance; the absolute one is ``rtol`` times each state's magnitude.
+    magnitude : array (n_states,)
+        Of the states; `DIVERGED` is measured in it.
+    budget : Budget
+        May be shared by several calls.
+    stop : callable, optional
+        Integration ends where this function of t and x crosses zero.
+    dense : bool
+        Whether states between the steps are wanted.
+
+    Raises
+    ------
+    EndedError
+        The dynamics are not finite, diverge or take too many evaluations.
+    """
+
+    def diverged(_: float, state: Array) -> float:
+        return float(DIVERGED - np.max(np.abs(state) / magnitude))
+
+    def stopped(t: float, state: Array) -> float:
+        return np.inf if stop is None else stop(t, state)
+
+    events: list[Any] = [diverged, stopped] if stop is not None else [diverged]
+    for event in events:
+        event.terminal = True
+    try:
+        with np.errstate(all="ignore"):
+            run = scipy.integrate.solve_ivp(
+                budget.watched(rate),
+                (left, right),
+                x,
+                method="DOP853",
+                rtol=rtol,
+                atol=rtol * magnitude,
+                events=events,
+                dense_output=dense,
+            )
+    except EndedError as error:
+        raise EndedError(budget.edge or str(error)) from None
+    if run.t_events is not None and run.t_events[0].size:
+        raise EndedError(f"the states diverge at t = {run.t[-1]:.4g} s")
+    if run.status < 0 or not np.all(np.isfinite(run.y[:, -1])):
+        raise EndedError(budget.edge or f"the integrator finds no step at t = {run.t[-1]:.4g} s")
+    return Flight(run.t, run.y, run.sol)

@@ -1,0 +1,110 @@
+"""Interpolation along one axis of a table: piecewise polynomials, as weights of a window of coefficients.
+
+On the interval from break j to break j + 1, with u from 0 to 1, the value is the sum over a of
+``(M_j [1, u, u^2, ...])_a C[stride j + a]``. All methods have this form; they differ in their windows, in the matrices
+M_j and in what the coefficients C are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Indices
+
+Method: TypeAlias = Literal["bspline", "linear", "pchip"]
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """The piecewise polynomials of one axis.
+
+    Attributes
+    ----------
+    breaks : array (n + 1,)
+        Increasing.
+    matrices : array (n, window, degree + 1)
+        From powers of u to weights of the window.
+    stride : int
+        By which the window moves from one interval to the next.
+    """
+
+    breaks: Array
+    matrices: Array
+    stride: int
+
+    @property
+    def windows(self) -> Indices:
+        """Places of the coefficients of each interval, (n, window)."""
+        n, window, _ = self.matrices.shape
+        return np.asarray(self.stride * np.arange(n)[:, None] + np.arange(window))
+
+    def localised(self, coefficients: Array) -> tuple[Pieces, Array]:
+        """Return the same polynomials with the coefficients of the powers themselves, one set per interval.
+
+        Parameters
+        ----------
+        coefficients : array (n_coefficients,)
+        """
+        n, _, powers = self.matrices.shape
+        own = np.einsum("jap,ja->jp", self.matrices, coefficients[self.windows])
+        return Pieces(self.breaks, np.tile(np.eye(powers), (n, 1, 1)), powers), own.ravel()
+
+
+def linear(x: Array, values: Array) -> tuple[Pieces, Array]:
+    """Straight lines between the points.
+
+    Parameters
+    ----------
+    x : array (n,)
+    values : array (n, ...)
+
+    Returns
+    -------
+    tuple of Pieces, array (n_coefficients, ...)
+    """
+    return Pieces(x, np.tile([[1.0, -1.0], [0.0, 1.0]], (x.size - 1, 1, 1)), 1), values
+
+
+def bspline(x: Array, values: Array) -> tuple[Pieces, Array]:
+    """The cubic spline through the points with two continuous derivatives (not-a-knot ends); arguments as in `linear`.
+
+    Three points give a parabola, two a straight line. C. de Boor, A Practical Guide to Splines, Springer 2001, ch. IV.
+    """
+    degree = min(3, x.size - 1)
+    spline = scipy.interpolate.make_interp_spline(x, values, k=degree)
+    knots = spline.t[degree : spline.t.size - degree]
+    unit = scipy.interpolate.BSpline(spline.t, np.eye(x.size), degree)
+    widths = np.diff(knots)
+    matrices = np.empty((widths.size, degree + 1, degree + 1))
+    for power in range(degree + 1):  # the Taylor series of each basis function at the start of each interval
+        series = unit(knots[:-1], nu=power) * widths[:, None] ** power / math.factorial(power)
+        for j in range(widths.size):
+            matrices[j, :, power] = series[j, j : j + degree + 1]
+    return Pieces(knots, matrices, 1), spline.c
+
+
+def pchip(x: Array, values: Array) -> tuple[Pieces, Array]:
+    """Cubics that are monotone where the points are, with one continuous derivative; arguments as in `linear`.
+
+    F. N. Fritsch and J. Butland, A method for constructing local monotone piecewise cubic interpolants, SIAM J. Sci.
+    Stat. Comput. 5, 1984, 300-304.
+    """
+    slopes = scipy.interpolate.PchipInterpolator(x, values).derivative()(x)
+    both = np.stack([values, slopes], axis=1).reshape(2 * x.size, *values.shape[1:])
+    first = np.array([[1, 0, -3, 2], [0, 1, -2, 1], [0, 0, 3, -2], [0, 0, -1, 1]], dtype=float)
+    matrices = np.tile(first, (x.size - 1, 1, 1))
+    matrices[:, 1::2] *= np.diff(x)[:, None, None]
+    return Pieces(x, matrices, 2), both
+
+
+METHODS: dict[Method, Callable[[Array, Array], tuple[Pieces, Array]]] = {
+    "bspline": bspline,
+    "linear": linear,
+    "pchip": pchip,
+}

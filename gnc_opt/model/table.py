@@ -1,0 +1,387 @@
+"""Tables: data in one or more dimensions as expressions that a model can use."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, TypeAlias, get_args
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_label, read_numbers
+from gnc_opt.arrays import Array, Indices
+from gnc_opt.errors import ArgumentError, ModelError, did_you_mean, shown
+from gnc_opt.model.columns import read_columns
+from gnc_opt.model.pieces import METHODS, Method, Pieces
+from gnc_opt.model.symbol import owners_of
+from gnc_opt.strict import Strict
+
+Outside: TypeAlias = Literal["linear", "hold", "error"]
+
+MOST_VALUES = 200_000
+"""In one table. Every value becomes part of the expression."""
+
+
+@dataclass(frozen=True, eq=False)
+class TableUse:
+    """One call of a table with expressions.
+
+    Attributes
+    ----------
+    table : Table
+    arguments : casadi.SX
+        The column of arguments, one per axis.
+    comparisons : casadi.SX
+        The nodes of the expression that find the intervals.
+    """
+
+    table: Table
+    arguments: Any
+    comparisons: Any
+
+    @cached_property
+    def hashes(self) -> frozenset[int]:
+        """Of the comparisons."""
+        return frozenset(node.element_hash() for node in ca.vertsplit(self.comparisons))
+
+
+class Table(Strict):
+    """Data on a grid, interpolated; call it with expressions or with numbers. Made by `table`.
+
+    Attributes
+    ----------
+    name : str
+    grids : tuple of array
+        The points of each axis.
+    values : array (n_1, n_2, ...)
+    method : {"bspline", "linear", "pchip"}
+    outside : {"linear", "hold", "error"}
+    """
+
+    __slots__ = ("__dict__", "grids", "method", "name", "outside", "values")
+
+    def __init__(
+        self, grids: Sequence[Array], values: Array, method: Method, outside: Outside, name: str
+    ) -> None:
+        self.name = name
+        self.grids = tuple(grids)
+        self.values = values
+        self.method: Method = method
+        self.outside: Outside = outside
+
+    def __repr__(self) -> str:
+        sizes = " x ".join(str(grid.size) for grid in self.grids)
+        return f"Table({self.name!r}: {sizes} values, {self.method}, {self.outside} outside)"
+
+    @property
+    def lower(self) -> Array:
+        """The lower ends of the axes (n_axes,)."""
+        return np.array([grid[0] for grid in self.grids])
+
+    @property
+    def upper(self) -> Array:
+        """The upper ends of the axes (n_axes,)."""
+        return np.array([grid[-1] for grid in self.grids])
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Return the interpolated value, one argument per axis.
+
+        Parameters
+        ----------
+        *arguments : casadi.SX, float or array
+            Expressions, columns are looked up entry by entry, or numbers that broadcast against each other.
+
+        Returns
+        -------
+        casadi.SX or array
+            Expressions have continuous derivatives (none for "linear"), outside of the table, too; what is not a
+            number stays so.
+
+        Raises
+        ------
+        ArgumentError
+            Wrong number of arguments; numbers outside of a table with ``outside="error"``.
+        """
+        if len(arguments) != len(self.grids):
+            raise ArgumentError(
+                f"table '{self.name}' has {len(self.grids)} axes and got {len(arguments)} arguments: give one each."
+            )
+        if any(isinstance(a, (ca.SX, ca.MX)) for a in arguments):
+            return self._expression([self._read_expression(a) for a in arguments])
+        numbers = [
+            read_numbers(a, f"argument {i} of table '{self.name}'") for i, a in enumerate(arguments, 1)
+        ]
+        if self.outside == "error":
+            self._refuse_outside(numbers)
+        try:
+            points = np.broadcast_arrays(*numbers)
+        except ValueError:
+            shapes = ", ".join(str(n.shape) for n in numbers)
+            raise ArgumentError(
+                f"the arguments of table '{self.name}' have the shapes {shapes}: give equal ones."
+            ) from None
+        found = self._function(*(p.reshape(1, -1) for p in points)).full().reshape(points[0].shape)
+        return found if found.ndim else float(found)
+
+    # --- internals --------------------------------------------------------------------------------
+
+    def _read_expression(self, argument: Any) -> Any:
+        try:
+            return ca.vec(ca.SX(argument))
+        except (NotImplementedError, RuntimeError):
+            raise ModelError(
+                f"table '{self.name}' got {shown(argument)}: give SX expressions or numbers."
+            ) from None
+
+    def _refuse_outside(self, numbers: Sequence[Array]) -> None:
+        for i, (given, grid) in enumerate(zip(numbers, self.grids, strict=True), 1):
+            beyond = given[(given < grid[0]) | (given > grid[-1])]
+            if beyond.size:
+                raise ArgumentError(
+                    f"argument {i} of table '{self.name}' is {beyond.flat[0]:g}, outside of its range "
+                    f"{grid[0]:g} to {grid[-1]:g}: stay within, or make the table with another outside=."
+                )
+
+    def _expression(self, columns: list[Any]) -> Any:
+        rows = max(column.shape[0] for column in columns)
+        if any(column.shape[0] not in (1, rows) for column in columns):
+            sizes = ", ".join(str(column.shape[0]) for column in columns)
+            raise ModelError(
+                f"the arguments of table '{self.name}' have {sizes} components: give equal sizes."
+            )
+        values = []
+        for i in range(rows):
+            point = ca.vertcat(*(column[i if column.shape[0] > 1 else 0] for column in columns))
+            value, comparisons = self._interpolate(point)
+            use = TableUse(self, point, comparisons)
+            for symbol in owners_of(ca.symvar(point)):
+                symbol.table_uses.append(use)
+            values.append(value)
+        return ca.vertcat(*values)
+
+    @cached_property
+    def _function(self) -> Any:
+        point = ca.SX.sym("point", len(self.grids))
+        return ca.Function("table", ca.vertsplit(point), [self._interpolate(point)[0]])
+
+    @cached_property
+    def _axes(self) -> tuple[list[Pieces], Array]:
+        """The pieces of each axis, and the coefficients (c_1, c_2, ...)."""
+        axes, coefficients = [], self.values
+        for k, grid in enumerate(self.grids):
+            pieces, first = METHODS[self.method](grid, np.moveaxis(coefficients, k, 0))
+            coefficients = np.moveaxis(first, 0, k)
+            axes.append(pieces)
+        if len(axes) == 1:
+            own, coefficients = axes[0].localised(coefficients)
+            axes = [own]
+        return axes, coefficients
+
+    def _interpolate(self, point: Any) -> tuple[Any, Any]:
+        """Return the value at a point (n_axes, 1) and the comparisons that find its intervals, both SX."""
+        axes, coefficients = self._axes
+        found = [_Found.of(pieces, point[k]) for k, pieces in enumerate(axes)]
+        window = ca.SX(coefficients.ravel())
+        places = np.arange(coefficients.size).reshape(coefficients.shape)
+        for k, (pieces, here) in enumerate(zip(axes, found, strict=True)):
+            window, places = _select(window, places, k, pieces, here.inside)
+        for pieces, here in zip(axes, found, strict=True):  # the first axis varies slowest
+            weights = here.weights(pieces, continued=self.outside != "hold")
+            rest = window.numel() // weights.numel()
+            window = ca.mtimes(ca.reshape(window, rest, weights.numel()), weights)
+        return window, ca.vertcat(*(here.comparisons for here in found))
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Where a number lies along an axis, as expressions.
+
+    Attributes
+    ----------
+    inside : SX (n_intervals, 1)
+        1 for its interval, else 0.
+    u : SX
+        Place in the interval, from 0 to 1.
+    beyond : SX
+        How far outside of the table, in widths of the interval; 0 inside.
+    comparisons : SX
+        What decides all that.
+    """
+
+    inside: Any
+    u: Any
+    beyond: Any
+    comparisons: Any
+
+    @classmethod
+    def of(cls, pieces: Pieces, x: Any) -> _Found:
+        breaks = pieces.breaks
+        below, above = x < breaks[0], x > breaks[-1]
+        steps = [x >= b for b in breaks[1:-1]]
+        edges = ca.vertcat(1, *steps, 0)
+        inside = edges[:-1] - edges[1:]
+        # by choice, not by fmin and fmax: those turn what is not a number into one
+        held = ca.if_else(below, breaks[0], ca.if_else(above, breaks[-1], x))
+        start, width = (ca.dot(inside, ca.SX(values)) for values in (breaks[:-1], np.diff(breaks)))
+        comparisons = ca.vertcat(below, above, *steps)
+        return cls(inside, (held - start) / width, (x - held) / width, comparisons)
+
+    def weights(self, pieces: Pieces, *, continued: bool) -> Any:
+        """Return the weights of the window (window, 1), outside held or continued with their slopes."""
+        n, window, powers = pieces.matrices.shape
+        matrix = ca.SX(pieces.matrices[0])
+        if not np.all(pieces.matrices == pieces.matrices[0]):
+            flat = ca.mtimes(self.inside.T, ca.SX(pieces.matrices.reshape(n, -1)))
+            matrix = ca.reshape(flat, powers, window).T
+        values = [ca.SX(1)]
+        slopes = [ca.SX(0)]
+        for power in range(1, powers):
+            slopes.append(power * values[-1])
+            values.append(values[-1] * self.u)
+        row = ca.vertcat(*values)
+        return ca.mtimes(matrix, row + ca.vertcat(*slopes) * self.beyond if continued else row)
+
+
+def _select(window: Any, places: Indices, axis: int, pieces: Pieces, inside: Any) -> tuple[Any, Indices]:
+    """Choose the window of one axis.
+
+    Parameters
+    ----------
+    window : SX column
+        All that is left of the coefficients.
+    places : int array
+        Of each coefficient in that column, by axis.
+    inside : SX (n_intervals, 1)
+    """
+    candidates = np.moveaxis(np.take(places, pieces.windows, axis=axis), axis, 0)
+    n, *shape = candidates.shape
+    flat = candidates.reshape(n, -1)
+    chosen = ca.mtimes(inside.T, ca.reshape(window[flat.ravel(order="F").tolist()], n, flat.shape[1]))
+    return chosen.T, np.arange(flat.shape[1]).reshape(shape)
+
+
+def table(
+    x: Any,
+    values: ArrayLike | None = None,
+    *,
+    method: Method = "bspline",
+    outside: Outside = "linear",
+    name: str = "",
+) -> Table:
+    """Return a table: call it with expressions of a model, ``thrust(mach, altitude)``, or with numbers.
+
+    Parameters
+    ----------
+    x : array (n,), sequence of arrays, or xarray.DataArray
+        The grid: one increasing array, or one per axis of ``values``. A DataArray brings its values and name along.
+    values : array (n,) or (n_1, n_2, ...)
+    method : {"bspline", "linear", "pchip"}
+        The cubic spline with two continuous derivatives, along each axis (the right one for optimisation: it may
+        overshoot where the data turn sharply); straight lines, with kinks at the points, which cost a
+        refinement dearly; cubics with one continuous derivative that never overshoot in one dimension.
+    outside : {"linear", "hold", "error"}
+        Beyond the grid: continued with the slope at its end; held at the value there; refused. A solver's iterates
+        may leave any table, hence expressions of one that refuses are continued linearly, while numbers and a guess
+        outside of it are errors. The summary of a solution names every table that it leaves.
+    name : str, optional
+        For messages.
+
+    Returns
+    -------
+    Table
+
+    Raises
+    ------
+    ArgumentError
+        A grid that does not increase, values of another shape or not finite, an unknown method.
+    """
+    if hasattr(x, "dims") and hasattr(x, "coords"):  # an xarray.DataArray
+        if values is not None:
+            raise ArgumentError("table() got a DataArray and values: a DataArray has its own.")
+        name = name or str(x.name or "")
+        x, values = [np.asarray(x.coords[dim]) for dim in x.dims], np.asarray(x)
+    name = read_label(name or "table", "table")
+    if values is None:
+        raise ArgumentError(f"table '{name}' got no values: write table(x, values).")
+    data = read_numbers(values, f"what table '{name}' holds")
+    for given, known, what in ((method, METHODS, "method"), (outside, get_args(Outside), "outside")):
+        if given not in known:
+            raise ArgumentError(
+                f"table '{name}' knows no {what} {shown(given)}: {did_you_mean(str(given), known)}"
+            )
+    return Table(_read_grids(x, data, name), data, method, outside, name)
+
+
+def _read_grids(x: Any, data: Array, name: str) -> list[Array]:
+    nested = isinstance(x, (list, tuple)) and len(x) > 0 and np.ndim(x[0]) > 0
+    axes = list(x) if nested else [x]
+    if len(axes) != data.ndim:
+        raise ArgumentError(
+            f"table '{name}' has values of the shape {data.shape} and {len(axes)} grids: give one grid per axis."
+        )
+    grids = [read_numbers(axis, f"grid {i} of table '{name}'") for i, axis in enumerate(axes, 1)]
+    for i, (grid, size) in enumerate(zip(grids, data.shape, strict=True), 1):
+        if grid.shape != (size,) or size < 2:
+            raise ArgumentError(
+                f"grid {i} of table '{name}' has the shape {grid.shape} and its values {data.shape}: "
+                "give as many points as values along that axis, two or more."
+            )
+        if not np.all(np.isfinite(grid)) or not np.all(np.diff(grid) > 0):
+            raise ArgumentError(
+                f"grid {i} of table '{name}' does not increase: sort it and drop what is double."
+            )
+    if not np.all(np.isfinite(data)):
+        place = ", ".join(f"{g[i]:g}" for g, i in zip(grids, np.argwhere(~np.isfinite(data))[0], strict=True))
+        raise ArgumentError(f"table '{name}' has no finite value at ({place}): fill the gap.")
+    if data.size > MOST_VALUES:
+        raise ArgumentError(f"table '{name}' has {data.size} values: thin it out to {MOST_VALUES} at most.")
+    return grids
+
+
+def table_from_csv(
+    path: str | Path,
+    x: str | Sequence[str],
+    values: str,
+    *,
+    method: Method = "bspline",
+    outside: Outside = "linear",
+) -> Table:
+    """Return a table from columns of a CSV file, named by the file's first row.
+
+    Parameters
+    ----------
+    path : str or Path
+    x : str or sequence of str
+        Column of the grid; several for several axes: then each row is one point of the full grid, in any order.
+    values : str
+        Column of the values; names the table.
+    method, outside
+        As in `table`.
+
+    Returns
+    -------
+    Table
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    ArgumentError
+        A missing column, an entry that is no number, or a grid with gaps or double points.
+    """
+    names = [x] if isinstance(x, str) else list(x)
+    columns = read_columns(Path(path), [*names, values])
+    rows = [columns[name] for name in [*names, values]]
+    axes, where = zip(*(np.unique(column, return_inverse=True) for column in rows[:-1]), strict=True)
+    data = np.full([axis.size for axis in axes], np.nan)
+    data[where] = rows[-1]
+    if data.size != rows[0].size or np.any(np.isnan(data)):
+        raise ArgumentError(
+            f"the {rows[0].size} rows of {path} are not the {' x '.join(str(n) for n in data.shape)} points of a "
+            f"full grid of {', '.join(names)}: give each point once."
+        )
+    return table(list(axes), data, method=method, outside=outside, name=values)

@@ -1,0 +1,170 @@
+"""Guesses by flying: the dynamics integrated under a control law."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect, read_integer, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.model.integration import Budget, EndedError, integrate
+from gnc_opt.model.layout import as_vector
+from gnc_opt.model.symbol import as_expression
+from gnc_opt.problem.guess.trajectory import end_values, guess_times
+from gnc_opt.problem.phase import Phase
+from gnc_opt.problem.problem import Problem
+from gnc_opt.tolerances import magnitude
+
+RTOL = 1e-8
+
+
+def simulate_guess(
+    problem: Problem,
+    controls: Mapping[str, Any],
+    *,
+    phase: str | None = None,
+    initial: Mapping[str, ArrayLike] | None = None,
+    duration: float | None = None,
+    until: Any = None,
+    n: int = 1001,
+) -> Problem:
+    """Return the problem with a guess that follows its dynamics: those of one phase, flown by a control law.
+
+    Parameters
+    ----------
+    problem : Problem
+    controls : mapping of str to SX, number or array, or function of time
+        The law by name of control; expressions in time, states and parameters of the model, such as thrust along
+        the velocity. What leaves the bounds is clipped; controls left out are in the middle of theirs.
+    phase : str, optional
+        May be left out when there is one.
+    initial : mapping of str to number or array, optional
+        States to begin with, where the initial values of the phase leave them open.
+    duration : float, optional
+        s; default: that of the guess there is.
+    until : SX, optional
+        The flight ends where this expression in time, states and parameters becomes zero; then ``duration`` is the
+        longest it may take.
+    n : int
+        Times at which the flight is kept.
+
+    Returns
+    -------
+    Problem
+        Like ``problem.with_guess``.
+
+    Raises
+    ------
+    ProblemError
+        Unknown names, a law that uses controls, a flight that diverges or becomes NaN (with the time), or one in
+        which ``until`` does not become zero.
+    """
+    expect(problem, Problem, "what simulate_guess() got", "write simulate_guess(problem, {...})")
+    expect(controls, Mapping, "the law of simulate_guess()", 'write {"u": expression}')
+    read_integer(n, "n of simulate_guess()", 2)
+    leg = problem.get_phase(phase)
+    t0, tf = guess_times(leg)
+    if duration is not None:
+        tf = t0 + read_positive(duration, "the duration of simulate_guess()")
+    law = _law(problem, leg, controls)
+    q = np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
+    p, start = leg.model.parameter_values, _initial(leg, initial or {})
+    rates = ca.Function(
+        "rates",
+        [*leg.model.arguments(), problem.parameter_symbols()],
+        [problem.bind(leg, leg.model.derivative())],
+    )
+
+    def rate(t: float, x: Array) -> Array:
+        return np.asarray(rates(t, x, law(t, x), p, q).full()[:, 0])
+
+    stop = None if until is None else _stop(problem, leg, until)
+    sizes = magnitude(np.maximum(np.abs(start), np.abs(end_values(leg)[1])))
+    try:
+        flight = integrate(
+            rate,
+            start,
+            t0,
+            tf,
+            rtol=RTOL,
+            magnitude=sizes,
+            budget=Budget(leg.model.states.labels),
+            stop=stop,
+            dense=True,
+        )
+    except EndedError as error:
+        raise ProblemError(
+            f"the flight that simulate_guess() makes of {leg.where} cannot go on ({error}): change the law, the "
+            "initial state or the duration."
+        ) from None
+    end = float(flight.times[-1])
+    if stop is not None and end >= tf:
+        raise ProblemError(
+            f"what simulate_guess() flies {leg.where} until is {stop(end, flight.states[:, -1]):.4g} at its end, "
+            f"t = {end:.4g} s, and was never zero: give a longer duration, or another law."
+        )
+    times = np.linspace(t0, end, n)
+    assert flight.dense is not None, "asked for"
+    states = flight.dense(times)
+    flown = np.stack([law(t, x) for t, x in zip(times, states.T, strict=True)], axis=1)
+    values = {name: states[leg.model.states.slice(name)] for name in leg.model.states.names}
+    values |= {name: flown[leg.model.controls.slice(name)] for name in leg.model.controls.names}
+    return problem.with_guess(leg.name, times, **values)
+
+
+def _initial(leg: Phase, given: Mapping[str, ArrayLike]) -> Array:
+    start = end_values(leg)[0].copy()
+    for name, value in given.items():
+        rows = leg.model.states.slice(name)
+        start[rows] = as_vector(value, leg.model.states[name].size, f"the initial value of '{name}'")
+    return start
+
+
+def _law(problem: Problem, leg: Phase, controls: Mapping[str, Any]) -> Callable[[float, Array], Array]:
+    """Return the controls as a function of t and x, within their bounds."""
+    layout, box = leg.model.controls, leg.numbers.controls
+    expressions = [ca.SX(value) for value in box.middle]
+    timed: list[tuple[slice, int, Callable[[float], Any], str]] = []
+    for name, value in controls.items():
+        if name not in layout:
+            raise unknown_name("control", name, f"the law of simulate_guess() for {leg.where}", layout.names)
+        rows, size = layout.slice(name), layout[name].size
+        what = f"the law of '{name}' for {leg.where}"
+        if callable(value) and not isinstance(value, ca.SX):
+            timed.append((rows, size, value, what))
+            continue
+        if not isinstance(value, (ca.SX, list)):
+            value = ca.SX(as_vector(value, size, what))
+        expressions[rows] = ca.vertsplit(as_expression(value, what, size, ProblemError))
+    function = _function(problem, leg, ca.vertcat(*expressions), "the law of simulate_guess()")
+
+    def law(t: float, x: Array) -> Array:
+        u = function(t, x)
+        for rows, size, signal, what in timed:
+            u[rows] = as_vector(signal(t), size, f"{what} at t = {t:.4g} s")
+        return np.clip(u, box.lower, box.upper)
+
+    return law
+
+
+def _stop(problem: Problem, leg: Phase, until: Any) -> Callable[[float, Array], float]:
+    what = "what simulate_guess() flies until"
+    function = _function(problem, leg, as_expression(until, what, 1, ProblemError), what)
+    return lambda t, x: float(function(t, x)[0])
+
+
+def _function(problem: Problem, leg: Phase, expression: Any, what: str) -> Callable[[float, Array], Array]:
+    """Return an expression in time, states and parameters as a function of t and x."""
+    t, x, u, p = leg.model.arguments()
+    problem.refuse_foreign(leg, expression, what)
+    if leg.model.controls.size and ca.depends_on(expression, u):
+        raise ProblemError(f"{what} uses controls of {leg.where}: write it in time, states and parameters.")
+    q = problem.parameter_symbols()
+    function = ca.Function("law", [t, x, p, q], [ca.densify(problem.bind(leg, expression))])
+    values = leg.model.parameter_values, np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
+    return lambda time, state: np.array(function(time, state, *values).full()[:, 0])

@@ -1,0 +1,163 @@
+r"""Costates and multipliers of a trajectory that comes without: least squares of the first-order conditions.
+
+Transcribed on the trajectory's own mesh (Legendre-Gauss), stationarity with respect to states, controls, free times,
+parameters and jump times of the controls reads :math:`\nabla f + g'^T\lambda_g + \lambda_x = 0`: the adjoint equation,
+:math:`\partial H/\partial u = 0`, transversality, and a Hamiltonian that is continuous where a control jumps. It is
+linear in the multipliers. Those of limits that are not active vanish; a variable on its limit frees its row, unless
+the multiplier that is left there would have the wrong sign. The least-squares solution is mapped to costates as a
+solver's multipliers are (module `covector`), and judged like those.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.problem import Problem
+from gnc_opt.solution.covector import Iterate
+from gnc_opt.solution.start import with_integrals
+from gnc_opt.tolerances import TINY
+from gnc_opt.transcription.scaling import scale_rows, scale_variables
+from gnc_opt.transcription.transcription import Transcription
+from gnc_opt.verify.trajectory_fit import FittedPhase
+
+ACTIVE = 1e-5
+"""Distance from a limit, scaled, at which it may push."""
+
+_WRONG = 1e-7
+"""A multiplier of the wrong sign, relative to the largest, that is none."""
+
+_ROUNDS = 8
+"""Of sorting out which limits push."""
+
+_DAMPING, _REPEATS = 1e-12, 4
+"""Relative weight that keeps multipliers which nothing determines small, and repetitions that take its bias away."""
+
+
+def estimate(
+    transcription: Transcription, problem: Problem, fitted: Mapping[str, FittedPhase], q: Array
+) -> Iterate:
+    """Return the program's variables at a trajectory, and the multipliers that explain it best.
+
+    Parameters
+    ----------
+    fitted : mapping of FittedPhase
+    q : array (n_parameters,)
+        Free parameters.
+    """
+    x = _variables(transcription, problem, fitted, q)
+    scales = scale_variables(transcription, problem, x)
+    row_scales, worth = scale_rows(transcription, problem, x, scales)
+    values, gradient, nonzeros = transcription.evaluate(problem, x)
+    rows, columns = transcription.constraints.jacobian_pattern
+    shape = (transcription.n_variables, transcription.n_constraints)
+    weights = scales / np.sqrt(_quadrature(transcription))
+    matrix = scipy.sparse.csc_array(
+        (nonzeros * weights[columns] / row_scales[rows], (columns, rows)), shape=shape
+    )
+    limits = _Limits.of(transcription.variable_interval(problem), x, scales)
+    row_limits = _Limits.of(transcription.row_interval(problem), values, 1 / row_scales)
+    exact = _state_rows(transcription)
+    scaled = _sort_out(matrix, gradient * weights * worth, exact, limits, row_limits)
+    lam_g = scaled / row_scales / worth
+    residual = gradient + scipy.sparse.csc_array((nonzeros, (columns, rows)), shape=shape) @ lam_g
+    return Iterate(x, np.where(limits.anywhere, -residual, 0.0), lam_g)
+
+
+class _Limits:
+    """Which limits are near: lower ones push with multipliers <= 0, upper ones with >= 0, equal ones with any."""
+
+    def __init__(self, lower: Mask, upper: Mask) -> None:
+        self.lower, self.upper = lower, upper
+
+    @classmethod
+    def of(cls, box: Interval, values: Array, scales: Array) -> _Limits:
+        slack = ACTIVE * scales
+        return cls((values <= box.lower + slack) | box.fixed, (values >= box.upper - slack) | box.fixed)
+
+    @property
+    def anywhere(self) -> Mask:
+        return self.lower | self.upper
+
+    def wrong(self, multipliers: Array, size: float) -> Mask:
+        """Multipliers with a sign that the limit cannot exert."""
+        sign = np.where(np.abs(multipliers) > _WRONG * size, np.sign(multipliers), 0.0)
+        return self.anywhere & (((sign > 0) & ~self.upper) | ((sign < 0) & ~self.lower))
+
+
+def _sort_out(matrix: Array, gradient: Array, exact: Mask, limits: _Limits, row_limits: _Limits) -> Array:
+    """Scaled multipliers of the rows: least squares, without those that would push the wrong way."""
+    imposed, pushing = ~limits.anywhere, row_limits.anywhere.copy()
+    multipliers = np.zeros(matrix.shape[1])
+    for _ in range(_ROUNDS):
+        multipliers[:] = 0.0
+        multipliers[pushing] = _least_squares(matrix[imposed][:, pushing], -gradient[imposed], exact[imposed])
+        residual = -(gradient + matrix @ multipliers)
+        size = float(np.max(np.abs(gradient), initial=TINY))
+        pulling = limits.wrong(residual, size) & ~imposed
+        wrong = row_limits.wrong(multipliers, float(np.max(np.abs(multipliers), initial=TINY))) & pushing
+        if not (np.any(pulling) or np.any(wrong)):
+            break
+        imposed, pushing = imposed | pulling, pushing & ~wrong
+    return multipliers
+
+
+def _least_squares(matrix: Array, right: Array, exact: Mask) -> Array:
+    """The solution of min |A y - b|, some rows exact, by the augmented system damped towards the previous one."""
+    n_rows, n = matrix.shape
+    if not n:
+        return np.zeros(0)
+    sizes = np.sqrt(np.asarray((matrix**2).sum(axis=0)).ravel())
+    columns = scipy.sparse.diags_array(1 / np.where(sizes > 0, sizes, 1.0))
+    matrix = scipy.sparse.csc_array(matrix @ columns)
+    loose = scipy.sparse.diags_array(np.where(exact, _DAMPING, 1.0))
+    damped = scipy.sparse.eye_array(n) * -_DAMPING
+    system = scipy.sparse.block_array([[loose, matrix], [matrix.T, damped]], format="csc")
+    try:
+        factors = scipy.sparse.linalg.splu(system)
+    except RuntimeError:  # singular to rounding: nothing explains the trajectory
+        return np.zeros(n)
+    y = np.zeros(n)
+    for _ in range(_REPEATS):
+        y = y + factors.solve(np.concatenate([right - matrix @ y, np.zeros(n)]))[n_rows:]
+    return np.asarray(columns @ y)
+
+
+def _variables(
+    transcription: Transcription, problem: Problem, fitted: Mapping[str, FittedPhase], q: Array
+) -> Array:
+    x = np.zeros(transcription.n_variables)
+    for name, part in transcription.parts.items():
+        collocation, phase = part.collocation, fitted[name]
+        breaks = phase.x.breaks
+        points = breaks[0] + collocation.fractions * (breaks[-1] - breaks[0])
+        x[collocation.boundary_states] = phase.x(breaks)
+        x[collocation.boundary_states[:, -1]] = phase.x(breaks[-1], "left")
+        x[collocation.point_states], x[collocation.point_controls] = phase.x(points), phase.u(points)
+        free_times = part.times < transcription.n_variables
+        x[part.times[free_times]] = breaks[list(collocation.mesh.anchors)][free_times]
+    x[transcription.parameter_places] = q
+    return with_integrals(transcription, problem, x)
+
+
+def _state_rows(transcription: Transcription) -> Mask:
+    """Rows of the adjoint equation: they can be met whatever the costates at the end, so they are met exactly."""
+    rows = np.zeros(transcription.n_variables, dtype=bool)
+    for part in transcription.parts.values():
+        rows[part.collocation.point_states] = True
+        rows[part.collocation.boundary_states[:, 1:-1]] = True
+    return rows
+
+
+def _quadrature(transcription: Transcription) -> Array:
+    """Weights by which the rows of states and controls at points become densities; 1 elsewhere."""
+    weights = np.ones(transcription.n_variables)
+    for part in transcription.parts.values():
+        collocation = part.collocation
+        weights[collocation.point_states] = collocation.quadrature
+        weights[collocation.point_controls] = collocation.quadrature
+    return weights

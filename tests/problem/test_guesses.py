@@ -1,0 +1,162 @@
+"""Guesses by flying, from data and from solutions of other problems."""
+
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.problem.guess.trajectory import start_phase
+
+FRACTIONS = np.linspace(0.0, 1.0, 11)
+
+
+def spiral(model: go.Model | None = None) -> go.Problem:
+    """Planar motion about a point mass (mu = 1) from the unit circle, thrust per mass u, |u| <= 0.01."""
+    model = model or go.Model("spiral")
+    r, v = model.state("r", 2), model.state("v", 2)
+    u = model.control("u", 2)
+    model.ode({r: v, v: -r / ca.norm_2(r) ** 3 + u})
+    problem = go.Problem("spiral")
+    leg = problem.phase("burn", model)
+    leg.time(0.0, (1.0, 200.0))
+    leg.initial(r=[1.0, 0.0], v=[0.0, 1.0])
+    leg.bounds(u=([-0.01, -0.01], [0.01, 0.01]))
+    problem.minimize(leg.final_time)
+    return problem
+
+
+def along_velocity(problem: go.Problem, thrust: float) -> dict[str, Any]:
+    v = problem.phases["burn"].model.symbol("v")
+    return {"u": thrust * v / ca.norm_2(v)}
+
+
+def guessed(problem: go.Problem, phase: str = "burn") -> Any:
+    return start_phase(problem.phases[phase], FRACTIONS)
+
+
+def test_a_coast_is_keplers() -> None:
+    """Without thrust the unit circle is flown: r = (cos t, sin t)."""
+    start = guessed(go.simulate_guess(spiral(), {"u": 0.0}, duration=20.0))
+    assert start.times == pytest.approx([0.0, 20.0])
+    t = 20.0 * FRACTIONS
+    np.testing.assert_allclose(
+        start.states[:2], [np.cos(t), np.sin(t)], atol=2e-4
+    )  # lines between 1001 points
+    np.testing.assert_array_equal(start.controls, 0.0)
+
+
+def test_tangential_thrust_spirals_out_until_a_radius() -> None:
+    """Energy of a slow tangential spiral: d(1/a)/dt = -2 thrust v, nearly circular: t = (1 - 1 / sqrt(a)) / thrust."""
+    problem, thrust = spiral(), 1e-3
+    r, v = (problem.phases["burn"].model.symbol(name) for name in "rv")
+    a = 1 / (2 / ca.norm_2(r) - ca.dot(v, v))
+    flown = go.simulate_guess(problem, along_velocity(problem, thrust), duration=1000.0, until=a - 1.15)
+    start = guessed(flown)
+    last = start.states[:, -1]
+    assert 1 / (2 / np.linalg.norm(last[:2]) - last[2:] @ last[2:]) == pytest.approx(1.15, abs=1e-6)
+    assert start.times[1] == pytest.approx((1 - 1 / np.sqrt(1.15)) / thrust, rel=1e-2)
+    parallel = start.controls[0] * start.states[3] - start.controls[1] * start.states[2]
+    np.testing.assert_allclose(parallel, 0.0, atol=1e-6)
+
+
+def test_laws_are_expressions_numbers_and_functions_of_time_within_bounds() -> None:
+    for law, wanted in (
+        ({"u": [0.005, -0.002]}, [0.005, -0.002]),
+        ({"u": lambda t: [t / 1e4, 1.0]}, [0.0005, 0.01]),
+        ({"u": 1.0}, [0.01, 0.01]),
+        ({}, [0.0, 0.0]),
+    ):
+        start = guessed(go.simulate_guess(spiral(), law, duration=10.0))
+        np.testing.assert_allclose(start.controls[:, 5], wanted, atol=1e-12)
+
+
+def test_open_initial_values_and_free_parameters() -> None:
+    model = go.Model("decay")
+    x, u, k = model.state("x"), model.control("u"), model.parameter("k", 0.0)
+    model.ode({x: u - k * x})
+    problem = go.Problem("decay")
+    problem.parameter("k", lower=0.0, upper=4.0, guess=2.0)
+    leg = problem.phase("leg", model)
+    leg.time(1.0, 2.0)
+    problem.minimize(leg.integral(u**2 + x**2))
+    start = guessed(go.simulate_guess(problem, {"u": 0.0}, initial={"x": 3.0}), "leg")
+    np.testing.assert_allclose(start.states[0], 3.0 * np.exp(-2.0 * FRACTIONS), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda p: go.simulate_guess(p, {"w": 0.0}), "no control 'w'"),
+        (lambda p: go.simulate_guess(p, {"u": [1.0, 2.0, 3.0]}), "law of 'u' .* 3 components: give 2"),
+        (lambda p: go.simulate_guess(p, {"u": p.phases["burn"].model.symbol("u")}), "uses controls of phase 'burn'"),
+        (lambda p: go.simulate_guess(p, {"u": "up"}), "law of 'u' .* is not a number"),
+        (lambda p: go.simulate_guess(p, 0.0), "law of simulate_guess"),
+        (lambda p: go.simulate_guess(p, {}, initial={"r": 0.0}), "rate of state 'v.0.' is nan at t = 0 s"),
+        (lambda p: go.simulate_guess(p, {}, until=p.phases["burn"].model.time + 1.0), "was never zero"),
+        (lambda p: go.simulate_guess(p, {}, duration=-1.0), "duration of simulate_guess"),
+        (lambda p: go.simulate_guess(p, {}, n=1), "n of simulate_guess"),
+        (lambda p: go.simulate_guess(None, {}), "what simulate_guess"),
+        (lambda p: go.guess_from_data(p, {"t": [0, 1]}), "no column 'time'"),
+        (lambda p: go.guess_from_data(p, {"time": [0, 1], "r[0]": [0, 1]}), "a column 'r.0.' and none 'r.1.'"),
+        (lambda p: go.guess_from_data(p, {"time": [0, 1], "q": [0, 1]}), "no column of a state or control"),
+        (lambda p: go.guess_from_data(p, {"time": [0, 1], "r[0]": [0], "r[1]": [0]}), "differ in length, 1 and 2"),
+        (lambda p: go.guess_from_data(p, {"time": [1, 0], "r[0]": [0, 1], "r[1]": [0, 1]}), "must be finite"),
+        (lambda p: go.guess_from_data(p, [1.0]), "is a list: give a mapping"),
+        (lambda p: go.guess_from_solution(p, p), "solution of guess_from_solution"),
+    ],
+)  # fmt: skip
+def test_mistakes_get_a_sentence(make: Any, message: str) -> None:
+    with pytest.raises(go.GncOptError, match=message):
+        make(spiral())
+
+
+# --- data -----------------------------------------------------------------------------------------------
+
+
+def test_columns_by_component(tmp_path: Path) -> None:
+    t = np.linspace(0.0, 10.0, 41)
+    data = {"time": t, "r[0]": np.cos(t), "r[1]": np.sin(t), "remark": t}
+    start = guessed(go.guess_from_data(spiral(), data))
+    assert start.times == pytest.approx([0.0, 10.0])
+    np.testing.assert_allclose(start.states[0], np.cos(10.0 * FRACTIONS), atol=1e-12)
+    np.testing.assert_allclose(start.states[2:, 0], [0.0, 1.0])  # left out: a straight line
+    text = "time,r[0],r[1],remark\n" + "\n".join(f"{a!r},{np.cos(a)},{np.sin(a)},x" for a in t.tolist())
+    (tmp_path / "flight.csv").write_text(text)
+    again = guessed(go.guess_from_data(spiral(), tmp_path / "flight.csv"))
+    np.testing.assert_allclose(again.states, start.states, atol=1e-15)
+    with pytest.raises(go.ArgumentError, match="no column 't': known: time"):
+        go.guess_from_data(spiral(), tmp_path / "flight.csv", time="t")
+
+
+# --- solutions ------------------------------------------------------------------------------------------
+
+
+def hop(drag: bool, phase: str = "leg") -> go.Problem:
+    model = go.Model("hop")
+    x, v, u = model.state("x"), model.state("v"), model.control("u")
+    fuel = {model.state("m"): -u} if drag else {}
+    model.ode({x: v, v: u - (0.1 * v if drag else 0.0), **fuel})
+    problem = go.Problem("hop")
+    leg = problem.phase(phase, model)
+    leg.time(0.0, 2.0)
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=1.0, v=0.0)
+    if drag:
+        leg.initial(m=1.0)
+    problem.minimize(leg.integral(u**2))
+    return problem
+
+
+def test_the_solution_of_a_simpler_problem() -> None:
+    simple = go.solve(hop(drag=False), mesh="5x4")
+    problem = hop(drag=True, phase="flight")  # another phase, one state more
+    start = guessed(go.guess_from_solution(problem, simple), "flight")
+    np.testing.assert_allclose(start.states[0], simple.state("x")(2.0 * FRACTIONS), atol=1e-12)
+    np.testing.assert_allclose(start.states[2], 1.0)
+    with pytest.raises(go.ProblemError, match="use guess_from_solution"):
+        go.solve(hop(drag=True), guess=simple)
+    with pytest.raises(go.ProblemError, match="no phase with states or controls of the same names"):
+        go.guess_from_solution(spiral(), simple)

@@ -1,0 +1,276 @@
+"""refine as a whole: what converged means, what is kept, and how it ends when it is stopped."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import gnc_opt as go
+from gnc_opt.refine import RefinementStatus
+from gnc_opt.solution.history import History
+from gnc_opt.verify.verdict import Condition, Verdict
+from problems import van_der_pol
+
+
+def rest_to_rest() -> go.Problem:
+    """Over 3 m with accelerations between -2 and 1 m/s^2: one switch, t = 3 s."""
+    model = go.Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("rest to rest")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(0.1, 20.0))
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=3.0, v=0.0)
+    leg.bounds(a=(-2.0, 1.0))
+    problem.minimize(leg.final_time)
+    return problem
+
+
+def swing() -> go.Problem:
+    """Smooth and nonlinear: x' = u - x^3 from 1.5 to 1 with least effort."""
+    model = go.Model("cubic")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u - x**3})
+    problem = go.Problem("cubic")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=8.0)
+    leg.initial(x=1.5)
+    leg.final(x=1.0)
+    problem.minimize(leg.integral((x**2 + u**2) / 2))
+    return problem
+
+
+@pytest.fixture(scope="module")
+def cart() -> go.Solution:
+    return go.solve(rest_to_rest(), mesh="7x3")
+
+
+@pytest.fixture(scope="module")
+def cubic() -> go.Solution:
+    return go.solve(swing(), mesh="4x4")
+
+
+def told(solution: go.Solution) -> History:
+    assert solution.history is not None
+    return solution.history
+
+
+def counted(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Return a list that grows by an entry whenever a verdict is computed."""
+    import importlib
+
+    module = importlib.import_module("gnc_opt.verify.verify")
+    real, calls = module._judge, []
+
+    def judge(solution: go.Solution, tol: float) -> Verdict:
+        calls.append(tol)
+        verdict: Verdict = real(solution, tol)
+        return verdict
+
+    monkeypatch.setattr(module, "_judge", judge)
+    return calls
+
+
+# --- one meaning of converged ---------------------------------------------------------------------------------
+
+
+def test_converged_means_that_error_and_verdict_pass(cart: go.Solution) -> None:
+    refined = go.refine(cart, tol=1e-7)
+    history = told(refined)
+    assert refined.converged and go.verify(refined).ok
+    assert history.tolerance == 1e-7 and history.final.error <= 1e-7
+    assert refined.objective == pytest.approx(3.0, abs=1e-9)
+    text = str(refined)
+    assert "refined (converged)" in text and "(wanted 1.0e-07)" in text and "strict local minimum" in text
+    assert f"{history.final.error:.1e}" in text and len(text.splitlines()) == 6
+
+
+@pytest.mark.parametrize("structure", ["auto", "bang-bang", "none"])
+def test_a_verdict_that_fails_is_no_convergence(
+    cart: go.Solution, monkeypatch: pytest.MonkeyPatch, structure: Any, tmp_path: Path
+) -> None:
+    """Whichever way it went, the ending and what is printed name the condition and its place."""
+    import importlib
+
+    module = importlib.import_module("gnc_opt.verify.verify")
+    real = module._judge
+
+    def judge(solution: go.Solution, tol: float) -> Verdict:
+        open_one = Condition("stationarity", go.Result.FAIL, 2e-4, tol, "phase leg, t = 1 s, a", "It is not.")
+        verdict: Verdict = real(solution, tol)
+        return replace(verdict, conditions=(open_one, *verdict.conditions))
+
+    monkeypatch.setattr(module, "_judge", judge)
+    refined = go.refine(cart, tol=1e-5, structure=structure)
+    history = told(refined)
+    assert history.status is RefinementStatus.VERDICT_FAILS and not refined.converged
+    assert history.final.error <= 1e-5
+    assert "stationarity 2.0e-04 (tolerance 1e-05) at phase leg, t = 1 s, a" in history.message
+    text = str(refined)
+    assert "NOT CONVERGED (verdict fails)" in text and "optimal" not in text
+    assert (
+        "verdict      NOT ok" in text
+        and "open         stationarity 2.0e-04" in text
+        and "(wanted 1.0e-05)" in text
+    )
+    loaded = str(go.load(refined.save(tmp_path / "failed.npz")))
+    assert "NOT CONVERGED (verdict fails)" in loaded and "NOT ok when it was refined" in loaded
+
+
+def test_a_refinement_that_does_not_reach_its_tolerance_says_so(cubic: go.Solution) -> None:
+    refined = go.refine(cubic, tol=1e-12, max_passes=1)
+    assert told(refined).status is RefinementStatus.PASS_LIMIT
+    assert "NOT CONVERGED (pass limit)" in str(refined) and "(wanted 1.0e-12)" in str(refined)
+
+
+def test_the_history_goes_to_files_and_back(cart: go.Solution, tmp_path: Path) -> None:
+    refined = go.refine(cart)
+    again = go.load(refined.save(tmp_path / "refined.npz"))
+    assert again.history == refined.history and again.converged
+    assert "ok when it was refined" in str(again)
+    assert go.load(cart.save(tmp_path / "first.npz")).history is None
+
+
+# --- one verdict ----------------------------------------------------------------------------------------------
+
+
+def test_the_verdict_is_computed_once(cart: go.Solution, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = counted(monkeypatch)
+    refined = go.refine(cart)
+    assert len(calls) == 1
+    assert go.verify(refined).ok and go.verify(refined) is go.verify(refined)
+    assert len(calls) == 1
+    go.verify(refined, tol=1e-6)
+    assert calls == [1e-5, 1e-6]
+
+
+def test_a_kept_verdict_is_that_of_the_same_numbers(cart: go.Solution) -> None:
+    """A copy with other fields, another problem, or numbers changed in place is judged anew."""
+    refined = go.refine(cart)
+    verdict = go.verify(refined)
+    assert go.verify(replace(refined, objective=refined.objective + 1.0)) is not verdict
+    other = replace(refined, problem=rest_to_rest().with_bounds(a=(-2.0, 0.5)).frozen())
+    assert verdict.ok and not go.verify(other).ok
+    values = refined.phase().x.values[0]
+    values.setflags(write=True)
+    values += 0.1
+    assert not go.verify(refined).ok
+
+
+# --- stopping -------------------------------------------------------------------------------------------------
+
+
+def interrupt_after(count: int, monkeypatch: pytest.MonkeyPatch, module: str, name: str) -> None:
+    """Press Ctrl-C when a function is called for the last of so many times."""
+    import importlib
+
+    place = importlib.import_module(module)
+    real, calls = getattr(place, name), []
+
+    def pressed(*args: Any, **more: Any) -> Any:
+        calls.append(name)
+        if len(calls) == count:
+            raise KeyboardInterrupt
+        return real(*args, **more)
+
+    monkeypatch.setattr(place, name, pressed)
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "count"),
+    [
+        ("gnc_opt.refine.hp.mesh_refinement", "solve_mesh", 2),
+        ("gnc_opt.refine.hp.mesh_refinement", "estimate_errors", 2),
+        ("gnc_opt.refine.refine", "detect", 1),
+        ("gnc_opt.refine.refine", "verify", 1),
+    ],
+)
+def test_ctrl_c_keeps_the_best_solution_wherever_it_comes(
+    cubic: go.Solution, monkeypatch: pytest.MonkeyPatch, module: str, name: str, count: int
+) -> None:
+    interrupt_after(count, monkeypatch, module, name)
+    stopped = go.refine(cubic, tol=1e-9)
+    history = told(stopped)
+    assert history.status is RefinementStatus.INTERRUPTED and not stopped.converged
+    assert history.final.error == min(p.error for p in history.passes)
+    assert stopped.status.solved and "NOT CONVERGED (interrupted)" in str(stopped)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_ctrl_c_in_the_structure_loop_ends_it_all(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+    """No mesh is refined afterwards, and what is returned is no worse than what was given."""
+    start = go.solve(van_der_pol.build())  # three passes
+    interrupt_after(count, monkeypatch, "gnc_opt.refine.structure.switching", "estimate_errors")
+    import importlib
+
+    module = importlib.import_module("gnc_opt.refine.refine")
+    monkeypatch.setattr(module, "refine_mesh", lambda *_, **__: pytest.fail("went on"))
+    history = told(go.refine(start, tol=1e-9))
+    assert history.status is RefinementStatus.INTERRUPTED
+    assert history.final.error == min(p.error for p in history.passes)
+
+
+def test_no_time_left_returns_what_was_given(cubic: go.Solution) -> None:
+    stopped = go.refine(cubic, tol=1e-9, max_wall_time=1e-9)
+    assert told(stopped).status is RefinementStatus.INTERRUPTED
+    assert stopped.objective == cubic.objective and stopped.phase() is cubic.phase()
+    with pytest.raises(go.GncOptError, match="max_wall_time of refine"):
+        go.refine(cubic, max_wall_time=-1.0)
+
+
+def test_the_limit_of_solve_covers_refining(monkeypatch: pytest.MonkeyPatch) -> None:
+    import importlib
+
+    module = importlib.import_module("gnc_opt.solve")
+    given: list[float] = []
+
+    def refine(solution: go.Solution, *, max_wall_time: float, **_: Any) -> go.Solution:
+        given.append(max_wall_time)
+        return go.refine(solution, max_wall_time=max_wall_time)
+
+    monkeypatch.setattr(module, "refine", refine)
+    begin = time.perf_counter()
+    go.solve(swing(), mesh="4x4", tol=1e-8, options=go.SolverOptions(max_wall_time=100.0))
+    assert 100.0 - (time.perf_counter() - begin) <= given[0] < 100.0
+
+
+def test_seconds_add_up(cart: go.Solution) -> None:
+    """Those of all passes and of what lies between them, and no more than have gone by."""
+    begin = time.perf_counter()
+    history = told(go.refine(cart, structure="none", tol=1e-6))
+    gone = time.perf_counter() - begin
+    assert sum(p.seconds for p in history.passes) <= history.seconds <= gone
+    assert history.seconds > 0.5 * gone
+
+
+def test_attempts_that_were_given_up_are_told(cart: go.Solution, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A structure that does not convince leaves its passes in the record, before those of the mesh."""
+    import importlib
+
+    module = importlib.import_module("gnc_opt.refine.refine")
+    real: Callable[..., Any] = module.optimise_switches
+
+    def unconvincing(*args: Any, **more: Any) -> Any:
+        solution, history = real(*args, **more)
+        return solution, replace(history, status=RefinementStatus.STALLED)
+
+    monkeypatch.setattr(module, "optimise_switches", unconvincing)
+    history = told(go.refine(cart, tol=1e-5))
+    kinds = [isinstance(p.actions, str) for p in history.passes]
+    assert kinds[0] and kinds[-1] and not kinds[history.chosen]  # before the mesh, and from the fine one
+    by_mesh = [p for p in history.passes if not isinstance(p.actions, str)]
+    assert history.final.error == min(p.error for p in by_mesh)
+
+
+@pytest.mark.parametrize("structure", ["bang-bang", "none"])
+def test_progress_shows_the_tolerance_that_was_asked_for(
+    cart: go.Solution, structure: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    go.refine(cart, tol=1e-4, structure=structure, progress=True)
+    assert "refining to 1.0e-04" in capsys.readouterr().err

@@ -1,0 +1,581 @@
+"""The structure loop by hand: plans, kinks, arcs that vanish or are missing, and how it ends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from by_hand import cart, interval, phase, samples, solution
+
+import gnc_opt as go
+from gnc_opt.nlp import SolverOptions, Status
+from gnc_opt.problem.arc import Arc, ArcKind
+from gnc_opt.problem.held import Smooth
+from gnc_opt.refine.structure import junctions as j
+from gnc_opt.refine.structure import switching as s
+from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.refine.structure.plan import (
+    COARSE,
+    FIRST_DEGREE,
+    HELPED,
+    INTERIOR_DEGREE,
+    MAX_DEGREE,
+    MAX_SEGMENTS,
+    MAX_SINGULAR_DEGREE,
+    SINGULAR_DEGREE,
+    THINNED,
+    Plan,
+    Resolution,
+)
+from gnc_opt.solution.history import Pass, RefinementStatus
+from gnc_opt.solution.samples import PhaseSamples
+
+LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
+RELEASED = ArcKind.RELEASED
+CART = cart()
+
+
+# --- resolutions ------------------------------------------------------------------------------------------
+
+
+def test_a_singular_control_gets_four_degrees_more_and_points_for_them() -> None:
+    first = Resolution(2, 6, SINGULAR_DEGREE)
+    second = first.smoother(1.0)
+    assert second == Resolution(3, 6, SINGULAR_DEGREE + 4, 1.0)
+    assert second.smoother(HELPED) == Resolution(4, 6, SINGULAR_DEGREE + 8, HELPED)
+    assert second.smoother(HELPED * 1.001) == second
+    assert Resolution(9, 6, SINGULAR_DEGREE).smoother(1.0).segments == 9
+    assert Resolution(2, 6, 0).smoother(1.0) == Resolution(2, 6, 0)
+    assert Resolution(9, 6, MAX_SINGULAR_DEGREE - 1).smoother(0.1).smooth == MAX_SINGULAR_DEGREE
+
+
+def test_finer_pieces() -> None:
+    assert Resolution(1, 11).finer() == Resolution(1, MAX_DEGREE)
+    assert Resolution(1, MAX_DEGREE).finer() == Resolution(2, MAX_DEGREE)
+    finest = Resolution(MAX_SEGMENTS, MAX_DEGREE)
+    assert finest.finer() == finest and Resolution(20, MAX_DEGREE).finer() == finest
+    assert Resolution() == Resolution(1, FIRST_DEGREE, 0, np.inf)
+
+
+# --- plans ------------------------------------------------------------------------------------------------
+
+THREE = PhaseStructure((1.0, 2.0, 4.0, 5.0), ((LOW,), (SING,), (UP,)))
+
+
+def test_each_kind_of_piece_begins_with_its_resolution() -> None:
+    assert Plan.of(THREE).resolutions == (
+        Resolution(),
+        Resolution(2, FIRST_DEGREE, SINGULAR_DEGREE),
+        Resolution(),
+    )
+    assert Plan.of(THREE).points == 0.0
+    interior = PhaseStructure((0.0, 1.0, 4.0), ((LOW,), (FREE,)))
+    assert Plan.of(interior).resolutions == (Resolution(), Resolution(6, INTERIOR_DEGREE))
+    held = PhaseStructure((0.0, 1.0, 2.0), ((SING, FREE), (SING, UP)), n_controls=1)
+    assert Plan.of(held).resolutions == (Resolution(2, FIRST_DEGREE, SINGULAR_DEGREE), Resolution())
+
+
+@pytest.mark.parametrize(
+    ("points", "segments"),
+    [
+        (COARSE, 1),
+        (COARSE + 1.0, 6),
+        (2 * THINNED * MAX_DEGREE, 1),
+        (20 * THINNED * MAX_DEGREE, 20),
+        (1e6, MAX_SEGMENTS),
+    ],
+)
+def test_bangs_of_a_fine_mesh_begin_finely(points: float, segments: int) -> None:
+    (r,) = Plan.of(PhaseStructure((0.0, 1.0), ((UP,),)), points).resolutions
+    assert r == (Resolution() if segments == 1 else Resolution(segments, MAX_DEGREE))
+
+
+def test_places_of_pieces_on_their_mesh() -> None:
+    plan = Plan(THREE, (Resolution(1, 6), Resolution(3, 9), Resolution(2, 7)))
+    assert plan.segment_pieces.tolist() == [0, 1, 1, 1, 2, 2] and plan.piece_ends == (0, 1, 4, 6)
+    mesh = plan.mesh()
+    assert np.asarray(mesh.breaks) * 4 + 1 == pytest.approx([1, 2, 2 + 2 / 3, 2 + 4 / 3, 4, 4.5, 5])
+    assert mesh.degrees == (6, 9, 9, 9, 7, 7) and mesh.movable == (1, 4)
+    kinked = PhaseStructure((0.0, 1.0, 2.0, 3.0), ((LOW,), (FREE,), (UP,)), regular=(True,))
+    assert Plan.of(kinked).mesh().movable == ()
+    assert plan.points == 0.0
+
+
+def held_by(plan: Plan) -> Any:
+    asked: dict[str, Any] = {}
+    problem = SimpleNamespace(with_arcs=lambda name, **more: asked.update(more, name=name) or problem)
+    assert plan.hold(problem, "leg") is problem  # type: ignore[arg-type]
+    return asked
+
+
+def test_controls_paths_and_states_are_held_segment_by_segment() -> None:
+    structure = PhaseStructure(
+        (0.0, 1.0, 2.0, 3.0),
+        ((LOW, FREE, FREE, FREE), (FREE, SING, UP, FREE), (FREE, UP, FREE, LOW)),
+        regular=(True, False, True, False), n_controls=2, n_paths=1,
+    )  # fmt: skip
+    asked = held_by(Plan(structure, (Resolution(1), Resolution(2, 6, 4), Resolution(1))))
+    assert asked["name"] == "leg"
+    assert asked["arcs"].tolist() == [[LOW, RELEASED, RELEASED, RELEASED], [FREE, FREE, FREE, UP]]
+    assert asked["paths"].tolist() == [[RELEASED, UP, UP, RELEASED]]
+    assert asked["states"].tolist() == [[FREE, FREE, FREE, LOW]]
+    assert asked["smooth"] == (Smooth(1, 1, 3, 4),)
+    bang = held_by(Plan.of(PhaseStructure((0.0, 1.0, 2.0), ((LOW, FREE), (UP, FREE)), n_controls=1)))
+    assert bang["paths"] is None and bang["states"] is None and bang["smooth"] == ()
+    assert bang["arcs"].tolist() == [[LOW, UP]]
+
+
+@pytest.mark.parametrize(("smooth", "found"), [(10, True), (11, False), (0, False)])
+def test_a_polynomial_that_has_as_many_degrees_as_points_is_none(smooth: int, found: bool) -> None:
+    plan = Plan(PhaseStructure((0.0, 1.0), ((SING,),)), (Resolution(2, 6, smooth),))
+    assert held_by(plan)["smooth"] == ((Smooth(0, 0, 2, smooth),) if found else ())
+
+
+# --- kinks ------------------------------------------------------------------------------------------------
+
+
+def test_an_offence_reaches_to_its_first_zero() -> None:
+    times = np.array([0.0, 1.0, 2.0, 3.0])
+    assert j._reach(times, lambda t: 1.25 - t) == pytest.approx(1.25)
+    assert j._reach(times, lambda t: (t - 0.5) * (t - 1.5)) == pytest.approx(0.5)
+    assert j._reach(times, lambda t: 9.0 - t) == 3.0
+    assert j._reach(times, lambda t: t) is None and j._reach(times, lambda t: -1.0) is None
+    assert j._reach(times[::-1], lambda t: t - 1.75) == pytest.approx(1.75)
+
+
+def test_what_a_control_and_a_path_constraint_say_at_a_time() -> None:
+    found = samples(
+        CART, u=lambda t, k: [6 - 12 * t + k], lam=lambda t, k: [0 * t, 3 * t], paths=lambda t, k: [2 + t, 5 * t],
+        control_bounds=interval(-4.0, 5.0), path_bounds=interval([-3.0, -50.0], [7.0, 0.25]),
+    )  # fmt: skip
+    u = 6 - 12 * 0.25
+    slope = u + 3 * 0.25 + 2.25
+    assert j._control_signals(found, 0, 1, "right", 0.25) == pytest.approx((u - 5, slope))
+    assert j._control_signals(found, 0, -1, "right", 0.25) == pytest.approx((u + 4, slope))
+    assert j._control_signals(found, 0, 1, "left", 0.5)[0] == pytest.approx(-5.0)
+    assert j._control_signals(found, 0, 1, "right", 0.5)[0] == pytest.approx(-4.0)
+    v, q = 6 * 0.25 - 6 * 0.0625, 3 * 0.0625 - 2 / 64
+    assert j._path_signals(found, 0, 1, "right", 0.25) == pytest.approx((v + u - 7, -2.25))
+    assert j._path_signals(found, 0, -1, "right", 0.25) == pytest.approx((v + u + 3, -2.25))
+    assert j._path_signals(found, 1, 1, "right", 0.25) == pytest.approx((q - 0.25, -1.25))
+
+
+def kinked(where: float, pieces: tuple[ArcKind, ArcKind], bounds: Any, costate: float = 0.0) -> float | None:
+    """Where the kink of a = 6 - 12 t (within its own bounds it stays free) wants to go from the boundary at 1/2 s."""
+    structure = PhaseStructure((0.0, where, 1.0), tuple((kind, FREE, FREE, FREE, FREE) for kind in pieces),
+                               regular=(True, False, False, False, False), n_controls=1, n_paths=2)  # fmt: skip
+    found = samples(
+        CART,
+        breaks=(0.0, where, 1.0),
+        control_bounds=interval(*bounds),
+        lam=lambda t, k: [0 * t, costate - 6 + 12 * t],
+    )
+    moved = j.move_kinks(found, Plan(structure, (Resolution(), Resolution())))
+    return None if moved is None else moved.times[1]
+
+
+@pytest.mark.parametrize(
+    ("pieces", "bounds", "costate", "time"),
+    [
+        ((FREE, LOW), (-2.4, 9.0), 0.3, None),  # within its bounds until 1/2 s, then pulled to the lower one
+        ((FREE, LOW), (1.2, 9.0), 0.0, 0.4),  # left its bound at 0.4 s already
+        ((UP, FREE), (-9.0, -1.2), 0.0, 0.6),  # above its bound until 0.6 s
+        ((UP, FREE), (-9.0, 5.0), 3.0, 0.0),  # dH/du = 3 all along the held arc: it should not be there
+        ((FREE, UP), (-9.0, 5.0), -3.0, None),  # dH/du < 0 is what holds it at the upper bound
+        ((FREE, LOW), (-9.0, 9.0), -3.0, 1.0),
+    ],
+)
+def test_a_kink_moves_to_where_its_arc_may_begin(
+    pieces: Any, bounds: Any, costate: float, time: float | None
+) -> None:
+    """An interior arc beyond its bound is cut there; a held one with the wrong pull is given up as far as it lasts."""
+    found = kinked(0.5, pieces, bounds, costate)
+    assert (found is None) if time is None else found == pytest.approx(time, abs=1e-9)
+
+
+def test_switches_are_no_kinks_and_the_farthest_wish_of_all_rows_counts() -> None:
+    structure = PhaseStructure((0.0, 0.5, 1.0), ((UP, FREE), (FREE, LOW)), regular=(True, False))
+    plan = Plan(structure, (Resolution(), Resolution()))
+    assert j.move_kinks(samples(CART, control_bounds=interval(-9.0, -1.2)), plan) is None
+    both = PhaseStructure(
+        (0.0, 0.5, 1.0),
+        ((UP, FREE, FREE), (FREE, UP, FREE)),
+        regular=(True, True, False),
+        n_controls=1,
+        n_paths=2,
+    )
+    found = samples(
+        CART, control_bounds=interval(-9.0, -1.2), path_bounds=interval([-50.0, -50.0], [-0.5, 50.0]),
+        paths=lambda t, k: [1 + 0 * t, 0 * t],
+    )  # fmt: skip
+    moved = j.move_kinks(found, Plan(both, (Resolution(), Resolution())))
+    assert moved is not None and moved.kinds == both.kinds
+    # the control wants 0.6 s; the constraint -0.5 >= 6 - 6 t - 6 t^2 is beyond its limit on all of the free arc: 0 s
+    assert moved.times == pytest.approx((0.0, 0.0, 1.0))
+
+
+# --- arcs that vanish -------------------------------------------------------------------------------------
+
+LEG: Any = SimpleNamespace(leg=SimpleNamespace(name="leg"))
+
+
+def test_a_piece_without_length_is_dropped() -> None:
+    vanished = PhaseStructure((0.0, 1.0, 1.0 + 1e-7, 2.0), ((LOW,), (UP,), (LOW,)))
+    found, action = s._collapse(LEG, vanished, set())
+    assert found is not None and found.kinds == ((LOW,),) and action == "piece 2 dropped"
+    for structure in (
+        replace(vanished, times=(0.0, 1.0, 1.0 + 1e-5, 2.0)),
+        PhaseStructure((0.0, 1e-9), ((LOW,),)),
+    ):
+        assert s._collapse(LEG, structure, set()) == (None, "")
+
+
+def test_switches_of_two_controls_are_swapped_once() -> None:
+    crossed = PhaseStructure((0.0, 1.0, 1.0, 3.0), ((LOW, LOW), (UP, LOW), (UP, UP)))
+    seen: set[Any] = set()
+    found, action = s._collapse(LEG, crossed, seen)
+    assert found is not None and found.kinds[1] == (LOW, UP) and action == "switches 1 and 2 swapped"
+    assert found.times == pytest.approx((0.0, 1 - 0.0015, 1 + 0.0015, 3.0))
+    again, action = s._collapse(LEG, replace(found, times=(0.0, 1.0, 1.0, 3.0)), seen)
+    assert again is not None and again.kinds == ((LOW, LOW), (UP, UP)) and action == "piece 2 dropped"
+    other = SimpleNamespace(leg=SimpleNamespace(name="other"))
+    assert s._collapse(other, crossed, seen)[1].endswith("swapped")  # type: ignore[arg-type]
+
+
+def test_a_swapped_piece_gets_room_but_never_more_than_half_of_its_neighbours() -> None:
+    near = PhaseStructure((0.0, 1.0, 1.0, 1.0004, 4.0), ((LOW, LOW), (LOW, UP), (UP, UP), (LOW, UP)))
+    assert s._spread(near, 1).times == pytest.approx((0.0, 1 - 0.002, 1.0002, 1.0004, 4.0))
+    close = PhaseStructure((0.0, 0.9996, 1.0, 1.0, 4.0), ((LOW, LOW), (LOW, UP), (UP, UP), (LOW, UP)))
+    assert s._spread(close, 2).times == pytest.approx((0.0, 0.9996, 0.9998, 1.002, 4.0))
+
+
+# --- arcs that are missing --------------------------------------------------------------------------------
+
+
+def test_offences_beside_own_switches_are_forgiven() -> None:
+    kinds = np.array([LOW, LOW, LOW, UP, UP, UP, UP], dtype=object)
+    for before, after in (
+        ([1, 2, 3, 4, 5, 0, 7], [0, 0, 0, 0, 0, 0, 7]), ([1, 0, 3, 4, -1, 6, 7], [1, 0, 0, 0, -1, 6, 7]),
+        ([1, 2, -3, -4, 5, 6, 7], [1, 2, -3, -4, 5, 6, 7]), ([1, 2, 3, -4, 5, 6, 7], [0, 0, 0, -4, 5, 6, 7]),
+    ):  # fmt: skip
+        offence = np.array(before, dtype=float)
+        s._forgive_own_switches(offence, kinds)
+        assert offence.tolist() == after
+    alone = np.ones(3)
+    s._forgive_own_switches(alone, np.array([LOW] * 3, dtype=object))
+    assert alone.tolist() == [1, 1, 1]
+
+
+def test_a_wrong_interval_lies_between_zeros_around_the_worst_place() -> None:
+    there: Any = SimpleNamespace(times=np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0]))
+    for offence, interval_ in (
+        ([-1, 1, 3, 1, -1, 9e-1], (0.5, 3.5)), ([1, 2, 1, -1, -1, -1], (0.0, 2.5)),
+        ([-3, -1, -1, 3, 4, 5], (2.25, 5.0)),
+        ([1, 2, 3, 4, 5, 6], (0.0, 5.0)), ([5, -1, 1, 0, 7, -7], (3.0, 4.5)),
+    ):  # fmt: skip
+        assert s._wrong_interval(there, np.array(offence, dtype=float)) == pytest.approx(interval_)
+    assert s._zero(np.array([1.0, 3.0]), np.array([-1.0, 3.0]), 0, 1) == 1.5
+
+
+def line(lam: Any, u: Any, **changes: Any) -> PhaseSamples:
+    """x' = u with |u| <= 1 and H = lam u over 4 s; dH/du over its range of 2 in shares of |lam| at most."""
+    model = go.Model("integrator")
+    x, control = model.state("x"), model.control("u")
+    model.ode({x: control})
+    problem = go.Problem("integrator")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 4.0)
+    problem.minimize(leg.integral(x))
+    return samples(
+        problem, lambda t, k: [0 * t], u, lam, weights=(0.0,), breaks=np.arange(5.0), degree=3,
+        control_bounds=interval(-1.0, 1.0), **changes,
+    )  # fmt: skip
+
+
+def rows(found: PhaseSamples, kinds: list[ArcKind]) -> Any:
+    return np.array(kinds, dtype=object)[found.segments][None, :]
+
+
+def test_a_bang_of_the_wrong_sign_offends_by_its_gain_and_asks_for_the_other_bound() -> None:
+    found = line(lambda t, k: [t - 1.5], lambda t, k: [1.0 + 0 * t])
+    structure = PhaseStructure((0.0, 4.0), ((UP, FREE),), n_controls=1)
+    offence, asked = s._offences(found, structure, rows(found, [UP] * 4))
+    gain = 2 * (found.times - 1.5) / found.hamiltonian_scale
+    assert offence == pytest.approx(gain[None, :]) and set(asked.ravel()) == {LOW}
+    offence, asked = s._offences(found, structure, rows(found, [LOW] * 4))
+    assert offence == pytest.approx(-gain[None, :]) and set(asked.ravel()) == {UP}
+    offence, _ = s._offences(found, structure, rows(found, [SING] * 4))
+    assert not offence.any()
+    offence, _ = s._offences(found, structure, rows(found, [FREE] * 4))
+    assert not offence.any()
+
+
+def test_a_convex_control_offends_at_its_bound_or_beyond_it() -> None:
+    """At its bound by its pull, asking to be free; free by how far it is out, in shares of its range, asking for it."""
+    found = samples(
+        CART, u=lambda t, k: [6 - 12 * t], lam=lambda t, k: [0 * t, 1 + 0 * t], control_bounds=interval(-4.0, 5.0),
+        path_bounds=interval([-np.inf] * 2, [np.inf] * 2),
+    )  # fmt: skip
+    kinds = (FREE, FREE, FREE, FREE, FREE)
+    structure = PhaseStructure((0.0, 1.0), (kinds,), (True, False, False, False, False), 1, 2)
+    every = np.array([[FREE] * found.times.size] * 5, dtype=object)
+    offence, asked = s._offences(found, structure, every)
+    u = found.u_polynomial[0]
+    assert offence[0] == pytest.approx(np.maximum(u - 5, -4 - u) / 9) and not offence[1:].any()
+    assert offence.shape[0] == 3
+    out = offence[0] > 0
+    assert np.all(asked[0][out & (u > 0)] == UP) and np.all(asked[0][out & (u < 0)] == LOW)
+    every[0] = UP
+    offence, asked = s._offences(found, structure, every)
+    pull = found.control_gradient[0] * 9 / found.hamiltonian_scale
+    assert offence[0] == pytest.approx(pull) and set(asked[0]) == {FREE}
+    other = replace(structure, regular=(False,) * 5)
+    assert not s._offences(found, other, every)[0].any()
+
+
+def test_a_mixed_constraint_offends_by_its_multiplier_or_its_value() -> None:
+    """At its upper limit by a negative multiplier, times its size; free by how far it is beyond, in shares of that."""
+    found = samples(
+        CART, paths=lambda t, k: [t - 0.4, 0 * t], path_bounds=interval([-3.0, -50.0], [5.0, 50.0])
+    )
+    structure = PhaseStructure(
+        (0.0, 1.0), ((FREE, UP, FREE, FREE, FREE),), (False, True, False, False, False), 1, 2
+    )
+    every = np.array([[FREE] * found.times.size] * 5, dtype=object)
+    values = found.functions.paths(found.times, found.x, found.u_polynomial)[0]
+    size = np.max(np.abs(values))
+    offence, asked = s._offences(found, structure, every)
+    assert offence[1] == pytest.approx(np.maximum(values - 5, -3 - values) / size)
+    assert np.all(asked[1][values > 5] == UP) and np.all(asked[1][values < -3] == LOW)
+    every[1] = UP
+    offence, asked = s._offences(found, structure, every)
+    assert offence[1] == pytest.approx(-(found.times - 0.4) * size / found.hamiltonian_scale)
+    assert set(asked[1]) == {FREE}
+    every[1] = LOW
+    assert s._offences(found, structure, every)[0][1] == pytest.approx(
+        (found.times - 0.4) * size / found.hamiltonian_scale
+    )
+
+
+def test_a_missing_arc_is_added_where_the_sign_is_wrong() -> None:
+    found = line(lambda t, k: [(t - 1.3) * (t - 2.6)], lambda t, k: [-1.0 + 0 * t])
+    plan = Plan(PhaseStructure((0.0, 4.0), ((LOW, FREE),), n_controls=1), (Resolution(4, 3),))
+    structure, action = s._complete(found, plan)
+    assert structure is not None and [kinds[0] for kinds in structure.kinds] == [LOW, UP, LOW]
+    assert structure.times == pytest.approx((0.0, 1.3, 2.6, 4.0), abs=0.02)
+    assert action == f"arc of u added at {structure.times[1]:.4g} s"
+    agreed = Plan(
+        PhaseStructure((0.0, 1.0, 4.0), ((LOW, FREE), (UP, FREE)), n_controls=1),
+        (Resolution(1, 3), Resolution(3, 3)),
+    )
+    assert s._complete(line(lambda t, k: [1 - t], lambda t, k: [0 * t]), agreed) == (None, "")
+    nearly = Plan(
+        PhaseStructure((0.0, 1.0, 4.0), ((LOW, FREE), (UP, FREE)), n_controls=1),
+        (Resolution(1, 3), Resolution(3, 3)),
+    )
+    assert s._complete(line(lambda t, k: [0.9 - t], lambda t, k: [0 * t]), nearly) == (
+        None,
+        "",
+    )  # up to its own switch
+
+
+# --- resolution -------------------------------------------------------------------------------------------
+
+
+def plan_of(*resolutions: Resolution, kinds: Any = None) -> Plan:
+    n = len(resolutions)
+    structure = PhaseStructure(
+        tuple(np.linspace(0, 1, n + 1)), kinds or ((LOW, FREE, FREE, FREE, FREE),) * n, (), 1, 2
+    )
+    return Plan(structure, resolutions)
+
+
+def test_only_inaccurate_pieces_are_solved_more_finely() -> None:
+    plan = plan_of(Resolution(1, 4), Resolution(1, 4))
+    assert s._finer(samples(CART), plan, 1e-9) is None
+    bent = samples(CART, lambda t, k: np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2 + 0.4 * k * (t - 0.5)]))
+    found = s._finer(bent, plan, 1e-2)
+    assert found is not None and [r.degree for r in found.resolutions] == [4, 7]
+    assert s._finer(bent, plan, 0.2 / 1.45) is None  # 0.2 m/s beside a size of at least 1.45 m/s
+
+
+def test_costates_count_in_shares_of_the_cost() -> None:
+    """lam_q' = -1/2 along the second half: 1/4 of 12.25 that the states are worth."""
+
+    def lam(t: Any, k: int) -> Any:
+        return [-12 - 0.5 * k * (t - 0.5), -6 + 12 * t + 0.25 * k * (t - 0.5) ** 2]
+
+    plan = plan_of(Resolution(1, 4), Resolution(1, 4))
+    wrong = samples(CART, lam=lam)
+    share = 0.25 / 12.25
+    found = s._finer(wrong, plan, 0.99 * share)
+    assert found is not None and [r.degree for r in found.resolutions] == [4, 7]
+    assert s._finer(wrong, plan, 1.01 * share) is None
+    pushed = samples(CART, lam=lam, states=lambda t, k: [0.5 * k + 0 * t, 0 * t])
+    assert s._finer(pushed, plan, 1e-9) is None
+
+
+def test_an_open_gradient_of_a_singular_control_asks_for_a_higher_degree() -> None:
+    plan = plan_of(
+        Resolution(1, 4, 4),
+        Resolution(1, 4, 4),
+        kinds=((SING, FREE, FREE, FREE, FREE), (SING, UP, FREE, FREE, FREE)),
+    )
+    found = samples(
+        CART, lam=lambda t, k: [-12 + 0 * t, -6 + 12 * t + 1e-6 * k], control_bounds=interval(-10.0, 10.0)
+    )
+    share = 1e-6 * 20 / found.hamiltonian_scale
+    assert s._open_gradient(found, plan) == pytest.approx([0.0, share], rel=1e-3, abs=1e-12)
+    finer = s._finer(found, plan, 1e-3)
+    assert finer is not None and [r.smooth for r in finer.resolutions] == [4, 8]
+    assert finer.resolutions[1].gradient == pytest.approx(share, rel=1e-3)
+    bang = plan_of(Resolution(1, 4), Resolution(1, 4))
+    assert s._open_gradient(found, bang).tolist() == [0.0, 0.0]
+
+
+# --- the loop ---------------------------------------------------------------------------------------------
+
+
+def record(error: float, actions: str) -> Pass:
+    return Pass({}, {}, error, "", 0.0, True, 1, 0.0, actions)
+
+
+def test_the_loop_is_restless_if_adjusting_does_not_help() -> None:
+    moved, raised = record(1.0, s.KINKS_MOVED), record(1.0, s.RAISED)
+    both = record(1.0, f"{s.KINKS_MOVED}, {s.RAISED}")
+    assert s._restless([record(1.0, "x"), moved, raised, both, moved])
+    assert not s._restless([moved] * 4) and s._restless([moved] * 5)
+    assert not s._restless([moved, moved, record(1.0, "piece 1 dropped"), moved, moved])
+    assert not s._restless([moved, moved, moved, moved, record(0.5, s.RAISED)])
+    assert s._restless([moved, moved, moved, moved, record(0.51, s.RAISED)])
+    assert s._restless([record(0.1, "x"), *[record(0.1, s.RAISED)] * 4])
+
+
+@pytest.fixture
+def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The loop with solves and mending as told: `script` is (status, action) of every pass."""
+    problem = cart()
+    base = solution(problem, phase(problem))
+
+    def run(script: list[tuple[Status, str]], **more: Any) -> Any:
+        left, asked = iter(script), []
+        now: dict[str, Any] = {"passes": 0}
+
+        def solve(problem: Any, plans: Any, guess: Any, options: SolverOptions, *_: Any) -> Any:
+            asked.append(options)
+            now["status"], now["action"] = next(left)
+            now["passes"] += 1
+            return replace(base, status=now["status"], objective=float(now["passes"]))
+
+        monkeypatch.setattr(s, "_solve", solve)
+        monkeypatch.setattr(s, "_at_solution", lambda plan, found, name: plan)
+        monkeypatch.setattr(s, "_improve", lambda found, plans, swapped, tol: (plans, now["action"]))
+        return *s.optimise_switches(base, **more), asked
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("script", "passes", "status", "actions"),
+    [
+        ([(Status.OPTIMAL, "")], 40, "converged", ["structure stands"]),
+        ([(Status.OPTIMAL, "a"), (Status.ACCEPTABLE, "")], 40, "converged", ["a", "structure stands"]),
+        ([(Status.OPTIMAL, "a"), (Status.OPTIMAL, "b")], 2, "pass_limit", ["a", "b"]),
+        ([(Status.OPTIMAL, "a"), (Status.INFEASIBLE, "")], 40, "failed", ["a", "not solved (infeasible)"]),
+        ([(Status.INTERRUPTED, "")], 40, "interrupted", ["not solved (interrupted)"]),
+        ([(Status.OPTIMAL, s.RAISED)] * 5, 40, "stalled", [s.RAISED] * 5),
+    ],
+)
+def test_how_the_loop_ends(scripted: Any, script: Any, passes: int, status: str, actions: list[str]) -> None:
+    found, history, _ = scripted(script, max_passes=passes)
+    assert history.status is RefinementStatus(status) and [p.actions for p in history.passes] == actions
+    assert [p.solved for p in history.passes] == [st.solved for st, _ in script]
+    assert history.message == f"{status}: {actions[-1]}"
+    if status == "converged":
+        assert found.objective == len(script) and history.chosen == len(script) - 1
+
+
+def test_solves_of_the_loop_are_sharp_and_brief(scripted: Any) -> None:
+    _, history, (options,) = scripted([(Status.OPTIMAL, "")])
+    assert (options.tolerance, options.max_iterations) == (s.TIGHT, s.MOST_ITERATIONS)
+    own = SolverOptions(tolerance=1e-5)
+    _, looser, (options,) = scripted([(Status.OPTIMAL, "")], options=own, tol=1e-3)
+    assert options is own and (history.tolerance, looser.tolerance) == (1e-9, 1e-3)
+
+
+def test_plans_follow_the_switch_times_of_their_solution() -> None:
+    plan = Plan(THREE, (Resolution(1), Resolution(2), Resolution(1)))
+    leg = SimpleNamespace(breaks=np.array([1.0, 1.5, 2.0, 4.5, 5.0]))
+    there: Any = SimpleNamespace(phases={"leg": leg})
+    assert s._at_solution(plan, there, "leg").structure.times == (1.0, 1.5, 4.5, 5.0)
+
+
+def improved(monkeypatch: pytest.MonkeyPatch, **answers: Any) -> tuple[dict[str, Plan], str]:
+    """Two phases; what each step answers by phase."""
+    plans = {n: Plan(THREE, (Resolution(),) * 3, 7.0) for n in ("a", "b")}
+    there: Any = SimpleNamespace(samples=lambda: {n: SimpleNamespace(name=n) for n in plans})
+    nothing: Any = {"a": None, "b": None}
+
+    def step(name: str, otherwise: Any) -> Any:
+        return lambda samples, *more: answers.get(name, nothing)[samples.name] or otherwise(*more)
+
+    monkeypatch.setattr(s, "_collapse", step("collapse", lambda *_: (None, "")))
+    monkeypatch.setattr(s, "_adjust", step("adjust", lambda plan, tol: (plan, "")))
+    monkeypatch.setattr(s, "_complete", step("complete", lambda *_: (None, "")))
+    return s._improve(there, plans, set(), 1e-9)
+
+
+def test_what_vanishes_is_mended_first_then_kinks_and_points_then_what_is_missing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    other = PhaseStructure((0.0, 1.0), ((LOW,),))
+    finer = Plan(THREE, (Resolution(2),) * 3)
+    add, drop, adjust = (
+        {"a": (other, "added"), "b": None},
+        {"a": None, "b": (other, "dropped")},
+        {"a": None, "b": (finer, "r")},
+    )
+    plans, action = improved(monkeypatch)
+    assert action == "" and all(plan.structure is THREE for plan in plans.values())
+    plans, action = improved(monkeypatch, collapse=drop, adjust=adjust, complete=add)
+    assert (action, plans["b"].structure, plans["a"].structure) == ("dropped", other, THREE)
+    assert plans["b"].points == 7.0
+    plans, action = improved(monkeypatch, adjust=adjust, complete=add)
+    assert (action, plans["b"]) == ("r", finer) and plans["a"].structure is THREE
+    plans, action = improved(monkeypatch, complete=add)
+    assert (action, plans["a"].structure, plans["a"].points) == ("added", other, 7.0)
+    both = {"a": (finer, "r"), "b": (finer, "r")}
+    assert improved(monkeypatch, adjust=both)[1] == "r"
+    assert improved(monkeypatch, adjust={"a": (finer, "r"), "b": (finer, "k")})[1] == "r, k"
+
+
+@pytest.mark.parametrize(
+    ("moved", "finer", "action", "pieces"),
+    [
+        (None, False, "", 3), ((1.0, 2.5, 4.0, 5.0), False, "kinks moved", 3), (None, True, "resolution raised", 3),
+        ((1.0, 2.5, 4.0, 5.0), True, "kinks moved, resolution raised", 3),
+        ((1.0, 4.0, 4.0, 5.0), True, "piece 2 dropped", 2), ((1.0, 0.9, 4.0, 5.0), False, "piece 1 dropped", 2),
+    ],
+)  # fmt: skip
+def test_kinks_and_resolutions_are_adjusted_together(
+    monkeypatch: pytest.MonkeyPatch, moved: Any, finer: bool, action: str, pieces: int
+) -> None:
+    plan = Plan(THREE, (Resolution(),) * 3, 7.0)
+    raised = replace(plan, resolutions=(Resolution(2),) * 3)
+    monkeypatch.setattr(s, "move_kinks", lambda *_: None if moved is None else THREE.at(moved))
+    monkeypatch.setattr(s, "_finer", lambda *_: raised if finer else None)
+    found, what = s._adjust(LEG, plan, 1e-9)
+    assert what == action and found.structure.pieces == pieces and found.points == 7.0
+    if pieces == 3:
+        assert found.structure.times == (moved or THREE.times)
+        assert found.resolutions == (raised if finer else plan).resolutions
+
+
+def test_arcs_of_all_phases_have_the_names_of_their_rows() -> None:
+    problem = cart()
+    structure = PhaseStructure((0.0, 1.0), ((UP, FREE, LOW, FREE, FREE),), (), 1, 2)
+    found = s._arcs(solution(problem, phase(problem)), {"leg": Plan.of(structure)})
+    assert found == (Arc("leg", "a", UP, 0.0, 1.0), Arc("leg", "pure", LOW, 0.0, 1.0))

@@ -1,0 +1,174 @@
+"""Second order of smooth problems: minima pass, saddles and maxima that satisfy every first-order condition fail."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.verify import Result
+
+PASS, FAIL, UNTOLD = Result.PASS, Result.FAIL, Result.CANNOT_TELL
+
+
+def second_order(solution: go.Solution) -> go.Condition:
+    return go.verify(solution)["second order"]
+
+
+def great_circle(arc: float, phases: int = 1) -> go.Problem:
+    """Along the equator of a sphere, which is shortest up to half of it (Bryson & Ho 1975, sec. 6.3)."""
+    model = go.Model("sphere")
+    theta, phi = model.state("theta"), model.state("phi")
+    a, b = model.control("a"), model.control("b")
+    model.ode({theta: a, phi: b})
+    problem = go.Problem("great circle")
+    legs = [problem.phase(f"leg_{k}", model) for k in range(phases)]
+    for k, leg in enumerate(legs):
+        leg.time(k / phases, (k + 1) / phases)
+        ends = np.array([k, k + 1]) / phases
+        leg.guess(time=ends, theta=0.5 * np.pi + 0 * ends, phi=arc * ends)
+    legs[0].initial(theta=0.5 * np.pi, phi=0.0)
+    legs[-1].final(theta=0.5 * np.pi, phi=arc)
+    for first, second in itertools.pairwise(legs):
+        problem.link(first, second, time=False)
+    problem.minimize(sum(leg.integral(0.5 * (a**2 + ca.sin(theta) ** 2 * b**2)) for leg in legs))
+    return problem
+
+
+@pytest.mark.parametrize("phases", [1, 2])
+@pytest.mark.parametrize(("arc", "result"), [(0.5, PASS), (0.98, PASS), (1.02, FAIL), (1.5, FAIL)], ids=str)
+def test_great_circle_is_shortest_up_to_half_the_sphere(arc: float, result: Result, phases: int) -> None:
+    solution = go.solve(great_circle(arc * np.pi, phases), mesh="4x6")
+    assert {c.name for c in go.verify(solution).failed} <= {"second order"}
+    assert solution.objective == pytest.approx(0.5 * (arc * np.pi) ** 2)
+    condition = second_order(solution)
+    assert condition.result is result, condition
+    # Bulging by theta = e sin(pi t) costs e^2 / 4 (pi^2 - arc^2): the curvature changes its sign at half the sphere.
+    assert np.sign(condition.value) == np.sign(arc - 1)
+
+
+def regulator(weight: float) -> go.Problem:
+    """Least integral of u^2 - weight x^2 from 0 to 0 within 1 s: x = 0 up to weight = pi^2, unbounded beyond."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    k = model.parameter("k", weight)
+    model.ode({x: u})
+    problem = go.Problem("past its conjugate point")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.final(x=0.0)
+    leg.scale(x=1.0, u=1.0)
+    problem.minimize(leg.integral(u**2 - k * x**2))
+    return problem
+
+
+@pytest.fixture(scope="module")
+def at_rest() -> go.Solution:
+    return go.solve(regulator(1.0), mesh="4x5")
+
+
+@pytest.mark.parametrize(("share", "result"), [(0.97, PASS), (1.0, UNTOLD), (1.03, FAIL), (4.5, FAIL)])
+def test_regulator_before_and_past_its_conjugate_point(
+    at_rest: go.Solution, share: float, result: Result
+) -> None:
+    """At the conjugate point itself sin(pi t) costs nothing, and no test of the second order can tell."""
+    condition = second_order(replace(at_rest, problem=regulator(share * np.pi**2)))
+    assert condition.result is result, condition
+
+
+def test_gain_is_what_the_step_gains(at_rest: go.Solution) -> None:
+    """The worst variation is close to sin(pi t): a step of 0.1 of u gains 0.05^2 / 2 (weight / pi^2 - 1) cos^2."""
+    condition = second_order(replace(at_rest, problem=regulator(2 * np.pi**2)))
+    gain = float(condition.where.split("gains ")[1].split(" ")[0])
+    assert gain == pytest.approx(0.1**2 * 0.5, rel=0.05)
+
+
+def slow_disc(shallow: float) -> go.Problem:
+    """Minimum time across a disc where everything is slow; straight through is stationary by symmetry."""
+    model = go.Model("slow disc")
+    x, y, heading = model.state("x"), model.state("y"), model.control("heading")
+    speed = 1 - shallow * ca.exp(-4 * (x**2 + y**2))
+    model.ode({x: speed * ca.cos(heading), y: speed * ca.sin(heading)})
+    problem = go.Problem("slow disc")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.1, 20.0))
+    leg.initial(x=-1.0, y=0.0)
+    leg.final(x=1.0, y=0.0)
+    leg.bounds(heading=(-1.5, 1.5))
+    problem.minimize(leg.final_time)
+    return problem
+
+
+@pytest.mark.parametrize(("shallow", "result"), [(0.1, PASS), (0.8, FAIL)])
+def test_straight_through_a_slow_disc(shallow: float, result: Result) -> None:
+    """Round a deep one is faster: 2.72 s instead of 4.17 s."""
+    straight = go.solve(slow_disc(shallow).with_bounds(y=(-1e-9, 1e-9)), mesh="10x5")
+    condition = second_order(replace(straight, problem=slow_disc(shallow)))
+    assert condition.result is result, condition
+
+
+def designed(cost: object, *, lower: float | None = None) -> go.Solution:
+    """A cost in two free parameters, from (0, 0), beside an integrator that does nothing."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("two parameters")
+    k, m = (problem.parameter(name, lower=lower, upper=1.0, guess=0.0) for name in ("k", "m"))
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    problem.minimize(leg.integral(u**2) + k**2 + m**2)
+    solution = go.solve(problem, mesh="2x3")
+    other = go.Problem("two parameters")
+    k, m = (other.parameter(name, lower=lower, upper=1.0, guess=0.0) for name in ("k", "m"))
+    leg = other.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    other.minimize(leg.integral(u**2) + cost(k, m))  # type: ignore[operator]
+    return replace(solution, problem=other, parameter_values=np.zeros(2), objective=0.0)
+
+
+@pytest.mark.parametrize(
+    ("cost", "lower", "result"),
+    [
+        (lambda k, m: k**2 + m**2 + k * m, None, PASS),
+        (lambda k, m: k**2 + m**2 + 3 * k * m, None, FAIL),
+        (lambda k, m: k**2, None, UNTOLD),
+        # On a bound that does not push, only one side of it counts: the cost is copositive, or it is not.
+        (lambda k, m: k**2 - m**2, 0.0, FAIL),
+        (lambda k, m: k**2 + m**2 - 3 * k * m, 0.0, FAIL),
+        (lambda k, m: k**2 + m**2 + 3 * k * m, 0.0, UNTOLD),
+        (lambda k, m: k + m - k**2 - m**2, 0.0, PASS),
+    ],
+)
+def test_free_parameters_take_part(cost: object, lower: float | None, result: Result) -> None:
+    condition = second_order(designed(cost, lower=lower))
+    assert condition.result is result, condition
+
+
+def test_an_inactive_constraint_takes_no_direction(at_rest: go.Solution) -> None:
+    """x(1) <= 5 and an integral of x below 5 hold nothing; equalities would."""
+    for active, result in ((False, FAIL), (True, PASS)):
+        problem = regulator(1.5 * np.pi**2)
+        leg = problem.phases["leg"]
+        x = leg.model.symbol("x")
+        # The worst variation, sin(pi t), has an integral; those without need four times the weight.
+        problem.constrain("integral", leg.integral(x), **({"equals": 0.0} if active else {"upper": 5.0}))
+        held = go.solve(problem.with_parameters(k=1.0), mesh="4x5")
+        condition = second_order(replace(held, problem=problem))
+        assert condition.result is result, condition
+
+
+def test_curvature_does_not_depend_on_units_of_the_cost() -> None:
+    """Nor does the sign depend on what is added to it."""
+    values = []
+    for factor, constant in ((1.0, 0.0), (1e-4, 0.0), (1e4, 1e6)):
+        problem = great_circle(0.9 * np.pi)
+        problem.cost = factor * problem.cost + constant
+        values.append(second_order(go.solve(problem, mesh="4x6")).value)
+    np.testing.assert_allclose(values, values[0], rtol=1e-4)

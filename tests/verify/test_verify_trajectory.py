@@ -1,0 +1,199 @@
+"""verify_trajectory: closed forms pass at the accuracy of their samples, what is wrong fails, mistakes are named."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import gnc_opt as go
+from problems import interior_point, zermelo
+from tests.verify.wrong import design_problem, double_integrator
+
+Array = NDArray[np.float64]
+Trajectory = tuple[Array, Any, Any]
+
+
+def least_energy(most: float | None = None) -> go.Problem:
+    problem = go.Problem("least energy")
+    leg = problem.phase("leg", double_integrator())
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    if most is not None:
+        leg.bounds(a=(-most, most))
+    problem.minimize(leg.integral(leg.model.symbol("a") ** 2))
+    return problem
+
+
+def smooth(n: int = 41) -> Trajectory:
+    """a = 6 - 12 t."""
+    t = np.linspace(0.0, 1.0, n)
+    return t, {"q": 3 * t**2 - 2 * t**3, "v": 6 * t - 6 * t**2}, {"a": 6 - 12 * t}
+
+
+def least_time() -> go.Problem:
+    problem = go.Problem("least time")
+    leg = problem.phase("leg", double_integrator())
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(q=1.0, v=0.0)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    return problem
+
+
+def two_pulses(t: Array, switch: float = 1.0, force: float = 1.0) -> tuple[Array, Array]:
+    """From rest at 1 m to rest at 0 with the accelerations -force and, after the switch, force * s / (t_f - s)."""
+    brake = 2 / switch - force  # comes to rest at 0: v_s = -force s, q_s = 1 - force s^2 / 2
+    after = t > switch
+    x = np.where(
+        after,
+        [1 - force * switch**2 / 2 - force * switch * (t - switch) + brake * (t - switch) ** 2 / 2,
+         -force * switch + brake * (t - switch)],
+        [1 - force * t**2 / 2, -force * t],
+    )  # fmt: skip
+    return x, np.where(after, brake, -force)
+
+
+def failed(problem: go.Problem, trajectory: Trajectory, **options: Any) -> set[str]:
+    return {c.name for c in go.verify_trajectory(problem, *trajectory, **options).failed}
+
+
+# --- right ------------------------------------------------------------------------------------------------
+
+
+def test_smooth_closed_form_passes_to_rounding() -> None:
+    """The samples' polynomials are the solution's, and least squares finds the costates 12 and 12 t - 6 (times 2)."""
+    verdict = go.verify_trajectory(least_energy(), *smooth(), tol=1e-10)
+    assert verdict.ok and verdict.estimated, verdict.explain()
+    assert "multipliers estimated" in verdict.explain()
+
+
+def test_switch_between_samples_is_found_by_the_states() -> None:
+    """No sample is at the switch, 1 s, nor is it said where it is."""
+    t = np.sort(np.concatenate([[0.0, 2.0], np.random.default_rng(0).uniform(0.0, 2.0, 30)]))
+    verdict = go.verify_trajectory(least_time(), t, *two_pulses(t), tol=1e-8)
+    assert verdict.ok, verdict.explain()
+
+
+def test_switch_at_a_time_given_twice() -> None:
+    t = np.array([0.0, 0.4, 0.8, 1.0, 1.0, 1.3, 2.0])
+    x, _ = two_pulses(t)
+    verdict = go.verify_trajectory(least_time(), t, x, [-1, -1, -1, -1, 1, 1, 1], tol=1e-8)
+    assert verdict.ok, verdict.explain()
+
+
+def test_trigonometric_closed_form_passes_at_the_accuracy_of_its_samples() -> None:
+    """Zermelo's heading is an arctangent of time: errors of the fourth order in the sampling interval."""
+    final = zermelo.REFERENCE.value
+    worst = []
+    for n in (41, 81):
+        t = np.linspace(0.0, final, n)
+        exact = zermelo.closed_form(t)
+        verdict = go.verify_trajectory(zermelo.build(), t, exact.states, exact.controls)
+        assert verdict.ok, verdict.explain()
+        worst.append(verdict["dynamics"].value)
+    assert 8 < worst[0] / worst[1] < 64
+
+
+def test_several_phases_and_a_parameter() -> None:
+    solution = go.solve(interior_point.build(), tol=1e-8)
+    times = {name: np.linspace(leg.initial_time, leg.final_time, 61) for name, leg in solution.phases.items()}
+    x = {name: leg.x(times[name]) for name, leg in solution.phases.items()}
+    u = {name: leg.flown(times[name]) for name, leg in solution.phases.items()}
+    verdict = go.verify_trajectory(interior_point.build(), times, x, u)
+    assert verdict.ok, verdict.explain()
+    assert go.verify_trajectory(design_problem(), *smooth(), p={"k": 1.5}, tol=1e-8).ok
+    assert failed(design_problem(), smooth(), p=[1.501]) == {"parameters"}
+
+
+# --- wrong ------------------------------------------------------------------------------------------------
+
+EPS = 1e-3
+
+
+def late(n: int = 41) -> Trajectory:
+    t, x, u = smooth(n)
+    return 1.001 * t, x, u
+
+
+def other_minimum() -> Trajectory:
+    """The states of another control: a = 6 - 12 t + eps (1 - 6 t + 6 t^2), which does not change the end."""
+    t, x, u = smooth()
+    dv, dq = EPS * (t - 3 * t**2 + 2 * t**3), EPS * (t**2 / 2 - t**3 + t**4 / 2)
+    return t, {"q": x["q"] + dq, "v": x["v"] + dv}, {"a": u["a"] + EPS * (1 - 6 * t + 6 * t**2)}
+
+
+def shifted(kind: int, name: str) -> Trajectory:
+    trajectory = smooth()
+    trajectory[kind][name] = trajectory[kind][name] + EPS
+    return trajectory
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sees"),
+    [
+        (other_minimum, "stationarity"),
+        (late, "boundary conditions"),
+        (lambda: shifted(1, "q"), "boundary conditions"),
+        (lambda: shifted(1, "v"), "dynamics"),
+        (lambda: shifted(2, "a"), "propagation"),
+    ],
+)
+def test_wrong_by_a_thousandth_fails(wrong: Callable[[], Trajectory], sees: str) -> None:
+    assert sees in failed(least_energy(), wrong())
+
+
+def test_feasible_switch_at_the_wrong_time_fails() -> None:
+    """Weaker braking after an earlier switch keeps all limits and takes longer: no multipliers explain it."""
+    switch, force = 0.98, 1.0
+    brake = 2 / switch - force
+    t = np.linspace(0.0, switch + force * switch / brake, 60)
+    assert brake > 1  # keeps no limit, so that bounds must see it
+    assert "bounds" in failed(least_time(), (t, *two_pulses(t, switch)))
+    switch = 1.02
+    brake = 2 / switch - force
+    t = np.linspace(0.0, switch + force * switch / brake, 60)
+    assert brake < 1
+    assert not go.verify_trajectory(least_time(), t, *two_pulses(t, switch)).ok
+
+
+def test_limit_crossed_by_the_control_fails() -> None:
+    assert "bounds" in failed(least_energy(5.99), smooth())
+
+
+# --- mistakes ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"t": np.linspace(0, 1, 5)[::-1]}, "decrease"),
+        ({"t": np.zeros(5)}, "two or more"),
+        ({"t": [0.0, 0.5, 0.5, 0.5, 1.0]}, "more than twice"),
+        ({"t": [0.0, 0.0, 0.5, 0.7, 1.0]}, "at an end"),
+        ({"t": np.linspace(0, 1, 6)}, "one column per time"),
+        ({"x": np.zeros((3, 5))}, r"shape \(3, 5\) where \(2, 5\)"),
+        ({"x": {"q": np.zeros(5)}}, "state 'v'.* is missing"),
+        ({"x": {"q": np.zeros(5), "w": np.zeros(5)}}, "no state 'w'"),
+        ({"u": {"b": np.zeros(5)}}, "no control 'b'"),
+        ({"u": [0, 0, np.nan, 0, 0]}, "not every number is finite"),
+        ({"u": "fast"}, "fast"),
+        ({"p": [1.0]}, "1 values: give 0"),
+        ({"p": {"mass": 1.0}}, "no free parameter 'mass'"),
+        ({"t": {"legs": np.linspace(0, 1, 5)}, "x": {}, "u": {}}, "no phase 'legs'"),
+    ],
+)
+def test_mistakes_are_named(change: dict[str, Any], says: str) -> None:
+    usual: dict[str, Any] = {"t": np.linspace(0, 1, 5), "x": np.zeros((2, 5)), "u": np.zeros(5), "p": None}
+    with pytest.raises(go.ProblemError, match=says):
+        go.verify_trajectory(least_energy(), **(usual | change))
+
+
+def test_missing_parameters_and_phases_are_named() -> None:
+    with pytest.raises(go.ProblemError, match=r"\['k'\] are missing"):
+        go.verify_trajectory(design_problem(), *smooth())
+    with pytest.raises(go.ProblemError, match="there are several"):
+        go.verify_trajectory(interior_point.build(), *smooth())

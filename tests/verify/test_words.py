@@ -1,0 +1,57 @@
+"""What ok and minimum say: necessary conditions hold, and sufficient ones too."""
+
+import itertools
+
+import pytest
+
+import gnc_opt as go
+from gnc_opt import Condition, Result, Verdict
+
+PASS, FAIL, UNTOLD = Result.PASS, Result.FAIL, Result.CANNOT_TELL
+
+
+def verdict(necessary: Result, sufficient: Result | None, not_judged: str = "") -> Verdict:
+    conditions = [Condition("adjoint equation", necessary, 1e-7, 1e-5, "phase leg", "It must hold.")]
+    if sufficient is not None:
+        conditions.append(
+            Condition("second order", sufficient, 1e-7, 1e-5, "phase leg", "It must hold.", True)
+        )
+    return Verdict("double integrator", tuple(conditions), not_judged)
+
+
+@pytest.mark.parametrize(("necessary", "sufficient"), list(itertools.product(Result, [*Result, None])))
+def test_ok_and_minimum(necessary: Result, sufficient: Result | None) -> None:
+    judged = verdict(necessary, sufficient)
+    assert judged.ok == (necessary is PASS and sufficient is not FAIL)
+    assert judged.minimum == (necessary is PASS and sufficient is PASS)
+    assert not judged.minimum or judged.ok
+
+
+def test_without_costates_neither_holds() -> None:
+    judged = verdict(PASS, PASS, "no costates")
+    assert not judged.ok and not judged.minimum
+    assert judged.word == "not judged: no costates"
+
+
+def test_headlines_say_which_of_the_three_it_is() -> None:
+    assert verdict(PASS, PASS).headline == "every condition passes: a strict local minimum"
+    assert verdict(PASS, UNTOLD).headline == "ok: necessary conditions hold, sufficient ones are not known to"
+    assert verdict(PASS, None).headline == verdict(PASS, UNTOLD).headline
+    assert verdict(UNTOLD, PASS).headline == "not judged: adjoint equation"
+    assert verdict(PASS, FAIL).headline == "NOT ok"
+
+
+def test_smooth_solution_without_a_second_order_test_is_no_minimum() -> None:
+    """The first order alone holds at maxima and saddles too."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("least effort")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    problem.minimize(leg.integral(u**2))
+    judged = go.verify(go.solve(problem, mesh="3x4"))
+    assert judged.ok and judged["second order"].sufficient
+    assert judged.minimum == (judged["second order"].result is PASS)
