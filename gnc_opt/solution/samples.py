@@ -280,7 +280,8 @@ class PhaseSamples:
     @cached_property
     def flown_box(self) -> tuple[Array, Array]:
         """Least and largest states within their spans, so wide that they hold the flight (n,) each."""
-        return np.max(self.x, axis=1) - self.state_scale, np.min(self.x, axis=1) + self.state_scale
+        least, most = np.min(self.x, axis=1), np.max(self.x, axis=1)
+        return np.minimum(least, most - self.state_scale), np.maximum(most, least + self.state_scale)
 
     @cached_property
     def path_scale(self) -> Array:

@@ -1,8 +1,8 @@
 r"""How far states and controls move on a flight: what their deviations are measured against.
 
 A position of 7000 km says nothing about a flight of 1 m: sizes depend on units and origin, what a flight *moves* does
-not on the latter. So the yardstick of a state is its span, the difference of its largest and least value along the
-phase, shared by the components of a vector. A state that hardly moves has the least share `STILL` of what the controls
+not on the latter. So the yardstick of a state is its span, the farthest that it gets from where it starts, shared by
+the components of a vector. A state that hardly moves has the least share `STILL` of what the controls
 could move it: :math:`T\,\sum_k |\partial f_i/\partial u_k|\,\Delta u_k`, or the same through another state.
 What nothing can move has the width of its limits, or its size. Below `RESOLUTION` of the size, rounding would be
 measured.
@@ -39,7 +39,7 @@ def state_spans(leg: PhaseSolution, functions: PhaseFunctions, *, lasting: bool)
     size = np.max(np.abs(values), axis=1, initial=0.0)
     if not lasting:
         return magnitude(shared(size, leg.states))
-    moved = shared(np.ptp(values, axis=1), leg.states)
+    moved = shared(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
     spans = np.maximum(moved, STILL * shared(_movable(leg, functions), leg.states))
     spans = np.maximum(spans, RESOLUTION * size)
     boxes = (leg.state_bounds, leg.initial_bounds, leg.final_bounds)

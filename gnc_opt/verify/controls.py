@@ -14,6 +14,7 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT, RANK, SHORTEST
+from gnc_opt.verify.brief import BRIEF
 from gnc_opt.verify.feasibility import judge
 from gnc_opt.verify.verdict import Condition, Result
 
@@ -22,9 +23,6 @@ ACTIVE = 1e-5
 
 CLEARLY_INSIDE = 1e-2
 """A control this far from both bounds, relative to the range, is between them on purpose."""
-
-BRIEF = 1e-2
-"""What lasts less than this share of a phase counts by its mean over it: loss of cost is size times duration."""
 
 _GRID = 9
 _MOST_CORNERS = 6

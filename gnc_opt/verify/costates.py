@@ -28,7 +28,7 @@ from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT
 from gnc_opt.verify.feasibility import judge
 from gnc_opt.verify.magnitude import parameter_scale
-from gnc_opt.verify.pushes import unexplained_jumps
+from gnc_opt.verify.pushes import pushed_beside, unexplained_jumps
 from gnc_opt.verify.verdict import Condition
 
 
@@ -233,7 +233,9 @@ def _impulses(s: PhaseSamples) -> Worst:
     leg, breaks = s.leg, s.leg.breaks[1:-1]
     if not breaks.size:
         return NOTHING
-    offence = _slack_offence(leg.state_impulses[:, 1:-1], leg.x(breaks), leg.state_bounds, s.state_scale)
+    impulses, beside = leg.state_impulses[:, 1:-1], pushed_beside(s, leg.state_multipliers)
+    made_up_for = np.clip(impulses, np.minimum(-beside, 0.0), np.maximum(-beside, 0.0))
+    offence = _slack_offence(impulses - made_up_for, leg.x(breaks), leg.state_bounds, s.state_scale)
     offence = offence / s.cost_scale
     i, k = worst_index(offence)
     return Worst(

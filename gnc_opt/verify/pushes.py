@@ -27,6 +27,7 @@ import scipy
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.solution.samples import EdgeSegment, PhaseSamples, sampling_rule
 from gnc_opt.tolerances import AT_LIMIT
+from gnc_opt.verify.brief import BRIEF
 
 _PUSHES = 1e-3
 """A multiplier counts as pushing at a point if it reaches this share of its largest in the segment."""
@@ -81,17 +82,42 @@ def _path_gradients(s: PhaseSamples, times: Array, x: Array, u: Array) -> Array:
 
 
 def unexplained_jumps(s: PhaseSamples) -> Array:
-    """Costate jumps at the inner segment boundaries (n_states, K - 1) that no active constraint explains."""
+    """Costate jumps at the inner segment boundaries (n_states, K - 1) that no active constraint explains.
+
+    A jump the wrong way is explained as far as a push beside it makes up for it, see `pushed_beside`.
+    """
     breaks = s.leg.breaks[1:-1]
     jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
     pushers = Pushers.at(s, breaks, s.leg.x(breaks), s.leg.flown(breaks))
     rest = jumps.copy()
-    scale = s.state_scale
+    scale, spare = s.state_scale, _spare_pushes(s)
     for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
         directions = pushers.directions[:, pushers.active[:, k], k]
-        sizes, _ = scipy.optimize.nnls(directions * scale[:, None], jumps[:, k] * scale)
-        rest[:, k] -= directions @ sizes
+        least = -spare[pushers.active[:, k], k]
+        sizes, _ = scipy.optimize.nnls(
+            directions * scale[:, None], (jumps[:, k] - directions @ least) * scale
+        )
+        rest[:, k] -= directions @ (sizes + least)
     return rest
+
+
+def pushed_beside(s: PhaseSamples, densities: Array) -> Array:
+    """Return what multipliers (n, N) push within half of `BRIEF` beside inner segment boundaries (n, K - 1).
+
+    How a measure is shared out between an atom and the density right beside it is not for the multipliers of a mesh to
+    say: less density there and more of an atom is the same costate everywhere else.
+    """
+    offsets, near = np.array(s.leg.mesh.offsets[1:-1], dtype=int), 0.5 * BRIEF * s.span
+    widths = np.minimum(np.diff(s.leg.breaks), near)
+    sides = np.stack([densities[:, offsets - 1] * widths[:-1], densities[:, offsets] * widths[1:]])
+    upper, lower = np.max(sides, axis=0), np.min(sides, axis=0)
+    return np.asarray(np.where(upper > -lower, upper, lower))
+
+
+def _spare_pushes(s: PhaseSamples) -> Array:
+    """The same by sides of constraints as in `Pushers`, >= 0 (n_sides, K - 1)."""
+    beside = pushed_beside(s, np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_paths]]))
+    return np.vstack([np.maximum(beside, 0.0), np.maximum(-beside, 0.0)])
 
 
 def settle_edges(s: PhaseSamples, tolerance: float) -> PhaseSamples:
