@@ -89,7 +89,8 @@ def plain_run(flight: Flight, parameters: dict[str, Array], normal: dict[str, Ar
     decay = np.exp(-DT / tau)
     lagged = np.zeros(6)
 
-    def rate(_: float, x: Array, applied: Array) -> Array:
+    def rate(t: float, x: Array, u: Array, gap: Array, begin: float) -> Array:
+        applied = u + gap * np.exp(-(t - begin) / tau)
         omega, sigma, v, r = x[:3], x[3:6], x[6:9], x[9:]
         dcm = mrp_to_dcm(sigma)
         spin = relative_angular_acceleration(inertia, omega, apply(dcm, lvlh_rate(_N)), applied[:3])
@@ -111,9 +112,9 @@ def plain_run(flight: Flight, parameters: dict[str, Array], normal: dict[str, Ar
         error = seen - x_ref
         error[3:6] = mrp_difference(seen[3:6], x_ref[3:6])
         u = np.clip(_STEP * np.floor((u_ff - gain @ error) / _STEP + 0.5), -_LIMIT, _LIMIT)
-        applied = u + (lagged - u) * (1 - decay) * tau / DT
-        lagged = u + (lagged - u) * decay
-        found = solve_ivp(rate, (t, t + DT), x, args=(applied,), rtol=RTOL, atol=ATOL)
+        gap = lagged - u
+        lagged = u + gap * decay
+        found = solve_ivp(rate, (t, t + DT), x, args=(u, gap, t), rtol=RTOL, atol=ATOL)
         x = found.y[:, -1]
     return np.asarray(x)
 

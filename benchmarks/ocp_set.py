@@ -54,6 +54,8 @@ _SHORT = {
     "boundary conditions": "ends", "cost": "cost", "adjoint equation": "adj", "transversality": "trans",
     "Hamiltonian": "H", "stationarity": "stat", "control signs": "sign", "minimum principle": "min",
     "complementarity": "compl", "Legendre-Clebsch": "LC", "singular arcs": "sing", "parameters": "par",
+    "generalised Legendre-Clebsch": "GLC", "induced gradient": "grad", "strict switches": "strict",
+    "normality": "norm", "conjugate points": "conj",
 }  # fmt: skip
 
 

@@ -35,13 +35,14 @@ GROWTH = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """One part of a law's memory: its symbol, first value and next value, SX columns."""
+    """One part of a law's memory: its symbol, first value and next value, SX columns; whether it is an alarm."""
 
     name: str
     symbol: Any
     start: Any
     after: Any
     unit: str = ""
+    alarm: bool = False
 
     @property
     def variable(self) -> Variable:
@@ -206,7 +207,7 @@ def guarded_controller(
     variables = [part.variable for part in own]
     r = ca.vertcat(pair.x_ref, pair.u_ref)
     schedule: Schedule = ReferenceSchedule(reference)
-    alarms: tuple[str, ...] = (SINGULAR,)
+    alarms: tuple[str, ...] = (*(part.name for part in memory if part.alarm), SINGULAR)
     if nominal is not None:
         variables += nominal.variables
         inner_signals = nominal.signals

@@ -133,7 +133,7 @@ class Phase(Strict):
         self._set(
             initial_time=read_interval(initial, 1, f"the initial time of {self.where}"),
             final_time=read_interval(final, 1, f"the final time of {self.where}"),
-            duration=self.numbers.duration if duration is None else self._read_duration(duration),
+            duration=self.numbers.duration if duration is None else self.read_duration(duration),
         )
         self._owner.changed()
 
@@ -282,6 +282,15 @@ class Phase(Strict):
         """ "phase 'leg' of problem '...'", for messages."""
         return f"phase '{self.name}' of problem '{self._owner.name}'"
 
+    def read_duration(self, duration: Any) -> Interval:
+        """Return the range of the phase's duration (s), which is positive; ``None`` is any."""
+        given = read_interval(duration, 1, f"the duration of {self.where}")
+        if given.upper[0] <= 0:
+            raise ProblemError(
+                f"the duration of {self.where} is at most {given.upper[0]:g} s: give a positive one."
+            )
+        return Interval(np.maximum(given.lower, 0.0), given.upper)
+
     def times(self) -> tuple[Interval, Interval]:
         """Return the ranges of initial and final time.
 
@@ -335,14 +344,6 @@ class Phase(Strict):
     def _set(self, **numbers: Any) -> None:
         self._owner.refuse_if_frozen()
         self.numbers = replace(self.numbers, **numbers)
-
-    def _read_duration(self, duration: Any) -> Interval:
-        given = read_interval(duration, 1, f"the duration of {self.where}")
-        if given.upper[0] <= 0:
-            raise ProblemError(
-                f"the duration of {self.where} is at most {given.upper[0]:g} s: give a positive one."
-            )
-        return Interval(np.maximum(given.lower, 0.0), given.upper)
 
     def _end(self, end: str, name: str | Symbol) -> Any:
         key = name.variable.name if isinstance(name, Symbol) else name

@@ -5,12 +5,13 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer, read_label, read_name
+from gnc_opt.arguments import expect, read_integer, read_label, read_name, read_numbers
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.layout import Variable, as_vector
 from gnc_opt.model.model import Model
@@ -20,7 +21,7 @@ from gnc_opt.problem.constraint import make_constraint
 from gnc_opt.problem.fingerprint import problem_fingerprint
 from gnc_opt.problem.guess.values import GuessValue
 from gnc_opt.problem.held import Smooth
-from gnc_opt.problem.interval import read_range
+from gnc_opt.problem.interval import Interval, read_interval, read_range
 from gnc_opt.problem.link import linkages
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.statement import Statement
@@ -182,6 +183,55 @@ class Problem(Statement):
         legs = self.get_phase(first), self.get_phase(second)
         for name, expression, value in linkages(self.name, *legs, states, time, jump):
             self.constrain(name, expression, equals=value)
+
+    def sequence(
+        self,
+        *legs: Phase | str,
+        durations: Mapping[str, Any] | None = None,
+        start: Any = 0.0,
+        drops: Mapping[str, Mapping[str, ArrayLike]] | None = None,
+    ) -> None:
+        """Let phases follow each other: states and times handed over, masses dropped in between.
+
+        Parameters
+        ----------
+        *legs : Phase or str
+            In their order, two or more.
+        durations : mapping of str to float or tuple, optional
+            How long each phase takes, s: a number or a range ``(lower, upper)``; left out, any time. Ranges with both
+            ends make the better guess.
+        start : float, tuple or None
+            Initial time of the first phase, s, as in ``Phase.time``.
+        drops : mapping of str to mapping, optional
+            What is left behind at the end of a phase, by state, > 0: ``{"boost": {"m": 1200.0}}``.
+
+        Raises
+        ------
+        ProblemError
+            Fewer than two phases, one of them twice, or an unknown name.
+        """
+        chain = [self.get_phase(leg) for leg in legs]
+        names = [leg.name for leg in chain]
+        if len(set(names)) < max(2, len(names)):
+            raise ProblemError(
+                f"sequence() of problem '{self.name}' got {names}: give two phases or more, each once."
+            )
+        durations, drops = durations or {}, drops or {}
+        for given, known in ((durations, names), (drops, names[:-1])):
+            for name in given:
+                if name not in known:
+                    raise unknown_name("phase", name, f"sequence() of problem '{self.name}'", known)
+        spans = [leg.read_duration(durations.get(leg.name)) for leg in chain]
+        begin = read_interval(start, 1, f"the start of sequence() of problem '{self.name}'")
+        for leg, span in zip(chain, spans, strict=True):
+            end = Interval(begin.lower + span.lower, begin.upper + span.upper)
+            leg.time(initial=_as_given(begin), final=_as_given(end), duration=(span.lower[0], span.upper[0]))
+            begin = end
+        for first, second in pairwise(chain):
+            what = f"the drops after {first.where}"
+            left = expect(drops.get(first.name, {}), Mapping, what, 'write {"m": 1200.0}')
+            jump = {n: -read_numbers(value, f"{what}, '{n}',", ProblemError) for n, value in left.items()}
+            self.link(first, second, jump=jump)
 
     def minimize(self, cost: Any) -> None:
         """State the cost to minimise: an expression in end points, integrals and parameters."""
@@ -346,3 +396,11 @@ class Problem(Statement):
         self._refuse_foreign_ends(expression, f"the cost of problem '{self.name}'")
         self.cost, self.sense = expression, sense
         self.changed()
+
+
+def _as_given(interval: Interval) -> Any:
+    """Return a time's range as users write it."""
+    lower, upper = float(interval.lower[0]), float(interval.upper[0])
+    if lower == upper:
+        return lower
+    return (lower if np.isfinite(lower) else None, upper if np.isfinite(upper) else None)

@@ -12,7 +12,7 @@ import numpy as np
 
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
-from gnc_opt.nlp import SolverOptions
+from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.hp.mesh_refinement import refine_mesh
 from gnc_opt.refine.passes import pass_record
@@ -21,6 +21,7 @@ from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.switching import optimise_switches
 from gnc_opt.solution.history import History, RefinementStatus
 from gnc_opt.solution.solution import Solution
+from gnc_opt.solution.solve_mesh import solve_mesh
 from gnc_opt.verify.kept import keep_verdict
 from gnc_opt.verify.verdict import Verdict
 from gnc_opt.verify.verify import TOLERANCE, verify
@@ -50,7 +51,8 @@ def refine(
     Parameters
     ----------
     solution : Solution
-        A solved one, with its problem.
+        A solved one, with its problem. Arcs that this holds by hand (`Problem.with_arcs`) belong to its mesh: the
+        refined solution is one of the problem without them.
     tol : float
         On the dimensionless error between the nodes; see `gnc_opt.refine.error`.
     structure : {"auto", "bang-bang", "none"}
@@ -94,6 +96,7 @@ def refine(
     begin = time.perf_counter()
     limit = math.inf if max_wall_time is None else read_positive(max_wall_time, "max_wall_time of refine()")
     _check(solution)
+    solution = _released(solution)
     task = _Task(solution, tol, max_passes, max_points, options, begin + limit, progress)
     attempts: list[_Attempt] = []
     try:
@@ -112,6 +115,15 @@ def _check(solution: Solution) -> None:
         raise GncOptError(
             f"the solution of '{solution.problem_name}' ended as {solution.status.value}: refine one that is solved."
         )
+
+
+def _released(solution: Solution) -> Solution:
+    """Return the solution with a problem that holds no arcs: those are told segment by segment of one mesh."""
+    problem = solution.need_problem("refine")
+    held = [name for name, leg in problem.phases.items() if leg.numbers.arcs is not None]
+    for name in held:
+        problem = problem.with_arcs(name, arcs=None)
+    return replace(solution, problem=problem.frozen()) if held else solution
 
 
 # --- what is tried --------------------------------------------------------------------------------------------
@@ -161,7 +173,7 @@ class _Task:
                     f"no control of '{self.solution.problem_name}' enters the Hamiltonian linearly between two finite "
                     'bounds: use structure="none".'
                 )
-            yield self._by_structure(self.solution, found, self.max_passes)
+            yield from self._by_structure(self.solution, found, self.max_passes)
             return
         if structure == "auto":
             yield from self._unasked(self.solution)
@@ -175,11 +187,39 @@ class _Task:
         """Try a structure that nobody asked for, if there is one."""
         found = _structures(start)
         if _switches(start, found, at_least=1):
-            yield self._by_structure(start, found, min(self.max_passes, PATIENCE))
+            yield from self._by_structure(start, found, min(self.max_passes, PATIENCE))
 
     def _by_structure(
         self, start: Solution, found: Mapping[str, PhaseStructure], max_passes: int
-    ) -> _Attempt:
+    ) -> Iterator[_Attempt]:
+        """Try the structure that a mesh shows; if it cannot be met at all, that of a slightly finer mesh."""
+        first = self._structured(start, found, max_passes)
+        yield first
+        if first.history.status is RefinementStatus.FAILED and not any(
+            p.solved for p in first.history.passes
+        ):
+            finer = self._finer(start)
+            if finer.status is Status.INTERRUPTED:
+                raise KeyboardInterrupt
+            if finer.status.solved:
+                yield self._structured(finer, _structures(finer), max_passes)
+
+    def _finer(self, start: Solution) -> Solution:
+        """Return the solution with one more collocation point in every segment."""
+        meshes = {
+            name: replace(leg.mesh, degrees=tuple(n + 1 for n in leg.mesh.degrees))
+            for name, leg in start.phases.items()
+        }
+        return solve_mesh(
+            start.need_problem("refine"),
+            meshes,
+            scheme=next(iter(start.phases.values())).scheme,
+            guess=start,
+            options=self.options,
+            deadline=self.deadline,
+        )
+
+    def _structured(self, start: Solution, found: Mapping[str, PhaseStructure], max_passes: int) -> _Attempt:
         return _Attempt(
             *optimise_switches(
                 start,

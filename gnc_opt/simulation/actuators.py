@@ -1,7 +1,8 @@
 """Actuators: what becomes of a command on its way to the plant.
 
-Every block turns the command of a minor step (held) into the *mean* of its output over the minor step, so that the
-impulse is exact where the output varies within the step.
+A command is held over a minor step. `Delay`, `RateLimit` and `Lag`, in this order, are followed within it
+(`gnc_opt.simulation.wave`), blocks without memory act at every time, and all others are devices that work once per
+minor step, with the mean of what they get.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from gnc_opt.simulation.block import (
     values,
 )
 from gnc_opt.simulation.steps import is_first, next_phase, started_steps, whole_steps
+from gnc_opt.simulation.wave import Part, Wave
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 _INSTANT = 1e-12
@@ -50,6 +52,10 @@ class Saturation(Block):
 
     lower: ArrayLike = -math.inf
     upper: ArrayLike = math.inf
+
+    @property
+    def memoryless(self) -> bool:
+        return True
 
     def parameters(self, size: int, unit: str) -> Defaults:
         lower = values(self.lower, size, f"the lower limit of '{self.name}'")
@@ -78,6 +84,10 @@ class ScaleFactor(Block):
 
     factor: ArrayLike = 1.0
     bias: ArrayLike = 0.0
+
+    @property
+    def memoryless(self) -> bool:
+        return True
 
     def parameters(self, size: int, unit: str) -> Defaults:
         return {
@@ -189,7 +199,8 @@ class _Following(Block):
 class Lag(_Following):
     r"""First-order lag :math:`\tau \dot y = u - y`, from ``initial``; ``tau`` in s (0: none).
 
-    Over a minor step the mean :math:`u + (y_0 - u)(1 - e^{-h/\tau})\tau/h` is applied: the impulse is exact.
+    Solved in closed form for held commands and what `Delay` and `RateLimit` make of them; of other waves it takes
+    the mean.
 
     Parameters
     ----------
@@ -208,17 +219,26 @@ class Lag(_Following):
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"tau": (0.0, math.inf)}
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        ratio = tick.h / ca.fmax(p["tau"], _INSTANT)
-        gap = state - signal
-        return Step(signal - gap * ca.expm1(-ratio) / ratio, signal + gap * ca.exp(-ratio))
+    def flow(self, tick: Tick, wave: Wave, state: Any, p: Parameters, noise: Any) -> tuple[Wave, Step]:
+        wave = wave if wave.straight else wave.averaged(tick.h)
+        tau, y = ca.fmax(p["tau"], _INSTANT), state
+        parts, impulse = [], ca.SX.zeros(state.shape[0])
+        for part, end in wave.pieces(tick.h):
+            length, settled = end - part.begin, part.value - part.slope * tau
+            gap = y - settled
+            parts.append(Part(part.begin, settled, part.slope, gap))
+            impulse += (settled + 0.5 * part.slope * length) * length - gap * tau * ca.expm1(-length / tau)
+            y = settled + part.slope * length + gap * ca.exp(-length / tau)
+        step = Step(impulse / tick.h, y)
+        return Wave(step.signal, tuple(parts), tau, wave.breaks, blur=wave.blur), step
 
 
 @dataclass(frozen=True)
 class RateLimit(_Following):
     """The output follows the command with at most ``rate`` (unit of the command per s), from ``initial``.
 
-    The mean over a minor step of the ramp and the plateau after it is applied.
+    Ramp and plateau begin where they do, for held commands and what `Delay` makes of them; of other waves it takes the
+    mean.
 
     Parameters
     ----------
@@ -237,20 +257,35 @@ class RateLimit(_Following):
     def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"rate": (POSITIVE, math.inf)}
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        reach = p["rate"] * tick.h
-        wanted = signal - state
-        change = clip(wanted, -reach, reach)
-        mean = state + change * (1 - 0.5 * ca.fabs(change) / reach)
-        return Step(mean, state + change, differs(change, wanted))
+    def flow(self, tick: Tick, wave: Wave, state: Any, p: Parameters, noise: Any) -> tuple[Wave, Step]:
+        wave = wave if wave.stepped else wave.averaged(tick.h)
+        y, size = state, state.shape[0]
+        zero, parts, breaks = ca.SX.zeros(size), [], list(wave.breaks)
+        impulse, saturated = zero, zero
+        for part, end in wave.pieces(tick.h):
+            length = end - part.begin
+            wanted = part.value - y
+            change = clip(wanted, -p["rate"] * length, p["rate"] * length)
+            ramp = ca.fabs(change) / p["rate"]
+            arrival = part.begin + ramp
+            parts += [
+                Part(part.begin, y, ca.sign(wanted) * p["rate"], zero),
+                Part(arrival, y + change, zero, zero),
+            ]
+            breaks += ca.vertsplit(arrival)
+            impulse += y * length + change * (length - 0.5 * ramp)
+            saturated = ca.fmax(saturated, differs(change, wanted))
+            y = y + change
+        step = Step(impulse / tick.h, y, saturated)
+        return Wave(step.signal, tuple(parts), None, tuple(breaks), blur=wave.blur), step
 
 
 @dataclass(frozen=True)
 class Delay(_Following):
     """The command arrives ``delay`` (s) later, ``initial`` before; any delay up to ``maximum`` (default: itself).
 
-    Exact for commands held over minor steps: a delay between two multiples of the minor step gives the mean of the
-    two commands that share the step.
+    Commands held over minor steps arrive when they do, also within a minor step; of waves the mean is taken. As delays,
+    rate limits and lags are the same in any order, put the delay first.
 
     Parameters
     ----------
@@ -279,17 +314,25 @@ class Delay(_Following):
     def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
         return ca.repmat(super().start(signal, p, tick), self._length(tick.h), 1)
 
-    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        size = signal.shape[0]
-        line = ca.vertcat(signal, state)  # newest first
+    def flow(self, tick: Tick, wave: Wave, state: Any, p: Parameters, noise: Any) -> tuple[Wave, Step]:
+        wave = wave.averaged(tick.h)
+        size = wave.mean.shape[0]
+        line = ca.vertcat(wave.mean, state)  # newest first
         steps = p["delay"] / tick.h
-        count = line.shape[0] // size
-        late = ca.SX.zeros(size)
-        for i in range(count):
-            weight = ca.fmax(0.0, 1 - ca.fabs(steps - i))
-            # not multiplied by a zero weight: a command that is not a number must not arrive early
-            late += ca.if_else(weight > SAME_TIME, weight * line[i * size : (i + 1) * size], 0.0)
-        return Step(late, rows(line, 0, state.shape[0]))
+        whole = ca.floor(steps + SAME_TIME)
+        share = ca.fmax(
+            0.0, steps - whole
+        )  # of the minor step, at its beginning, that belongs to the older command
+        newer, older = ca.SX.zeros(size), ca.SX.zeros(size)
+        for i in range(line.shape[0] // size):
+            # chosen, not weighed: a command that is not a number must not arrive early
+            newer += ca.if_else(whole == i, line[i * size : (i + 1) * size], 0.0)
+            older += ca.if_else(whole == i - 1, line[i * size : (i + 1) * size], 0.0)
+        older = ca.if_else(share > 0, older, newer)
+        begin, zero = share * tick.h, ca.SX.zeros(size)
+        parts = (Part(zero, older, zero, zero), Part(zero + begin, newer, zero, zero))
+        step = Step(share * older + (1 - share) * newer, rows(line, 0, state.shape[0]))
+        return Wave(step.signal, parts, None, (begin,), blur=wave.blur), step
 
 
 @dataclass(frozen=True)

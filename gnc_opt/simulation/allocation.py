@@ -52,7 +52,7 @@ def pseudo_inverse(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "t
             f"{what}: {effects.shape[1] - len(failed)} actuators{lost} span {rank} of {effects.shape[0]} directions, "
             f"none acts along {np.round(left[:, -1], 4)} (singular value {least:.1e}): add actuators or command less."
         )
-    inverse = np.asarray(np.linalg.pinv(effects, rcond=_SINGULAR))
+    inverse = np.asarray(np.linalg.pinv(effects))
     inverse[list(failed)] = 0.0
     return inverse
 
@@ -133,6 +133,10 @@ class Allocation(Block):
         if self.method == "min-max":
             null_vector(self.matrix, self.failed, f"'{self.name}'")
 
+    @property
+    def memoryless(self) -> bool:
+        return True
+
     def outputs(self, sizes: Mapping[str, int], units: Mapping[str, str]) -> dict[str, tuple[int, str]]:
         return {self.to: (np.shape(self.matrix)[1], self.unit)}
 
@@ -160,6 +164,10 @@ class Mixer(Block):
     matrix: ArrayLike
     to: str | Mapping[str, int] = "outputs"
     unit: str = ""
+
+    @property
+    def memoryless(self) -> bool:
+        return True
 
     def outputs(self, sizes: Mapping[str, int], units: Mapping[str, str]) -> dict[str, tuple[int, str]]:
         rows = np.shape(self.matrix)[0]

@@ -14,6 +14,7 @@ from gnc_opt.arguments import read_label, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.model.layout import as_vector
+from gnc_opt.simulation.wave import Wave
 
 Parameters: TypeAlias = Mapping[str, Any]
 """The SX columns of a block's parameters by name."""
@@ -90,6 +91,11 @@ class Block:
             )
 
     @property
+    def memoryless(self) -> bool:
+        """Whether it acts at every time alike; if not, it works once per minor step."""
+        return False
+
+    @property
     def in_trim(self) -> bool:
         """Whether it begins with the feedforward."""
         return False
@@ -121,6 +127,25 @@ class Block:
         ``signal`` is the first sample (sensors); zero, or the feedforward that arrives where actuators begin in trim.
         """
         return ca.SX(0, 1)
+
+    def flow(self, tick: Tick, wave: Wave, state: Any, p: Parameters, noise: Any) -> tuple[Wave, Step]:
+        """Return what an actuator makes of a wave within a minor step, and its step.
+
+        Devices that work once per minor step take the mean and hold their output; blocks that are `memoryless` act at
+        every time.
+
+        Parameters
+        ----------
+        tick, state, p, noise
+            As in `step`.
+        wave : Wave
+            What comes in.
+        """
+        step = self.step(tick, wave.mean, state, p, noise)
+        if self.memoryless:
+            return wave.mapped(lambda y: self.step(tick, y, state, p, noise).signal), step
+        blur = None if wave.blur is None else ca.repmat(ca.mmax(wave.blur), step.signal.shape[0], 1)
+        return Wave(step.signal, blur=blur), step
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         """Return what becomes of the signal during one step.

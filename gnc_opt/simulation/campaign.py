@@ -15,7 +15,7 @@ from gnc_opt.archive import FileFormat
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
 from gnc_opt.model.layout import Layout, Variable
-from gnc_opt.packing import Packing
+from gnc_opt.packing import Arrays, Packing
 from gnc_opt.simulation.first_files import campaign_fields
 from gnc_opt.simulation.flight import Flight
 from gnc_opt.simulation.metrics import rotation_angle
@@ -65,6 +65,8 @@ class Campaign(Strict):
         Names, sizes and units by kind: parameter, state, error, applied, command.
     flight : Flight or None
         What was flown; not stored in files.
+    fingerprint : str
+        That of the flight; "" in files of versions that did not store it.
     """
 
     seed: int
@@ -86,6 +88,7 @@ class Campaign(Strict):
     interrupted: bool
     layouts: Mapping[str, Layout] = field(repr=False)
     flight: Flight | None = field(default=None, repr=False)
+    fingerprint: str = field(default="", repr=False)
 
     def __len__(self) -> int:
         return len(self.outcomes)
@@ -324,10 +327,8 @@ class Campaign(Strict):
         """
         campaign, _ = CAMPAIGN_FILES.read(path)
         assert isinstance(campaign, Campaign)
-        if flight is not None and flight.layout.labels != campaign.layouts["parameter"].labels:
-            raise GncOptError(
-                f"the campaign of '{path}' flew another loop than the given flight: its parameters have other names."
-            )
+        if flight is not None:
+            _require_same(campaign, flight, path)
         return replace(campaign, flight=flight)
 
     def _need_runs(self) -> int:
@@ -336,13 +337,30 @@ class Campaign(Strict):
         return len(self.outcomes)
 
 
-CAMPAIGN_FILES = FileFormat(
-    Campaign,
-    "campaign",
-    2,
-    Packing((Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("flight",)}),
-    older={1: campaign_fields},
-)
+def _require_same(campaign: Campaign, flight: Flight, path: str | Path) -> None:
+    """Refuse a flight that would not fly a run of the campaign with the same bits."""
+    span = (float(flight.times[0]), float(flight.times[-1]))
+    if flight.layout.labels != campaign.layouts["parameter"].labels:
+        why = "another loop than the given flight: its parameters have other names"
+    elif span != tuple(campaign.span):
+        begin, end = campaign.span
+        why = f"from {begin:g} s to {end:g} s, the given flight from {span[0]:g} s to {span[1]:g} s"
+    elif campaign.fingerprint and flight.fingerprint != campaign.fingerprint:
+        why = "another loop than the given flight: plant, controller, blocks, accuracy or schedule differ"
+    else:
+        return
+    raise GncOptError(f"the campaign of '{path}' flew {why}.")
+
+
+_PACKING = Packing((Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("flight",)})
+
+
+def _second_fields(header: dict[str, Any], arrays: Arrays) -> dict[str, Any]:
+    """Return the fields of a `Campaign` of version 2, which has no fingerprint."""
+    return dict(vars(_PACKING.unpack(header["campaign"], arrays)))
+
+
+CAMPAIGN_FILES = FileFormat(Campaign, "campaign", 3, _PACKING, older={1: campaign_fields, 2: _second_fields})
 
 
 def _or_infinite(values: Array) -> Array:

@@ -24,11 +24,24 @@ def check_measured(plant: Model, controller: Controller) -> None:
                 f"state '{variable.name}' has {plant.states[variable.name].size} components in the plant "
                 f"'{plant.name}' and {variable.size} in controller '{controller.name}'."
             )
+        _check_unit(
+            f"state '{variable.name}'", plant, plant.states[variable.name].unit, variable.unit, controller
+        )
 
 
-def check_applied(plant: Model, applied: Kinds) -> None:
+def _check_unit(what: str, plant: Model, unit: str, expected: str, controller: Controller) -> None:
+    """Refuse two declared units that are written differently; where one is not declared, nobody knows."""
+    one, other = ("".join(c for c in text if c not in " *·") for text in (unit, expected))
+    if one and other and one != other:
+        raise ArgumentError(
+            f"{what} is in {unit} in the plant '{plant.name}' and in {expected} in controller '{controller.name}': "
+            "declare the same unit in both models."
+        )
+
+
+def check_applied(plant: Model, applied: Kinds, controller: Controller) -> None:
     """Refuse signals that leave the actuators and are no controls of the plant."""
-    for name, (size, _) in applied.items():
+    for name, (size, unit) in applied.items():
         if name not in plant.controls:
             raise ArgumentError(
                 f"'{name}' arrives at the plant '{plant.name}', which has no such control: "
@@ -39,6 +52,7 @@ def check_applied(plant: Model, applied: Kinds) -> None:
                 f"control '{name}' has {plant.controls[name].size} components in the plant '{plant.name}', but {size} "
                 "arrive there."
             )
+        _check_unit(f"control '{name}'", plant, plant.controls[name].unit, unit, controller)
 
 
 def check_names(blocks: Sequence[Block]) -> None:

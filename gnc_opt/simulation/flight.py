@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from gnc_opt.arguments import read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout
 from gnc_opt.simulation.kernel import Kernel
+from gnc_opt.simulation.log import Log
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.run import Run
+
+LEG = 1000
+"""Control steps that are flown in one call at most: what a call takes of memory does not grow with the run."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +45,8 @@ class Ending:
         Sum of the changes of the commands: chattering.
     integration_error : array (n,)
         Estimated, relative to max(1, \\|x\\|).
+    averaging_error : array (n,)
+        What of it is owed to actuators that took the mean of a wave.
     outcomes : tuple of n Outcome
     """
 
@@ -49,6 +58,7 @@ class Ending:
     saturation_time: Array
     variation: Array
     integration_error: Array
+    averaging_error: Array
     outcomes: tuple[Outcome, ...]
 
 
@@ -87,6 +97,8 @@ class Flight:
         Asked of the integration, relative.
     minor_steps : int
         Per control step.
+    growth : float
+        By how much the errors of single integration steps grow until the end of the nominal run, at least 1.
     """
 
     kernel: Kernel
@@ -109,6 +121,7 @@ class Flight:
     plausible: Array
     accuracy: float
     minor_steps: int
+    growth: float = 1.0
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in vars(self).items() if not k.startswith("_")}
@@ -120,6 +133,16 @@ class Flight:
     def n_steps(self) -> int:
         """Number of control steps."""
         return int(self.times.size - 1)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Digest of everything that decides the bits of a run, beside its parameters and its seed."""
+        digest = hashlib.sha256()
+        for function in (self.kernel.start, self.kernel.constants, self.kernel.step):
+            digest.update(function.serialize().encode())
+        for array in (self.times, self.schedule):
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
 
     def final(self, P: Array, seeds: Sequence[Any]) -> Ending:
         """Fly n runs and return how they ended; failed ones are flagged, never dropped.
@@ -138,24 +161,37 @@ class Flight:
                 f"give ({self.layout.size}, {len(seeds)})."
             )
         final = np.full((P.shape[1], self.kernel.state.size), np.nan)
-        known, column = self._fixed.copy(), np.empty(self.layout.size)
-        fly, evaluate = self._fold.buffer()  # reads and writes these arrays themselves: no conversion per run
-        fly.set_arg(0, memoryview(known.data))
-        fly.set_arg(1, memoryview(column.data))
+        known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         refused: dict[int, str] = {}
         for i, seed in enumerate(seeds):
             culprit = self.refusal(P[:, i])
             if culprit:
                 refused[i] = culprit
                 continue
-            self._draw(known, seed)
-            column[:] = P[:, i]
-            fly.set_res(0, memoryview(final[i].data))
-            evaluate()
+            for first, rows in self._legs(seed, known):
+                if first == 0:
+                    X, C = self._begun(rows[0], P[:, i])
+                fly, evaluate = self._fold(len(rows))
+                # reads and writes these arrays themselves: no conversion per run
+                for k, array in enumerate((X, rows, C)):
+                    fly.set_arg(k, memoryview(array.data))
+                fly.set_res(0, memoryview(final[i].data))
+                evaluate()
+                X[:] = final[i]
         return self._ending(final.T, refused)
 
-    def run(self, P: Array, seed: Any) -> Run:
+    def run(self, P: Array, seed: Any, *, every: int = 1, folder: str | Path | None = None) -> Run:
         """Fly one run and return all of it; its last state has the bits of `final`.
+
+        Parameters
+        ----------
+        P : array (n_parameters,)
+        seed : int or sequence of int
+        every : int
+            Of so many control steps one is logged; the end always is.
+        folder : path, optional
+            Where the log is written while flying, ``<signal>.npy`` each; the run's arrays are then read from there as
+            they are needed.
 
         Raises
         ------
@@ -163,24 +199,45 @@ class Flight:
             A parameter is outside its permitted range.
         """
         P = np.asarray(P, dtype=float)
+        every = read_integer(every, "the number of control steps of which one is logged", 1)
         culprit = self.refusal(P)
         if culprit:
             raise ArgumentError(f"the run cannot be flown: {culprit}.")
-        known = self._fixed.copy()
-        self._draw(known, seed)
-        first, columns, log = (o.full() for o in self._logged(known.T, P))
-        X = np.hstack([first, columns])
-        parts, logs = self.kernel.state.split(X), self.kernel.log.split(log)
-        ending = self._ending(X[:, -1:], {})
+        kept = np.append(np.arange(0, self.n_steps, every), self.n_steps)
+        sizes = {"states": self.states.size, "memory": self.memory.size}
+        sizes |= {
+            "measured": self.measured.size,
+            "commands": self.commands.size,
+            "applied": self.controls.size,
+        }
+        if self.reference is not None:
+            sizes["errors"] = self.error_layout.size
+        lengths = {name: kept.size - (name in ("measured", "commands", "applied")) for name in sizes}
+        log = Log({name: (size, lengths[name]) for name, size in sizes.items()}, folder)
+        known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
+        for first, rows in self._legs(seed, known):
+            if first == 0:
+                X, C = self._begun(rows[0], P)
+            after, logs = (o.full() for o in self._logged(len(rows))(X, rows.T, C))
+            parts = self.kernel.state.split(np.column_stack([X, after]))
+            # the states at the beginnings of the steps; that at the end of the run follows
+            at = np.arange(first + (-first) % every, first + len(rows), every) - first
+            if at.size:
+                self._note(log, parts, self.kernel.log.split(logs[:, at]), at, first + at)
+            X = np.ascontiguousarray(after[:, -1])
+        end = np.array([0])
+        self._note(log, self.kernel.state.split(X[:, None]), {}, end, np.array([self.n_steps]))
+        ending = self._ending(X[:, None], {})
+        arrays = log.close()
         return Run(
-            times=self.times.copy(),
-            states=parts["plant"],
-            measured=logs["measured"],
-            commands=logs["commands"],
-            applied=logs["applied"],
-            memory=parts["memory"],
-            reference=self.reference,
-            errors=self._relative(parts["plant"], slice(None)),
+            times=self.times[kept],
+            states=arrays["states"],
+            measured=arrays["measured"],
+            commands=arrays["commands"],
+            applied=arrays["applied"],
+            memory=arrays["memory"],
+            reference=None if self.reference is None else self.reference[:, kept],
+            errors=arrays.get("errors"),
             parameters=P.copy(),
             effort=ending.effort[:, 0],
             energy=ending.energy[:, 0],
@@ -211,35 +268,63 @@ class Flight:
 
     # --- internals ----------------------------------------------------------------------------------------
 
-    @cached_property
-    def _fold(self) -> Any:
-        """``(w of all steps, P) -> X at the end``."""
-        return self._whole(lambda x, w, p: [_without_log(self.kernel.step).fold(self.n_steps)(x, w, p)])
-
-    @cached_property
-    def _logged(self) -> Any:
-        """``(w of all steps, P) -> X at the start, X after every step, log of every step``."""
-        return self._whole(lambda x, w, p: [x, *self.kernel.step.mapaccum(self.n_steps)(x, w, p)])
-
-    def _whole(self, outputs: Callable[[Any, Any, Any], list[Any]]) -> Any:
-        w, p = ca.MX.sym("w", self.kernel.known.size, self.n_steps), ca.MX.sym("P", self.layout.size)
-        first = self.kernel.start(w[:, 0], p)
-        return ca.Function("whole", [w, p], outputs(first, w, ca.repmat(p, 1, self.n_steps)))
-
-    @cached_property
-    def _fixed(self) -> Array:
-        """Times and schedule, one row per step; the places of the random numbers are zero."""
-        known = np.zeros((self.n_steps, self.kernel.known.size))
-        known[:, 0] = self.times[:-1]
-        known[:, 1 : 1 + self.schedule.shape[0]] = self.schedule.T
-        return known
-
-    def _draw(self, known: Array, seed: Any) -> None:
-        """Put the random numbers of a seed in their places."""
-        first = 1 + self.schedule.shape[0]
+    def _legs(self, seed: Any, known: Array) -> Iterator[tuple[int, Array]]:
+        """Yield the first steps of the legs of a run, and what is known and drawn for their steps, in ``known``."""
+        first_noise = 1 + self.schedule.shape[0]
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
         generator = np.random.Generator(np.random.Philox(sequence))
-        known[:, first:] = generator.standard_normal((self.n_steps, known.shape[1] - first))
+        for first in range(0, self.n_steps, LEG):
+            last = min(first + LEG, self.n_steps)
+            rows = known[: last - first]
+            rows[:, 0] = self.times[first:last]
+            rows[:, 1:first_noise] = self.schedule[:, first:last].T
+            rows[:, first_noise:] = generator.standard_normal((last - first, known.shape[1] - first_noise))
+            yield first, rows
+
+    def _begun(self, known: Array, P: Array) -> tuple[Array, Array]:
+        """Return X at the first step, and the constants of the run."""
+        X, C = self.kernel.start(known, P), self.kernel.constants(P)
+        return np.asarray(X.full()[:, 0]), np.asarray(C.full()[:, 0])
+
+    def _note(self, log: Log, parts: dict[str, Array], logs: dict[str, Array], at: Any, steps: Any) -> None:
+        """Log the states of a leg at its columns ``at``, which are of these steps of the run."""
+        states = parts["plant"][:, at]
+        log.add("states", states)
+        log.add("memory", parts["memory"][:, at])
+        if self.reference is not None:
+            log.add("errors", self._relative(states, steps))
+        for name, values in logs.items():
+            if name in log.arrays:
+                log.add(name, values)
+
+    def _fold(self, count: int) -> Any:
+        """``(X, w of a leg, C) -> X at its end``, with the arrays that it reads and writes still to be told."""
+        if count not in self._folds:
+            step = _without_log(self.kernel.step)
+            self._folds[count] = self._leg(lambda x, w, c: [step.fold(count)(x, w, c)], count).buffer()
+        return self._folds[count]
+
+    def _logged(self, count: int) -> Any:
+        """``(X, w of a leg, C) -> X after every step, log of every step``."""
+        if count not in self._logs:
+            step = self.kernel.step
+            self._logs[count] = self._leg(lambda x, w, c: list(step.mapaccum(count)(x, w, c)), count)
+        return self._logs[count]
+
+    def _leg(self, outputs: Callable[[Any, Any, Any], list[Any]], count: int) -> Any:
+        step = self.kernel.step
+        x, w, c = (ca.MX.sym(n, *size) for n, size in (
+            ("X", (self.kernel.state.size,)), ("w", (self.kernel.known.size, count)), ("C", (step.size1_in(2),))
+        ))  # fmt: skip
+        return ca.Function("leg", [x, w, c], outputs(x, w, ca.repmat(c, 1, count)))
+
+    @cached_property
+    def _folds(self) -> dict[int, Any]:
+        return {}
+
+    @cached_property
+    def _logs(self) -> dict[int, Any]:
+        return {}
 
     def _ending(self, final: Array, refused: dict[int, str]) -> Ending:
         parts = self.kernel.state.split(final)
@@ -249,13 +334,14 @@ class Flight:
         )
         return Ending(
             parts["plant"],
-            self._relative(parts["plant"], slice(-1, None)),
+            self._relative(parts["plant"], [-1]),
             parts["memory"],
             parts["effort"],
             parts["energy"],
             parts["saturation"],
             parts["variation"],
-            parts["error"][0],
+            self._error(parts),
+            parts["blur"][0],
             outcomes,
         )
 
@@ -277,13 +363,20 @@ class Flight:
             return Outcome(
                 RunStatus.ALARM, self.alarms[int(parts["alarm"][0, i]) - 1], float(parts["alarm time"][0, i])
             )
-        error = float(parts["error"][0, i])
+        error = float(self._error(parts)[i])
         if not error <= self.accuracy:
             return Outcome(RunStatus.INACCURATE, f"integration error {error:.2g}")
         return Outcome(RunStatus.OK)
 
-    def _relative(self, states: Array, columns: slice) -> Array | None:
-        """Return the errors of plant states relative to the reference; states without one are not-a-number."""
+    def _error(self, parts: dict[str, Array]) -> Array:
+        """Return the estimated errors of runs: those of single steps, grown, and what averaging adds to them."""
+        return np.asarray(self.growth * parts["error"][0] + parts["blur"][0])
+
+    def _relative(self, states: Array, columns: Any) -> Any:
+        """Return the errors of plant states relative to the reference at these times, or at the one time; else None.
+
+        States without a reference are not-a-number.
+        """
         if self.reference is None:
             return None
         follow = np.full((self.states.size, self.times[columns].size), np.nan)
@@ -296,4 +389,4 @@ class Flight:
 def _without_log(step: Any) -> Any:
     """Return the step without its log, so that what only the log needs is not computed."""
     symbols = step.sx_in() if step.is_a("SXFunction") else step.mx_in()
-    return ca.Function("only", symbols, [step(*symbols)[0]], ["X", "w", "P"], ["X_next"])
+    return ca.Function("only", symbols, [step(*symbols)[0]], ["X", "w", "C"], ["X_next"])

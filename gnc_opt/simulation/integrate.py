@@ -17,6 +17,8 @@ from typing import Any
 
 import casadi as ca
 
+from gnc_opt.simulation.wave import Input
+
 NODES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
 
 STAGES: tuple[tuple[float, ...], ...] = (
@@ -35,19 +37,21 @@ ERROR_WEIGHTS = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 
 
 
 def dormand_prince(
-    f: Callable[[Any, Any], Any], t: Any, x: Any, length: Any, steps: int = 1
+    f: Callable[[Any, Any, Any], Any], t: Any, x: Any, length: Any, steps: int = 1, u: Input | None = None
 ) -> tuple[Any, Any]:
-    """Integrate ``dx/dt = f(t, x)`` over ``length`` in equal steps.
+    """Integrate ``dx/dt = f(t, x, u)`` over ``length`` in equal steps.
 
     Parameters
     ----------
     f : callable
-        ``f(t, x)`` of a scalar and a column, SX or numbers.
+        ``f(t, x, u)`` of a scalar and two columns, SX or numbers.
     t, x : scalar and column
         Where to begin (s and the units of the state).
     length : scalar
         s.
     steps : int
+    u : callable, optional
+        ``u(k, node)``, the input in the k-th step at ``node`` of it, see `Input`; it may jump between steps.
 
     Returns
     -------
@@ -57,17 +61,18 @@ def dormand_prince(
         Sum over the steps of the largest component of ``|e| / max(1, |x|)``.
     """
     h = length / steps
-    rate = f(t, x)
     total = 0.0
+    rate = None
     for i in range(steps):
         start = t + i * h
-        k = [rate]
+        k = [f(start, x, None if u is None else u(i, 0.0)) if rate is None else rate]
         for node, row in zip(NODES[1:], STAGES[1:], strict=True):
             after = x + h * _combine(row, k)
-            k.append(f(start + node * h, after))
+            k.append(f(start + node * h, after, None if u is None else u(i, node)))
         error = h * _combine(ERROR_WEIGHTS, k)
         total = total + ca.mmax(ca.fabs(error) / ca.fmax(1.0, ca.fabs(after)))
-        x, rate = after, k[-1]
+        # the last stage is the first of the next step, unless the input jumps there
+        x, rate = after, k[-1] if u is None else None
     return x, total
 
 

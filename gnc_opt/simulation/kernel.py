@@ -8,6 +8,7 @@ column P (`ClosedLoop.layout`), everything known or drawn beforehand in one colu
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +18,8 @@ import casadi as ca
 from gnc_opt.model.layout import Layout
 from gnc_opt.simulation.block import Step, Tick, rows
 from gnc_opt.simulation.integrate import dormand_prince
-from gnc_opt.simulation.signals import Link, put, take
+from gnc_opt.simulation.signals import Link, put, put_wave, take, take_wave
+from gnc_opt.simulation.wave import Input, Wave, in_order
 from gnc_opt.simulation.wiring import Wiring
 
 _LARGE = 1e300
@@ -56,14 +58,17 @@ class Kernel:
 
     Attributes
     ----------
+    constants : casadi.Function
+        ``P -> C``: P, and below it whatever a step needs that follows from P alone.
     start : casadi.Function
         ``(w, P) -> X`` at the first control step.
     step : casadi.Function
-        ``(X, w, P) -> (X_next, log)``.
+        ``(X, w, C) -> (X_next, log)``.
     state, known, log : Places
         Of X, w and log.
     """
 
+    constants: Any
     start: Any
     step: Any
     state: Places
@@ -110,6 +115,7 @@ class _Builder:
                 ("variation", commands),
                 ("steps", 1),
                 ("error", 1),
+                ("blur", 1),
                 ("fault", 1),
                 ("fault time", 1),
                 ("divergence", 1),
@@ -165,24 +171,24 @@ class _Builder:
 
     def _actuate(
         self, tick: Tick, u: Any, memory: dict[str, Any], w: dict[str, Any], minor: int
-    ) -> tuple[Any, Any]:
+    ) -> tuple[list[Wave], Any]:
         """Return what is applied to the plant's controls and which commands are saturated; updates ``memory``."""
         commands, controls = self.wiring.controller.commands, self.wiring.plant.controls
-        signals = {n: u[commands.slice(n)] for n in commands.names}
+        waves = {n: Wave(u[commands.slice(n)]) for n in commands.names}
         origin = {n: {n} for n in commands.names}
         saturated = {n: ca.SX.zeros(commands[n].size) for n in commands.names}
         for i, link in enumerate(self.wiring.actuators):
             key, count = f"actuator {i}", link.block.noise(link.size)
             noise = w[key][minor * count : (minor + 1) * count]
-            signal = take(signals, link.on)
-            step = link.block.step(tick, signal, memory[key], self._parameters(link), noise)
+            wave = take_wave(waves, link.on, tick.h)
+            wave, step = link.block.flow(tick, wave, memory[key], self._parameters(link), noise)
             memory[key] = step.state
             _mark(saturated, step, link, origin)
-            signals = put(signals, link, step.signal)
+            waves = put_wave(waves, link, wave)
             sources = set().union(*(origin[n] for n in link.on))
             origin.update({n: origin[n] if n in link.on else sources for n in link.outputs})
-        missing = {n: ca.SX.zeros(controls[n].size) for n in controls.names if n not in signals}
-        return take({**signals, **missing}, controls.names), take(saturated, commands.names)
+        nothing = {n: Wave(ca.SX.zeros(controls[n].size)) for n in controls.names}
+        return [waves.get(n, nothing[n]) for n in controls.names], take(saturated, commands.names)
 
     def _first_outputs(self, tick: Tick, r: Any) -> dict[str, Any]:
         """Return the memories with which the actuators begin; the feedforward passes them where one begins in trim."""
@@ -194,14 +200,14 @@ class _Builder:
             memory[f"actuator {i}"] = first = block.start(signal, p, tick)
             if wiring.in_trim:
                 quiet = ca.SX.zeros(block.noise(link.size))
-                signals = put(signals, link, block.step(tick, signal, first, p, quiet).signal)
+                signals = put(signals, link, block.flow(tick, Wave(signal), first, p, quiet)[1].signal)
         return memory
 
-    def _rate(self, u: Any, pushes: dict[str, Any]) -> Any:
-        """Return f(t, x) of the plant under applied controls and disturbances."""
+    def _rate(self, pushes: dict[str, Any]) -> Any:
+        """Return f(t, x, u) of the plant under applied controls and disturbances."""
         plant, links = self.wiring.plant, self.wiring.disturbances
 
-        def f(t: Any, x: Any) -> Any:
+        def f(t: Any, x: Any, u: Any) -> Any:
             by_name = self._by_state(x)
             extra_u, extra_x = ca.SX.zeros(plant.controls.size), ca.SX.zeros(plant.states.size)
             for i, link in enumerate(links):
@@ -214,12 +220,38 @@ class _Builder:
 
         return f
 
+    def _fly(self, t: Any, x: Any, waves: list[Wave], pushes: dict[str, Any]) -> tuple[Any, Any, Any]:
+        """Integrate the plant over a minor step, anew wherever an actuator bends or jumps.
+
+        Returns the state, the error of the integration, and what waves that were taken at their mean may add to it.
+        """
+        h, f, error, held = self.h, self._rate(pushes), ca.SX(0), all(wave.held for wave in waves)
+        breaks = [b for wave in waves for b in wave.breaks]
+        edges = [ca.SX(0), *in_order(_distinct(breaks)), ca.SX(h)]
+        mean, before = ca.vertcat(*[wave.mean for wave in waves]), x
+        for begin, end in itertools.pairwise(edges):
+            if held:
+                x, estimate = dormand_prince(lambda t, x, _: f(t, x, mean), t, x, h, self.substeps)
+            else:
+                inputs = [wave.input(begin, end, self.substeps) for wave in waves]
+
+                def u(k: int, node: float, inputs: list[Input] = inputs) -> Any:
+                    return ca.vertcat(*[value(k, node) for value in inputs])
+
+                x, estimate = dormand_prince(f, t + begin, x, end - begin, self.substeps, u)
+            error += estimate
+        if all(wave.blur is None for wave in waves):
+            return x, error, 0.0
+        far = ca.vertcat(*[ca.SX.zeros(w.mean.shape[0]) if w.blur is None else w.blur for w in waves])
+        change = h * ca.fabs(f(t, before, mean + far) - f(t, before, mean))
+        return x, error, ca.mmax(change / ca.fmax(1.0, ca.fabs(x)))
+
     # --- functions ----------------------------------------------------------------------------------------
 
     def kernel(self) -> Kernel:
         """Return the finished functions."""
-        start, step = self._start(), self._step()
-        return Kernel(start, step, self.state, self.known, self.log)
+        constants, step = self._step()
+        return Kernel(constants, self._start(), step, self.state, self.known, self.log)
 
     def _start(self) -> Any:
         wiring = self.wiring
@@ -242,19 +274,20 @@ class _Builder:
         values["memory"] = wiring.controller.start(known["t"], y_, known["r"])
         return ca.Function("start", [w_, p_], [self.state.join(values)], ["w", "P"], ["X"])
 
-    def _step(self) -> Any:
+    def _step(self) -> tuple[Any, Any]:
         wiring = self.wiring
-        sense, act = self._sense_function(), self._act_function()
+        sense, (constants, act) = self._sense_function(), self._act_function()
         kind = _symbol_kind(wiring.controller.step)
-        x_, w_, p_ = (
+        x_, w_, c_ = (
             kind.sym(n, s)
-            for n, s in (("X", self.state.size), ("w", self.known.size), ("P", self.P.shape[0]))
+            for n, s in (("X", self.state.size), ("w", self.known.size), ("C", constants.size1_out(0)))
         )
-        y, sensed = sense(x_, w_, p_)
+        y, sensed = sense(x_, w_, c_[: self.P.shape[0]])
         known = self.known.split(w_)
         u, memory = wiring.controller.step(known["t"], y, known["r"], self.state.split(x_)["memory"])
-        after, log = act(sensed, w_, p_, y, u, memory)
-        return ca.Function("step", [x_, w_, p_], [after, log], ["X", "w", "P"], ["X_next", "log"])
+        after, log = act(sensed, w_, c_, y, u, memory)
+        step = ca.Function("step", [x_, w_, c_], [after, log], ["X", "w", "C"], ["X_next", "log"])
+        return constants, step
 
     def _sense_function(self) -> Any:
         x, column = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
@@ -262,8 +295,8 @@ class _Builder:
         y, sensors = self._sense(state["plant"], w["t"], state, w)
         return ca.Function("sense", [x, column, self.P], [y, self.state.join(state | sensors)])
 
-    def _act_function(self) -> Any:
-        """The minor steps and the book-keeping: ``(X, w, P, y, u, z_next) -> (X_next, log)``."""
+    def _act_function(self) -> tuple[Any, Any]:
+        """The constants, and the minor steps with the book-keeping: ``(X, w, C, y, u, z_next) -> (X_next, log)``."""
         wiring, h = self.wiring, self.h
         column_x, column = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
         y, u = ca.SX.sym("y", self.measured.size), ca.SX.sym("u", wiring.controller.commands.size)
@@ -274,12 +307,15 @@ class _Builder:
             key = f"push {i}"
             tick = Tick(w["t"], wiring.dt, wiring.dt, 0, self._by_state(state["plant"]))
             new[key] = link.block.update(tick, state[key], self._parameters(link), w[key])  # type: ignore[attr-defined]
-        x, mean, error = state["plant"], ca.SX.zeros(wiring.plant.controls.size), ca.SX(0)
+        x, mean = state["plant"], ca.SX.zeros(wiring.plant.controls.size)
+        error, blur = ca.SX(0), ca.SX(0)
         for i in range(wiring.minor_steps):
             tick = Tick(w["t"] + i * h, h, wiring.dt, i, self._by_state(x))
-            applied, saturated = self._actuate(tick, u, new, w, i)
-            x, estimate = dormand_prince(self._rate(applied, new), tick.t, x, h, self.substeps)
+            waves, saturated = self._actuate(tick, u, new, w, i)
+            applied = ca.vertcat(*[wave.mean for wave in waves])
+            x, estimate, blurred = self._fly(tick.t, x, waves, new)
             error += estimate
+            blur += blurred
             mean += applied / wiring.minor_steps
             new["effort"] += h * ca.fabs(applied)
             new["energy"] += h * applied**2
@@ -290,11 +326,18 @@ class _Builder:
             "command": u,
             "steps": state["steps"] + 1,
             "error": state["error"] + error,
+            "blur": state["blur"] + blur,
         }
         new["variation"] += ca.if_else(state["steps"] > 0.5, ca.fabs(u - state["command"]), 0.0)
         self._watch(new, state, w["t"], ca.vertcat(*watched(wiring, y), u, mean, x), z)
-        log = self.log.join({"measured": y, "commands": u, "applied": mean, "error": error})
-        return ca.Function("act", [column_x, column, self.P, y, u, z], [self.state.join(new), log])
+        log = self.log.join({"measured": y, "commands": u, "applied": mean, "error": error + blur})
+        # what follows from P alone is computed once per run
+        outputs, symbols, values = ca.extract_parametric([self.state.join(new), log], self.P)
+        constants, names = ca.vertcat(self.P, *values), ca.vertcat(self.P, *symbols)
+        return (
+            ca.Function("constants", [self.P], [constants], ["P"], ["C"]),
+            ca.Function("act", [column_x, column, names, y, u, z], outputs),
+        )
 
     def _watch(self, new: dict[str, Any], state: dict[str, Any], t: Any, seen: Any, z: Any) -> None:
         """Keep the first thing that is not finite, the first state too large, the first alarm, and their times."""
@@ -316,6 +359,15 @@ class _Builder:
             fresh = ca.logic_and(state[name] < 0.5, code > 0.5)
             new[name] = ca.if_else(fresh, code, state[name])
             new[f"{name} time"] = ca.if_else(fresh, t, state[f"{name} time"])
+
+
+def _distinct(breaks: list[Any]) -> list[Any]:
+    """Return SX scalars without those that are the same expression."""
+    found: list[Any] = []
+    for b in breaks:
+        if not any(ca.is_equal(b, other, 0) for other in found):
+            found.append(b)
+    return found
 
 
 def watched(wiring: Wiring, measured: Any) -> tuple[Any, ...]:

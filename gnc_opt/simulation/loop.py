@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -18,7 +19,7 @@ from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.disturbances import Disturbance
-from gnc_opt.simulation.flight import Flight
+from gnc_opt.simulation.flight import LEG, Ending, Flight
 from gnc_opt.simulation.kernel import Kernel, alarm_labels, build_kernel, watched_labels
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.wiring import Blocks, Wiring, wire
@@ -41,6 +42,9 @@ _MAX_STEPS = 2_000_000
 _PART_OF_A_STEP = 1e-6
 """A run that ends by less than this share of a step after a control step ends with that step: the quotient of a long
 time and a short step has so few digits."""
+
+_ROUNDING_OF_A_RUN = 1e-14
+"""Local errors that sum up to less are as small as rounding: what differs between runs is no measure of them."""
 
 _MAX_UNROLLED = 2000
 """Integration steps per control step at most: they are written out one by one in the compiled function."""
@@ -209,20 +213,30 @@ class ClosedLoop:
         nominal = self.parameters(x0, parameters)
         times = self._times(t0, tf)
         rows = self._schedule(times)
-        if self.substeps is not None:
-            return self._flight(nominal, times, rows, self.substeps)
-        substeps = self._stable_substeps(nominal, times[0])
+        substeps = self.substeps or self._stable_substeps(nominal, times[0])
+        coarse = None
         while True:
             flight = self._flight(nominal, times, rows, substeps)
             ending = flight.final(nominal[:, None], [0])
-            error = float(ending.integration_error[0])
             # a run that leaves the finite numbers is not one whose accuracy could be had by more steps
-            if error <= self.accuracy or not np.isfinite(error) or ending.outcomes[0].not_finite:
+            if not np.isfinite(ending.integration_error[0]) or ending.outcomes[0].not_finite:
                 return flight
             if substeps >= MAX_SUBSTEPS and ending.outcomes[0].diverged:
                 return flight  # also when integrated as finely as can be: that is what is to be told
+            local = float(ending.integration_error[0] - ending.averaging_error[0])
+            if coarse is None and (local <= self.accuracy or self.substeps is not None):
+                finer = self._flight(nominal, times, rows, substeps + 1).final(nominal[:, None], [0])
+                flight = replace(flight, growth=_growth(ending, finer, local, substeps / (substeps + 1)))
+            elif coarse is not None:
+                flight = replace(flight, growth=_growth(*coarse[:1], ending, coarse[1], coarse[2] / substeps))
+            error = flight.growth * local
+            if error <= self.accuracy or self.substeps is not None:
+                return flight
+            if substeps >= MAX_SUBSTEPS and local <= self.accuracy:
+                return flight  # errors grow: runs are flagged
             if substeps >= MAX_SUBSTEPS:
                 raise self._too_fast(f"leave an error of {error:.1e} where {self.accuracy:.1e} is asked for")
+            coarse = (ending, local, substeps)
             # the local error of the embedded fourth-order solution, summed over a run, falls with h^4
             needed = substeps * (error / self.accuracy) ** 0.25 * _MARGIN
             substeps = int(min(MAX_SUBSTEPS, max(substeps + 1, np.ceil(needed))))
@@ -235,6 +249,8 @@ class ClosedLoop:
         tf: float,
         seed: Any = 0,
         parameters: Mapping[str, ArrayLike] | None = None,
+        every: int = 1,
+        folder: str | Path | None = None,
     ) -> Run:
         """Run the loop once and log everything.
 
@@ -248,6 +264,11 @@ class ClosedLoop:
             Of the random numbers: the same seed gives the same bits.
         parameters : mapping
             Changes by dotted name, see `layout`.
+        every : int
+            Of so many control steps one is logged; the end always is. What is summed up (effort, say) takes in all.
+        folder : path, optional
+            Where the log is written while flying, as ``states.npy`` and so on; the run's arrays are read from there as
+            they are needed. For long runs: memory does not grow with the log.
 
         Returns
         -------
@@ -255,7 +276,7 @@ class ClosedLoop:
             Also of a run that fails: ``run.outcome`` says what happened and when.
         """
         flight = self.flight(x0, t0=t0, tf=tf, parameters=parameters)
-        return flight.run(flight.nominal, seed)
+        return flight.run(flight.nominal, seed, every=every, folder=folder)
 
     def kernel(self, substeps: int) -> Kernel:
         """Return the symbolic step with that many integration steps per minor step."""
@@ -329,12 +350,19 @@ class ClosedLoop:
         return np.asarray(begin + self.dt * np.arange(count + 1), dtype=np.float64)
 
     def _schedule(self, times: Array) -> Array:
-        rows = np.asarray(self.controller.schedule(times, self.dt), dtype=float)
-        if rows.shape != (self.controller.signals.size, times.size):
-            raise ArgumentError(
-                f"the schedule of '{self.controller.name}' has the shape {rows.shape} where "
-                f"({self.controller.signals.size}, {times.size}) is needed."
-            )
+        size = self.controller.signals.size
+        rows = np.empty((size, times.size))
+        for first in range(
+            0, times.size, LEG
+        ):  # leg by leg: what a schedule needs on its way may be many times its size
+            some = times[first : first + LEG]
+            found = np.asarray(self.controller.schedule(some, self.dt), dtype=float)
+            if found.shape != (size, some.size):
+                raise ArgumentError(
+                    f"the schedule of '{self.controller.name}' has the shape {found.shape} where ({size}, {some.size}) "
+                    "is needed."
+                )
+            rows[:, first : first + LEG] = found
         return rows
 
     def _followed(self, rows: Array) -> Array | None:
@@ -365,3 +393,15 @@ def _read_plausible(value: float | Mapping[str, ArrayLike], states: Layout) -> A
     if not np.all(largest > 0):
         raise ArgumentError(f"the plausible sizes of the states are {largest}: give positive ones.")
     return largest
+
+
+def _growth(coarse: Ending, fine: Ending, local: float, ratio: float) -> float:
+    """Return by how much the local errors of a run have grown until its end, from the same run with shorter steps.
+
+    ``local`` is the sum of local errors of the coarse run, ``ratio`` that of the lengths of the steps, below 1. The
+    error at the end falls with the fifth power of the step.
+    """
+    if not local > _ROUNDING_OF_A_RUN or not np.all(np.isfinite(fine.states)):
+        return 1.0
+    apart = np.abs(coarse.states - fine.states) / np.maximum(1.0, np.abs(fine.states))
+    return max(1.0, float(np.max(apart)) / ((1 - ratio**5) * local))

@@ -6,6 +6,7 @@ number of each run, so that it makes no difference who flies what.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -73,10 +74,14 @@ class Flown:
     died: bool = False
 
 
-def batches(runs: int) -> list[Batch]:
-    """Return runs 0 to ``runs`` - 1 cut into batches."""
-    size = min(MOST_PER_BATCH, max(1, runs // BATCHES))
-    return [range(first, min(first + size, runs)) for first in range(0, runs, size)]
+def batches(runs: int, flown: Iterable[Batch] = (), most: int = MOST_PER_BATCH) -> list[Batch]:
+    """Return runs 0 to ``runs`` - 1 without those already flown, cut into batches."""
+    size = min(most, max(1, runs // BATCHES))
+    ends = sorted((batch.start, batch.stop) for batch in flown)
+    gaps = zip([0, *(stop for _, stop in ends)], [*(start for start, _ in ends), runs], strict=True)
+    return [
+        range(first, min(first + size, stop)) for start, stop in gaps for first in range(start, stop, size)
+    ]
 
 
 def halves(batch: Batch) -> tuple[Batch, ...]:

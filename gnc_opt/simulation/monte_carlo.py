@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -15,6 +16,7 @@ from gnc_opt.arguments import expect, read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError
 from gnc_opt.simulation.campaign import Campaign
+from gnc_opt.simulation.checkpoint import MOST_PER_FILE, store, stored
 from gnc_opt.simulation.criteria import Criteria, Judge
 from gnc_opt.simulation.dispersion import Dispersions, check_dispersions
 from gnc_opt.simulation.loop import ClosedLoop
@@ -37,6 +39,7 @@ def monte_carlo(
     limits: Mapping[str, float] | None = None,
     judge: Mapping[str, Judge] | None = None,
     executor: Executor | Literal["serial"] | None = None,
+    checkpoint: str | Path | None = None,
     progress: bool = False,
 ) -> Campaign:
     """Fly a closed loop n times with dispersed parameters and initial states, and fresh random numbers.
@@ -65,6 +68,9 @@ def monte_carlo(
         Measures of one's own: functions of the campaign that return a number per run, by name. They can have limits.
     executor : concurrent.futures.Executor or "serial", optional
         Default: one process per processor. A Dask cluster: ``client.get_executor()``.
+    checkpoint : path, optional
+        A folder to which every batch of runs goes as soon as it has ended. Called again with it, whatever ended the
+        campaign, also with a larger n, only the runs that are missing there are flown; the result has the same bits.
     progress : bool
         Show how many runs have ended and how many of them failed.
 
@@ -78,7 +84,8 @@ def monte_carlo(
     ArgumentError, UnknownNameError
         Something does not fit; the message names it.
     GncOptError
-        The campaign cannot be sent to the executor's processes, or not a single run could be flown.
+        The campaign cannot be sent to the executor's processes, not a single run could be flown, or the checkpoint is
+        of another campaign.
     """
     expect(loop, ClosedLoop, "what monte_carlo() flies", "give a ClosedLoop")
     read_integer(n, "the number of runs of monte_carlo()", 1)
@@ -90,12 +97,26 @@ def monte_carlo(
     mission = Mission(flight, dict(dispersions), int(seed))
     empty = _campaign(mission, n, criteria.goal(flight), [])
     criteria.check(empty)
+    folder = None if checkpoint is None else Path(checkpoint)
+    before = [] if folder is None else stored(folder, mission, n)
     with (
         _meter(n, progress) as show,
         WorkerPool(_shared(mission, executor), executor, "monte_carlo()") as pool,
     ):
-        done = pool.run(Mission.fly, batches(n), lambda batch: show(*_tally(batch)), halves)
-    flown = [part for batch in done for part in flown_parts(batch)]
+
+        def keep(batch: Done[Batch, list[Flown]]) -> None:
+            for part in flown_parts(batch):
+                if folder is not None and part.ending is not None:
+                    store(folder, _campaign(mission, n, empty.target, [part]))
+            show(*_tally(flown_parts(batch)))
+
+        if before:
+            show(*_tally(before))
+        todo = batches(n, [part.batch for part in before], *([] if folder is None else [MOST_PER_FILE]))
+        done = pool.run(Mission.fly, todo, keep, halves)
+    flown = sorted(
+        [*before, *(part for batch in done for part in flown_parts(batch))], key=lambda part: part.batch.start
+    )
     _refuse_total_loss(flown)
     campaign = _campaign(mission, n, empty.target, _with_parameters(flown, mission))
     return criteria.applied(replace(campaign, interrupted=pool.interrupted))
@@ -120,11 +141,11 @@ def _shared(mission: Mission, executor: Executor | Literal["serial"] | None) -> 
     return shared
 
 
-def _tally(done: Done[Batch, list[Flown]]) -> tuple[int, int]:
-    endings = [part.ending for part in flown_parts(done) if part.ending is not None]
-    return len(done.item), len(done.item) - sum(
-        outcome.ok for ending in endings for outcome in ending.outcomes
-    )
+def _tally(parts: Sequence[Flown]) -> tuple[int, int]:
+    """Return how many runs these are and how many of them failed."""
+    runs = sum(len(part.batch) for part in parts)
+    endings = [part.ending for part in parts if part.ending is not None]
+    return runs, runs - sum(outcome.ok for ending in endings for outcome in ending.outcomes)
 
 
 # --- after ------------------------------------------------------------------------------------------------
@@ -204,4 +225,5 @@ def _campaign(mission: Mission, asked: int, goal: Array, flown: Sequence[Flown])
             "command": flight.commands,
         },
         flight=flight,
+        fingerprint=flight.fingerprint,
     )

@@ -11,6 +11,7 @@ import casadi as ca
 from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.layout import Layout
 from gnc_opt.simulation.block import Block
+from gnc_opt.simulation.wave import Wave, cut, stacked
 
 Kinds = dict[str, tuple[int, str]]
 """Sizes and units of signals by name."""
@@ -90,5 +91,20 @@ def put(signals: Mapping[str, Any], link: Link, column: Any) -> dict[str, Any]:
     at = 0
     for name, (size, _) in link.outputs.items():
         rest[name] = column[at : at + size]
+        at += size
+    return rest
+
+
+def take_wave(waves: Mapping[str, Wave], names: Sequence[str], h: float) -> Wave:
+    """Return the stacked wave of named signals."""
+    return stacked([waves[n] for n in names], h)
+
+
+def put_wave(waves: Mapping[str, Wave], link: Link, wave: Wave) -> dict[str, Wave]:
+    """Return the waves with a link's outputs in the place of its inputs."""
+    rest = {n: w for n, w in waves.items() if n not in link.on}
+    at = 0
+    for name, (size, _) in link.outputs.items():
+        rest[name] = wave if size == wave.mean.shape[0] else cut(wave, at, at + size)
         at += size
     return rest

@@ -69,6 +69,10 @@ class NonNegativeAllocation(Block):
             )
         return np.asarray(found.x)
 
+    @property
+    def memoryless(self) -> bool:
+        return True
+
     def outputs(self, sizes: Mapping[str, int], units: Mapping[str, str]) -> dict[str, tuple[int, str]]:
         return {self.to: (np.shape(self.matrix)[1], self.unit)}
 

@@ -128,7 +128,7 @@ def wire(
     check_measured(plant, controller)
     check_names((*blocks.actuators, *blocks.sensors, *blocks.disturbances))
     actuators, applied = chain(blocks.actuators, kinds(controller.commands), "command")
-    check_applied(plant, applied)
+    check_applied(plant, applied, controller)
     sensors = _sensors(controller, blocks.sensors)
     targets = kinds(plant.controls) | {
         n: (size, f"{unit}/s") for n, (size, unit) in kinds(plant.states).items()

@@ -8,6 +8,7 @@ is F) and the rows on theirs held (set C), the first-order conditions at the poi
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -20,6 +21,7 @@ from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.start import program_start
+from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.scaling import Scaling, scale_rows, scale_variables
 from gnc_opt.transcription.transcription import Transcription, transcribe
 
@@ -96,10 +98,10 @@ class ProgramPoint:
     rows: Limits
 
     @classmethod
-    def of(cls, solution: Solution) -> ProgramPoint:
-        """Return the point of a solution that has a problem, on the solution's own mesh."""
+    def of(cls, solution: Solution, meshes: Mapping[str, Mesh] | None = None) -> ProgramPoint:
+        """Return the point of a solution that has a problem, on its own meshes or interpolated on others."""
         problem = solution.need_problem("linearise")
-        meshes = {name: leg.mesh for name, leg in solution.phases.items()}
+        meshes = meshes or {name: leg.mesh for name, leg in solution.phases.items()}
         transcription = transcribe(problem, meshes, solution.scheme)
         start = program_start(transcription, problem, solution)
         x, lam_x, lam_g = start.x, start.lam_x, start.lam_g

@@ -12,7 +12,7 @@ from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.spans import RESOLUTION, STILL, control_spans, end_spans, shared, state_spans
-from gnc_opt.tolerances import AT_LIMIT, SHORTEST
+from gnc_opt.tolerances import AT_LIMIT, SHORTEST, magnitude
 from gnc_opt.transcription.quadrature import CollocationRule, gauss_rule
 
 EXTRA = 9
@@ -213,16 +213,11 @@ class PhaseSamples:
 
     @cached_property
     def control_scale(self) -> Array:
-        """Range of each control's bounds; without one, how far it moves, and from its only bound (m,)."""
+        """Range of each control's bounds, or its magnitude along the phase where unbounded (m,)."""
         bounds = self.leg.control_bounds
         span = bounds.upper - bounds.lower
-        reach = np.zeros(self.u.shape[0])
-        for origin in (np.min(self.u, axis=1), bounds.lower, bounds.upper):
-            away = np.abs(self.u - origin[:, None])
-            reach = np.fmax(reach, np.max(np.where(np.isfinite(away), away, 0.0), axis=1, initial=0.0))
-        size = np.max(np.abs(self.u), axis=1, initial=0.0)
-        reach = np.where(reach > RESOLUTION * size, reach, size)
-        return np.where(np.isfinite(span) & (span > 0), span, np.where(reach > 0, reach, 1.0))
+        reach = np.max(np.abs(self.u), axis=1, initial=0.0)
+        return np.where(np.isfinite(span) & (span > 0), span, magnitude(reach))
 
     @cached_property
     def cost_scale(self) -> float:

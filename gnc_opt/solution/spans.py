@@ -2,10 +2,9 @@ r"""How far states and controls move on a flight: what their deviations are meas
 
 A position of 7000 km says nothing about a flight of 1 m: sizes depend on units and origin, what a flight *moves* does
 not on the latter. So the yardstick of a state is its span, the farthest that it gets from where it starts, shared by
-the components of a vector. A state that hardly moves has the least share `STILL` of what the controls
-could move it: :math:`T\,\sum_k |\partial f_i/\partial u_k|\,\Delta u_k`, or the same through another state.
-What nothing can move has the width of its limits, or its size. Below `RESOLUTION` of the size, rounding would be
-measured.
+the components of a vector. A state that hardly moves has what the controls could move it,
+:math:`T\,\sum_k |\partial f_i/\partial u_k|\,\Delta u_k`, or the same through another state. What nothing can move has
+the width of its limits, or its size. Below `RESOLUTION` of the size, rounding would be measured.
 """
 
 from __future__ import annotations
@@ -21,7 +20,10 @@ from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import magnitude
 
 STILL = 1e-4
-"""Least span of a state, in shares of what the controls could move it."""
+"""A state that moves by less than this share of what the controls could move it is still: that is its span."""
+
+NOTHING_MOVES = 1e-9
+"""Where no state moves by more than this, as at an equilibrium, sizes have to do."""
 
 IDLE = 1e-6
 """A control that moves by less than this share of its range is idle: its range is its span."""
@@ -37,10 +39,11 @@ def state_spans(leg: PhaseSolution, functions: PhaseFunctions, *, lasting: bool)
     """Return how far each state moves along a phase (n_states,); positive. Its size if the phase does not last."""
     values = leg.x(leg.sample_times())
     size = np.max(np.abs(values), axis=1, initial=0.0)
-    if not lasting:
-        return magnitude(shared(size, leg.states))
     moved = shared(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
-    spans = np.maximum(moved, STILL * shared(_movable(leg, functions), leg.states))
+    if not lasting or np.max(moved) <= NOTHING_MOVES:
+        return magnitude(shared(size, leg.states))
+    movable = shared(_movable(leg, functions), leg.states)
+    spans = np.where(moved > STILL * movable, moved, movable)
     spans = np.maximum(spans, RESOLUTION * size)
     boxes = (leg.state_bounds, leg.initial_bounds, leg.final_bounds)
     return _otherwise(_otherwise(spans, *(_width(box) for box in boxes)), size, np.ones(size.size))

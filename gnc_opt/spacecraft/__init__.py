@@ -1,5 +1,16 @@
 """Spacecraft dynamics, symbolic and numeric alike; each module begins with a page of equations and sources."""
 
+from gnc_opt.spacecraft.atmosphere import (
+    FLATTENING_EARTH,
+    RATE_EARTH,
+    air_density,
+    air_temperature,
+    air_velocity,
+    altitude,
+    drag_acceleration,
+    speed_of_sound,
+    us76,
+)
 from gnc_opt.spacecraft.attitude import (
     mrp_difference,
     mrp_from_axis_angle,
@@ -64,14 +75,20 @@ from gnc_opt.spacecraft.wheels import (
 )
 
 __all__ = [
+    "FLATTENING_EARTH",
     "J2_EARTH",
     "MU_EARTH",
     "PYRAMID_ELEVATION",
     "RADIUS_EARTH",
+    "RATE_EARTH",
     "FlexibleBody",
     "TetherAccelerations",
     "TetherMotion",
     "TetheredPair",
+    "air_density",
+    "air_temperature",
+    "air_velocity",
+    "altitude",
     "angular_acceleration",
     "angular_momentum",
     "angular_momentum_about_axis",
@@ -81,6 +98,7 @@ __all__ = [
     "differential_j2",
     "divide_by_inertia",
     "dot",
+    "drag_acceleration",
     "gravity_gradient_torque",
     "gravity_potential",
     "hill_acceleration",
@@ -114,10 +132,12 @@ __all__ = [
     "relative_angular_acceleration",
     "relative_from_inertial",
     "scale",
+    "speed_of_sound",
     "stack",
     "stack_rows",
     "total_momentum",
     "transpose",
+    "us76",
     "wheel_body_acceleration",
     "wheel_pyramid",
 ]

@@ -190,11 +190,11 @@ def sweep(
             raise ArgumentError(
                 f"output '{name}' of sweep() is {shown(output)}: give a function of a solution."
             )
-    line = _Line(tuple(axes), tuple(axes.values())[-1], dict(outputs or {}), mesh, tol, options)
+    line = _Line(tuple(axes), tuple(axes.values())[-1], mesh, tol, options)
     shared = Shared.picklable(
-        problem_of,
-        "the family of problems",
-        'define it with def at the top of a module, or use executor="serial"',
+        _Functions(problem_of, dict(outputs or {})),
+        "the family of problems, or an output,",
+        'define them with def at the top of a module, or use executor="serial"',
     )
     shape = tuple(values.size for values in axes.values())
     solutions, endings = np.full(shape, None, dtype=object), np.full(shape, NOT_REACHED, dtype=object)
@@ -247,26 +247,33 @@ class _Point:
 
 
 @dataclass(frozen=True)
+class _Functions:
+    """What the user defined."""
+
+    problem_of: Family
+    outputs: Mapping[str, Output]
+
+
+@dataclass(frozen=True)
 class _Line:
     """Solve one line of the grid, each point from its neighbour."""
 
     names: tuple[str, ...]
     values: Array
-    outputs: Mapping[str, Output]
     mesh: MeshLike | Mapping[str, MeshLike] | None
     tol: float | None
     options: SolverOptions | None
 
-    def __call__(self, problem_of: Family, item: tuple[int, tuple[float, ...]]) -> list[_Point]:
-        return list(self._points(problem_of, item[1]))
+    def __call__(self, functions: _Functions, item: tuple[int, tuple[float, ...]]) -> list[_Point]:
+        return list(self._points(functions, item[1]))
 
-    def _points(self, problem_of: Family, fixed: tuple[float, ...]) -> Iterator[_Point]:
+    def _points(self, functions: _Functions, fixed: tuple[float, ...]) -> Iterator[_Point]:
         neighbour: Solution | None = None
         for value in self.values:
             arguments = dict(zip(self.names, (*map(float, fixed), float(value)), strict=True))
             try:
                 problem = expect(
-                    problem_of(**arguments),
+                    functions.problem_of(**arguments),
                     Problem,
                     "what the family of sweep() returned",
                     "return the problem",
@@ -274,7 +281,8 @@ class _Line:
                 solution = self._solve(problem, neighbour)
                 if solution.status is Status.INTERRUPTED and not self._has_time_limit:
                     raise KeyboardInterrupt
-                more = {name: float(output(solution)) for name, output in self._outputs(solution)}
+                outputs = functions.outputs if solution.status.solved else {}
+                more = {name: float(output(solution)) for name, output in outputs.items()}
             except GncOptError as error:  # a point of the grid that makes no sense
                 yield _Point(None, str(error), {})
                 continue
@@ -290,9 +298,6 @@ class _Line:
     @property
     def _has_time_limit(self) -> bool:
         return self.options is not None and self.options.max_wall_time is not None
-
-    def _outputs(self, solution: Solution) -> Iterator[tuple[str, Output]]:
-        return iter(self.outputs.items() if solution.status.solved else ())
 
     def _solve(self, problem: Problem, neighbour: Solution | None) -> Solution:
         if neighbour is not None:

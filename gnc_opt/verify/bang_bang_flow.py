@@ -62,25 +62,32 @@ class BangBangFlow:
         States, integrals, time and free parameters at the start and at the end.
     initial_sensitivity, final_sensitivity : array (n_states + n_integrals + 1 + n_parameters, n_unknowns)
         Derivatives of these by the unknowns.
+    states : array (n_states + n_integrals + 1 + n_parameters, n_steps + 1)
+        Before every step and at the end.
     """
 
     initial: Array
     final: Array
     initial_sensitivity: Array
     final_sensitivity: Array
-    _states: Array
+    states: Array
     _inputs: Array
     _jacobians: Array
     _directions: Array
     _hessian: Any
 
+    def adjoints(self, adjoint: Array) -> Array:
+        """Derivatives of ``adjoint @ final`` by the states before every step and at the end, (n, n_steps + 1)."""
+        adjoints = np.empty_like(self.states)
+        adjoints[:, -1] = adjoint
+        for j in reversed(range(self._jacobians.shape[0])):
+            adjoints[:, j] = adjoints[:, j + 1] @ self._jacobians[j, :, :-1]
+        return adjoints
+
     def curvature(self, adjoint: Array) -> Array:
         """Second derivative of ``adjoint @ final``, (n_unknowns, n_unknowns)."""
-        adjoints = np.empty_like(self._states)
-        for j in reversed(range(adjoints.shape[1])):
-            adjoints[:, j] = adjoint
-            adjoint = adjoint @ self._jacobians[j, :, :-1]
-        hessians = _stacked(self._hessian(self._states, self._inputs, adjoints), adjoints.shape[1])
+        adjoints = self.adjoints(adjoint)[:, 1:]
+        hessians = _stacked(self._hessian(self.states[:, :-1], self._inputs, adjoints), adjoints.shape[1])
         return np.tensordot(self._directions, hessians @ self._directions, axes=((0, 1), (0, 1)))
 
 
@@ -107,8 +114,8 @@ def bang_bang_flow(
     inputs, changes = _steps(s, pieces, n_times, refinement)
     n, n_clock = inputs.shape[1], start.size - q.size - 1
     flown = step.mapaccum(n)(start, inputs).full()
-    states = np.column_stack([start, flown[:, :-1]])
-    jacobians = _stacked(jacobian(states, inputs), n)
+    states = np.column_stack([start, flown])
+    jacobians = _stacked(jacobian(states[:, :-1], inputs), n)
     initial = np.zeros((start.size, n_times + free_start.size + q.size))
     initial[n_clock, pieces.unknowns[0]] = 1.0
     initial[free_start, n_times + np.arange(free_start.size)] = 1.0

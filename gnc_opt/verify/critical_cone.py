@@ -72,7 +72,8 @@ class CriticalCone:
         part = self.point.transcription.parts[s.leg.name]
         change = direction * self.point.scaling.variables
         dx = s.sample(_through_nodes(s, part.collocation, change))
-        du = s.sample(piecewise(s.leg.breaks, s.leg.rules, change[part.collocation.point_controls]))
+        rules = part.collocation.rules
+        du = s.sample(piecewise(s.leg.breaks, rules, change[part.collocation.point_controls]))
         by_state = s.functions.path_state_jacobian(s.times, s.x, s.u)
         by_control = s.functions.path_control_jacobian(s.times, s.x, s.u)
         dc = np.einsum("ijk,jk->ik", by_state, dx) + np.einsum("ijk,jk->ik", by_control, du)
@@ -136,5 +137,5 @@ def _nodes(collocation: PhaseCollocation, k: int) -> Indices:
 def _through_nodes(s: PhaseSamples, collocation: PhaseCollocation, change: Array) -> PiecewisePolynomial:
     """Return the polynomials through the varied states at the start, the points and the end of each segment."""
     values = tuple(change[_nodes(collocation, k)] for k in range(collocation.mesh.segments))
-    nodes = tuple(np.union1d(rule.points, [-1.0, 1.0]) for rule in s.leg.rules)
+    nodes = tuple(np.union1d(rule.points, [-1.0, 1.0]) for rule in collocation.rules)
     return PiecewisePolynomial(s.leg.breaks, nodes, values)

@@ -173,7 +173,7 @@ class InducedProblem:
             for s in samples
         }
         changes = _changes(samples, unknowns, flows)
-        derivatives = problem.once("end derivatives", lambda: _end_derivatives(problem))
+        derivatives = problem.once("end derivatives", lambda: end_derivatives(problem))
         both = [flow for s in samples for flow in _ends_of(s, flows)]
         arguments = (*both, *(s.functions.p for s in samples), solution.parameter_values)
 
@@ -295,7 +295,7 @@ def _stacked(boxes: list[Interval]) -> Interval:
     return Interval(np.concatenate([b.lower for b in boxes]), np.concatenate([b.upper for b in boxes]))
 
 
-def _end_derivatives(problem: Problem) -> Any:
+def end_derivatives(problem: Problem) -> Any:
     """Gradient of the cost and the constraints with their multipliers, the constraints' Jacobian, and the Hessian.
 
     A CasADi Function of the start and the end of every phase (states, integrals, time), the model parameters of every

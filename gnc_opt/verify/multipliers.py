@@ -20,8 +20,7 @@ from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.covector import Iterate
 from gnc_opt.solution.start import with_integrals
-from gnc_opt.tolerances import TINY
-from gnc_opt.transcription.scaling import scale_rows, scale_variables
+from gnc_opt.tolerances import ROUNDING, TINY
 from gnc_opt.transcription.transcription import Transcription
 from gnc_opt.verify.trajectory_fit import FittedPhase
 
@@ -50,20 +49,23 @@ def estimate(
         Free parameters.
     """
     x = _variables(transcription, problem, fitted, q)
-    scales = scale_variables(transcription, problem, x)
-    row_scales, worth = scale_rows(transcription, problem, x, scales)
+    scales = _ranges(transcription, problem, fitted, x)
     values, gradient, nonzeros = transcription.evaluate(problem, x)
     rows, columns = transcription.constraints.jacobian_pattern
+    steepest = np.zeros(transcription.n_constraints)
+    np.maximum.at(steepest, rows, np.abs(nonzeros * scales[columns]))
+    row_scales = 1 / np.where(steepest > 0, steepest, 1.0)
+    worth = 1 / max(float(np.max(np.abs(gradient * scales))), TINY)
     shape = (transcription.n_variables, transcription.n_constraints)
     weights = scales / np.sqrt(_quadrature(transcription))
     matrix = scipy.sparse.csc_array(
-        (nonzeros * weights[columns] / row_scales[rows], (columns, rows)), shape=shape
+        (nonzeros * weights[columns] * row_scales[rows], (columns, rows)), shape=shape
     )
     limits = _Limits.of(transcription.variable_interval(problem), x, scales)
     row_limits = _Limits.of(transcription.row_interval(problem), values, 1 / row_scales)
     exact = _state_rows(transcription)
     scaled = _sort_out(matrix, gradient * weights * worth, exact, limits, row_limits)
-    lam_g = scaled / row_scales / worth
+    lam_g = scaled * row_scales / worth
     residual = gradient + scipy.sparse.csc_array((nonzeros, (columns, rows)), shape=shape) @ lam_g
     return Iterate(x, np.where(limits.anywhere, -residual, 0.0), lam_g)
 
@@ -151,6 +153,30 @@ def _state_rows(transcription: Transcription) -> Mask:
         rows[part.collocation.point_states] = True
         rows[part.collocation.boundary_states[:, 1:-1]] = True
     return rows
+
+
+def _ranges(
+    transcription: Transcription, problem: Problem, fitted: Mapping[str, FittedPhase], x: Array
+) -> Array:
+    """What variables vary by along the trajectory: no unit, origin or guess has a say in that."""
+    scales = _or_one(np.abs(x))
+    for name, part in transcription.parts.items():
+        collocation, numbers = part.collocation, problem.phases[name].numbers
+        for places, box in (
+            (collocation.point_states, numbers.states),
+            (collocation.point_controls, numbers.controls),
+        ):
+            limits, size = box.upper - box.lower, np.max(np.abs(x[places]), axis=1, initial=0.0)
+            limits = np.where(np.isfinite(limits), limits, 0.0)
+            varies = np.maximum(np.ptp(x[places], axis=1) if places.size else limits, limits)
+            scales[places] = np.where(varies > ROUNDING * size, varies, _or_one(size))[:, None]
+        scales[collocation.boundary_states] = scales[collocation.point_states[:, [0]]]
+        scales[part.times[part.times < x.size]] = np.ptp(fitted[name].x.breaks)
+    return scales
+
+
+def _or_one(values: Array) -> Array:
+    return np.where(values > 0, values, 1.0)
 
 
 def _quadrature(transcription: Transcription) -> Array:

@@ -24,7 +24,6 @@ Loan, Matrix Computations, 2013, sec. 10.3).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,17 +31,25 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.solution.program_point import ProgramPoint, quadrature_weights, saddle_matrix
+from gnc_opt.solution.program_point import ProgramPoint
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
-from gnc_opt.tolerances import AT_LIMIT, TINY
-from gnc_opt.transcription.transcription import Transcription
+from gnc_opt.tolerances import AT_LIMIT
+from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.verify.critical_cone import CriticalCone
+from gnc_opt.verify.null_space import FOUND, NullSpace, lanczos, quadratic
 from gnc_opt.verify.verdict import Condition, Result
 
+POINTS = 30
+"""Collocation points that a phase has at least: the mesh of a solution that is simple has no room for variations."""
+
 UPWARDS, DOWNWARDS = 1e-6, 1e-4
-"""Curvature, in shares of the Hessian's mean row, from which it is told from none: upwards above what is left of
-first-order errors, downwards below what a singular arc leaves on a mesh, whose curvature vanishes with the mesh."""
+"""Curvature, in shares of the Hessian's mean row, from which it is told from none: above what is left of first-order
+errors, those of the mesh between active limits included."""
+
+DOWNWARDS_SINGULAR = 1e-2
+"""The same where a control is singular: there quadrature may take a control that alternates from node to node for one
+that gains something."""
 
 CANCELLED = 1e-6
 """Curvature that is less than this share of its own terms is what they leave when they cancel."""
@@ -52,13 +59,6 @@ SHIFT = 0.1
 
 STEPS = 80
 """Steps of Lanczos' method; the ends of the spectrum of a compact operator settle in far fewer."""
-
-SLACK, REFINEMENTS = 1e-12, 2
-"""Of the rows, scaled to unit gradients, so that dependent ones do no harm, and the steps of iterative refinement by
-which the others are kept all the same."""
-
-FOUND = 1e-6
-"""Inverse curvatures below this, beside that of the shift, are rounding: nothing is left to vary there."""
 
 STEP = 0.1
 """Step, in shares of the magnitudes, for which the gain is told."""
@@ -86,14 +86,22 @@ class Curvature:
     gain: float
 
     @property
-    def sign(self) -> int:
-        """1 if positive, -1 if negative, 0 if too small to tell."""
-        if abs(self.share) <= CANCELLED:
-            return 0
-        return int(self.value > UPWARDS) - int(self.value < -DOWNWARDS)
+    def upwards(self) -> bool:
+        """Whether it is told to be positive."""
+        return self.value > UPWARDS and self.share > CANCELLED
+
+    def downwards(self, steep: float) -> bool:
+        """Whether it is told to be negative, by more than ``steep``."""
+        return self.value < -steep and self.share < -CANCELLED
 
 
-def reduced_hessian(solution: Solution, samples: list[PhaseSamples]) -> Condition:
+def critical_cone(solution: Solution) -> CriticalCone:
+    """Return what is free to vary along a solution, on a mesh with room for it."""
+    meshes = {name: _rich(leg.mesh) for name, leg in solution.phases.items()}
+    return CriticalCone.of(ProgramPoint.of(solution, meshes))
+
+
+def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: CriticalCone) -> Condition:
     """No variation that keeps the active limits lowers the cost to second order."""
     name = "second order"
     meaning = (
@@ -105,10 +113,10 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples]) -> Conditio
     def judged(result: Result, value: float, where: str, tolerance: float = -UPWARDS) -> Condition:
         return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
 
-    cone = CriticalCone.of(ProgramPoint.of(solution))
+    steep = DOWNWARDS_SINGULAR if any(map(_has_singular_control, samples)) else DOWNWARDS
     free = least_curvature(cone.point, cone.strong)
     jumping = "" if solution.structure else _jumping_control(samples)
-    if np.isnan(free.value) or free.sign > 0:
+    if np.isnan(free.value) or free.upwards:
         told = Result.CANNOT_TELL if jumping else Result.PASS
         if np.isnan(free.value):
             return judged(
@@ -119,33 +127,48 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples]) -> Conditio
     bound = least_curvature(cone.point, cone.strong | cone.weak) if np.any(cone.weak) else free
     for found in (free, bound):
         admitted = (cone.admits(sign * found.direction, samples) for sign in (1.0, -1.0))
-        if found.sign < 0 and any(admitted):
+        if found.downwards(steep) and any(admitted):
             gain = f": a step of {100 * STEP:.0f} % of its magnitude gains {found.gain:.3g} in the cost"
             place = _place(cone.point, solution, found.direction)
             return judged(Result.FAIL, -found.value, place + gain)
-    return judged(
-        Result.CANNOT_TELL, -free.value, _place(cone.point, solution, free.direction) + _doubt(free)
-    )
+    place = _place(cone.point, solution, free.direction)
+    return judged(Result.CANNOT_TELL, -free.value, place + _doubt(free, steep))
 
 
-def _doubt(curvature: Curvature) -> str:
-    if curvature.sign < 0:
+def _doubt(curvature: Curvature, steep: float) -> str:
+    if curvature.downwards(steep):
         return ": limits that are only just active, or the values between the nodes, may forbid to go there"
-    return f": flat (what is between -{DOWNWARDS:.0e} and {UPWARDS:.0e} is not told from zero)"
+    return f": flat (what is between -{steep:.0e} and {UPWARDS:.0e} is not told from zero)"
+
+
+def _rich(mesh: Mesh) -> Mesh:
+    """Return a mesh with room for variations, where that of a solution that is simple has none."""
+    least = -(-POINTS // mesh.segments)
+    return Mesh(mesh.breaks, tuple(max(n, least) for n in mesh.degrees), mesh.movable)
 
 
 def _jumping_control(samples: list[PhaseSamples]) -> str:
     """Name a control that reaches both bounds without H curving in it: its switch times vary, and the mesh is fixed."""
     for s in samples:
         lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
-        straight = np.einsum("iij->ij", s.control_hessian) * s.control_scale[:, None] ** 2 <= (
-            AT_LIMIT * s.hamiltonian_scale
-        )
+        straight = _straight(s)
         jumps = np.any(lower & straight, axis=1) & np.any(upper & straight, axis=1)
         if np.any(jumps):
             label = s.leg.controls.labels[int(np.argmax(jumps))]
             return f"phase {s.leg.name}, {label}: switch times that are not variables of the mesh do not vary"
     return ""
+
+
+def _has_singular_control(s: PhaseSamples) -> bool:
+    """Whether a control is between its bounds where H does not curve in it."""
+    lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
+    return bool(np.any(_straight(s) & ~lower & ~upper))
+
+
+def _straight(s: PhaseSamples) -> Mask:
+    """Where H does not curve upwards in a control (n_controls, n_samples)."""
+    curvature = np.einsum("iij->ij", s.control_hessian) * s.control_scale[:, None] ** 2
+    return np.asarray(curvature <= AT_LIMIT * s.hamiltonian_scale)
 
 
 def _place(point: ProgramPoint, solution: Solution, direction: Array) -> str:
@@ -155,7 +178,8 @@ def _place(point: ProgramPoint, solution: Solution, direction: Array) -> str:
         leg, places = solution.phases[name], part.collocation.point_controls
         if places.size and np.max(size[places]) >= np.max(size):
             i, j = np.unravel_index(np.argmax(size[places]), places.shape)
-            return f"phase {name}, t = {leg.point_times[j]:.6g} s, {leg.controls.labels[i]}"
+            time = leg.initial_time + part.collocation.fractions[j] * leg.duration
+            return f"phase {name}, t = {time:.6g} s, {leg.controls.labels[i]}"
     return point.variables.labels[int(np.argmax(size))]
 
 
@@ -167,60 +191,26 @@ def least_curvature(point: ProgramPoint, held: Mask) -> Curvature:
     point : ProgramPoint
     held : bool array (n_variables + n_constraints,)
     """
-    free, rows = np.flatnonzero(~held[: point.x.size]), np.flatnonzero(held[point.x.size :])
-    root = 1 / np.sqrt(_metric(point.transcription)[free])
-    unit = scipy.sparse.diags_array(root)
-    hessian = scipy.sparse.csc_array(unit @ point.hessian[free][:, free] @ unit)
-    jacobian = scipy.sparse.csc_array(point.jacobian[rows][:, free] @ unit)
+    space = NullSpace.of(point, held)
+    hessian = space.in_shares(point.hessian)
     sizes = np.sqrt(np.asarray((hessian**2).sum(axis=1)))
     typical = float(np.mean(sizes)) if np.any(sizes > 0) else 1.0
-    direction = _least_direction(hessian / typical, jacobian)
+    direction = _least_direction(space, hessian / typical)
     if direction is None:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
-    curvature = float(direction @ (hessian @ direction))
-    terms = float(np.abs(direction) @ (abs(hessian) @ np.abs(direction)))
-    whole = np.zeros(point.x.size)
-    whole[free] = root * direction
+    curvature, share = quadratic(hessian, direction)
+    whole = space.variables(direction)
     largest = float(np.max(np.abs(whole)))
     gain = -0.5 * curvature * (STEP / largest) ** 2 / point.scaling.objective
-    return Curvature(curvature / typical, curvature / max(terms, TINY), whole / largest, gain)
+    return Curvature(curvature / typical, share, whole / largest, gain)
 
 
-def _metric(transcription: Transcription) -> Array:
-    """Weights of the squares of scaled variables in the size of a variation (n_variables,)."""
-    weights, _ = quadrature_weights(transcription)
-    for part in transcription.parts.values():
-        collocation = part.collocation
-        # States at inner boundaries follow from the points; together they count once.
-        weights[collocation.boundary_states[:, 1:-1]] = 1.0 / collocation.mesh.segments
-    return weights
-
-
-def _least_direction(hessian: Any, jacobian: Any) -> Array | None:
-    """Return the direction of least curvature (unit length) in the null space of the Jacobian, or None if that is 0.
-
-    Parameters
-    ----------
-    hessian : sparse (n, n)
-        With rows of about unit length.
-    jacobian : sparse (n_rows, n)
-    """
-    n, rows = hessian.shape[0], jacobian.shape[0]
+def _least_direction(space: NullSpace, hessian: Any) -> Array | None:
+    """Return the direction of least curvature (unit length) in a null space, or None if that is 0."""
+    n = hessian.shape[0]
     if n == 0:
         return None
-    norms = np.sqrt(np.asarray((jacobian**2).sum(axis=1)))
-    unit = scipy.sparse.diags_array(1 / np.where(norms > 0, norms, 1.0)) @ jacobian
-    matrix = saddle_matrix(hessian + SHIFT * scipy.sparse.eye_array(n), unit)
-    slack = scipy.sparse.diags_array(np.where(np.arange(n + rows) < n, 0.0, SLACK))
-    factors = scipy.sparse.linalg.splu(scipy.sparse.csc_array(matrix - slack))
-
-    def inverse(vector: Array) -> Array:
-        right = np.concatenate([vector, np.zeros(rows)])
-        solved = factors.solve(right)
-        for _ in range(REFINEMENTS):
-            solved = solved + factors.solve(right - matrix @ solved)
-        return np.asarray(solved[:n])
-
+    inverse = space.projected_inverse(hessian + SHIFT * scipy.sparse.eye_array(n))
     start = inverse(np.random.default_rng(0).standard_normal(n))
     values, vectors = lanczos(inverse, start, STEPS)
     if not values.size or np.max(np.abs(values)) * SHIFT < FOUND:
@@ -230,34 +220,3 @@ def _least_direction(hessian: Any, jacobian: Any) -> Array | None:
     chosen = vectors[:, np.argmin(values)] if np.any(found) else vectors[:, np.argmax(values)]
     direction = inverse(chosen)
     return np.asarray(direction / np.linalg.norm(direction))
-
-
-def lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> tuple[Array, Array]:
-    """Return approximate eigenvalues (k,) and eigenvectors (n, k) of a symmetric operator.
-
-    With full reorthogonalisation; ends early where the Krylov space does.
-
-    Parameters
-    ----------
-    operate : function of a vector (n,)
-    start : array (n,)
-    steps : int
-    """
-    size = float(np.linalg.norm(start))
-    if not size > 0:
-        return np.zeros(0), np.zeros((start.size, 0))
-    basis, diagonal, beside = [start / size], [], []
-    for _ in range(min(steps, start.size)):
-        image = operate(basis[-1])
-        diagonal.append(float(basis[-1] @ image))
-        space = np.array(basis)
-        for _ in range(2):
-            image = image - space.T @ (space @ image)
-        length = float(np.linalg.norm(image))
-        if length <= FOUND * max(map(abs, diagonal)):
-            break
-        beside.append(length)
-        basis.append(image / length)
-    n = len(diagonal)
-    values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside[: n - 1])
-    return values, np.array(basis[:n]).T @ vectors

@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array, Mask
+from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.problem.functions import EndGradients
 from gnc_opt.solution.quality import worst_index
 from gnc_opt.solution.samples import PhaseSamples
@@ -223,14 +223,7 @@ def _judge(
     jacobian = _extrapolated(jacobian, coarse.conditions.jacobian)
     cost = float(np.max(unknowns.worth[free], initial=0.0)) + max(s.cost_scale for s in samples)
     at_lower, at_upper = conditions.active
-    norms = np.linalg.norm(jacobian[:, free], axis=1)
-    # What only given unknowns could change is no condition on the others.
-    told = norms > RANK * np.linalg.norm(jacobian, axis=1)
-    active = np.flatnonzero((at_lower | at_upper) & told)
-    rows = jacobian[np.ix_(active, free)] / norms[active, None]
-    guess = conditions.multipliers[active] * norms[active]
-    step = np.linalg.lstsq(rows.T, -(gradient[free] + rows.T @ guess), rcond=RANK)[0]
-    multipliers = guess + step
+    active, rows, norms, multipliers = least_squares(gradient, jacobian, fine)
     sides = np.where(at_lower & at_upper, 0, np.where(at_upper, 1, -1))[active]
     precedences = _precedences(unknowns, orders, switches)[:, free]
     residual, pushes = _explained(gradient[free] + rows.T @ multipliers, precedences)
@@ -240,7 +233,7 @@ def _judge(
     place = int(np.argmax(shares)) if shares.size else -1
     offence = float(shares[place]) if shares.size else 0.0
     every = np.zeros(conditions.values.size)
-    every[active] = multipliers / norms[active]
+    every[active] = multipliers / norms
     gap = fine.gradient - coarse.gradient + every @ (conditions.jacobian - coarse.conditions.jacobian)
     offence_error = float(np.max(np.abs(gap[free]) / unknowns.worth[free], initial=0.0)) / (2**ORDER - 1)
     # A condition without a multiplier, or an order without one, only restricts directions to one side.
@@ -262,6 +255,34 @@ def _judge(
     attained = bool(np.all(keeps >= -SLACK) or np.all(keeps <= SLACK))
     least = float(eigenvalues[0]) / (size + cost)
     return SecondOrder(offence, offence_error, labels[place], least, error, null.shape[1], attained)
+
+
+def least_squares(
+    gradient: Array, jacobian: Array, induced: InducedProblem
+) -> tuple[Indices, Array, Array, Array]:
+    """Return the multipliers nearest to the solution's that leave least of the gradient.
+
+    Returns
+    -------
+    active : int array (k,)
+        Conditions that are at a limit and that unknowns can change.
+    rows : array (k, n_free)
+        Their gradients by the free unknowns, of length 1.
+    norms : array (k,)
+        What these have been divided by.
+    multipliers : array (k,)
+        Of the conditions divided by the norms.
+    """
+    free, conditions = induced.unknowns.free, induced.conditions
+    at_lower, at_upper = conditions.active
+    norms = np.linalg.norm(jacobian[:, free], axis=1)
+    # What only given unknowns could change is no condition on the others.
+    told = norms > RANK * np.linalg.norm(jacobian, axis=1)
+    active = np.flatnonzero((at_lower | at_upper) & told)
+    rows = jacobian[np.ix_(active, free)] / norms[active, None]
+    guess = conditions.multipliers[active] * norms[active]
+    step = np.linalg.lstsq(rows.T, -(gradient[free] + rows.T @ guess), rcond=RANK)[0]
+    return active, rows, norms[active], guess + step
 
 
 def _extrapolated(fine: Array, coarse: Array) -> Array:

@@ -11,11 +11,14 @@ from gnc_opt.problem.functions import EndGradients
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.verify import controls, costates, feasibility, second_order
+from gnc_opt.verify.conjugate_points import conjugate_points
 from gnc_opt.verify.judged import ends_of, from_problem, has_costates, missing_number, stored_numbers
 from gnc_opt.verify.kept import keep_verdict, kept_verdict
 from gnc_opt.verify.magnitude import Magnitudes
+from gnc_opt.verify.normality import normality
 from gnc_opt.verify.pushes import settle_edges
-from gnc_opt.verify.reduced_hessian import reduced_hessian
+from gnc_opt.verify.reduced_hessian import critical_cone, reduced_hessian
+from gnc_opt.verify.singular import generalised_legendre_clebsch
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 
 TOLERANCE = 1e-5
@@ -43,8 +46,10 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         ``ok`` if the necessary conditions of a minimum hold, ``minimum`` if sufficient ones do too; PASS, FAIL or
         CANNOT TELL per condition: dynamics, propagation, bounds, path constraints, boundary
         conditions, cost, stored numbers, adjoint equation, transversality, Hamiltonian, stationarity, control signs,
-        minimum principle, complementarity, Legendre-Clebsch, singular arcs, parameters, second order; for a solution
-        whose switch times were optimised or that is bang-bang, strict switches; for the latter, induced gradient.
+        minimum principle, complementarity, Legendre-Clebsch, singular arcs, generalised Legendre-Clebsch, parameters,
+        second order; for a solution whose switch times were optimised or that is bang-bang, strict switches; for the
+        latter, induced gradient; for all others, normality and,
+        along smooth phases, conjugate points.
         A solution keeps its verdict: asked again, at the same tolerance, nothing is computed anew.
 
     Raises
@@ -90,6 +95,7 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         costates.complementarity(solution, lasting, ends, amounts.constraints, tol),
         controls.legendre_clebsch(lasting, tol),
         controls.singular_arcs(lasting, tol),
+        generalised_legendre_clebsch(solution.need_problem("verify"), lasting, tol),
     ]
     switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
     names = ("strict switches", "second order") if switching else ("second order",)
@@ -121,7 +127,9 @@ def _second_order(
     """By the switch times where they alone are left to vary, else on the mesh."""
     if not second_order.obstacle(lasting):
         return second_order.second_order(solution, lasting, ends, tolerance)
-    return [reduced_hessian(solution, samples)]
+    cone = critical_cone(solution)
+    smooth = conjugate_points(solution.need_problem("verify"), samples)
+    return [normality(cone), *smooth, reduced_hessian(solution, samples, cone)]
 
 
 def _untold(name: str, where: str, meaning: str) -> Condition:

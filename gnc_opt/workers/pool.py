@@ -90,6 +90,7 @@ class WorkerPool(Generic[Object]):
         self, shared: Shared[Object], executor: Executor | Literal["serial"] | None, caller: str
     ) -> None:
         self.interrupted = False
+        self._shared = shared
         self._own: OwnProcesses | None = None
         self._parcel: Parcel[Object] = shared.here
         self._executor: Executor = _Serial()
@@ -120,7 +121,8 @@ class WorkerPool(Generic[Object]):
         """Do a task with every item.
 
         When a process of the pool's own dies, what was lost with it is done again, each item in a new process; an
-        item that kills that one, too, is split. An executor that was given has tried as often as it is set to.
+        item that kills that one, too, is split. What an executor that was given leaves undone because it broke is done
+        by processes of the pool's own.
 
         Parameters
         ----------
@@ -139,8 +141,12 @@ class WorkerPool(Generic[Object]):
         items = list(items)
         ledger = _Ledger(items, show)
         try:
-            left = self._do_all(task, items, ledger)
-            self._do_again(task, left, split, ledger)
+            left = self._do_all(task, list(enumerate(items)), ledger)
+            if left and self._own is None:
+                self._own = OwnProcesses(self._shared)
+                left = self._do_all(task, left, ledger)
+            again: list[tuple[Place, Item]] = [((number,), item) for number, item in left]
+            self._do_again(task, again, split, ledger)
         except KeyboardInterrupt:
             self.interrupted = True
             if self._own is None:
@@ -153,28 +159,31 @@ class WorkerPool(Generic[Object]):
     # --- internals ----------------------------------------------------------------------------------------
 
     def _do_all(
-        self, task: Task[Object, Item, Answer], items: Sequence[Item], ledger: _Ledger[Item, Answer]
-    ) -> list[tuple[Place, Item]]:
-        """Do all items side by side; return those that a dead process of our own left behind."""
-        left: list[tuple[Place, Item]] = []
+        self,
+        task: Task[Object, Item, Answer],
+        items: Sequence[tuple[int, Item]],
+        ledger: _Ledger[Item, Answer],
+    ) -> list[tuple[int, Item]]:
+        """Do numbered items side by side; return those that a dead process left behind."""
+        left: list[tuple[int, Item]] = []
 
         def settle(number: int, error: BaseException | None) -> None:
-            if self._own is not None and isinstance(error, BrokenExecutor):
-                left.append(((number,), items[number]))
+            if isinstance(error, BrokenExecutor):
+                left.append((number, ledger.items[number]))
             else:
-                ledger.keep((number,), _done(items[number], ledger.futures[number], error))
+                ledger.keep((number,), _done(ledger.items[number], ledger.futures[number], error))
 
         pending: dict[Future[Answer], int] = {}
-        for number, item in enumerate(items):
+        for number, item in items:
             future = self._submit(task, item)
-            ledger.futures.append(future)
+            ledger.futures[number] = future
             if future.done():
                 settle(number, _error(future))
             else:
                 pending[future] = number
         for future, error in self._ended(set(pending)):
             settle(pending[future], error)
-        return sorted(left, key=lambda place_and_item: place_and_item[0])
+        return sorted(left, key=lambda numbered: numbered[0])
 
     def _do_again(
         self,
@@ -239,7 +248,7 @@ class _Ledger(Generic[Item, Answer]):
 
     items: Sequence[Item]
     show: Callable[[Done[Item, Answer]], None]
-    futures: list[Future[Answer]] = field(default_factory=list)
+    futures: dict[int, Future[Answer]] = field(default_factory=dict)
     done: dict[Place, Done[Item, Answer]] = field(default_factory=dict)
 
     def keep(self, place: Place, done: Done[Item, Answer]) -> None:
@@ -247,12 +256,12 @@ class _Ledger(Generic[Item, Answer]):
         self.show(done)
 
     def cancel(self) -> None:
-        for future in self.futures:
+        for future in self.futures.values():
             future.cancel()
 
     def collect(self) -> None:
         """Keep answers that nobody has looked at yet."""
-        for number, future in enumerate(self.futures):
+        for number, future in self.futures.items():
             if (number,) not in self.done and future.done() and _error(future) is None:
                 self.done[number,] = Done(self.items[number], future.result())
 

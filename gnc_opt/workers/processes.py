@@ -6,6 +6,7 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from typing import Any
@@ -70,11 +71,20 @@ class OwnProcesses:
 
 def _begin(pids: Any, parcel: Parcel[Any]) -> None:
     """Tell who one is, and get the object; Ctrl-C is the parent's business, and the processors are shared already."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     pids.put(os.getpid())
     for name in _THREAD_COUNTS:
         os.environ[name] = "1"
     _OBJECT[:] = [opened(parcel)]
+
+
+def _end_with_parent() -> None:
+    """End at once when the parent is gone, however it went: nobody waits for an answer any more."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _do(task: Callable[[Any, Any], Any], item: Any) -> Any:

@@ -220,7 +220,7 @@ class Tracking:
             ],
             [Constant("differential force", np.zeros(3), on="v_L")],
             dt=DT,
-            accuracy=1e-8,
+            accuracy=1e-7,
         )
 
     def campaign(

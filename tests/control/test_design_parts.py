@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.linalg import expm
+from scipy.optimize import minimize_scalar
 
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation, evaluate_columns
 from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.feedforward import feedforward
 from gnc_opt.control.limits import clip, read_limits, require_reserve, reserve_shares, saturated
+from gnc_opt.control.linear import riccati
 from gnc_opt.control.linear.gains import (
     SampledGains,
     cost_defect,
@@ -243,6 +245,10 @@ def test_explanations_are_read_by_name_and_printed():
     )
     explanation = Explanation("title", facts)
     assert [str(f) for f in explanation] == ["gain: [1. , 2.5] N (why)", "pole: -1.25", "law: LQR (best)"]
+    assert (
+        str(Fact("third", np.array([1 / 3]))) == "third: [0.333333]"
+        and str(Fact("third", 1 / 3)) == "third: 0.333333"
+    )
     assert str(explanation).splitlines() == ["title", *(f"  {f}" for f in facts)]
     assert explanation["pole"] == -1.25
     with pytest.raises(UnknownNameError, match="no fact 'pale': did you mean 'pole'"):
@@ -508,6 +514,18 @@ def test_poles_are_sorted_slowest_first():
     assert abs(sampled.poles[0]) > abs(sampled.poles[1])
 
 
+@pytest.mark.parametrize("sampled", [False, True])
+def test_a_solution_that_leaves_an_unstable_pole_is_refused(sampled, monkeypatch):
+    """The other root of the scalar equation mirrors the pole: from -1.5 to 1.5, or out of the unit circle."""
+    a, b = (0.5, 1.0) if not sampled else (1.2, 1.0)
+    other = 0.5 - np.sqrt(0.25 + 2.0) if not sampled else None
+    if sampled:  # p = q + a^2 p - a^2 b^2 p^2 / (r + b^2 p)
+        other = float(np.min(np.roots([1.0, 1.0 - 2.0 - 1.44, -2.0])))
+    monkeypatch.setattr(riccati, "_polished", lambda *_: np.array([[other]]))
+    with pytest.raises(DesignError, match="leaves a pole at"):
+        steady(*(np.array([[v]]) for v in (a, b, 2.0, 1.0, 0.0)), ("x",), sampled=sampled)
+
+
 def test_a_residual_is_relative_and_tells_a_wrong_cost():
     cost = QuadraticCost(np.eye(2), np.eye(1), np.zeros((2, 1)))
     for is_sampled in (False, True):
@@ -574,6 +592,19 @@ def test_margins_of_an_integrator_with_gain():
     assert unstable.gain_down == pytest.approx([0.25]) and unstable.gain_up.tolist() == [INF]
 
 
+def test_the_disk_margin_is_that_of_the_highest_peak():
+    """Of S - 1/2 = (1 - L) / (2 (1 + L)) over all frequencies, not only those of a grid."""
+    a, b, k = np.array([[0.0, 1.0], [0.0, -0.7]]), np.array([[0.0], [1.0]]), np.array([[3.0, 0.2]])
+
+    def height(log_w):
+        s = 1j * np.exp(log_w)
+        loop = (3.0 + 0.2 * s) / (s * (s + 0.7))
+        return -abs((1 - loop) / (2 * (1 + loop)))
+
+    best = minimize_scalar(height, bounds=(0.0, 2.0), method="bounded", options={"xatol": 1e-10})
+    assert margins(a, b, k).disk == pytest.approx(-1 / best.fun, rel=1e-9)
+
+
 def test_channels_are_judged_with_the_others_closed():
     a, b = np.diag([0.0, 1.0]), np.eye(2)
     found = margins(a, b, np.diag([3.0, 4.0]))
@@ -612,6 +643,34 @@ def test_a_scalar_riccati_equation_has_its_closed_form():
     assert [level.P(t)[0, 0] for t in (0.0, 1.0, 2.0)] == pytest.approx([2.0] * 3)
     assert riccati_defect(gains, COST) < 1e-6
     assert riccati_defect(gains, QuadraticCost(1.01 * COST.q, COST.r, COST.n)) > 1e-3
+
+
+@pytest.mark.parametrize(("start", "span"), [(0.0, 2.0), (1e6, 2.0), (0.0, 2e-4)])
+def test_gains_early_late_and_brief_know_on_which_side_of_a_jump_they_are(start, span):
+    """x' = w x + u about x = 0, where w jumps from 1 to -2 per unit of time: -p' = 2 w p - p^2 + 4, from p = 1."""
+    model = Model("switched")
+    x, u, w = model.state("x"), model.control("u"), model.control("w")
+    model.ode({x: w * x + u})
+    unit = span / 2
+    jump = start + 0.6 * unit
+    reference = Reference.from_functions(
+        model,
+        lambda t: [0.0],
+        lambda t: [0.0, (1.0 if t < jump else -2.0) / unit],
+        start,
+        start + span,
+        jumps=[jump],
+    )
+    cost = QuadraticCost(np.array([[4.0 / unit]]), unit * np.eye(2), np.zeros((1, 2)))
+    gains = riccati_gains(Deviation(model), reference, cost, terminal=1.0)
+    p = 1.0
+    for factor, left, right in ((-2.0, 0.6, 2.0), (1.0, 0.0, 0.6)):
+
+        def rate(t, p, factor=factor):
+            return -(2 * factor * p - p**2 + 4)
+
+        p = float(solve_ivp(rate, (right, left), [p], rtol=1e-12, atol=1e-13, method="DOP853").y[0, -1])
+        assert gains.P(start + left * unit)[0, 0] == pytest.approx(p, rel=2e-8)
 
 
 def test_a_sampled_recursion_by_hand():

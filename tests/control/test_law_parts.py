@@ -29,6 +29,7 @@ from gnc_opt.control.predictive.horizon import Programme, Rows, prediction, prog
 from gnc_opt.control.predictive.mpc import _rates, _state_rows, _steps, _subtracts, _Windows
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.sampling import SampledStep
+from gnc_opt.control.sliding.integral_sliding_mode import _nominal, _poles, _surface
 from gnc_opt.control.sliding.reaching import (
     ConstantRate,
     ExponentialRate,
@@ -516,6 +517,75 @@ def test_optimal_gains_take_numbers_or_matrices():
     a, b = np.zeros((1, 1)), np.ones((1, 1))
     assert _optimal_gain(a, b, 9.0, [[4.0]]) == pytest.approx(np.array([[1.5]]))
     assert _polynomial(chains((1,), ("a",)), "a", 1, [-3.0]).tolist() == [3.0]
+
+
+def test_the_reserve_is_least_where_the_control_does_least():
+    """A gain of 2 on the rate of v takes 2 / cos q: least is left at the end of a reference that turns to 1 rad."""
+    turning = Reference.from_functions(crane(), lambda t: [t, 1.0], lambda t: [0.5], 0.0, 1.0)
+    errors = output_errors(turning.model, turning, "v")
+    limits = (np.array([-5.0]), np.array([5.0]))
+    (fact,) = switching(ConstantRate(2.0), SIGN, limits=limits).reserve(errors, turning)
+    assert fact.value == pytest.approx(4.5 - 2 / np.cos(1.0)) and "at t = 1 s" in fact.remark
+    assert (
+        switching(SuperTwisting(9.0, 2.0), SIGN, 0.1, limits=limits).reserve(errors, turning)[0].value == 4.5
+    )
+    assert switching(PowerRate(2.0, 0.5), SIGN, limits=limits).reserve(errors, turning) == []
+    assert switching(ConstantRate(2.0), SIGN).reserve(errors, turning) == []
+
+
+# --- integral surfaces --------------------------------------------------------------------------------------
+
+
+def crane() -> Model:
+    """The control acts by the cosine of the angle."""
+    model = Model("crane")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a * ca.cos(q)})
+    return model
+
+
+@pytest.mark.parametrize(
+    ("projection", "effect"), [("pseudo-inverse", lambda q: 1.0), ("transpose", lambda q: np.cos(q) ** 2)]
+)
+def test_a_matched_disturbance_enters_an_integral_surface(projection, effect):
+    """As it is by the pseudo-inverse, by B'B with the transpose; all along a reference that moves."""
+    moving = Reference.from_functions(crane(), lambda t: [t, 1.0], lambda t: [0.0], 0.0, 1.0, tail="none")
+    pair = Pair.of(moving.model)
+    errors, singular = _surface(pair, moving, projection)
+    for t, value in zip(
+        (0.0, 0.5, 1.0), pair.along(moving, np.array([0.0, 0.5, 1.0]), errors.decoupling), strict=True
+    ):
+        assert value == pytest.approx(np.array([[effect(t)]]))
+    assert errors.degrees == (1,) and singular == pytest.approx([1.0])
+
+
+def test_integral_surfaces_need_independent_controls_and_a_projection():
+    model = Model("twins")
+    x, y, u = model.state("x"), model.state("y"), model.control("u", 2)
+    model.ode({x: u[0] + u[1], y: u[0] + u[1]})
+    with pytest.raises(DesignError, match="act alike"):
+        _surface(Pair.of(model), at_rest(model), "pseudo-inverse")
+    with pytest.raises(DesignError, match="no projection 'pinv'"):
+        _surface(Pair.of(crane()), at_rest(crane()), "pinv")
+
+
+@pytest.mark.parametrize(
+    ("gain", "ok"),
+    [([[2.0, 3.0]], True), ([[0.0, 3.0]], False), ([[2.0, 0.0]], False), ([[2.0, 25.0]], False)],
+)
+def test_a_nominal_gain_must_hold_the_end_of_the_reference(gain, ok):
+    """Poles -1 and -2; a pole at zero, an undamped pair, and one that steps of 0.1 s make unstable."""
+    pair, rest = Pair.of(crane()), at_rest(crane())
+    poles, radius = _poles(pair, rest, np.array(gain), 0.1)
+    held_a, held_b = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005], [0.1]])
+    assert radius == pytest.approx(np.max(np.abs(np.linalg.eigvals(held_a - held_b @ np.array(gain)))))
+    assert np.sort_complex(poles) == pytest.approx(np.sort_complex(np.roots([1.0, gain[0][1], gain[0][0]])))
+    if ok:
+        inner, _, facts = _nominal(pair, rest, np.array(gain), 0.1)
+        assert inner is None and [f.name for f in facts] == ["K", "nominal poles", "nominal spectral radius"]
+        return
+    with pytest.raises(DesignError, match="nominal gain is not stable"):
+        _nominal(pair, rest, np.array(gain), 0.1)
 
 
 # --- guards -----------------------------------------------------------------------------------------------

@@ -443,3 +443,28 @@ def test_unstable_zero_dynamics_are_refused_with_their_eigenvalue():
             reaching=ConstantRate(1.0),
             boundary=Sign(),
         )
+
+
+# --- disturbances above the gain ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("boundary", [SaturationLayer(0.1), TanhLayer(0.05), Sign()], ids=str)
+@pytest.mark.parametrize(("level", "alarm"), [(0.95, 0.0), (1.05, 1.0), (-1.05, 1.0)])
+def test_a_disturbance_above_the_gain_raises_an_alarm_and_one_below_does_not(boundary, level, alarm):
+    """The gain is 1: what is below cannot drive s away, what is above does."""
+    model = integrators()
+    controller = design_sliding_mode(
+        model, [0, 0], outputs="x0", slopes=1.0, reaching=ConstantRate(1.0), boundary=boundary, dt=0.01
+    )
+    run = step_through(
+        controller,
+        model,
+        [0.5, 0.0],
+        dt=0.01,
+        tf=25.0,
+        disturbance=lambda t: level * (t > 20.0)[None, :],  # a step while sliding
+    )
+    flags = run.memory("overpowered")[0]
+    assert flags[-1] == alarm
+    assert not flags[run.times < 20.0].any()  # reaching is no alarm, however long it takes
+    assert ("overpowered" in controller.alarms) and (np.abs(run.memory("s")[0, -1]) > 0.15) == bool(alarm)

@@ -221,3 +221,20 @@ def test_active_path_constraint_and_state_bound_are_refused() -> None:
         problem.minimize(leg.integral(a**2 / 2))
         with pytest.raises(go.GncOptError, match=f"{kind} is at its limit at t = "):
             polish(go.solve(problem))
+
+
+def test_a_control_that_is_zero_all_along_is_determined_too() -> None:
+    """It has no magnitude; what it is measured by must not depend on the others' either."""
+    model = go.Model("two")
+    x, y = model.state("x"), model.state("y")
+    u, w = model.control("u"), model.control("w")
+    model.ode({x: u, y: w})
+    problem = go.Problem("one of two")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0, y=0.0)
+    leg.final(x=1e4, y=0.0)
+    problem.minimize(leg.integral(0.5 * (u**2 + w**2)))
+    solution = polish(go.solve(problem, mesh="2x4"))
+    assert solution.objective == pytest.approx(0.5e8, rel=1e-12)
+    assert go.verify(solution, tol=VERDICT).ok

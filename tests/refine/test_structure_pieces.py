@@ -10,7 +10,7 @@ import gnc_opt as go
 from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.refine.structure.detect import detect, switching
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.plan import MAX_DEGREE, MAX_SEGMENTS, Resolution
+from gnc_opt.refine.structure.plan import MAX_DEGREE, MAX_SEGMENTS, SETTLED_DEGREE, Resolution
 from problems import van_der_pol
 
 LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER
@@ -116,7 +116,7 @@ def test_only_the_piece_that_is_inaccurate_is_solved_more_finely() -> None:
     assert solution.objective == pytest.approx(2.0, abs=1e-9)
     assert solution.state("z")(2.0 - 1e-9) == pytest.approx(1 / 30, rel=1e-6)
     first, *others = solution.phase().mesh.degrees
-    assert first == Resolution().degree and all(degree > first for degree in others)
+    assert first == SETTLED_DEGREE and all(degree > first for degree in others)
 
 
 # --- detection ------------------------------------------------------------------------------------------------

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import sys
+from types import SimpleNamespace
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
 import gnc_opt as go
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.refine.structure.switching import _collapse, optimise_switches
+from gnc_opt.solution.samples import PhaseSamples
 from problems import rendezvous
 
 LOW, UP = ArcKind.LOWER, ArcKind.UPPER
@@ -183,3 +189,66 @@ def test_refine_refuses_what_it_cannot_do() -> None:
         from dataclasses import replace
 
         go.refine(replace(solution, problem=None))
+
+
+def test_a_second_pair_of_switches_may_change_places_after_a_first() -> None:
+    """Only an order that has been left is not tried again; a pair for which both orders were tried is joined."""
+    rows = [[LOW, UP, UP, UP, UP], [LOW, LOW, UP, UP, UP], [LOW, LOW, LOW, UP, UP], [LOW, LOW, LOW, LOW, UP]]
+    kinds = tuple(zip(*rows, strict=True))
+    leg, left = SimpleNamespace(leg=SimpleNamespace(name="leg")), set()
+
+    def collapse(structure: PhaseStructure, times: tuple[float, ...]) -> tuple[PhaseStructure, str]:
+        found, action = _collapse(cast(PhaseSamples, leg), structure.at(times), left)
+        assert found is not None
+        return found, action
+
+    first = (0.0, 1.0, 1.0, 3.0, 4.0, 5.0)
+    second = (0.0, 1.0, 2.0, 3.0, 3.0, 5.0)
+    structure, action = collapse(PhaseStructure(first, kinds), first)
+    assert action == "switches 1 and 2 swapped"
+    structure, action = collapse(structure, second)
+    assert action == "switches 3 and 4 swapped" and structure.pieces == 5
+    # The same pair again: its other order has been left with the second pair as it was, not as it is now.
+    structure, action = collapse(structure, first)
+    assert action == "switches 1 and 2 swapped"
+    structure, action = collapse(structure, second)
+    assert action == "piece 4 dropped" and structure.pieces == 4
+
+
+def test_arcs_held_by_hand_are_a_start() -> None:
+    """They belong to the mesh of the first solution; the refined one is of the problem without them."""
+    problem, leg = double_integrator(-1.0, 1.0)
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(x=1.0, v=0.0)
+    leg.final(x=0.0, v=0.0)
+    problem.minimize(leg.final_time)
+    held = problem.with_arcs(arcs=[[-1, 0, 1]])
+    solution = go.solve(held, mesh=go.Mesh.at_times([0.0, 0.9, 1.2, 2.0], 4))
+    for structure in ("auto", "none"):
+        refined = go.refine(solution, structure=structure)
+        assert refined.objective == pytest.approx(2.0, abs=1e-7)
+        assert refined.problem is not None and refined.problem.fingerprint() == problem.fingerprint()
+
+
+def test_a_structure_that_cannot_be_met_is_sought_once_more_on_a_finer_mesh(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem, leg = double_integrator(-1.0, 1.0)
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(x=1.0, v=0.0)
+    leg.final(x=0.0, v=0.0)
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem, mesh="5x3")
+    meshes: list[str] = []
+
+    def infeasible_at_first(start: go.Solution, **options: Any) -> tuple[go.Solution, go.History]:
+        meshes.append(str(start.phase().mesh))
+        # One arc is too few, whatever its length.
+        wrong = {"leg": PhaseStructure((0.0, 2.0), ((UP,),))}
+        return optimise_switches(start, **{**options, **({"structures": wrong} if len(meshes) == 1 else {})})
+
+    monkeypatch.setattr(sys.modules["gnc_opt.refine.refine"], "optimise_switches", infeasible_at_first)
+    refined = go.refine(solution, structure="bang-bang")
+    assert meshes == ["5x3", "5x4"]
+    assert refined.history is not None and refined.history.converged
+    assert refined.objective == pytest.approx(2.0, abs=1e-9)

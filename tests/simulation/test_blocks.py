@@ -45,6 +45,7 @@ from gnc_opt.simulation.allocation import effect_matrix, pseudo_inverse
 from gnc_opt.simulation.block import POSITIVE, Block, Tick, clip, differs, rows, scalar, values
 from gnc_opt.simulation.signals import chain, kinds, put, take
 from gnc_opt.simulation.thrusters import NonNegativeAllocation
+from gnc_opt.simulation.wave import Wave
 
 INF = np.inf
 H, DT = 0.1, 0.4
@@ -69,7 +70,7 @@ def advance(block, signal, state=None, *, tick=None, noise=(), **changes):
     tick = tick or moment()
     p, column = parameters(block, np.size(signal), **changes), ca.SX(ca.DM(signal))
     before = block.start(column, p, tick) if state is None else ca.SX(ca.DM(state))
-    step = block.step(tick, column, before, p, ca.SX(ca.DM(list(noise))))
+    _, step = block.flow(tick, Wave(column), before, p, ca.SX(ca.DM(list(noise))))
     return (
         numbers(step.signal),
         numbers(step.state),

@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete
 
 from gnc_opt.control.feedforward import feedforward
+from gnc_opt.control.linear.lqr import design_lqr
 from gnc_opt.control.reference import Reference
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
 from gnc_opt.model.layout import Layout, Variable
@@ -118,11 +119,12 @@ def test_rendezvous_equals_scipy():
         assert run.states[:, k] == pytest.approx(x, abs=1e-8)
         u = np.clip(-gain @ x, -limit, limit)
         u = 0.5 * np.floor(u / 0.5 + 0.5)
-        mean = u + (y - u) * (1 - np.exp(-dt / tau)) * tau / dt
+
+        def rate(t, s, u=u, gap=y - u):
+            return plant.f(t, s, u + gap * np.exp(-t / tau))
+
         y = u + (y - u) * np.exp(-dt / tau)
-        x = solve_ivp(
-            lambda t, s, mean=mean: plant.f(t, s, mean), (0, dt), x, method="DOP853", rtol=1e-11, atol=1e-12
-        ).y[:, -1]
+        x = solve_ivp(rate, (0, dt), x, method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
     assert np.linalg.norm(run.states[9:, -1]) < 0.5 * np.linalg.norm(run.states[9:, 0])  # it does something
 
 
@@ -432,3 +434,31 @@ def test_attitude_error_at_a_time_is_that_of_the_nearest_sample():
     run = ClosedLoop(plant, feedforward(reference), dt=0.1).simulate(np.zeros(3), tf=1.0)
     for at, angle in ((0.0, 0.0), (0.14, 0.02), (0.5, 0.1), (0.86, 0.18), (1.0, 0.2), (None, 0.2)):
         assert run.attitude_error("sigma", at=at) == pytest.approx(angle, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("units", "culprit"),
+    [
+        (("km", "km/s", "N"), r"state 'q' is in km in the plant 'cart' and in m in controller 'LQR'"),
+        (("m", "m/s", "kN"), r"control 'F' is in kN in the plant 'cart' and in N in controller 'LQR'"),
+        (("m", " m / s", "N"), None),
+        (("", "", ""), None),
+    ],
+)
+def test_a_plant_in_other_units_than_the_controller_is_refused(units, culprit):
+    def cart(q_unit, v_unit, f_unit):
+        model = Model("cart")
+        q, v, F = (
+            model.state("q", unit=q_unit),
+            model.state("v", unit=v_unit),
+            model.control("F", unit=f_unit),
+        )
+        model.ode({q: v, v: F})
+        return model
+
+    regulator = design_lqr(cart("m", "m/s", "N"), [0, 0], Q=1, R=1, dt=0.1)
+    if culprit is None:
+        ClosedLoop(cart(*units), regulator, [Lag("lag", 0.1)])
+        return
+    with pytest.raises(ArgumentError, match=culprit):
+        ClosedLoop(cart(*units), regulator, [Lag("lag", 0.1)])

@@ -14,7 +14,7 @@ def _advance(f, x0, length, steps):
     return after.full()[:, 0], float(estimate)
 
 
-def _pendulum(t, x):
+def _pendulum(t, x, u):
     return ca.vertcat(x[1], -ca.sin(x[0]) + 0.3 * ca.cos(2 * t))
 
 
@@ -26,7 +26,7 @@ def test_tableau_is_consistent():
 
 @pytest.mark.parametrize("power", range(1, 5))
 def test_quadrature_of_polynomials_is_exact_to_fourth_degree(power):
-    after, estimate = _advance(lambda t, x: ca.SX(t) ** power + 0 * x, [0.0], 2.0, 1)
+    after, estimate = _advance(lambda t, x, u: ca.SX(t) ** power + 0 * x, [0.0], 2.0, 1)
     assert after[0] == pytest.approx(2.0 ** (power + 1) / (power + 1), rel=1e-14)
     assert power == 4 or estimate < 1e-14
 

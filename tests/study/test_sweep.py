@@ -1,7 +1,7 @@
 """Sweeps: closed forms over a grid, what fails costs only itself, fronts."""
 
 import sys
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from types import SimpleNamespace
 from typing import Any
 
@@ -44,8 +44,23 @@ def test_neighbours_help(swept: go.Sweep) -> None:
 @pytest.mark.parametrize("executor", [None, "threads"])
 def test_other_executors_give_the_same(swept: go.Sweep, executor: Any) -> None:
     with ThreadPoolExecutor(2) as threads:
-        again = go.sweep(stiff, GRID, mesh="10x4", executor=threads if executor else None)
+        again = go.sweep(
+            lambda **values: stiff(**values),
+            GRID,
+            outputs={"start": lambda s: s.control("u")(0.0)},
+            mesh="10x4",
+            executor=threads if executor else None,
+        )
     np.testing.assert_array_equal(again.objective, swept.objective)
+    np.testing.assert_array_equal(again.array("start"), swept.array("start"))
+
+
+def test_functions_that_cannot_travel_are_told() -> None:
+    with (
+        ProcessPoolExecutor(1) as processes,
+        pytest.raises(go.GncOptError, match="define them with def at the top"),
+    ):
+        go.sweep(lambda k: stiff(k), {"k": [1.0]}, executor=processes)
 
 
 def family(duration: float) -> go.Problem:

@@ -11,6 +11,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.verify import Result
+from gnc_opt.verify.reduced_hessian import lanczos
 
 PASS, FAIL, UNTOLD = Result.PASS, Result.FAIL, Result.CANNOT_TELL
 
@@ -172,3 +173,18 @@ def test_curvature_does_not_depend_on_units_of_the_cost() -> None:
         problem.cost = factor * problem.cost + constant
         values.append(second_order(go.solve(problem, mesh="4x6")).value)
     np.testing.assert_allclose(values, values[0], rtol=1e-4)
+
+
+def test_simple_solutions_are_varied_on_richer_meshes() -> None:
+    """Refined, x = 0 needs a mesh with as many conditions as unknowns only, which leaves nothing to vary."""
+    solution = replace(go.solve(regulator(1.0), mesh="1x2"), problem=regulator(1.5 * np.pi**2))
+    assert second_order(solution).result is FAIL
+
+
+def test_lanczos_finds_both_ends_of_a_spectrum() -> None:
+    values = np.concatenate([[-3.0], np.linspace(0.0, 1.0, 300), [2.0]])
+    turned = np.linalg.qr(np.random.default_rng(1).standard_normal((values.size, values.size)))[0]
+    matrix = turned @ np.diag(values) @ turned.T
+    found, vectors = lanczos(lambda v: matrix @ v, np.ones(values.size), 80)
+    assert found[0] == pytest.approx(-3.0, abs=1e-7) and found[-1] == pytest.approx(2.0, abs=1e-7)
+    np.testing.assert_allclose(matrix @ vectors[:, 0], found[0] * vectors[:, 0], atol=1e-3)

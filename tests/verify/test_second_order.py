@@ -358,6 +358,25 @@ def test_simultaneous_switches_may_part(kappa: float, result: Result) -> None:
     assert condition.result is result and "2 orders" in condition.where
 
 
+def test_equal_carts_switch_together() -> None:
+    """Every order of their switches is as good and leaves no direction; both switching functions vanish at 1 s."""
+    model = go.Model("carts")
+    q, v, a = model.state("q", 2), model.state("v", 2), model.control("a", 2)
+    model.ode({q: v, v: a})
+    problem = go.Problem("two carts")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(q=[1.0, 1.0], v=[0.0, 0.0])
+    leg.final(q=[0.0, 0.0], v=[0.0, 0.0])
+    leg.bounds(a=([-1.0, -1.0], [1.0, 1.0]))
+    problem.minimize(leg.final_time)
+    solution = go.refine(go.solve(problem, mesh="7x3"), structure="bang-bang")
+    verdict = go.verify(solution)
+    assert solution.objective == pytest.approx(2.0, abs=1e-8)
+    assert len(solution.structure) == 4 and verdict.minimum, verdict.explain()
+    np.testing.assert_allclose(solution.costate("v")(1.0), 0.0, atol=1e-8)
+
+
 def through_phases(pull: float) -> go.Solution:
     """A cart whose thrust is twice as strong from 1 s on, from rest to rest over 1 m in minimum time, in two phases."""
     problem = go.Problem("stronger later")

@@ -220,6 +220,28 @@ def one_switch(
     return replace(with_leg(held, mesh=go.Mesh.at_times([0.0, at, 2.0], 4, movable=True)), structure=arcs)
 
 
+def singular_problem(stiffness: float) -> go.Problem:
+    """x' = u, |u| <= 1, and r' = w, from rest to x = 0, r = 1 at the cost of stiffness x^2 (1 + r) + w^2 / 2."""
+    model = go.Model("beside")
+    x, r = model.state("x"), model.state("r")
+    u, w = model.control("u"), model.control("w")
+    model.ode({x: u, r: w})
+    problem = go.Problem("beside")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0, r=0.0)
+    leg.final(x=0.0, r=1.0)
+    leg.bounds(u=(-1.0, 1.0), w=(-5.0, 5.0))
+    problem.minimize(leg.integral(stiffness * x**2 * (1 + r) + 0.5 * w**2))
+    return problem
+
+
+@cache
+def singular() -> go.Solution:
+    """x = 0 throughout, on a singular arc, whatever the stiffness; a minimum if that is positive."""
+    return go.solve(singular_problem(1.0), mesh="2x4")
+
+
 # --- ways of being wrong ------------------------------------------------------------------------------
 
 

@@ -6,6 +6,8 @@ import multiprocessing
 import os
 import pickle
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -260,13 +262,57 @@ def test_after_many_deaths_in_a_row_no_more_are_tried() -> None:
     )
 
 
-def test_a_given_executor_is_not_replaced() -> None:
+def test_what_a_broken_executor_leaves_is_done_by_processes_of_our_own() -> None:
     with ProcessPoolExecutor(1) as given, workers(given, {9}) as force:
         done = force.run(survive, BATCHES, ignore, halves)
-        assert [each.item for each in done] == BATCHES
-        assert isinstance(done[1].error, WorkerDied)
-        again = force.run(survive, BATCHES[:1], ignore, halves)  # a broken one stays broken
-        assert isinstance(again[0].error, WorkerDied)
+        assert [list(each.item) for each in done if each.error is not None] == [[9]]
+        assert [number for each in done for number in each.item] == list(range(64))
+        assert all(each.answer == list(each.item) for each in done if each.error is None)
+        again = force.run(survive, BATCHES[:1], ignore, halves)
+        assert again[0].answer == list(BATCHES[0])
+    assert not multiprocessing.active_children()
+
+
+ORPHANS = """
+import os, sys, time
+from gnc_opt.workers import Shared, WorkerPool
+def nap(folder, item):
+    open(os.path.join(folder, str(os.getpid())), "w").close()
+    time.sleep(60)
+os.cpu_count = lambda: 3
+shared = Shared.picklable(sys.argv[1], "a folder", "")
+with WorkerPool(shared, None, "me") as pool:
+    pool.run(nap, range(6), print)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills processes")
+def test_no_worker_outlives_a_main_process_that_is_killed(tmp_path: Path) -> None:
+    main = subprocess.Popen([sys.executable, "-c", ORPHANS, str(tmp_path)])
+    try:
+        _wait_for(lambda: len(list(tmp_path.iterdir())) == 3)
+    finally:
+        main.kill()
+        main.wait()
+    workers_of_it = [int(path.name) for path in tmp_path.iterdir()]
+    _wait_for(lambda: not any(_alive(pid) for pid in workers_of_it))
+
+
+def _alive(pid: int) -> bool:
+    """Whether a process runs; one that has ended and that nobody has asked about does not."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    state = Path(f"/proc/{pid}/stat")
+    return not (state.exists() and state.read_text().rpartition(")")[2].split()[0] == "Z")
+
+
+def _wait_for(true: Any, patience: float = 30.0) -> None:
+    end = time.monotonic() + patience
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.02)
 
 
 class Deserted(Executor):

@@ -93,7 +93,8 @@ def _command(
     """Return the memory and the command of the law."""
     n, dt = errors.size, switching.dt
     wanted, twist = switching.demand(s, drift)
-    memory = [Memory("s", ca.SX.sym("s", n), s, s), *twist]  # s of the last step, for the log
+    # s of the last step, for the log
+    memory = [Memory("s", ca.SX.sym("s", n), s, s), *twist, *switching.watch(s)]
     if observer is None:
         return memory, inverse(wanted)
     assert dt is not None

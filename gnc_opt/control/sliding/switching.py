@@ -31,6 +31,15 @@ from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver, sample
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
 
+OVERPOWERED = "overpowered"
+"""The alarm of a law whose gain a disturbance exceeds."""
+
+PATIENCE = 10
+"""Control steps in a row outside the boundary layer after which that is no noise."""
+
+_FULL = 0.99
+"""Share of the gain that counts as all of it: the hyperbolic tangent never gets there."""
+
 
 @dataclass(frozen=True, eq=False)
 class SlidingOptions:
@@ -101,6 +110,29 @@ class Switching:
         twist = ca.SX.sym("twist", size)
         grown = twist + self.dt * self.reaching.memory_rate(s, self.boundary)
         return wanted + twist, [Memory("twist", twist, ca.SX.zeros(size), grown)]
+
+    def watch(self, s: Any) -> list[Memory]:
+        """Return the memory that raises the alarm `OVERPOWERED`: a disturbance is stronger than the gain.
+
+        Where the law works with its full gain, a weaker one cannot drive s away: not from where sliding has begun,
+        whose edge it may cross by one control step. Super-twisting, whose gain is a rate, overshoots by itself, and has
+        no such alarm; nor has a law whose gain grows with s.
+        """
+        if isinstance(self.reaching, SuperTwisting) or not np.isfinite(self.reaching.gain):
+            return []
+        edge = self.boundary.width(_FULL) + 2 * self.reaching.gain * (self.dt or 0.0)
+        if edge <= 0:
+            return []
+        away, flag = ca.SX.sym("away", self.bounds.size), ca.SX.sym(OVERPOWERED)
+        begun, outside = away > -0.5, ca.fabs(s) > edge
+        after = ca.if_else(
+            outside, ca.if_else(begun, away + 1, -1), 0
+        )  # steps in a row; -1 before sliding begins
+        raised = ca.fmax(flag, ca.mmax(after) > PATIENCE - 0.5)
+        return [
+            Memory("away", away, -ca.SX.ones(self.bounds.size), after),
+            Memory(OVERPOWERED, flag, ca.SX(0), raised, alarm=True),
+        ]
 
     def facts(self) -> list[Fact]:
         """Return the bands of s and the sampling limit."""

@@ -38,7 +38,7 @@ SAME = 1e-10
 """Rates that a full turn of a control changes by less than this, relative to their size, do not know of it."""
 
 FLAT = 1e-8
-"""Curvature of H in the controls, relative to the largest, that counts as none."""
+"""Curvature of H in a direction of the controls, relative to the largest of each, that counts as none."""
 
 
 def polish(solution: Solution, *, tol: float = 1e-10) -> Solution:
@@ -174,11 +174,12 @@ def _refuse_flat(solution: Solution, leg: PhaseSolution) -> None:
     x, u, lam = leg.x(times), leg.u(times), leg.lam(times)
     mu = np.zeros((len(leg.path_labels), times.size))
     curvature = solution.functions(leg.name).control_hessian(times, x, u, lam, mu)
-    sizes = np.max(np.abs(u), axis=1)
-    sizes = np.where(sizes > 0, sizes, 1.0)
-    values, vectors = np.linalg.eigh(np.moveaxis(curvature * (sizes[:, None] * sizes)[:, :, None], 2, 0))
+    # Measured by its own curvature: a control that is zero all along has no magnitude to be measured by.
+    own = np.max(np.abs(np.einsum("iit->it", curvature)), axis=1)
+    unit = 1.0 / np.sqrt(np.where(own > 0, own, 1.0))
+    values, vectors = np.linalg.eigh(np.moveaxis(curvature * (unit[:, None] * unit)[:, :, None], 2, 0))
     worst = int(np.argmin(values[:, 0]))
-    if values[worst, 0] <= FLAT * np.max(np.abs(values)):
+    if values[worst, 0] <= FLAT:
         label = leg.controls.labels[int(np.argmax(np.abs(vectors[worst, :, 0])))]
         raise GncOptError(
             f"cannot polish the solution of '{solution.problem_name}': the Hamiltonian has no positive curvature in "

@@ -24,8 +24,10 @@ from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.passes import pass_meter, pass_record
 from gnc_opt.refine.structure.detect import affine_channels, detect
 from gnc_opt.refine.structure.junctions import move_kinks
+from gnc_opt.refine.structure.newton import settle
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose, signs_of
 from gnc_opt.refine.structure.plan import Plan, points_of
+from gnc_opt.refine.structure.simultaneous import settle_costates
 from gnc_opt.solution.history import History, Pass, RefinementStatus
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
@@ -99,9 +101,8 @@ def optimise_switches(
     tries: list[_Try] = []
     with pass_meter(solution.problem_name, tol, progress) as show:
         try:
-            status = _loop(
-                problem, solution, plans, min(tol, FINEST), max_passes, chosen, deadline, show, tries
-            )
+            guess, plans = _settled(solution, plans)
+            status = _loop(problem, guess, plans, min(tol, FINEST), max_passes, chosen, deadline, show, tries)
         except KeyboardInterrupt:
             status = RefinementStatus.INTERRUPTED
     best = _best(tries, status)
@@ -111,6 +112,8 @@ def optimise_switches(
     if best is None:
         return solution, history
     solution, plans = tries[best].solution, tries[best].plans
+    if status is RefinementStatus.CONVERGED:
+        solution = settle_costates(solution)
     return replace(solution, structure=_arcs(solution, plans)), history
 
 
@@ -129,6 +132,18 @@ def _best(tries: list[_Try], status: RefinementStatus) -> int | None:
     if status is RefinementStatus.CONVERGED:
         return solved[-1]
     return min(solved, key=lambda k: tries[k].record.error, default=None)
+
+
+def _settled(solution: Solution, plans: dict[str, Plan]) -> tuple[Solution, dict[str, Plan]]:
+    """Go near the optimum, where Newton's method on switch times finds it."""
+    if len(plans) > 1:
+        return solution, plans  # The flow of one phase says nothing about the others.
+    ((name, plan),) = plans.items()
+    found = settle(solution, plan.structure)
+    if found is None:
+        return solution, plans
+    structure, guess = found
+    return guess, {name: Plan.settled(structure, plan.points)}
 
 
 def _loop(

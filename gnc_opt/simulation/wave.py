@@ -1,0 +1,251 @@
+r"""Waves: what an actuator puts out within a minor step, and how it is integrated with the plant.
+
+On each of its parts a component is
+
+.. math:: y(s) = v + g\,(s - b) + c\, e^{-(s - b)/\tau},
+
+with s the time since the minor step began and b the beginning of the part: what lags, rate limits and delays make of
+held commands. Where a component changes its part, the integration of the plant begins anew. Within an integration step
+of length :math:`\sigma` the exponential is replaced by its projection on parabolas,
+
+.. math:: e^{-\sigma \nu / \tau} \approx \sum_{j=0}^{2} (2j + 1) (-1)^j e^{-\xi} i_j(\xi) P_j(2\nu - 1), \qquad
+   \xi = \frac{\sigma}{2\tau},
+
+P_j Legendre's polynomials and i_j the modified spherical Bessel functions of the first kind: its impulse and the next
+two moments are kept whatever :math:`\tau` is, also far below the step.
+
+Source: NIST Digital Library of Mathematical Functions, 10.47.7 (i_j), 10.53.3 (its series), 18.18.19 with an imaginary
+argument (the expansion).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import casadi as ca
+
+Input: TypeAlias = Callable[[int, float], Any]
+"""``u(k, node)``: the value in the k-th integration step of a piece, at ``node`` (0 to 1) of it; SX column."""
+
+_SERIES = 0.5
+"""Below this argument the Bessel functions are summed as series: their closed forms lose their digits there."""
+_TERMS = 6
+"""Of the series; the first one left out is below 1e-13 of the sum."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A stretch of a wave; SX columns, one entry per component.
+
+    Attributes
+    ----------
+    begin : SX
+        s, since the minor step began.
+    value, slope, decay : SX
+        v, g and c above.
+    """
+
+    begin: Any
+    value: Any
+    slope: Any
+    decay: Any
+
+    def at(self, s: Any, tau: Any) -> Any:
+        """Return the value at s (since the minor step began)."""
+        late = s - self.begin
+        straight = self.value + self.slope * late
+        return straight if tau is None else straight + self.decay * ca.exp(-late / tau)
+
+
+@dataclass(frozen=True)
+class Wave:
+    """The output of an actuator within a minor step.
+
+    Attributes
+    ----------
+    mean : SX column
+        Over the minor step.
+    parts : tuple of Part
+        In the order of time; none where the output is held at its mean.
+    tau : SX column or None
+        Time constants of the decays.
+    breaks : tuple of SX
+        Times (s) at which components change their parts.
+    after : callable, optional
+        What blocks without memory make of the components at every time.
+    blur : SX column or None
+        How far the output may be from the true one, where a block took the mean of a wave for a held input.
+    """
+
+    mean: Any
+    parts: tuple[Part, ...] = ()
+    tau: Any = None
+    breaks: tuple[Any, ...] = ()
+    after: Callable[[Any], Any] | None = None
+    blur: Any = None
+
+    @property
+    def held(self) -> bool:
+        """Whether it keeps one value."""
+        return not self.parts
+
+    @property
+    def straight(self) -> bool:
+        """Whether it consists of straight lines, which a lag can follow."""
+        return self.tau is None and self.after is None
+
+    @property
+    def stepped(self) -> bool:
+        """Whether it consists of held values, which a rate limit can follow."""
+        return self.straight and all(part.slope.is_zero() for part in self.parts)
+
+    def pieces(self, h: float) -> list[tuple[Part, Any]]:
+        """Return the parts with their ends (s)."""
+        zero = ca.SX.zeros(self.mean.shape[0])
+        parts = self.parts or (Part(zero, self.mean, zero, zero),)
+        return list(zip(parts, [*(part.begin for part in parts[1:]), zero + h], strict=True))
+
+    def mapped(self, function: Callable[[Any], Any]) -> Wave:
+        """Return what a block without memory makes of it at every time."""
+        blur = None if self.blur is None else ca.fabs(function(self.mean + self.blur) - function(self.mean))
+        if self.held:
+            return Wave(function(self.mean), blur=blur)
+        before = self.after
+        both = function if before is None else lambda y: function(before(y))
+        return replace(self, mean=function(self.mean), after=both, blur=blur)
+
+    def averaged(self, h: float) -> Wave:
+        """Return it held at its mean, with how far it is from that: for blocks that cannot follow it."""
+        if self.held:
+            return self
+        far = ca.SX.zeros(self.mean.shape[0])
+        for part, end in self.pieces(h):
+            for s in (part.begin, end):
+                y = part.at(s, self.tau)
+                far = ca.fmax(far, ca.fabs((y if self.after is None else self.after(y)) - self.mean))
+        return Wave(self.mean, blur=far if self.blur is None else far + self.blur)
+
+    def input(self, begin: Any, end: Any, steps: int) -> Input:
+        """Return its values for the integration from ``begin`` to ``end`` (s), between breaks, in equal steps."""
+        if self.held:
+            return lambda k, node: self.mean
+        part, *later = self.parts
+        for other in later:
+            now = 0.5 * (begin + end) > other.begin
+            part = Part(
+                *(ca.if_else(now, b, a) for a, b in zip(_entries(part), _entries(other), strict=True))
+            )
+        sigma = (end - begin) / steps
+        first = part.value + part.slope * (begin - part.begin)
+        decay = None if self.tau is None else _Decay(part, self.tau, begin, sigma)
+
+        def value(k: int, node: float) -> Any:
+            y = first + part.slope * sigma * (k + node)
+            y = y if decay is None else y + decay(k, node)
+            return y if self.after is None else self.after(y)
+
+        return value
+
+
+def stacked(waves: Sequence[Wave], h: float) -> Wave:
+    """Return several waves as one column; those that blocks without memory have bent are averaged."""
+    if len(waves) == 1:
+        return waves[0]
+    if all(wave.held for wave in waves) or any(wave.after is not None for wave in waves):
+        waves = [wave.averaged(h) for wave in waves]
+        return Wave(ca.vertcat(*[wave.mean for wave in waves]), blur=_blurs(waves))
+    count = max(len(wave.parts) for wave in waves)
+    columns = [[part for part, _ in wave.pieces(h)] for wave in waves]
+    for parts in columns:
+        last = parts[-1]
+        never = Part(0 * last.begin + h, last.value, 0 * last.slope, 0 * last.decay)
+        parts += [never] * (max(count, 1) - len(parts))
+    joined = tuple(
+        Part(*(ca.vertcat(*entries) for entries in zip(*(_entries(p) for p in together), strict=True)))
+        for together in zip(*columns, strict=True)
+    )
+    taus = [ca.SX.ones(w.mean.shape[0]) if w.tau is None else w.tau for w in waves]
+    return Wave(
+        ca.vertcat(*[wave.mean for wave in waves]),
+        joined,
+        None if all(wave.tau is None for wave in waves) else ca.vertcat(*taus),
+        tuple(b for wave in waves for b in wave.breaks),
+        blur=_blurs(waves),
+    )
+
+
+def cut(wave: Wave, begin: int, end: int) -> Wave:
+    """Return some of the components."""
+    if wave.held:
+        return Wave(wave.mean[begin:end], blur=None if wave.blur is None else wave.blur[begin:end])
+    whole = wave.after
+    if whole is not None:
+        return replace(
+            wave,
+            mean=wave.mean[begin:end],
+            after=lambda y: whole(y)[begin:end],
+            blur=None if wave.blur is None else wave.blur[begin:end],
+        )
+    return Wave(
+        wave.mean[begin:end],
+        tuple(Part(*(entry[begin:end] for entry in _entries(part))) for part in wave.parts),
+        None if wave.tau is None else wave.tau[begin:end],
+        wave.breaks,
+        blur=None if wave.blur is None else wave.blur[begin:end],
+    )
+
+
+def in_order(times: Sequence[Any]) -> list[Any]:
+    """Return SX scalars in ascending order."""
+    times = list(times)
+    for last in range(len(times) - 1, 0, -1):
+        for i in range(last):
+            times[i], times[i + 1] = ca.fmin(times[i], times[i + 1]), ca.fmax(times[i], times[i + 1])
+    return times
+
+
+class _Decay:
+    """The projected exponential of a part in the integration steps of a piece."""
+
+    def __init__(self, part: Part, tau: Any, begin: Any, sigma: Any) -> None:
+        self.first = part.decay * ca.exp(-(begin - part.begin) / tau)
+        self.ratio = ca.exp(-sigma / tau)
+        self.coefficients = projection(0.5 * sigma / tau)
+        self.shapes: dict[float, Any] = {}
+
+    def __call__(self, k: int, node: float) -> Any:
+        if node not in self.shapes:
+            z = 2 * node - 1
+            legendre = (1.0, z, 0.5 * (3 * z**2 - 1))
+            self.shapes[node] = sum(e * p for e, p in zip(self.coefficients, legendre, strict=True))
+        return self.first * self.ratio**k * self.shapes[node]
+
+
+def projection(xi: Any) -> list[Any]:
+    """Return the coefficients of P_0 to P_2 for exp(-2 xi nu), nu from 0 to 1; SX column, xi >= 0."""
+    small, square = xi < _SERIES, xi**2
+    decayed = ca.exp(-xi)
+    sinh, cosh = 0.5 * (1 - decayed**2), 0.5 * (1 + decayed**2)  # times exp(-xi)
+    bessel = [sinh / xi, (xi * cosh - sinh) / square]
+    bessel.append(bessel[0] - 3 / xi * bessel[1])
+    found, power, odd = [], ca.SX.ones(xi.shape[0]), 1.0
+    for j, closed in enumerate(bessel):
+        total = ca.SX.ones(xi.shape[0])
+        for k in range(_TERMS, 0, -1):
+            total = 1 + square / (2 * k * (2 * j + 2 * k + 1)) * total
+        series = decayed * power / odd * total
+        found.append((2 * j + 1) * (-1) ** j * ca.if_else(small, series, closed))
+        power, odd = power * xi, odd * (2 * j + 3)
+    return found
+
+
+def _entries(part: Part) -> tuple[Any, ...]:
+    return part.begin, part.value, part.slope, part.decay
+
+
+def _blurs(waves: Sequence[Wave]) -> Any:
+    if all(wave.blur is None for wave in waves):
+        return None
+    return ca.vertcat(*[ca.SX.zeros(w.mean.shape[0]) if w.blur is None else w.blur for w in waves])

@@ -1,0 +1,115 @@
+r"""Normality: whether the cost has a say in the first-order conditions.
+
+With a multiplier :math:`y_0` of the cost the conditions (Fritz John) read :math:`y_0 \nabla f + g'^T y = 0`; with
+:math:`y_0 = 0` they say nothing of the cost, and the constraints alone single out the point: an abnormal extremal
+(Clarke, Functional Analysis, Calculus of Variations and Optimal Control, 2013, sec. 22.2). That is so where the
+gradients of what is active depend on each other, :math:`g'^T y = 0`, and the constraints do not: where
+:math:`y^T g` curves along directions that the gradients leave free. Constraints that say the same thing twice depend on
+each other as well, but do not curve there, and take nothing away.
+
+With :math:`a = |g'^T y|` and b the largest curvature of :math:`y^T g`, for variations in shares of the magnitudes,
+the linearised constraints hold for variations up to about a / b; beyond them their second order takes over.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array
+from gnc_opt.tolerances import TINY
+from gnc_opt.verify.critical_cone import CriticalCone
+from gnc_opt.verify.null_space import NullSpace, lanczos, quadratic
+from gnc_opt.verify.verdict import Condition, Result
+
+MOST = 1e4
+"""Second order of the constraints beside the first from which they are degenerate: the linearised ones hold for
+variations of less than 1e-4 of the magnitudes."""
+
+CURVED = 1e-3
+"""Curvature of constraints, in shares of its own terms, from which it is no rounding."""
+
+OUTWARDS = 1e-6
+"""A multiplier of this share of the largest, against the limit's sign, excludes an abnormal extremal."""
+
+_ITERATIONS, _STEPS = 6, 30
+
+
+def normality(cone: CriticalCone) -> Condition:
+    """The gradients of what is active leave no multipliers without the cost."""
+    where, value = "nowhere", 0.0
+    space = NullSpace.of(cone.point, cone.strong)
+    if space.rows.size and space.free.size:
+        combined, slope = _least_dependent(space)
+        multipliers = np.zeros(cone.point.lam.size)
+        multipliers[space.rows] = combined
+        curvature = _curvature(cone, space, multipliers)
+        if _may_push(cone, multipliers) or _may_push(cone, -multipliers):
+            value = curvature / max(slope, TINY)
+            where = cone.point.rows.labels[int(np.argmax(np.abs(multipliers)))]
+        for row in np.intersect1d(space.rows, cone.point.transcription.constraint_rows):
+            alone = _bend(cone, space, row)
+            if alone > value:
+                value, where = alone, cone.point.rows.labels[row]
+    return Condition(
+        "normality",
+        Result.FAIL if value > MOST else Result.PASS,
+        value,
+        MOST,
+        where,
+        "The constraints must leave the cost a say (value: what their second order amounts to beside the first, for "
+        "variations of the size of the magnitudes). Where their gradients vanish or depend on each other, but they do "
+        "not, they determine the trajectory by themselves, multipliers are huge or not unique (an abnormal extremal), "
+        "and the minimum principle tells nothing: state the constraints otherwise.",
+    )
+
+
+def _bend(cone: CriticalCone, space: NullSpace, row: int) -> float:
+    """Second order of a boundary constraint beside its first, which vanishes where its gradient does."""
+    single = np.zeros(cone.point.lam.size)
+    single[row] = 1.0
+    curvature = space.in_shares(cone.point.hessian_of(0.0, single))
+    slope = space.norms[space.rows == row][0]
+    return float(scipy.sparse.linalg.norm(curvature) / slope)
+
+
+def _may_push(cone: CriticalCone, multipliers: Array) -> bool:
+    """Whether multipliers of rows, without a cost, push inwards at every limit that is held."""
+    point, n = cone.point, cone.point.x.size
+    pushes = []
+    for limits, values, held, multiplier in (
+        (point.variables, point.x, cone.strong[:n], -(point.jacobian.T @ multipliers)),
+        (point.rows, point.values, cone.strong[n:], multipliers),
+    ):
+        one_sided = held & ~limits.box.fixed
+        upper = limits.box.upper - values < values - limits.box.lower
+        pushes.append(np.where(upper, multiplier, -multiplier)[one_sided])
+    push = np.concatenate(pushes)
+    return bool(np.all(push >= -OUTWARDS * np.max(np.abs(push), initial=0.0)))
+
+
+def _least_dependent(space: NullSpace) -> tuple[Array, float]:
+    """Multipliers of the rows whose combined gradient is smallest, by inverse iteration, and its size."""
+    n, m = space.free.size, space.rows.size
+    _, factors = space.factorised(scipy.sparse.eye_array(n))
+    y = np.random.default_rng(0).standard_normal(m)
+    for _ in range(_ITERATIONS):
+        # Of scaled rows, not of unit gradients: one that vanishes must count for nothing.
+        unit = -factors.solve(np.concatenate([np.zeros(n), y / space.norms]))[n:]
+        y = unit / space.norms
+        y /= np.linalg.norm(y)
+    return y, float(np.linalg.norm(space.jacobian.T @ (space.norms * y)))
+
+
+def _curvature(cone: CriticalCone, space: NullSpace, multipliers: Array) -> float:
+    """Largest curvature of the combined rows where they do not vary to first order, 0 if it is rounding."""
+    n = space.free.size
+    hessian = space.in_shares(cone.point.hessian_of(0.0, multipliers))
+    project = space.projected_inverse(scipy.sparse.eye_array(n))
+    start = project(np.random.default_rng(1).standard_normal(n))
+    values, vectors = lanczos(lambda v: project(hessian @ project(v)), start, _STEPS)
+    if not values.size:
+        return 0.0
+    direction = project(vectors[:, np.argmax(np.abs(values))])
+    curvature, share = quadratic(hessian, direction / max(float(np.linalg.norm(direction)), TINY))
+    return abs(curvature) if abs(share) > CURVED else 0.0

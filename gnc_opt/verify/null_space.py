@@ -1,0 +1,150 @@
+"""Linear algebra on the null space of what is active: sparse projections, and the ends of spectra."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.solution.program_point import ProgramPoint, quadrature_weights, saddle_matrix
+from gnc_opt.tolerances import TINY
+from gnc_opt.transcription.transcription import Transcription
+
+SLACK, REFINEMENTS = 1e-12, 1
+"""Of the rows, scaled to unit gradients, so that dependent ones do no harm, and the steps of iterative refinement by
+which the others are kept all the same."""
+
+SETTLED = 1e-4
+"""Residual of the eigenvectors, beside the largest eigenvalue, at which the method ends."""
+
+FOUND = 1e-6
+"""Inverse curvatures below this, beside that of the shift, are rounding: nothing is left to vary there."""
+
+
+@dataclass(frozen=True, eq=False)
+class NullSpace:
+    """The variations that keep some variables and rows of a program where they are.
+
+    Variations are taken in shares of the magnitudes, weighed such that their squares add up to an integral over time.
+
+    Attributes
+    ----------
+    free, rows : int array
+        Variables that vary, and rows that do not.
+    root : array (n_free,)
+        A scaled variable per variation.
+    norms : array (n_rows,)
+        Of the gradients of the rows.
+    jacobian : sparse (n_rows, n_free)
+        Of the rows by the variations, scaled to unit gradients.
+    """
+
+    size: int
+    free: Indices
+    rows: Indices
+    root: Array
+    norms: Array
+    jacobian: Any
+
+    @classmethod
+    def of(cls, point: ProgramPoint, held: Mask) -> NullSpace:
+        """Return the space where ``held`` (n_variables + n_constraints,) do not vary."""
+        n = point.x.size
+        free, rows = np.flatnonzero(~held[:n]), np.flatnonzero(held[n:])
+        root = 1 / np.sqrt(_metric(point.transcription)[free])
+        jacobian = point.jacobian[rows][:, free] @ scipy.sparse.diags_array(root)
+        norms = np.sqrt(np.asarray((jacobian**2).sum(axis=1)))
+        norms = np.where(norms > 0, norms, 1.0)
+        return cls(n, free, rows, root, norms, scipy.sparse.diags_array(1 / norms) @ jacobian)
+
+    def in_shares(self, hessian: Any) -> Any:
+        """Return a Hessian by all scaled variables as one by the variations."""
+        unit = scipy.sparse.diags_array(self.root)
+        return scipy.sparse.csc_array(unit @ hessian[self.free][:, self.free] @ unit)
+
+    def variables(self, variation: Array) -> Array:
+        """Return the change of all scaled variables."""
+        change = np.zeros(self.size)
+        change[self.free] = self.root * variation
+        return change
+
+    def factorised(self, hessian: Any) -> tuple[Any, Any]:
+        """Return the saddle matrix of a Hessian and of the rows, and its factors."""
+        n, m = self.free.size, self.rows.size
+        matrix = saddle_matrix(hessian, self.jacobian)
+        slack = scipy.sparse.diags_array(np.where(np.arange(n + m) < n, 0.0, SLACK))
+        return matrix, scipy.sparse.linalg.splu(scipy.sparse.csc_array(matrix - slack))
+
+    def projected_inverse(self, hessian: Any) -> Callable[[Array], Array]:
+        """Return the inverse of a Hessian restricted to the null space; of the identity, it is the projection."""
+        matrix, factors = self.factorised(hessian)
+        rows = np.zeros(self.rows.size)
+
+        def inverse(vector: Array) -> Array:
+            right = np.concatenate([vector, rows])
+            solved = factors.solve(right)
+            for _ in range(REFINEMENTS):
+                solved = solved + factors.solve(right - matrix @ solved)
+            return np.asarray(solved[: vector.size])
+
+        return inverse
+
+
+def quadratic(hessian: Any, direction: Array) -> tuple[float, float]:
+    """Return the curvature along a direction, and in shares of the terms that add up to it."""
+    value = float(direction @ (hessian @ direction))
+    terms = float(np.abs(direction) @ (abs(hessian) @ np.abs(direction)))
+    return value, value / max(terms, TINY)
+
+
+def lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> tuple[Array, Array]:
+    """Return approximate eigenvalues (k,) and eigenvectors (n, k) of a symmetric operator.
+
+    With full reorthogonalisation; ends early where the ends of the spectrum have settled.
+
+    Parameters
+    ----------
+    operate : function of a vector (n,)
+    start : array (n,)
+    steps : int
+    """
+    size = float(np.linalg.norm(start))
+    if not size > 0:
+        return np.zeros(0), np.zeros((start.size, 0))
+    space = np.empty((min(steps, start.size) + 1, start.size))
+    space[0] = start / size
+    diagonal: list[float] = []
+    beside: list[float] = []
+    for k in range(space.shape[0] - 1):
+        image = operate(space[k])
+        diagonal.append(float(space[k] @ image))
+        for _ in range(2):
+            image = image - space[: k + 1].T @ (space[: k + 1] @ image)
+        length = float(np.linalg.norm(image))
+        if length <= FOUND * max(map(abs, diagonal)) or (k % 10 == 9 and _settled(diagonal, beside, length)):
+            break
+        beside.append(length)
+        space[k + 1] = image / length
+    n = len(diagonal)
+    values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside[: n - 1])
+    return values, space[:n].T @ vectors
+
+
+def _settled(diagonal: list[float], beside: list[float], length: float) -> bool:
+    """Whether both ends of the spectrum are found, by the last components of their eigenvectors."""
+    values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside)
+    return bool(np.max(length * np.abs(vectors[-1, [0, -1]])) <= SETTLED * np.max(np.abs(values)))
+
+
+def _metric(transcription: Transcription) -> Array:
+    """Weights of the squares of scaled variables in the size of a variation (n_variables,)."""
+    weights, _ = quadrature_weights(transcription)
+    for part in transcription.parts.values():
+        collocation = part.collocation
+        # States at inner boundaries follow from the points; together they count once.
+        weights[collocation.boundary_states[:, 1:-1]] = 1.0 / collocation.mesh.segments
+    return weights

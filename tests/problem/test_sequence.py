@@ -1,0 +1,102 @@
+"""Phases in a sequence: times and states handed over, masses dropped, what cannot be meant."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import gnc_opt as go
+
+
+def cart(problem: go.Problem, name: str, limit: tuple[float, float]) -> go.Phase:
+    model = go.Model("cart")
+    x, v, u = model.state("x"), model.state("v"), model.control("u")
+    model.ode({x: v, v: u})
+    leg = problem.phase(name, model)
+    leg.bounds(u=limit)
+    return leg
+
+
+def test_push_coast_brake_is_the_closed_form() -> None:
+    """1 m from rest to rest in 3 s with |u| <= 1: fuel 3 - sqrt(5), coast from (3 - sqrt(5)) / 2 s."""
+    problem = go.Problem("move")
+    push, _, brake = (
+        cart(problem, name, limit)
+        for name, limit in (("push", (0.0, 1.0)), ("coast", (0.0, 0.0)), ("brake", (-1.0, 0.0)))
+    )
+    problem.sequence(
+        push, "coast", brake, durations={"push": (0.0, 2.0), "coast": (0.0, 3.0), "brake": (0.0, 2.0)}
+    )
+    push.initial(x=0.0, v=0.0)
+    brake.final(x=1.0, v=0.0)
+    problem.constrain("time", brake.final_time, equals=3.0)
+    u = [leg.model.symbol("u") for leg in (push, brake)]
+    problem.minimize(push.integral(u[0]) - brake.integral(u[1]))
+    solution = go.solve(problem, tol=1e-8)
+    assert solution.objective == pytest.approx(3 - math.sqrt(5), abs=1e-8)
+    found = solution.phases
+    assert found["coast"].initial_time == pytest.approx(found["push"].final_time, abs=1e-12)
+    assert found["coast"].x(found["coast"].initial_time) == pytest.approx(
+        found["push"].x(found["push"].final_time)
+    )
+
+
+def rocket(problem: go.Problem, name: str) -> go.Phase:
+    model = go.Model("stage")
+    v, m, thrust = model.state("v"), model.state("m"), model.control("thrust")
+    model.ode({v: thrust / m, m: -thrust / 3000.0})
+    leg = problem.phase(name, model)
+    leg.bounds(thrust=(0.0, 1e5))
+    return leg
+
+
+def test_stages_that_are_dropped_obey_the_rocket_equation() -> None:
+    """Two stages of 5 t and 1.5 t dry 1 t and 0.3 t below 0.5 t: Delta v = c (ln m0/m1 + ln m2/m3)."""
+    problem = go.Problem("two stages")
+    first, second = rocket(problem, "first"), rocket(problem, "second")
+    problem.sequence(
+        first, second, durations={"first": (1.0, 200.0), "second": (1.0, 200.0)}, drops={"first": {"m": 1e3}}
+    )
+    first.initial(v=0.0, m=7e3)
+    first.final(m=3e3)
+    second.final(m=0.8e3)
+    problem.minimize(second.final_time)  # full thrust throughout
+    solution = go.solve(problem, mesh="8x4")
+    assert solution.phases["second"].x(solution.phases["second"].initial_time)[1] == pytest.approx(2e3)
+    gained = float(solution.state("v", "second")(solution.phases["second"].final_time))
+    assert gained == pytest.approx(3000.0 * (math.log(7 / 3) + math.log(2 / 0.8)), rel=1e-5)
+
+
+def test_times_and_their_guesses() -> None:
+    problem = go.Problem("times")
+    a, b = rocket(problem, "a"), rocket(problem, "b")
+    problem.sequence(a, b, durations={"a": 10.0, "b": (5.0, 15.0)}, start=100.0)
+    assert [float(t.lower[0]) for t in (*a.times(), *b.times())] == [100.0, 110.0, 110.0, 115.0]
+    assert [float(t.upper[0]) for t in (*a.times(), *b.times())] == [100.0, 110.0, 110.0, 125.0]
+    problem = go.Problem("free times")
+    a, b = rocket(problem, "a"), rocket(problem, "b")
+    problem.sequence(a, b)
+    assert np.isinf(b.times()[1].upper[0]) and b.times()[1].lower[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    "call, message",
+    [
+        (lambda p: p.sequence("a"), "give two phases or more"),
+        (lambda p: p.sequence("a", "a"), "each once"),
+        (lambda p: p.sequence("a", "c"), "no phase 'c'"),
+        (lambda p: p.sequence("a", "b", durations={"c": 1.0}), "no phase 'c'"),
+        (lambda p: p.sequence("a", "b", drops={"b": {"m": 1.0}}), "no phase 'b'"),
+        (lambda p: p.sequence("a", "b", drops={"a": {"mass": 1.0}}), "no state 'mass'"),
+        (lambda p: p.sequence("a", "b", drops={"a": {"m": "much"}}), "not a number"),
+        (lambda p: p.sequence("a", "b", drops={"a": 5.0}), "drops"),
+        (lambda p: p.sequence("a", "b", durations={"a": (5.0, 1.0)}), "duration of phase 'a'"),
+        (lambda p: p.sequence("a", "b", durations={"a": -1.0}), "duration of phase 'a'"),
+    ],
+)
+def test_mistakes_get_a_sentence(call: Any, message: str) -> None:
+    problem = go.Problem("wrong")
+    rocket(problem, "a"), rocket(problem, "b")
+    with pytest.raises(go.GncOptError, match=message):
+        call(problem)

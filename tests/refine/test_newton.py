@@ -1,0 +1,129 @@
+"""Newton's method on switch times against closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.problem.arc import ArcKind
+from gnc_opt.refine.structure.detect import detect
+from gnc_opt.refine.structure.newton import settle
+from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from problems.rendezvous import SWITCHES, build
+
+LOWER, UPPER, INTERIOR = ArcKind.LOWER, ArcKind.UPPER, ArcKind.INTERIOR
+
+
+def carts(*distances: float, initial: float = 0.0) -> go.Problem:
+    """Carts that come to rest at 0 together, in least time, |a| <= 1: for one from d, t = 2 sqrt(d)."""
+    model = go.Model("carts")
+    q = model.state("q", len(distances))
+    v = model.state("v", len(distances))
+    a = model.control("a", len(distances))
+    model.ode({q: v, v: a})
+    problem = go.Problem("carts")
+    leg = problem.phase("leg", model)
+    leg.time(initial=initial, final=(initial + 0.1, initial + 100.0))
+    leg.initial(q=np.array(distances), v=0.0)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(a=([-1.0] * len(distances), [1.0] * len(distances)))
+    problem.minimize(leg.final_time)
+    return problem
+
+
+def oscillator() -> go.Problem:
+    """x'' + x = u, |u| <= 1, from 5 at rest to the origin in least time."""
+    model = go.Model("oscillator")
+    q, v, u = model.state("q"), model.state("v"), model.control("u")
+    model.ode({q: v, v: u - q})
+    problem = go.Problem("oscillator")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(0.1, 20.0))
+    leg.initial(q=5.0, v=0.0)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    return problem
+
+
+@pytest.fixture(scope="module")
+def cart() -> go.Solution:
+    return go.solve(carts(4.0), mesh="8x3", tol=None)
+
+
+def structure(times: list[float], *kinds: ArcKind, others: int = 2) -> PhaseStructure:
+    """Of one control and so many states."""
+    rows = tuple((kind, *(INTERIOR,) * others) for kind in kinds)
+    return PhaseStructure(tuple(times), rows, (False,) * (1 + others), 1, 0)
+
+
+@pytest.mark.parametrize("times", [[0.0, 1.5, 4.5], [0.0, 2.6, 3.4]])
+def test_switch_and_end_time_of_one_cart(cart: go.Solution, times: list[float]) -> None:
+    found, guess = settle(cart, structure(times, LOWER, UPPER)) or pytest.fail("does not settle")
+    assert found.times == pytest.approx([0.0, 2.0, 4.0], abs=1e-6)
+    assert [row[0] for row in found.kinds] == [LOWER, UPPER]
+    leg = guess.phase("leg")
+    t = np.linspace(0.0, 4.0, 9)
+    # Before and after the switch at 2 s.
+    expected = np.where(t < 2, 4 - t**2 / 2, (4 - t) ** 2 / 2)
+    assert leg.x(t)[0] == pytest.approx(expected, abs=1e-6)
+    # H = 1 + lambda_q v + lambda_v a = 0 and lambda_v(2) = 0: lambda_q = 1/2, lambda_v = 1 - t/2.
+    assert leg.lam(t) == pytest.approx(np.stack([np.full(9, 0.5), 1 - t / 2]), abs=1e-6)
+
+
+def test_superfluous_arcs_vanish(cart: go.Solution) -> None:
+    found, _ = settle(cart, structure([0.0, 0.3, 2.2, 2.5, 4.1], UPPER, LOWER, UPPER, LOWER)) or pytest.fail()
+    assert found.times == pytest.approx([0.0, 2.0, 4.0], abs=1e-6)
+    assert [row[0] for row in found.kinds] == [LOWER, UPPER]
+
+
+def test_oscillator_switches_every_half_period() -> None:
+    solution = go.solve(oscillator(), mesh="20x3", tol=None)
+    found, _ = settle(solution, detect(solution.samples()["leg"])) or pytest.fail("does not settle")
+    inner = found.times[1:-1]
+    assert len(inner) > 1 and np.diff(inner) == pytest.approx(np.full(len(inner) - 1, np.pi), abs=1e-6)
+
+
+def test_switches_of_several_controls_pass_each_other() -> None:
+    """Found on 10 segments, the order of the 19 switches is wrong, and an arc is missing."""
+    solution = go.solve(build(case=1), mesh="10x3", tol=None)
+    found, _ = settle(solution, detect(solution.samples()["approach"])) or pytest.fail("does not settle")
+    assert found.times[-1] == pytest.approx(25.8699620765, abs=2e-7)
+    for i, channel in enumerate(SWITCHES[1].values()):
+        own = [found.times[k] for k in range(1, found.pieces) if i in found.changes(k)]
+        assert own == pytest.approx(channel.switch_times, abs=1e-4)
+
+
+def test_a_shift_of_the_clock_changes_nothing(cart: go.Solution) -> None:
+    later = go.solve(carts(4.0, initial=1000.0), mesh="8x3", tol=None)
+    found, _ = settle(later, structure([1000.0, 1001.5, 1004.5], LOWER, UPPER)) or pytest.fail()
+    assert found.times == pytest.approx([1000.0, 1002.0, 1004.0], abs=1e-6)
+
+
+def test_active_limits_of_the_end_are_left_to_others() -> None:
+    """The final speed may be up to 0.5, and is: the limit decides where it is, and is no equality."""
+    problem = carts(4.0)
+    leg = problem.phases["leg"]
+    leg.final(q=0.0, v=(-0.5, 0.0))
+    solution = go.solve(problem, mesh="8x3", tol=None)
+    assert settle(solution, structure([0.0, 2.0, 4.0], LOWER, UPPER)) is None
+
+
+@pytest.mark.parametrize("kind", [INTERIOR, ArcKind.SINGULAR])
+def test_controls_between_their_bounds_are_left_to_others(cart: go.Solution, kind: ArcKind) -> None:
+    assert settle(cart, structure([0.0, 1.0, 4.0], kind, UPPER)) is None
+
+
+def test_states_on_their_bounds_are_left_to_others(cart: go.Solution) -> None:
+    held = structure([0.0, 2.0, 4.0], LOWER, UPPER)
+    kinds = ((LOWER, INTERIOR, LOWER), held.kinds[1])
+    assert settle(cart, replace(held, kinds=kinds)) is None
+
+
+def test_refinement_then_needs_one_pass() -> None:
+    refined = go.refine(go.solve(oscillator(), mesh="20x3", tol=None))
+    assert refined.history is not None and refined.history.converged
+    assert len(refined.history.passes) <= 2

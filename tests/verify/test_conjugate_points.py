@@ -1,0 +1,91 @@
+"""Conjugate times of smooth extremals are the known ones, and say what the reduced Hessian says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.verify import Result
+from gnc_opt.verify.conjugate_points import conjugate_points
+from gnc_opt.verify.judged import from_problem
+from tests.verify.test_reduced_hessian import great_circle, regulator
+
+
+def judged(solution: go.Solution) -> list[go.Condition]:
+    told = from_problem(solution)
+    return conjugate_points(told.need_problem("judge"), list(told.samples().values()))
+
+
+def first_time(condition: go.Condition) -> float:
+    return float(condition.where.split("t = ")[1].split(" ")[0])
+
+
+@pytest.fixture(scope="module")
+def at_rest() -> go.Solution:
+    return go.solve(regulator(1.0), mesh="4x5")
+
+
+@pytest.mark.parametrize("share", [0.5, 0.99, 1.01, 1.5, 9.5])
+def test_regulator_is_conjugate_after_half_a_period(at_rest: go.Solution, share: float) -> None:
+    """x'' = -k x from 0 is at 0 again after pi / sqrt(k), whether or not it is for the third time at the end."""
+    solution = replace(at_rest, problem=regulator(share * np.pi**2))
+    (condition,) = judged(solution)
+    verdict = go.verify(solution)
+    assert verdict["conjugate points"] == condition
+    assert condition.result is (Result.PASS if share < 1 else Result.FAIL)
+    assert condition.result is verdict["second order"].result
+    if share > 1:
+        assert first_time(condition) == pytest.approx(1 / np.sqrt(share), abs=1e-4)
+        assert condition.value == pytest.approx(1 - 1 / np.sqrt(share), abs=1e-4)
+
+
+@pytest.mark.parametrize("arc", [0.98, 1.02, 1.5])
+def test_great_circle_is_conjugate_at_the_other_pole(arc: float) -> None:
+    (condition,) = judged(go.solve(great_circle(arc * np.pi), mesh="4x6"))
+    assert condition.result is (Result.PASS if arc < 1 else Result.FAIL)
+    if arc > 1:
+        assert first_time(condition) == pytest.approx(1 / arc, abs=1e-4)
+
+
+def oscillators(duration: float) -> go.Problem:
+    """Several oscillators of one frequency, whose conjugate points coincide: the determinant touches zero only."""
+    model = go.Model("oscillators")
+    x, u = model.state("x", 2), model.control("u", 2)
+    k = model.parameter("k", 1.0)
+    model.ode({x: u})
+    problem = go.Problem("oscillators")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, duration)
+    leg.initial(x=[0.0, 0.0])
+    leg.final(x=[0.0, 0.0])
+    leg.scale(x=[1.0, 1.0], u=[1.0, 1.0])
+    problem.minimize(leg.integral(u[0] ** 2 + u[1] ** 2 - k * (x[0] ** 2 + x[1] ** 2)))
+    return problem
+
+
+def test_conjugate_points_that_coincide_are_seen() -> None:
+    short = go.solve(oscillators(4.0).with_parameters(k=0.1), mesh="4x5")
+    (condition,) = judged(replace(short, problem=oscillators(4.0)))
+    assert condition.result is Result.FAIL
+    assert first_time(condition) == pytest.approx(np.pi, abs=1e-3)
+
+
+def test_what_is_not_smooth_is_not_judged() -> None:
+    """An integral that is prescribed, a singular control."""
+    problem = regulator(1.0)
+    leg = problem.phases["leg"]
+    problem.constrain("integral", leg.integral(leg.model.symbol("x")), equals=0.1)
+    assert judged(go.solve(problem, mesh="4x5")) == []
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("singular")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.integral(x**2))
+    assert judged(go.solve(problem, mesh="4x5")) == []

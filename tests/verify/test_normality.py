@@ -1,0 +1,87 @@
+"""Normality: constraints that single out a trajectory by themselves leave the cost no say, and are named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.verify import Result
+
+
+def squared(offset: float, cost: Callable[[Any], Any]) -> go.Solution:
+    """x' = u^2 - offset from 0 to 0: with offset 0 nothing but u = 0 gets there, whatever it costs."""
+    model = go.Model("square")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u**2 - offset})
+    problem = go.Problem("squared")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.final(x=0.0)
+    problem.minimize(leg.integral(cost(u)))
+    return go.solve(problem, mesh="5x4")
+
+
+@pytest.mark.parametrize("cost", [lambda u: (u - 1) ** 2, lambda u: u**2, lambda u: -u])
+def test_squares_that_must_vanish_are_degenerate(cost: Callable[[Any], Any]) -> None:
+    verdict = go.verify(squared(0.0, cost))
+    assert verdict["normality"].result is Result.FAIL
+    assert not verdict.ok and not verdict.minimum
+
+
+@pytest.mark.parametrize("offset", [1e-2, 1.0])
+def test_squares_that_may_vary_are_not(offset: float) -> None:
+    """u = sqrt(offset) holds x; its linearisation 2 u du reaches as far as u itself."""
+    condition = go.verify(squared(offset, lambda u: (u - 2) ** 2))["normality"]
+    assert condition.result is Result.PASS
+    assert 0 < condition.value < 10 / np.sqrt(offset)
+
+
+def turned(unit: bool) -> go.Solution:
+    """Least effort between directions on a circle, whose length is kept by itself and perhaps asked for as well."""
+    model = go.Model("circle")
+    c, s, w = model.state("c"), model.state("s"), model.control("w")
+    model.ode({c: -w * s, s: w * c})
+    problem = go.Problem("turn")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(c=1.0, s=0.0)
+    leg.guess(time=[0.0, 1.0], c=[1.0, np.cos(1.0)], s=[0.0, np.sin(1.0)])
+    if unit:
+        leg.final(c=np.cos(1.0), s=np.sin(1.0))
+    else:
+        problem.constrain("angle", ca.atan2(leg.final_state("s"), leg.final_state("c")), equals=1.0)
+    problem.minimize(leg.integral(0.5 * w**2))
+    return go.solve(problem, mesh="4x6")
+
+
+@pytest.mark.parametrize("unit", [False, True])
+def test_constraints_that_say_the_same_twice_are_no_harm(unit: bool) -> None:
+    """Both final components are one condition too many, as four of a quaternion are: dependent, but not degenerate."""
+    solution = turned(unit)
+    assert solution.objective == pytest.approx(0.5, abs=1e-8)
+    assert go.verify(solution)["normality"].result is Result.PASS
+
+
+def test_a_point_target_of_a_distance_is_degenerate() -> None:
+    """|x(1)|^2 = 0 has no gradient where it holds; x(1) = 0 says the same and has one."""
+    for degenerate in (True, False):
+        model = go.Model("integrator")
+        x, u = model.state("x"), model.control("u")
+        model.ode({x: u})
+        problem = go.Problem("to a point")
+        leg = problem.phase("leg", model)
+        leg.time(0.0, 1.0)
+        leg.initial(x=1.0)
+        if degenerate:
+            problem.constrain("distance", leg.final_state("x") ** 2, upper=0.0)
+        else:
+            leg.final(x=0.0)
+        problem.minimize(leg.integral(u**2))
+        solution = go.solve(problem, mesh="2x3")
+        assert go.verify(solution)["normality"].result is (Result.FAIL if degenerate else Result.PASS)

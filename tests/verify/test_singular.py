@@ -1,0 +1,112 @@
+"""Singular arcs: Goh's condition and the generalised Legendre-Clebsch condition, against hand-made derivatives."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from wrong import singular_problem
+
+import gnc_opt as go
+
+NAME = "generalised Legendre-Clebsch"
+TIMES = np.linspace(0.0, 1.0, 11)
+
+
+def judged(problem: go.Problem, **controls: Any) -> go.Condition:
+    """Of the trajectory that rests at zero."""
+    leg = next(iter(problem.phases.values()))
+    x = np.zeros((leg.model.states.size, TIMES.size))
+    u = {name: np.zeros_like(TIMES) for name in leg.model.controls.names} | controls
+    return go.verify_trajectory(problem, TIMES, x, u)[NAME]
+
+
+def chain(order: int, sign: float) -> go.Problem:
+    """The integral of sign y^2 / 2, with y the ``order``-th integral of u: H_u's derivative of order 2k is +-u."""
+    model = go.Model("chain")
+    y = model.state("y")
+    rest = [model.state(f"y{i}") for i in range(1, order)]
+    u = model.control("u")
+    model.ode(dict(zip([y, *rest], [*rest, u], strict=True)))
+    problem = go.Problem("chain of integrators")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(**dict.fromkeys(model.states.names, 0.0))
+    leg.final(**dict.fromkeys(model.states.names, 0.0))
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.integral(0.5 * sign * y**2))
+    return problem
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+@pytest.mark.parametrize(("sign", "result"), [(1.0, go.Result.PASS), (-1.0, go.Result.FAIL)])
+def test_order_and_sign_of_a_chain_of_integrators(order: int, sign: float, result: go.Result) -> None:
+    """(-1)^k d/du d^2k/dt^2k H_u is the sign of the cost."""
+    condition = judged(chain(order, sign))
+    assert condition.result is result
+    assert np.sign(condition.value) == -sign
+    assert f"order {order}" in condition.where
+
+
+def test_an_order_beyond_those_looked_for_is_not_told() -> None:
+    condition = judged(chain(4, -1.0))
+    assert condition.result is go.Result.CANNOT_TELL and "no derivative up to order 6" in condition.where
+
+
+def plane(gyration: float, weights: tuple[float, float] = (1.0, 1.0)) -> go.Problem:
+    """Two controls move x and y, whose squares cost; an area swept by both costs, too, and need not come back.
+
+    The rate of z is x w - y u: the bracket of the two controls' fields is along z, whose costate is ``gyration``.
+    """
+    model = go.Model("plane")
+    x, y, z = model.state("x"), model.state("y"), model.state("z")
+    u, w = model.control("u"), model.control("w")
+    model.ode({x: u, y: w, z: x * w - y * u})
+    problem = go.Problem("plane")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0, y=0.0, z=0.0)
+    leg.bounds(u=(-1.0, 1.0), w=(-1.0, 1.0))
+    a, b = weights
+    problem.minimize(leg.integral(0.5 * (a * x**2 + b * y**2)) + gyration * leg.final_state("z"))
+    return problem
+
+
+def test_two_singular_controls_form_a_matrix() -> None:
+    assert judged(plane(0.0)).result is go.Result.PASS
+    assert judged(plane(0.0, (1.0, -1.0))).result is go.Result.FAIL
+    # One control is of the first order and the other of none: neither PASS nor FAIL.
+    assert judged(plane(0.0, (1.0, 0.0))).result is go.Result.CANNOT_TELL
+
+
+def test_gohs_condition() -> None:
+    """Circling to and fro gains gyration times the area at once, though each control alone is without reproach."""
+    condition = judged(plane(0.5))
+    assert condition.result is go.Result.FAIL and "Goh" in condition.where
+
+
+@pytest.mark.parametrize(("stiffness", "result"), [(0.5, go.Result.PASS), (-0.5, go.Result.FAIL)])
+def test_beside_a_control_that_the_hamiltonian_determines(stiffness: float, result: go.Result) -> None:
+    """r and w move along the arc, x rests; K is the cost's coefficient of x^2 times 2."""
+    problem = singular_problem(stiffness)
+    states = {"x": np.zeros_like(TIMES), "r": TIMES}
+    verdict = go.verify_trajectory(problem, TIMES, states, {"u": 0.0 * TIMES, "w": np.ones_like(TIMES)})
+    condition = verdict[NAME]
+    assert condition.result is result, condition
+    # H's terms amount to |lam_r w| = 1, as w^2 / 2 is constant; and 1 + r is least at the start.
+    assert condition.value == pytest.approx(-2 * stiffness * 2**2 * (1 if stiffness > 0 else 2), rel=1e-4)
+
+
+def test_no_singular_arc() -> None:
+    model = go.Model("regular")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("regular")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    problem.minimize(leg.integral(0.5 * u**2))
+    condition = go.verify(go.solve(problem, mesh="1x4"))[NAME]
+    assert (condition.result, condition.where) == (go.Result.PASS, "no singular arc")
