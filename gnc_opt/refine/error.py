@@ -34,6 +34,11 @@ NEGLIGIBLE = 1e-6
 """An integral or a path constraint whose magnitude stays below this counts in its own unit, not relatively."""
 
 
+PEAK = 1e-3
+"""What the peak of a control beyond its bounds counts, however narrow: with errors below 1e-8 it is below 1e-5, which
+is what `verify` forgives."""
+
+
 @dataclass(frozen=True, eq=False)
 class Pieces:
     """Polynomial segments, sampled: those of a solution, or trial ones.
@@ -158,7 +163,8 @@ class Yardstick:
         integrals = np.abs(exact - pieces.integrals) / self.integral[:, None]
         leg, span = self.leg, self.leg.duration
         states = pieces.largest(_excess(pieces.x, leg.state_bounds, self.state, pieces.times))
-        controls = pieces.total(_excess(pieces.u, leg.control_bounds, self.control)) / span
+        excess = _excess(pieces.u, leg.control_bounds, self.control)
+        controls = np.maximum(pieces.total(excess) / span, PEAK * pieces.largest(excess))
         overshoot = [states, controls]
         if leg.path_labels:
             values = f.paths(pieces.times, pieces.x, pieces.u)

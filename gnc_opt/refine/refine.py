@@ -65,7 +65,7 @@ def refine(
     max_passes : int
         At most so many solves (of each attempt, where structure and mesh are tried in turn).
     max_points : int
-        At most so many collocation points in any phase (hp).
+        At most so many collocation points in any phase.
     max_wall_time : float, optional
         Limit in s on all of it; then, and after Ctrl-C, the best solution so far is returned, without a verdict.
     options : SolverOptions, optional
@@ -225,6 +225,7 @@ class _Task:
                 start,
                 tol=self.tol,
                 max_passes=max_passes,
+                max_points=self.max_points,
                 structures=found,
                 options=self.options,
                 deadline=self.deadline,

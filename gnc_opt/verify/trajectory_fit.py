@@ -5,7 +5,7 @@ in the sampling interval. Controls are interpolated between their jumps: by a cu
 kinks by a modified Akima spline, which has no ripples; from sample to sample by that of the two with which the
 dynamics carry the states closer to the next sample. A jump is a time given twice, or a change from one sample to
 the next that is ten times those before and after it; where in between it happens is told by the states in the
-same way.
+same way. A kink is the same of slopes, and lies where the interpolants from both sides meet.
 """
 
 from __future__ import annotations
@@ -34,6 +34,9 @@ VISIBLE = 1e-3
 
 AT_SAMPLE = 1e-6
 """A jump closer to a sample than this share of the sampling interval is at the sample."""
+
+_KNOWN_BESIDE = 8
+"""Samples between jumps from which kinks are looked for."""
 
 _LOST = 1e3
 """A miss, relative to the state, beyond which nothing depends on how large it is."""
@@ -82,22 +85,25 @@ def fit(samples: Samples, rates: Rates) -> FittedPhase:
     """
     twice = np.flatnonzero(np.diff(samples.t) == 0)
     jumps = [_Jump(int(i), float(samples.t[i]), tuple(range(samples.u.shape[0]))) for i in twice]
-    jumps += _unmarked_jumps(samples, twice)
+    unmarked = _unmarked_jumps(samples, twice)
+    jumps += unmarked
+    jumps += _kinks(samples, jumps)
     jumps.sort(key=lambda jump: jump.after)
     controls = _Controls(samples, jumps)
     controls.choose(samples, rates)
-    for interval in sorted({jump.after for jump in jumps} - set(twice.tolist())):
-        _place(samples, controls, [j for j in jumps if j.after == interval], rates)
+    for interval in sorted({jump.after for jump in unmarked}):
+        _place(samples, controls, [j for j in unmarked if j.after == interval], rates)
     return _polynomials(samples, controls, sorted(jumps, key=lambda jump: jump.time), rates)
 
 
 @dataclass
 class _Jump:
-    """Of some channels, after a sample: at the time of it and the next one, or between them."""
+    """Of some channels, or of their slopes, after a sample: at the time of it and the next one, or between them."""
 
     after: int
     time: float
     channels: tuple[int, ...]
+    of_slope: bool = False
 
 
 def _unmarked_jumps(samples: Samples, twice: Indices) -> list[_Jump]:
@@ -113,12 +119,63 @@ def _unmarked_jumps(samples: Samples, twice: Indices) -> list[_Jump]:
     return [_Jump(int(i), 0.5 * float(t[i] + t[i + 1]), (int(c),)) for c, i in np.argwhere(alone)]
 
 
+def _kinks(samples: Samples, jumps: list[_Jump]) -> list[_Jump]:
+    found = []
+    for c in range(samples.u.shape[0]):
+        edges = sorted({0, samples.t.size, *(j.after + 1 for j in jumps if c in j.channels)})
+        for first, last in itertools.pairwise(edges):
+            found += _kinks_of(samples.t[first:last], samples.u[c, first:last], first, c)
+    return found
+
+
+def _kinks_of(t: Array, u: Array, first: int, channel: int) -> list[_Jump]:
+    """Kinks of one control between two jumps: intervals across which its slope changes, and not beside them."""
+    if t.size < _KNOWN_BESIDE:
+        return []
+    slopes = np.diff(u) / np.diff(t)
+    turn = (
+        np.abs(slopes[4:-1] - slopes[2:-3]),
+        np.abs(slopes[2:-3] - slopes[1:-4]),
+        np.abs(slopes[5:] - slopes[4:-1]),
+    )
+    visible = turn[0] * np.diff(t)[3:-2] > VISIBLE * np.ptp(u)
+    at = 3 + np.flatnonzero(visible & (turn[0] > JUMP * np.maximum(turn[1], turn[2])))
+    at = at[
+        np.append(np.diff(at) > 1, True)[: at.size]
+    ]  # the second of two that have a kink at the sample between them
+    found, start = [], 0
+    for k in at:
+        left, right = (
+            _interpolants(t[start : k + 1], u[start : k + 1])[0],
+            _interpolants(t[k + 1 :], u[k + 1 :])[0],
+        )
+        time = _meeting(left, right, float(t[k]), float(t[k + 1]), AT_SAMPLE * float(np.ptp(u)))
+        if time is not None:
+            found.append(_Jump(first + int(k), time, (channel,), of_slope=True))
+            start = k + 1
+    return found
+
+
+def _meeting(left: Any, right: Any, first: float, last: float, slack: float) -> float | None:
+    """Where two interpolants meet between two samples, if they do."""
+
+    def gap(time: float) -> float:
+        return float(left(time) - right(time))
+
+    for end in (first, last):
+        if abs(gap(end)) <= slack:
+            return end
+    if gap(first) * gap(last) > 0:
+        return None
+    return float(scipy.optimize.brentq(gap, first, last))
+
+
 class _Controls:
-    """Controls at any time, between their jumps; ``rippled`` says in which sampling intervals by Akima splines."""
+    """Controls at any time, between their jumps; ``kinked`` says in which sampling intervals by Akima splines."""
 
     def __init__(self, samples: Samples, jumps: list[_Jump]) -> None:
         self._jumps = [[j for j in jumps if c in j.channels] for c in range(samples.u.shape[0])]
-        self._times, self._rippled = samples.t, np.zeros(samples.t.size - 1, dtype=bool)
+        self._times, self._kinked = samples.t, np.zeros(samples.t.size - 1, dtype=bool)
         self._pieces = []
         for c, own in enumerate(self._jumps):
             edges = [0, *(j.after + 1 for j in own), samples.t.size]
@@ -128,13 +185,13 @@ class _Controls:
     def __call__(self, t: float | Array, middle: float | Array) -> Array:
         """Controls (m, n_times) at times t that lie in a segment with the given middle."""
         times, middles = np.atleast_1d(t), np.broadcast_to(middle, np.shape(np.atleast_1d(t)))
-        rippled = self._rippled[np.clip(np.searchsorted(self._times, middles) - 1, 0, self._rippled.size - 1)]
+        kinked = self._kinked[np.clip(np.searchsorted(self._times, middles) - 1, 0, self._kinked.size - 1)]
         values = np.empty((len(self._pieces), times.size))
         for c, pieces in enumerate(self._pieces):
             chosen = np.searchsorted([j.time for j in self._jumps[c]], middles)
             for k in np.unique(chosen):
                 for which, interpolant in enumerate(pieces[k]):
-                    here = (chosen == k) & (rippled == bool(which))
+                    here = (chosen == k) & (kinked == bool(which))
                     values[c, here] = interpolant(times[here])
         return values
 
@@ -143,11 +200,11 @@ class _Controls:
         long = np.flatnonzero(np.diff(samples.t) > 0)
         size = np.maximum(np.max(np.abs(samples.x), axis=1), 1e-300)[:, None]
         misses = []
-        for rippled in (False, True):
-            self._rippled[:] = rippled
+        for kinked in (False, True):
+            self._kinked[:] = kinked
             ends = _carried(samples.x[:, long], samples.t[long], samples.t[long + 1], self, rates)
             misses.append(np.max(np.abs(ends - samples.x[:, long + 1]) / size, axis=0))
-        self._rippled[long] = misses[1] < misses[0]
+        self._kinked[long] = misses[1] < misses[0]
 
 
 def _interpolants(t: Array, u: Array) -> tuple[Any, Any]:
@@ -228,7 +285,7 @@ def _polynomials(samples: Samples, controls: _Controls, jumps: list[_Jump], rate
     points = (times[:-1] + 0.5 * widths * (1 + rule.points)[:, None]).ravel()
     values = controls(points, np.tile(middles, rule.points.size)).reshape(-1, rule.points.size, widths.size)
     count = range(widths.size)
-    at = {int(np.searchsorted(times, j.time)) for j in jumps}
+    at = {int(np.searchsorted(times, j.time)) for j in jumps if not j.of_slope}
     movable = tuple(sorted(at & set(range(1, times.size - 1))))
     fractions = (times - times[0]) / (times[-1] - times[0])
     return FittedPhase(

@@ -101,7 +101,7 @@ def _judge(solution: Solution, tol: float) -> Verdict:
     names = ("strict switches", "second order") if switching else ("second order",)
     if told and not missing.value:
         switches = [second_order.strict_switches(lasting)] if switching else []
-        switches += _second_order(solution, samples, lasting, ends, tol)
+        switches += _second_order(solution, samples, ends, tol)
     else:
         switches = [_untold(name, missing.where, _CANNOT_VARY) for name in names]
     if len(lasting) < len(samples):
@@ -118,17 +118,13 @@ def _judge(solution: Solution, tol: float) -> Verdict:
 
 
 def _second_order(
-    solution: Solution,
-    samples: list[PhaseSamples],
-    lasting: list[PhaseSamples],
-    ends: EndGradients,
-    tolerance: float,
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
 ) -> list[Condition]:
     """By the switch times where they alone are left to vary, else on the mesh."""
-    if not second_order.obstacle(lasting):
-        return second_order.second_order(solution, lasting, ends, tolerance)
+    if not second_order.obstacle(samples):
+        return second_order.second_order(solution, samples, ends, tolerance)
     cone = critical_cone(solution)
-    smooth = conjugate_points(solution.need_problem("verify"), samples)
+    smooth = conjugate_points(solution, samples)
     return [normality(cone), *smooth, reduced_hessian(solution, samples, cone)]
 
 

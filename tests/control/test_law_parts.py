@@ -11,9 +11,20 @@ from scipy.integrate import quad
 from scipy.optimize import minimize
 
 from gnc_opt.control.c_expressions import _constant
+from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
+from gnc_opt.control.explanation import Explanation
 from gnc_opt.control.feedback_linearization import _chains, _gain, _optimal_gain, _places, _polynomial
-from gnc_opt.control.flight_code import _entries, _identifier, _number, _plain, _read_prefix, _table, _wrapped
+from gnc_opt.control.flight_code import (
+    _entries,
+    _identifier,
+    _number,
+    _plain,
+    _read_prefix,
+    _table,
+    _wrapped,
+    export_c,
+)
 from gnc_opt.control.guard import Inverse, Memory, _solve, _Stacked
 from gnc_opt.control.lie import (
     Pair,
@@ -97,8 +108,8 @@ def test_the_steepest_slope_of_a_law_in_its_layer_bounds_its_differences(law, bo
 
 
 def test_without_a_layer_the_slope_is_infinite():
-    for law in (ConstantRate(3.0), ExponentialRate(3.0, 2.0), PowerRate(3.0, 0.4), SuperTwisting(3.0, 2.0)):
-        assert law.slope(SIGN) == INF
+    for each in (ConstantRate(3.0), ExponentialRate(3.0, 2.0), PowerRate(3.0, 0.4), SuperTwisting(3.0, 2.0)):
+        assert each.slope(SIGN) == INF
     assert SIGN.slope == INF and SAT.slope == 2.0 == TANH.slope
 
 
@@ -929,3 +940,49 @@ def test_the_rows_of_a_schedule_in_c():
     ):
         with pytest.raises(ArgumentError, match=message):
             _table(wrong, 0.1, span)
+
+
+def test_the_header_tells_what_the_arrays_hold(tmp_path):
+    """Sizes, the step, the first row, names with units, and the alarms if there are any."""
+    t, x, r, z = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("r", 1), ca.SX.sym("z", 1)
+    fields = {
+        "name": "by hand",
+        "step": law(t, x, r, z, x[0] + r, z),
+        "start": first_memory(t, x, r, 0 * r),
+        "states": Layout("state", (Variable("x", 2, "m"),)),
+        "commands": Layout("command", (Variable("u", 1, "N"),)),
+        "signals": Layout("signal", (Variable("s"),)),
+        "memory": Layout("memory", (Variable("z"),)),
+        "schedule": lambda times, dt: np.minimum(times, 2.0)[None, :],
+        "explanation": Explanation("by hand"),
+        "dt": 0.5,
+        "span": (1.0, 2.0),
+    }
+    for alarms in ((), ("z",)):
+        code = export_c(Controller(**fields, alarms=alarms), tmp_path)
+        text = code.header.read_text()
+        assert (code.name, code.rows, code.dt) == ("by_hand", 3, 0.5)
+        for line in (
+            "BY_HAND_N_STATES 2",
+            "BY_HAND_N_COMMANDS 1",
+            "BY_HAND_N_SIGNALS 1",
+            "BY_HAND_N_MEMORY 1",
+            "BY_HAND_N_ROWS 3",
+            "BY_HAND_DT 0.5",
+            "BY_HAND_T0 1.0",
+            "[1] x[1], m",
+            "[0] u, N",
+            "[0] s, -",
+        ):
+            assert line in text
+        assert ("alarms" in text) is bool(
+            alarms
+        ) and "static const double schedule" in code.source.read_text()
+    bare = {
+        **fields,
+        "signals": Layout("signal", ()),
+        "schedule": lambda times, dt: np.zeros((0, times.size)),
+    }
+    nothing = ca.SX.sym("r", 0)
+    bare |= {"step": law(t, x, nothing, z, x[0], z), "start": first_memory(t, x, nothing, ca.SX(0))}
+    assert "schedule[" not in export_c(Controller(**bare), tmp_path, name="bare").source.read_text()

@@ -263,9 +263,8 @@ def test_attempts_that_were_given_up_are_told(cart: go.Solution, monkeypatch: py
     monkeypatch.setattr(module, "optimise_switches", unconvincing)
     history = told(go.refine(cart, tol=1e-5))
     kinds = [isinstance(p.actions, str) for p in history.passes]
-    assert kinds[0] and kinds[-1] and not kinds[history.chosen]  # before the mesh, and from the fine one
-    by_mesh = [p for p in history.passes if not isinstance(p.actions, str)]
-    assert history.final.error == min(p.error for p in by_mesh)
+    assert kinds[0] and not kinds[history.chosen]
+    assert history.final.error <= 1e-5
 
 
 @pytest.mark.parametrize("structure", ["bang-bang", "none"])

@@ -50,7 +50,7 @@ def cart(mass: float) -> go.Problem:
 def test_solution_for_another_mass_fails_even_with_the_right_fingerprint(tmp_path: Any) -> None:
     mesh = go.Mesh.at_times([0.0, 0.9, 2.0], 5, movable=True)
     heavy = go.solve(cart(1.1).with_arcs(arcs=[[-1, 1]]), mesh=mesh)
-    assert go.verify(heavy).ok
+    assert go.verify(heavy).minimum
     print_of_light = {**heavy.provenance, "fingerprint": cart(1.0).fingerprint()}
     file = replace(heavy, provenance=print_of_light).save(tmp_path / "cart.npz")
     assert {"dynamics", "propagation", "stored numbers"} <= failed(go.load(file, problem=cart(1.0)))
@@ -74,7 +74,7 @@ def two_integrals(first: float) -> go.Solution:
 def test_optimum_of_another_weighting_fails() -> None:
     """The optimum of 4 J1 + J2 is no optimum of J1 + J2, whatever it says about the weights."""
     other, own = two_integrals(4.0), two_integrals(1.0)
-    assert go.verify(own).ok and go.verify(other).ok
+    assert go.verify(own).minimum and go.verify(other).minimum
     wrong = replace(other, problem=own.problem, objective=float(np.sum(other.phase().integrals)))
     assert {"cost", "Hamiltonian", "adjoint equation"} <= failed(wrong)
 
@@ -91,7 +91,7 @@ def test_multiplier_of_an_integral_constraint_is_judged_by_its_limit() -> None:
     problem.constrain("budget", spent, upper=12.0)
     problem.minimize(leg.final_time)
     right = go.solve(problem, mesh="4x5")
-    assert go.verify(right).ok, go.verify(right).explain()
+    assert go.verify(right).minimum, go.verify(right).explain()
     assert right.objective == pytest.approx(1.0, rel=1e-7)  # energy 12 / t_f^3
     assert right.phase().integral_weights[0] == pytest.approx(1 / 36, rel=1e-5)
     half = 0.5 * right.constraint_multipliers

@@ -158,7 +158,7 @@ CASES = [
 def test_condition_sees_what_it_should_and_others_do_not(wrong: Case) -> None:
     correct = wrong.correct()
     before = go.verify(correct)
-    assert before.ok, before.explain()
+    assert before.minimum, before.explain()
     verdict = go.verify(wrong.wrong(correct, SMALL))
     found = {c.name for c in verdict.failed}
     assert wrong.condition in found
@@ -183,7 +183,7 @@ def test_jumps_of_the_right_sign_at_an_active_limit_are_right(scheme: str, path:
         )
     solution = ceiling(scheme, path=path)  # type: ignore[arg-type]
     verdict = go.verify(solution)
-    assert verdict.ok, verdict.explain()
+    assert verdict.minimum, verdict.explain()
     jump = solution.costate("q")(0.3, "left") - solution.costate("q")(0.3)
     assert jump == pytest.approx(200 / 9, rel=1e-5)
 
@@ -220,7 +220,7 @@ def test_limit_reached_within_a_segment_is_no_adjoint_violation() -> None:
     assert settled.lam[Q, here][-1] == pytest.approx(0.0, abs=0.05)
     assert np.all(np.diff(settled.lam[Q, here]) < 1e-9)  # an upper limit pushes one way only
     verdict = go.verify(solution)
-    assert verdict.ok, verdict.explain()
+    assert verdict.minimum, verdict.explain()
 
 
 @pytest.mark.parametrize("weight", [1e-3, 1e3])
@@ -360,7 +360,7 @@ def carried(current: float, start: float = 0.0) -> go.Problem:
 def test_hamiltonian_follows_its_explicit_dependence_on_time(start: float) -> None:
     """dH/dt = current lam = -current (1 - current / 2): constant it is not."""
     solution = go.solve(carried(0.5, start), mesh="3x4")
-    assert go.verify(solution, tol=1e-9).ok
+    assert go.verify(solution, tol=1e-9).minimum
     drift = solution.hamiltonian(start + 1.0, side="left") - solution.hamiltonian(start)
     assert drift == pytest.approx(-0.5 * 0.75, rel=1e-9)
     still = replace(solution, problem=carried(0.0, start))
@@ -387,7 +387,7 @@ def test_controls_that_one_of_two_mixed_constraints_forbids_are_no_choice() -> N
     solution = go.solve(problem, mesh="4x6", options=go.SolverOptions(tolerance=1e-11))
     assert solution.state("x")(1.0) == pytest.approx(1 - np.exp(-1.0), abs=1e-8)
     verdict = go.verify(solution)
-    assert verdict.ok, verdict.explain()
+    assert verdict.minimum, verdict.explain()
 
 
 @pytest.mark.parametrize("opens", [0.8, 9.0])
@@ -429,7 +429,7 @@ def test_push_of_one_path_constraint_among_several() -> None:
     mesh = go.Mesh((0.0, 0.3, 0.7, 1.0), (5, 5, 5))
     solution = go.solve(problem, mesh=mesh, scheme="LGR", options=go.SolverOptions(tolerance=1e-11))
     verdict = go.verify(solution)
-    assert verdict.ok, verdict.explain()
+    assert verdict.minimum, verdict.explain()
 
 
 @pytest.mark.parametrize("unit", [1e-4, 1e4, -1.0])
@@ -452,7 +452,7 @@ def test_whether_a_limit_is_reached_does_not_depend_on_units(unit: float) -> Non
     mesh = go.Mesh((0.0, 0.3, 0.7, 1.0), (5, 5, 5))
     right = go.solve(problem(0.1), mesh=mesh, options=go.SolverOptions(tolerance=1e-11))
     verdict = go.verify(right)
-    assert verdict.ok, verdict.explain()
+    assert verdict.minimum, verdict.explain()
     higher = with_leg(right, state_bounds=problem(0.101).get_phase().numbers.states)
     assert "adjoint equation" in failed(replace(higher, problem=problem(0.101)))
 

@@ -7,6 +7,7 @@ Dynamic programming then picks the cheapest way through a run of accurate segmen
 
 from __future__ import annotations
 
+import bisect
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -86,21 +87,27 @@ def coarsened(
 def _smallest_degrees(
     error: PhaseError, run: Sequence[Piece], tol: float, max_degree: int, departure: float
 ) -> dict[Span, int]:
-    """Return the smallest sufficient degree of each merger (first, last + 1) that saves points."""
+    """Return the smallest sufficient degree of each merger (first, last + 1) that saves points.
+
+    More points never make a trial worse, or hardly ever, so that the smallest degree is found by bisection.
+    """
     found = {(i, i + 1): piece.degree for i, piece in enumerate(run)}
-    trials: list[Piece] = []
-    keys: list[Span] = []
+    left: dict[Span, tuple[int, int]] = {}  # places in the ladder where the smallest degree can be
     for i, j in _mergeable(error, run, tol, max_degree, departure):
         now = sum(p.degree for p in run[i:j]) + (j - i - 1)
-        for degree in LADDER:
-            if degree < now if j == i + 1 else degree <= min(now, max_degree):
-                trials.append(Piece(run[i].start, run[j - 1].end, degree))
-                keys.append((i, j))
-    good = _acceptable(error, trials, tol, departure)
-    for trial, key in sorted(
-        itertools.compress(zip(trials, keys, strict=True), good), key=lambda e: -e[0].degree
-    ):
-        found[key] = trial.degree
+        most = now - 1 if j == i + 1 else min(now, max_degree)
+        left[i, j] = (0, bisect.bisect_right(LADDER, most))
+    while left := {span: ends for span, ends in left.items() if ends[0] < ends[1]}:
+        trials = [
+            Piece(run[i].start, run[j - 1].end, LADDER[(low + high) // 2])
+            for (i, j), (low, high) in left.items()
+        ]
+        good = _acceptable(error, trials, tol, departure)
+        for (span, (low, high)), trial, fine in zip(list(left.items()), trials, good, strict=True):
+            middle = (low + high) // 2
+            left[span] = (low, middle) if fine else (middle + 1, high)
+            if fine:
+                found[span] = trial.degree
     return found
 
 

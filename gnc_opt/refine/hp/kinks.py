@@ -8,13 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array, Mask
+from gnc_opt.arrays import Array
 from gnc_opt.problem.interval import Interval
 from gnc_opt.refine.error import PhaseError, states_at_points
 from gnc_opt.solution.phase_solution import PhaseSolution
 
 UNSURE = 0.05
 """A switch is trusted to lie this close to its estimate, in shares of its segment."""
+
+SHARPENING = 2.0
+"""A kink that multipliers point at is trusted to lie closer the shorter the gap that it lies in, in shares of the gap's
+own share of the phase: the error of the estimate is of second order in its length."""
+
+SHARP = 1e-6
+"""A kink that is known this closely, in shares of the phase, is not enclosed any more: a boundary is placed on it."""
 
 CLEAR = 1e-6
 """A switching function counts as crossing zero if it is larger than this on both sides, in shares of H."""
@@ -31,14 +38,14 @@ class Kink:
     end: float
 
 
-def find_kinks(error: PhaseError, k: int, active: Mask) -> list[Kink]:
+def find_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
     """Return the kinks in segment k, in order and not overlapping; none if they cannot be told from noise.
 
     Parameters
     ----------
     error : PhaseError
     k : int
-    active : bool array (rows, N)
+    active : array (rows, N)
         The phase's `activity`, which is dear and the same for all segments.
     """
     found = _switches(error, k) or _junctions(error, k, active)
@@ -100,21 +107,48 @@ def _crossings(gradient: Callable[[Array], Array], times: Array, unit: float) ->
     ]
 
 
-def _junctions(error: PhaseError, k: int, active: Mask) -> list[Kink]:
-    """Gaps between neighbouring points on and off a bound or path constraint."""
+def _junctions(error: PhaseError, k: int, active: Array) -> list[Kink]:
+    """Kinks where bounds and path constraints set in or end, or change sides, between neighbouring points."""
     leg = error.samples.leg
     points, offsets = leg.point_times, leg.mesh.offsets
     first, last = max(offsets[k] - 1, 0), min(offsets[k + 1], points.size - 1)
-    left, right = leg.breaks[k], leg.breaks[k + 1]
-    changes = np.flatnonzero(np.any(active[:, first:last] != active[:, first + 1 : last + 1], axis=0)) + first
-    kinks = [Kink(max(float(points[j]), left), min(float(points[j + 1]), right)) for j in changes]
+    left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
+    kinks = []
+    for row in active[:, first : last + 1]:
+        here = points[first : last + 1]
+        for j in np.flatnonzero(np.sign(row[1:]) != np.sign(row[:-1])):
+            start, end = _closed_in(here, row, int(j), leg.duration)
+            kinks.append(Kink(max(start, left), min(end, right)))
     return [kink for kink in kinks if kink.end > kink.start]
 
 
-def activity(error: PhaseError) -> Mask:
-    """Return which bound or path constraint is active at which collocation point, (rows, N).
+def _closed_in(times: Array, pull: Array, j: int, duration: float) -> tuple[float, float]:
+    """Return between which times the pull of a constraint sets in, ends or changes sign, after point j.
 
-    Of slack, in shares of the quantity's magnitude, and multiplier, in shares of H, the larger one tells.
+    At a kink the multiplier of a constraint on controls goes to zero, and where a control jumps from one limit to
+    the other it passes through zero, at most one point being caught between the limits. Either way the multipliers
+    beside it point at the time.
+    """
+    start, end = float(times[j]), float(times[j + 1])
+    across = [(a, b) for a, b in ((j, j + 1), (j - 1, j + 1), (j, j + 2)) if a >= 0 and b < times.size]
+    across = [(a, b) for a, b in across if pull[a] * pull[b] < 0]
+    if across:
+        a, b = across[0]
+        start, end = float(times[a]), float(times[b])
+    else:
+        a, b = (j - 1, j) if pull[j + 1] == 0 else (j + 1, j + 2)
+        if a < 0 or b >= times.size or pull[a] * pull[b] <= 0 or pull[a] == pull[b]:
+            return start, end
+    zero = float(times[a] - pull[a] * (times[b] - times[a]) / (pull[b] - pull[a]))
+    margin = min(UNSURE, SHARPENING * (end - start) / duration) * (end - start)
+    return (max(start, zero - margin), min(end, zero + margin)) if start < zero < end else (start, end)
+
+
+def activity(error: PhaseError) -> Array:
+    """Return how hard each active bound or path constraint pulls at each collocation point, (rows, N); else zero.
+
+    In shares of H, with the sign of the multiplier. Of slack, in shares of the quantity's magnitude, and multiplier,
+    the larger one tells whether a constraint is active.
     """
     leg, yardstick = error.samples.leg, error.yardstick
     x, u = states_at_points(leg), np.hstack(leg.u.values)
@@ -129,18 +163,24 @@ def activity(error: PhaseError) -> Mask:
     return np.concatenate(rows)
 
 
-def _active(values: Array, bounds: Interval, multipliers: Array, scale: Array, worth: float) -> Mask:
+def _active(values: Array, bounds: Interval, multipliers: Array, scale: Array, worth: float) -> Array:
     gap = np.minimum(values - bounds.lower[:, None], bounds.upper[:, None] - values)
-    pull = np.abs(multipliers) * scale[:, None] / worth
-    return np.asarray((pull > gap / scale[:, None]) & (bounds.lower < bounds.upper)[:, None] & (pull > CLEAR))
+    pull = multipliers * scale[:, None] / worth
+    limits = (bounds.lower < bounds.upper)[:, None]
+    return np.where(limits & (np.abs(pull) > np.maximum(gap / scale[:, None], CLEAR)), pull, 0.0)
 
 
 def bracketed(leg: PhaseSolution, k: int, kinks: list[Kink]) -> list[float]:
-    """Return boundaries that enclose the kinks of segment k tightly, its own ends included."""
+    """Return boundaries that enclose the kinks of segment k tightly, or lie on them, its own ends included."""
     left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
-    least = 0.02 * (right - left)
+    least = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))
     cuts = [left]
-    for edge in (edge for kink in kinks for edge in (kink.start, kink.end)):
+    for edge in (edge for kink in kinks for edge in _edges(kink, SHARP * leg.duration)):
         if edge - cuts[-1] > least and right - edge > least:
             cuts.append(edge)
     return [*cuts, right]
+
+
+def _edges(kink: Kink, sharp: float) -> tuple[float, ...]:
+    """Both ends of a kink's interval, or its middle where they are as good as one."""
+    return (kink.start, kink.end) if kink.end - kink.start > sharp else (0.5 * (kink.start + kink.end),)

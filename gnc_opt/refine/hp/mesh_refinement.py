@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -33,11 +33,22 @@ PROGRESS = 0.5
 WARM_ITERATIONS = 150
 """A warm start that takes longer has lost its way."""
 
+WARM_MU, LEAST_MU = 1e-6, 1e-10
+"""Barrier parameter of a warm start, per unit of the error that is left, at most and at least: what is nearly right
+must not be pushed off its bounds only to come back in ten iterations."""
+
 STAGE = 1e-4
 """Each pass aims at this share of the error before it, and at least at this error."""
 
-WORTH_TRIMMING = 0.9
-"""An accurate solution is solved once more if the mesh can shrink to this share, ..."""
+ROOMY = 300
+"""Meshes with no more points than this are refined without making them smaller elsewhere: to find out what can go
+takes as long as solving."""
+
+GROWN = 1.5
+"""An accurate mesh that is that many times as large as the first one, or not `ROOMY`, ..."""
+
+WORTH_TRIMMING = 0.5
+"""... is solved once more if it can shrink to this share, ..."""
 
 BOLD = 0.5
 """... expecting this share of the tolerance, ..."""
@@ -46,8 +57,8 @@ DEPARTURE = 0.01
 """... with states that move by this share of the tolerance's root (of an optimal cost, they only move the second
 order), ..."""
 
-TRIMS, REPAIRS = 3, 3
-"""... at most so often, and with so many passes to mend what became too coarse."""
+REPAIRS = 1
+"""... and with so many passes to mend what became too coarse."""
 
 UNEXPLAINED = 10.0
 """An objective that moves by more than this many times the error of the last mesh has not settled."""
@@ -62,6 +73,12 @@ class _State:
     solution: Solution
     errors: dict[str, PhaseError]
     record: Pass
+
+    @property
+    def finite_error(self) -> float:
+        """Largest error of the segments whose functions are defined."""
+        worst = np.concatenate([e.worst for e in self.errors.values()])
+        return float(np.max(worst, initial=0.0, where=np.isfinite(worst)))
 
     @property
     def total(self) -> float:
@@ -142,7 +159,7 @@ class _Refinement:
         self._records: list[Pass] = []
         self._past: dict[str, Past] = {}
         self._totals: list[float] = []
-        self._trims = self._repairs = 0
+        self._trimmed_once, self._repairs = False, 0
         self._departure = DEPARTURE * math.sqrt(tol)
         self._confirming = False
         self._begin = time.perf_counter()
@@ -176,9 +193,9 @@ class _Refinement:
             plan = self._trimmed()
             if plan is None:
                 return RefinementStatus.CONVERGED
-            self._trims += 1
+            self._trimmed_once = True
             return plan
-        if self._trims:  # mend a mesh that has become too small, as long as it stays smaller
+        if self._trimmed_once:  # mend a mesh that has become too small, as long as it stays smaller
             plan = self._finer(self._tol, False)
             self._repairs += 1
             smaller = _size(plan[0]) < self._best.record.points
@@ -195,8 +212,8 @@ class _Refinement:
         worse = (
             last is not self._best.record and isinstance(last.actions, Actions) and last.actions.merged > 0
         )
-        stage = max(self._tol, min(STAGE * last.error, STAGE))
-        plan = self._finer(stage, not worse)
+        stage = max(self._tol, STAGE * min(self._state.finite_error, 1.0))
+        plan = self._finer(stage, last.points > ROOMY and not worse)
         while self._too_many(plan[0]):
             stage *= 10.0
             if stage > 0.5 * last.error:
@@ -214,11 +231,13 @@ class _Refinement:
 
     def _trimmed(self) -> NextMeshes | None:
         """Return smaller meshes for an accurate solution, or None if there is not much to gain."""
+        points = self._state.record.points
+        if self._trimmed_once or points <= min(ROOMY, GROWN * self._records[0].points):
+            return None
         plan = self._remeshed(
             lambda _, error: Remesh(error, self._tol, {}, BOLD * self._tol, self._departure).mesh()
         )
-        worth = _size(plan[0]) <= WORTH_TRIMMING * self._state.record.points
-        return plan if worth and self._trims < TRIMS else None
+        return plan if _size(plan[0]) <= WORTH_TRIMMING * points else None
 
     def _remeshed(self, remesh: Callable[[str, PhaseError], tuple[Mesh, Actions]]) -> NextMeshes:
         meshes, total = {}, Actions()
@@ -232,7 +251,7 @@ class _Refinement:
 
         A control that chatters can be exact on every mesh and different on each.
         """
-        if len(self._records) < 2 or self._trims:
+        if len(self._records) < 2 or self._trimmed_once:
             return True
         old, new = self._records[-2:]
         worth = max(NEGLIGIBLE, abs(new.objective), *(_cost_scale(e) for e in self._state.errors.values()))
@@ -284,7 +303,7 @@ class _Refinement:
             meshes,
             scheme=self._scheme,
             guess=self._state.solution,
-            options=self._options,
+            options=self._warm_options(),
             warm_iterations=WARM_ITERATIONS,
             deadline=self._deadline,
         )
@@ -292,6 +311,13 @@ class _Refinement:
         if self._better(self._state.record, self._best.record):
             self._best, self._chosen = self._state, len(self._records) - 1
         return solution.status
+
+    def _warm_options(self) -> SolverOptions:
+        """Return the options with a barrier parameter that suits how far the solution still has to move."""
+        if self._options.mu_init is not None:
+            return self._options
+        mu = WARM_MU * min(self._state.finite_error, 1.0)
+        return replace(self._options, mu_init=max(mu, LEAST_MU))
 
     def _judge(self, solution: Solution, begin: float, actions: Actions) -> _State:
         errors = estimate_errors(solution)

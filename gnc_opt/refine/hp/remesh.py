@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Mask
+from gnc_opt.arrays import Array
 from gnc_opt.refine.error import PhaseError
 from gnc_opt.refine.hp.coarsen import Piece, coarsened
 from gnc_opt.refine.hp.kinks import Kink, activity, bracketed, find_kinks
@@ -79,7 +79,7 @@ class Remesh:
         self._worst = self.error.worst
         self._decades = self.error.errors.decades(SAFETY * self.tol)
         self._density: Array | None = None
-        self._active: Mask | None = None
+        self._active: Array | None = None
         self.raised = self.split = 0
 
     def mesh(self) -> tuple[Mesh, Actions]:

@@ -63,6 +63,7 @@ def optimise_switches(
     *,
     tol: float = FINEST,
     max_passes: int = 40,
+    max_points: int = 1000,
     structures: Mapping[str, PhaseStructure] | None = None,
     options: SolverOptions | None = None,
     deadline: float = math.inf,
@@ -78,6 +79,8 @@ def optimise_switches(
         On the error between the nodes; see `gnc_opt.refine.error`.
     max_passes : int
         At most so many solves.
+    max_points : int
+        At most so many collocation points in any phase.
     structures : mapping of PhaseStructure, optional
         What to start from, by phase, if it has been detected already.
     options : SolverOptions, optional
@@ -101,8 +104,9 @@ def optimise_switches(
     tries: list[_Try] = []
     with pass_meter(solution.problem_name, tol, progress) as show:
         try:
+            limits = _Limits(max_passes, max_points, deadline)
             guess, plans = _settled(solution, plans)
-            status = _loop(problem, guess, plans, min(tol, FINEST), max_passes, chosen, deadline, show, tries)
+            status = _loop(problem, guess, plans, min(tol, FINEST), limits, chosen, show, tries)
         except KeyboardInterrupt:
             status = RefinementStatus.INTERRUPTED
     best = _best(tries, status)
@@ -115,6 +119,15 @@ def optimise_switches(
     if status is RefinementStatus.CONVERGED:
         solution = settle_costates(solution)
     return replace(solution, structure=_arcs(solution, plans)), history
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """Where the loop gives up."""
+
+    passes: int
+    points: int
+    deadline: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,19 +164,20 @@ def _loop(
     solution: Solution,
     plans: dict[str, Plan],
     tol: float,
-    max_passes: int,
+    limits: _Limits,
     options: SolverOptions,
-    deadline: float,
     show: Callable[[Pass], None],
     tries: list[_Try],
 ) -> RefinementStatus:
     """Solve and mend until nothing is left to mend; add every pass to ``tries``."""
     swapped: set[tuple[str, PhaseStructure]] = set()
-    for _ in range(max_passes):
+    for _ in range(limits.passes):
         begin = time.perf_counter()
-        if begin > deadline:
+        if begin > limits.deadline:
             return RefinementStatus.INTERRUPTED
-        found = _solve(problem, plans, solution, options, deadline)
+        if any(plan.mesh().size > limits.points for plan in plans.values()):
+            return RefinementStatus.POINT_LIMIT
+        found = _solve(problem, plans, solution, options, limits.deadline)
         if not found.status.solved:
             tries.append(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
             show(tries[-1].record)
