@@ -210,6 +210,8 @@ def _reduced_curvature(s: PhaseSamples, j: int, hessian: Array, unit: Array, int
     if not free.size:
         return None
     reduced = hessian[np.ix_(free, free)]
+    if not np.all(np.isfinite(reduced)):  # a missing number: LAPACK would give up
+        return -np.inf
     if s.leg.path_labels:
         t, x, u = s.times[j], s.x[:, j], s.u[:, j]
         values = s.functions.paths(t, x, u)

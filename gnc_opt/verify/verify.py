@@ -124,6 +124,8 @@ def _second_order(
     if not second_order.obstacle(samples):
         return second_order.second_order(solution, samples, ends, tolerance)
     cone = critical_cone(solution)
+    if not cone.point.is_finite:
+        return [_untold("second order", "a derivative of the problem is no number", _CANNOT_VARY)]
     smooth = conjugate_points(solution, samples)
     return [normality(cone), *smooth, reduced_hessian(solution, samples, cone)]
 

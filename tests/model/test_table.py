@@ -226,6 +226,10 @@ def test_a_solution_inside_of_its_table_is_not(recwarn: pytest.WarningsRecorder)
 def test_a_table_that_refuses_what_is_outside() -> None:
     with pytest.raises(go.ProblemError, match=r"the guess leaves a table .*give another guess"):
         hop(outside="error").check()
+    inside = hop(outside="error", top=1.0)
+    inside.check()
+    with pytest.raises(go.ProblemError, match=r"the guess leaves a table .*give another guess"):
+        inside.with_guess(x=2.0).check()
 
 
 def test_kinks_of_linear_tables_are_told() -> None:

@@ -493,6 +493,17 @@ def test_the_way_to_the_nearest_sample_that_is_allowed() -> None:
     assert not _to_nearest_allowed(inside, lost).any()
 
 
+def test_what_nothing_can_restore_counts_in_shares_of_its_values() -> None:
+    """1 + q^2 is 2 to 5 along the flight, and never at most 1/2: 4 too much at a size of 5."""
+    problem, _ = circle(1, 0.5)
+    leg = problem.get_phase()
+    leg.path("never", 1 + leg.model.symbol("q") ** 2, upper=0.5)
+    found = samples(problem, lambda t, k: [1 + t, 0 * t], lambda t, k: 0 * t, weights=(1.0,))
+    never = Limits(found.functions.paths, np.array([1]), np.array([1.0]), np.array([0.5]))
+    point = Violations(never, np.array([1.0]), np.array([4.0]), np.array([[2.0], [0.0]]), np.zeros((1, 1)))
+    assert path_offences(point, found) == pytest.approx([4.0 / 5.0])
+
+
 def test_directions_have_length_one_however_long_they_were() -> None:
     found = _unit(np.array([[3e200, 3e-200, 0.0, np.nan, 0.3], [4e200, -4e-200, 0.0, 1.0, 0.4]]))
     assert found == pytest.approx(np.array([[0.6, 0.6, 0, 0, 0.6], [0.8, -0.8, 0, 0, 0.8]]))
