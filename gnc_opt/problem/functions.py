@@ -137,6 +137,11 @@ class PhaseFunctions:
         n = np.shape(x)[0]
         return flat.reshape(n, n, *flat.shape[1:])
 
+    def input_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+        """df/du, shape (n_states, n_controls, ...)."""
+        flat = self._call("input_jacobian", t, x, u)
+        return flat.reshape(np.shape(x)[0], np.shape(u)[0], *flat.shape[1:])
+
     def path_control_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """dc/du, shape (n_paths, n_controls, ...)."""
         flat = self._call("path_control_jacobian", t, x, u)
@@ -197,6 +202,7 @@ def _build_phase_functions(problem: Problem, leg: Phase) -> dict[str, Any]:
         "parameter_gradient": ca.gradient(augmented, q),
         "control_hessian": ca.vec(ca.hessian(augmented, u)[0].T),
         "state_jacobian": ca.vec(ca.jacobian(f, x).T),
+        "input_jacobian": ca.vec(ca.jacobian(f, u).T),
         "path_control_jacobian": ca.vec(ca.jacobian(c, u).T),
         "path_state_jacobian": ca.vec(ca.jacobian(c, x).T),
     }

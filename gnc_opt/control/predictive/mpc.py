@@ -24,7 +24,7 @@ strategies, Automatica 34 (1998): the change of variables.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias, get_args
 
 import casadi as ca
@@ -260,8 +260,7 @@ def _law(
         z, [0, m, m + size, m + size + n_rows, m + size + n_rows + 1]
     )
     task = horizon.programme(e, u_ff, x_limited, previous)
-    y, lam_a, lam_x = _solution(task, horizon.regulated(e), plan, multipliers, solver)
-    solved = task.optimality_residual(y, lam_a, lam_x) <= QP_TOLERANCE
+    y, lam_a, solved = _solution(task, horizon.regulated(e), plan, multipliers, solver)
 
     lower, upper = ca.DM(rows.lower), ca.DM(rows.upper)
     if rows.change is not None:
@@ -285,7 +284,10 @@ def _law(
 
 
 def _solution(task: Programme, regulated: Any, plan: Any, multipliers: Any, solver: str) -> list[Any]:
-    """Return unknowns and multipliers: those of the regulator if it meets no limit, else what the solver finds."""
+    """Return unknowns, multipliers and whether they are the solution.
+
+    They are those of the regulator if it meets no limit, else what the solver finds.
+    """
     shape = {"h": task.h.sparsity(), "a": task.a.sparsity()}
     qp = ca.conic("qp", solver, shape, {**_OPTIONS[solver], "error_on_fail": False})
     least = np.full(regulated.shape[0], -np.inf)
@@ -294,9 +296,10 @@ def _solution(task: Programme, regulated: Any, plan: Any, multipliers: Any, solv
     symbols = [ca.MX.sym(f"i{k}", argument.sparsity()) for k, argument in enumerate(map(ca.MX, arguments))]
     a, low, high, x0, lam0, rest = symbols
     found = qp(h=task.h, g=task.g, a=a, lba=low, uba=high, lbx=least, x0=x0, lam_a0=lam0)
-    solve = ca.Function("solve", symbols, [found["x"], found["lam_a"], found["lam_x"]])
-    # no limit acts, but that of the slacks, which are zero
-    keep = ca.Function("keep", symbols, [rest, ca.MX.zeros(multipliers.shape[0]), ca.MX(-task.g)])
+    judged = replace(task, a=a, low=low, high=high)
+    solved = judged.optimality_residual(found["x"], found["lam_a"], found["lam_x"]) <= QP_TOLERANCE
+    solve = ca.Function("solve", symbols, [found["x"], found["lam_a"], solved])
+    keep = ca.Function("keep", symbols, [rest, ca.MX.zeros(multipliers.shape[0]), ca.MX(1)])
     value, k = task.a @ regulated, task.equal
     inside = ca.logic_and(ca.mmin(value[k:] - task.low[k:]) >= 0, ca.mmin(task.high[k:] - value[k:]) >= 0)
     either = ca.Function.if_else("either", keep, solve)  # calls one of them
