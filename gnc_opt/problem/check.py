@@ -26,13 +26,15 @@ def check_problem(problem: Statement) -> None:
     for leg in problem.phases.values():
         _check_times(leg)
         _check_boundary_values(leg)
-    if "checked" not in problem.builds:
+    first = "checked" not in problem.builds
+    if first:
         for leg in problem.phases.values():
             _check_unused_controls(problem, leg)
             warn_of_kinks(problem, leg)
-            check_guess_in_tables(problem, leg)
         _check_unused_parameters(problem)
         problem.builds["checked"] = True
+    for leg in problem.phases.values():
+        check_guess_in_tables(problem, leg, warn=first)
     check_values(problem)
 
 

@@ -55,8 +55,8 @@ def warn_of_kinks(problem: Statement, leg: Phase) -> None:
         warn_user(f"{what} '{where}' of {leg.where} contains {meaning}: {remedy}.")
 
 
-def check_guess_in_tables(problem: Statement, leg: Phase) -> None:
-    """Raise `ProblemError` if the guess leaves a table that refuses it, and warn if it leaves another one."""
+def check_guess_in_tables(problem: Statement, leg: Phase, *, warn: bool) -> None:
+    """Raise `ProblemError` if the guess leaves a table that refuses it; warn, if wanted, where it leaves another."""
     if not table_uses(problem, leg):
         return
     start = start_phase(leg, _FRACTIONS)
@@ -68,7 +68,10 @@ def check_guess_in_tables(problem: Statement, leg: Phase) -> None:
             raise ProblemError(
                 f"the guess leaves a table ({found}): give another guess(), or a larger table."
             )
-        warn_user(f"the guess leaves a table ({found}), which goes on there as '{found.table.outside}' says.")
+        if warn:
+            warn_user(
+                f"the guess leaves a table ({found}), which goes on there as '{found.table.outside}' says."
+            )
 
 
 def _first_kinks(

@@ -56,7 +56,7 @@ def summary(solution: Solution) -> str:
     ]
     lines += list(_quality_lines(quality, brief=solution.converged))
     lines += list(_overshoot(solution))
-    lines += [_line("table", str(found)) for found in _outside_tables(solution)]
+    lines += [_line("table", str(found)) for found in left_tables(solution)]
     if quality is not None and solution.problem is None:
         lines.append(
             _line("note", "defect, bounds and propagation were measured when the solution was saved")
@@ -195,7 +195,8 @@ def _overshoot(solution: Solution) -> Iterator[str]:
         )
 
 
-def _outside_tables(solution: Solution) -> list[OutsideTable]:
+def left_tables(solution: Solution) -> list[OutsideTable]:
+    """Return where the trajectory is outside of tables; nothing without the problem, which alone knows them."""
     return [] if solution.problem is None else solution.outside_tables()
 
 

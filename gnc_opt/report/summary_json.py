@@ -9,7 +9,7 @@ from typing import Any
 
 from gnc_opt.model.layout import Layout
 from gnc_opt.problem.arc import Arc
-from gnc_opt.report.summary import known_quality, mesh_text
+from gnc_opt.report.summary import known_quality, left_tables, mesh_text
 from gnc_opt.solution.history import History
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.solution import Solution
@@ -54,6 +54,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
             "max_bound_violation_where": quality and quality.bound_where,
             "terminal_error": quality and quality.terminal_error,
             "terminal_error_where": quality and quality.terminal_where,
+            "outside_tables": [str(found) for found in left_tables(solution)],
             "verdict": None if verdict is None else _verdict(verdict),
             "violations": [{"name": v.name, "amount": v.amount} for v in solution.violations],
             "structure": [_arc(arc) for arc in solution.structure],

@@ -179,6 +179,11 @@ class ProgramPoint:
         return scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
 
     @property
+    def is_finite(self) -> bool:
+        """Whether its derivatives are numbers."""
+        return bool(np.isfinite(self.jacobian.data).all() and np.isfinite(self.hessian.data).all())
+
+    @property
     def residual(self) -> Array:
         """Of the first-order conditions: gradient by the free variables, then held rows."""
         held = self.rows.active

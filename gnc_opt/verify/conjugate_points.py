@@ -6,19 +6,21 @@ Hamiltonian system
 .. math:: \dot X = (f_x - f_u H_{uu}^{-1} H_{ux}) X - f_u H_{uu}^{-1} f_u^T \Lambda, \qquad
           \dot \Lambda = -(H_{xx} - H_{xu} H_{uu}^{-1} H_{ux}) X - (f_x - f_u H_{uu}^{-1} H_{ux})^T \Lambda.
 
-From X = 0 at the start of a phase, a time at which X is singular is conjugate to it: a variation that vanishes before
-and after costs nothing to second order, and past it less than nothing (Jacobi's condition; Bryson & Ho, Applied Optimal
+From X = 0 at the start of a phase, a time at which X is singular is conjugate to it: a variation that vanishes at both
+costs nothing to second order, and past it less than nothing (Jacobi's condition; Bryson & Ho, Applied Optimal
 Control, 1975, sec. 6.3; Zeidan & Zezza, SIAM J. Control Optim. 26(3), 1988). The condition is necessary, whatever
 the ends, times and parameters are; with fixed ends and times it is what suffices too.
 
-The frame (X, Lambda) is carried orthonormal, so that it passes escape times of the Riccati equation
-:math:`S = \Lambda X^{-1}` unharmed. Then :math:`M = X + i\Lambda` is unitary, :math:`M M^T` depends on the Lagrangian
-plane alone, and its eigenvalues pass -1, all in one direction, exactly where X is singular: what has passed is
-counted by the argument of the determinant (Arnold, Funct. Anal. Appl. 1(1), 1967).
+Where states are free at an end, X spans them there and Lambda follows from transversality (focal points); the system is
+then followed from either end. The frame (X, Lambda) is carried orthonormal, so that it passes escape times of the
+Riccati equation :math:`S = \Lambda X^{-1}` unharmed. Then :math:`M = X + i\Lambda` is unitary, :math:`M M^T` depends on
+the Lagrangian plane alone, and its eigenvalues pass -1, all in one direction, exactly where X is singular: what has
+passed is counted by the argument of the determinant (Arnold, Funct. Anal. Appl. 1(1), 1967).
 """
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import casadi as ca
@@ -27,10 +29,15 @@ import scipy
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.evaluation import evaluate
+from gnc_opt.problem.functions import end_function
 from gnc_opt.problem.problem import Problem
+from gnc_opt.solution.propagation import state_magnitudes
 from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.tolerances import AT_LIMIT
+from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import AT_LIMIT, RANK, TINY
 from gnc_opt.verify.verdict import Condition, Result
+
+START, END = 0, 1
 
 STEPS, LEAST = 300, 4
 """Steps over a phase, and at least so many in every segment."""
@@ -48,19 +55,27 @@ EARLY = 0.2
 """Share of a phase within which the controls must reach all directions."""
 
 
-def conjugate_points(problem: Problem, samples: list[PhaseSamples]) -> list[Condition]:
-    """No time of a smooth phase is conjugate to its start; nothing where no phase can be judged so."""
-    judged = [(s, _first_conjugate(problem, s)) for s in samples if _is_smooth(problem, s)]
-    found = [(s, time) for s, time in judged if time is not None]
+def conjugate_points(solution: Solution, samples: list[PhaseSamples]) -> list[Condition]:
+    """No time of a smooth phase is conjugate to one of its ends; nothing where no phase can be judged so."""
+    problem = solution.need_problem("verify")
+    found = [
+        (s, end, time)
+        for s in samples
+        if _is_smooth(problem, s)
+        for end, time in _conjugate_times(solution, s)
+        if time is not None
+    ]
     if not found:
         return []
-    early = [(s, time) for s, time in found if np.isfinite(time)]
-    where = f"none along {', '.join(f'phase {s.leg.name}' for s, _ in found)}"
+    early = [item for item in found if np.isfinite(item[2])]
+    where = f"none along {', '.join(dict.fromkeys(f'phase {s.leg.name}' for s, _, _ in found))}"
     value = 0.0
     if early:
-        s, time = early[0]
-        where = f"phase {s.leg.name}, t = {time:.6g} s is conjugate to its start"
-        value = (s.leg.final_time - time) / s.leg.duration
+        s, end, time = early[0]
+        where = (
+            f"phase {s.leg.name}, t = {time:.6g} s is conjugate to its {'start' if end == START else 'end'}"
+        )
+        value = abs((s.leg.initial_time if end == END else s.leg.final_time) - time) / s.leg.duration
     return [
         Condition(
             "conjugate points",
@@ -68,11 +83,56 @@ def conjugate_points(problem: Problem, samples: list[PhaseSamples]) -> list[Cond
             value,
             0.0,
             where,
-            "No time may be conjugate to the start of a smooth phase (value: share of the phase that lies beyond the "
-            "first one): past it, a variation that leaves both ends alone lowers the cost (Jacobi's condition).",
+            "No time may be conjugate to an end of a smooth phase (value: share of the phase that lies beyond the "
+            "first one): past it, a variation that vanishes there lowers the cost (Jacobi's condition).",
             sufficient=True,
         )
     ]
+
+
+def _end_frame(solution: Solution, s: PhaseSamples, end: int) -> Array:
+    """Variations of states and costates that an end admits, (2n, n), the costates' sign as time runs away from it.
+
+    States vary where neither their limits nor a boundary constraint hold them, everything else at the ends staying as
+    it is; their costates follow from transversality.
+    """
+    problem, leg = solution.need_problem("verify"), s.leg
+    arguments = [
+        value
+        for other in solution.phases.values()
+        for value in (
+            *(other.x(other.breaks[0]), other.x(other.breaks[-1], "left")),
+            *(other.initial_time, other.final_time, other.integrals, other.parameters),
+        )
+    ]
+    derivatives = problem.once(("end", leg.name, end), lambda: _end_derivatives(problem, leg.name, end))
+    rows, curvature = (
+        v.full() for v in derivatives(*arguments, solution.parameter_values, solution.constraint_multipliers)
+    )
+    values = s.x[:, 0 if end == START else -1]
+    held = np.zeros(values.size, dtype=bool)
+    for box in (leg.initial_bounds if end == START else leg.final_bounds, leg.state_bounds):
+        held |= np.any(box.near(values, AT_LIMIT * s.state_scale), axis=0)
+    size = state_magnitudes(leg)
+    kept = np.vstack([np.eye(values.size)[held], rows * size])
+    free = scipy.linalg.null_space(kept, rcond=RANK) if kept.size else np.eye(values.size)
+    scaled = curvature * size[:, None] * size / _worth(s)
+    return np.block(
+        [
+            [free, np.zeros((values.size, values.size - free.shape[1]))],
+            [-scaled @ free, scipy.linalg.null_space(free.T) if free.shape[1] else np.eye(values.size)],
+        ]
+    )
+
+
+def _end_derivatives(problem: Problem, phase: str, end: int) -> Any:
+    """Jacobian of the boundary constraints and Hessian of their Lagrangian by the states at an end of a phase."""
+    function, k = end_function(problem), list(problem.phases).index(phase)
+    inputs = [ca.SX.sym("v", function.size1_in(i)) for i in range(function.n_in())]
+    _, constraints, *gradients = function(*inputs)
+    states = inputs[6 * k + end]
+    by_states = [ca.jacobian(e, states) for e in (constraints, gradients[5 * k + end])]
+    return ca.Function("end", inputs, [ca.densify(e) for e in by_states])
 
 
 def _is_smooth(problem: Problem, s: PhaseSamples) -> bool:
@@ -125,25 +185,37 @@ def _on_free(hessians: Array, free: Mask) -> Array:
     return np.where(both, hessians, np.eye(free.shape[1]))
 
 
-def _first_conjugate(problem: Problem, s: PhaseSamples) -> float | None:
-    """The first time conjugate to the start, infinite if there is none, None if that cannot be told."""
-    found = _first_crossing(problem, s, STEPS)
-    if found is None or np.isinf(found):
-        return found
-    again = _first_crossing(problem, s, 2 * STEPS)
-    return again if again is not None and abs(again - found) <= AGREED * s.leg.duration else None
+def _conjugate_times(solution: Solution, s: PhaseSamples) -> list[tuple[int, float | None]]:
+    """The first time conjugate to each end: infinite if there is none, None if that cannot be told."""
+    system = functools.cache(lambda steps: _system(s, _times(s, steps)))
+
+    def first(frame: Array, end: int) -> float | None:
+        found = _first_crossing(s, system(STEPS), frame, end)
+        if found is None or np.isinf(found):
+            return found
+        again = _first_crossing(s, system(2 * STEPS), frame, end)
+        return again if again is not None and abs(again - found) <= AGREED * s.leg.duration else None
+
+    frames = [_end_frame(solution, s, end) for end in (START, END)]
+    # With fixed states at the end it is the same as from the start.
+    ends = [START, END] if np.any(frames[END][: s.leg.states.size]) else [START]
+    return [(end, first(frames[end], end)) for end in ends]
 
 
-def _first_crossing(problem: Problem, s: PhaseSamples, steps: int) -> float | None:
-    """The same by so many steps; None if the controls do not reach all directions early enough."""
-    times = _times(s, steps)
+def _first_crossing(s: PhaseSamples, system: tuple[Array, Array], frame: Array, end: int) -> float | None:
+    """The first conjugate time by a system's flow; None if controls do not reach all directions early enough."""
+    times, flows = system
     with np.errstate(all="ignore"):
         try:
-            angles = _angles(s, times, _system(problem, s, times))
+            if end == END:
+                mirror = np.repeat([1.0, -1.0], s.leg.states.size)
+                flows = (mirror[:, None] * np.linalg.inv(flows) * mirror)[::-1]
+                times = times[::-1]
+            angles = _angles(frame, flows)
         except np.linalg.LinAlgError:  # H_uu is singular between the samples, or a number is not finite
             return None
     reached = np.flatnonzero(np.min(np.minimum(angles, 2 * np.pi - angles), axis=1) > REACHED)
-    if not reached.size or times[reached[0]] > s.leg.initial_time + EARLY * s.leg.duration:
+    if not reached.size or abs(times[reached[0]] - times[0]) > EARLY * s.leg.duration:
         return None
     angles, times = angles[reached[0] :], times[reached[0] :]
     total = np.sum(angles, axis=1)
@@ -164,11 +236,10 @@ def _times(s: PhaseSamples, steps: int) -> Array:
     return np.append(np.concatenate(pieces), s.leg.breaks[-1])
 
 
-def _angles(s: PhaseSamples, times: Array, flows: Array) -> Array:
+def _angles(frame: Array, flows: Array) -> Array:
     """Angles of the eigenvalues of M M^T from -1, in [0, 2 pi), after each step (n_times, n)."""
-    n = s.leg.states.size
-    frame = np.vstack([np.zeros((n, n)), np.eye(n)])
-    angles = np.zeros((times.size, n))
+    n = frame.shape[1]
+    angles = np.zeros((len(flows) + 1, n))
     for k, flow in enumerate(flows):
         frame = np.linalg.qr(flow @ frame)[0]
         unitary = frame[:n] + 1j * frame[n:]
@@ -176,29 +247,33 @@ def _angles(s: PhaseSamples, times: Array, flows: Array) -> Array:
     return angles
 
 
-def _system(problem: Problem, s: PhaseSamples, times: Array) -> Array:
-    """The flow of the linear Hamiltonian system over each step, states in shares of their magnitudes (k, 2n, 2n).
+def _system(s: PhaseSamples, times: Array) -> tuple[Array, Array]:
+    """Times (k + 1,), and the flow of the linear Hamiltonian system over each step (k, 2n, 2n).
 
-    By Magnus' expansion of fourth order, which keeps it symplectic (Iserles et al., Acta Numerica 9, 2000).
+    States are in shares of their magnitudes. By Magnus' expansion of fourth order, which keeps the flow symplectic
+    (Iserles et al., Acta Numerica 9, 2000).
     """
     width, middle = np.diff(times), 0.5 * (times[:-1] + times[1:])
-    first, second = (_matrices(problem, s, middle + sign * width / np.sqrt(12)) for sign in (-1.0, 1.0))
+    derivatives = _variations(s)
+    first, second = (_matrices(s, derivatives, middle + sign * width / np.sqrt(12)) for sign in (-1.0, 1.0))
     h = width[:, None, None]
     exponent = 0.5 * h * (first + second) + np.sqrt(3) / 12 * h**2 * (second @ first - first @ second)
-    return np.asarray(scipy.linalg.expm(exponent))
+    with np.errstate(all="ignore"):
+        return times, np.asarray(scipy.linalg.expm(exponent))
 
 
-def _matrices(problem: Problem, s: PhaseSamples, times: Array) -> Array:
+def _matrices(s: PhaseSamples, derivatives: tuple[Any, Any], times: Array) -> Array:
     leg, n = s.leg, s.leg.states.size
     x, u, lam = leg.x(times), leg.flown(times), leg.lam(times)
-    function = problem.once(("variations", leg.name), lambda: _variations(s))
-    hessian, jacobian = function
+    hessian, jacobian = derivatives
     numbers = (s.functions.weights, s.functions.p, s.functions.q)
-    size = np.concatenate([s.state_scale, s.control_scale])
+    # Coordinates, not yardsticks: a state that rests may be varied as any other.
+    states = state_magnitudes(s.leg)
+    size = np.concatenate([states, s.control_scale])
     second = evaluate(hessian, times, x, u, lam, *numbers).reshape(size.size, size.size, -1)
     slope = evaluate(jacobian, times, x, u, lam, *numbers).reshape(n, size.size, -1)
     second = (second * size[:, None, None] * size[None, :, None] / _worth(s)).transpose(2, 0, 1)
-    slope = (slope / s.state_scale[:, None, None] * size[None, :, None]).transpose(2, 0, 1)
+    slope = (slope / states[:, None, None] * size[None, :, None]).transpose(2, 0, 1)
     free = _free(s, u)
     by_u = np.where(free[:, None, :], slope[:, :, n:], 0.0)
     mixed = np.where(free[:, :, None], second[:, n:, :n], 0.0)
@@ -214,7 +289,7 @@ def _matrices(problem: Problem, s: PhaseSamples, times: Array) -> Array:
 def _worth(s: PhaseSamples) -> float:
     """What costates are measured by: with H_uu of this over the duration, X and Lambda are of one size."""
     scaled = s.control_hessian * s.control_scale[:, None, None] * s.control_scale[None, :, None]
-    return float(np.median(np.linalg.norm(scaled, axis=(0, 1)))) * s.span
+    return max(float(np.median(np.linalg.norm(scaled, axis=(0, 1)))) * s.span, TINY)
 
 
 def _variations(s: PhaseSamples) -> tuple[Any, Any]:

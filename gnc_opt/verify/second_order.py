@@ -333,9 +333,9 @@ def _on_bound(s: PhaseSamples) -> Mask:
 
 def obstacle(samples: list[PhaseSamples]) -> str:
     """Why the induced problem says nothing, or nothing."""
-    if not samples:
-        return "no phase lasts"
     for s in samples:
+        if not s.has_length:
+            return f"phase {s.leg.name} has no length"
         on_bound = _on_bound(s)
         if not np.all(on_bound):
             i, j = worst_index((~on_bound).astype(float))

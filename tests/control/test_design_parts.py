@@ -249,6 +249,7 @@ def test_explanations_are_read_by_name_and_printed():
         str(Fact("third", np.array([1 / 3]))) == "third: [0.333333]"
         and str(Fact("third", 1 / 3)) == "third: 0.333333"
     )
+    assert str(Fact("two", 2.0)) == "two: 2" and str(Fact("small", 1e-9, "s")) == "small: 1e-09 s"
     assert str(explanation).splitlines() == ["title", *(f"  {f}" for f in facts)]
     assert explanation["pole"] == -1.25
     with pytest.raises(UnknownNameError, match="no fact 'pale': did you mean 'pole'"):
@@ -590,6 +591,19 @@ def test_margins_of_an_integrator_with_gain():
     assert held.gain_up == pytest.approx([2 / 0.3])  # z = -1: 1 - 0.1 k g = -1
     unstable = margins(np.ones((1, 1)), np.ones((1, 1)), np.array([[4.0]]))
     assert unstable.gain_down == pytest.approx([0.25]) and unstable.gain_up.tolist() == [INF]
+
+
+@pytest.mark.parametrize("c", [1.0, 1.9, 1.9999999])
+def test_a_sampled_integrator_has_the_phase_margin_of_its_crossing(c):
+    """L = c / (z - 1) has the size one at w dt = 2 asin(c / 2), also just below the last frequency there is."""
+    dt = 0.1
+    found = margins(np.ones((1, 1)), np.array([[dt]]), np.array([[c / dt]]), dt)
+    crossing = 2 * np.arcsin(c / 2) / dt
+    phase = np.pi / 2 - np.arcsin(c / 2)
+    assert found.phase == pytest.approx([phase], abs=1e-9) and found.delay == pytest.approx(
+        [phase / crossing], abs=1e-9
+    )
+    assert found.gain_up == pytest.approx([2 / c])
 
 
 def test_the_disk_margin_is_that_of_the_highest_peak():

@@ -11,9 +11,20 @@ from scipy.integrate import quad
 from scipy.optimize import minimize
 
 from gnc_opt.control.c_expressions import _constant
+from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
+from gnc_opt.control.explanation import Explanation
 from gnc_opt.control.feedback_linearization import _chains, _gain, _optimal_gain, _places, _polynomial
-from gnc_opt.control.flight_code import _entries, _identifier, _number, _plain, _read_prefix, _table, _wrapped
+from gnc_opt.control.flight_code import (
+    _entries,
+    _identifier,
+    _number,
+    _plain,
+    _read_prefix,
+    _table,
+    _wrapped,
+    export_c,
+)
 from gnc_opt.control.guard import Inverse, Memory, _solve, _Stacked
 from gnc_opt.control.lie import (
     Pair,
@@ -25,7 +36,7 @@ from gnc_opt.control.lie import (
     zero_dynamics,
 )
 from gnc_opt.control.linear.gains import SampledGains
-from gnc_opt.control.predictive.horizon import Programme, Rows, prediction, programme
+from gnc_opt.control.predictive.horizon import Horizon, Programme, Rows
 from gnc_opt.control.predictive.mpc import _rates, _state_rows, _steps, _subtracts, _Windows
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.sampling import SampledStep
@@ -97,8 +108,8 @@ def test_the_steepest_slope_of_a_law_in_its_layer_bounds_its_differences(law, bo
 
 
 def test_without_a_layer_the_slope_is_infinite():
-    for law in (ConstantRate(3.0), ExponentialRate(3.0, 2.0), PowerRate(3.0, 0.4), SuperTwisting(3.0, 2.0)):
-        assert law.slope(SIGN) == INF
+    for each in (ConstantRate(3.0), ExponentialRate(3.0, 2.0), PowerRate(3.0, 0.4), SuperTwisting(3.0, 2.0)):
+        assert each.slope(SIGN) == INF
     assert SIGN.slope == INF and SAT.slope == 2.0 == TANH.slope
 
 
@@ -700,19 +711,6 @@ def test_predictive_reaching_needs_positive_numbers(changes):
 RNG = np.random.default_rng(5)
 
 
-def test_predictions_are_those_of_the_recursion():
-    a, f, k, g = ([RNG.normal(size=s) for _ in range(3)] for s in ((2, 2), (2, 1), (1, 2), (1, 1)))
-    v_e, v_w, e_e, e_w = (np.array(ca.DM(m)) for m in prediction([a, f, k, g]))
-    e, omega = RNG.normal(size=2), RNG.normal(size=3)
-    v, states, here = [], [], e
-    for j in range(3):
-        v.append(-k[j] @ here + g[j] @ omega[[j]])
-        here = a[j] @ here + f[j] @ omega[[j]]
-        states.append(here)
-    assert v_e @ e + v_w @ omega == pytest.approx(np.concatenate(v))
-    assert e_e @ e + e_w @ omega == pytest.approx(np.concatenate(states))
-
-
 def rows(change=None, states=(), errors=(), lower=(), upper=(), price=()):
     return Rows(
         np.array([-1.0, -2.0]),
@@ -734,53 +732,80 @@ def test_rows_of_a_step():
     assert rows(None, (0, 1), (0, 1), (0.0, -INF), (INF, INF), (1.0, 1.0)).state_scale.tolist() == [1.0, 1.0]
 
 
+def horizon(limited, count=2):
+    """A horizon of three errors and two controls over dynamics that change."""
+    sizes = ((3, 3), (3, 2), (2, 3), (2, 2))
+    matrices = [[ca.DM(RNG.normal(size=size)) for _ in range(count)] for size in sizes]
+    return Horizon(limited, matrices, np.array([0.5, 2.0, 3.0]))
+
+
+def flown(found, e, u_ff, omega):
+    """Return commands and errors by the recursion."""
+    commands, errors = [], []
+    for a, f, k, g, w, ff in zip(*found.matrices, omega.reshape(-1, 2), u_ff.reshape(-1, 2), strict=True):
+        commands.append(ff - np.array(k) @ e + np.array(g) @ w)
+        e = np.array(a) @ e + np.array(f) @ w
+        errors.append(e)
+    return np.concatenate(commands), np.concatenate(errors)
+
+
 def test_rows_mean_what_they_say():
-    """Controls, their changes and two limited states over two steps: each row is the excess over half its range."""
+    """The recursion, controls, their changes and two limited states: each row is the excess over half its range."""
     limited = rows(np.array([0.5, 0.25]), (2, 0), (2, 0), (-3.0, -INF), (1.0, 2.0), (5.0, 0.0))
-    u_free, v_w = RNG.normal(size=4), RNG.normal(size=(4, 4))
-    x_ref, e_free, e_w = RNG.normal(size=4), RNG.normal(size=6), RNG.normal(size=(6, 4))
+    found = horizon(limited)
+    e_0, u_ff, x_ref = RNG.normal(size=3), RNG.normal(size=4), RNG.normal(size=4)
     previous = np.array([0.3, -0.2])
-    task = programme(
-        limited, ca.DM(u_free), ca.DM(v_w), ca.DM(x_ref), ca.DM(e_free), ca.DM(e_w), ca.DM(previous)
-    )
+    task = found.programme(ca.DM(e_0), ca.DM(u_ff), ca.DM(x_ref), ca.DM(previous))
     omega, slack = RNG.normal(size=4), np.abs(RNG.normal(size=4))
+    u, e = flown(found, e_0, u_ff, omega)
+    y = np.concatenate([omega, e / np.tile(found.scale, 2), slack])
     a, low, high, g = (np.array(ca.DM(m)) for m in (task.a, task.low, task.high, task.g))
-    value = a @ np.concatenate([omega, slack])
-    u, e = u_free + v_w @ omega, e_free + e_w @ omega
+    above_low, below_high = a @ y - low.ravel(), high.ravel() - a @ y
+    assert task.equal == found.equations == 6
+    assert above_low[:6] == pytest.approx(np.zeros(6), abs=1e-12) == below_high[:6]
+    assert np.abs((a @ (y + 0.1 * np.eye(y.size)[4]) - low.ravel())[:6]).max() > 0.05
     lower, upper = np.tile(limited.lower, 2), np.tile(limited.upper, 2)
     scale = 2 / (upper - lower)
-    assert value[:4] - low.ravel()[:4] == pytest.approx((u - lower) * scale)
-    assert high.ravel()[:4] - value[:4] == pytest.approx((upper - u) * scale)
+    assert above_low[6:10] == pytest.approx((u - lower) * scale)
+    assert below_high[6:10] == pytest.approx((upper - u) * scale)
     step, most = u - np.concatenate([previous, u[:2]]), np.tile(limited.change, 2)
-    assert value[4:8] - low.ravel()[4:8] == pytest.approx((step + most) / most)
-    assert high.ravel()[4:8] - value[4:8] == pytest.approx((most - step) / most)
+    assert above_low[10:14] == pytest.approx((step + most) / most)
+    assert below_high[10:14] == pytest.approx((most - step) / most)
     half, root = np.array([2.0, 2.0]), np.sqrt(np.array([5.0 * 4, 1e-6]))
     x = x_ref.reshape(2, 2) + e.reshape(2, 3)[:, [2, 0]]
     excess = slack.reshape(2, 2) / root
     below = (x[:, 0] + 3.0) / half[0] + excess[:, 0]
     above = ((np.array([1.0, 2.0]) - x) / half + excess).ravel()
-    assert value[8:10] - low.ravel()[8:10] == pytest.approx(below) and np.all(np.isinf(high.ravel()[8:10]))
-    assert high.ravel()[10:] - value[10:] == pytest.approx(above) and np.all(np.isinf(low.ravel()[10:]))
-    assert g.ravel() == pytest.approx([0, 0, 0, 0, *root, *root]) and task.free == 4
-    plain = programme(
-        rows(), ca.DM(u_free), ca.DM(v_w), ca.DM(0, 1), ca.DM(e_free), ca.DM(e_w), ca.DM(previous)
-    )
-    assert plain.a.shape == (4, 4) and np.array(ca.DM(plain.g)).ravel().tolist() == [0.0] * 4
-    one = programme(
-        rows(np.ones(2)),
-        ca.DM(u_free[:2]),
-        ca.DM(v_w[:2, :2]),
-        ca.DM(0, 1),
-        ca.DM(e_free[:3]),
-        ca.DM(e_w[:3, :2]),
-        ca.DM(previous),
-    )
-    assert one.a.shape == (4, 2)
+    assert above_low[14:16] == pytest.approx(below) and np.all(np.isinf(high.ravel()[14:16]))
+    assert below_high[16:] == pytest.approx(above) and np.all(np.isinf(low.ravel()[16:]))
+    assert g.ravel() == pytest.approx([*np.zeros(10), *root, *root]) and task.free == found.free == 10
+    assert np.array(ca.DM(task.h)) == pytest.approx(np.diag([1.0] * 4 + [0.0] * 6 + [1.0] * 4))
+    assert a.shape == (20, found.unknowns) == (20, 14)
+    rest = np.array(found.regulated(ca.DM(e_0))).ravel()
+    alone = flown(found, e_0, u_ff, np.zeros(4))[1]
+    assert rest == pytest.approx([*np.zeros(4), *(alone / np.tile(found.scale, 2)), *np.zeros(4)])
+
+
+def test_hard_limits_have_no_slack_and_one_step_is_a_horizon():
+    limited = rows(None, (2, 0), (2, 0), (-3.0, -INF), (1.0, 2.0), (INF, 1.0))
+    assert limited.soft == [1] and horizon(limited).unknowns == 10 + 2
+    task = horizon(limited).programme(ca.DM.zeros(3), ca.DM.zeros(4), ca.DM.zeros(4), ca.DM.zeros(2))
+    slacks = np.array(ca.DM(task.a))[10:, 10:]  # below: 2 steps of the first; above: both, step by step
+    assert np.abs(slacks[:2]).max() == 0 and np.abs(slacks[[2, 4]]).max() == 0
+    assert slacks[3, 0] < 0 and slacks[5, 1] < 0 and np.count_nonzero(slacks) == 2
+    one = horizon(rows(np.ones(2)), 1)
+    task = one.programme(ca.DM.zeros(3), ca.DM.zeros(2), ca.DM(0, 1), ca.DM.zeros(2))
+    assert task.a.shape == (3 + 4, 5) and np.array(ca.DM(task.g)).ravel().tolist() == [0.0] * 5
 
 
 def test_a_solution_has_no_residual_and_anything_else_has_one():
     """min |omega|^2 / 2 within omega_1 + omega_2 >= 1: omega = 1/2, multiplier -1/2 at the lower limit."""
-    task = Programme(ca.DM.zeros(3), ca.DM([[1.0, 1.0, 0.0]]), ca.DM([1.0]), ca.DM([INF]), 2)
+
+    def task_of(g, a, low, high, equal=0, free=2):
+        size = len(g)
+        return Programme(ca.DM.eye(size), ca.DM(g), ca.DM(a), ca.DM(low), ca.DM(high), equal, free)
+
+    task = task_of([0.0] * 3, [[1.0, 1.0, 0.0]], [1.0], [INF])
     right = (ca.DM([0.5, 0.5, 0.0]), ca.DM([-0.5]), ca.DM([0.0, 0.0, 0.0]))
 
     def residual(omega=right[0], lam_a=right[1], lam_x=right[2], task=task):
@@ -792,12 +817,18 @@ def test_a_solution_has_no_residual_and_anything_else_has_one():
     assert residual(lam_a=ca.DM([0.5])) > 1.0
     assert residual(omega=ca.DM([0.5, 0.5, -0.1])) == pytest.approx(0.1 + 0.1)
     assert residual(lam_x=ca.DM([0.0, 0.0, 0.2])) == pytest.approx(0.2 + 0.2)
-    priced = Programme(ca.DM([0, 0, 4.0]), ca.DM([[1.0, 1.0, 0.0]]), ca.DM([1.0]), ca.DM([INF]), 2)
+    priced = task_of([0.0, 0.0, 4.0], [[1.0, 1.0, 0.0]], [1.0], [INF])
     assert residual(lam_x=ca.DM([0.0, 0.0, -4.0]), task=priced) == 0.0
     assert residual(lam_x=ca.DM([0.0, 0.0, -2.0]), task=priced) == pytest.approx(2 / 4)
     assert not residual(omega=ca.DM([np.nan, 0.5, 0.0])) < 1.0
-    hard = Programme(ca.DM.zeros(2), ca.DM([[1.0, 1.0]]), ca.DM([-9.0]), ca.DM([-1.0]), 2)
+    hard = task_of([0.0] * 2, [[1.0, 1.0]], [-9.0], [-1.0])
     assert float(hard.optimality_residual(ca.DM([-0.5, -0.5]), ca.DM([0.5]), ca.DM([0.0, 0.0]))) == 0.0
+    # an equation, omega_1 + omega_2 = 4, beside a limit that is far: relative to its right side
+    equation = task_of([0.0] * 2, [[1.0, 1.0], [1.0, 0.0]], [4.0, -INF], [4.0, 9.0], equal=1)
+    exact = (ca.DM([-2.0, 0.0]), ca.DM([0.0, 0.0]))
+    assert float(equation.optimality_residual(ca.DM([2.0, 2.0]), *exact)) == 0.0
+    off = float(equation.optimality_residual(ca.DM([2.1, 2.1]), ca.DM([-2.1, 0.0]), ca.DM([0.0, 0.0])))
+    assert off == pytest.approx(0.2 / 4)
 
 
 @pytest.mark.parametrize(("horizon", "dt", "count"), [(1.0, 0.1, 10), (0.1, 0.1, 1), (0.3, 0.1, 3)])
@@ -830,16 +861,16 @@ def test_only_states_whose_error_is_a_difference_can_be_limited():
     deviation = Deviation(model)
     assert _subtracts(deviation, "w") and not _subtracts(deviation, "sigma")
     price = np.arange(6.0)
-    in_x, in_e, lower, upper, prices = _state_rows(deviation, {"w": (-1.0, [1.0, 2.0, INF])}, price)
+    in_x, in_e, lower, upper, prices = _state_rows(deviation, {"w": (-1.0, [1.0, 2.0, INF])}, (), price)
     assert in_x == (3, 4, 5) == in_e and lower.tolist() == [-1] * 3 and upper.tolist() == [1, 2, INF]
-    assert prices.tolist() == [3, 4, 5] and _state_rows(deviation, {}, price)[0] == ()
+    assert prices.tolist() == [3, 4, 5] and _state_rows(deviation, {}, (), price)[0] == ()
     for limits, message in (
         ({"sigma": (-1, 1)}, "not a difference"),
         ({"w": (1, 1)}, "no room"),
         ({"w": ([1.0] * 2, 2)}, "limits of state 'w'"),
     ):
         with pytest.raises((DesignError, ArgumentError), match=message):
-            _state_rows(deviation, limits, price)
+            _state_rows(deviation, limits, (), price)
 
 
 def scalar_step(a):
@@ -929,3 +960,49 @@ def test_the_rows_of_a_schedule_in_c():
     ):
         with pytest.raises(ArgumentError, match=message):
             _table(wrong, 0.1, span)
+
+
+def test_the_header_tells_what_the_arrays_hold(tmp_path):
+    """Sizes, the step, the first row, names with units, and the alarms if there are any."""
+    t, x, r, z = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("r", 1), ca.SX.sym("z", 1)
+    fields = {
+        "name": "by hand",
+        "step": law(t, x, r, z, x[0] + r, z),
+        "start": first_memory(t, x, r, 0 * r),
+        "states": Layout("state", (Variable("x", 2, "m"),)),
+        "commands": Layout("command", (Variable("u", 1, "N"),)),
+        "signals": Layout("signal", (Variable("s"),)),
+        "memory": Layout("memory", (Variable("z"),)),
+        "schedule": lambda times, dt: np.minimum(times, 2.0)[None, :],
+        "explanation": Explanation("by hand"),
+        "dt": 0.5,
+        "span": (1.0, 2.0),
+    }
+    for alarms in ((), ("z",)):
+        code = export_c(Controller(**fields, alarms=alarms), tmp_path)
+        text = code.header.read_text()
+        assert (code.name, code.rows, code.dt) == ("by_hand", 3, 0.5)
+        for line in (
+            "BY_HAND_N_STATES 2",
+            "BY_HAND_N_COMMANDS 1",
+            "BY_HAND_N_SIGNALS 1",
+            "BY_HAND_N_MEMORY 1",
+            "BY_HAND_N_ROWS 3",
+            "BY_HAND_DT 0.5",
+            "BY_HAND_T0 1.0",
+            "[1] x[1], m",
+            "[0] u, N",
+            "[0] s, -",
+        ):
+            assert line in text
+        assert ("alarms" in text) is bool(
+            alarms
+        ) and "static const double schedule" in code.source.read_text()
+    bare = {
+        **fields,
+        "signals": Layout("signal", ()),
+        "schedule": lambda times, dt: np.zeros((0, times.size)),
+    }
+    nothing = ca.SX.sym("r", 0)
+    bare |= {"step": law(t, x, nothing, z, x[0], z), "start": first_memory(t, x, nothing, ca.SX(0))}
+    assert "schedule[" not in export_c(Controller(**bare), tmp_path, name="bare").source.read_text()

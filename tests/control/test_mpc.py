@@ -12,7 +12,7 @@ from gnc_opt.control.linear.tvlqr import design_tvlqr
 from gnc_opt.control.predictive.mpc import design_mpc
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.sampling import sample
-from gnc_opt.errors import ArgumentError, DesignError
+from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
 
 DT = 0.1
 A, B = np.array([[1, DT], [0, 1]]), np.array([DT**2 / 2, DT])
@@ -60,7 +60,7 @@ def fly(controller, x, steps, disturbance=0.0):
 # --- without limits in reach --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("solver", ["daqp", "qrqp", "osqp"])
+@pytest.mark.parametrize("solver", ["piqp", "osqp"])
 def test_without_limits_it_is_the_sampled_regulator(solver):
     regulator = design_lqr(cart(), [0, 0], Q=1, R=1, dt=DT)
     controller = tracker(limits=(-100, 100), rate_limits=1e4, state_limits={"v": (-50, 50)}, solver=solver)
@@ -215,8 +215,8 @@ def test_refusals():
         tracker(rate_limits=0.0)
     with pytest.raises(DesignError, match="state 'v' leave no room"):
         tracker(state_limits={"v": (1, -1)})
-    with pytest.raises(ArgumentError, match="no QP solver 'dapq': did you mean 'daqp'"):
-        tracker(solver="dapq")
+    with pytest.raises(ArgumentError, match="no QP solver 'pipq': did you mean 'piqp'"):
+        tracker(solver="pipq")
     with pytest.raises(ArgumentError, match="terminal is 'ricatti'"):
         tracker(terminal="ricatti")
     with pytest.raises(ArgumentError, match="Reference"):
@@ -236,3 +236,78 @@ def test_refusals():
             limits=(-1, 1),
             state_limits={"q": (-1, 1)},
         )
+
+
+# --- hard and soft limits of states -------------------------------------------------------------------
+
+
+def test_where_no_limit_is_met_no_solver_is_asked():
+    """What a solver finds would differ in the last digits."""
+    regulator = design_lqr(cart(), [0, 0], Q=1, R=1, dt=DT)
+    controller = tracker(state_limits={"v": (-0.5, 0.5)}, rate_limits=50.0)
+    x = np.array([0.2, -0.1])
+    u, z = controller(0.0, x)
+    assert u[0] == pytest.approx(regulator(0.0, x)[0][0], rel=1e-14)
+    assert z[controller.memory.slice("qp_alarm")] == 0
+
+
+@pytest.mark.parametrize("solver", ["piqp", "osqp"])
+@pytest.mark.parametrize("along", [False, True])
+def test_hard_limits_of_states_are_those_of_an_independent_optimisation(solver, along):
+    """Along a reference, too, where the dynamics change: the plan in controls alone, by SciPy."""
+    model, reference = pendulum() if along else (cart(), Reference.constant(cart(), [0, 0]))
+    steps, x_0, room = 6, reference.x(0.0) + np.array([0.9, 0.15]), 0.2
+    bounds = (np.array([-9.0]), np.array([9.0]))
+    limit = reference.x(0.0)[1] + np.array([-room, room]) if along else np.array([-room, room])
+    far = np.array([limit[0], np.inf])
+    controller = design_mpc(
+        model, reference, Q=1, R=0.01, horizon=steps * DT, dt=DT, limits=bounds, solver=solver,
+        state_limits={"v": tuple(far)}, hard=["v"],
+    )  # fmt: skip
+    gains = controller.schedule.windows.gains
+    plants = [gains.steps[min(k, len(gains.steps) - 1)] for k in range(steps)]
+    e_0 = go.control.Deviation(model)(x_0, reference.x(0.0))
+    end = gains.costs[min(steps, len(gains.costs) - 1)]
+
+    def errors(v):
+        path = [e_0]
+        for s, u in zip(plants, v, strict=True):
+            path.append(s.a @ path[-1] + s.b[:, 0] * u)
+        return path
+
+    def cost(v):
+        path = errors(v)
+        total = path[-1] @ end @ path[-1]
+        for s, e, u in zip(plants, path, v, strict=False):
+            total += e @ s.q @ e + s.r[0, 0] * u**2 + 2 * (e @ s.n)[0] * u
+        return total
+
+    ends = reference.x(DT * np.arange(1, steps + 1))[1]
+    kept = {"type": "ineq", "fun": lambda v: np.array([e[1] for e in errors(v)[1:]]) + ends - far[0]}
+    best = minimize(cost, np.zeros(steps), constraints=kept, method="SLSQP", options={"ftol": 1e-15})
+    assert best.success and np.min(kept["fun"](best.x)) < 1e-7  # the limit matters
+    u, z = controller(0.0, x_0)
+    feedforward = reference.mean_control(np.array([0.0]), DT)[0, 0]
+    assert u[0] - feedforward == pytest.approx(best.x[0], abs=2e-5)
+    assert z[controller.memory.slice("qp_alarm")] == 0
+
+
+def test_hard_limits_that_cannot_be_kept_raise_the_alarm_and_are_kept_otherwise():
+    controller = tracker(state_limits={"v": (-0.5, 0.5)}, hard=["v"])
+    assert fly(controller, np.array([0.0, 2.0]), 1)[2][controller.memory.slice("qp_alarm")] == 1
+    states, _, z = fly(controller, np.array([3.0, 0.0]), 150)
+    assert z[controller.memory.slice("qp_alarm")] == 0
+    assert states[:, 1].min() == pytest.approx(-0.5, abs=1e-9)
+    told = controller.explain()
+    assert told["hard limits"] == "controls, v"
+    soft = tracker(state_limits={"v": (-0.5, 0.5)}, rate_limits=1.0).explain()
+    assert (soft["hard limits"], soft["soft limits"]) == ("controls, rates of controls", "v")
+    with pytest.raises(UnknownNameError, match="'q'"):
+        tracker(state_limits={"v": (-0.5, 0.5)}, hard=["q"])
+
+
+def test_limits_that_exclude_the_feedforward_are_refused():
+    with pytest.raises(
+        DesignError, match=r"control 'a' needs 0 at t = 0 s, but its limits are 0\.1 and 0\.2"
+    ):
+        tracker(limits=(0.1, 0.2))

@@ -9,7 +9,7 @@ from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
 
 from gnc_opt.control import ConstantRate, SaturationLayer, design_lqr, design_mpc, design_tvlqr
-from gnc_opt.control.feedback_linearization import _sampling_facts
+from gnc_opt.control.feedback_linearization import _sampling_facts, design_feedback_linearization
 from gnc_opt.control.guard import check_zero_dynamics, guarded_inverse
 from gnc_opt.control.lie import output_errors
 from gnc_opt.control.linear.margins import margins
@@ -196,7 +196,7 @@ def test_the_schedule_of_a_horizon_holds_what_lies_ahead():
     assert both[:, 0] == pytest.approx(law.signal(0.4)) and both[:, 1] == pytest.approx(law.signal(0.6))
 
 
-@pytest.mark.parametrize("solver", ["daqp", "qrqp"])
+@pytest.mark.parametrize("solver", ["piqp", "osqp"])
 def test_commands_within_limits_of_size_and_rate_are_those_of_the_programme(solver):
     """Against a general solver on the same three steps, with the cost to go at their end."""
     law = predictive(limits=(-1.0, 1.5), rate_limits=3.0, solver=solver)
@@ -238,6 +238,65 @@ def test_commands_within_limits_of_size_and_rate_are_those_of_the_programme(solv
     u, after = law(0.4, x, z)
     assert u == pytest.approx([best.x[0] + 0.25], abs=1e-5) and u[0] == pytest.approx(before - 0.6, abs=1e-6)
     assert after[0] == pytest.approx(u[0]) and after[law.memory.slice("qp_alarm")].tolist() == [0.0]
+
+
+def swinging() -> tuple[Model, Reference]:
+    """A pendulum that is swung along cos t, so that A and B change with time; two controls."""
+    model = Model("pendulum")
+    q, w = model.state("q"), model.state("w")
+    u, c = model.control("u"), model.control("c")
+    model.ode({q: w + 0.1 * c, w: -4 * ca.sin(q) + u * ca.cos(q)})
+    return model, Reference.from_functions(
+        model, lambda t: [np.cos(t), -np.sin(t)], lambda t: [0.3, 0.0], 0.0, 3.0
+    )
+
+
+def test_a_horizon_over_dynamics_that_change_takes_them_from_its_schedule():
+    """Without a limit in reach the time-varying regulator; with limits the programme, by a general solver."""
+    model, reference = swinging()
+    options = {"Q": [3.0, 1.0], "R": [0.5, 1.0], "horizon": 0.6, "dt": 0.2}
+    free = design_mpc(model, reference, limits=(-99.0, 99.0), **options)
+    regulator = design_tvlqr(model, reference, Q=[3.0, 1.0], R=[0.5, 1.0], dt=0.2)
+    x = np.array([0.5, 0.9])
+    for t in (0.0, 0.4, 2.6):
+        assert free(t, x)[0] == pytest.approx(regulator(t, x)[0], rel=1e-6)
+    names = {v.name: v.size for v in free.signals.variables}
+    assert names == {
+        "q_ref": 1,
+        "w_ref": 1,
+        "u_ff": 1,
+        "c_ff": 1,
+        "horizon_ff": 4,
+        "horizon_A": 12,
+        "horizon_F": 12,
+        "horizon_K": 12,
+        "horizon_G": 12,
+    }
+    assert free.explain()["dynamics along the horizon"] == "from the schedule"
+
+    tight = design_mpc(model, reference, limits=([-1.0, -0.5], [2.0, 0.5]), **options)
+    gains, t = regulator.schedule.gains, 0.4
+    steps, p = gains.steps[2:5], gains.P(1.0)
+    ahead = reference.mean_control(t + 0.2 * np.arange(3), 0.2)
+
+    def cost(v):
+        e, total = x - reference.x(t), 0.0
+        for k, s in enumerate(steps):
+            w = v[2 * k : 2 * k + 2] - ahead[:, k]
+            total += e @ s.q @ e + w @ s.r @ w + 2 * e @ s.n @ w
+            e = s.a @ e + s.b @ w
+        return total + e @ p @ e
+
+    best = minimize(
+        cost,
+        np.zeros(6),
+        bounds=[(-1.0, 2.0), (-0.5, 0.5)] * 3,
+        method="SLSQP",
+        options={"ftol": 1e-15, "maxiter": 300},
+    )
+    u, after = tight(t, x)
+    assert u == pytest.approx(best.x[:2], abs=1e-4) and np.max(np.abs(u - free(t, x)[0])) > 0.05
+    assert after[tight.memory.slice("qp_alarm")].tolist() == [0.0]
 
 
 def test_a_limited_state_is_kept_by_a_soft_row():
@@ -413,3 +472,13 @@ def test_an_integral_surface_stays_at_zero_undisturbed_and_sums_a_matched_distur
         s = z[law.memory.slice("s")][0]
         assert s == pytest.approx(push * dt, abs=1e-12)
         assert u == pytest.approx(-gain @ x - s / 0.5)
+
+
+def test_a_law_around_another_one_has_its_alarms_too():
+    rest = Reference.constant(cart(), [0.0, 0.0])
+    inner = design_feedback_linearization(cart(), rest, outputs="q", poles=[-1.0, -2.0], dt=0.1)
+    outer = design_integral_sliding_mode(
+        cart(), rest, nominal=inner, reaching=ConstantRate(1.0), boundary=SaturationLayer(0.5), dt=0.1
+    )
+    assert "singular" in inner.alarms and {"singular", "nominal_singular"} <= set(outer.alarms)
+    assert {"singular", "nominal_singular"} <= set(outer.memory.names)

@@ -11,6 +11,7 @@ import scipy.interpolate as reference
 
 import gnc_opt as go
 from gnc_opt.model.pieces import Method
+from gnc_opt.report import summary_dict
 
 RNG = np.random.default_rng(3)
 X, Y, Z = (np.sort(RNG.uniform(-2.0, 5.0, n)) for n in (9, 6, 5))
@@ -214,6 +215,7 @@ def test_a_solution_outside_of_its_table_is_told() -> None:
     assert found.value == pytest.approx(1.0, abs=1e-6) and found.time == pytest.approx(1.0)
     assert found.span[0] == pytest.approx(0.5, abs=0.05)  # x(0.5) = 0.5 but for the small price
     assert "table        'price' flown outside at t = 0.5" in str(solution)
+    assert summary_dict(solution)["outside_tables"] == [str(found)]
 
 
 def test_a_solution_inside_of_its_table_is_not(recwarn: pytest.WarningsRecorder) -> None:
@@ -224,6 +226,10 @@ def test_a_solution_inside_of_its_table_is_not(recwarn: pytest.WarningsRecorder)
 def test_a_table_that_refuses_what_is_outside() -> None:
     with pytest.raises(go.ProblemError, match=r"the guess leaves a table .*give another guess"):
         hop(outside="error").check()
+    inside = hop(outside="error", top=1.0)
+    inside.check()
+    with pytest.raises(go.ProblemError, match=r"the guess leaves a table .*give another guess"):
+        inside.with_guess(x=2.0).check()
 
 
 def test_kinks_of_linear_tables_are_told() -> None:

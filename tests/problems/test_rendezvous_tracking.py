@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from benchmarks.closed_loop import AGREEMENT, plain_inputs, plain_run
+from benchmarks.closed_loop import AGREEMENT, ATOL, RTOL, plain_inputs, plain_run
 from gnc_opt.spacecraft import mrp_to_dcm
 from problems.rendezvous_tracking import (
     DISPERSIONS,
@@ -103,7 +103,7 @@ def same(one, other) -> bool:
 
 def test_plain_python_loop_ends_at_the_same_states(regulated):
     parameters, normal = plain_inputs(regulated, regulated.flight, 3)
-    end = plain_run(regulated.flight, parameters, normal, regulated.flight.schedule)
+    end = plain_run(regulated.flight, parameters, normal, regulated.flight.schedule, RTOL, ATOL)
     np.testing.assert_allclose(end, regulated.states[:, 3], atol=AGREEMENT, rtol=0)
 
 

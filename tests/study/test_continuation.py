@@ -124,3 +124,40 @@ def test_mistakes_get_a_sentence(arguments: Any, message: str) -> None:
         go.continue_in(*arguments)
     with pytest.raises(go.GncOptError, match="step of continue_in"):
         go.continue_in(stiff, [1.0, 2.0], step=0.0)
+
+
+def test_ctrl_c_keeps_what_was_found() -> None:
+    calls = []
+
+    def family(k: float) -> go.Problem:
+        calls.append(k)
+        if len(calls) > 3:
+            raise KeyboardInterrupt
+        return stiff(k)
+
+    found = go.continue_in(family, [1.0, 2.0, 3.0, 4.0, 5.0], mesh="5x4")
+    assert found.status is go.ContinuationStatus.INTERRUPTED and not found.complete
+    assert 1.0 < found.values[-1] < 5.0
+    np.testing.assert_allclose(found.objectives, [closed_form(k) for k in found.values], rtol=1e-7)
+
+
+def two_phases(duration: float = 4.0) -> go.Problem:
+    """A rest-to-rest move of 1 m in two phases of equal bounds: 12 / T^3 as in one."""
+    problem = go.Problem("two phases")
+    legs = []
+    for name in ("first", "second"):
+        model = go.Model("cart")
+        x, v, u = model.state("x"), model.state("v"), model.control("u")
+        model.ode({x: v, v: u})
+        legs.append(problem.phase(name, model))
+    problem.sequence(*legs, durations={"first": 0.5 * duration, "second": 0.5 * duration})
+    legs[0].initial(x=0.0, v=0.0)
+    legs[1].final(x=1.0, v=0.0)
+    problem.minimize(sum(leg.integral(leg.model.symbol("u") ** 2) for leg in legs))
+    return problem
+
+
+def test_several_phases() -> None:
+    found = go.continue_in(two_phases, [4.0, 3.0, 2.0], step=0.5, mesh="3x4")
+    assert found.complete and not found.events
+    np.testing.assert_allclose(found.objectives, 12 / found.values**3, rtol=1e-7)

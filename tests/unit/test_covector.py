@@ -222,6 +222,16 @@ def test_a_row_that_is_not_redundant_keeps_its_multiplier(changes: dict[str, Any
     assert np.array_equal(found.densities, before)
 
 
+@pytest.mark.parametrize(("contrary", "end"), [(-0.003, 3.0), (-0.005, 1.0)])
+def test_a_trifle_of_a_push_to_the_other_side_speaks_not_against_it(contrary: float, end: float) -> None:
+    """Beyond a thousandth of the change of 2 it does: the last weight is 5/9 s, hence 0.0036 per second."""
+    found, _ = redundant(7.0, 2.0)
+    found.densities[0, 2] += contrary - 7.0
+    assert found.weights[2] == pytest.approx(5 / 9)
+    found.settle_redundant_rows()
+    assert found.end[0, 0] == pytest.approx(end)
+
+
 def test_one_bounded_point_is_enough() -> None:
     found, _ = redundant(7.0, 2.0, bounded=np.array([[False, True, False]]))
     found.settle_redundant_rows()

@@ -193,6 +193,7 @@ def test_the_arrays_are_copies_and_read_only() -> None:
         ([0.0, 1.0, 2.0], [[0.0]], [[[1.0]]], "2 segments"),
         ([0.0, 1.0], [[0.0, 0.0]], [[[1.0, 1.0]]], "segment 0: need 1 to 128 distinct nodes"),
         ([0.0, 1.0], [[1.5]], [[[1.0]]], "distinct nodes"),
+        ([0.0, 1.0], [[0.5, -1.5]], [[[1.0, 2.0]]], "distinct nodes"),
         ([0.0, 1.0], [[np.nan]], [[[1.0]]], "distinct nodes"),
         ([0.0, 1.0], [[0.0]], [[1.0]], r"values have shape \(1,\)"),
         ([0.0, 1.0], [[0.0, 1.0]], [[[1.0]]], r"need \(components, 2\)"),

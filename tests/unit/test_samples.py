@@ -13,7 +13,14 @@ import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.problem.interval import Interval, free
 from gnc_opt.solution import limits
-from gnc_opt.solution.distance import FINEST, WIDTHS, bound_offences, path_offences
+from gnc_opt.solution.distance import (
+    FINEST,
+    WIDTHS,
+    _to_nearest_allowed,
+    _unit,
+    bound_offences,
+    path_offences,
+)
 from gnc_opt.solution.limits import Limits, Violations, violations
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.propagation import propagate, state_magnitudes
@@ -471,6 +478,35 @@ def test_at_the_centre_of_a_circle_the_nearest_sample_shows_the_way_out() -> Non
         centre.limits, centre.times, np.array([np.inf]), np.full((2, 1), np.nan), np.zeros((1, 1))
     )
     assert path_offences(lost, found).tolist() == [np.inf]
+
+
+def test_the_way_to_the_nearest_sample_that_is_allowed() -> None:
+    """From (3, 0) and (3, 4), both within the circle about (3, 0) with a radius of 5, to samples at (3, 6 to 8)."""
+    problem, leg = circle(-1, 5.0, at=3.0)
+    found = samples(problem, lambda t, k: [3 + 0 * t, 6 + 2 * t], lambda t, k: 0 * t, weights=(1.0,))
+    inside = Violations(
+        Limits.of(found.functions.paths, leg.path_interval()).some(np.zeros(2, dtype=int)),
+        np.array([0.0, 0.5]), np.array([25.0, 9.0]), np.array([[3.0, 3.0], [0.0, 4.0]]), np.zeros((1, 2)),
+    )  # fmt: skip
+    assert _to_nearest_allowed(inside, found) == pytest.approx(np.array([[0, 0], [1, 1], [0, 0]]), abs=1e-12)
+    lost = samples(problem, lambda t, k: [3 + t, 0 * t], lambda t, k: 0 * t, weights=(1.0,))
+    assert not _to_nearest_allowed(inside, lost).any()
+
+
+def test_what_nothing_can_restore_counts_in_shares_of_its_values() -> None:
+    """1 + q^2 is 2 to 5 along the flight, and never at most 1/2: 4 too much at a size of 5."""
+    problem, _ = circle(1, 0.5)
+    leg = problem.get_phase()
+    leg.path("never", 1 + leg.model.symbol("q") ** 2, upper=0.5)
+    found = samples(problem, lambda t, k: [1 + t, 0 * t], lambda t, k: 0 * t, weights=(1.0,))
+    never = Limits(found.functions.paths, np.array([1]), np.array([1.0]), np.array([0.5]))
+    point = Violations(never, np.array([1.0]), np.array([4.0]), np.array([[2.0], [0.0]]), np.zeros((1, 1)))
+    assert path_offences(point, found) == pytest.approx([4.0 / 5.0])
+
+
+def test_directions_have_length_one_however_long_they_were() -> None:
+    found = _unit(np.array([[3e200, 3e-200, 0.0, np.nan, 0.3], [4e200, -4e-200, 0.0, 1.0, 0.4]]))
+    assert found == pytest.approx(np.array([[0.6, 0.6, 0, 0, 0.6], [0.8, -0.8, 0, 0, 0.8]]))
 
 
 # --- signals of a phase -----------------------------------------------------------------------------------

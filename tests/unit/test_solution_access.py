@@ -128,6 +128,10 @@ def test_quality_travels_with_a_file_and_is_measured_with_the_problem(moved: Sol
         alone.need_problem("refine")
 
 
+def test_a_solution_is_shown_without_its_problem(moved: Solution) -> None:
+    assert "Problem(" not in repr(moved) and "cart" in repr(moved)
+
+
 def test_propagation_by_either_control(moved: Solution) -> None:
     assert moved.propagate("leg", control="polynomial", rtol=1e-9).states[:, -1] == pytest.approx(
         [1.0, 0.0], abs=1e-7
@@ -228,6 +232,9 @@ def test_an_unbounded_problem_names_what_runs_off_once_each() -> None:
     ]
     assert [f.amount for f in found[:2]] == [5e6, 3e6]
     assert not any("runs off" in f.name for f in broken(Status.INFEASIBLE, x={q[1]: 2e6}))
+    rows = dict.fromkeys(range(8), 1.0)
+    controls = {i: 99.0 for i, name in enumerate(names) if name.startswith("a,")}
+    assert len(broken(Status.UNBOUNDED, {q[1]: 2e6, v[1]: 3e6, **controls}, rows)) == 10  # in all
     assert not any("runs off" in f.name for f in broken(Status.UNBOUNDED, x={q[1]: 1e6}))
 
 

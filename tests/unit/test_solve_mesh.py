@@ -129,3 +129,8 @@ def test_the_trajectory_alone_has_what_the_warm_start_left_of_the_limit(
     limit = go.SolverOptions(max_wall_time=600.0)
     assert solve_mesh(regulator(), "3x4", guess=known, options=limit, warm_iterations=50).status.solved
     assert left[0] > 500.0 > 100.0 >= left[1]
+
+
+def test_nothing_is_shown_unless_it_is_asked_for(capfd: pytest.CaptureFixture[str]) -> None:
+    solve_mesh(regulator(), "3x4")
+    assert capfd.readouterr() == ("", "")

@@ -16,7 +16,7 @@ from tests.verify.test_reduced_hessian import great_circle, regulator
 
 def judged(solution: go.Solution) -> list[go.Condition]:
     told = from_problem(solution)
-    return conjugate_points(told.need_problem("judge"), list(told.samples().values()))
+    return conjugate_points(told, list(told.samples().values()))
 
 
 def first_time(condition: go.Condition) -> float:
@@ -71,6 +71,24 @@ def test_conjugate_points_that_coincide_are_seen() -> None:
     (condition,) = judged(replace(short, problem=oscillators(4.0)))
     assert condition.result is Result.FAIL
     assert first_time(condition) == pytest.approx(np.pi, abs=1e-3)
+
+
+@pytest.mark.parametrize("spring", [0.0, 1.0, -0.5])
+@pytest.mark.parametrize("free", ["start", "end"])
+def test_a_free_end_is_focal_earlier(at_rest: go.Solution, free: str, spring: float) -> None:
+    """x = cos(w t) + spring / w sin(w t) away from an end where x costs spring x^2: its zero, first at pi / (2 w)."""
+    w = 2.2
+    problem = regulator(w**2)
+    leg = problem.phases["leg"]
+    (leg.initial if free == "start" else leg.final)(x=None)
+    problem.cost += spring * (leg.initial_state("x") if free == "start" else leg.final_state("x")) ** 2
+    solution = replace(at_rest, problem=problem)
+    (condition,) = judged(solution)
+    zero = (0.5 * np.pi + np.arctan(spring / w)) / w
+    assert condition.result is (Result.FAIL if zero < 1 else Result.PASS)
+    assert condition.result is go.verify(solution)["second order"].result
+    assert condition.where.endswith(free)
+    assert first_time(condition) == pytest.approx(zero if free == "start" else 1 - zero, abs=1e-3)
 
 
 def test_what_is_not_smooth_is_not_judged() -> None:

@@ -44,7 +44,7 @@ def great_circle(arc: float, phases: int = 1) -> go.Problem:
 @pytest.mark.parametrize(("arc", "result"), [(0.5, PASS), (0.98, PASS), (1.02, FAIL), (1.5, FAIL)], ids=str)
 def test_great_circle_is_shortest_up_to_half_the_sphere(arc: float, result: Result, phases: int) -> None:
     solution = go.solve(great_circle(arc * np.pi, phases), mesh="4x6")
-    assert {c.name for c in go.verify(solution).failed} <= {"second order"}
+    assert {c.name for c in go.verify(solution).failed} <= {"second order", "conjugate points"}
     assert solution.objective == pytest.approx(0.5 * (arc * np.pi) ** 2)
     condition = second_order(solution)
     assert condition.result is result, condition

@@ -406,3 +406,38 @@ def test_several_phases_with_dynamics_switched_by_time() -> None:
     # q = 7/8 - s/2 - s^2 when the thrust turns, s after 1/2 s; the same speed is lost in r = s + 1/4 with r^2 = q.
     s = (-1 + np.sqrt(1 + 13 / 2)) / 4
     assert solution.objective == pytest.approx(0.5 + 2 * s + 0.25, abs=1e-7)
+
+
+@pytest.mark.parametrize(("gain", "result"), [(0.2, Result.PASS), (0.3, Result.FAIL)])
+def test_a_switch_may_come_in_from_the_end(gain: float, result: Result) -> None:
+    """Braking for the last d seconds costs d^2 of the way and 2 d of the speed, whose loss gains ``gain`` (2 d)^2."""
+    problem = go.Problem("farthest, with any speed")
+    leg = cart(problem)
+    leg.time(0.0, 2.0)
+    leg.initial(q=0.0, v=0.0)
+    problem.minimize(-leg.final_state("q") - gain * (leg.final_state("v") - 2.0) ** 2)
+    verdict = go.verify(go.solve(problem.with_arcs(arcs=[[1]]), mesh="1x4"))
+    assert verdict["second order"].result is result, verdict.explain()
+    assert verdict["strict switches"].result is verdict["induced gradient"].result is Result.PASS
+
+
+@pytest.mark.parametrize(("split", "result"), [(0.9, Result.PASS), (1.1, Result.FAIL)])
+def test_each_phase_of_several_has_switches_of_its_own(split: float, result: Result) -> None:
+    """Two phases that share nothing but the cost, which is that of two switches at s and r, see `pair`."""
+    problem = go.Problem("pair of phases")
+    total, ends = 0.0, []
+    for name in ("first", "second"):
+        model = go.Model(name)
+        x, u = model.state("x"), model.control("u")
+        model.ode({x: u})
+        leg = problem.phase(name, model)
+        leg.time(0.0, 2.0)
+        leg.initial(x=0.0)
+        leg.bounds(u=(-1.0, 1.0))
+        total = total + leg.final_state("x") - leg.integral(x)
+        ends.append(leg.final_state("x"))
+    problem.minimize(total - split / 8 * (ends[0] - ends[1]) ** 2)
+    held = problem.with_arcs("first", arcs=[[1, -1]]).with_arcs("second", arcs=[[1, -1]])
+    verdict = go.verify(go.solve(held, mesh=go.Mesh.at_times([0.0, 0.9, 2.0], 5, movable=True)))
+    condition = verdict["second order"]
+    assert condition.result is result and "2 degrees of freedom" in condition.where, verdict.explain()

@@ -1,7 +1,8 @@
-"""The quadratic programme of a horizon: prediction, limits as rows, and the judgement of its solution.
+"""The quadratic programme of a horizon: prediction and limits as sparse rows, and the judgement of its solution.
 
-Its unknowns are omega, (m per step), and one slack for each limited state and step; its cost is half the square of
-their norm and a linear price of the slacks. `gnc_opt.control.predictive.mpc` tells why.
+Its unknowns are omega (m per step), the errors at the ends of the steps, scaled by the cost to go, and one slack for
+each softly limited state and step; its cost is half the square of omega and slacks and a linear price of the slacks.
+`gnc_opt.control.predictive.mpc` tells why.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ class Rows:
         Places of the limited states in x and in e.
     state_lower, state_upper : array (n_limited,)
     price : array (n_limited,)
-        Weight of each limited state's excess, squared.
+        Weight of each limited state's excess, squared; infinite for a hard limit.
     """
 
     lower: Array
@@ -50,6 +51,11 @@ class Rows:
     def count(self) -> int:
         """Rows of one step."""
         return self.lower.size * (1 if self.change is None else 2) + len(self.below) + len(self.above)
+
+    @property
+    def soft(self) -> list[int]:
+        """Limited states that have a slack."""
+        return [int(i) for i in np.flatnonzero(np.isfinite(self.price))]
 
     @property
     def below(self) -> list[int]:
@@ -71,119 +77,198 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Programme:
-    """``min omega'omega/2 + g'omega`` within ``low <= a omega <= high``, rows scaled to [-1, 1]; MX.
+    """``min y'hy/2 + g'y`` within ``low <= a y <= high``, limits scaled to [-1, 1]; DM and MX.
 
-    The first ``free`` unknowns may have any sign; the slacks after them are not negative.
+    The first rows are ``equal`` equations. The first ``free`` unknowns may have any sign; the slacks after them are not
+    negative.
     """
 
+    h: Any
     g: Any
     a: Any
     low: Any
     high: Any
+    equal: int
     free: int
 
-    def optimality_residual(self, omega: Any, lam_a: Any, lam_x: Any) -> Any:
+    def optimality_residual(self, y: Any, lam_a: Any, lam_x: Any) -> Any:
         """Return the largest violation of the optimality conditions; multipliers are positive at upper limits.
 
-        Stationarity and complementarity are relative to the largest multiplier or gradient, if that is above 1.
+        Stationarity and complementarity are relative to the largest multiplier or gradient, if that is above 1, the
+        equations to their largest right side.
         """
         size = ca.fmax(1, ca.fmax(ca.norm_inf(lam_a), ca.fmax(ca.norm_inf(lam_x), ca.norm_inf(self.g))))
-        stationary = ca.norm_inf(omega + self.g + self.a.T @ lam_a + lam_x) / size
-        value = self.a @ omega
-        outside = ca.mmax(ca.fmax(ca.fmax(value - self.high, self.low - value), 0))
-        gap_high, gap_low = ca.fmin(self.high - value, _FAR), ca.fmin(value - self.low, _FAR)
-        slack = ca.norm_inf(ca.fmax(lam_a, 0) * gap_high) + ca.norm_inf(ca.fmin(lam_a, 0) * gap_low)
-        found = [stationary, outside, slack / size]
-        if omega.shape[0] > self.free:
-            slacks, multipliers = omega[self.free :], lam_x[self.free :]
+        stationary = ca.norm_inf(self.h @ y + self.g + self.a.T @ lam_a + lam_x) / size
+        value, k = self.a @ y, self.equal
+        right = self.low[:k]
+        unequal = ca.norm_inf(value[:k] - right) / ca.fmax(1, ca.norm_inf(right))
+        value, high, low, lam = value[k:], self.high[k:], self.low[k:], lam_a[k:]
+        outside = ca.mmax(ca.fmax(ca.fmax(value - high, low - value), 0))
+        gap_high, gap_low = ca.fmin(high - value, _FAR), ca.fmin(value - low, _FAR)
+        slack = ca.norm_inf(ca.fmax(lam, 0) * gap_high) + ca.norm_inf(ca.fmin(lam, 0) * gap_low)
+        found = [stationary, unequal, outside, slack / size]
+        if y.shape[0] > self.free:
+            slacks, multipliers = y[self.free :], lam_x[self.free :]
             found += [ca.mmax(ca.fmax(-slacks, 0)), ca.mmax(ca.fmax(multipliers, 0)) / size]
             found.append(ca.norm_inf(multipliers * slacks) / size)
         return sum(found)  # not the maximum: fmax would hide what is not a number
 
 
-def prediction(matrices: list[list[Any]]) -> tuple[Any, Any, Any, Any]:
-    """Return v_e, v_w, e_e, e_w: ``v = v_e e_0 + v_w omega`` over the steps, ``e = e_e e_0 + e_w omega`` at their ends.
+@dataclass(frozen=True, eq=False)
+class Horizon:
+    """The steps of a horizon and where their unknowns stand.
 
-    ``matrices`` lists A - B K, B L^-T, K and L^-T of each step.
-    """
-    a, f, k, g = matrices
-    n, m = f[0].shape
-    count = len(a)
-    by_start, by_plan = ca.DM.eye(n), ca.DM.zeros(n, m * count)
-    v_e, v_w, e_e, e_w = [], [], [], []
-    for j in range(count):
-        v_e.append(-k[j] @ by_start)
-        v_w.append(_in_place(g[j], j, count) - k[j] @ by_plan)
-        by_start, by_plan = a[j] @ by_start, a[j] @ by_plan + _in_place(f[j], j, count)
-        e_e.append(by_start)
-        e_w.append(by_plan)
-    return ca.vertcat(*v_e), ca.vertcat(*v_w), ca.vertcat(*e_e), ca.vertcat(*e_w)
-
-
-def programme(
-    rows: Rows, u_free: Any, v_w: Any, x_ref: Any, e_free: Any, e_w: Any, previous: Any
-) -> Programme:
-    """Return the programme of a horizon.
-
-    Parameters
+    Attributes
     ----------
     rows : Rows
-    u_free, e_free : column
-        Controls over the steps and errors at their ends without omega.
-    v_w, e_w : matrix
-        What omega does to them.
-    x_ref : column
-        Reference of the limited states at the ends of the steps.
-    previous : column (m,)
-        The command before the horizon.
+    matrices : list of lists
+        A - B K, B L^-T, K and L^-T of each step, DM or MX.
+    scale : array (n_errors,)
+        What an unknown error is measured in.
     """
-    m = rows.lower.size
-    count = v_w.shape[0] // m
-    parts = [_between(u_free, v_w, np.tile(rows.lower, count), np.tile(rows.upper, count))]
-    if rows.change is not None:
-        most = np.tile(rows.change, count)
-        rest = m * (count - 1)
-        # split, not sliced: of one step nothing is left, and it must be nothing of the right width
-        from_ = u_free - ca.vertcat(previous, ca.vertsplit(u_free, [0, rest, rest + m])[0])
-        before = ca.vertsplit(v_w, [0, rest, rest + m])[0]
-        by_plan = v_w - ca.vertcat(ca.DM.zeros(m, v_w.shape[1]), before)
-        parts.append(_between(from_, by_plan, -most, most))
-    hard = [ca.vertcat(*column) for column in zip(*parts, strict=True)]
-    gradient = ca.DM.zeros(m * count)
-    if not rows.states:
-        return Programme(gradient, hard[0], hard[1], hard[2], m * count)
-    price, soft = _soft(rows, count, x_ref, e_free, e_w)
-    wide = ca.horzcat(hard[0], ca.DM.zeros(hard[0].shape[0], price.shape[0]))
-    below, above = (ca.vertcat(hard[k], soft[k]) for k in (1, 2))
-    return Programme(ca.vertcat(gradient, price), ca.vertcat(wide, soft[0]), below, above, m * count)
+
+    rows: Rows
+    matrices: list[list[Any]]
+    scale: Array
+
+    @property
+    def count(self) -> int:
+        """Number of steps."""
+        return len(self.matrices[0])
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Number of errors and of controls."""
+        n, m = self.matrices[1][0].shape
+        return int(n), int(m)
+
+    @property
+    def free(self) -> int:
+        """Number of unknowns that may have any sign."""
+        return self.count * sum(self.sizes)
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns."""
+        return self.free + self.count * len(self.rows.soft)
+
+    @property
+    def equations(self) -> int:
+        """Number of equations."""
+        return self.count * self.sizes[0]
+
+    def programme(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Programme:
+        """Return the programme.
+
+        Parameters
+        ----------
+        e_0 : column (n_errors,)
+            At the beginning.
+        u_ff : column
+            Feedforward over the steps.
+        x_ref : column
+            Reference of the limited states at the ends of the steps.
+        previous : column (m,)
+            The command before the horizon.
+        """
+        rows, (_, m) = self.rows, self.sizes
+        commands = [self.command(j, e_0, u_ff[m * j : m * (j + 1)]) for j in range(self.count)]
+        found = [self._step(j, e_0) for j in range(self.count)]
+        found += [_between(*command, rows.lower, rows.upper) for command in commands]
+        if rows.change is not None:
+            before = (ca.DM(m, self.unknowns), previous)
+            for row, u in commands:
+                found.append(_between(row - before[0], u - before[1], -rows.change, rows.change))
+                before = (row, u)
+        found += self._states(x_ref)
+        a, low, high = (ca.vertcat(*parts) for parts in zip(*found, strict=True))
+        squares = np.zeros(self.unknowns)
+        squares[: m * self.count] = squares[self.free :] = 1.0
+        gradient = np.zeros(self.unknowns)
+        gradient[self.free :] = np.tile(self._root, self.count)
+        h = ca.diag(ca.sparsify(ca.DM(squares)))
+        return Programme(h, ca.DM(gradient), a, low, high, self.equations, self.free)
+
+    def regulated(self, e_0: Any) -> Any:
+        """Return the unknowns where the regulator is left alone."""
+        _, m = self.sizes
+        e, errors = e_0, []
+        for a in self.matrices[0]:
+            e = a @ e
+            errors.append(ca.diag(ca.DM(1 / self.scale)) @ e)
+        return ca.vertcat(ca.DM.zeros(m * self.count), *errors, ca.DM.zeros(self.unknowns - self.free))
+
+    def command(self, j: int, e_0: Any, u_ff: Any) -> tuple[Any, Any]:
+        """Return the j-th command as a row of the unknowns and what there is beside it."""
+        _, _, k, g = (matrices[j] for matrices in self.matrices)
+        row = {self._omega(j): g}
+        if j == 0:
+            return self._row(row), u_ff - k @ e_0
+        return self._row(row | {self._error(j): -k @ self._scaled}), u_ff
+
+    # --- internals ----------------------------------------------------------------------------------------
+
+    @property
+    def _scaled(self) -> Any:
+        return ca.diag(ca.DM(self.scale))
+
+    @property
+    def _root(self) -> Array:
+        """Roots of the prices: in units of them the squares of the slacks have the weight one."""
+        soft, rows = self.rows.soft, self.rows
+        return np.sqrt(np.maximum(rows.price[soft] * rows.state_scale[soft] ** 2, _LEAST_PRICE))
+
+    def _omega(self, j: int) -> int:
+        return j * self.sizes[1]
+
+    def _error(self, j: int) -> int:
+        """Return where the errors at the end of j steps begin, j from 1."""
+        n, m = self.sizes
+        return self.count * m + (j - 1) * n
+
+    def _row(self, blocks: dict[int, Any]) -> Any:
+        """Return sparse rows with blocks that begin at these columns."""
+        height = next(iter(blocks.values())).shape[0]
+        parts, at = [], 0
+        for begin, block in sorted(blocks.items()):
+            parts += [ca.DM(height, begin - at), block]
+            at = begin + block.shape[1]
+        return ca.horzcat(*parts, ca.DM(height, self.unknowns - at))
+
+    def _step(self, j: int, e_0: Any) -> tuple[Any, Any, Any]:
+        """The rows of ``e_{j+1} - a e_j - f omega_j = 0``, in the units of the errors."""
+        n, _ = self.sizes
+        a, f, _, _ = (matrices[j] for matrices in self.matrices)
+        inverse = ca.diag(ca.DM(1 / self.scale))
+        blocks = {self._error(j + 1): ca.DM.eye(n), self._omega(j): -inverse @ f}
+        if j == 0:
+            right = inverse @ (a @ e_0)
+            return self._row(blocks), right, right
+        return (
+            self._row(blocks | {self._error(j): -inverse @ a @ self._scaled}),
+            ca.DM.zeros(n),
+            ca.DM.zeros(n),
+        )
+
+    def _states(self, x_ref: Any) -> list[tuple[Any, Any, Any]]:
+        """The rows of the limited states."""
+        rows, limited, scale = self.rows, len(self.rows.states), self.rows.state_scale
+        found = []
+        for side, which, limit in ((-1, rows.below, rows.state_lower), (1, rows.above, rows.state_upper)):
+            for j in range(self.count):
+                for i in which:
+                    e = rows.errors[i]
+                    blocks = {self._error(j + 1) + e: ca.DM(self.scale[e] / scale[i])}
+                    if i in rows.soft:
+                        slack = rows.soft.index(i)
+                        blocks[self.free + j * len(rows.soft) + slack] = ca.DM(-side / self._root[slack])
+                    rest = (limit[i] - x_ref[j * limited + i]) / scale[i]
+                    found.append((self._row(blocks), *((-ca.inf, rest) if side > 0 else (rest, ca.inf))))
+        return found
 
 
-def _soft(rows: Rows, count: int, x_ref: Any, e_free: Any, e_w: Any) -> tuple[Any, tuple[Any, Any, Any]]:
-    """Return the linear price of the slacks, and the rows of the limited states."""
-    scale, n, limited = rows.state_scale, e_w.shape[0] // count, len(rows.states)
-    # priced linearly and squared; in units of the root of its price the square has the weight one
-    root = np.sqrt(np.maximum(rows.price * scale**2, _LEAST_PRICE))
-    matrices, lows, highs = [], [], []
-    for side, which, limit in ((-1, rows.below, rows.state_lower), (1, rows.above, rows.state_upper)):
-        for j in range(count):
-            for i in which:
-                place = j * n + rows.errors[i]
-                unit = ca.DM(1, limited * count)
-                unit[0, j * limited + i] = -side / root[i]
-                matrices.append(ca.horzcat(e_w[place, :] / scale[i], unit))
-                rest = (limit[i] - x_ref[j * limited + i] - e_free[place]) / scale[i]
-                lows.append(-ca.inf if side > 0 else rest)
-                highs.append(rest if side > 0 else ca.inf)
-    return ca.DM(np.tile(root, count)), (ca.vertcat(*matrices), ca.vertcat(*lows), ca.vertcat(*highs))
-
-
-def _between(value: Any, by_plan: Any, lower: Array, upper: Array) -> tuple[Any, Any, Any]:
-    """The rows of ``lower <= value + by_plan omega <= upper``, scaled to [-1, 1]."""
+def _between(row: Any, value: Any, lower: Array, upper: Array) -> tuple[Any, Any, Any]:
+    """The rows of ``lower <= value + row y <= upper``, scaled to [-1, 1]."""
     scale, middle = 2 / (upper - lower), 0.5 * (upper + lower)
     offset = (value - middle) * scale
-    return ca.diag(ca.DM(scale)) @ by_plan, -1 - offset, 1 - offset
-
-
-def _in_place(block: Any, j: int, count: int) -> Any:
-    height, width = block.shape
-    return ca.horzcat(ca.DM.zeros(height, width * j), block, ca.DM.zeros(height, width * (count - j - 1)))
+    return ca.diag(ca.DM(scale)) @ row, -1 - offset, 1 - offset

@@ -6,9 +6,10 @@ optimal one of the unconstrained problem and a sum of squares,
 
 .. math:: e_0^T P_0 e_0 + \sum_j w_j^T S_j w_j, \qquad S_j = R_j + B_j^T P_{j+1} B_j = L_j L_j^T,
 
-so the programme for :math:`\omega_j = L_j^T w_j` is to find the point of least norm within the limits: perfectly
-conditioned, and :math:`\omega = 0`, exactly the sampled regulator, as long as no limit is met. Limits of controls and
-rates are hard; those of states are soft (exact penalty), so that the programme always has a solution.
+so the programme for :math:`\omega_j = L_j^T w_j` is to find the point of least norm within the limits, with the errors
+as further unknowns, so that it is sparse. As long as no limit is met the answer is :math:`\omega = 0`, the sampled
+regulator, and no solver is asked. Limits of controls and rates are hard; those of states are soft (exact penalty), so
+that the programme has a solution, unless they are named hard.
 
 The point that the solver returns is judged anew at every step by its optimality conditions; if it fails, the clipped
 regulator's command is given and an alarm is raised.
@@ -22,8 +23,8 @@ strategies, Automatica 34 (1998): the change of variables.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias, get_args
 
 import casadi as ca
@@ -36,28 +37,28 @@ from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.dropout import bridge_dropouts
 from gnc_opt.control.explanation import Explanation, Fact
-from gnc_opt.control.limits import Limits, clip, read_limits, reserve_shares
+from gnc_opt.control.limits import Limits, clip, read_limits, require_reserve, reserve_shares
 from gnc_opt.control.linear.facts import regulator_facts
 from gnc_opt.control.linear.gains import SampledGains, riccati_gains
 from gnc_opt.control.linear.riccati import gain_of
 from gnc_opt.control.linear.weights import Weight, read_cost, read_weight, require_semidefinite
-from gnc_opt.control.predictive.horizon import Rows, prediction, programme
+from gnc_opt.control.predictive.horizon import Horizon, Programme, Rows
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
-from gnc_opt.errors import ArgumentError, DesignError, did_you_mean, shown
+from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, reference_times
+from gnc_opt.errors import ArgumentError, DesignError, did_you_mean, shown, unknown_name
 from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, alike
 
-QpSolver: TypeAlias = Literal["daqp", "qrqp", "osqp"]
+QpSolver: TypeAlias = Literal["piqp", "osqp"]
 
 
 QP_TOLERANCE = 1e-6
 """Largest residual of the optimality conditions, limits scaled to [-1, 1], that counts as solved."""
 
+_PIQP = {"eps_abs": 1e-13, "eps_rel": 1e-13, "eps_duality_gap_abs": 1e-13, "eps_duality_gap_rel": 1e-13}
 _OPTIONS: dict[str, dict[str, Any]] = {
-    "daqp": {},
-    "qrqp": {"print_iter": False, "print_header": False, "print_info": False, "constr_viol_tol": 1e-9},
+    "piqp": {"piqp": {"verbose": False, **_PIQP}},
     "osqp": {"osqp": {"verbose": False, "eps_abs": 1e-8, "eps_rel": 1e-8, "max_iter": 20000, "polish": True}},
 }
 
@@ -73,10 +74,11 @@ def design_mpc(
     limits: Limits,
     rate_limits: ArrayLike | None = None,
     state_limits: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None,
+    hard: Sequence[str] = (),
     N: ArrayLike | None = None,
     terminal: Weight | Literal["riccati"] = "riccati",
     state_penalty: float = 1e3,
-    solver: QpSolver = "daqp",
+    solver: QpSolver = "piqp",
     name: str = "MPC",
 ) -> Controller:
     """Design a model predictive controller that follows a reference within limits.
@@ -96,12 +98,16 @@ def design_mpc(
     rate_limits : float or array (n_controls,), optional
         Largest change of each control per second.
     state_limits : mapping, optional
-        ``{"v_L": (lower, upper)}``, soft, at the steps; infinite numbers for no limit.
+        ``{"v_L": (lower, upper)}``, at the steps; infinite numbers for no limit. Soft, unless named in ``hard``:
+        they are left by as little as possible where they cannot be kept.
+    hard : sequence of str
+        States whose limits are hard: where they cannot be kept, the programme has no solution, and the alarm is raised.
     terminal : weight or "riccati"
         Of the errors at the end of the horizon; ``"riccati"`` is the cost to go of the (time-varying) regulator.
     state_penalty : float
         Price of leaving a state limit by half its range, relative to the cost to go of an error as large.
-    solver : {"daqp", "qrqp", "osqp"}
+    solver : {"piqp", "osqp"}
+        Sparse interior-point or operator-splitting method.
     name : str
         For messages and reports.
 
@@ -114,7 +120,8 @@ def design_mpc(
     Raises
     ------
     DesignError
-        As in `design_tvlqr`; limits without room; limits of a state whose error is not a difference.
+        As in `design_tvlqr`; limits without room, or that exclude the feedforward; limits of a state whose error is not
+        a difference.
     """
     expect(
         reference, Reference, "the reference of design_mpc()", "give a Reference, or Reference.constant(...)"
@@ -137,8 +144,9 @@ def design_mpc(
     elif terminal != "riccati":
         raise ArgumentError(f'terminal is {shown(terminal)}: write "riccati" or give a weight.')
     price = read_positive(state_penalty, "the state penalty") * np.diag(gains.costs[-1])
+    require_reserve(reference, bounds, reference_times(reference))
     change = None if rate_limits is None else _rates(rate_limits, model, dt)
-    in_x, in_e, *of_states = _state_rows(deviation, state_limits or {}, price)
+    in_x, in_e, *of_states = _state_rows(deviation, state_limits or {}, hard, price)
     rows = Rows(*bounds, change, in_x, in_e, *of_states)
     windows = _Windows(gains, count, end)
     schedule = _Schedule(ReferenceSchedule(reference), windows, rows.states)
@@ -158,7 +166,7 @@ def design_mpc(
         span=(reference.initial_time, reference.final_time),
         explanation=Explanation(
             f"{name} of '{model.name}' along {reference!r}",
-            (*_facts(gains, windows, rows, solver), *reserve_shares(reference, bounds)),
+            (*_facts(gains, windows, rows, model.states, solver), *reserve_shares(reference, bounds)),
         ),
     )
     return bridge_dropouts(regulator)
@@ -243,36 +251,25 @@ def _law(
     sx, sx_ref = ca.SX.sym("x", states), ca.SX.sym("x_ref", states)
     error = ca.Function("e", [sx, sx_ref], [deviation.expression(sx, sx_ref)])
     e = error(x, x_ref)
-    v_e, v_w, e_e, e_w = prediction(_matrices(schedule, r, states + (m + limited) * count))
-    u_free = u_ff + v_e @ e
-
-    size, n_rows = (m + limited) * count, rows.count * count
+    windows = schedule.windows
+    matrices = _matrices(schedule, r, states + (m + limited) * count)
+    horizon = Horizon(rows, matrices, _error_scale(windows))
+    size, n_rows = horizon.unknowns, horizon.equations + rows.count * count
     z = ca.MX.sym("z", m + size + n_rows + 1)
     previous, plan, multipliers, alarm = ca.vertsplit(
         z, [0, m, m + size, m + size + n_rows, m + size + n_rows + 1]
     )
-    task = programme(rows, u_free, v_w, x_limited, e_e @ e, e_w, previous)
-    least = ca.DM.eye(size)
-    shape = {"h": least.sparsity(), "a": ca.Sparsity.dense(n_rows, size)}
-    qp = ca.conic("qp", solver, shape, {**_OPTIONS[solver], "error_on_fail": False})
-    from_ = np.concatenate(
-        [np.full(m * count, -np.inf), np.zeros(limited * count)]
-    )  # slacks are not negative
-    answer = qp(
-        h=least, g=task.g, a=task.a, lba=task.low, uba=task.high, lbx=from_, x0=plan, lam_a0=multipliers
-    )
-    omega, lam_a, lam_x = answer["x"], answer["lam_a"], answer["lam_x"]
-    solved = task.optimality_residual(omega, lam_a, lam_x) <= QP_TOLERANCE
+    task = horizon.programme(e, u_ff, x_limited, previous)
+    y, lam_a, solved = _solution(task, horizon.regulated(e), plan, multipliers, solver)
 
     lower, upper = ca.DM(rows.lower), ca.DM(rows.upper)
     if rows.change is not None:
         lower, upper = ca.fmax(lower, previous - rows.change), ca.fmin(upper, previous + rows.change)
-    shift = ca.if_else(solved, v_w[:m, :] @ omega[: m * count], 0)
-    u = clip(u_free[:m] + shift, lower, upper)
-    _, later, slacks = ca.vertsplit(omega, [0, m, m * count, size])
+    row, regulator = horizon.command(0, e, u_ff[:m])
+    u = clip(regulator + ca.if_else(solved, row @ y, 0), lower, upper)
     after = ca.vertcat(
         u,
-        ca.if_else(solved, ca.vertcat(later, ca.MX.zeros(m), slacks), 0),
+        ca.if_else(solved, y, 0),
         ca.if_else(solved, lam_a, 0),
         ca.if_else(solved, alarm, 1),
     )
@@ -284,6 +281,35 @@ def _law(
         first_memory(t, x, r, ca.vertcat(first, ca.MX.zeros(size + n_rows + 1))),
         memory,
     )
+
+
+def _solution(task: Programme, regulated: Any, plan: Any, multipliers: Any, solver: str) -> list[Any]:
+    """Return unknowns, multipliers and whether they are the solution.
+
+    They are those of the regulator if it meets no limit, else what the solver finds.
+    """
+    shape = {"h": task.h.sparsity(), "a": task.a.sparsity()}
+    qp = ca.conic("qp", solver, shape, {**_OPTIONS[solver], "error_on_fail": False})
+    least = np.full(regulated.shape[0], -np.inf)
+    least[task.free :] = 0  # slacks are not negative
+    arguments = (task.a, task.low, task.high, plan, multipliers, regulated)
+    symbols = [ca.MX.sym(f"i{k}", argument.sparsity()) for k, argument in enumerate(map(ca.MX, arguments))]
+    a, low, high, x0, lam0, rest = symbols
+    found = qp(h=task.h, g=task.g, a=a, lba=low, uba=high, lbx=least, x0=x0, lam_a0=lam0)
+    judged = replace(task, a=a, low=low, high=high)
+    solved = judged.optimality_residual(found["x"], found["lam_a"], found["lam_x"]) <= QP_TOLERANCE
+    solve = ca.Function("solve", symbols, [found["x"], found["lam_a"], solved])
+    keep = ca.Function("keep", symbols, [rest, ca.MX.zeros(multipliers.shape[0]), ca.MX(1)])
+    value, k = task.a @ regulated, task.equal
+    inside = ca.logic_and(ca.mmin(value[k:] - task.low[k:]) >= 0, ca.mmin(task.high[k:] - value[k:]) >= 0)
+    either = ca.Function.if_else("either", keep, solve)  # calls one of them
+    return list(either(inside, *arguments))
+
+
+def _error_scale(windows: _Windows) -> Array:
+    """Return what errors are measured in: a unit of each costs one."""
+    costs = np.diag(windows.gains.costs[-1])
+    return np.asarray(1 / np.sqrt(np.where(costs > 0, costs, 1.0)))
 
 
 def _matrices(schedule: _Schedule, r: Any, place: int) -> list[list[Any]]:
@@ -331,7 +357,10 @@ def _subtracts(deviation: Deviation, name: str) -> bool:
 
 
 def _state_rows(
-    deviation: Deviation, limits: Mapping[str, tuple[ArrayLike, ArrayLike]], price: Array
+    deviation: Deviation,
+    limits: Mapping[str, tuple[ArrayLike, ArrayLike]],
+    hard: Sequence[str],
+    price: Array,
 ) -> tuple[tuple[int, ...], tuple[int, ...], Array, Array, Array]:
     """Places of the limited states in x and in e, their limits and the prices of their errors."""
     model = deviation.model
@@ -339,6 +368,10 @@ def _state_rows(
     in_e: list[int] = []
     lower: list[float] = []
     upper: list[float] = []
+    prices: list[float] = []
+    for name in hard:
+        if name not in limits:
+            raise unknown_name("limited state", name, "state_limits", limits)
     for name, pair in limits.items():
         place = model.states.slice(name)
         size = model.states[name].size
@@ -355,16 +388,20 @@ def _state_rows(
         in_e += range(model.errors.size)[model.errors.slice(name)]
         lower += list(low)
         upper += list(high)
-    return tuple(in_x), tuple(in_e), np.array(lower), np.array(upper), price[in_e]
+        place = model.errors.slice(name)
+        prices += [np.inf] * size if name in hard else list(price[place])
+    return tuple(in_x), tuple(in_e), np.array(lower), np.array(upper), np.array(prices)
 
 
-def _facts(gains: SampledGains, windows: _Windows, rows: Rows, solver: str) -> list[Fact]:
+def _facts(gains: SampledGains, windows: _Windows, rows: Rows, states: Layout, solver: str) -> list[Fact]:
     m, count = rows.lower.size, windows.count
-    size = (m + len(rows.states)) * count
-    remark = f"{size} unknowns, {rows.count * count} rows, by {solver}"
+    n = windows.gains.steps[-1].a.shape[0]
+    size, limits = (m + n + len(rows.soft)) * count, (n + rows.count) * count
+    remark = f"{size} unknowns, {limits} rows, by {solver}"
     first = windows(0)
     facts = [
         Fact("horizon", count * gains.dt, "s", f"{count} steps; {remark}"),
+        *_limit_facts(rows, states),
         Fact("dynamics along the horizon", "constant" if windows.constant else "from the schedule"),
         Fact("gain at the start", first[2][0], "", "K of the first command where no limit is met"),
     ]
@@ -373,3 +410,14 @@ def _facts(gains: SampledGains, windows: _Windows, rows: Rows, solver: str) -> l
         remark = "without limits, after the end; slowest first"
         facts += regulator_facts(gains.steady, (last.a, last.b), gains.dt, remark=remark)
     return facts
+
+
+def _limit_facts(rows: Rows, states: Layout) -> list[Fact]:
+    """Return the facts about which limits are hard and which soft."""
+    soft = [states.labels[rows.states[i]] for i in rows.soft]
+    hard = [states.labels[place] for i, place in enumerate(rows.states) if i not in rows.soft]
+    rates = ["rates of controls"] if rows.change is not None else []
+    facts = [Fact("hard limits", ", ".join(["controls", *rates, *hard]), remark="kept, or alarm")]
+    return facts + (
+        [Fact("soft limits", ", ".join(soft), remark="left as little as possible")] if soft else []
+    )
