@@ -1,4 +1,4 @@
-"""The command line: ``gnc-opt solve FILE``, ``gnc-opt multistart FILE`` and ``gnc-opt check FILE``."""
+"""The command line: ``gnc-opt new NAME``, and ``gnc-opt solve``, ``gnc-opt multistart`` and ``gnc-opt check FILE``."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from gnc_opt.errors import GncOptError, ProblemWarning
 from gnc_opt.problem_file import ProblemFile, load_problem_file, parse_setting
+from gnc_opt.templates import KINDS, write_template
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -136,6 +137,13 @@ def _check(args: argparse.Namespace) -> ExitCode:
         file, problem = _build(args)
         problem.check()
     _say(_console(args), _description(file, problem))
+    return ExitCode.OK
+
+
+def _new(args: argparse.Namespace) -> ExitCode:
+    path = write_template(args.name, args.kind)
+    command = shlex.join(["gnc-opt", "solve", str(path), "--tol", "1e-8", "--report", "report"])
+    print(f"written: {path}\nsolve it with: {command}")
     return ExitCode.OK
 
 
@@ -282,12 +290,22 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"gnc-opt {package_version('gnc_opt')}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+    _add_new(commands)
     _add_solve(commands)
     _add_multistart(commands)
     check = commands.add_parser("check", help="look for mistakes in a problem without solving it")
     _add_common(check)
     check.set_defaults(run=_check)
     return parser
+
+
+def _add_new(commands: Any) -> None:
+    command = commands.add_parser("new", help="write a problem file to start from")
+    add = command.add_argument
+    add("name", metavar="NAME", help="of the file; .py is added, and what exists is never overwritten")
+    add("--kind", choices=KINDS, default=KINDS[0], help="what it states, default %(default)s")
+    add("--debug", action="store_true", help="show the traceback of an error")
+    command.set_defaults(run=_new)
 
 
 def _add_solve(commands: Any) -> None:
