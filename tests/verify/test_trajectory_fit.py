@@ -212,9 +212,9 @@ def test_the_interpolant_is_the_one_that_carries_the_states() -> None:
     t = np.array([0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 2.4])
     s = 1.2
     u, x = np.maximum(t - s, 0.0), np.maximum(t - s, 0.0) ** 2 / 2
-    samples = Samples(t, x[None], u[None])
+    samples = Samples(t, np.array([x, t]), u[None])  # time says nothing of either
     controls = _Controls(samples, [])
-    controls.choose(samples, lambda t, x, u: u + 0 * x)
+    controls.choose(samples, lambda t, x, u: np.array([u[0], 1 + 0 * t]))
     at = np.array([0.2, 0.6])
     assert np.max(np.abs(_interpolants(t, u)[0](at))) > 1e-3  # the ripples
     np.testing.assert_allclose(controls(at, at)[0], 0.0, atol=1e-12)
