@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import gnc_opt as go
+from gnc_opt.problem.arc import ArcKind
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.verify import Result
-from gnc_opt.verify.second_order import strict_switches
+from gnc_opt.verify.reduced_hessian import _has_singular_control, _jumping_control, _rich
+from gnc_opt.verify.second_order import is_bang_bang, obstacle, strict_switches
 from gnc_opt.verify.switches import GRAZES, Switches, _joined
+from gnc_opt.verify.verify_trajectory import _arcs
 from tests.unit import by_hand
 
 Slopes = tuple[Callable[[Any], Any], ...]
@@ -196,3 +200,75 @@ def test_times_that_are_nearly_equal_are_made_equal() -> None:
     joined = _joined(times, 1e-7, np.array([0.0, 1.0]))
     np.testing.assert_array_equal(joined, [0.0, 0.3, 0.3, 0.3 + 1.2e-7, 0.5, 1.0])
     np.testing.assert_array_equal(times, before)
+
+
+# --- what else is made of bangs ---------------------------------------------------------------------------
+
+STRAIGHT = (line(5.0, 0.8), arch(10.0), line(-5.0, 1.4))
+
+
+def test_controls_that_jump_from_bound_to_bound_are_named() -> None:
+    """H is straight in all controls; w does not jump if it stays, nor does what has no curvature in between."""
+    once = ((-1.0, -1.0, -1.0), (-2.0, -2.0, 3.0))
+    late = "switch times that are not variables of the mesh do not vary"
+    assert _jumping_control([flight(STRAIGHT, FALLS)]) == f"phase leg, u: {late}"
+    assert _jumping_control([flight(STRAIGHT, FALLS, once)]) == f"phase leg, w: {late}"
+    assert _jumping_control([flight(STRAIGHT, FALLS, ((-1.0,) * 3, (-2.0,) * 3))]) == ""
+    between = ((-1.0, 0.5, -1.0), (-2.0, 0.0, -2.0))
+    assert _jumping_control([flight(STRAIGHT, FALLS, between)]) == ""
+    assert _has_singular_control(flight(STRAIGHT, FALLS, between))
+    assert not _has_singular_control(flight(STRAIGHT, FALLS))
+
+
+@pytest.mark.parametrize("bend", [-1.0, 0.0, 1.0])
+def test_straight_is_what_does_not_curve_upwards(bend: float) -> None:
+    """H = u + bend u^2 / 2 at the bound of u."""
+    model = go.Model("bent")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("bent")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    problem.minimize(leg.integral(0.5 * bend * u**2 + u))
+    s = by_hand.samples(
+        problem,
+        lambda t, k: np.array([t]),
+        lambda t, k: np.array([1 - 2.0 * k + 0 * t]),
+        lambda t, k: np.array([0 * t]),
+        weights=(1.0,),
+        control_bounds=by_hand.interval(-1.0, 1.0),
+    )
+    assert bool(_jumping_control([s])) is (bend <= 0)
+
+
+def test_simple_meshes_get_thirty_points() -> None:
+    assert _rich(go.Mesh((0.0, 1.0), (4,))).degrees == (30,)
+    fine = _rich(go.Mesh((0.0, 0.2, 0.5, 0.7, 1.0), (5, 9, 3, 8), (1, 3)))
+    assert (
+        fine.degrees == (8, 9, 8, 8) and fine.movable == (1, 3) and fine.breaks == (0.0, 0.2, 0.5, 0.7, 1.0)
+    )
+
+
+def test_arcs_of_a_trajectory_between_its_jumps() -> None:
+    """Neighbours on one bound are one arc; a control between its bounds, or no jump at all, and there are none."""
+    s = flight(STRAIGHT, FALLS)
+    leg = replace(s.leg, mesh=go.Mesh.at_times(ENDS, 4, movable=True))
+    found = [(a.channel, a.kind, a.start, a.end) for a in _arcs(leg) if a.channel != "v"]
+    lower, upper = ArcKind.LOWER, ArcKind.UPPER
+    assert found == [
+        ("u", upper, 0.0, 0.8), ("u", lower, 0.8, 1.4), ("u", upper, 1.4, 2.0),
+        ("w", lower, 0.0, 1.4), ("w", upper, 1.4, 2.0),
+    ]  # fmt: skip
+    assert _arcs(s.leg) == []
+    between = flight(STRAIGHT, FALLS, ((1.0, -1.0, 1.0), (-2.0, 0.0, 3.0))).leg
+    assert _arcs(replace(between, mesh=leg.mesh)) == []
+
+
+def test_obstacles_are_told_by_their_phase() -> None:
+    s = flight(STRAIGHT, FALLS)
+    assert obstacle([s]) == "" and is_bang_bang([s]) and not is_bang_bang([])
+    between = flight(STRAIGHT, FALLS, ((1.0, 0.25, 1.0), U[1]))
+    assert obstacle([s, between]) == "phase leg, t = 0.8 s, u: a control between its bounds"
+    assert not is_bang_bang([s, between])
+    short = replace(s.leg, final_time=s.leg.initial_time, final_time_bounds=by_hand.interval(0.0, 9.0))
+    assert obstacle([PhaseSamples.of(short, s.functions)]) == "phase leg has no length"
