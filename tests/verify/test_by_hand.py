@@ -17,17 +17,21 @@ from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.transcription.transcription import transcribe
 from gnc_opt.verify import Result, feasibility
 from gnc_opt.verify.conjugate_points import _matrices, _system, _variations, _worth
-from gnc_opt.verify.costates import _slack_offence, _unexplained
+from gnc_opt.verify.controls import _lasting
+from gnc_opt.verify.costates import _slack_offence, _time_transversality, _unexplained
 from gnc_opt.verify.critical_cone import _close_arcs, _nodes
 from gnc_opt.verify.induced import InducedProblem, Unknowns
-from gnc_opt.verify.judged import _difference, ends_of, from_problem
-from gnc_opt.verify.magnitude import Magnitudes, integral_spans
+from gnc_opt.verify.judged import _difference, ends_of, from_problem, has_costates
+from gnc_opt.verify.kept import keep_verdict, kept_verdict
+from gnc_opt.verify.magnitude import Magnitudes, integral_spans, parameter_scale
 from gnc_opt.verify.multipliers import _quadrature, _state_rows, _variables
-from gnc_opt.verify.pushes import Pushers, _responses, _without_pushes, unexplained_jumps
+from gnc_opt.verify.null_space import _metric
+from gnc_opt.verify.pushes import Pushers, _responses, _without_pushes, pushed_beside, unexplained_jumps
 from gnc_opt.verify.second_order import least_squares
 from gnc_opt.verify.singular import generalised_legendre_clebsch
 from gnc_opt.verify.switches import Switches
 from gnc_opt.verify.trajectory_fit import Samples, fit
+from gnc_opt.verify.verdict import Verdict
 from tests.unit import by_hand
 
 Array = NDArray[np.float64]
@@ -461,3 +465,117 @@ def test_arcs_on_a_limit_are_held_throughout() -> None:
     _close_arcs(lines, values, pushed, held, doubtful)
     np.testing.assert_array_equal(held, [True, True, False, False, False, False, True, False])
     np.testing.assert_array_equal(doubtful, [False, False, True, False, True, True, False, False])
+
+
+def test_metric_of_variations_is_an_integral() -> None:
+    """Along the phase weights add up to 1, inner boundaries together count once more, ends and parameters alone."""
+    mesh = go.Mesh((0.0, 0.25, 0.5, 1.0), (3, 4, 2))
+    transcription = transcribe(free_cart(), {"leg": mesh}, "LG")
+    weights = _metric(transcription)
+    (part,) = transcription.parts.values()
+    collocation = part.collocation
+    for places in (collocation.point_states, collocation.point_controls):
+        np.testing.assert_allclose(np.sum(weights[places], axis=1), 1.0)
+    np.testing.assert_allclose(weights[collocation.boundary_states], [[1.0, 1 / 3, 1 / 3, 1.0]] * 2)
+    np.testing.assert_allclose(weights[transcription.parameter_places], 1.0)
+
+
+# --- means, kinds and what is missing -----------------------------------------------------------------------
+
+
+def test_what_is_brief_counts_by_its_mean() -> None:
+    """Over a hundredth of 2 s: a step of 1 at 0.5 s is a ramp of that width, and what is constant stays so."""
+    s = arc(plain(np.zeros((2, 2))))
+    step = (s.segments == 1).astype(float)
+    means = _lasting(s, np.array([step, 3.0 + 0 * step]))
+    expected = np.clip((s.times - 0.5) / 0.02 + 0.5, 0.0, 1.0)
+    np.testing.assert_allclose(means[0], expected, atol=1e-9)
+    np.testing.assert_allclose(means[1], 3.0)
+
+
+def test_what_multipliers_push_beside_a_boundary() -> None:
+    """Densities 2 before and 3 after it, over half a hundredth of 2 s; of two signs the larger one."""
+    s = arc(plain(np.zeros((2, 2))), degree=4)
+    before = np.repeat([True, False], 4)
+    found = pushed_beside(s, np.array([np.where(before, 2.0, 3.0), np.where(before, -5.0, 4.0)]))
+    np.testing.assert_allclose(found, [[0.03], [-0.05]])
+    short = arc(plain(np.zeros((2, 2))), degree=4, breaks=(0.0, 0.004, 2.0))
+    np.testing.assert_allclose(pushed_beside(short, np.where(before, 5.0, 1.0)[None]), [[0.02]])
+
+
+def test_steps_of_free_parameters() -> None:
+    """A tenth of a range, or the size, or 1."""
+    problem = plain(np.zeros((2, 2)))
+    for name, limits in (("a", (-1.0, 3.0)), ("b", (0.0, None)), ("c", (None, None)), ("d", (2.0, 2.0))):
+        problem.parameter(name, lower=limits[0], upper=limits[1])
+    solution = by_hand.solution(problem, parameter_values=np.array([0.5, -7.0, 0.0, 2.0]))
+    np.testing.assert_allclose(parameter_scale(solution), [0.4, 7.0, 1.0, 2.0])
+
+
+def test_kept_verdicts_belong_to_a_solution_its_numbers_and_a_tolerance() -> None:
+    problem = plain(np.zeros((2, 2)))
+    solution = by_hand.solution(problem, arc(problem).leg)
+    first, second = Verdict("first", ()), Verdict("second", ())
+    assert kept_verdict(solution, 1e-5) is None
+    keep_verdict(solution, first, 1e-5)
+    keep_verdict(solution, second, 1e-8)
+    assert kept_verdict(solution, 1e-5) is first and kept_verdict(solution, 1e-8) is second
+    assert kept_verdict(solution, 1e-6) is None and kept_verdict(replace(solution), 1e-5) is None
+    solution.phase().lam_start[0, 0] += 1.0
+    assert kept_verdict(solution, 1e-5) is None
+    keep_verdict(solution, first, 1e-6)
+    assert kept_verdict(solution, 1e-6) is first and kept_verdict(solution, 1e-8) is None
+
+
+@pytest.mark.parametrize(
+    ("costates", "weight", "amount", "told"),
+    [
+        (1e-9, 0.0, 1.0, True),
+        (0.0, 0.0, 1.0, False),
+        (0.0, 0.0, 3e5, True),
+        (0.0, 2.0, 1.0, True),
+        (np.nan, 2.0, 1.0, False),
+    ],
+)
+def test_costates_may_vanish_where_nothing_of_the_cost_is_at_the_ends(
+    costates: float, weight: float, amount: float, told: bool
+) -> None:
+    """The cost changes by the final x_0, which moves by 2: nothing beside 3e5, where a ten-thousandth does."""
+    problem = plain(np.zeros((2, 2)))
+    base = arc(problem)
+    leg = by_hand.phase(
+        problem,
+        lambda t, k: np.array([1 + t, 2 - t**2]),
+        lambda t, k: np.array([t]),
+        lambda t, k: np.array([costates + 0 * t, 0 * t]),
+        breaks=(0.0, 0.5, 2.0),
+    )
+    ends = ends_of(by_hand.solution(problem, base.leg))
+    s = PhaseSamples.of(replace(leg, integral_weights=np.array([weight])), base.functions)
+    assert has_costates([s], ends, amount) is told
+
+
+def test_hamiltonian_at_free_times_and_the_multiplier_of_the_duration() -> None:
+    """H at free ends against the cost's slopes by the times, with the duration's multiplier, which has a sign."""
+    problem = plain(np.zeros((2, 2)))
+    base = arc(problem)
+    ends = ends_of(by_hand.solution(problem, base.leg))
+    free = by_hand.interval(-9.0, 9.0)
+    for limits, multiplier, counts in (
+        ((0.1, 2.0), 0.3, True),
+        ((2.0, 9.0), 0.3, False),
+        ((2.0, 9.0), -0.3, True),
+    ):
+        leg = replace(
+            base.leg, initial_time_bounds=free, final_time_bounds=free,
+            duration_bounds=by_hand.interval(*limits), duration_multiplier=multiplier,
+        )  # fmt: skip
+        s = PhaseSamples.of(leg, base.functions)
+        # H = lambda_1 u = (1 + 2 t) t: 0 at the start, 10 at the end; the cost does not depend on the times.
+        np.testing.assert_allclose(s.hamiltonian[[0, -1]], [0.0, 10.0], atol=1e-9)
+        offence = 10.0 + (multiplier if counts else 0.0)
+        worst = _time_transversality(s, ends)
+        assert (
+            worst.value == pytest.approx(offence / s.hamiltonian_scale)
+            and worst.where == "phase leg, H at its end"
+        )
