@@ -151,9 +151,10 @@ def test_what_does_not_fit_is_refused_in_a_sentence(make: Callable[[], go.Model]
     assert "\n" not in str(refusal.value)
 
 
-def test_operations_that_have_no_expression_are_refused() -> None:
-    x, u = ca.MX.sym("x"), ca.MX.sym("u")
-    z = ca.MX.sym("z")
+def test_a_root_inside_is_kept_with_its_derivative() -> None:
+    """dz/dx of z^3 + z = x is 1 / (3 z^2 + 1)."""
+    x, u, z = ca.MX.sym("x"), ca.MX.sym("u"), ca.MX.sym("z")
     root = ca.rootfinder("root", "newton", {"x": z, "p": x, "g": z**3 + z - x})
-    with pytest.raises(go.ModelError, match="without an expression in SX"):
-        go.Model.from_casadi("m", x, u, u - root(0.0, x))
+    model = go.Model.from_casadi("m", x, u, u - root(0.0, x))
+    np.testing.assert_allclose(model.f(0.0, [10.0], [5.0]), [3.0], rtol=1e-12)
+    np.testing.assert_allclose(model.linearize(0.0, [10.0], [5.0])[0], [[-1 / 13]], rtol=1e-9)
