@@ -131,6 +131,14 @@ class PhaseFunctions:
             coupled[self.functions[name].jac_sparsity(0, 2).get_col()] = True
         return ~coupled
 
+    @property
+    def mixed_paths(self) -> Mask:
+        """Path constraints in which a control occurs, whether or not its derivative vanishes somewhere (n_paths,)."""
+        paths = self.functions["paths"]
+        mixed = np.zeros(paths.size1_out(0), dtype=bool)
+        mixed[paths.jac_sparsity(0, 2).row()] = True
+        return mixed
+
     def state_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """df/dx, shape (n_states, n_states, ...)."""
         flat = self._call("state_jacobian", t, x, u)

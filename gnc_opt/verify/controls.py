@@ -170,9 +170,9 @@ def _admissible(s: PhaseSamples, times: Array, x: Array, u: Array) -> Mask:
     if not s.leg.path_labels:
         return np.ones(times.size, dtype=bool)
     values = s.functions.paths(times, x, u)
-    mixed = np.any(s.functions.path_control_jacobian(times, x, u) != 0, axis=(1, 2))
-    inside = (values >= bounds.lower[:, None] - AT_LIMIT) & (values <= bounds.upper[:, None] + AT_LIMIT)
-    return np.asarray(np.all(inside | ~mixed[:, None], axis=0))
+    slack = (AT_LIMIT * s.path_scale)[:, None]
+    inside = (values >= bounds.lower[:, None] - slack) & (values <= bounds.upper[:, None] + slack)
+    return np.asarray(np.all(inside | ~s.functions.mixed_paths[:, None], axis=0))
 
 
 def legendre_clebsch(samples: list[PhaseSamples], tolerance: float) -> Condition:

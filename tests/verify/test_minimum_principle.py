@@ -59,6 +59,25 @@ def test_what_other_controls_gain(n: int, integrand: Any, paths: Any, gain: floa
     assert condition.result is (go.Result.FAIL if gain else go.Result.PASS)
 
 
+def test_controls_that_a_limit_forbids_are_no_choice_where_its_gradient_vanishes() -> None:
+    """|a| >= 1 written as a^2 >= 1: a = 0 would cost less, and is as forbidden as any a in between."""
+    model = go.Model("integrator")
+    q, a = model.state("q"), model.control("a")
+    model.ode({q: a})
+    problem = go.Problem("annulus")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0)
+    leg.bounds(a=(-3.0, 3.0))
+    leg.path("annulus", a**2, lower=1.0)
+    problem.minimize(0.5 * leg.integral(a**2) + 0.3 * leg.final_state("q"))
+    right = go.solve(problem.with_guess(a=-1.2), mesh="2x4")
+    assert right.objective == pytest.approx(0.2, abs=1e-7)
+    assert go.verify(right)["minimum principle"].result is go.Result.PASS
+    other = go.solve(problem.with_guess(a=1.2), mesh="2x4")  # 0.8: the far side of the ring
+    assert go.verify(other)["minimum principle"].result is go.Result.FAIL
+
+
 def test_which_controls_are_separable() -> None:
     """Affine, apart from the others and in no path constraint."""
     solution = idle(
