@@ -67,7 +67,7 @@ def derivative_in(
 
     Parameters
     ----------
-    f : casadi.Function, or casadi.SX or casadi.MX (size, 1)
+    f : casadi.Function, or casadi.SX or casadi.MX (size, 1), or a list of their rows
         A function of some of t, x, u, p (by the names of its inputs), or an expression.
     arguments : mapping
         The new SX symbols (n, 1) of t, x, u and p.
@@ -102,7 +102,8 @@ def _function(expression: Any, symbols: Mapping[str, list[Any]], what: str) -> A
     names = [name for name, stack in symbols.items() if stack]
     try:
         inputs = [ca.vertcat(*symbols[name]) for name in names]
-        function = ca.Function("f", inputs, [expression], names, ["dx_dt"], {"allow_free": True})
+        column = ca.vertcat(*expression) if isinstance(expression, (list, tuple)) else expression
+        function = ca.Function("f", inputs, [column], names, ["dx_dt"], {"allow_free": True})
     except (NotImplementedError, RuntimeError) as error:
         raise ModelError(
             f"{what} is {shown(expression)} or mixes SX and MX: give an expression in symbols of one kind, each once."
@@ -118,7 +119,7 @@ def _check_inputs(function: Any, arguments: Mapping[str, Any], what: str) -> Non
         if name not in arguments:
             raise ModelError(f"{what} has the input '{name}': name its inputs among {', '.join(arguments)}.")
         wanted = (arguments[name].shape[0], 1)
-        if tuple(function.size_in(i)) != wanted and 0 not in (wanted[0], function.size1_in(i)):
+        if tuple(function.size_in(i)) != wanted and (wanted[0] or function.numel_in(i)):
             raise ModelError(
                 f"{what} takes {name} of shape {tuple(function.size_in(i))}: the variables make {wanted}."
             )

@@ -87,7 +87,7 @@ class Model(Strict):
         x, u, p : symbols
             Of states, controls and parameters: a column of SX or MX symbols, a sequence of columns, or a mapping
             from names to columns or, if ``f`` is a Function, to sizes. Without a mapping symbols keep their names.
-        f : casadi.SX, casadi.MX or casadi.Function
+        f : casadi.SX, casadi.MX, list of these or casadi.Function
             dx/dt (n_states, 1), or a function that returns it; its inputs are those it needs of t, x, u, p, by name.
         t : casadi symbol, optional
             Time in the expression ``f``, s.

@@ -64,6 +64,14 @@ def test_a_function_names_what_it_needs() -> None:
     np.testing.assert_array_equal(model.f(0.0, [5.0, 2.0], 3.0), [2.0, 3.0])
 
 
+def test_rows_and_empty_inputs() -> None:
+    x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
+    without_p = ca.Function("f", [x, u, ca.SX()], [ca.vertcat(x[1], u)], ["x", "u", "p"], ["rate"])
+    for f in ([x[1], u], without_p):
+        model = go.Model.from_casadi("cart", x, u, f)
+        np.testing.assert_array_equal(model.f(0.0, [5.0, 2.0], 3.0), [2.0, 3.0])
+
+
 def test_there_and_back() -> None:
     model = go.Model("m")
     r, v = model.state("r", 2, unit="m"), model.state("v", 2)
@@ -142,6 +150,7 @@ def function(names: list[str], sizes: list[int], outputs: int = 1) -> Any:
             "has the input 'w': name its inputs among t, x, u, p",
         ),
         (wrong(**SIZES, f=function(["x", "u"], [3, 1])), r"takes x of shape \(3, 1\)"),
+        (wrong(**SIZES, f=function(["x", "u"], [2, 0])), r"takes u of shape \(0, 1\)"),
         (wrong(**SIZES, f=function(["x", "u"], [2, 1], 2)), "returns o0, o1"),
     ],
 )
