@@ -29,7 +29,7 @@ ROWS = {row.quantity: row for rows in (table_rows, course_rows, switching_rows, 
 
 @pytest.mark.parametrize("quantity", ROWS)
 def test_number_of_the_publication(quantity: str) -> None:
-    assert ROWS[quantity].passes is not False, ROWS[quantity]
+    assert ROWS[quantity].passes, ROWS[quantity]
 
 
 def test_the_circle_is_a_free_motion_of_hills_equations() -> None:
