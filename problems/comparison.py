@@ -33,13 +33,14 @@ class Claim:
     text : str
         Numbers or words.
     agrees : bool
-    difference : str
-        Of ours from it, where it is largest; empty for words.
+    difference, allowed : str
+        Of ours from it, where it is largest by what is allowed; empty for words.
     """
 
     text: str
     agrees: bool
     difference: str = ""
+    allowed: str = ""
 
 
 @dataclass(frozen=True)
@@ -162,8 +163,10 @@ def _judge(text: str, claimed: ArrayLike, ours: ArrayLike, relative: float, abso
     )  # 0 if both are infinite
     far = np.nan_to_num(np.abs(off) / np.maximum(slack, 1e-300), nan=np.inf)
     worst = int(np.argmax(far))
-    difference = f"{100 * off[worst] / size[worst]:+.3g} %" if size[worst] else f"{off[worst]:+.1e}"
-    return Claim(text, bool(np.all(np.abs(off) <= slack)), difference)
+    unit = size[worst] / 100 if size[worst] else 1.0
+    sign = " %" if size[worst] else ""
+    told = (f"{off[worst] / unit:+.3g}{sign}", f"{slack[worst] / unit:.2g}{sign}")
+    return Claim(text, bool(np.all(np.abs(off) <= slack)), *told)
 
 
 def _array(values: ArrayLike) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -241,7 +244,8 @@ def show(console: Console, rows: Sequence[Row], title: str) -> None:
 def _cells(claim: Claim | None, otherwise: str) -> tuple[str, str]:
     if claim is None:
         return "", ""
-    return claim.text, f"{'agrees' if claim.agrees else otherwise} {claim.difference}".rstrip()
+    size = f" {claim.difference} (allowed {claim.allowed})" if claim.difference else ""
+    return claim.text, f"{'agrees' if claim.agrees else otherwise}{size}"
 
 
 def count(rows: Sequence[Row]) -> str:

@@ -125,7 +125,12 @@ def test_table_shows_two_marks_and_what_contradicts_them() -> None:
     with console.capture() as shown:
         show(console, [RIGHT, remark("b", 2.0, published="1.0"), remark("c", 1.0, reason=WHY)], "title")
     _, _, right, unexplained, needless, _ = shown.get().splitlines()
-    assert "172.7" in right and "differs -57.8 %" in right and "agrees -0.0274 %" in right and WHY in right
+    assert (
+        "172.7" in right
+        and "differs -57.8 % (allowed 0.058 %)" in right
+        and "agrees -0.0274 % (allowed 1 %)" in right
+        and WHY in right
+    )
     assert "NO REASON" in unexplained
     assert "NO DIFFERENCE" in needless
 
@@ -143,4 +148,9 @@ def test_main_writes_the_rows_and_fails_with_one_of_them(tmp_path: Path) -> None
     assert told["independent"] == {"compared": 2, "agree": 1}
     assert told["failed"] == ["b"]
     assert [row["ours"] for row in told["rows"]] == [[72.85], [None]]
-    assert told["rows"][0]["published"] == {"text": "172.7", "agrees": False, "difference": "-57.8 %"}
+    assert told["rows"][0]["published"] == {
+        "text": "172.7",
+        "agrees": False,
+        "difference": "-57.8 %",
+        "allowed": "0.058 %",
+    }

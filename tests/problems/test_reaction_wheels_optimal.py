@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import shutil
 import subprocess
@@ -9,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scipy.integrate import simpson, solve_bvp
+from scipy.integrate import simpson, solve_bvp, solve_ivp
 
 import gnc_opt as go
 from gnc_opt.control.deviation import Deviation
@@ -17,6 +18,7 @@ from gnc_opt.spacecraft import quaternion_angle
 from problems import reaction_wheels
 from problems.comparison import compare
 from problems.reaction_wheels import (
+    AXES,
     DESIGN_SPEED,
     INERTIA,
     INVERSE,
@@ -113,6 +115,32 @@ def test_optimal_slews_obey_the_minimum_principle_and_the_limits(name: str) -> N
     np.testing.assert_allclose(solution.state("omega")(end), 0.0, atol=1e-12)
     if name.startswith("energy"):
         np.testing.assert_allclose(solution.state("h")(end), 0.0, atol=1e-12)
+
+
+def test_least_time_ends_at_rest_when_its_switches_are_flown_with_the_published_torque() -> None:
+    """Euler's equations in numbers: a torque that is 0.01 % off, or switches that are late, miss the target."""
+    target, leg = target_quaternion(5), optimal_slew("time, small").phase()
+    moments = np.array(INERTIA)
+    first = 2 * 0.0316 * moments * target[1:]  # the published law's first torque on the body: 2 K1 J q
+    limit = float(np.max(np.abs(INVERSE @ first)))
+    ends = np.concatenate([[0.0], [t for t in leg.breaks if 0 < t < leg.final_time], [leg.final_time]])
+
+    def flown(limit: float) -> np.ndarray:
+        y = np.concatenate([REST[:4], np.zeros(3), REST[7:]])
+        for a, b in itertools.pairwise(ends):
+            wheels = limit * np.sign(leg.flown_control("T")((a + b) / 2))
+
+            def rates(_: float, y: np.ndarray, wheels: np.ndarray = wheels) -> np.ndarray:
+                q, w, h = y[:4], y[4:7], y[7:]
+                turn = 0.5 * np.concatenate([[-q[1:] @ w], q[0] * w + np.cross(q[1:], w)])
+                momentum = moments * w + AXES @ h
+                return np.concatenate([turn, (AXES @ wheels - np.cross(w, momentum)) / moments, -wheels])
+
+            y = solve_ivp(rates, (a, b), y, rtol=1e-11, atol=1e-13).y[:, -1]
+        return np.concatenate([y[1:4] - target[1:], y[4:7]])
+
+    assert np.max(np.abs(flown(limit))) < 1e-7
+    assert np.max(np.abs(flown(1.0001 * limit))) > 1e-6
 
 
 def test_least_time_beats_the_best_turn_about_one_axis() -> None:
