@@ -1,4 +1,4 @@
-"""The command line: ``gnc-opt solve FILE``, ``gnc-opt multistart FILE`` and ``gnc-opt check FILE``."""
+"""The command line: ``gnc-opt new NAME``, and ``gnc-opt solve``, ``gnc-opt multistart`` and ``gnc-opt check FILE``."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from gnc_opt.errors import GncOptError, ProblemWarning
 from gnc_opt.problem_file import ProblemFile, load_problem_file, parse_setting
+from gnc_opt.templates import KINDS, write_template
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 
 REFINE_TOLERANCE = 1e-8
-"""Of --structure without --tol."""
+"""What --tol is where it is not given: an answer is refined until it can be judged."""
 
 
 class ExitCode(IntEnum):
@@ -85,8 +86,8 @@ def _solve(args: argparse.Namespace) -> ExitCode:
             problem,
             mesh=args.mesh or file.mesh,
             scheme=args.scheme,
-            tol=args.tol or (None if args.structure is None else REFINE_TOLERANCE),
-            structure=args.structure or "auto",
+            tol=args.tol,
+            structure=args.structure,
             options=_solver_options(args),
             progress=not args.quiet,
             throw=False,
@@ -110,8 +111,8 @@ def _multistart(args: argparse.Namespace) -> ExitCode:
             n=args.n,
             seed=args.seed,
             mesh=args.mesh or file.mesh,
-            tol=args.tol or REFINE_TOLERANCE,
-            structure=args.structure or "auto",
+            tol=args.tol,
+            structure=args.structure,
             refine=not args.no_refine,
             executor="serial" if args.serial else None,
             progress=not args.quiet,
@@ -136,6 +137,13 @@ def _check(args: argparse.Namespace) -> ExitCode:
         file, problem = _build(args)
         problem.check()
     _say(_console(args), _description(file, problem))
+    return ExitCode.OK
+
+
+def _new(args: argparse.Namespace) -> ExitCode:
+    path = write_template(args.name, args.kind)
+    command = shlex.join(["gnc-opt", "solve", str(path), "--tol", "1e-8", "--report", "report"])
+    print(f"written: {path}\nsolve it with: {command}")
     return ExitCode.OK
 
 
@@ -282,12 +290,30 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"gnc-opt {package_version('gnc_opt')}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+    _add_new(commands)
     _add_solve(commands)
     _add_multistart(commands)
     check = commands.add_parser("check", help="look for mistakes in a problem without solving it")
     _add_common(check)
     check.set_defaults(run=_check)
     return parser
+
+
+def _add_new(commands: Any) -> None:
+    command = commands.add_parser("new", help="write a problem file to start from")
+    add = command.add_argument
+    add("name", metavar="NAME", help="of the file; .py is added, and what exists is never overwritten")
+    add("--kind", choices=KINDS, default=KINDS[0], help="what it states, default %(default)s")
+    add("--debug", action="store_true", help="show the traceback of an error")
+    command.set_defaults(run=_new)
+
+
+def _tolerance(text: str) -> float | None:
+    """Read a tolerance, or none."""
+    try:
+        return None if text == "none" else float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is neither a number nor none") from None
 
 
 def _add_solve(commands: Any) -> None:
@@ -303,11 +329,18 @@ def _add_solve(commands: Any) -> None:
     add = command.add_argument
     add("--mesh", metavar="KxN", help="K equal segments of N points; default: MESH of the file")
     add("--scheme", type=str.upper, choices=SCHEMES, default=GAUSS, help="collocation points")
-    add("--tol", type=float, metavar="TOL", help="refine until the error between the nodes is below this")
+    add(
+        "--tol",
+        type=_tolerance,
+        default=REFINE_TOLERANCE,
+        metavar="TOL|none",
+        help="refine until the error between the nodes is below this (default 1e-8); none: leave it at the mesh",
+    )
     add(
         "--structure",
         choices=("auto", "bang-bang", "none"),
-        help="how to refine: exact switch times, hp, or whichever suits (auto, the default with --tol)",
+        default="auto",
+        help="how to refine: exact switch times, hp, or whichever suits (auto, the default)",
     )
     add("--solver-tol", type=float, metavar="TOL", help="tolerance of the NLP solver")
     add("--json", metavar="OUT", help="write the summary as JSON to a file, '-' for standard output")
@@ -324,8 +357,14 @@ def _add_multistart(commands: Any) -> None:
     add("--n", type=int, default=40, help="number of starts, the file's own guess included")
     add("--seed", type=int, default=0, help="of the random guesses")
     add("--mesh", metavar="KxN", help="coarse mesh, K equal segments of N points; default: MESH of the file")
-    add("--tol", type=float, metavar="TOL", help="refine the minima until the error is below this")
-    add("--structure", choices=("auto", "bang-bang", "none"), help="how to refine the minima")
+    add(
+        "--tol",
+        type=float,
+        default=REFINE_TOLERANCE,
+        metavar="TOL",
+        help="refine the minima until the error is below this (default 1e-8)",
+    )
+    add("--structure", choices=("auto", "bang-bang", "none"), default="auto", help="how to refine the minima")
     add("--no-refine", action="store_true", help="leave the minima on the coarse mesh, unjudged")
     add("--serial", action="store_true", help="use this process only")
     add("--json", metavar="OUT", help="write the minima as JSON to a file, '-' for standard output")

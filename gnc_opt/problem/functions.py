@@ -131,11 +131,24 @@ class PhaseFunctions:
             coupled[self.functions[name].jac_sparsity(0, 2).get_col()] = True
         return ~coupled
 
+    @property
+    def mixed_paths(self) -> Mask:
+        """Path constraints in which a control occurs, whether or not its derivative vanishes somewhere (n_paths,)."""
+        paths = self.functions["paths"]
+        mixed = np.zeros(paths.size1_out(0), dtype=bool)
+        mixed[paths.jac_sparsity(0, 2).row()] = True
+        return mixed
+
     def state_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """df/dx, shape (n_states, n_states, ...)."""
         flat = self._call("state_jacobian", t, x, u)
         n = np.shape(x)[0]
         return flat.reshape(n, n, *flat.shape[1:])
+
+    def input_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+        """df/du, shape (n_states, n_controls, ...)."""
+        flat = self._call("input_jacobian", t, x, u)
+        return flat.reshape(np.shape(x)[0], np.shape(u)[0], *flat.shape[1:])
 
     def path_control_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """dc/du, shape (n_paths, n_controls, ...)."""
@@ -197,6 +210,7 @@ def _build_phase_functions(problem: Problem, leg: Phase) -> dict[str, Any]:
         "parameter_gradient": ca.gradient(augmented, q),
         "control_hessian": ca.vec(ca.hessian(augmented, u)[0].T),
         "state_jacobian": ca.vec(ca.jacobian(f, x).T),
+        "input_jacobian": ca.vec(ca.jacobian(f, u).T),
         "path_control_jacobian": ca.vec(ca.jacobian(c, u).T),
         "path_state_jacobian": ca.vec(ca.jacobian(c, x).T),
     }

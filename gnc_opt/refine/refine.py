@@ -138,7 +138,9 @@ class _Attempt:
 
     @property
     def error(self) -> float:
-        return self.history.final.error
+        """Of its solution; infinite if no pass had one."""
+        final = self.history.final
+        return final.error if final.solved else math.inf
 
     @property
     def stopped(self) -> bool:
@@ -283,8 +285,11 @@ def _result(given: Solution, attempts: Sequence[_Attempt], tol: float, begin: fl
     solution, history = attempts[chosen].solution, attempts[chosen].history
     verdict = None if attempts[-1].stopped else verify(solution)
     status = RefinementStatus.INTERRUPTED if verdict is None else history.status
-    if history.converged and verdict is not None and not verdict.ok:
-        status = RefinementStatus.VERDICT_FAILS
+    if history.converged and verdict is not None:
+        if not verdict.ok:
+            status = RefinementStatus.VERDICT_FAILS
+        elif history.final.error > tol:  # a structure that stands, and cannot be resolved any better
+            status = RefinementStatus.STALLED
     told = replace(
         history,
         status=status,
@@ -304,7 +309,7 @@ def _message(status: RefinementStatus, history: History, verdict: Verdict | None
     text = f"{status.value}: error {history.final.error:.1e} (wanted {tol:.1e})"
     if status is RefinementStatus.CONVERGED:
         return f"{text}, verdict ok"
-    if not history.converged:
+    if not history.converged or history.final.error > tol:
         text += f" at {history.final.where}"
     left = () if verdict is None else verdict.open
     if left:

@@ -41,8 +41,14 @@ _PARTS, _ROUNDS = 16, 6
 def bound_offences(found: Violations, bounds: Interval, scale: Array) -> Array:
     """Return how far states or controls of given sizes (n,) are beyond their bounds, as shares (m,)."""
     rows = found.limits.rows
-    width = ((bounds.upper - bounds.lower) / scale)[rows]
-    return _shares(found.excess / scale[rows], np.where(width > PINNED, width, np.inf))
+    here = Interval(bounds.lower[rows], bounds.upper[rows])
+    return shares(found.excess / scale[rows], here, scale[rows])
+
+
+def shares(depth: Array, bounds: Interval, scale: Array) -> Array:
+    """Return depths (n,) beyond limits on quantities of given sizes in shares of these, or of the limits' width."""
+    width = (bounds.upper - bounds.lower) / scale
+    return _shares(depth, np.where(width > PINNED, width, np.inf))
 
 
 def path_offences(found: Violations, samples: PhaseSamples) -> Array:

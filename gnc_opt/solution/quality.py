@@ -10,7 +10,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.solution.distance import bound_offences, path_offences
 from gnc_opt.solution.limits import Limits, violations
-from gnc_opt.solution.propagation import propagate, state_magnitudes
+from gnc_opt.solution.propagation import propagate
 from gnc_opt.solution.samples import PhaseSamples
 
 
@@ -21,14 +21,14 @@ class Quality:
     Attributes
     ----------
     max_defect : float
-        Largest integral over a segment of |dx/dt - f(t, x, u)|, jump to the next segment included, relative to the
-        state's magnitude.
+        Largest integral over a segment of |dx/dt - f(t, x, u)|, jump to the next segment included, in shares of what
+        the state moves.
     max_bound_violation : float
         Farthest that states and controls are beyond a bound or path constraint, at nodes and between, as a share of
         the flight's size or of the limit's own width (docs/conventions.md, "How far beyond a limit").
     terminal_error : float
-        Largest miss at the end of a phase when the flown control is integrated from its initial state,
-        relative to max(1, the state's magnitude).
+        Largest miss at the end of a phase when the flown control is integrated from its initial state, in shares of
+        what the controls move the state.
     defect_where, bound_where, terminal_where : str
         Places of the three.
     """
@@ -111,7 +111,7 @@ def worst_terminal_error(samples: PhaseSamples) -> Worst:
     """Return the worst final miss of the flown control."""
     leg = samples.leg
     run = propagate(leg, samples.functions)
-    misses = np.abs(run.error) / np.maximum(1.0, state_magnitudes(leg))
+    misses = np.abs(run.error) / samples.end_scale
     i = int(np.argmax(misses))
     unit = leg.states.units[i]
     miss = f"{leg.states.labels[i]} misses by {abs(run.error[i]):.3g}{f' {unit}' if unit else ''}"

@@ -11,7 +11,7 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import PiecewisePolynomial
-from gnc_opt.solution.propagation import state_magnitudes
+from gnc_opt.solution.spans import RESOLUTION, STILL, control_spans, end_spans, shared, state_spans
 from gnc_opt.tolerances import AT_LIMIT, SHORTEST, magnitude
 from gnc_opt.transcription.quadrature import CollocationRule, gauss_rule
 
@@ -20,6 +20,9 @@ EXTRA = 9
 
 NEGLIGIBLE = 1e-4
 """Costates worth less than this share of what the cost amounts to are rounding: they must not set the scale."""
+
+MINOR = 1e-2
+"""Controls that are worth less than this share of what all are worth together are measured by that share."""
 
 
 @dataclass(frozen=True)
@@ -157,8 +160,56 @@ class PhaseSamples:
 
     @cached_property
     def state_scale(self) -> Array:
-        """Magnitude of each state along the phase (n,)."""
-        return state_magnitudes(self.leg)
+        """How far each state moves along the phase (n,); see module `spans`."""
+        return state_spans(self.leg, self.functions, lasting=self.has_length)
+
+    @cached_property
+    def end_scale(self) -> Array:
+        """What misses of the final state are measured against (n,): what controls move, at most the span."""
+        return end_spans(self.leg, self.functions, self.state_scale, self.control_scale)
+
+    @cached_property
+    def control_span(self) -> Array:
+        """How far each control is moved, by itself or by the costates (m,); see module `spans`."""
+        terms = np.abs(self.switching - self.cost_slope)
+        return control_spans(self.leg, self.u, terms, np.einsum("iij->ij", self.control_hessian))
+
+    @cached_property
+    def switching(self) -> Array:
+        """dH/du without path multipliers along the flown control (m, n_samples)."""
+        return self.functions.switching(self.times, self.x, self.u, self.lam)
+
+    @cached_property
+    def cost_slope(self) -> Array:
+        """The part of dH/du that the integrands contribute, (m, n_samples)."""
+        return self.functions.switching(self.times, self.x, self.u, np.zeros_like(self.lam))
+
+    @cached_property
+    def _single_worths(self) -> Array:
+        amplitude = 0.5 * self.control_span[:, None]
+        slopes = np.maximum(np.abs(self.cost_slope), np.abs(self.switching - self.cost_slope))
+        bends = 0.5 * np.sum(np.abs(self.control_hessian) * amplitude, axis=1)
+        worth = np.fmax(slopes, bends) * amplitude
+        return np.asarray(np.max(np.where(np.isfinite(worth), worth, 0.0), axis=1, initial=0.0))
+
+    @property
+    def joint_worth(self) -> float:
+        """What half the spans of all controls are worth in H at most along the phase, cost per second.
+
+        By the slope of the integrands or of the costates' terms, which cancel at a minimum, or by H's curvature. What
+        is constant, or drifts without the controls, does not count.
+        """
+        return max(float(np.sum(self._single_worths)), self.least_worth)
+
+    @property
+    def control_worth(self) -> Array:
+        """The same of each control, shared by the components of a vector; no less than `MINOR` of the sum (m,)."""
+        return np.maximum(shared(self._single_worths, self.leg.controls), MINOR * self.joint_worth)
+
+    @property
+    def least_worth(self) -> float:
+        """Cost per second below which differences of H are rounding."""
+        return NEGLIGIBLE * self.cost_magnitude / self.span if self.cost_magnitude > 0 else 1e-9
 
     @cached_property
     def control_scale(self) -> Array:
@@ -177,14 +228,25 @@ class PhaseSamples:
 
     @cached_property
     def hamiltonian_scale(self) -> float:
-        """Largest sum of the magnitudes of H's terms along the phase (cost per second)."""
+        """Largest sum of the magnitudes of H's terms along the phase (cost per second).
+
+        Where the duration is given, integrands count by what they are above their least value: a constant means
+        nothing.
+        """
         rates = self.functions.rates(self.times, self.x, self.u)
         terms = np.sum(np.abs(self.lam_polynomial * rates), axis=0)
         integrands = self.functions.integrands(self.times, self.x, self.u)
+        if self.lasts_as_told and integrands.size:
+            integrands = integrands - np.min(integrands, axis=1, keepdims=True)
         terms = terms + np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
-        # Where H vanishes altogether, as on a singular arc of zero cost, rounding must not set the scale.
-        least = NEGLIGIBLE * self.cost_magnitude / self.span if self.cost_magnitude > 0 else 1e-9
-        return max(float(np.max(terms, initial=0.0)), least)
+        return max(float(np.max(terms, initial=0.0)), self.joint_worth, self.least_worth)
+
+    @property
+    def lasts_as_told(self) -> bool:
+        """Whether the phase's initial and final time, or its duration, are given."""
+        leg = self.leg
+        ends = leg.initial_time_bounds.fixed[0] and leg.final_time_bounds.fixed[0]
+        return bool(ends or leg.duration_bounds.fixed[0])
 
     @property
     def span(self) -> float:
@@ -211,12 +273,25 @@ class PhaseSamples:
         return np.flatnonzero(~np.any(jacobian != 0, axis=(1, 2)))
 
     @cached_property
+    def flown_box(self) -> tuple[Array, Array]:
+        """Least and largest states within their spans, so wide that they hold the flight (n,) each."""
+        least, most = np.min(self.x, axis=1), np.max(self.x, axis=1)
+        return np.minimum(least, most - self.state_scale), np.maximum(most, least + self.state_scale)
+
+    @cached_property
     def path_scale(self) -> Array:
-        """Magnitude of each path constraint along the phase and at its limits (n_paths,)."""
-        values, bounds = self.functions.paths(self.times, self.x, self.u), self.leg.path_bounds
-        limits = [np.where(np.isfinite(b), np.abs(b), 0.0) for b in (bounds.lower, bounds.upper)]
-        scale = np.maximum(np.max(np.abs(values), axis=1, initial=0.0), np.maximum(*limits))
-        return magnitude(scale)
+        """How far each path constraint moves along the phase (n_paths,), or the spans of states and controls could."""
+        at = self.times, self.x, self.u
+        values = self.functions.paths(*at)
+        by_state = np.einsum("ijt,j->it", np.abs(self.functions.path_state_jacobian(*at)), self.state_scale)
+        by_control = np.einsum(
+            "ijt,j->it", np.abs(self.functions.path_control_jacobian(*at)), self.control_scale
+        )
+        movable = np.max(by_state + by_control, axis=1, initial=0.0)
+        scale = np.fmax(np.ptp(values, axis=1), STILL * movable)
+        size = np.max(np.abs(values), axis=1, initial=0.0)
+        scale = np.fmax(scale, RESOLUTION * size)
+        return np.where(np.isfinite(scale) & (scale > 0), scale, 1.0)
 
     @cached_property
     def adjoint_residual(self) -> Array:

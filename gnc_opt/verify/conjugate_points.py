@@ -31,9 +31,10 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.evaluation import evaluate
 from gnc_opt.problem.functions import end_function
 from gnc_opt.problem.problem import Problem
+from gnc_opt.solution.propagation import state_magnitudes
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
-from gnc_opt.tolerances import AT_LIMIT, RANK
+from gnc_opt.tolerances import AT_LIMIT, RANK, TINY
 from gnc_opt.verify.verdict import Condition, Result
 
 START, END = 0, 1
@@ -112,9 +113,10 @@ def _end_frame(solution: Solution, s: PhaseSamples, end: int) -> Array:
     held = np.zeros(values.size, dtype=bool)
     for box in (leg.initial_bounds if end == START else leg.final_bounds, leg.state_bounds):
         held |= np.any(box.near(values, AT_LIMIT * s.state_scale), axis=0)
-    kept = np.vstack([np.eye(values.size)[held], rows * s.state_scale])
+    size = state_magnitudes(leg)
+    kept = np.vstack([np.eye(values.size)[held], rows * size])
     free = scipy.linalg.null_space(kept, rcond=RANK) if kept.size else np.eye(values.size)
-    scaled = curvature * s.state_scale[:, None] * s.state_scale / _worth(s)
+    scaled = curvature * size[:, None] * size / _worth(s)
     return np.block(
         [
             [free, np.zeros((values.size, values.size - free.shape[1]))],
@@ -265,11 +267,13 @@ def _matrices(s: PhaseSamples, derivatives: tuple[Any, Any], times: Array) -> Ar
     x, u, lam = leg.x(times), leg.flown(times), leg.lam(times)
     hessian, jacobian = derivatives
     numbers = (s.functions.weights, s.functions.p, s.functions.q)
-    size = np.concatenate([s.state_scale, s.control_scale])
+    # Coordinates, not yardsticks: a state that rests may be varied as any other.
+    states = state_magnitudes(s.leg)
+    size = np.concatenate([states, s.control_scale])
     second = evaluate(hessian, times, x, u, lam, *numbers).reshape(size.size, size.size, -1)
     slope = evaluate(jacobian, times, x, u, lam, *numbers).reshape(n, size.size, -1)
     second = (second * size[:, None, None] * size[None, :, None] / _worth(s)).transpose(2, 0, 1)
-    slope = (slope / s.state_scale[:, None, None] * size[None, :, None]).transpose(2, 0, 1)
+    slope = (slope / states[:, None, None] * size[None, :, None]).transpose(2, 0, 1)
     free = _free(s, u)
     by_u = np.where(free[:, None, :], slope[:, :, n:], 0.0)
     mixed = np.where(free[:, :, None], second[:, n:, :n], 0.0)
@@ -285,7 +289,7 @@ def _matrices(s: PhaseSamples, derivatives: tuple[Any, Any], times: Array) -> Ar
 def _worth(s: PhaseSamples) -> float:
     """What costates are measured by: with H_uu of this over the duration, X and Lambda are of one size."""
     scaled = s.control_hessian * s.control_scale[:, None, None] * s.control_scale[None, :, None]
-    return float(np.median(np.linalg.norm(scaled, axis=(0, 1)))) * s.span
+    return max(float(np.median(np.linalg.norm(scaled, axis=(0, 1)))) * s.span, TINY)
 
 
 def _variations(s: PhaseSamples) -> tuple[Any, Any]:

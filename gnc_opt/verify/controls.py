@@ -14,6 +14,7 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT, RANK, SHORTEST
+from gnc_opt.verify.brief import BRIEF
 from gnc_opt.verify.feasibility import judge
 from gnc_opt.verify.verdict import Condition, Result
 
@@ -34,7 +35,8 @@ def stationarity(samples: list[PhaseSamples], tolerance: float) -> Condition:
     worst = NOTHING
     for s in samples:
         loss, on_bound = _offences(s)
-        worst = worst.or_worse(_worst_control(s, np.where(on_bound, 0.0, np.minimum(loss, _miss(s)))))
+        offence = np.where(on_bound, 0.0, np.minimum(loss / s.control_worth[:, None], _miss(s)))
+        worst = worst.or_worse(_worst_control(s, _lasting(s, offence)))
     return judge(
         "stationarity",
         worst,
@@ -50,11 +52,22 @@ def _miss(s: PhaseSamples) -> Array:
 
     Where H curves strongly, a large slope means only that the minimum is slope / curvature away.
     """
-    slope, curvature = (
-        np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale,
-        _curvature(s),
-    )
+    slope = np.abs(s.control_gradient) * (s.control_span / s.control_worth)[:, None]
+    curvature = _curvature(s)
     return np.divide(slope, curvature, out=np.full_like(slope, np.inf), where=curvature > 0)
+
+
+def _lasting(s: PhaseSamples, offence: Array) -> Array:
+    """Offences (m, n_samples) averaged over `BRIEF` of the phase: a kink between two nodes costs next to nothing."""
+    times, half = s.times, 0.5 * BRIEF * s.span
+    areas = 0.5 * (offence[:, 1:] + offence[:, :-1]) * np.diff(times)
+    total = np.concatenate([np.zeros((offence.shape[0], 1)), np.cumsum(areas, axis=1)], axis=1)
+    middle = np.clip(times, times[0] + half, times[-1] - half)
+    means = [
+        (np.interp(middle + half, times, row) - np.interp(middle - half, times, row)) / (2 * half)
+        for row in total
+    ]
+    return np.asarray(np.reshape(means, offence.shape))
 
 
 def control_signs(samples: list[PhaseSamples], tolerance: float) -> Condition:
@@ -62,7 +75,7 @@ def control_signs(samples: list[PhaseSamples], tolerance: float) -> Condition:
     worst = NOTHING
     for s in samples:
         loss, on_bound = _offences(s)
-        worst = worst.or_worse(_worst_control(s, np.where(on_bound, loss, 0.0)))
+        worst = worst.or_worse(_worst_control(s, np.where(on_bound, loss / s.joint_worth, 0.0)))
     return judge(
         "control signs",
         worst,
@@ -105,7 +118,7 @@ def _largest_gain(s: PhaseSamples) -> Worst:
     elsewhere = base - s.functions.hamiltonian(times, x, _scattered_controls(s, u), lam)
     best = np.fmax(gain[chosen] + best, np.where(np.isfinite(elsewhere), elsewhere, 0.0))
     gain[chosen] = best
-    gain = np.where(np.isnan(s.hamiltonian), np.inf, gain / s.hamiltonian_scale)
+    gain = np.where(np.isnan(s.hamiltonian), np.inf, gain / (s.joint_worth + gain))
     j = int(np.argmax(gain))
     return Worst(float(gain[j]), s.place(j))
 
@@ -157,9 +170,9 @@ def _admissible(s: PhaseSamples, times: Array, x: Array, u: Array) -> Mask:
     if not s.leg.path_labels:
         return np.ones(times.size, dtype=bool)
     values = s.functions.paths(times, x, u)
-    mixed = np.any(s.functions.path_control_jacobian(times, x, u) != 0, axis=(1, 2))
-    inside = (values >= bounds.lower[:, None] - AT_LIMIT) & (values <= bounds.upper[:, None] + AT_LIMIT)
-    return np.asarray(np.all(inside | ~mixed[:, None], axis=0))
+    slack = (AT_LIMIT * s.path_scale)[:, None]
+    inside = (values >= bounds.lower[:, None] - slack) & (values <= bounds.upper[:, None] + slack)
+    return np.asarray(np.all(inside | ~s.functions.mixed_paths[:, None], axis=0))
 
 
 def legendre_clebsch(samples: list[PhaseSamples], tolerance: float) -> Condition:
@@ -180,36 +193,34 @@ def legendre_clebsch(samples: list[PhaseSamples], tolerance: float) -> Condition
 
 
 def _least_curvature(s: PhaseSamples) -> tuple[float, str | None]:
-    scaled = (
-        s.control_hessian
-        * s.control_scale[:, None, None]
-        * s.control_scale[None, :, None]
-        / s.hamiltonian_scale
-    )
+    unit = s.control_span / np.sqrt(s.control_worth)
+    scaled = s.control_hessian * unit[:, None, None] * unit[None, :, None]
     interior = _inside(s)
     least, place = np.inf, None
     for j in range(s.times.size):
-        curvature = _reduced_curvature(s, j, scaled[:, :, j], interior[:, j])
+        curvature = _reduced_curvature(s, j, scaled[:, :, j], unit, interior[:, j])
         if curvature is not None and curvature < least:
             least, place = curvature, s.place(j)
     return float(least), place
 
 
-def _reduced_curvature(s: PhaseSamples, j: int, hessian: Array, interior: Mask) -> float | None:
+def _reduced_curvature(s: PhaseSamples, j: int, hessian: Array, unit: Array, interior: Mask) -> float | None:
     """Least eigenvalue on interior controls, tangent to active mixed path constraints; None if none is free."""
     free = np.flatnonzero(interior)
     if not free.size:
         return None
     reduced = hessian[np.ix_(free, free)]
+    if not np.all(np.isfinite(reduced)):  # a missing number: LAPACK would give up
+        return -np.inf
     if s.leg.path_labels:
         t, x, u = s.times[j], s.x[:, j], s.u[:, j]
         values = s.functions.paths(t, x, u)
         box = s.leg.path_bounds
-        at_lower, at_upper = box.near(values, ACTIVE * np.maximum(1.0, np.abs(values)))
+        at_lower, at_upper = box.near(values, ACTIVE * s.path_scale)
         active = at_lower | at_upper
-        rows = s.functions.path_control_jacobian(t, x, u)[np.ix_(active, free)] * s.control_scale[free]
+        rows = s.functions.path_control_jacobian(t, x, u)[np.ix_(active, free)] * unit[free]
         _, sizes, basis = np.linalg.svd(rows, full_matrices=True)
-        rank = int(np.sum(sizes > RANK * max(1.0, float(np.max(sizes, initial=0.0)))))
+        rank = int(np.sum(sizes > RANK * float(np.max(sizes, initial=0.0))))
         tangent = basis[rank:].T
         if not tangent.shape[1]:
             return None
@@ -225,7 +236,7 @@ def singular_arcs(samples: list[PhaseSamples], tolerance: float) -> Condition:
     )
     total, place = 0.0, "nowhere"
     for s in samples:
-        loss, inside = _offences(s)[0], _inside(s)
+        loss, inside = _offences(s)[0] / s.control_worth[:, None], _inside(s)
         singular = inside & (loss <= tolerance) & (np.abs(_curvature(s)) <= tolerance)
         lengths = np.sum(singular * s.weights, axis=1) / max(s.leg.duration, SHORTEST)
         if lengths.size and lengths.max() > total:
@@ -238,20 +249,20 @@ def singular_arcs(samples: list[PhaseSamples], tolerance: float) -> Condition:
 
 
 def _offences(s: PhaseSamples) -> tuple[Array, Mask]:
-    """First-order loss in H of each control, in shares of H's scale, and whether it sits on a bound."""
-    bounds, scale = s.leg.control_bounds, s.control_scale
+    """First-order loss in H of each control, cost per second, and whether it sits on a bound."""
+    bounds, scale = s.leg.control_bounds, s.control_span
     gradient = s.control_gradient
-    at_lower, at_upper = bounds.near(s.u, AT_LIMIT * scale)
+    at_lower, at_upper = bounds.near(s.u, AT_LIMIT * s.control_scale)
     room_down = np.where(at_lower, 0.0, np.minimum(s.u - bounds.lower[:, None], scale[:, None]))
     room_up = np.where(at_upper, 0.0, np.minimum(bounds.upper[:, None] - s.u, scale[:, None]))
-    loss = np.abs(gradient) * np.where(gradient > 0, room_down, room_up) / s.hamiltonian_scale
+    loss = np.abs(gradient) * np.where(gradient > 0, room_down, room_up)
     return loss, at_lower | at_upper
 
 
 def _curvature(s: PhaseSamples) -> Array:
     """Second derivative of H in each control over its range, in shares of H's scale, (m, n_samples)."""
     return np.asarray(
-        np.einsum("iij->ij", s.control_hessian) * s.control_scale[:, None] ** 2 / s.hamiltonian_scale
+        np.einsum("iij->ij", s.control_hessian) * (s.control_span**2 / s.control_worth)[:, None]
     )
 
 

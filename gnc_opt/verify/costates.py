@@ -23,12 +23,12 @@ from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import EndGradients
 from gnc_opt.problem.interval import Interval
 from gnc_opt.solution.quality import NOTHING, Worst, worst_index
-from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.solution.samples import NEGLIGIBLE, PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT
 from gnc_opt.verify.feasibility import judge
 from gnc_opt.verify.magnitude import parameter_scale
-from gnc_opt.verify.pushes import unexplained_jumps
+from gnc_opt.verify.pushes import pushed_beside, unexplained_jumps
 from gnc_opt.verify.verdict import Condition
 
 
@@ -144,10 +144,20 @@ def hamiltonian(samples: list[PhaseSamples], tolerance: float) -> Condition:
 
 
 def complementarity(
-    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
+    solution: Solution,
+    samples: list[PhaseSamples],
+    ends: EndGradients,
+    amounts: Array,
+    tolerance: float,
 ) -> Condition:
-    """Multipliers push only at limits, and inwards."""
-    worst = _end_multipliers(solution, samples, ends)
+    """Multipliers push only at limits, and inwards.
+
+    Parameters
+    ----------
+    amounts : array (n_constraints,)
+        By how much the flight can change each boundary constraint (module `magnitude`).
+    """
+    worst = _end_multipliers(solution, samples, ends, amounts)
     for s in samples:
         worst = worst.or_worse(_impulses(s))
         leg = s.leg
@@ -170,8 +180,8 @@ def complementarity(
                 leg.control_multipliers,
                 u,
                 leg.control_bounds,
-                s.control_scale,
-                s.hamiltonian_scale,
+                s.control_span,
+                s.joint_worth,
             ),
             (
                 leg.path_labels,
@@ -179,7 +189,7 @@ def complementarity(
                 paths,
                 leg.path_bounds,
                 s.path_scale,
-                s.hamiltonian_scale,
+                _path_worth(s)[:, None],
             ),
         ):
             if labels:
@@ -196,16 +206,24 @@ def complementarity(
     )
 
 
-def _end_multipliers(solution: Solution, samples: list[PhaseSamples], ends: EndGradients) -> Worst:
+def _path_worth(s: PhaseSamples) -> Array:
+    """What multipliers of path constraints are measured against: controls, or states where none enters (n_paths,)."""
+    worth = np.full(len(s.leg.path_labels), s.joint_worth)
+    worth[s.pure_paths] = s.cost_scale / s.span
+    return worth
+
+
+def _end_multipliers(
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, amounts: Array
+) -> Worst:
     """Multipliers of boundary constraints that are not at the limit which could exert them."""
     problem, nu = solution.problem, solution.constraint_multipliers
     assert problem is not None, "verify refuses solutions without a problem"
     if not (nu.size and samples):
         return NOTHING
     box, values = problem.constraint_interval(), ends.constraints
-    scale = np.maximum(1.0, np.abs(values))
     worth = max(s.cost_scale for s in samples)
-    offence = _slack_offence(nu[:, None], values[:, None], box, scale)[:, 0] / worth
+    offence = _slack_offence(nu[:, None], values[:, None], box, amounts)[:, 0] / worth
     i = int(np.argmax(offence))
     return Worst(float(offence[i]), f"multiplier of constraint {solution.constraint_labels[i]}")
 
@@ -215,7 +233,9 @@ def _impulses(s: PhaseSamples) -> Worst:
     leg, breaks = s.leg, s.leg.breaks[1:-1]
     if not breaks.size:
         return NOTHING
-    offence = _slack_offence(leg.state_impulses[:, 1:-1], leg.x(breaks), leg.state_bounds, s.state_scale)
+    impulses, beside = leg.state_impulses[:, 1:-1], pushed_beside(s, leg.state_multipliers)
+    made_up_for = np.clip(impulses, np.minimum(-beside, 0.0), np.maximum(-beside, 0.0))
+    offence = _slack_offence(impulses - made_up_for, leg.x(breaks), leg.state_bounds, s.state_scale)
     offence = offence / s.cost_scale
     i, k = worst_index(offence)
     return Worst(
@@ -231,16 +251,22 @@ def _slack_offence(multipliers: Array, values: Array, box: Interval, scale: Arra
 
 
 def parameters(
-    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, amounts: Array, tolerance: float
 ) -> Condition:
-    """The cost is stationary in the free parameters."""
+    """The cost is stationary in the free parameters.
+
+    Parameters
+    ----------
+    amounts : array (n_free_parameters,)
+        What the cost changes by each, per unit of it (module `magnitude`).
+    """
     problem = solution.problem
     assert problem is not None, "verify refuses solutions without a problem"
     values, box = solution.parameter_values, problem.parameter_interval()
     scale = parameter_scale(solution)
     # The end terms cancel at a minimum, hence what the cost amounts to is the yardstick, not their sum.
     amount = max((s.cost_magnitude for s in samples), default=0.0)
-    gradient, size = ends.parameters.copy(), amount / scale
+    gradient, size = ends.parameters.copy(), np.maximum(amounts, NEGLIGIBLE * amount / scale)
     for s in samples:
         if gradient.size:
             density = s.functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu)

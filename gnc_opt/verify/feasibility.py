@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import EndGradients
 from gnc_opt.problem.interval import Interval
+from gnc_opt.solution.distance import shares
 from gnc_opt.solution.quality import (
     NOTHING,
     Worst,
@@ -19,7 +22,9 @@ from gnc_opt.solution.quality import (
 )
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
-from gnc_opt.tolerances import ROUNDING
+from gnc_opt.solution.spans import RESOLUTION
+from gnc_opt.tolerances import ROUNDING, TINY
+from gnc_opt.verify.magnitude import parameter_scale
 from gnc_opt.verify.verdict import Condition, Result
 
 UNSTABLE = 1e6
@@ -107,10 +112,11 @@ def _growth(samples: PhaseSamples) -> float:
 
 def bounds(solution: Solution, samples: list[PhaseSamples], tolerance: float) -> Condition:
     """States and controls stay within their bounds between the nodes, free parameters within theirs."""
-    problem = solution.problem
-    assert problem is not None, "verify refuses solutions without a problem"
     labels = [f"parameter {label}" for label in solution.free_parameters.labels]
-    worst = _worst_row(solution.parameter_values, problem.parameter_interval(), labels)
+    box = solution.need_problem("verify").parameter_interval()
+    worst = _worst_miss(
+        solution.parameter_values, box, parameter_scale(solution), labels, solution.free_parameters.units
+    )
     for s in samples:
         worst = worst.or_worse(worst_bound_violation(s))
     return judge(
@@ -136,38 +142,49 @@ def paths(samples: list[PhaseSamples], tolerance: float) -> Condition:
     )
 
 
-def boundary(solution: Solution, ends: EndGradients, tolerance: float) -> Condition:
-    """Initial and final values, times and boundary constraints hold."""
+def boundary(
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, amounts: Array, tolerance: float
+) -> Condition:
+    """Initial and final values, times and boundary constraints hold.
+
+    Parameters
+    ----------
+    amounts : array (n_constraints,)
+        By how much the flight can change each boundary constraint (module `magnitude`).
+    """
     worst = NOTHING
-    for name, leg in solution.phases.items():
+    for s in samples:
+        leg, name = s.leg, s.leg.name
         for end, values, interval in (
             ("start", leg.x(leg.breaks[0]), leg.initial_bounds),
             ("end", leg.x(leg.breaks[-1], "left"), leg.final_bounds),
         ):
             labels = [f"phase {name}, {end}, {label}" for label in leg.states.labels]
-            worst = worst.or_worse(_worst_row(values, interval, labels))
+            worst = worst.or_worse(_worst_miss(values, interval, s.end_scale, labels, leg.states.units))
         times = np.array([leg.initial_time, leg.final_time, leg.duration])
         limits = (leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
         interval = Interval(
             np.concatenate([b.lower for b in limits]), np.concatenate([b.upper for b in limits])
         )
+        lasts = np.full(3, s.span if s.has_length else 1.0)
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
-        worst = worst.or_worse(_worst_row(times, interval, labels))
+        worst = worst.or_worse(_worst_miss(times, interval, lasts, labels, ("s",) * 3))
         # The times that the cost and the constraints see must be those at which the trajectory starts and ends.
         slack = _DRAWN + ROUNDING * max(abs(leg.initial_time), abs(leg.final_time))
-        gaps = np.maximum(np.abs(leg.breaks[[0, -1]] - times[:2]) - slack, 0.0) / np.ptp(leg.breaks)
+        gaps = np.maximum(np.abs(leg.breaks[[0, -1]] - times[:2]) - slack, 0.0)
         labels = [f"phase {name}, {end} of the trajectory" for end in ("start", "end")]
-        worst = worst.or_worse(_worst_row(gaps, Interval(np.zeros(2), np.zeros(2)), labels))
-    problem = solution.problem
-    assert problem is not None, "verify refuses solutions without a problem"
+        worst = worst.or_worse(
+            _worst_miss(gaps, Interval(np.zeros(2), np.zeros(2)), lasts[:2], labels, ("s",) * 2)
+        )
+    box = solution.need_problem("verify").constraint_interval()
     labels = [f"constraint {label}" for label in solution.constraint_labels]
-    worst = worst.or_worse(_worst_row(ends.constraints, problem.constraint_interval(), labels))
+    worst = worst.or_worse(_worst_miss(ends.constraints, box, amounts, labels, ("",) * len(labels)))
     return judge(
         "boundary conditions",
         worst,
         tolerance,
         "Initial and final values, times, linkages and boundary constraints must hold, recomputed from the model "
-        "(relative to max(1, value)).",
+        "(misses in shares of what the flight, or if less its controls, move the quantity; at least 1e-7 of its size).",
     )
 
 
@@ -175,8 +192,10 @@ def cost(
     stored: Solution, judged: list[PhaseSamples], ends: EndGradients, told: bool, tolerance: float
 ) -> Condition:
     """The reported cost, its integrals and their weights are those of the trajectory between its nodes."""
-    yardstick = max(1.0, abs(stored.objective))
-    worst = Worst(abs(ends.cost - stored.objective) / yardstick, "objective")
+    amount = max((s.cost_magnitude for s in judged), default=0.0)
+    yardstick = max(amount, RESOLUTION * abs(stored.objective), TINY)
+    place = f"objective = {stored.objective:.10g}, not {ends.cost:.10g}"
+    worst = Worst(abs(ends.cost - stored.objective) / yardstick, place)
     for s in judged:
         leg, kept = s.leg, stored.phases[s.leg.name]
         if not leg.integral_labels:
@@ -195,14 +214,22 @@ def cost(
         worst,
         tolerance,
         "The objective, its integrals and their weights, recomputed from the end points and a finer quadrature along "
-        "the flown control, must agree with those reported (in shares of max(1, objective)).",
+        "the flown control, must agree with those reported (in shares of what the flight can change the cost).",
     )
 
 
-def _worst_row(values: Array, interval: Interval, labels: list[str]) -> Worst:
-    if not labels:
+def _worst_miss(
+    values: Array, interval: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
+) -> Worst:
+    """Return the worst excess beyond limits, in shares of a scale (n,) or of the limits' own width."""
+    if not len(labels):
         return NOTHING
-    excess = np.maximum(interval.lower - values, values - interval.upper) / np.maximum(1.0, np.abs(values))
-    excess = np.where(np.isnan(values), np.inf, np.maximum(excess, 0.0))
-    i = int(np.argmax(excess))
-    return Worst(float(excess[i]), labels[i])
+    excess = np.maximum(interval.lower - values, values - interval.upper)
+    scale = np.maximum(scale, RESOLUTION * np.abs(values))
+    offence = shares(np.maximum(excess, 0.0) / scale, interval, scale)
+    offence = np.where(np.isnan(values), np.inf, offence)
+    i = int(np.argmax(offence))
+    if not offence[i] > 0:
+        return NOTHING
+    unit = f" {units[i]}" if units[i] else ""
+    return Worst(float(offence[i]), f"{labels[i]} off by {excess[i]:.3g}{unit}")

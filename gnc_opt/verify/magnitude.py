@@ -1,56 +1,115 @@
-"""What the cost amounts to: the yardstick where costates vanish."""
+"""What the cost and the boundary constraints amount to: by how much the flight can change them.
+
+The value of a cost says nothing, as constants may be added to it; a change by the flight's own spans does. Where
+costates vanish, as in a problem whose optimal cost is zero or that is not unique, this is the yardstick: offences in
+shares of rounding would compare noise with noise.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import end_function
-from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.solution.samples import MINOR, PhaseSamples
 from gnc_opt.solution.solution import Solution
+from gnc_opt.solution.spans import RESOLUTION
 from gnc_opt.tolerances import magnitude
 
 
-def cost_magnitude(solution: Solution, samples: list[PhaseSamples]) -> float:
-    """Return the largest change of the cost when an end value, time, integral or parameter changes by its magnitude.
+@dataclass(frozen=True)
+class Magnitudes:
+    """Largest changes when an end value, time, integral or parameter changes by its span.
 
-    A problem whose optimal cost is zero, or that is not unique, has costates that vanish up to rounding; offences
-    in shares of those would compare noise with noise. This number has the unit of the cost and does not vanish
-    with the costates.
+    Attributes
+    ----------
+    cost : float
+    constraints : array (n_constraints,)
+        Of the boundary constraints; where none of them changes them, their size, or 1.
+    parameters : array (n_free_parameters,)
+        Of the cost by each parameter alone, per unit of it.
     """
-    problem = solution.problem
-    assert problem is not None, "verify refuses solutions without a problem"
-    values: list[Array] = []
-    scales: list[Array] = []
-    for s in samples:
-        leg = s.leg
-        integrands = np.abs(s.functions.integrands(s.times, s.x, s.u)) @ s.weights
-        ends = (leg.x(leg.breaks[0]), leg.x(leg.breaks[-1], "left"))
-        times = (np.array([leg.initial_time]), np.array([leg.final_time]))
-        values += [*ends, *times, leg.integrals, leg.parameters]
-        scales += [s.state_scale, s.state_scale, np.array([s.span]), np.array([s.span]), integrands]
-        scales += [np.zeros(leg.parameters.size)]
-    values.append(solution.parameter_values)
-    scales.append(parameter_scale(solution))
-    nu = np.zeros(solution.constraint_multipliers.size)
 
-    def cost(arguments: list[Array]) -> float:
-        return float(end_function(problem)(*arguments, nu)[0])
+    cost: float
+    constraints: Array
+    parameters: Array
 
-    base, largest = cost(values), 0.0
-    for k, scale in enumerate(scales):
-        for i in np.flatnonzero(scale > 0):
-            shifted = values[k].copy()
-            shifted[i] += scale[i]
-            change = abs(cost([*values[:k], shifted, *values[k + 1 :]]) - base)
-            largest = max(largest, change) if np.isfinite(change) else largest
-    return largest
+    @classmethod
+    def of(cls, solution: Solution, samples: list[PhaseSamples]) -> Magnitudes:
+        """Vary cost and constraints."""
+        problem = solution.need_problem("verify")
+        values: list[Array] = []
+        spans: list[Array] = []
+        boxes: dict[int, tuple[Array, Array]] = {}
+        for s in samples:
+            leg = s.leg
+            boxes.update({len(values) + k: s.flown_box for k in range(2)})
+            ends = (leg.x(leg.breaks[0]), leg.x(leg.breaks[-1], "left"))
+            times = (np.array([leg.initial_time]), np.array([leg.final_time]))
+            bounds = (leg.initial_time_bounds, leg.final_time_bounds)
+            values += [*ends, *times, leg.integrals, leg.parameters]
+            spans += [s.state_scale, s.state_scale, *(np.where(b.fixed, 0.0, s.span) for b in bounds)]
+            spans += [integral_spans(s), np.zeros(leg.parameters.size)]
+        values.append(solution.parameter_values)
+        spans.append(parameter_scale(solution))
+        nu = np.zeros(solution.constraint_multipliers.size)
+
+        def ends_at(arguments: list[Array]) -> Array:
+            cost, constraints, *_ = end_function(problem)(*arguments, nu)
+            return np.append(np.asarray(constraints.full()).ravel(), float(cost))
+
+        base = ends_at(values)
+        largest, parameters = np.zeros(base.size), np.zeros(spans[-1].size)
+        for k, span in enumerate(spans):
+            for i in np.flatnonzero(span > 0):
+                for step in (span[i], -span[i]):
+                    shifted = values[k].copy()
+                    shifted[i] = _within(shifted[i] + step, boxes.get(k), int(i))
+                    change = np.abs(ends_at([*values[:k], shifted, *values[k + 1 :]]) - base)
+                    change = np.where(np.isfinite(change), change, 0.0)
+                    largest = np.maximum(largest, change)
+                    if k == len(spans) - 1:
+                        parameters[i] = max(parameters[i], change[-1] / span[i])
+        largest = np.fmax(largest, RESOLUTION * np.abs(base))
+        return cls(float(largest[-1]), np.where(largest > 0, largest, 1.0)[:-1], parameters)
+
+
+def integral_spans(s: PhaseSamples) -> Array:
+    """Return by how much the flight can change each integral of a phase (n_integrals,).
+
+    An integrand counts by what it is above its least, or below its largest, value along the phase; where the duration
+    may change, by its size. One that is constant counts by the share `MINOR` of what it changes when a state or control
+    is off by its span.
+    """
+    values = s.functions.integrands(s.times, s.x, s.u)
+    if not values.shape[0]:
+        return np.zeros(0)
+    above = values - np.min(values, axis=1, keepdims=True)
+    below = np.max(values, axis=1, keepdims=True) - values
+    spans = np.minimum(above @ s.weights, below @ s.weights)
+    if not s.lasts_as_told:
+        spans = np.fmax(spans, np.abs(values) @ s.weights)
+    for rows, steps, box in ((s.x, s.state_scale, s.flown_box), (s.u, s.control_span, None)):
+        for i, step in enumerate(steps):
+            for moved in (step, -step):
+                other = rows.copy()
+                other[i] = _within(other[i] + moved, box, i)
+                at = (other, s.u) if rows is s.x else (s.x, other)
+                change = np.abs(s.functions.integrands(s.times, *at) - values) @ s.weights
+                spans = np.fmax(spans, MINOR * np.where(np.isfinite(change), change, 0.0))
+    return np.where(np.isfinite(spans), spans, 0.0)
+
+
+def _within(values: Array, box: tuple[Array, Array] | None, i: int) -> Array:
+    """Beyond what was flown, the cost may have no value or an excessive one."""
+    return values if box is None else np.clip(values, box[0][i], box[1][i])
 
 
 def parameter_scale(solution: Solution) -> Array:
-    """Return the magnitude of each free parameter, or the range of its bounds where it vanishes (n_parameters,)."""
-    problem = solution.problem
-    assert problem is not None, "verify refuses solutions without a problem"
-    box, size = problem.parameter_interval(), np.abs(solution.parameter_values)
-    span = box.upper - box.lower
-    return np.asarray(magnitude(size, np.where(np.isfinite(span) & (span > 0), span, 1.0)))
+    """Return a tenth of the range of each free parameter, or its size where it has none (n_parameters,)."""
+    box = solution.need_problem("verify").parameter_interval()
+    extent = box.upper - box.lower
+    size = magnitude(np.abs(solution.parameter_values))
+    return np.asarray(np.where(np.isfinite(extent) & (extent > 0), 0.1 * extent, size))

@@ -27,6 +27,7 @@ import scipy
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.solution.samples import EdgeSegment, PhaseSamples, sampling_rule
 from gnc_opt.tolerances import AT_LIMIT
+from gnc_opt.verify.brief import BRIEF
 
 _PUSHES = 1e-3
 """A multiplier counts as pushing at a point if it reaches this share of its largest in the segment."""
@@ -81,17 +82,42 @@ def _path_gradients(s: PhaseSamples, times: Array, x: Array, u: Array) -> Array:
 
 
 def unexplained_jumps(s: PhaseSamples) -> Array:
-    """Costate jumps at the inner segment boundaries (n_states, K - 1) that no active constraint explains."""
+    """Costate jumps at the inner segment boundaries (n_states, K - 1) that no active constraint explains.
+
+    A jump the wrong way is explained as far as a push beside it makes up for it, see `pushed_beside`.
+    """
     breaks = s.leg.breaks[1:-1]
     jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
     pushers = Pushers.at(s, breaks, s.leg.x(breaks), s.leg.flown(breaks))
     rest = jumps.copy()
-    scale = s.state_scale
+    scale, spare = s.state_scale, _spare_pushes(s)
     for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
         directions = pushers.directions[:, pushers.active[:, k], k]
-        sizes, _ = scipy.optimize.nnls(directions * scale[:, None], jumps[:, k] * scale)
-        rest[:, k] -= directions @ sizes
+        least = -spare[pushers.active[:, k], k]
+        sizes, _ = scipy.optimize.nnls(
+            directions * scale[:, None], (jumps[:, k] - directions @ least) * scale
+        )
+        rest[:, k] -= directions @ (sizes + least)
     return rest
+
+
+def pushed_beside(s: PhaseSamples, densities: Array) -> Array:
+    """Return what multipliers (n, N) push within half of `BRIEF` beside inner segment boundaries (n, K - 1).
+
+    How a measure is shared out between an atom and the density right beside it is not for the multipliers of a mesh to
+    say: less density there and more of an atom is the same costate everywhere else.
+    """
+    offsets, near = np.array(s.leg.mesh.offsets[1:-1], dtype=int), 0.5 * BRIEF * s.span
+    widths = np.minimum(np.diff(s.leg.breaks), near)
+    sides = np.stack([densities[:, offsets - 1] * widths[:-1], densities[:, offsets] * widths[1:]])
+    upper, lower = np.max(sides, axis=0), np.min(sides, axis=0)
+    return np.asarray(np.where(upper > -lower, upper, lower))
+
+
+def _spare_pushes(s: PhaseSamples) -> Array:
+    """The same by sides of constraints as in `Pushers`, >= 0 (n_sides, K - 1)."""
+    beside = pushed_beside(s, np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_paths]]))
+    return np.vstack([np.maximum(beside, 0.0), np.maximum(-beside, 0.0)])
 
 
 def settle_edges(s: PhaseSamples, tolerance: float) -> PhaseSamples:
@@ -127,10 +153,10 @@ def _integrate_anew(s: PhaseSamples, k: int, tolerance: float) -> EdgeSegment | 
     if not responses.shape[2]:
         return None
     worth = s.state_scale / s.cost_scale
-    slopes = _control_slopes(s, times, x, u)
+    slopes = s.functions.input_jacobian(times, x, u)
     bounds, near = s.leg.control_bounds, (AT_LIMIT * s.control_scale)[:, None]
     inside = (u > bounds.lower[:, None] + near) & (u < bounds.upper[:, None] - near)
-    share = inside * (s.control_scale / s.hamiltonian_scale)[:, None] / np.sqrt(here.size)
+    share = inside * (s.control_span / s.control_worth)[:, None] / np.sqrt(here.size)
     gradient = s.functions.control_gradient(times, x, u, free, s.mu[:, here]) * share
     moved = np.einsum("imt,ita->mta", slopes, responses) * share[:, :, None]
     matrix = np.vstack([responses[:, -1] * worth[:, None], moved.reshape(-1, moved.shape[2])])
@@ -186,15 +212,3 @@ def _responses(pushers: Pushers, fundamental: Array) -> Array:
             response[:, j + 1 :] = -np.einsum("abt,b->at", fundamental[:, :, j + 1 :], push)
             columns.append(response)
     return np.stack(columns, axis=2) if columns else np.zeros((n, m, 0))
-
-
-def _control_slopes(s: PhaseSamples, times: Array, x: Array, u: Array) -> Array:
-    """d2H/(dlambda du) = df/du, (n_states, n_controls, n_times)."""
-    mu, lam = np.zeros((len(s.leg.path_labels), times.size)), np.zeros_like(x)
-    without = s.functions.control_gradient(times, x, u, lam, mu)
-    rows = []
-    for i in range(x.shape[0]):
-        lam[i] = 1.0
-        rows.append(s.functions.control_gradient(times, x, u, lam, mu) - without)
-        lam[i] = 0.0
-    return np.stack(rows)

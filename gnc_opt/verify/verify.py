@@ -14,7 +14,7 @@ from gnc_opt.verify import controls, costates, feasibility, second_order
 from gnc_opt.verify.conjugate_points import conjugate_points
 from gnc_opt.verify.judged import ends_of, from_problem, has_costates, missing_number, stored_numbers
 from gnc_opt.verify.kept import keep_verdict, kept_verdict
-from gnc_opt.verify.magnitude import cost_magnitude
+from gnc_opt.verify.magnitude import Magnitudes
 from gnc_opt.verify.normality import normality
 from gnc_opt.verify.pushes import settle_edges
 from gnc_opt.verify.reduced_hessian import critical_cone, reduced_hessian
@@ -71,16 +71,16 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
 def _judge(solution: Solution, tol: float) -> Verdict:
     stored, solution = solution, from_problem(solution)
     samples = list(solution.samples().values())
-    ends, amount = ends_of(solution), cost_magnitude(solution, samples)
-    told = has_costates(samples, ends, amount)
+    ends, amounts = ends_of(solution), Magnitudes.of(solution, samples)
+    told = has_costates(samples, ends, amounts.cost)
     missing = missing_number(stored, told)
-    samples = [settle_edges(replace(s, cost_magnitude=amount), tol) for s in samples]
+    samples = [settle_edges(replace(s, cost_magnitude=amounts.cost), tol) for s in samples]
     conditions = [
         feasibility.dynamics(samples, tol),
         feasibility.propagation(samples, tol),
         feasibility.bounds(solution, samples, tol),
         feasibility.paths(samples, tol),
-        feasibility.boundary(solution, ends, tol),
+        feasibility.boundary(solution, samples, ends, amounts.constraints, tol),
         feasibility.cost(stored, samples, ends, told, tol),
         stored_numbers(stored, solution, missing, tol),
     ]
@@ -92,7 +92,7 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         controls.stationarity(lasting, tol),
         controls.control_signs(lasting, tol),
         controls.minimum(lasting, tol),
-        costates.complementarity(solution, lasting, ends, tol),
+        costates.complementarity(solution, lasting, ends, amounts.constraints, tol),
         controls.legendre_clebsch(lasting, tol),
         controls.singular_arcs(lasting, tol),
         generalised_legendre_clebsch(solution.need_problem("verify"), lasting, tol),
@@ -107,7 +107,7 @@ def _judge(solution: Solution, tol: float) -> Verdict:
     if len(lasting) < len(samples):
         vanished = next(s.leg.name for s in samples if not s.has_length)
         along, switches = ([_without_length(c, vanished) for c in part] for part in (along, switches))
-    judged = [*along, costates.parameters(solution, samples, ends, tol), *switches]
+    judged = [*along, costates.parameters(solution, samples, ends, amounts.parameters, tol), *switches]
     if missing.value:
         judged = [_incomplete(c, missing.where) for c in judged]
     if told:

@@ -26,8 +26,9 @@ import pytest
 import gnc_opt as go
 from gnc_opt import Multistart, cli, multistart
 from gnc_opt.problem.guess.random import with_random_guess
-from gnc_opt.refine.search.multistart import _Coarse, _Fine
+from gnc_opt.refine.search.multistart import _answer, _Coarse, _Fine
 from gnc_opt.solution.solve_mesh import solve_mesh
+from gnc_opt.workers.pool import Done, WorkerDied
 from problems import rendezvous
 from problems.rendezvous.search import GlobalOutcome
 
@@ -301,9 +302,16 @@ def test_ctrl_c_at_the_shell_keeps_what_is_found(tmp_path: Path) -> None:
     assert told["minima"] and {m["standing"] for m in told["minima"]} == {"coarse"}
 
 
+def test_what_a_broken_executor_leaves_is_searched_all_the_same() -> None:
+    found = search(partial(_dies_elsewhere, os.getpid()), executor=ProcessPoolExecutor(1))
+    alone = search(wells(), executor="serial")
+    assert [m.objective for m in found.minima] == [m.objective for m in alone.minima]
+    assert [m.starts for m in found.minima] == [m.starts for m in alone.minima]
+
+
 def test_a_dead_worker_is_told() -> None:
     with pytest.raises(go.GncOptError, match="a process of multistart\\(\\) has died"):
-        search(partial(_dies_elsewhere, os.getpid()), executor=ProcessPoolExecutor(1))
+        _answer(Done(0, None, WorkerDied()))
 
 
 def _dies_elsewhere(home: int) -> go.Problem:

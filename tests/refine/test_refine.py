@@ -123,6 +123,26 @@ def test_a_verdict_that_fails_is_no_convergence(
     assert "NOT CONVERGED (verdict fails)" in loaded and "NOT ok when it was refined" in loaded
 
 
+def test_a_structure_that_stands_but_is_not_accurate_is_no_convergence(
+    cart: go.Solution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The verdict is ok, but the error is above what was asked for: the message gives both."""
+    import importlib
+
+    module = importlib.import_module("gnc_opt.refine.refine")
+    real: Callable[..., Any] = module.optimise_switches
+
+    def coarse(*args: Any, **more: Any) -> Any:
+        solution, history = real(*args, **more)
+        return solution, replace(history, passes=tuple(replace(p, error=3e-8) for p in history.passes))
+
+    monkeypatch.setattr(module, "optimise_switches", coarse)
+    refined = go.refine(cart, tol=1e-8)
+    assert told(refined).status is RefinementStatus.STALLED and go.verify(refined).ok
+    assert "error 3.0e-08 (wanted 1.0e-08)" in told(refined).message
+    assert go.refine(cart, tol=1e-7).converged
+
+
 def test_a_refinement_that_does_not_reach_its_tolerance_says_so(cubic: go.Solution) -> None:
     refined = go.refine(cubic, tol=1e-12, max_passes=1)
     assert told(refined).status is RefinementStatus.PASS_LIMIT

@@ -341,8 +341,8 @@ def ending(*oks):
 
 def test_progress_counts_runs_and_those_that_failed():
     parts = [Flown(range(3), None, ending(True, False, True)), Flown(range(3, 5), None, None, "lost")]
-    assert _tally(Done(range(5), parts)) == (5, 3)
-    assert _tally(Done(range(3), parts[:1])) == (3, 1)
+    assert _tally(parts) == (5, 3)
+    assert _tally(parts[:1]) == (3, 1)
 
 
 def test_only_a_total_loss_is_an_error():

@@ -129,7 +129,7 @@ def test_quality_travels_with_a_file_and_is_measured_with_the_problem(moved: Sol
 
 
 def test_a_solution_is_shown_without_its_problem(moved: Solution) -> None:
-    assert "problem=" not in repr(moved) and "problem_name='cart'" in repr(moved)
+    assert "Problem(" not in repr(moved) and "cart" in repr(moved)
 
 
 def test_propagation_by_either_control(moved: Solution) -> None:

@@ -1,8 +1,9 @@
 """The verdict's figures to many digits: what an offence of known size is worth, by hand.
 
 Minimum energy, rest to rest over 1 m in 1 s: a = 6 - 12 t, v = 6 t (1 - t), costates -12 and 12 t - 6, |v| <= 5,
-|a| <= 10. Hence the scales: 1 m and 1.5 m/s, 20 m/s^2, 12 for the cost (|lam_q| q), and 54 for H (|lam_v a| + a^2 / 2,
-at the ends). Minimum time over 1 m: lam_q = 1, lam_v = 1 - t, all scales of H are 1.
+|a| <= 10. Hence the scales: 1 m and 1.5 m/s, 12 m/s^2 (what a moves), 12 for the cost (|lam_q| q), 54 for H (|lam_v a|
++ a^2 / 2, at the ends), 36 for what the control does to it (6 m/s^2 to either side, slopes up to 6), 6 for the cost.
+Minimum time over 1 m: lam_q = 1, lam_v = 1 - t, all scales of H are 1.
 """
 
 from __future__ import annotations
@@ -69,25 +70,25 @@ FIGURES: list[tuple[str, str, Callable[[], go.Solution], float]] = [
         energy(), initial_bounds=shifted(energy().phase().initial_bounds, -E)), E),
     ("boundary conditions", "duration", lambda: with_leg(
         energy(), duration_bounds=Interval(np.array([1.0 + E]), np.array([9.0]))), E),
-    ("cost", "objective too large", lambda: replace(energy(), objective=6 * (1 + E)), E / (1 + E)),
-    ("cost", "objective too small", lambda: replace(energy(), objective=6 * (1 - E)), E / (1 - E)),
-    ("cost", "objective of 1", lambda: replace(hilltop(-0.5), objective=1 + E), E / (1 + E)),
-    ("cost", "objective of 0.5", lambda: replace(hilltop(-0.5), objective=0.5), 0.5),
+    ("cost", "objective too large", lambda: replace(energy(), objective=6 * (1 + E)), E),
+    ("cost", "objective too small", lambda: replace(energy(), objective=6 * (1 - E)), E),
+    ("cost", "objective of 1", lambda: replace(hilltop(-0.5), objective=1 + E), E / 0.17),
+    ("cost", "objective of 0.5", lambda: replace(hilltop(-0.5), objective=0.5), 0.5 / 0.17),
     ("adjoint equation", "costates jump there and back", lambda: scaled(energy(), "lam", 1 + E, 1), E / (1 + E)),
     ("Hamiltonian", "costate of q off where v is up to 1.5", lambda: added(energy(), "lam", Q, E, 1), 1.5 * E / 54),
-    ("stationarity", "control off its minimum", lambda: added(energy(), "u", A, E, 1), E / 20),
-    ("stationarity", "control off its minimum", lambda: added(energy(), "u", A, -E, 1), E / 20),
-    ("Legendre-Clebsch", "curvature 1 over a range of 20", energy, -(20.0**2) / 54),
+    ("stationarity", "control off its minimum", lambda: added(energy(), "u", A, E, 1), E / 12),
+    ("stationarity", "control off its minimum", lambda: added(energy(), "u", A, -E, 1), E / 12),
+    ("Legendre-Clebsch", "curvature 1 over a span of 12", energy, -(12.0**2) / 36),
     ("control signs", "switch too early", lambda: added(bang_bang(), "lam", V, E), 2 * E / (1 + E)),
     ("control signs", "switch too late", lambda: added(bang_bang(), "lam", V, -E), 2 * E / (1 + E)),
-    ("minimum principle", "switch too early", lambda: added(bang_bang(), "lam", V, E), 2 * E / (1 + E)),
+    ("minimum principle", "switch too early", lambda: added(bang_bang(), "lam", V, E), 2 * E / (1 + 3 * E)),
     ("strict switches", "slope 1 over a range of 2, for 2 s", bang_bang, -4.0),
     ("complementarity", "control, pushed from above", lambda: multiplied("control_multipliers", A, E),
-     E * 8.5 * MIDDLE / 54),
+     E * 8.5 * MIDDLE / 36),
     ("complementarity", "control, pushed from below", lambda: multiplied("control_multipliers", A, -E),
-     E * 11.5 * MIDDLE / 54),
+     E * 11.5 * MIDDLE / 36),
     ("complementarity", "speed", lambda: multiplied("state_multipliers", V, E), E * 1.5 * MIDDLE / 12),
-    ("complementarity", "path", lambda: multiplied("path_multipliers", 0, E), E * (5 - 1.40625) * MIDDLE / 54),
+    ("complementarity", "path", lambda: multiplied("path_multipliers", 0, E), E * 1.5 * MIDDLE / 12),
     ("complementarity", "impulse", lambda: with_leg(
         energy(), state_impulses=moved(energy().phase().state_impulses, (V, 2), E)), E * 1.5 / 12),
     ("complementarity", "boundary constraint", lambda: enough(E), E / 12),
@@ -130,8 +131,10 @@ def far(reach: float = 100.0) -> go.Solution:
     return go.solve(problem, mesh="1x6")
 
 
-@pytest.mark.parametrize(("reach", "room"), [(100.0, 100.0), (2.0, 2.0), (0.1, 1.0), (-100.0, 100.0)])
-def test_room_of_a_boundary_constraint_is_at_most_its_size_or_one(reach: float, room: float) -> None:
+@pytest.mark.parametrize(("reach", "room"), [(100.0, 100.0), (2.0, 2.0), (0.1, 0.1), (-100.0, 100.0)])
+def test_room_of_a_boundary_constraint_is_at_most_what_the_flight_changes_it(
+    reach: float, room: float
+) -> None:
     """A multiplier of a hundredth of the costate 12 reach, on a limit far away; the costates are worth 12 reach^2."""
     solution = far(reach)
     wrong = replace(solution, constraint_multipliers=np.array([0.12 * abs(reach)]))
@@ -147,11 +150,11 @@ def test_residual_of_the_costates_without_a_jump() -> None:
 
 
 @pytest.mark.parametrize("reach", [100.0, -100.0, 0.1])
-def test_boundary_values_are_missed_in_shares_of_their_size_above_one(reach: float) -> None:
+def test_boundary_values_are_missed_in_shares_of_what_the_flight_moves_them(reach: float) -> None:
     wrong = far(reach)
     target = Interval(np.array([reach + E, 0.0]), np.array([reach + E, 0.0]))
     wrong = with_leg(wrong, final_bounds=target)
-    assert go.verify(wrong)["boundary conditions"].value == pytest.approx(E / max(1.0, abs(reach)), rel=1e-5)
+    assert go.verify(wrong)["boundary conditions"].value == pytest.approx(E / abs(reach), rel=1e-5)
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e3, 1e-3, -1.0])
@@ -183,12 +186,12 @@ def test_smallest_share_that_counts_as_a_bound() -> None:
         assert (go.verify(inside)["stationarity"].value == 0.0) is sits
 
 
-@pytest.mark.parametrize(("sign", "size"), [(1.0, 1.25), (-1.0, 0.75)])
-def test_parameter_in_the_dynamics(sign: float, size: float) -> None:
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_parameter_in_the_dynamics(sign: float) -> None:
     """x' = u + k from 0 to 1 in 1 s with the least u^2 / 2 + k^2 / 2: u = k = 1/2, lam = -1/2.
 
-    Of k (1 + E) the derivative of the cost is E / 2. The cost changes by 3 k^2 / 2 if k grows by 1/2 from 1/2, and by
-    k^2 / 2 from -1/2: 3/4 or 1/4 per k; |lam| adds 1/2.
+    Of k (1 + E) the derivative of the cost is E / 2. The cost changes by (0.9^2 - 0.5^2) / 2 if |k| grows by 0.4, a
+    tenth of its range: 0.7 per k; |lam| adds 1/2.
     """
     model = go.Model("helped")
     x, u = model.state("x"), model.control("u")
@@ -204,4 +207,4 @@ def test_parameter_in_the_dynamics(sign: float, size: float) -> None:
     solution = go.solve(problem, mesh="2x4")
     assert solution.parameter_values[0] == pytest.approx(sign * 0.5, abs=1e-8)
     wrong = replace(solution, parameter_values=solution.parameter_values * (1 + E))
-    assert go.verify(wrong)["parameters"].value == pytest.approx(E / 2 / size, rel=1e-2)
+    assert go.verify(wrong)["parameters"].value == pytest.approx(E / 2 / 1.2, rel=1e-2)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from wrong import (
@@ -274,6 +275,23 @@ def test_without_costates_nothing_is_ok(wrong: Callable[[], go.Solution]) -> Non
     assert verdict["dynamics"].result is go.Result.PASS
     assert verdict.explain().splitlines()[0].endswith(": not judged: no costates.")
     assert str(verdict).splitlines()[-1] == "verdict: not judged: no costates"
+
+
+def test_a_missing_costate_of_several_controls_fails() -> None:
+    """Three controls, coupled states: no eigenvalue of a missing matrix is asked for."""
+    model = go.Model("spinning body")
+    w, a = model.state("w", 3), model.control("a", 3)
+    model.ode({w: ca.vertcat(0.8 * w[1] * w[2], -0.5 * w[0] * w[2], 0.2 * w[0] * w[1]) + a})
+    problem = go.Problem("stop")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    leg.initial(w=[1.0, 0.6, -0.4])
+    leg.final(w=0.0)
+    problem.minimize(leg.integral(ca.sumsqr(a)))
+    solution = go.solve(problem, mesh="4x4")
+    for everywhere in (False, True):
+        lam = spoiled(solution.phase().lam, everywhere)
+        assert not go.verify(forged(solution, lam=lam)).ok
 
 
 def test_zero_costates_of_an_integral_cost_fail() -> None:

@@ -102,7 +102,8 @@ def test_end_of_the_phase_and_component_that_is_missed(phase: str, row: int) -> 
     shift = E * (np.arange(4) == row)
     box = Interval(leg.final_bounds.lower + shift, leg.final_bounds.upper + shift)
     condition = go.verify(changed(phase, final_bounds=box))["boundary conditions"]
-    assert condition.where == f"phase {phase}, end, {('q[0]', 'q[1]', 'v[0]', 'v[1]')[row]}"
+    label = ("q[0]", "q[1]", "v[0]", "v[1]")[row]
+    assert condition.where == f"phase {phase}, end, {label} off by {E:.3g}"
 
 
 def test_switching_functions_at_one_time_and_many_of_one_control_and_of_several() -> None:

@@ -171,12 +171,10 @@ def test_curvature_counts_along_an_active_mixed_constraint_and_not_across_it(
     assert verdict["Legendre-Clebsch"].result is go.Result.PASS, verdict.explain()
     hill = go.verify(replace(solution, problem=ridge(-1.0, 0.5, side, unit, wide)))
     assert hill["Legendre-Clebsch"].result is go.Result.FAIL
-    # (u - w)^2 / 2 has the curvature 4 along (1, -1), which in shares of the ranges a = 4 and b is (b, -a); H's scale
-    # is |L| = 10 (u + w) + (u + w)^2 / 4.
-    a, b = 4.0, 2 * wide
-    assert verdict["Legendre-Clebsch"].value == pytest.approx(
-        -4 * (a * b) ** 2 / (a**2 + b**2) / 10.25, rel=1e-5
-    )
+    # (u - w)^2 / 2 has the curvature 4 along (1, -1), which in shares of a and b is (b, -a); these are the ranges over
+    # the root of what half of each is worth, by the slope 10.5 of H.
+    a, b = 4.0 / np.sqrt(10.5 * 2.0), 2 * wide / np.sqrt(10.5 * wide)
+    assert verdict["Legendre-Clebsch"].value == pytest.approx(-4 * (a * b) ** 2 / (a**2 + b**2), rel=1e-5)
 
 
 # --- how fast errors grow -------------------------------------------------------------------------------

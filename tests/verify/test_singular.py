@@ -94,10 +94,8 @@ def test_beside_a_control_that_the_hamiltonian_determines(stiffness: float, resu
     verdict = go.verify_trajectory(problem, TIMES, states, {"u": 0.0 * TIMES, "w": np.ones_like(TIMES)})
     condition = verdict[NAME]
     assert condition.result is result, condition
-    # H's terms amount to |lam_r w| + w^2 / 2 = 3 / 2, and 1 + r is least at the start.
-    assert condition.value == pytest.approx(
-        -2 * stiffness * 2**2 / 1.5 * (1 if stiffness > 0 else 2), rel=1e-4
-    )
+    # H's terms amount to |lam_r w| = 1, as w^2 / 2 is constant; and 1 + r is least at the start.
+    assert condition.value == pytest.approx(-2 * stiffness * 2**2 * (1 if stiffness > 0 else 2), rel=1e-4)
 
 
 def test_no_singular_arc() -> None:

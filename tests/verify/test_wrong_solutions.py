@@ -297,8 +297,8 @@ def test_every_condition_of_the_verdict_has_a_wrong_solution() -> None:
 
 
 def test_barely_curved_hamiltonian_is_told_from_a_singular_one() -> None:
-    """u^2 over the square of its range must be worth a share of H that is above the tolerance."""
-    for curvature, result in ((1e-3, go.Result.PASS), (1e-7, go.Result.CANNOT_TELL)):
+    """u^2 over the square of its range must be worth a share of what the control can do that is above the tolerance."""
+    for curvature, result in ((1e-3, go.Result.PASS), (1e-13, go.Result.CANNOT_TELL)):
         verdict = go.verify(hilltop(-curvature))
         assert verdict["singular arcs"].result is result
         assert verdict["Legendre-Clebsch"].result is result
@@ -507,7 +507,7 @@ def test_controls_that_gain_only_together_are_tried_together() -> None:
     box = Interval(-np.ones(2), np.ones(2))
     condition = go.verify(replace(with_leg(pinned, control_bounds=box), problem=problem))["minimum principle"]
     assert condition.result is go.Result.FAIL
-    assert condition.value == pytest.approx(1.0, rel=1e-6)
+    assert condition.value == pytest.approx(0.5, rel=1e-6)  # 1 beside a worth of 1
 
 
 # --- propagation ----------------------------------------------------------------------------------------

@@ -1,0 +1,135 @@
+r"""How far states and controls move on a flight: what their deviations are measured against.
+
+A position of 7000 km says nothing about a flight of 1 m: sizes depend on units and origin, what a flight *moves* does
+not on the latter. So the yardstick of a state is its span, the farthest that it gets from where it starts, shared by
+the components of a vector. A state that hardly moves has what the controls could move it,
+:math:`T\,\sum_k |\partial f_i/\partial u_k|\,\Delta u_k`, or the same through another state. What nothing can move has
+the width of its limits, or its size. Below `RESOLUTION` of the size, rounding would be measured.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array
+from gnc_opt.model.layout import Layout
+from gnc_opt.problem.functions import PhaseFunctions
+from gnc_opt.problem.interval import Interval
+from gnc_opt.solution.phase_solution import PhaseSolution
+from gnc_opt.tolerances import magnitude
+
+STILL = 1e-4
+"""A state that moves by less than this share of what the controls could move it is still: that is its span."""
+
+NOTHING_MOVES = 1e-9
+"""Where no state moves by more than this, as at an equilibrium, sizes have to do."""
+
+IDLE = 1e-6
+"""A control that moves by less than this share of its range is idle: its range is its span."""
+
+STEERED = 1e-2
+"""Least share of a span that misses of an end are measured against."""
+
+RESOLUTION = 1e-7
+"""Least span, in shares of the size: with the tolerance of 1e-5 then 1e-12 of it, which is rounding."""
+
+
+def state_spans(leg: PhaseSolution, functions: PhaseFunctions, *, lasting: bool) -> Array:
+    """Return how far each state moves along a phase (n_states,); positive. Its size if the phase does not last."""
+    values = leg.x(leg.sample_times())
+    size = np.max(np.abs(values), axis=1, initial=0.0)
+    moved = shared(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
+    if not lasting or np.max(moved) <= NOTHING_MOVES:
+        return magnitude(shared(size, leg.states))
+    movable = shared(_movable(leg, functions), leg.states)
+    spans = np.where(moved > STILL * movable, moved, movable)
+    spans = np.maximum(spans, RESOLUTION * size)
+    boxes = (leg.state_bounds, leg.initial_bounds, leg.final_bounds)
+    return _otherwise(_otherwise(spans, *(_width(box) for box in boxes)), size, np.ones(size.size))
+
+
+def end_spans(leg: PhaseSolution, functions: PhaseFunctions, moved: Array, used: Array) -> Array:
+    r"""Return what misses of the final state are measured against (n_states,): what controls move, at most the span.
+
+    An orbit takes a satellite round the Earth by itself; a thruster moves the end by
+    :math:`\int |\Phi(t_f, t)\,\partial f/\partial u|\,\Delta u\,dt`. Ends that controls do not reach count by the
+    span, and no less than the share `STEERED` of it: solvers keep end conditions to 1e-8 of their size.
+
+    Parameters
+    ----------
+    moved, used : array (n_states,), (n_controls,)
+        Spans of the states and of the controls.
+    """
+    middles, widths = 0.5 * (leg.breaks[:-1] + leg.breaks[1:]), np.diff(leg.breaks)
+    x, u = leg.x(middles), leg.flown(middles)
+    by_state, by_control = (f(middles, x, u) for f in (functions.state_jacobian, functions.input_jacobian))
+    if not (np.all(np.isfinite(by_state)) and np.all(np.isfinite(by_control))):
+        return moved
+    by_state = by_state * moved[None, :, None] / moved[:, None, None] * widths
+    by_control = by_control * used[None, :, None] / moved[:, None, None] * widths
+    onwards, reach = np.eye(moved.size), np.zeros(moved.size)
+    for k in reversed(range(widths.size)):
+        half = scipy.linalg.expm(np.clip(0.5 * by_state[:, :, k], -25.0, 25.0))
+        reach += np.sum(np.abs(onwards @ half @ by_control[:, :, k]), axis=1)
+        onwards = onwards @ half @ half
+        if not np.all(reach < 1.0 / STEERED) or np.all(reach >= 1.0):
+            break
+    reach = shared(reach, leg.states)
+    return np.asarray(moved * np.where(reach > STILL, np.clip(reach, STEERED, 1.0), 1.0))
+
+
+def control_spans(leg: PhaseSolution, flown: Array, pull: Array, curvature: Array) -> Array:
+    """Return how far each control moves along a phase (n_controls,), at most its range; positive.
+
+    Parameters
+    ----------
+    flown, pull, curvature : array (n_controls, n_samples)
+        The control; what the costates' terms contribute to dH/du; d2H/du2. A constant control is moved by
+        pull / curvature from where the integrands alone would have it.
+    """
+    extent, size = _width(leg.control_bounds), np.max(np.abs(flown), axis=1, initial=0.0)
+    moved = np.maximum(np.ptp(flown, axis=1), RESOLUTION * size) if flown.size else size
+    steepest, most = (np.max(np.abs(v), axis=1, initial=0.0) for v in (pull, curvature))
+    pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)
+    spans = _within_range(np.fmax(moved, pulled), extent)
+    return _otherwise(shared(spans, leg.controls), size, np.ones(size.size))
+
+
+def _movable(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
+    """Return how far the controls could move each state within the phase, directly or through another (n_states,)."""
+    middles = 0.5 * (leg.breaks[:-1] + leg.breaks[1:])
+    x, u = leg.x(middles), leg.flown(middles)
+    # A median, as one violent instant says nothing about the phase.
+    by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
+    by_state = np.median(np.abs(functions.state_jacobian(middles, x, u)), axis=2)
+    np.fill_diagonal(by_state, 0.0)
+    lasts = leg.breaks[-1] - leg.breaks[0]
+    used = _within_range(shared(np.ptp(u, axis=1), leg.controls), _width(leg.control_bounds))
+    at_once = lasts * by_control @ used
+    return np.asarray(np.maximum(at_once, lasts * by_state @ at_once))
+
+
+def _within_range(spans: Array, extent: Array) -> Array:
+    return np.where(extent > 0, np.where(spans > IDLE * extent, np.minimum(spans, extent), extent), spans)
+
+
+def shared(values: Array, layout: Layout) -> Array:
+    """Return the largest value among the components of each variable."""
+    values = np.where(np.isfinite(values), values, 0.0)  # a copy
+    for variable in layout.variables:
+        rows = layout.slice(variable.name)
+        values[rows] = np.max(values[rows], initial=0.0)
+    return values
+
+
+def _width(box: Interval) -> Array:
+    """Return the finite widths of an interval; 0 where there is none."""
+    width = box.upper - box.lower
+    return np.where(np.isfinite(width), width, 0.0)
+
+
+def _otherwise(values: Array, *others: Array) -> Array:
+    for other in others:
+        values = np.where(values > 0, values, other)
+    return values
