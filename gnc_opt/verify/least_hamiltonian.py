@@ -23,9 +23,12 @@ POINTS = 2**15
 """Controls tried per group along a phase: more than a well's share of the controls and of the duration ask for."""
 
 _MOST_TIMES = 400
-_MOST_STARTS = 100
+_MOST_STARTS = 50
 _BEYOND = 0.05
 """Share of the range by which the lattice goes beyond each bound, to be clipped: minima are often on bounds."""
+
+_LEAST_BEND = 1e-3
+"""Curvature, as a share of the slope, below which a step goes across the range."""
 
 _KEPT = 8
 _NEWTON_STEPS = 12
@@ -35,6 +38,9 @@ _QUADRATIC = 1e-9
 
 _ON_LIMIT = 1e-9
 """A control this far beyond the limit of a path constraint, relative to its value, is on it."""
+
+_PROGRESS = 1e-6
+"""Share of the least worth below which a descent ends."""
 
 _RESTORATIONS = 5
 
@@ -146,26 +152,37 @@ class _Search:
         functions = self.s.functions
         if not np.any(functions.mixed_paths):
             return shares
-        least, most = self._room[:, :, at]
+        shares, off = shares.copy(), np.arange(at.size)
         for _ in range(_RESTORATIONS):
-            times, x, u = self._at(shares, at)
+            times, x, u = self._at(shares[:, off], at[off])
             paths = functions.paths(times, x, u)
-            beyond = np.where(functions.mixed_paths[:, None], np.clip(paths, least, most) - paths, 0.0)
-            if not np.any(beyond):
+            beyond = np.where(
+                functions.mixed_paths[:, None], np.clip(paths, *self._room[:, :, at[off]]) - paths, 0
+            )
+            there = np.any(beyond != 0, axis=0) & np.all(np.isfinite(paths), axis=0)
+            if not np.any(there):
                 break
-            jacobian = functions.path_control_jacobian(times, x, u)[:, self.group] * self._box[1]
-            rows = np.moveaxis(np.where((beyond != 0)[:, None, :], jacobian, 0.0), 2, 0)
-            inverse = np.linalg.pinv(np.nan_to_num(rows, posinf=0, neginf=0), rcond=RANK)
-            shares = np.clip(shares + np.einsum("nij,jn->in", inverse, np.nan_to_num(beyond)), 0.0, 1.0)
+            off, beyond = off[there], beyond[:, there]
+            rows = self._path_slopes(shares[:, off], at[off])
+            inverse = np.linalg.pinv(np.where((beyond != 0).T[:, :, None], rows, 0.0), rcond=RANK)
+            shares[:, off] = np.clip(shares[:, off] + np.einsum("nij,jn->in", inverse, beyond), 0.0, 1.0)
         return shares
 
-    def slopes(self, shares: Array, at: Indices) -> tuple[Array, Array]:
-        """Gradient (group, n) and Hessian (n, group, group) of H by shares of the range; zero where not finite."""
+    def _path_slopes(self, shares: Array, at: Indices) -> Array:
+        """Derivatives of the path constraints by shares of the range (n, n_paths, group)."""
+        jacobian = self.s.functions.path_control_jacobian(*self._at(shares, at))[:, self.group] * self._box[1]
+        return np.nan_to_num(np.moveaxis(jacobian, 2, 0), posinf=0, neginf=0)
+
+    def slopes(self, shares: Array, at: Indices, mu: Array | None = None) -> tuple[Array, Array]:
+        """Gradient (group, n) and Hessian (n, group, group) by shares of the range; zero where not finite.
+
+        The gradient is that of H, the Hessian that of H + mu c.
+        """
         s, group, (times, x, u) = self.s, self.group, self._at(shares, at)
         lam, span = s.lam[:, self.chosen[at]], self._box[1]
         gradient = s.functions.switching(times, x, u, lam)[group] * span
-        no_paths = np.zeros((len(s.leg.path_labels), at.size))
-        hessian = s.functions.control_hessian(times, x, u, lam, no_paths)[np.ix_(group, group)]
+        mu = np.zeros((len(s.leg.path_labels), at.size)) if mu is None else mu
+        hessian = s.functions.control_hessian(times, x, u, lam, mu)[np.ix_(group, group)]
         bends = np.moveaxis(hessian * span[:, None] * span[None, :], 2, 0)
         return np.nan_to_num(gradient, posinf=0, neginf=0), np.nan_to_num(bends, posinf=0, neginf=0)
 
@@ -273,38 +290,54 @@ class _Search:
 
         Negative curvature is taken with the opposite sign, so that saddles and maxima are left.
         """
-        shares = self._restored(shares, at)
+        shares = self._restored(shares.copy(), at)
         value = self.value(shares, at)
         active = np.arange(at.size)
         for _ in range(_NEWTON_STEPS):
-            step = self._step(shares[:, active], at[active])
-            trials = np.stack(
-                [
-                    self._restored(np.clip(shares[:, active] + a * step, 0.0, 1.0), at[active])
-                    for a in _STEP_LENGTHS
-                ]
-            )
-            values = np.stack([self.value(w, at[active]) for w in trials])
+            step, here = self._step(shares[:, active], at[active]), np.tile(at[active], len(_STEP_LENGTHS))
+            trials = np.concatenate([shares[:, active] + a * step for a in _STEP_LENGTHS], axis=1)
+            trials = self._restored(np.clip(trials, 0.0, 1.0), here)
+            values = self.value(trials, here).reshape(-1, active.size)
             lowest = np.argmin(values, axis=0)
             reached = values[lowest, np.arange(active.size)]
-            lower = reached < value[active]
+            lower = reached < value[active] - _PROGRESS * self.s.least_worth
             if not np.any(lower):
                 break
-            shares = shares.copy()
-            shares[:, active[lower]] = trials[lowest[lower], :, np.flatnonzero(lower)].T
+            shares[:, active[lower]] = trials[:, (lowest * active.size + np.arange(active.size))[lower]]
             value[active[lower]] = reached[lower]
             active = active[lower]
         return shares, value
 
     def _step(self, shares: Array, at: Indices) -> Array:
+        """Newton's step (group, n) along the bounds and path constraints that H pushes against."""
         gradient, bends = self.slopes(shares, at)
         blocked = ((shares <= 0) & (gradient > 0)) | ((shares >= 1) & (gradient < 0))
-        free = (~blocked).T.astype(float)
-        sizes, axes = np.linalg.eigh(bends * free[:, :, None] * free[:, None, :])
-        pull = np.einsum("nij,in->nj", axes, np.where(blocked, 0.0, gradient))
+        free = np.where(blocked, 0.0, 1.0).T
+        tangent = free[:, :, None] * np.eye(free.shape[1])
+        if np.any(self.s.functions.mixed_paths):
+            rows, mu = self._active_paths(shares, at, gradient, free)
+            tangent = tangent - np.linalg.pinv(rows, rcond=RANK) @ rows
+            bends = self.slopes(shares, at, mu)[1]
+        sizes, axes = np.linalg.eigh(tangent @ bends @ tangent)
+        pull = np.einsum("nij,nik,kn->nj", axes, tangent, gradient, optimize=True)
+        steepest = np.max(np.abs(pull), axis=1)
         sizes = np.abs(sizes)
-        floor = np.maximum(
-            _QUADRATIC * np.max(sizes, axis=1, initial=0.0), np.max(np.abs(pull), axis=1) * 1e-3
-        )
+        floor = np.maximum(_QUADRATIC * np.max(sizes, axis=1), _LEAST_BEND * steepest)
         step = -np.einsum("nij,nj->in", axes, pull / np.maximum(sizes, np.maximum(floor, TINY)[:, None]))
         return np.asarray(np.where(blocked, 0.0, step / np.maximum(1.0, np.max(np.abs(step), axis=0))))
+
+    def _active_paths(self, shares: Array, at: Indices, gradient: Array, free: Array) -> tuple[Array, Array]:
+        """Derivatives (n, n_paths, group) and multipliers (n_paths, n) of path constraints that H pushes against."""
+        functions = self.s.functions
+        paths = functions.paths(*self._at(shares, at))
+        least, most = self._room[:, :, at]
+        near = 2.0 * _ON_LIMIT * (self.s.path_scale[:, None] + np.abs(paths))
+        at_least, at_most = paths <= least + near, paths >= most - near
+        active = (at_least | at_most) & functions.mixed_paths[:, None] & np.isfinite(paths)
+        rows = self._path_slopes(shares, at) * free[:, None, :]
+        mu = np.zeros_like(paths)
+        for _ in range(2):  # a limit from which H pulls away is left
+            held = np.where(active.T[:, :, None], rows, 0.0)
+            mu = -np.einsum("nij,in->jn", np.linalg.pinv(held, rcond=RANK), gradient)
+            active &= (at_least & (mu <= 0)) | (at_most & (mu >= 0))
+        return np.where(active.T[:, :, None], rows, 0.0), np.where(active, mu, 0.0)
