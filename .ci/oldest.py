@@ -12,7 +12,13 @@ else:
 
 project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 extras = project["optional-dependencies"]
-for line in [*project["dependencies"], *extras["cluster"], *extras["data"], *extras["test"]]:
+for line in [
+    *project["dependencies"],
+    *extras["cluster"],
+    *extras["control"],
+    *extras["data"],
+    *extras["test"],
+]:
     requirement = Requirement(line)
     if requirement.name != project["name"]:
         (floor,) = requirement.specifier

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 REFINE_TOLERANCE = 1e-8
-"""Of --structure without --tol."""
+"""What --tol is where it is not given: an answer is refined until it can be judged."""
 
 
 class ExitCode(IntEnum):
@@ -86,8 +86,8 @@ def _solve(args: argparse.Namespace) -> ExitCode:
             problem,
             mesh=args.mesh or file.mesh,
             scheme=args.scheme,
-            tol=args.tol or (None if args.structure is None else REFINE_TOLERANCE),
-            structure=args.structure or "auto",
+            tol=args.tol,
+            structure=args.structure,
             options=_solver_options(args),
             progress=not args.quiet,
             throw=False,
@@ -111,8 +111,8 @@ def _multistart(args: argparse.Namespace) -> ExitCode:
             n=args.n,
             seed=args.seed,
             mesh=args.mesh or file.mesh,
-            tol=args.tol or REFINE_TOLERANCE,
-            structure=args.structure or "auto",
+            tol=args.tol,
+            structure=args.structure,
             refine=not args.no_refine,
             executor="serial" if args.serial else None,
             progress=not args.quiet,
@@ -308,6 +308,14 @@ def _add_new(commands: Any) -> None:
     command.set_defaults(run=_new)
 
 
+def _tolerance(text: str) -> float | None:
+    """Read a tolerance, or none."""
+    try:
+        return None if text == "none" else float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is neither a number nor none") from None
+
+
 def _add_solve(commands: Any) -> None:
     from gnc_opt.transcription.scheme import GAUSS, SCHEMES
 
@@ -321,11 +329,18 @@ def _add_solve(commands: Any) -> None:
     add = command.add_argument
     add("--mesh", metavar="KxN", help="K equal segments of N points; default: MESH of the file")
     add("--scheme", type=str.upper, choices=SCHEMES, default=GAUSS, help="collocation points")
-    add("--tol", type=float, metavar="TOL", help="refine until the error between the nodes is below this")
+    add(
+        "--tol",
+        type=_tolerance,
+        default=REFINE_TOLERANCE,
+        metavar="TOL|none",
+        help="refine until the error between the nodes is below this (default 1e-8); none: leave it at the mesh",
+    )
     add(
         "--structure",
         choices=("auto", "bang-bang", "none"),
-        help="how to refine: exact switch times, hp, or whichever suits (auto, the default with --tol)",
+        default="auto",
+        help="how to refine: exact switch times, hp, or whichever suits (auto, the default)",
     )
     add("--solver-tol", type=float, metavar="TOL", help="tolerance of the NLP solver")
     add("--json", metavar="OUT", help="write the summary as JSON to a file, '-' for standard output")
@@ -342,8 +357,14 @@ def _add_multistart(commands: Any) -> None:
     add("--n", type=int, default=40, help="number of starts, the file's own guess included")
     add("--seed", type=int, default=0, help="of the random guesses")
     add("--mesh", metavar="KxN", help="coarse mesh, K equal segments of N points; default: MESH of the file")
-    add("--tol", type=float, metavar="TOL", help="refine the minima until the error is below this")
-    add("--structure", choices=("auto", "bang-bang", "none"), help="how to refine the minima")
+    add(
+        "--tol",
+        type=float,
+        default=REFINE_TOLERANCE,
+        metavar="TOL",
+        help="refine the minima until the error is below this (default 1e-8)",
+    )
+    add("--structure", choices=("auto", "bang-bang", "none"), default="auto", help="how to refine the minima")
     add("--no-refine", action="store_true", help="leave the minima on the coarse mesh, unjudged")
     add("--serial", action="store_true", help="use this process only")
     add("--json", metavar="OUT", help="write the minima as JSON to a file, '-' for standard output")

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.explanation import Explanation
+from gnc_opt.control.python_control import sampled_system
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.tolerances import SAME_TIME
@@ -133,6 +134,35 @@ class Controller:
         memory = np.asarray(self.start(float(t), state, row).full()[:, 0]) if z is None else z
         u, after = self.step(float(t), state, row, memory)
         return np.asarray(u.full()[:, 0]), np.asarray(after.full()[:, 0])
+
+    def to_control(self, dt: float | None = None) -> Any:
+        """Return the law as a sampled system of python-control, from the measured state to the command.
+
+        Its state is the memory, whose first value is ``initial_memory(t, x)[:system.nstates]``; there is no provision
+        for lost samples. ``system.linearize(z, x)`` is the linear system about a memory and a measurement.
+
+        Parameters
+        ----------
+        dt : float, optional
+            Length of the control step, s; see `step_length`.
+
+        Returns
+        -------
+        control.NonlinearIOSystem
+
+        Raises
+        ------
+        ArgumentError
+            See `step_length`.
+        GncOptError
+            The extra ``control`` is not installed.
+        """
+        bare, length = self.unbridged or self, self.step_length(dt)
+
+        def step(t: float, z: Array, x: Array) -> tuple[Array, Array]:
+            return bare(t, x, z, length)
+
+        return sampled_system(self.name, step, length, bare.memory, bare.states, bare.commands)
 
 
 def law(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any) -> Any:

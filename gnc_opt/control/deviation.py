@@ -14,6 +14,7 @@ pseudo-inverse is that T: it leaves out the directions that are no change of sta
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -21,7 +22,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
+from gnc_opt.control.python_control import linear_system
+from gnc_opt.control.sampling import zero_order_hold
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import Layout
 from gnc_opt.model.model import Model
@@ -91,6 +95,45 @@ class Deviation:
         slope = ca.Function("slope", [self.model.time, self._x], [ca.jacobian(y, self._x)])
         jacobian = np.asarray(self._jacobians(t, x_ref, u_ref, self.model.parameter_values)[0].full())
         return np.asarray(slope(t, x_ref).full() @ np.linalg.pinv(jacobian))
+
+    def to_control(
+        self,
+        t: float,
+        x_ref: ArrayLike,
+        u_ref: ArrayLike,
+        *,
+        outputs: Sequence[str] | None = None,
+        dt: float | None = None,
+    ) -> Any:
+        """Return the linear dynamics of e as a ``control.StateSpace`` of python-control, from u - u_ref to outputs.
+
+        Parameters
+        ----------
+        t, x_ref, u_ref
+            As for `linearize`.
+        outputs : sequence of str, optional
+            Names of the model's outputs; default e itself.
+        dt : float, optional
+            Sample exactly for commands held that long, s; default continuous time.
+
+        Raises
+        ------
+        DesignError
+            An output depends on a control.
+        GncOptError
+            The extra ``control`` is not installed.
+        """
+        a, b = self.linearize(t, x_ref, u_ref)
+        if dt is not None:
+            a, b = zero_order_hold(a, b, read_positive(dt, "the control step dt"))
+        c, labels = np.eye(a.shape[0]), self.errors.labels
+        if outputs is not None:
+            c = np.vstack([self.linearize_output(name, t, x_ref, u_ref) for name in outputs])
+            labels = tuple(label for name in outputs for label in self.model.outputs[name].labels)
+        matrices = (a, b, c, np.zeros((c.shape[0], b.shape[1])))
+        return linear_system(
+            self.model.name, matrices, dt or 0.0, self.errors.labels, self.model.controls.labels, labels
+        )
 
     @cached_property
     def _error(self) -> Any:

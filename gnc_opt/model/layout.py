@@ -39,6 +39,11 @@ class Variable:
         """Component names: ``("q",)`` for a scalar, ``("r[0]", "r[1]", ...)`` for a vector."""
         return (self.name,) if self.size == 1 else tuple(f"{self.name}[{i}]" for i in range(self.size))
 
+    def __str__(self) -> str:
+        size = f"[{self.size}]" if self.size > 1 else ""
+        unit = f" ({self.unit})" if self.unit else ""
+        return f"{self.name}{size}{unit}"
+
 
 @dataclass(frozen=True)
 class Layout:

@@ -14,6 +14,7 @@ from gnc_opt.arguments import expect, read_integer, read_name, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ModelError, did_you_mean, unknown_name
 from gnc_opt.model.evaluation import checked, evaluate
+from gnc_opt.model.exchange import declared, derivative_in, known_names
 from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.symbol import Symbol, as_expression, foreign_symbols
 from gnc_opt.model.table import TableUse
@@ -64,6 +65,70 @@ class Model(Strict):
         self._in_use_by: str | None = None
         self._split_controls: dict[str, tuple[Symbol, Symbol]] = {}
         self._functions: dict[str, Any] = {}
+
+    @classmethod
+    def from_casadi(
+        cls,
+        name: str,
+        x: Any,
+        u: Any,
+        f: Any,
+        *,
+        t: Any = None,
+        p: Any = (),
+        values: Mapping[str, ArrayLike] | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> Model:
+        """Return the model of dynamics that are written in CasADi already.
+
+        Parameters
+        ----------
+        name : str
+        x, u, p : symbols
+            Of states, controls and parameters: a column of SX or MX symbols, a sequence of columns, or a mapping
+            from names to columns or, if ``f`` is a Function, to sizes. Without a mapping symbols keep their names.
+        f : casadi.SX, casadi.MX, list of these or casadi.Function
+            dx/dt (n_states, 1), or a function that returns it; its inputs are those it needs of t, x, u, p, by name.
+        t : casadi symbol, optional
+            Time in the expression ``f``, s.
+        values : mapping, optional
+            Value of each parameter by name.
+        units : mapping, optional
+            Units by name.
+
+        Raises
+        ------
+        ModelError
+            ``f`` uses other symbols, its size does not fit, or a parameter has no value.
+
+        Examples
+        --------
+        >>> import casadi as ca
+        >>> q, v, a = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("a")
+        >>> cart = Model.from_casadi("cart", [q, v], a, ca.vertcat(v, a), units={"q": "m"})
+        >>> cart.f(0.0, [0.0, 2.0], 3.0)
+        array([2., 3.])
+        """
+        model = cls(name)
+        found = {
+            letter: declared(given, f"the {what} of model '{name}'")
+            for letter, what, given in (("x", "states", x), ("u", "controls", u), ("p", "parameters", p))
+        }
+        units = known_names(units, [v.name for group in found.values() for v in group], f"units= of '{name}'")
+        values = known_names(values, [v.name for v in found["p"]], f"values= of '{name}'")
+        for v in found["x"]:
+            model.state(v.name, v.size, unit=units.get(v.name, ""))
+        for v in found["u"]:
+            model.control(v.name, v.size, unit=units.get(v.name, ""))
+        for v in found["p"]:
+            model.parameter(v.name, v.value(values), unit=units.get(v.name, ""))
+        symbols = {"t": [] if t is None else [t]} | {
+            k: [v.symbol for v in group] for k, group in found.items()
+        }
+        arguments = dict(zip(_ARGUMENTS, model.arguments(), strict=True))
+        rate = derivative_in(f, arguments, symbols, model.states.size, f"dx/dt of model '{name}'")
+        model.ode({state: rate[model.states.slice(state)] for state in model.states.names})
+        return model
 
     def __repr__(self) -> str:
         return (
@@ -296,6 +361,15 @@ class Model(Strict):
     def function(self) -> Any:
         """The CasADi Function ``f(t, x, u, p) -> dx/dt``."""
         return self._function("f", lambda: [self.derivative()], "dx_dt")
+
+    def to_function(self) -> Any:
+        """Return the CasADi Function ``(t, x, u, p) -> (dx_dt, y)``, y the stacked outputs, for other tools.
+
+        `from_casadi` reads it back: its names and sizes are those of `states`, `controls`, `parameters` and `outputs`.
+        """
+        outputs = [self.output_expression(name) for name in self.outputs.names]
+        stacked = ca.vertcat(*outputs) if outputs else ca.SX(0, 1)
+        return self._function("model", lambda: [self.derivative(), stacked], "dx_dt", "y")
 
     def f(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, p: ArrayLike | None = None) -> Array:
         """Evaluate dx/dt.

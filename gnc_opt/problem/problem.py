@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_integer, read_label, read_name, read_numbers
 from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.markup import heading, table
 from gnc_opt.model.layout import Variable, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol, as_expression
@@ -51,6 +52,22 @@ class Problem(Statement):
 
     def __repr__(self) -> str:
         return f"Problem({self.name!r}: {', '.join(map(repr, self.phases.values()))})"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: a row per phase."""
+        rows = [
+            (
+                leg.name,
+                leg.model.name,
+                ", ".join(map(str, leg.model.states.variables)),
+                ", ".join(map(str, leg.model.controls.variables)),
+                ", ".join(leg.path_labels),
+            )
+            for leg in self.phases.values()
+        ]
+        titles = ("phase", "model", "states", "controls", "path constraints")
+        cost = "maximised" if self.sense < 0 else "minimised"
+        return heading(f"{self.name}, cost {cost}") + table(titles, rows)
 
     # --- declarations -----------------------------------------------------------------------------
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
+from gnc_opt.markup import table
 from gnc_opt.report.summary import known_quality, mesh_text
 from gnc_opt.report.verdict_table import number_text, verdict_counts
 from gnc_opt.solution.history import History
@@ -88,7 +89,7 @@ def _answer(solution: Solution) -> str:
     rows += [(f"broken: {broken.name}", f"{broken.amount:.2g}") for broken in solution.violations]
     if not solution.status.solved:
         rows.append(("what to do", solution.status.remedy))
-    return _table(("", ""), rows)
+    return table(("", ""), rows)
 
 
 def _verdict(verdict: Verdict | None) -> str:
@@ -114,7 +115,7 @@ def _arcs(solution: Solution) -> str:
         (arc.phase, arc.channel, arc.kind.value, f"{arc.start:.12g}", f"{arc.end:.12g}")
         for arc in solution.structure
     ]
-    return _table(("phase", "channel", "arc", "from (s)", "to (s)"), rows)
+    return table(("phase", "channel", "arc", "from (s)", "to (s)"), rows)
 
 
 def _refinement(history: History | None) -> str:
@@ -134,7 +135,7 @@ def _refinement(history: History | None) -> str:
         for i, p in enumerate(history.passes)
     ]
     titles = ("pass", "segments", "points", "error", "objective", "iterations", "time (s)", "done")
-    return f"<p>{escape(history.message)}</p>" + _table(titles, rows)
+    return f"<p>{escape(history.message)}</p>" + table(titles, rows)
 
 
 def _picture(path: Path) -> str:
@@ -156,7 +157,7 @@ def _multipliers(solution: Solution) -> str:
                     f"{_exact(first)} at the start, {_exact(last)} at the end",
                 )
             )
-    return _table(("", "value"), rows)
+    return table(("", "value"), rows)
 
 
 def _provenance(solution: Solution, command: str | None) -> str:
@@ -166,21 +167,10 @@ def _provenance(solution: Solution, command: str | None) -> str:
         ("solver", f"{spent.iterations} iterations, build {spent.build_s:.3f} s, solve {spent.solve_s:.3f} s")
     )
     again = f"<p>Again: <code>{escape(command)}</code></p>" if command else ""
-    return again + _table(("", ""), rows)
+    return again + table(("", ""), rows)
 
 
 # --- pieces ---------------------------------------------------------------------------------------------
-
-
-def _table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table that scrolls by itself where the screen is narrow, or nothing if it has no rows."""
-    lines = "".join(f"<tr>{_cells('td', row)}</tr>" for row in rows)
-    head = f"<thead><tr>{_cells('th', titles)}</tr></thead>" if any(titles) else ""
-    return f'<div class="wide"><table>{head}<tbody>{lines}</tbody></table></div>' if lines else ""
-
-
-def _cells(tag: str, values: Iterable[object]) -> str:
-    return "".join(f"<{tag}>{escape(str(value))}</{tag}>" for value in values)
 
 
 def _chip(word: str, tone: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.errors import GncOptError
+from gnc_opt.extras import imported
 from gnc_opt.model.layout import Variable
 from gnc_opt.solution.phase_solution import PhaseSolution
 
@@ -33,7 +32,7 @@ def data_frame(leg: PhaseSolution, times: ArrayLike | None = None) -> Any:
     pandas.DataFrame
         Columns such as ``r[0]`` and ``lam_r[0]``; ``attrs["units"]`` holds the unit of each.
     """
-    pandas, t = _imported("pandas"), _times(leg, times)
+    pandas, t = imported("pandas", "data"), _times(leg, times)
     columns: dict[str, Array] = {}
     units = {"time": "s"}
     for variable, values in _quantities(leg, t):
@@ -58,7 +57,7 @@ def dataset(leg: PhaseSolution, times: ArrayLike | None = None) -> Any:
     xarray.Dataset
         Each variable with its unit as the attribute ``units``.
     """
-    xarray, t = _imported("xarray"), _times(leg, times)
+    xarray, t = imported("xarray", "data"), _times(leg, times)
     variables = {}
     for variable, values in _quantities(leg, t):
         scalar = variable.size == 1
@@ -83,10 +82,3 @@ def _times(leg: PhaseSolution, times: ArrayLike | None) -> Array:
     if times is None:
         return leg.sample_times(PER_SEGMENT)
     return np.atleast_1d(read_numbers(times, "the times"))
-
-
-def _imported(name: str) -> Any:
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise GncOptError(f"{name} is not installed: pip install 'gnc_opt[data]'.") from error

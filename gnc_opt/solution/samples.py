@@ -161,7 +161,7 @@ class PhaseSamples:
     @cached_property
     def state_scale(self) -> Array:
         """How far each state moves along the phase (n,); see module `spans`."""
-        return state_spans(self.leg, self.functions, lasting=self.has_length)
+        return state_spans(self.leg, self.functions, self.control_span, lasting=self.has_length)
 
     @cached_property
     def end_scale(self) -> Array:

@@ -15,6 +15,7 @@ from gnc_opt.archive import FileFormat
 from gnc_opt.arguments import expect
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError, ProblemError, unknown_name
+from gnc_opt.markup import preformatted
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.nlp.status import Status
 from gnc_opt.packing import Packing
@@ -288,6 +289,10 @@ class Solution:
     def __repr__(self) -> str:
         state = f"{self.status.value}, objective={self.objective:.10g}, phases={list(self.phases)}"
         return f"Solution({self.problem_name!r}, {state})"
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        return preformatted(str(self))
 
     # --- files and tables -------------------------------------------------------------------------
 

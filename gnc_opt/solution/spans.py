@@ -17,7 +17,7 @@ from gnc_opt.model.layout import Layout
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.problem.interval import Interval
 from gnc_opt.solution.phase_solution import PhaseSolution
-from gnc_opt.tolerances import magnitude
+from gnc_opt.tolerances import ROUNDING, magnitude
 
 STILL = 1e-4
 """A state that moves by less than this share of what the controls could move it is still: that is its span."""
@@ -35,14 +35,20 @@ RESOLUTION = 1e-7
 """Least span, in shares of the size: with the tolerance of 1e-5 then 1e-12 of it, which is rounding."""
 
 
-def state_spans(leg: PhaseSolution, functions: PhaseFunctions, *, lasting: bool) -> Array:
-    """Return how far each state moves along a phase (n_states,); positive. Its size if the phase does not last."""
+def state_spans(leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, lasting: bool) -> Array:
+    """Return how far each state moves along a phase (n_states,); positive. Its size if the phase does not last.
+
+    Parameters
+    ----------
+    used : array (n_controls,)
+        Spans of the controls.
+    """
     values = leg.x(leg.sample_times())
     size = np.max(np.abs(values), axis=1, initial=0.0)
     moved = shared(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
     if not lasting or np.max(moved) <= NOTHING_MOVES:
         return magnitude(shared(size, leg.states))
-    movable = shared(_movable(leg, functions), leg.states)
+    movable = shared(_movable(leg, functions, used), leg.states)
     spans = np.where(moved > STILL * movable, moved, movable)
     spans = np.maximum(spans, RESOLUTION * size)
     boxes = (leg.state_bounds, leg.initial_bounds, leg.final_bounds)
@@ -86,17 +92,22 @@ def control_spans(leg: PhaseSolution, flown: Array, pull: Array, curvature: Arra
     ----------
     flown, pull, curvature : array (n_controls, n_samples)
         The control; what the costates' terms contribute to dH/du; d2H/du2. A constant control is moved by
-        pull / curvature from where the integrands alone would have it.
+        pull / curvature from where the integrands alone would have it. One that is idle and has no range has the span
+        that is worth in H what the others are; if all that is rounding, its size, or 1.
     """
     extent, size = _width(leg.control_bounds), np.max(np.abs(flown), axis=1, initial=0.0)
     moved = np.maximum(np.ptp(flown, axis=1), RESOLUTION * size) if flown.size else size
     steepest, most = (np.max(np.abs(v), axis=1, initial=0.0) for v in (pull, curvature))
     pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)
-    spans = _within_range(np.fmax(moved, pulled), extent)
-    return _otherwise(shared(spans, leg.controls), size, np.ones(size.size))
+    spans = shared(_within_range(np.fmax(moved, pulled), extent), leg.controls)
+    worth = np.fmax(steepest * spans, most * spans**2)
+    largest = np.max(worth, initial=0.0, where=np.isfinite(worth))
+    alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
+    spans = shared(np.where(spans > IDLE * alike, spans, alike), leg.controls)
+    return _otherwise(np.where(spans > ROUNDING, spans, extent), magnitude(size))
 
 
-def _movable(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
+def _movable(leg: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:
     """Return how far the controls could move each state within the phase, directly or through another (n_states,)."""
     middles = 0.5 * (leg.breaks[:-1] + leg.breaks[1:])
     x, u = leg.x(middles), leg.flown(middles)
@@ -105,9 +116,11 @@ def _movable(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
     by_state = np.median(np.abs(functions.state_jacobian(middles, x, u)), axis=2)
     np.fill_diagonal(by_state, 0.0)
     lasts = leg.breaks[-1] - leg.breaks[0]
-    used = _within_range(shared(np.ptp(u, axis=1), leg.controls), _width(leg.control_bounds))
     at_once = lasts * by_control @ used
-    return np.asarray(np.maximum(at_once, lasts * by_state @ at_once))
+    movable = np.maximum(at_once, lasts * by_state @ at_once)
+    for _ in range(movable.size):  # what is further down a chain
+        movable = np.where(movable > 0, movable, lasts * by_state @ movable)
+    return np.asarray(movable)
 
 
 def _within_range(spans: Array, extent: Array) -> Array:

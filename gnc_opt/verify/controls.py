@@ -14,11 +14,9 @@ from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT, RANK, SHORTEST
 from gnc_opt.verify.brief import lasting
 from gnc_opt.verify.feasibility import judge
+from gnc_opt.verify.held import left_free
 from gnc_opt.verify.least_hamiltonian import POINTS, coupled_gains, limits
 from gnc_opt.verify.verdict import Condition, Result
-
-ACTIVE = 1e-5
-"""A path constraint this close to its limit, relative to its value, takes directions from the controls."""
 
 CLEARLY_INSIDE = 1e-2
 """A control this far from both bounds, relative to the range, is between them on purpose."""
@@ -146,37 +144,15 @@ def legendre_clebsch(samples: list[PhaseSamples], tolerance: float) -> Condition
 def _least_curvature(s: PhaseSamples) -> tuple[float, str | None]:
     unit = s.control_span / np.sqrt(s.control_worth)
     scaled = s.control_hessian * unit[:, None, None] * unit[None, :, None]
-    interior = _inside(s)
     least, place = np.inf, None
-    for j in range(s.times.size):
-        curvature = _reduced_curvature(s, j, scaled[:, :, j], unit, interior[:, j])
-        if curvature is not None and curvature < least:
-            least, place = curvature, s.place(j)
-    return float(least), place
-
-
-def _reduced_curvature(s: PhaseSamples, j: int, hessian: Array, unit: Array, interior: Mask) -> float | None:
-    """Least eigenvalue on interior controls, tangent to active mixed path constraints; None if none is free."""
-    free = np.flatnonzero(interior)
-    if not free.size:
-        return None
-    reduced = hessian[np.ix_(free, free)]
-    if not np.all(np.isfinite(reduced)):  # a missing number: LAPACK would give up
-        return -np.inf
-    if s.leg.path_labels:
-        t, x, u = s.times[j], s.x[:, j], s.u[:, j]
-        values = s.functions.paths(t, x, u)
-        box = s.leg.path_bounds
-        at_lower, at_upper = box.near(values, ACTIVE * s.path_scale)
-        active = at_lower | at_upper
-        rows = s.functions.path_control_jacobian(t, x, u)[np.ix_(active, free)] * unit[free]
-        _, sizes, basis = np.linalg.svd(rows, full_matrices=True)
-        rank = int(np.sum(sizes > RANK * float(np.max(sizes, initial=0.0))))
-        tangent = basis[rank:].T
-        if not tangent.shape[1]:
-            return None
-        reduced = tangent.T @ reduced @ tangent
-    return float(np.linalg.eigvalsh(0.5 * (reduced + reduced.T))[0])
+    for j, basis in enumerate(left_free(s, _inside(s), unit)):
+        if basis.size:
+            reduced = basis.T @ scaled[:, :, j] @ basis
+            finite = np.all(np.isfinite(reduced))  # with a missing number LAPACK would give up
+            curvature = np.linalg.eigvalsh(0.5 * (reduced + reduced.T))[0] if finite else -np.inf
+            if curvature < least:
+                least, place = float(curvature), s.place(j)
+    return least, place
 
 
 def singular_arcs(samples: list[PhaseSamples], tolerance: float) -> Condition:
@@ -187,8 +163,10 @@ def singular_arcs(samples: list[PhaseSamples], tolerance: float) -> Condition:
     )
     total, place = 0.0, "nowhere"
     for s in samples:
-        loss, inside = _offences(s)[0] / s.control_worth[:, None], _inside(s)
-        singular = inside & (loss <= tolerance) & (np.abs(_curvature(s)) <= tolerance)
+        loss, unit = _offences(s)[0] / s.control_worth[:, None], s.control_span / np.sqrt(s.control_worth)
+        bases = left_free(s, _inside(s), unit)
+        left = np.stack([np.linalg.norm(basis, axis=1) > RANK for basis in bases], axis=1)
+        singular = left & (loss <= tolerance) & (np.abs(_curvature(s)) <= tolerance)
         lengths = np.sum(singular * s.weights, axis=1) / max(s.leg.duration, SHORTEST)
         if lengths.size and lengths.max() > total:
             i = int(np.argmax(lengths))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from gnc_opt.errors import unknown_name
+from gnc_opt.markup import heading, preformatted, table
 
 
 class Result(Enum):
@@ -133,3 +134,13 @@ class Verdict:
             f"{c.name:<{width}}  {c.result.value:<11}  {c.value:9.2e}  {c.where}" for c in self.conditions
         ]
         return "\n".join([*lines, f"verdict: {self.word}"])
+
+    def _repr_html_(self) -> str:
+        """For notebooks: every condition with its number and place, then what those that do not pass mean."""
+        rows = [
+            (c.name, c.result.value, f"{c.value:.1e}", f"{c.tolerance:.0e}", c.where) for c in self.conditions
+        ]
+        titles = ("condition", "result", "value", "tolerance", "worst at")
+        shown = heading(f"verdict on '{self.problem_name}': {self.word}") + table(titles, rows)
+        passed = all(c.result is Result.PASS for c in self.conditions)
+        return shown if passed else shown + preformatted(self.explain())

@@ -194,20 +194,19 @@ def _time_rows() -> list[Row]:
     switches = sum(arc.start > 0 for arc in fast.structure)
     return [
         compare("least time, modes at rest (s)", REFERENCE.value, t_f, absolute=REFERENCE.tolerance),
-        remark("switches", "", switches, "x, y and z together"),
+        remark("switches", switches, note="x, y and z together"),
         _residual("least time", fast),
         *_verdict_rows("least time", go.verify(fast)),
-        remark("least time / printed settling of RQSMC", "100 s", t_f / 100.0, "ratio"),
-        remark("least time / settling to 0.01 of J, k = 0", "", t_f / inertial.settling, "ratio"),
-        remark("least time / settling to 0.001 of J, k = 0", "", t_f / inertial.settling_fine, "ratio"),
+        remark("least time / printed settling of RQSMC, 100 s", t_f / 100.0),
+        remark("least time / settling to 0.01 of J, k = 0", t_f / inertial.settling),
+        remark("least time / settling to 0.001 of J, k = 0", t_f / inertial.settling_fine),
         require(
             "least time / eigenaxis turn of the rigid body", "< 1", t_f / eigenaxis_time(), t_f < eigenaxis_time()
         ),
         remark(
             f"least time with {100 * RESERVED:.0f} % of the torque (s)",
-            "",
             solved("fast, reserve").objective,
-            "the price of a reserve for feedback; not refined to the end",
+            note="the price of a reserve for feedback; not refined to the end",
         ),
     ]  # fmt: skip
 
@@ -226,8 +225,8 @@ def _vibration_rows() -> list[Row]:
         *_verdict_rows("least vibration", go.verify(gentle)),
         require("integral of the modal energy / J, k = 0", "< 1", ratio, ratio < 1),
         require("integral of the modal energy / U, k = 0", "< 1", printed, printed < 1),
-        remark("peak modal energy / J, k = 0", "", np.max(energy) / np.max(theirs), "ratio"),
-        remark("effort (N m s)", "25.26", effort, f"{effort / 25.26:.2f} of the printed RQSMC"),
+        remark("peak modal energy / J, k = 0", np.max(energy) / np.max(theirs)),
+        remark("effort (N m s)", effort, note=f"{effort / 25.26:.2f} of the 25.26 printed for RQSMC"),
     ]
 
 
@@ -248,7 +247,7 @@ def _verdict_rows(title: str, verdict: go.Verdict) -> list[Row]:
     worst = ", ".join(f"{c.name} {c.value:.1e}" for c in verdict.failed)
     passed = len(verdict.conditions) - len(verdict.failed)
     name, total = f"{title}: conditions of the verdict that hold", f"{len(verdict.conditions)}"
-    return [require(name, total, passed, verdict.ok, reason=worst)]
+    return [require(name, total, passed, verdict.ok, note=worst)]
 
 
 def _tracking_rows() -> list[Row]:
@@ -265,7 +264,7 @@ def _tracking_rows() -> list[Row]:
             rows.append(
                 _bounded(f"{what}: error at t_f (deg)", at_end.attitude, controller, 0.1)
                 if name != "fast"
-                else remark(f"{what}: error at t_f (deg)", "", at_end.attitude, "saturated on the way")
+                else remark(f"{what}: error at t_f (deg)", at_end.attitude, note="saturated on the way")
             )
             rows.append(_bounded(f"{what}: error 20 s later (deg)", later.attitude, controller, 0.1))
             rows.append(_bounded(f"{what}: modal energy 20 s later (J)", later.energy, controller, 1e-6))
@@ -280,5 +279,5 @@ def _tracking_rows() -> list[Row]:
 
 def _bounded(title: str, value: float, controller: str, bound: float) -> Row:
     if controller == "open loop":
-        return remark(title, "", value, "no feedback")
+        return remark(title, value, note="no feedback")
     return require(title, f"< {bound:g}", value, value < bound)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from problems.comparison import Row, compare, remark, require
+from problems.comparison import Claim, Row, compare, remark
 from problems.flexible_spacecraft.runs import Measures, measure, standard
 
 
@@ -84,16 +84,17 @@ _LINES = (
 )
 
 _REASONS = {
-    ("U", "settling"): "ripples under the law; 25 % off",
-    ("U", "modes"): "upper bound 22 % off",
-    ("J", "rate"): "the norm, 0.0683, agrees",
+    ("U", "settling"): "U is a near fit, not the gains of the print; ripples under the law",
+    ("U", "modes"): "U is a near fit, not the gains of the print",
+    ("J", "rate"): "the printed number is the norm's: 0.0683 here",
     ("J", "modes"): "minimum not reproduced by any variant",
-    ("J", "settling"): "between the two bands",
+    ("J", "settling"): "between the two bands: 81 s to 0.01, 110 s to 0.001; J is a near fit",
     ("J", "effort"): "not reproduced by any variant",
     ("J", "agility"): "not reproduced by any variant; definition unclear",
     ("J", "braking"): "y and z swapped in print",
-    ("U robust", "settling"): "k > 0 saturates: RQSMC is worse than QSMC with these gains",
 }
+
+_NOTES = {("U robust", "settling"): "k > 0 saturates: RQSMC is worse than QSMC with these gains"}
 
 
 def configuration_rows(cases: tuple[Case, ...] = CASES) -> list[Row]:
@@ -102,22 +103,17 @@ def configuration_rows(cases: tuple[Case, ...] = CASES) -> list[Row]:
     for case in cases:
         found = measure(standard(case.run))
         for attribute, name, relative, absolute in _LINES:
-            expected, ours = getattr(case.expected, attribute), getattr(found, attribute)
-            reason = _REASONS.get((case.run, attribute), "")
-            printed = _printed(case, attribute)
-            title = f"{case.title}: {name}"
-            if np.any(np.isinf(expected)):
-                rows.append(require(title, "> span", ours, bool(np.all(np.isinf(ours))), reason=reason))
-                continue
+            key = (case.run, attribute)
             rows.append(
                 compare(
-                    title,
-                    expected,
-                    ours,
+                    f"{case.title}: {name}",
+                    getattr(case.expected, attribute),
+                    getattr(found, attribute),
                     relative=relative,
                     absolute=absolute,
-                    published=printed,
-                    reason=reason,
+                    published=_printed(case, attribute),
+                    reason=_REASONS.get(key, ""),
+                    note=_NOTES.get(key, ""),
                 )
             )
     return rows + (_published_rows() if cases == CASES else [])
@@ -131,29 +127,21 @@ def _printed(case: Case, attribute: str) -> str:
 
 
 def _published_rows() -> list[Row]:
-    """What is asserted against the print itself."""
-    unit, inertial = measure(standard("U")), measure(standard("J"))
+    """What the print says beside its tables."""
+    inertial, robust = measure(standard("J")), measure(standard("J robust"))
+    ratio = robust.effort / inertial.effort
     return [
         compare(
-            "QSMC as printed, by U: peak torque, rate", (0.4, 0.08), (unit.torque, unit.rate), relative=0.05
-        ),
-        compare("QSMC as printed, by U: modal minimum", -0.05, unit.modes[0], relative=0.05),
-        compare(
-            "QSMC as printed, by U: modal maximum, settling",
-            (0.05, 120.0),
-            (unit.modes[1], unit.settling),
-            relative=0.25,
-        ),
-        compare(
-            "RQSMC as printed, by J: peak torque, norm of rate",
-            (0.3, 0.068),
-            (inertial.torque, inertial.rate_norm),
+            "J, k = 0: peak |omega| (rad/s), printed as peak |omega_i|",
+            0.0683,
+            inertial.rate_norm,
             relative=0.01,
+            published="0.068",
         ),
         remark(
             "J: effort of k = 0.05 / k = 0",
-            "< 1",
-            measure(standard("J robust")).effort / inertial.effort,
-            "less torque, rate and effort with k > 0 is no property of the law at equal gains",
+            ratio,
+            published=Claim("< 1", ratio < 1),
+            reason="less torque, rate and effort with k > 0 is no property of the law at equal gains",
         ),
     ]

@@ -17,7 +17,7 @@ def comparison() -> list[Row]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the table; return 1 if a number that is asserted misses its tolerance."""
+    """Print the table; return 1 if a row does not pass."""
     from problems.flexible_spacecraft.plots import write_figures
 
     return run_comparison("flexible_spacecraft", "Flexible spacecraft", comparison, write_figures, arguments)

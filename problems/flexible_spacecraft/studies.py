@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.simulation import Sinusoid
-from problems.comparison import Row, compare, require
+from problems.comparison import Row, compare, printed, require
 from problems.flexible_spacecraft.laws import INERTIAL, INERTIAL_ROBUST, UNIT
 from problems.flexible_spacecraft.model import DAMPING, FREQUENCIES, FULL, build_model, flexible_body
 from problems.flexible_spacecraft.runs import (
@@ -85,7 +85,8 @@ def _disturbance_rows(names: tuple[str, ...] = ("U", "J")) -> list[Row]:
     rows.append(
         require(
             "J, k = 0, with disturbance: |q_i| after 200 s", "< 2e-4", steady, steady < 2e-4,
-            published="about 0.001",
+            published=printed("about 0.001", steady, within=5e-4),
+            reason="not reproduced: eight times smaller under the printed disturbance",
         )
     )  # fmt: skip
     push = (Sinusoid("push", 0.03, 0.2, on="torque"),)
@@ -109,9 +110,7 @@ def _sign_rows() -> list[Row]:
     right = np.degrees(attitude_error(fly(INERTIAL, dt=0.1, tf=100.0, x0=near)))
     late = float(np.min(error[run.times > 150]))
     return [
-        require(
-            "printed sign: least error after 150 s (deg)", "> 30", late, late > 30, reason="never settles"
-        ),
+        require("printed sign: least error after 150 s (deg)", "> 30", late, late > 30, note="never settles"),
         require("printed sign: 5.7 deg grow in 100 s to (deg)", "> 100", wrong.max(), wrong.max() > 100),
         require("corrected sign: 5.7 deg after 100 s (deg)", "< 0.1", right[-1], right[-1] < 0.1),
     ]

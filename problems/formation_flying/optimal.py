@@ -164,14 +164,14 @@ def optimal_rows() -> list[Row]:
             REFERENCE.value,
             plan("least Delta-V").solution.objective,
             absolute=REFERENCE.tolerance,
-            reason="thrust of at most 3e-3 m/s^2 per axis",
+            note="thrust of at most 3e-3 m/s^2 per axis",
         ),
         compare(
             "least time to the formation (s)",
             738.51683269,
             plan("least time").solution.objective,
             absolute=1e-4,
-            reason="thrust of at most 3e-3 m/s^2",
+            note="thrust of at most 3e-3 m/s^2",
         ),
     ]
     ratios = {
@@ -192,7 +192,7 @@ def optimal_rows() -> list[Row]:
                 "none",
                 len(plan(name).verdict.failed),
                 not failed,
-                reason=failed,
+                note=failed,
             )
         )
         rows.append(require(what, "< 1", ratio, ratio < 1))
@@ -201,7 +201,5 @@ def optimal_rows() -> list[Row]:
         miss = miss_at(flown, planned.final_time)
         reason = f"{100 * RESERVE:.0f} % of the thrust in reserve, oblateness unknown to the plan"
         rows.append(require(f"{name}, tracked: outcome", "ok", float(flown.outcome.ok), flown.outcome.ok))
-        rows.append(
-            require(f"{name}, tracked: |e| on arrival (m)", "< 0.06", miss, miss < 0.06, reason=reason)
-        )
+        rows.append(require(f"{name}, tracked: |e| on arrival (m)", "< 0.06", miss, miss < 0.06, note=reason))
     return rows

@@ -23,7 +23,7 @@ def comparison() -> list[Row]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the table; return 1 if a number that is asserted misses its tolerance."""
+    """Print the table; return 1 if a row does not pass."""
     from problems.formation_flying.plots import write_figures
 
     return run_comparison("formation_flying", "Formation flying", comparison, write_figures, arguments)

@@ -43,8 +43,12 @@ def _references() -> dict[tuple[int, Equation], dict[str, Reference]]:
 
 REFERENCE = _references()
 """By (case, equation): minimum times on the paper's mesh ("20x3"), with optimal switch times ("exact", best
-known), and as published ("paper GPM", "paper GPOPS"). Of the published ones, GPM 2 and 5 and GPOPS 2, 3 and 4
-are other local minima, up to 0.44 s slower than the best."""
+known), and as published ("paper GPM", "paper GPOPS")."""
+
+OTHER_MINIMA = frozenset(
+    {(2, "paper GPM"), (5, "paper GPM"), (2, "paper GPOPS"), (3, "paper GPOPS"), (4, "paper GPOPS")}
+)
+"""Published times (case, key) that are other local minima, up to 0.44 s slower than the best."""
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ import gnc_opt as go
 
 INSTANCES: dict[str, type] = {
     "campaign": go.Campaign,
+    "controller": go.Controller,
     "leg": go.Phase,
     "loop": go.ClosedLoop,
     "model": go.Model,

@@ -112,6 +112,23 @@ def test_active_limits_of_the_end_are_left_to_others() -> None:
     assert settle(solution, structure([0.0, 2.0, 4.0], LOWER, UPPER)) is None
 
 
+def test_conditions_that_depend_on_each_other_are_left_to_others() -> None:
+    """The angle's cosine and sine are both held at the end: one of them follows, and has no multiplier of its own."""
+    model = go.Model("pointing")
+    c, s, w, a = model.state("c"), model.state("s"), model.state("w"), model.control("a")
+    model.ode({c: -s * w, s: c * w, w: a})
+    problem = go.Problem("pointing")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(0.1, 10.0))
+    leg.initial(c=1.0, s=0.0, w=0.0)
+    leg.final(c=0.0, s=1.0, w=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem, mesh="8x3", tol=None)
+    half = np.sqrt(np.pi / 2)
+    assert settle(solution, structure([0.0, half, 2 * half], UPPER, LOWER, others=3)) is None
+
+
 @pytest.mark.parametrize("kind", [INTERIOR, ArcKind.SINGULAR])
 def test_controls_between_their_bounds_are_left_to_others(cart: go.Solution, kind: ArcKind) -> None:
     assert settle(cart, structure([0.0, 1.0, 4.0], kind, UPPER)) is None

@@ -82,7 +82,7 @@ def complaint(capsys: pytest.CaptureFixture[str]) -> str:
 
 
 def test_solve_prints_summary_and_verdict(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("solve", cart) == 0
+    assert run("solve", cart, "--tol", "none") == 0
     out, err = capsys.readouterr()
     assert re.match(r"cart: solved \(optimal\), objective 2(\.00000\d*)? \(minimised\)", out)
     assert "10x3 LG" in out  # MESH of the file
@@ -108,7 +108,7 @@ def test_json_to_standard_output_is_nothing_but_json(cart: Path, capsys: pytest.
     assert run("solve", cart, "--json", "-") == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["status"] == "optimal"
-    assert "cart: solved" in err
+    assert "cart: refined (converged)" in err
 
 
 def test_options_reach_the_solve(cart: Path, tmp_path: Path) -> None:
@@ -124,6 +124,8 @@ def test_options_reach_the_solve(cart: Path, tmp_path: Path) -> None:
         "lgr",
         "--solver-tol",
         "1e-7",
+        "--tol",
+        "none",
     ]
     assert run("solve", cart, *options, "--no-verify", "--quiet", "--json", target) == 0
     told = json.loads(target.read_text())
@@ -153,13 +155,19 @@ def test_figures_of_the_problem_file_are_drawn(cart: Path, tmp_path: Path) -> No
 
 
 def test_exit_code_of_a_verdict_that_fails(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("solve", cart, "--mesh", "5x3") == 1
+    assert run("solve", cart, "--mesh", "5x3", "--tol", "none") == 1
     out = capsys.readouterr().out
     assert "NOT ok" in out
     failed = go.verify(go.solve(load_problem_file(cart).build({}), mesh="5x3")).failed
     assert failed and all(f"{c.name}: {c.meaning}" in out for c in failed)
-    assert run("solve", cart, "--mesh", "5x3", "--exit-zero") == 0
-    assert run("solve", cart, "--mesh", "5x3", "--no-verify") == 0
+    assert run("solve", cart, "--mesh", "5x3", "--tol", "none", "--exit-zero") == 0
+    assert run("solve", cart, "--mesh", "5x3", "--tol", "none", "--no-verify") == 0
+
+
+def test_answers_are_refined_unless_told_otherwise(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("solve", cart, "--mesh", "5x3") == 0
+    out = capsys.readouterr().out
+    assert "cart: refined (converged)" in out and "every condition passes" in out
 
 
 def test_exit_code_of_a_problem_without_solution(
@@ -171,7 +179,7 @@ def test_exit_code_of_a_problem_without_solution(
     assert json.loads(target.read_text())["violations"]
 
 
-@pytest.mark.parametrize("asked", [("--tol", "1e-8"), ("--structure", "none")])
+@pytest.mark.parametrize("asked", [(), ("--tol", "1e-8"), ("--structure", "none")])
 def test_refining_goes_the_way_of_solve(
     cart: Path, monkeypatch: pytest.MonkeyPatch, asked: tuple[str, ...]
 ) -> None:
@@ -255,6 +263,7 @@ def test_warnings_are_one_line(cart: Path, capsys: pytest.CaptureFixture[str]) -
         (["--set", "wrong=nothing"], "build() returned NoneType, not a Problem"),
         (["--mesh", "20"], "mesh '20' is not understood: write SEGMENTSxDEGREE"),
         (["--scheme", "euler"], "invalid choice: 'EULER'"),
+        (["--tol", "some"], "'some' is neither a number nor none"),
         (["--solver-tol", "-1"], "tolerance is -1.0"),
         (["--json", "nowhere/out.json"], "--json nowhere/out.json: name a file in a folder that exists"),
         (["--frobnicate"], "unrecognized arguments: --frobnicate"),

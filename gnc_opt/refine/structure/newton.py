@@ -127,7 +127,7 @@ class _Step:
 
 
 def _newton_step(problem: Problem, s: PhaseSamples, switches: Switches) -> _Step | None:
-    """Return the step, or None where the flow is no number."""
+    """Return the step, or None where the flow is no number or conditions depend on each other."""
     leg, size = s.leg, s.leg.states.size + s.leg.integrals.size + 1
     flow = bang_bang_flow(problem, s, switches.pieces(_order(switches)), np.zeros(0, dtype=int))
     if not np.isfinite(flow.final_sensitivity).all():
@@ -147,6 +147,8 @@ def _newton_step(problem: Problem, s: PhaseSamples, switches: Switches) -> _Step
             _constraint_values(s, problem, flow) - limits.lower,
         ]
     )
+    if np.linalg.matrix_rank(rows, RANK * np.linalg.norm(rows, 2)) < rows.shape[0]:
+        return None  # Multipliers of conditions that depend on each other would run away in the collocated problem.
     gradient = (slope[:, 0] @ changes)[free]
     multipliers = np.linalg.lstsq(rows.T, -gradient, rcond=RANK)[0]
     on_states, nu = np.split(multipliers, [wanted.size])

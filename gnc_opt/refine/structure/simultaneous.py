@@ -13,17 +13,18 @@ with the weights w of the integrals and the multipliers :math:`\nu_f` of values 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-import scipy
 
 from gnc_opt.arrays import Array
-from gnc_opt.problem.functions import EndGradients
+from gnc_opt.problem.functions import EndGradients, PhaseFunctions
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
+from gnc_opt.transcription.quadrature import gauss_rule
 from gnc_opt.verify.induced import InducedProblem, Unknowns
 from gnc_opt.verify.judged import ends_of, from_problem
 from gnc_opt.verify.second_order import least_squares, obstacle
@@ -32,8 +33,8 @@ from gnc_opt.verify.switches import Switches
 REFINEMENT = 4
 """Of the integration of the induced problem."""
 
-EXACT = 1e-12
-"""Relative error of the integration of costates."""
+POINTS = 16
+"""Of the integration of costates, in every segment."""
 
 
 def settle_costates(solution: Solution) -> Solution:
@@ -69,6 +70,39 @@ def settle_costates(solution: Solution) -> Solution:
     return replace(solution, phases=phases, constraint_multipliers=nu)
 
 
+def _backwards(
+    leg: PhaseSolution, functions: PhaseFunctions, final: Array
+) -> Iterator[tuple[int, PiecewisePolynomial]]:
+    """Yield every segment, the last one first, with the solution of the linear adjoint equation along it.
+
+    On each segment Gauss's method of order 2 `POINTS`: one linear system, whatever the equation's stiffness.
+    """
+    rule, n = gauss_rule(POINTS), final.size
+    left, right = leg.breaks[:-1], leg.breaks[1:]
+    times = (left[:, None] + 0.5 * (right - left)[:, None] * (1 + rule.points)).ravel()
+    x, u, no_path = leg.x(times), leg.flown(times), np.zeros((len(leg.path_labels), times.size))
+
+    def rates(change: Array) -> Array:
+        costates = np.tile(change[:, None], times.size)
+        return -functions.state_gradient(times, x, u, costates, no_path).reshape(n, -1, POINTS)
+
+    forcing = rates(np.zeros(n))
+    columns = np.stack([rates(unit) - forcing for unit in np.eye(n)], axis=1)  # (n, n, K, POINTS)
+    nodes = np.concatenate([[-1.0], rule.points, [1.0]])
+    to_end = rule.weights - rule.integration
+    at_end = final
+    for k in reversed(range(left.size)):
+        half = 0.5 * (right[k] - left[k])
+        system = np.einsum("ij,abj->aibj", half * to_end, columns[:, :, k]).reshape(n * POINTS, n * POINTS)
+        known = at_end[:, None] - half * forcing[:, k] @ to_end.T
+        inside = np.linalg.solve(np.eye(n * POINTS) + system, known.ravel()).reshape(n, POINTS)
+        slopes = np.einsum("abj,bj->aj", columns[:, :, k], inside) + forcing[:, k]
+        at_start = at_end - half * slopes @ rule.weights
+        values = np.column_stack([at_start, inside, at_end])
+        yield k, PiecewisePolynomial(np.array([left[k], right[k]]), (nodes,), (values,))
+        at_end = at_start
+
+
 def _shifted(
     leg: PhaseSolution,
     s: PhaseSamples,
@@ -81,23 +115,16 @@ def _shifted(
     functions = replace(s.functions, weights=weights)
     lam = leg.lam
     values, starts, ends, points = [], [], [], []
-    at_end, no_path = final, np.zeros(len(leg.path_labels))
-    for k in reversed(range(leg.mesh.segments)):
-        left, right = leg.breaks[k : k + 2]
-
-        def rate(t: float, change: Array, k: int = k) -> Array:
-            inside = float(np.clip(t, leg.breaks[k], np.nextafter(leg.breaks[k + 1], -np.inf)))
-            return -functions.state_gradient(t, leg.x(inside), leg.flown(inside), change, no_path)
-
-        run = scipy.integrate.solve_ivp(
-            rate, (right, left), at_end, method="DOP853", rtol=EXACT, atol=EXACT, dense_output=True
+    at_end = final
+    for k, run in _backwards(leg, functions, final):
+        nodes = leg.breaks[k] + 0.5 * (leg.breaks[k + 1] - leg.breaks[k]) * (1 + lam.nodes[k])
+        values.append(lam.values[k] + run(nodes))
+        points.append(
+            run(leg.breaks[k] + 0.5 * (leg.breaks[k + 1] - leg.breaks[k]) * (1 + leg.rules[k].points))
         )
-        nodes = left + 0.5 * (right - left) * (1 + lam.nodes[k])
-        values.append(lam.values[k] + run.sol(nodes))
-        points.append(run.sol(left + 0.5 * (right - left) * (1 + leg.rules[k].points)))
-        starts.append(run.y[:, -1])
+        starts.append(run(leg.breaks[k]))
         ends.append(at_end)
-        at_end = run.y[:, -1]
+        at_end = starts[-1]
     at_start, change = at_end, np.hstack(points[::-1])
     times = leg.point_times
     x, u = leg.x(times), leg.flown(times)

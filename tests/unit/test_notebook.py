@@ -1,0 +1,69 @@
+"""What notebooks show: well formed, complete, and nothing that a user wrote is taken for HTML."""
+
+from __future__ import annotations
+
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+
+import gnc_opt as go
+
+HOSTILE = "<script>alert('a')</script> & <b>"
+TAGS = {"div", "p", "strong", "table", "thead", "tbody", "tr", "th", "td", "pre"}
+
+
+def parsed(thing: Any) -> ElementTree.Element:
+    tree = ElementTree.fromstring(f"<div>{thing._repr_html_()}</div>")
+    assert {element.tag for element in tree.iter()} <= TAGS
+    return tree
+
+
+def rows(tree: ElementTree.Element) -> list[list[str]]:
+    return [["".join(cell.itertext()) for cell in row] for row in tree.iter("tr")]
+
+
+@pytest.fixture(scope="module")
+def problem() -> go.Problem:
+    model = go.Model(HOSTILE)
+    r, v = model.state("r", 2, unit="m"), model.state("v", 2, unit=HOSTILE)
+    a = model.control("a", 2)
+    model.ode({r: v, v: a})
+    problem = go.Problem(HOSTILE)
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(r=[0.0, 0.0], v=0.0)
+    leg.final(r=[1.0, 2.0], v=0.0)
+    leg.path(HOSTILE, a[0] + a[1], upper=100.0)
+    problem.minimize(leg.integral(a[0] ** 2 + a[1] ** 2))
+    return problem
+
+
+@pytest.fixture(scope="module")
+def solution(problem: go.Problem) -> go.Solution:
+    return go.solve(problem, mesh="1x6")
+
+
+def test_problem(problem: go.Problem) -> None:
+    tree = parsed(problem)
+    assert f"{HOSTILE}, cost minimised" in "".join(tree.itertext())
+    assert rows(tree)[1:] == [["leg", HOSTILE, f"r[2] (m), v[2] ({HOSTILE})", "a[2]", HOSTILE]]
+
+
+def test_solution(solution: go.Solution) -> None:
+    assert "".join(parsed(solution).itertext()) == str(solution)
+    assert HOSTILE in str(solution)
+
+
+def test_verdict(solution: go.Solution) -> None:
+    verdict = go.verify(solution)
+    tree = parsed(verdict)
+    assert [row[:2] for row in rows(tree)[1:]] == [[c.name, c.result.value] for c in verdict.conditions]
+    assert f"verdict on '{HOSTILE}': {verdict.word}" in "".join(tree.itertext())
+
+
+def test_a_verdict_that_is_not_ok_says_what_that_means(solution: go.Solution) -> None:
+    condition = go.Condition("cost", go.Result.FAIL, 0.5, 1e-5, HOSTILE, f"It is {HOSTILE}.")
+    passed = go.Condition("cost", go.Result.PASS, 0.0, 1e-5, HOSTILE, f"It is {HOSTILE}.")
+    assert f"It is {HOSTILE}." in "".join(parsed(go.Verdict(HOSTILE, (condition,))).itertext())
+    assert parsed(go.Verdict(HOSTILE, (passed,))).find("pre") is None

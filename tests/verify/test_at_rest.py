@@ -1,0 +1,96 @@
+"""Controls that do nothing, and solutions that cost nothing: offences are not measured in shares of rounding."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_reduced_hessian import great_circle
+from wrong import added, failed
+
+import gnc_opt as go
+
+
+def at_rest(*, beside: bool = True, unit: float = 1.0, cost: float = 1.0) -> go.Problem:
+    """Least integral of u^2 - x^2 over 2 s from 0 to 0: x = u = 0, a minimum, beside a clock that moves or alone."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    equations = {x: u}
+    if beside:
+        equations[model.state("clock")] = 1.0 + 0 * u
+    model.ode(equations)
+    problem = go.Problem("at rest")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    leg.initial(**dict.fromkeys(leg.model.states.names, 0.0))
+    leg.final(x=0.0)
+    problem.minimize(cost * leg.integral((u / unit) ** 2 - (x / unit) ** 2))
+    return problem
+
+
+def with_rounding(solution: go.Solution, size: float) -> go.Solution:
+    """Rounding of some size in everything that is zero."""
+    for piece, row in (("x", 0), ("u", 0), ("lam", 0)):
+        for segment, point in ((0, 1), (1, 2), (2, 0)):
+            solution = added(solution, piece, row, (-1) ** segment * size, segment, point)  # type: ignore[arg-type]
+    return solution
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-100, 1e-15])
+@pytest.mark.parametrize("beside", [False, True])
+def test_rounding_about_a_solution_that_costs_nothing_is_no_offence(beside: bool, noise: float) -> None:
+    solution = with_rounding(go.solve(at_rest(beside=beside), mesh="4x4"), noise)
+    verdict = go.verify(replace(solution, objective=0.0))
+    assert verdict.minimum, verdict.explain()
+
+
+@pytest.mark.parametrize(("unit", "cost"), [(1e3, 1.0), (1e-3, 1.0), (1.0, 1e6), (1.0, 1e-6)])
+def test_nor_is_it_in_other_units(unit: float, cost: float) -> None:
+    verdict = go.verify(go.solve(at_rest(unit=unit, cost=cost), mesh="4x4"))
+    assert verdict.minimum, verdict.explain()
+
+
+@pytest.mark.parametrize(
+    ("piece", "condition"), [("lam", "adjoint equation"), ("lam", "stationarity"), ("u", "dynamics")]
+)
+def test_what_is_no_rounding_fails_there(piece: str, condition: str) -> None:
+    solution = go.solve(at_rest(), mesh="4x4")
+    assert condition in failed(added(solution, piece, 0, 1e-2, 1))  # type: ignore[arg-type]
+
+
+def test_an_idle_control_is_measured_by_what_the_other_is_worth() -> None:
+    """Across the great circle nothing moves; a control along it of arc costs as much as one across."""
+    arc = 2.0
+    solution = go.solve(great_circle(arc), mesh="4x6")
+    verdict = go.verify(solution)
+    assert verdict.minimum, verdict.explain()
+    # The curvature 1 over b's span, arc, in shares of what half of it is worth by the slope arc; a's shares are larger.
+    assert verdict["Legendre-Clebsch"].value == pytest.approx(-(arc**2) / (arc**2 / 2), rel=1e-6)
+    assert "stationarity" in failed(added(solution, "lam", 0, 1e-3 * arc, 1))
+
+
+@pytest.mark.parametrize("bend", [-1.0, 0.0])
+def test_an_idle_control_without_curvature_stays_singular_and_a_maximum_fails(bend: float) -> None:
+    """w beside a clock that a second control drives: H = b^2 / 2 + bend w^2 / 2 at w = 0."""
+    model = go.Model("beside")
+    x, y = model.state("x"), model.state("y")
+    w, b = model.control("w"), model.control("b")
+    model.ode({x: w, y: b})
+
+    def problem(bend: float) -> go.Problem:
+        result = go.Problem("beside")
+        leg = result.phase("leg", model)
+        leg.time(0.0, 1.0)
+        leg.initial(x=0.0, y=0.0)
+        leg.final(x=0.0, y=1.0)
+        result.minimize(leg.integral(0.5 * b**2 + 0.5 * bend * w**2))
+        return result
+
+    verdict = go.verify(replace(go.solve(problem(1.0), mesh="2x3"), problem=problem(bend)))
+    expected = go.Result.FAIL if bend < 0 else go.Result.CANNOT_TELL
+    assert verdict["Legendre-Clebsch"].result is expected
+    assert (verdict["singular arcs"].result is go.Result.CANNOT_TELL) == (bend == 0)
+    if not bend:
+        assert verdict["singular arcs"].value == pytest.approx(1.0)
+    assert np.isfinite(verdict["Legendre-Clebsch"].value)

@@ -1,0 +1,211 @@
+"""Linear algebra of the second order and of multipliers, on small matrices done densely."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy
+from numpy.typing import NDArray
+
+from gnc_opt.problem.interval import Interval
+from gnc_opt.verify.bang_bang_flow import _stacked
+from gnc_opt.verify.multipliers import _least_squares, _Limits, _sort_out
+from gnc_opt.verify.normality import _least_dependent
+from gnc_opt.verify.null_space import NullSpace, lanczos, quadratic
+from gnc_opt.verify.second_order import _explained, _extrapolated, _null_space
+
+Array = NDArray[np.float64]
+RANDOM = np.random.default_rng(5)
+
+
+def sparse(matrix: Array) -> object:
+    return scipy.sparse.csc_array(matrix)
+
+
+def space_of(jacobian: Array, root: Array, free: Array, size: int) -> NullSpace:
+    """Rows scaled to unit gradients, as `NullSpace.of` leaves them."""
+    norms = np.linalg.norm(jacobian, axis=1)
+    rows = np.arange(jacobian.shape[0])
+    return NullSpace(size, free, rows, root, norms, sparse(jacobian / norms[:, None]))
+
+
+def symmetric(n: int) -> Array:
+    matrix = RANDOM.standard_normal((n, n))
+    return matrix + matrix.T
+
+
+def test_projected_inverse_is_that_of_the_hessian_on_the_null_space() -> None:
+    jacobian, hessian = RANDOM.standard_normal((3, 7)), symmetric(7)
+    space = space_of(jacobian, np.ones(7), np.arange(7), 7)
+    z = scipy.linalg.null_space(jacobian)
+    vector = RANDOM.standard_normal(7)
+    expected = z @ np.linalg.solve(z.T @ hessian @ z, z.T @ vector)
+    np.testing.assert_allclose(space.projected_inverse(sparse(hessian))(vector), expected, rtol=1e-9)
+
+
+def test_dependent_rows_do_no_harm() -> None:
+    """The same row twice; what is projected keeps it as well as if it were there once."""
+    row = RANDOM.standard_normal((1, 5))
+    space = space_of(np.vstack([row, row]), np.ones(5), np.arange(5), 5)
+    vector = RANDOM.standard_normal(5)
+    projected = space.projected_inverse(scipy.sparse.eye_array(5))(vector)
+    np.testing.assert_allclose(projected, vector - row[0] * (row[0] @ vector) / (row[0] @ row[0]), rtol=1e-9)
+
+
+def test_variations_are_shares_of_the_metric() -> None:
+    """Variables 1, 2 and 4 of 5 vary."""
+    root, free = np.array([2.0, 3.0, 5.0]), np.array([1, 2, 4])
+    space = space_of(np.ones((1, 3)), root, free, 5)
+    np.testing.assert_allclose(space.variables(np.array([1.0, 10.0, 100.0])), [0, 2, 30, 0, 500])
+    hessian = symmetric(5)
+    expected = hessian[np.ix_(free, free)] * np.outer(root, root)
+    np.testing.assert_allclose(space.in_shares(sparse(hessian)).toarray(), expected)
+
+
+def test_curvature_and_its_share_of_its_terms() -> None:
+    """d = (1, -1): 1 + 3 - 2 * 1.5 = 1 out of 7."""
+    matrix = np.array([[1.0, 1.5], [1.5, 3.0]])
+    assert quadratic(sparse(matrix), np.array([1.0, -1.0])) == pytest.approx((1.0, 1 / 7))
+    assert quadratic(sparse(0 * matrix), np.array([1.0, -1.0])) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 9])
+def test_lanczos_of_a_small_matrix_is_complete(n: int) -> None:
+    matrix = symmetric(n)
+    values, vectors = lanczos(lambda v: matrix @ v, 1.0 + np.arange(n), 60)
+    np.testing.assert_allclose(values, np.linalg.eigvalsh(matrix), atol=1e-9)
+    np.testing.assert_allclose(matrix @ vectors, vectors * values, atol=1e-8)
+    np.testing.assert_allclose(vectors.T @ vectors, np.eye(n), atol=1e-9)
+
+
+def test_lanczos_ends_where_the_start_spans_no_more() -> None:
+    """Two eigenvalues take two steps, an eigenvector one, and nothing none."""
+    matrix, calls = np.diag([2.0] * 20 + [-3.0] * 20), []
+
+    def operate(v: Array) -> Array:
+        calls.append(0)
+        return matrix @ v
+
+    assert lanczos(operate, np.ones(40), 30)[0] == pytest.approx([-3.0, 2.0])
+    assert len(calls) == 2
+    values, vectors = lanczos(operate, np.eye(40)[0], 30)
+    assert values == pytest.approx([2.0]) and vectors.shape == (40, 1)
+    values, vectors = lanczos(operate, np.zeros(40), 30)
+    assert values.shape == (0,) and vectors.shape == (40, 0)
+
+
+def test_lanczos_takes_no_more_steps_than_it_is_told_and_than_settle_the_ends() -> None:
+    few = lanczos(lambda v: np.linspace(0.0, 1.0, 200) * v, np.ones(200), 15)[0]
+    assert few.size == 15
+    spread = np.concatenate([[-5.0], np.linspace(0.0, 1.0, 200), [4.0]])
+    values = lanczos(lambda v: spread * v, np.ones(202), 100)[0]
+    assert values[[0, -1]] == pytest.approx([-5.0, 4.0], abs=1e-6) and values.size in (10, 20, 30)
+
+
+def test_least_dependent_rows() -> None:
+    """Rows of sizes 1, 10, 0.1, two of which are parallel but for 1e-3: y combines those two."""
+    first, other = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0, 0.0])
+    nearly = 10.0 * np.array([1.0, 1e-3, 0.0, 0.0])
+    jacobian = np.vstack([first, nearly, 0.1 * other])
+    y, size = _least_dependent(space_of(jacobian, np.ones(4), np.arange(4), 4))
+    values = np.linalg.svd(jacobian.T)
+    np.testing.assert_allclose(np.abs(y), np.abs(values[2][-1]), atol=1e-6)
+    assert size == pytest.approx(values[1][-1], rel=1e-3)
+    assert size == pytest.approx(float(np.linalg.norm(jacobian.T @ y)), rel=1e-6)
+
+
+# --- the induced problem's ------------------------------------------------------------------------------------
+
+
+def test_null_space_of_dependent_rows() -> None:
+    rows = np.array([[1.0, 1.0, 0.0], [2.0, 2.0, 0.0]])
+    basis = _null_space(rows)
+    assert basis.shape == (3, 2)
+    np.testing.assert_allclose(rows @ basis, 0.0, atol=1e-12)
+    np.testing.assert_allclose(basis.T @ basis, np.eye(2), atol=1e-12)
+    assert _null_space(np.zeros((0, 3))).shape == (3, 3) and _null_space(np.eye(3)).shape == (3, 0)
+
+
+def test_extrapolation_takes_away_an_error_of_fourth_order() -> None:
+    coarse, fine = 2.0 + 3.0 * 0.2**4, 2.0 + 3.0 * 0.1**4
+    assert _extrapolated(np.array(fine), np.array(coarse)) == pytest.approx(2.0, abs=1e-14)
+
+
+def test_what_an_order_explains_of_a_gradient() -> None:
+    """An order pushes one way only."""
+    precedences = np.array([[-1.0, 1.0, 0.0]])
+    residual, pushes = _explained(np.array([-2.0, 2.0, 0.5]), precedences)
+    np.testing.assert_allclose(residual, [0.0, 0.0, 0.5], atol=1e-12)
+    np.testing.assert_allclose(pushes, [2.0])
+    residual, pushes = _explained(np.array([2.0, -2.0, 0.5]), precedences)
+    np.testing.assert_allclose(residual, [2.0, -2.0, 0.5])
+    np.testing.assert_allclose(pushes, [0.0])
+    residual, pushes = _explained(np.array([1.0]), np.zeros((0, 1)))
+    np.testing.assert_allclose(residual, [1.0])
+    assert pushes.shape == (0,)
+
+
+def test_matrices_side_by_side_are_stacked() -> None:
+    class Wide:
+        def full(self) -> Array:
+            return np.array([[1.0, 2.0, 5.0, 6.0], [3.0, 4.0, 7.0, 8.0]])
+
+    np.testing.assert_array_equal(_stacked(Wide(), 2), [[[1, 2], [3, 4]], [[5, 6], [7, 8]]])
+
+
+# --- multipliers ----------------------------------------------------------------------------------------------
+
+
+def test_which_multipliers_a_limit_can_exert() -> None:
+    """Of values at the lower, at the upper, at neither, at both limits, with a slack of 1e-5 of the scale."""
+    box = Interval(np.array([0.0, 0.0, 0.0, 1.0, 0.0]), np.array([1.0, 1.0, 1.0, 1.0, 1.0]))
+    values, scales = np.array([0.9e-3, 1 - 0.9e-3, 0.5, 7.0, 1.1e-3]), np.full(5, 100.0)
+    limits = _Limits.of(box, values, scales)
+    np.testing.assert_array_equal(limits.lower, [True, False, False, True, False])
+    np.testing.assert_array_equal(limits.upper, [False, True, False, True, False])
+    np.testing.assert_array_equal(limits.anywhere, [True, True, False, True, False])
+    np.testing.assert_array_equal(limits.wrong(np.ones(5), 1.0), [True, False, False, False, False])
+    np.testing.assert_array_equal(limits.wrong(-np.ones(5), 1.0), [False, True, False, False, False])
+    assert not np.any(limits.wrong(np.ones(5), 1e8))
+
+
+def test_least_squares_with_exact_rows() -> None:
+    """The exact rows are met, the others as well as these allow; columns of any size, dependent ones too."""
+    matrix = RANDOM.standard_normal((7, 4)) * np.array([1.0, 1e3, 1e-3, 1.0])
+    right, exact = RANDOM.standard_normal(7), np.array([True, False, False, True, False, False, False])
+    y = _least_squares(sparse(matrix), right, exact)
+    np.testing.assert_allclose(matrix[exact] @ y, right[exact], atol=1e-7)
+    z = scipy.linalg.null_space(matrix[exact])
+    np.testing.assert_allclose(z.T @ matrix[~exact].T @ (matrix[~exact] @ y - right[~exact]), 0.0, atol=1e-5)
+    twice = _least_squares(sparse(np.ones((2, 2))), np.array([1.0, 3.0]), np.zeros(2, dtype=bool))
+    assert twice == pytest.approx([1.0, 1.0], abs=1e-3) and twice.sum() == pytest.approx(2.0)
+    assert _least_squares(sparse(np.zeros((2, 0))), np.ones(2), np.zeros(2, dtype=bool)).shape == (0,)
+
+
+def none_at(n: int, lower: bool = False, upper: bool = False) -> _Limits:
+    return _Limits(np.full(n, lower), np.full(n, upper))
+
+
+def test_limits_that_would_pull_are_let_go() -> None:
+    """min z^2 / 2 - g z under the row z <= 0, at z = 0: the multiplier is g if that pushes, else none."""
+    matrix, exact = sparse(np.ones((1, 1))), np.zeros(1, dtype=bool)
+    held = _sort_out(matrix, np.array([-2.0]), exact, none_at(1), none_at(1, upper=True))
+    assert held == pytest.approx([2.0])
+    free = _sort_out(matrix, np.array([2.0]), exact, none_at(1), none_at(1, upper=True))
+    assert free == pytest.approx([0.0])
+    lower = _sort_out(matrix, np.array([2.0]), exact, none_at(1), none_at(1, lower=True))
+    assert lower == pytest.approx([-2.0])
+    assert _sort_out(matrix, np.array([2.0]), exact, none_at(1), none_at(1)) == pytest.approx([0.0])
+
+
+def test_a_variable_on_its_limit_frees_its_row_while_it_pushes() -> None:
+    """Gradients (1, g) and one equality: y = -1 by the free variable, and g - 1 is left to the other's limit."""
+    matrix, exact = sparse(np.ones((2, 1))), np.zeros(2, dtype=bool)
+    rows = none_at(1, lower=True, upper=True)
+    at_lower = _Limits(np.array([False, True]), np.zeros(2, dtype=bool))
+    assert _sort_out(matrix, np.array([1.0, 3.0]), exact, at_lower, rows) == pytest.approx([-1.0])
+    # -(g - 1) > 0 is no multiplier of a lower limit: its row is imposed as well, and the least squares are -0.5.
+    assert _sort_out(matrix, np.array([1.0, 0.0]), exact, at_lower, rows) == pytest.approx([-0.5])
+    at_upper = _Limits(np.zeros(2, dtype=bool), np.array([False, True]))
+    assert _sort_out(matrix, np.array([1.0, 0.0]), exact, at_upper, rows) == pytest.approx([-1.0])
+    assert _sort_out(matrix, np.array([1.0, 3.0]), exact, at_upper, rows) == pytest.approx([-2.0])
