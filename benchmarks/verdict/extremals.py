@@ -358,6 +358,7 @@ def _narrow_wells() -> Iterator[Extremal]:
         (0.333, 0.005),
         (-0.87, 0.003),
         (0.05, 0.002),
+        (0.21, 0.0005),
     ):
         model, _, (u,) = _model("x", "u", lambda x, u: [u])
         problem = go.Problem("narrow well")
@@ -370,7 +371,7 @@ def _narrow_wells() -> Iterator[Extremal]:
             "well of H", f"{width} wide at {center}", "u in the narrow well costs less than u = -0.5",
             3 - (center + 0.5) ** 2, lambda p=problem: go.verify_trajectory(p, t, -0.5 * t, 0 * t - 0.5), True,
         )  # fmt: skip
-    for stiffness in (1e2, 1e4):
+    for stiffness in (1e2, 1e4, 1e6):
         model, _, (u, w) = _model("x y", "u w", lambda x, y, u, w: [u, w])
         problem = go.Problem("coupled wells")
         leg = problem.phase("leg", model)

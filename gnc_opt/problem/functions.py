@@ -18,9 +18,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
-from gnc_opt.arrays import Array, Mask
+from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.evaluation import evaluate
 from gnc_opt.model.symbol import as_expression
@@ -130,6 +131,33 @@ class PhaseFunctions:
         for name in ("switching", "paths"):
             coupled[self.functions[name].jac_sparsity(0, 2).get_col()] = True
         return ~coupled
+
+    @property
+    def coupled_controls(self) -> list[Indices]:
+        """Controls that are not separable, in groups that neither H nor a path constraint couples.
+
+        H is the sum of affine functions and of a function of each group.
+        """
+        by_slope, by_path = (self.functions[name].jac_sparsity(0, 2) for name in ("switching", "paths"))
+        rows, columns = np.array(by_slope.row(), dtype=int), np.array(by_slope.get_col(), dtype=int)
+        constraints, controls = np.array(by_path.row(), dtype=int), np.array(by_path.get_col(), dtype=int)
+        m = by_slope.size1()
+        rows, columns = np.append(rows, m + constraints), np.append(columns, controls)
+        size = m + by_path.size1()
+        graph = scipy.sparse.csr_matrix((np.ones(rows.size), (rows, columns)), (size, size))
+        labels = scipy.sparse.csgraph.connected_components(graph, directed=False)[1][:m]
+        coupled = ~self.separable_controls
+        return [np.flatnonzero(labels == label) for label in np.unique(labels[coupled])]
+
+    def quadratic_in(self, controls: Indices) -> bool:
+        """Whether derivatives say that H is quadratic, and path constraints are affine, in some controls.
+
+        Kinks and steps, whose derivatives do not show them, are overlooked.
+        """
+        m = self.functions["switching"].size1_out(0)
+        bends = self.functions["control_hessian"].jac_sparsity(0, 2).row()
+        slopes = self.functions["path_control_jacobian"].jac_sparsity(0, 2).row()
+        return not np.any(np.isin(np.array([*bends, *slopes], dtype=int) % m, controls))
 
     @property
     def mixed_paths(self) -> Mask:

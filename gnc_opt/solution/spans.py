@@ -117,7 +117,10 @@ def _movable(leg: PhaseSolution, functions: PhaseFunctions, used: Array) -> Arra
     np.fill_diagonal(by_state, 0.0)
     lasts = leg.breaks[-1] - leg.breaks[0]
     at_once = lasts * by_control @ used
-    return np.asarray(np.maximum(at_once, lasts * by_state @ at_once))
+    movable = np.maximum(at_once, lasts * by_state @ at_once)
+    for _ in range(movable.size):  # what is further down a chain
+        movable = np.where(movable > 0, movable, lasts * by_state @ movable)
+    return np.asarray(movable)
 
 
 def _within_range(spans: Array, extent: Array) -> Array:

@@ -105,9 +105,8 @@ def test_optimal_slews_obey_the_minimum_principle_and_the_limits(name: str) -> N
     solution = optimal_slew(name)
     verdict = go.verify(solution)
     assert verdict.ok, verdict.explain()
-    # on the speed limit the torque is between its bounds, and H is linear in it
-    linear = {"Legendre-Clebsch", "singular arcs"} if name == "time, speed limit" else set()
-    assert {c.name for c in verdict.untold} - {"second order"} == linear
+    # on the speed limit the torque is between its bounds, and H is linear in it: the limit determines it
+    assert {c.name for c in verdict.untold} <= {"second order"}
     assert fastest_wheel(solution) <= DESIGN_SPEED * (1 + 1e-9)
     assert (fastest_wheel(solution) > DESIGN_SPEED * (1 - 1e-9)) == ("half" in name or "speed" in name)
     end = solution.phase().final_time

@@ -1,4 +1,4 @@
-"""The least Hamiltonian: in closed form for controls that enter it affinely, on a grid for the others."""
+"""The least Hamiltonian: in closed form for controls that enter it affinely, by a search for the others."""
 
 from __future__ import annotations
 
@@ -87,3 +87,67 @@ def test_which_controls_are_separable() -> None:
     )
     apart = solution.functions("leg").separable_controls
     np.testing.assert_array_equal(apart, [True, False, False, False, False, False, True])
+    groups = [group.tolist() for group in solution.functions("leg").coupled_controls]
+    assert groups == [[1, 2], [3], [4], [5]]
+
+
+def test_controls_in_one_path_constraint_are_one_group() -> None:
+    solution = idle(4, lambda u: ca.dot(u, u), (lambda u: u[0] + u[3], -0.5), (lambda u: u[3] - u[2], -0.5))
+    assert [group.tolist() for group in solution.functions("leg").coupled_controls] == [[0, 2, 3], [1]]
+
+
+def _well(center: float, width: float, depth: float) -> Callable[[Any], Any]:
+    return lambda u: 1 + u[0] ** 2 - depth * ca.exp(-(((u[0] - center) / width) ** 2))
+
+
+@pytest.mark.parametrize("center", [0.3713, -0.617])
+@pytest.mark.parametrize("width", [1e-1, 1e-2, 1e-3, 1e-4])
+def test_wells_wider_than_the_resolution_are_found(center: float, width: float) -> None:
+    """A well of which 2e-4 of the range is below the flown H, beside one that is as narrow but too shallow."""
+    condition = go.verify(idle(1, _well(center, width, 1.0)))["minimum principle"]
+    gain, worth = 1 - center**2, 1.0
+    assert condition.result is go.Result.FAIL
+    assert condition.value == pytest.approx(gain / (worth + gain), rel=1e-2)
+    shallow = go.verify(idle(1, _well(center, width, 0.9 * center**2)))["minimum principle"]
+    assert shallow.result is go.Result.PASS
+
+
+def test_a_well_below_the_resolution_is_missed_and_the_meaning_says_so() -> None:
+    condition = go.verify(idle(1, _well(0.3713, 1e-8, 1.0)))["minimum principle"]
+    assert condition.result is go.Result.PASS
+    assert "is not excluded" in condition.meaning
+    convex = go.verify(idle(1, lambda u: 1 + u[0] ** 2))["minimum principle"]
+    assert "is not excluded" not in convex.meaning
+
+
+@pytest.mark.parametrize("stiffness", [1e2, 1e4, 1e6])
+def test_stiffly_coupled_actuators_do_not_hide_another_valley(stiffness: float) -> None:
+    """One actuator alone only adds stiffness u^2: it takes both to reach d = u - w = 1.2."""
+
+    def coupled(tilt: float) -> Callable[[Any], Any]:
+        def integrand(u: Any) -> Any:
+            d = u[0] - u[1]
+            return 1 + stiffness * (u[0] + u[1]) ** 2 + d**2 * (d - 1.2) ** 2 + tilt * d**3
+
+        return integrand
+
+    assert go.verify(idle(2, coupled(-0.3)))["minimum principle"].result is go.Result.FAIL
+    assert go.verify(idle(2, coupled(0.3)))["minimum principle"].result is go.Result.PASS
+
+
+@pytest.mark.parametrize("stiffness", [1.0, 1e2, 1e4, 1e6])
+def test_stiffly_coupled_actuators_do_not_hide_a_slope(stiffness: float) -> None:
+    """(u - w - 0.3)^2 gains 0.09 where half the ranges, together, are worth 4."""
+    solution = idle(2, lambda u: 1 + stiffness * (u[0] + u[1]) ** 2 + (u[0] - u[1] - 0.3) ** 2)
+    condition = go.verify(solution)["minimum principle"]
+    assert condition.value == pytest.approx(0.09 / 4.09, rel=1e-4)
+    assert condition.result is go.Result.FAIL
+
+
+@pytest.mark.parametrize(("bend", "gain"), [(2.0, 1.0), (0.5, 0.0)])
+def test_controls_on_a_curve_are_searched_along_it(bend: float, gain: float) -> None:
+    """On w = u^2 no lattice meets the curve; along it H is u^2 - bend u^4."""
+    on_curve = ((lambda u: u[1] - u[0] ** 2, 0.0), (lambda u: u[0] ** 2 - u[1], 0.0))
+    condition = go.verify(idle(2, lambda u: 1 + u[1] - bend * u[1] ** 2, *on_curve))["minimum principle"]
+    assert condition.result is (go.Result.FAIL if gain else go.Result.PASS)
+    assert (condition.value > 0.1) is bool(gain)

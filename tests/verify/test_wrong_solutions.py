@@ -140,7 +140,7 @@ CASES = [
          lambda s, e: with_leg(s, state_impulses=moved(s.phase().state_impulses, (V, 2), 6 * e))),
     case("complementarity", "boundary constraint that is not active", energy, fixed_end_passed_off_as_free),
     case("Legendre-Clebsch", "a maximum of H, barely curved", lambda: hilltop(-SMALL),
-         lambda s, e: hilltop(e), "second order"),
+         lambda s, e: hilltop(e), "second order", "minimum principle"),
     case("second order", "a maximum over the switch time", lambda: one_switch(1 - SMALL),
          lambda s, e: one_switch(1 + e)),
     case("generalised Legendre-Clebsch", "a singular arc that pulses leave at a gain", energy,

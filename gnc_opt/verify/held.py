@@ -1,0 +1,102 @@
+r"""Controls that active constraints determine: which directions are left to them.
+
+Along an arc on which a constraint :math:`c(t, x) = 0` without controls is active, its time derivatives vanish too, and
+the first in which controls appear, that of the order q of the constraint, determines as many of them as it has
+independent gradients (Bryson, Denham & Dreyfus, AIAA J. 1(11), 1963; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995,
+sec. 2); a constraint with controls is its own, q = 0. Only what is tangent to these is left for H to determine. A
+constraint that is met but does not push determines nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.problem.functions import PhaseFunctions
+from gnc_opt.solution.samples import NEGLIGIBLE, PhaseSamples
+from gnc_opt.tolerances import RANK
+
+MOST_ORDER = 3
+"""Orders of state constraints that are looked for."""
+
+ACTIVE = 1e-5
+"""A constraint this close to its limit, relative to what it moves along the phase, takes directions from controls."""
+
+
+def left_free(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
+    """Return, for every sample, an orthonormal basis (m, k) of the free controls' directions that no constraint takes.
+
+    Parameters
+    ----------
+    free : bool array (m, n_samples)
+        Controls between their bounds.
+    unit : array (m,)
+        What a step of 1 in each control is.
+    """
+    rows = _rows(s) * unit[None, :, None]
+    bases = []
+    for j in range(s.times.size):
+        basis = np.eye(unit.size)[:, free[:, j]]
+        taken = rows[:, :, j] @ basis
+        taken = taken[np.any(taken != 0, axis=1)]
+        if taken.size and np.all(np.isfinite(taken)):
+            taken = taken / np.max(np.abs(taken), axis=1, keepdims=True)
+            _, sizes, across = np.linalg.svd(taken, full_matrices=True)
+            basis = basis @ across[int(np.sum(sizes > RANK * sizes[0])) :].T
+        bases.append(basis)
+    return bases
+
+
+def _rows(s: PhaseSamples) -> Array:
+    """Gradients by the controls of what active constraints keep at zero (n, m, n_samples); zero where inactive."""
+    leg = s.leg
+    found = [np.zeros((0, leg.controls.size, s.times.size))]
+    if leg.path_labels:
+        near = _near(s.functions.paths(s.times, s.x, s.u), leg.path_bounds, s.path_scale)
+        found.append(s.functions.path_control_jacobian(s.times, s.x, s.u) * near[:, None])
+    density = NEGLIGIBLE * s.cost_scale / s.span
+    on_state = _near(s.x, leg.state_bounds, s.state_scale)
+    on_state &= np.abs(s.state_multiplier) * s.state_scale[:, None] > density
+    on_path = np.zeros((len(leg.path_labels), s.times.size), dtype=bool)
+    if s.pure_paths.size:
+        pushes = np.abs(s.mu) * s.path_scale[:, None] > density
+        on_path[s.pure_paths] = (near & pushes)[s.pure_paths]
+    along = np.vstack([on_state, on_path])
+    # A limit that is met at one sample is touched: its derivatives need not vanish there.
+    beside = along & (np.roll(along, 1, axis=1) | np.roll(along, -1, axis=1))
+    chosen = np.flatnonzero(np.any(beside, axis=1))
+    if chosen.size:
+        gradients = _order_gradients(s.functions, chosen)
+        numbers = np.concatenate([s.functions.weights, s.functions.p, s.functions.q])
+        columns = np.tile(numbers[:, None], s.times.size)
+        flat = gradients(s.times[None], s.x, s.u, columns).full()
+        rows = flat.reshape(chosen.size, leg.controls.size, s.times.size)
+        found.append(rows * beside[chosen][:, None])
+    return np.concatenate(found)
+
+
+def _near(values: Array, box: Any, scale: Array) -> Mask:
+    at_lower, at_upper = box.near(values, ACTIVE * scale)
+    return np.asarray(at_lower | at_upper)
+
+
+def _order_gradients(functions: PhaseFunctions, chosen: Indices) -> Any:
+    """Gradients by u of the first time derivatives, of states and paths, in which it appears (n * m, row by row)."""
+    rates = functions.functions["rates"]
+    t, x, u, lam, mu = (ca.SX.sym("v", rates.size1_in(i)) for i in range(5))
+    numbers = [ca.SX.sym("v", rates.size1_in(i)) for i in range(5, 8)]
+    f = rates(t, x, u, lam, mu, *numbers)
+    values = ca.vertcat(x, functions.functions["paths"](t, x, u, lam, mu, *numbers))
+    along, flow = ca.vertcat(t, x), ca.vertcat(1, f)
+    gradients = []
+    for i in chosen:
+        value = values[int(i)]
+        for _ in range(MOST_ORDER):
+            value = ca.jtimes(value, along, flow)
+            if ca.depends_on(value, u):
+                break
+        gradients.append(ca.densify(ca.jacobian(value, u)))
+    return ca.Function("held", [t, x, u, ca.vertcat(*numbers)], [ca.vec(ca.vertcat(*gradients).T)])
