@@ -18,7 +18,7 @@ from gnc_opt.transcription.transcription import transcribe
 from gnc_opt.verify import Result, feasibility
 from gnc_opt.verify.conjugate_points import _matrices, _system, _variations, _worth
 from gnc_opt.verify.controls import _lasting
-from gnc_opt.verify.costates import _slack_offence, _time_transversality, _unexplained
+from gnc_opt.verify.costates import _slack_offence, _time_transversality, _unexplained, hamiltonian
 from gnc_opt.verify.critical_cone import _close_arcs, _nodes
 from gnc_opt.verify.induced import InducedProblem, Unknowns
 from gnc_opt.verify.judged import _difference, ends_of, from_problem, has_costates
@@ -652,3 +652,39 @@ def test_doubt_says_whether_it_is_flat() -> None:
     assert "flat" in _doubt(Curvature(-5e-4, -1e-7, np.zeros(1), 0.0), 1e-4)
     up = Curvature(2e-6, 0.5, np.zeros(1), 0.0)
     assert up.upwards and not replace(up, value=5e-7).upwards and not replace(up, share=5e-7).upwards
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_hamiltonian_off_to_either_side(sign: float) -> None:
+    """H = lambda_0, as the rates are (1, 0): 3, and in the last segment more or less by 1."""
+    model = go.Model("drift")
+    x, y, u = model.state("x"), model.state("y"), model.control("u")
+    model.ode({x: 1.0, y: u})
+    problem = go.Problem("drift")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    problem.minimize(leg.final_state("x"))
+    s = by_hand.samples(
+        problem,
+        lambda t, k: np.array([t, 0 * t]),
+        lambda t, k: np.array([0 * t]),
+        lambda t, k: np.array([3.0 + sign * (k == 1) + 0 * t, 0 * t]),
+        weights=(),
+        breaks=(0.0, 1.5, 2.0),
+        degree=4,
+    )
+    # As many samples in each segment: the median is in between, and either half is off by 0.5.
+    condition = hamiltonian([s], 1e-5)
+    assert condition.result is Result.FAIL
+    assert condition.value == pytest.approx(0.5 / s.hamiltonian_scale)
+    lone = by_hand.samples(
+        problem,
+        lambda t, k: np.array([t, 0 * t]),
+        lambda t, k: np.array([0 * t]),
+        lambda t, k: np.array([3.0 + sign * (k == 2) + 0 * t, 0 * t]),
+        weights=(),
+        breaks=(0.0, 0.5, 1.5, 2.0),
+    )
+    condition = hamiltonian([lone], 1e-5)
+    assert condition.value == pytest.approx(1.0 / lone.hamiltonian_scale)
+    assert condition.where.endswith(f"H = {3 + sign:g} (median 3)")
