@@ -350,3 +350,20 @@ def test_frame_of_the_start() -> None:
     varied = np.linalg.norm(frame[:3], axis=0) > 1e-9
     np.testing.assert_allclose(frame[3:, varied], 0.0, atol=1e-12)
     np.testing.assert_allclose(np.abs(frame[3:, ~varied]), [[1.0], [0.0], [0.0]], atol=1e-12)
+
+
+# --- the verdict ------------------------------------------------------------------------------------------
+
+
+def test_what_keeps_a_verdict_open() -> None:
+    """Those that fail, then necessary ones that are not told; what only suffices may stay untold."""
+    conditions = [
+        go.Condition(f"{result.name} {sufficient}", result, 0.0, 0.0, "", "", sufficient)
+        for sufficient in (True, False)
+        for result in (UNTOLD, FAIL, PASS)
+    ]
+    verdict = go.Verdict("name", tuple(conditions))
+    assert [c.name for c in verdict.open] == ["FAIL True", "FAIL False", "CANNOT_TELL False"]
+    assert [c.name for c in verdict.failed] == ["FAIL True", "FAIL False"]
+    assert [c.name for c in verdict.untold] == ["CANNOT_TELL True", "CANNOT_TELL False"]
+    assert go.Verdict("name", tuple(conditions[::3])).open == (conditions[3],)
