@@ -24,9 +24,10 @@ from gnc_opt.verify.induced import InducedProblem, Unknowns
 from gnc_opt.verify.judged import _difference, ends_of, from_problem, has_costates
 from gnc_opt.verify.kept import keep_verdict, kept_verdict
 from gnc_opt.verify.magnitude import Magnitudes, integral_spans, parameter_scale
-from gnc_opt.verify.multipliers import _quadrature, _state_rows, _variables
+from gnc_opt.verify.multipliers import _quadrature, _ranges, _state_rows, _variables
 from gnc_opt.verify.null_space import _metric
 from gnc_opt.verify.pushes import Pushers, _responses, _without_pushes, pushed_beside, unexplained_jumps
+from gnc_opt.verify.reduced_hessian import Curvature, _doubt, _place
 from gnc_opt.verify.second_order import least_squares
 from gnc_opt.verify.singular import generalised_legendre_clebsch
 from gnc_opt.verify.switches import Switches
@@ -144,7 +145,7 @@ def test_difference_in_shares_of_the_larger() -> None:
 
 
 def test_spans_of_integrals() -> None:
-    """t from 0 to 2 s: 2 above its least and below its largest value; t^2: 8/3 above, 16/3 below."""
+    """t from 0 to 2 s: 2 above its least and below its largest value; 10 + t^2: 8/3 above, 16/3 below."""
     model = go.Model("clocks")
     x, u = model.state("x"), model.control("u")
     model.ode({x: u})
@@ -153,7 +154,10 @@ def test_spans_of_integrals() -> None:
     leg.time(0.0, 2.0)
     t = model.time
     problem.minimize(
-        leg.integral(t) + leg.integral(t**2) ** 2 + leg.integral(1 + 0 * t) ** 3 + leg.integral(4 - t**2) ** 4
+        leg.integral(t)
+        + leg.integral(10 + t**2) ** 2
+        + leg.integral(1 + 0 * t) ** 3
+        + leg.integral(4 - t**2) ** 4
     )
 
     def samples(**changes: Any) -> PhaseSamples:
@@ -163,7 +167,7 @@ def test_spans_of_integrals() -> None:
     spans = dict(zip(problem.get_phase().integrands, integral_spans(samples()), strict=True))
     assert list(spans.values()) == pytest.approx([2.0, 8 / 3, 0.0, 8 / 3], abs=1e-9)
     longer = samples(final_time_bounds=by_hand.interval(1.0, 3.0))
-    assert integral_spans(longer) == pytest.approx([2.0, 8 / 3, 2.0, 16 / 3], abs=1e-9)
+    assert integral_spans(longer) == pytest.approx([2.0, 20 + 8 / 3, 2.0, 16 / 3], abs=1e-9)
 
 
 def test_magnitudes_of_cost_constraints_and_parameters() -> None:
@@ -291,6 +295,18 @@ def test_jumps_that_active_limits_explain(jump: tuple[float, float], left: tuple
         weights=(), breaks=(0.0, 0.5, 2.0), state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]),
     )  # fmt: skip
     np.testing.assert_allclose(unexplained_jumps(s)[:, 0], left, atol=1e-9)
+
+
+@pytest.mark.parametrize(("jump", "left"), [(-1.5, 0.0), (-3.0, -1.0), (1.0, 0.0)])
+def test_jumps_the_wrong_way_are_explained_by_a_density_beside_them(jump: float, left: float) -> None:
+    """200 over half a hundredth of 2 s may be taken back: 2."""
+    s = by_hand.samples(
+        plain(np.zeros((2, 2))),
+        lambda t, k: np.array([1 + t, 2 - t**2]), lambda t, k: np.array([t]),
+        lambda t, k: np.array([3 - t - k * jump, 1 + t]), states=lambda t, k: np.array([200.0 + 0 * t, 0 * t]),
+        weights=(), breaks=(0.0, 0.5, 2.0), state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]),
+    )  # fmt: skip
+    np.testing.assert_allclose(unexplained_jumps(s)[:, 0], [left, 0.0], atol=1e-9)
 
 
 def test_costates_without_pushes_and_what_pushes_add() -> None:
@@ -579,3 +595,60 @@ def test_hamiltonian_at_free_times_and_the_multiplier_of_the_duration() -> None:
             worst.value == pytest.approx(offence / s.hamiltonian_scale)
             and worst.where == "phase leg, H at its end"
         )
+
+
+def test_ranges_of_the_program_s_variables() -> None:
+    """By what they vary, or by their limits; what rests counts by its size, each state by its own, and 0 by 1."""
+    problem, t = free_cart(), np.linspace(0.5, 2.5, 6)
+    problem.phases["leg"].bounds(a=(-2.0, 8.0))
+    states = np.array([2e13 + 0 * t, (t - 0.5) / 2])
+    fitted = fit(Samples(t, states, (0 * t)[None]), lambda t, x, u: np.array([0 * t, 0.5 + 0 * t]))
+    transcription = transcribe(problem, {"leg": fitted.mesh}, "LG")
+    x = _variables(transcription, problem, {"leg": fitted}, np.array([-3.0]))
+    scales = _ranges(transcription, problem, {"leg": fitted}, x)
+    (part,) = transcription.parts.values()
+    collocation = part.collocation
+    varied = np.ptp(x[collocation.point_states[1]])
+    np.testing.assert_allclose(scales[collocation.point_states[0]], 2e13)
+    np.testing.assert_allclose(scales[collocation.point_states[1]], varied)
+    np.testing.assert_allclose(scales[collocation.boundary_states[0]], 2e13)
+    np.testing.assert_allclose(scales[collocation.boundary_states[1]], varied)
+    np.testing.assert_allclose(scales[collocation.point_controls], 10.0)
+    np.testing.assert_allclose(scales[part.times], 2.0)
+    np.testing.assert_allclose(scales[transcription.parameter_places], 3.0)
+    none = _ranges(transcription, free_cart(), {"leg": fitted}, x)
+    np.testing.assert_allclose(none[collocation.point_controls], 1.0)
+
+
+def test_place_of_a_variation_is_where_a_control_varies_most() -> None:
+    """Or the variable that varies most, if that is none; controls of other phases vary less."""
+    mesh = go.Mesh((0.0, 0.25, 1.0), (3, 4))
+    transcription = transcribe(free_cart(), {"leg": mesh}, "LG")
+    solution: Any = SimpleNamespace(
+        phases={
+            "leg": SimpleNamespace(
+                initial_time=2.0, duration=4.0, controls=SimpleNamespace(labels=("a",)), name="leg"
+            )
+        }
+    )
+    point: Any = SimpleNamespace(
+        transcription=transcription, variables=SimpleNamespace(labels=transcription.variable_labels)
+    )
+    collocation = next(iter(transcription.parts.values())).collocation
+    direction = np.full(transcription.n_variables, 0.1)
+    direction[collocation.point_controls[0, 2]], direction[collocation.point_controls[0, 5]] = 0.5, -0.9
+    time = 2.0 + 4.0 * collocation.fractions[5]
+    assert _place(point, solution, direction) == f"phase leg, t = {time:.6g} s, a"
+    direction[transcription.parameter_places] = -1.0
+    assert (
+        _place(point, solution, direction) == transcription.variable_labels[transcription.parameter_places[0]]
+    )
+
+
+def test_doubt_says_whether_it_is_flat() -> None:
+    for value, flat in ((-5e-4, False), (-5e-5, True), (0.0, True)):
+        curvature = Curvature(value, -1.0, np.zeros(1), 0.0)
+        assert ("flat" in _doubt(curvature, 1e-4)) is flat
+    assert "flat" in _doubt(Curvature(-5e-4, -1e-7, np.zeros(1), 0.0), 1e-4)
+    up = Curvature(2e-6, 0.5, np.zeros(1), 0.0)
+    assert up.upwards and not replace(up, value=5e-7).upwards and not replace(up, share=5e-7).upwards

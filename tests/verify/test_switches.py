@@ -40,12 +40,22 @@ def two_ways() -> go.Problem:
 
 
 def flight(
-    of_u: Slopes, of_w: Slopes, controls: Any = U, upper: float = 1.0, level: float = 1.0
+    of_u: Slopes,
+    of_w: Slopes,
+    controls: Any = U,
+    upper: float = 1.0,
+    level: float = 1.0,
+    second: float = 1.0,
+    cost: float = 1.0,
 ) -> PhaseSamples:
-    """Switching functions of u and w segment by segment; a third control, v, rests at the bound ``upper``."""
+    """Switching functions of u and w segment by segment; a third control, v, rests at the bound ``upper``.
+
+    ``second`` and ``cost`` are the units of time and of the costates.
+    """
 
     def costates(t: Any, k: int) -> Any:
-        return np.stack([of_u[k](t) + 0 * t, of_w[k](t) + 0 * t, -level + 0 * t])
+        t = t / second
+        return cost * np.stack([of_u[k](t) + 0 * t, of_w[k](t) + 0 * t, -level + 0 * t])
 
     def pushes(t: Any, k: int) -> Any:
         return np.stack([controls[0][k] + 0 * t, controls[1][k] + 0 * t, upper + 0 * t])
@@ -55,7 +65,7 @@ def flight(
 
     bounds = by_hand.interval([-1.0, -2.0, 0.0], [1.0, 3.0, upper])
     return by_hand.samples(
-        two_ways(), states, pushes, costates, weights=(), breaks=ENDS, control_bounds=bounds
+        two_ways(), states, pushes, costates, weights=(), breaks=second * ENDS, control_bounds=bounds
     )
 
 
@@ -128,6 +138,31 @@ def test_zero_that_is_touched_between_switches() -> None:
     assert (
         strict_switches([flight((line(-5.0, 0.8), touching, line(-5.0, 1.4)), FALLS)]).result is Result.FAIL
     )
+
+
+@pytest.mark.parametrize(("second", "cost"), [(1e-3, 1.0), (1e4, 1.0), (1.0, 1e-8), (1.0, 1e8)])
+def test_slopes_and_touches_do_not_depend_on_units(second: float, cost: float) -> None:
+    units = {"second": second, "cost": cost}
+    touch, slopes = (line(5.0, 0.8), touching, line(-5.0, 1.4)), (line(5.0, 0.8), arch(10.0), line(-2.0, 1.4))
+    assert strict_switches([flight(touch, FALLS, **units)]).result is Result.CANNOT_TELL
+    assert strict_switches([flight(slopes, FALLS, **units)]).value == pytest.approx(
+        strict_switches([flight(slopes, FALLS)]).value, rel=1e-6
+    )
+
+
+def test_a_zero_right_beside_its_own_switch_is_judged_by_its_slope() -> None:
+    """The first sample after 0.8 s lies less than a ten-thousandth of the phase beyond it."""
+    ends = np.array([0.0, 0.8, 0.81, 2.0])
+    s = flight((line(5.0, 0.8),) * 3, FALLS)
+    beside = by_hand.samples(
+        two_ways(),
+        lambda t, k: np.stack([t, t, t]),
+        lambda t, k: np.stack([1 - 2.0 * (k > 0) + 0 * t, -2 + 0 * t, 1 + 0 * t]),
+        lambda t, k: np.stack([5 * (t - 0.8) if k != 1 else 5 * (t - 0.8) * (t - 0.80008) ** 2, 9 - t, -1 + 0 * t]),
+        weights=(), breaks=ends, control_bounds=s.leg.control_bounds,
+    )  # fmt: skip
+    assert np.min(np.diff(beside.times[beside.segments == 1])) < 1e-4 * 2.0
+    assert "touches" not in strict_switches([beside]).where
 
 
 def test_zero_that_is_touched_where_another_control_switches() -> None:
@@ -220,16 +255,17 @@ def test_controls_that_jump_from_bound_to_bound_are_named() -> None:
     assert not _has_singular_control(flight(STRAIGHT, FALLS))
 
 
-@pytest.mark.parametrize("bend", [-1.0, 0.0, 1.0])
-def test_straight_is_what_does_not_curve_upwards(bend: float) -> None:
-    """H = u + bend u^2 / 2 at the bound of u."""
+@pytest.mark.parametrize("cost", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("bend", [-1.0, 0.0, 1e-8, 1e-4, 1.0])
+def test_straight_is_what_does_not_curve_upwards(bend: float, cost: float) -> None:
+    """H = u + bend u^2 / 2 at the bound of u, in some unit of the cost; a millionth of H is straight."""
     model = go.Model("bent")
     x, u = model.state("x"), model.control("u")
     model.ode({x: u})
     problem = go.Problem("bent")
     leg = problem.phase("leg", model)
     leg.time(0.0, 1.0)
-    problem.minimize(leg.integral(0.5 * bend * u**2 + u))
+    problem.minimize(leg.integral(cost * (0.5 * bend * u**2 + u)))
     s = by_hand.samples(
         problem,
         lambda t, k: np.array([t]),
@@ -238,7 +274,7 @@ def test_straight_is_what_does_not_curve_upwards(bend: float) -> None:
         weights=(1.0,),
         control_bounds=by_hand.interval(-1.0, 1.0),
     )
-    assert bool(_jumping_control([s])) is (bend <= 0)
+    assert bool(_jumping_control([s])) is (bend <= 1e-8)
 
 
 def test_simple_meshes_get_thirty_points() -> None:
