@@ -308,12 +308,9 @@ def _add_new(commands: Any) -> None:
     command.set_defaults(run=_new)
 
 
-def _tolerance(text: str) -> float | None:
-    """Read a tolerance, or none."""
-    try:
-        return None if text == "none" else float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is neither a number nor none") from None
+def number_or_none(text: str) -> float | None:
+    """Read a number, or "none"; argparse names this function where it is neither."""
+    return None if text == "none" else float(text)
 
 
 def _add_solve(commands: Any) -> None:
@@ -331,7 +328,7 @@ def _add_solve(commands: Any) -> None:
     add("--scheme", type=str.upper, choices=SCHEMES, default=GAUSS, help="collocation points")
     add(
         "--tol",
-        type=_tolerance,
+        type=number_or_none,
         default=REFINE_TOLERANCE,
         metavar="TOL|none",
         help="refine until the error between the nodes is below this (default 1e-8); none: leave it at the mesh",

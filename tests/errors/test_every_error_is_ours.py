@@ -28,6 +28,7 @@ ALLOWED = {
     "__init__.py: AttributeError": "what Python expects of a module's __getattr__",
     "integration.py: EndedError": "caught at once: why a propagation ended",
     "multistart.py: KeyboardInterrupt": "Ctrl-C, passed on to the search, which keeps what it has found",
+    "refine.py: KeyboardInterrupt": "Ctrl-C in an attempt, passed on to the refinement, which keeps the best one",
     "sweep.py: KeyboardInterrupt": "Ctrl-C, passed on to the sweep, which keeps what it has found",
     "archive.py: _NoArchive": "caught at once and turned into 'is no archive'",
     "archive.py: zipfile.BadZipFile": "caught at once and turned into 'is damaged'",

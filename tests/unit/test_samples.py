@@ -163,22 +163,25 @@ def test_what_the_hamiltonian_is_made_of(right: PhaseSamples) -> None:
     """|lam_q v| + |lam_v a| + |a^2 / 2| at the ends: 0 + 36 + 18."""
     assert right.hamiltonian_scale == pytest.approx(54.0)
     idle = samples(CART, u=lambda t, k: 0 * t, lam=lambda t, k: [0 * t, 0 * t], breaks=(0.0, 1.0, 4.0))
-    assert idle.hamiltonian_scale == 1e-9
-    assert replace(idle, cost_magnitude=8.0).hamiltonian_scale == pytest.approx(1e-4 * 8 / 4)
+    # A control without range that does nothing has the span 1: half of that, either way, is worth (1/2)^2 / 2.
+    assert idle.hamiltonian_scale == pytest.approx(0.125)
+    assert replace(idle, cost_magnitude=8e4).hamiltonian_scale == pytest.approx(1e-4 * 8e4 / 4)
     assert idle.span == 4.0
 
 
 def test_which_paths_depend_on_controls_and_how_large_they_are(right: PhaseSamples) -> None:
     assert right.pure_paths.tolist() == [1]
-    assert right.path_scale == pytest.approx([100.0, 50.0])
+    # The control goes from 6 to -6, the position from 0 to 1; where the limits are does not matter.
+    assert right.path_scale == pytest.approx([12.0, 1.0])
     unlimited = samples(CART, path_bounds=interval([-np.inf, -np.inf], [5.0, np.inf]))
-    assert unlimited.path_scale == pytest.approx([6.0, 1.0])
+    assert unlimited.path_scale == pytest.approx([12.0, 1.0])
     lower = samples(CART, path_bounds=interval([-7.0, -0.5], [5.0, 0.5]))
-    assert lower.path_scale == pytest.approx([7.0, 1.0])
+    assert lower.path_scale == pytest.approx([12.0, 1.0])
     still = samples(
         CART, lambda t, k: [0 * t, 0 * t], lambda t, k: 0 * t, path_bounds=interval([0, 0], [0, 0])
     )
-    assert still.path_scale.tolist() == [1.0, 1.0]
+    # Nothing moves: 1e-4 of what the spans of controls and states could move.
+    assert still.path_scale == pytest.approx([2e-4, 1e-4])
 
 
 @pytest.mark.parametrize(
@@ -473,7 +476,7 @@ def test_at_the_centre_of_a_circle_the_nearest_sample_shows_the_way_out() -> Non
         Limits.of(found.functions.paths, leg.path_interval()),
         np.array([0.5]), np.array([0.25]), np.zeros((2, 1)), np.zeros((1, 1)),
     )  # fmt: skip
-    assert path_offences(centre, found) == pytest.approx([0.5 / 2.0], rel=1e-6)
+    assert path_offences(centre, found) == pytest.approx([0.5 / 1.0], rel=1e-6)
     lost = Violations(
         centre.limits, centre.times, np.array([np.inf]), np.full((2, 1), np.nan), np.zeros((1, 1))
     )
@@ -494,14 +497,14 @@ def test_the_way_to_the_nearest_sample_that_is_allowed() -> None:
 
 
 def test_what_nothing_can_restore_counts_in_shares_of_its_values() -> None:
-    """1 + q^2 is 2 to 5 along the flight, and never at most 1/2: 4 too much at a size of 5."""
+    """1 + q^2 is 2 to 5 along the flight, and never at most 1/2: 4 too much at a span of 3."""
     problem, _ = circle(1, 0.5)
     leg = problem.get_phase()
     leg.path("never", 1 + leg.model.symbol("q") ** 2, upper=0.5)
     found = samples(problem, lambda t, k: [1 + t, 0 * t], lambda t, k: 0 * t, weights=(1.0,))
     never = Limits(found.functions.paths, np.array([1]), np.array([1.0]), np.array([0.5]))
     point = Violations(never, np.array([1.0]), np.array([4.0]), np.array([[2.0], [0.0]]), np.zeros((1, 1)))
-    assert path_offences(point, found) == pytest.approx([4.0 / 5.0])
+    assert path_offences(point, found) == pytest.approx([4.0 / 3.0])
 
 
 def test_directions_have_length_one_however_long_they_were() -> None:
