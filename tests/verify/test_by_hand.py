@@ -16,8 +16,8 @@ import gnc_opt as go
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.transcription.transcription import transcribe
 from gnc_opt.verify import Result, feasibility
+from gnc_opt.verify.brief import lasting
 from gnc_opt.verify.conjugate_points import _matrices, _system, _variations, _worth
-from gnc_opt.verify.controls import _lasting
 from gnc_opt.verify.costates import _slack_offence, _time_transversality, _unexplained, hamiltonian
 from gnc_opt.verify.critical_cone import CriticalCone, _close_arcs, _nodes
 from gnc_opt.verify.induced import InducedProblem, Unknowns
@@ -503,7 +503,7 @@ def test_what_is_brief_counts_by_its_mean() -> None:
     """Over a hundredth of 2 s: a step of 1 at 0.5 s is a ramp of that width, and what is constant stays so."""
     s = arc(plain(np.zeros((2, 2))))
     step = (s.segments == 1).astype(float)
-    means = _lasting(s, np.array([step, 3.0 + 0 * step]))
+    means = lasting(s.times, np.array([step, 3.0 + 0 * step]))
     expected = np.clip((s.times - 0.5) / 0.02 + 0.5, 0.0, 1.0)
     np.testing.assert_allclose(means[0], expected, atol=1e-9)
     np.testing.assert_allclose(means[1], 3.0)
