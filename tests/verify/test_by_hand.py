@@ -18,8 +18,8 @@ from gnc_opt.transcription.transcription import transcribe
 from gnc_opt.verify import Result, feasibility
 from gnc_opt.verify.conjugate_points import _matrices, _system, _variations, _worth
 from gnc_opt.verify.controls import _lasting
-from gnc_opt.verify.costates import _slack_offence, _time_transversality, _unexplained
-from gnc_opt.verify.critical_cone import _close_arcs, _nodes
+from gnc_opt.verify.costates import _slack_offence, _time_transversality, _unexplained, hamiltonian
+from gnc_opt.verify.critical_cone import CriticalCone, _close_arcs, _nodes
 from gnc_opt.verify.induced import InducedProblem, Unknowns
 from gnc_opt.verify.judged import _difference, ends_of, from_problem, has_costates
 from gnc_opt.verify.kept import keep_verdict, kept_verdict
@@ -652,3 +652,87 @@ def test_doubt_says_whether_it_is_flat() -> None:
     assert "flat" in _doubt(Curvature(-5e-4, -1e-7, np.zeros(1), 0.0), 1e-4)
     up = Curvature(2e-6, 0.5, np.zeros(1), 0.0)
     assert up.upwards and not replace(up, value=5e-7).upwards and not replace(up, share=5e-7).upwards
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_hamiltonian_off_to_either_side(sign: float) -> None:
+    """H = lambda_0, as the rates are (1, 0): 3, and in the last segment more or less by 1."""
+    model = go.Model("drift")
+    x, y, u = model.state("x"), model.state("y"), model.control("u")
+    model.ode({x: 1.0, y: u})
+    problem = go.Problem("drift")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    problem.minimize(leg.final_state("x"))
+    s = by_hand.samples(
+        problem,
+        lambda t, k: np.array([t, 0 * t]),
+        lambda t, k: np.array([0 * t]),
+        lambda t, k: np.array([3.0 + sign * (k == 1) + 0 * t, 0 * t]),
+        weights=(),
+        breaks=(0.0, 1.5, 2.0),
+        degree=4,
+    )
+    # As many samples in each segment: the median is in between, and either half is off by 0.5.
+    condition = hamiltonian([s], 1e-5)
+    assert condition.result is Result.FAIL
+    assert condition.value == pytest.approx(0.5 / s.hamiltonian_scale)
+    lone = by_hand.samples(
+        problem,
+        lambda t, k: np.array([t, 0 * t]),
+        lambda t, k: np.array([0 * t]),
+        lambda t, k: np.array([3.0 + sign * (k == 2) + 0 * t, 0 * t]),
+        weights=(),
+        breaks=(0.0, 0.5, 1.5, 2.0),
+    )
+    condition = hamiltonian([lone], 1e-5)
+    assert condition.value == pytest.approx(1.0 / lone.hamiltonian_scale)
+    assert condition.where.endswith(f"H = {3 + sign:g} (median 3)")
+
+
+@pytest.mark.parametrize(("side", "expected"), [(1.0, [0.5, 0.0, 0.5]), (-1.0, [0.0, 1.0, 1.0])])
+def test_how_far_a_variation_leads_beyond_active_limits(side: float, expected: list[float]) -> None:
+    """x_0 reaches its limit of 3 at 2 s, x_1 is at or below its own from 1 s on, and x_0 - 2 u + t - 1 is at 0.
+
+    They change by 4 - t: 2 of 4 at the end; 3 t; and 4 - 3 t, from 4 to -2.
+    """
+    problem = plain(np.zeros((2, 2)))
+    leg = problem.get_phase()
+    x, u = leg.model.symbol("x"), leg.model.symbol("u")
+    leg.path("mixed", x[0] - 2 * u + leg.model.time - 1, lower=0.0, upper=9.0)
+    s = arc(problem, state_bounds=by_hand.interval([-9.0, 1.0], [3.0, 9.0]), breaks=(0.0, 1.0, 2.0), degree=4)
+    assert s.functions.paths(s.times, s.x, s.u) == pytest.approx(0.0, abs=1e-12)
+    transcription = transcribe(problem, {"leg": s.leg.mesh}, "LG")
+    collocation = next(iter(transcription.parts.values())).collocation
+    scales = 2.0 + np.arange(transcription.n_variables)
+    direction = np.zeros(transcription.n_variables)
+
+    def states(t: Array) -> Array:
+        return np.array([4 - t, 3 * t])
+
+    direction[collocation.boundary_states] = states(np.array([0.0, 1.0, 2.0]))
+    points = 2 * collocation.fractions
+    direction[collocation.point_states] = states(points)
+    direction[collocation.point_controls] = points
+    point: Any = SimpleNamespace(transcription=transcription, scaling=SimpleNamespace(variables=scales))
+    cone = CriticalCone(point, np.zeros(0, dtype=bool), np.zeros(0, dtype=bool))
+    found = cone._outwards_between(s, side * direction / scales)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_a_limit_is_reached_in_shares_of_what_its_row_varies_by() -> None:
+    """-1000 q at its limit of -1000 to 5e-4: a multiplier holds the end, though no entry of the row is positive."""
+    model = go.Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("cart")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(v=0.0)
+    problem.constrain("far enough", -1000 * leg.final_state("q"), upper=-1000.0)
+    problem.minimize(0.5 * leg.integral(a**2))
+    t, way = np.linspace(0.0, 1.0, 5), 1 + 5e-7
+    states = {"q": way * (3 * t**2 - 2 * t**3), "v": way * (6 * t - 6 * t**2)}
+    verdict = go.verify_trajectory(problem, t, states, {"a": way * (6 - 12 * t)})
+    assert verdict.ok, verdict.explain()

@@ -291,7 +291,7 @@ def test_steps_of_the_system() -> None:
 
 
 def ended(limit: float | None = None) -> go.Problem:
-    """Three states, the first given at the start; at the end y + 2 z is, and x costs 3 x^2 + x y."""
+    """Three states, the first given at the start; at the end y + 2 z is, and x costs 3 x^2 + x y z(0)."""
     model = go.Model("three")
     states = model.state("x"), model.state("y"), model.state("z")
     controls = [model.control(name) for name in ("a", "b", "c")]
@@ -304,7 +304,9 @@ def ended(limit: float | None = None) -> go.Problem:
         leg.bounds(z=(-9.0, limit))
     x, y, z = (leg.final_state(name) for name in "xyz")
     problem.constrain("sum", y + 2 * z + y * z, upper=100.0)
-    problem.minimize(3 * x**2 + x * y + leg.integral(0.5 * sum(c**2 for c in controls)))
+    problem.minimize(
+        3 * x**2 + x * y * leg.initial_state("z") + leg.integral(0.5 * sum(c**2 for c in controls))
+    )
     return problem
 
 
@@ -325,7 +327,7 @@ def frame_of(problem: go.Problem, end: int) -> tuple[PhaseSamples, Any]:
 
 
 def test_frame_of_an_end_is_what_its_conditions_admit() -> None:
-    """At (3, 1, 5) the constraint holds dy (1 + z) + dz (2 + y), and the cost and 0.5 y z curve."""
+    """At (3, 1, 5), from z = 1, the constraint holds dy (1 + z) + dz (2 + y), and the cost and 0.5 y z curve."""
     for limit in (None, 5.0):
         s, frame = frame_of(ended(limit), conjugate_points.END)
         size, worth = np.diag(state_magnitudes(s.leg)), conjugate_points._worth(s)
@@ -348,3 +350,20 @@ def test_frame_of_the_start() -> None:
     varied = np.linalg.norm(frame[:3], axis=0) > 1e-9
     np.testing.assert_allclose(frame[3:, varied], 0.0, atol=1e-12)
     np.testing.assert_allclose(np.abs(frame[3:, ~varied]), [[1.0], [0.0], [0.0]], atol=1e-12)
+
+
+# --- the verdict ------------------------------------------------------------------------------------------
+
+
+def test_what_keeps_a_verdict_open() -> None:
+    """Those that fail, then necessary ones that are not told; what only suffices may stay untold."""
+    conditions = [
+        go.Condition(f"{result.name} {sufficient}", result, 0.0, 0.0, "", "", sufficient)
+        for sufficient in (True, False)
+        for result in (UNTOLD, FAIL, PASS)
+    ]
+    verdict = go.Verdict("name", tuple(conditions))
+    assert [c.name for c in verdict.open] == ["FAIL True", "FAIL False", "CANNOT_TELL False"]
+    assert [c.name for c in verdict.failed] == ["FAIL True", "FAIL False"]
+    assert [c.name for c in verdict.untold] == ["CANNOT_TELL True", "CANNOT_TELL False"]
+    assert go.Verdict("name", tuple(conditions[::3])).open == (conditions[3],)

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 import scipy
 from numpy.typing import NDArray
 
 from gnc_opt.problem.interval import Interval
+from gnc_opt.solution.program_point import Limits, ProgramPoint
+from gnc_opt.verify import null_space
 from gnc_opt.verify.bang_bang_flow import _stacked
+from gnc_opt.verify.critical_cone import CriticalCone
 from gnc_opt.verify.multipliers import _least_squares, _Limits, _sort_out
-from gnc_opt.verify.normality import _least_dependent
+from gnc_opt.verify.normality import _least_dependent, _may_push, normality
 from gnc_opt.verify.null_space import NullSpace, lanczos, quadratic
+from gnc_opt.verify.reduced_hessian import least_curvature
 from gnc_opt.verify.second_order import _explained, _extrapolated, _null_space
 
 Array = NDArray[np.float64]
@@ -209,3 +217,120 @@ def test_a_variable_on_its_limit_frees_its_row_while_it_pushes() -> None:
     at_upper = _Limits(np.zeros(2, dtype=bool), np.array([False, True]))
     assert _sort_out(matrix, np.array([1.0, 0.0]), exact, at_upper, rows) == pytest.approx([-1.0])
     assert _sort_out(matrix, np.array([1.0, 3.0]), exact, at_upper, rows) == pytest.approx([-2.0])
+
+
+# --- programs of a few variables --------------------------------------------------------------------------
+
+
+def program(
+    jacobian: Array, hessian: Array, lower: Any, upper: Any, x: Array, bends: tuple[Array, ...] = ()
+) -> ProgramPoint:
+    """A point without phases; all rows are equalities, and ``bends`` their Hessians."""
+    n, m = x.size, len(jacobian)
+    box = Interval(np.asarray(lower, float), np.asarray(upper, float))
+    rows = Interval(np.zeros(m), np.zeros(m))
+
+    def of_rows(objective: float, multipliers: Array) -> Any:
+        return sparse(
+            objective * hessian + sum((w * b for w, b in zip(multipliers, bends, strict=False)), 0 * hessian)
+        )
+
+    point: Any = SimpleNamespace(
+        x=x, lam=np.zeros(m), values=np.zeros(m),
+        jacobian=sparse(jacobian), hessian=sparse(hessian), hessian_of=of_rows,
+        scaling=SimpleNamespace(objective=0.25, variables=np.ones(n)),
+        variables=Limits(box, np.zeros(n, dtype=bool), np.zeros(n), tuple(f"z{i}" for i in range(n))),
+        rows=Limits(rows, np.ones(m, dtype=bool), np.zeros(m), tuple(f"row {i}" for i in range(m))),
+        transcription=SimpleNamespace(parts={}, constraint_rows=np.arange(m)),
+    )  # fmt: skip
+    return point
+
+
+@pytest.fixture
+def metric(monkeypatch: pytest.MonkeyPatch) -> Array:
+    weights = np.array([1.0, 4.0, 0.25, 1.0, 2.0])
+    monkeypatch.setattr(null_space, "_metric", lambda transcription: weights)
+    return weights
+
+
+def test_least_curvature_is_an_eigenvalue_of_the_reduced_hessian(metric: Array) -> None:
+    """Of five variables one is held, and one row; variations are measured by the weights."""
+    jacobian, free_box = np.array([[1.0, 2.0, 0.0, -1.0, 3.0]]), np.full(5, 9.0)
+    hessian = np.diag([4.0, 3.0, 2.0, -4.0, 5.0]) + 0.5
+    point = program(jacobian, hessian, -free_box, free_box, np.zeros(5))
+    held = np.array([False, False, True, False, False, True])
+    found = least_curvature(point, held)
+    free = ~held[:5]
+    root = 1 / np.sqrt(metric[free])
+    scaled = hessian[np.ix_(free, free)] * np.outer(root, root)
+    z = scipy.linalg.null_space(jacobian[:, free] * root)
+    values, vectors = np.linalg.eigh(z.T @ scaled @ z)
+    typical = np.mean(np.linalg.norm(scaled, axis=1))
+    assert found.value == pytest.approx(values[0] / typical, rel=1e-4) and values[0] < 0
+    direction = np.zeros(5)
+    direction[free] = root * (z @ vectors[:, 0])
+    largest = np.max(np.abs(direction))
+    np.testing.assert_allclose(np.abs(found.direction), np.abs(direction) / largest, atol=2e-3)
+    assert found.gain == pytest.approx(-0.5 * values[0] * (0.1 / largest) ** 2 / 0.25, rel=2e-3)
+    unit = z @ vectors[:, 0]
+    assert found.share == pytest.approx(values[0] / (np.abs(unit) @ np.abs(scaled) @ np.abs(unit)), rel=2e-3)
+
+
+def test_least_curvature_of_what_curves_upwards_and_of_nothing(metric: Array) -> None:
+    jacobian, wide = np.array([[1.0, 2.0, 0.0, -1.0, 3.0]]), np.full(5, 9.0)
+    point = program(jacobian, np.diag(metric * [3.0, 5.0, 2.0, 7.0, 1.0]), -wide, wide, np.zeros(5))
+    loose = least_curvature(point, np.array([False] * 5 + [False]))
+    assert loose.value == pytest.approx(1.0 / 3.6, rel=1e-4) and np.argmax(np.abs(loose.direction)) == 4
+    assert loose.upwards and loose.gain < 0
+    assert np.isnan(least_curvature(point, np.array([True] * 5 + [False])).value)
+    one = least_curvature(
+        point, np.array([True, True, False, True, True, True])
+    )  # the row says nothing of z2
+    assert one.value == pytest.approx(1.0)
+    assert np.isnan(least_curvature(point, np.array([False, True, True, True, True, True])).value)
+
+
+def test_what_is_held_and_what_may_leave_to_one_side() -> None:
+    """z0 free, z1 and z2 pushed to their lower and upper limit, z3 at one without a push, z4 given."""
+    lower, upper = [-9.0, 0.0, -9.0, 0.0, 2.0], [9.0, 9.0, 1.0, 9.0, 2.0]
+    point: Any = program(np.zeros((1, 5)), np.eye(5), lower, upper, np.array([1.0, 0.0, 1.0, 1e-7, 2.0]))
+    point.multiplier_densities = np.array([0.0, -0.5, 0.5, -1e-8, 0.0]), np.zeros(1)
+    cone = CriticalCone.of(point)
+    np.testing.assert_array_equal(cone.strong, [False, True, True, False, True, True])
+    np.testing.assert_array_equal(cone.weak, [False, False, False, True, False, False])
+    inwards, outwards = np.eye(5)[3], -np.eye(5)[3]
+    assert cone.admits(inwards, []) and not cone.admits(outwards, [])
+    assert cone.admits(0.009 * outwards, []) and cone.admits(np.eye(5)[0], [])
+    point.variables = replace(
+        point.variables, box=Interval(np.array(lower), np.array([9.0, 9.0, 1.0, 1e-6, 2.0]))
+    )
+    point.x = np.array([1.0, 0.0, 1.0, 9e-7, 2.0])
+    nearer = CriticalCone.of(point)  # to the upper limit
+    assert nearer.weak[3] and nearer.admits(outwards, []) and not nearer.admits(inwards, [])
+
+
+def test_multipliers_that_push_inwards(metric: Array) -> None:
+    """g = z1 - z2 with z1 at its lower and z2 at its upper limit: y > 0 would have to pull at both."""
+    jacobian = np.array([[0.0, 1.0, -1.0, 0.0, 0.0]])
+    point = program(jacobian, np.eye(5), [-9, 0, -9, -9, -9], [9, 9, 1, 9, 9], np.array([0, 0, 1.0, 0, 0]))
+    cone = CriticalCone(point, np.array([False, True, True, False, False, True]), np.zeros(6, dtype=bool))
+    assert _may_push(cone, np.array([1.0])) and not _may_push(cone, np.array([-1.0]))
+
+
+@pytest.mark.parametrize(
+    ("slope", "bend", "result"), [(1e-6, 1.0, "FAIL"), (1.0, 1.0, "PASS"), (1e-6, 0.0, "PASS")]
+)
+def test_constraints_whose_second_order_outweighs_their_first(
+    metric: Array, slope: float, bend: float, result: str
+) -> None:
+    """g = slope z0 + bend (z1^2 + z2^2 / 2) / 2 takes over from slope / bend on, beside a harmless row on z4."""
+    jacobian = np.array([[0.0, 0.0, 0.0, 0.0, 1.0], [slope, 0.0, 0.0, 0.0, 0.0]])
+    curves = (np.zeros((5, 5)), np.diag([0.0, bend, 0.5 * bend, 0.0, 0.0]))
+    point = program(jacobian, np.eye(5), np.full(5, -9.0), np.full(5, 9.0), np.zeros(5), curves)
+    cone = CriticalCone(point, np.array([False] * 5 + [True] * 2), np.zeros(7, dtype=bool))
+    condition = normality(cone)
+    assert condition.result.name == result
+    root = 1 / np.sqrt(metric)
+    size = np.hypot(bend * root[1] ** 2, 0.5 * bend * root[2] ** 2)  # of the row alone, its whole Hessian
+    assert condition.value == pytest.approx(size / slope, rel=1e-4)
+    assert condition.where == "row 1" or slope == 1.0
