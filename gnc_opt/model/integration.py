@@ -49,22 +49,23 @@ class Budget:
         def counted(t: float, x: Array) -> Array:
             values = rate(t, x)
             self.count += 1
-            if not np.isfinite(values).all() and np.isfinite(x).all():
-                self._note(t, values)
+            if not np.isfinite(values).all():
+                self._note(t, x, values)
             if self.count > MOST_RATES:
                 raise EndedError(f"{MOST_RATES:,} evaluations of the dynamics led to t = {t:.4g} s only")
             return values
 
         return counted
 
-    def _note(self, t: float, values: Array) -> None:
+    def _note(self, t: float, x: Array, values: Array) -> None:
         self.not_finite += 1
-        if t < self.earliest:
+        # A step that is no number leads to states that are none: that is not where it began.
+        if t < self.earliest and np.isfinite(x).all():
             i = int(np.argmin(np.isfinite(values)))
             self.earliest = t
             self.edge = f"the rate of state '{self.labels[i]}' is {values[i]} at t = {round(t, 15):.4g} s"
         if self.not_finite > MOST_NOT_FINITE:
-            raise EndedError(self.edge)
+            raise EndedError(self.edge or "the state is no number")
 
 
 @dataclass(frozen=True)

@@ -267,6 +267,7 @@ def test_an_observer_cancels_what_the_reaching_law_could_not_hold():
     assert estimate == pytest.approx(2 + np.sin(12.0), abs=0.02)
 
 
+@pytest.mark.slow
 def test_formation_keeping_agrees_with_the_published_run():
     """Imani & Bahrami, Table 1, SMC: 1.11 m and 2.358 m/s; the law evaluated continuously, Runge-Kutta of 1 s."""
     model, plant = formation.nonlinear(j2=False), formation.nonlinear(j2=True)
