@@ -41,6 +41,7 @@ from gnc_opt.simulation.dispersion import Choice, Dispersion, Normal, Sphere, Tu
 from gnc_opt.simulation.monte_carlo import monte_carlo
 from gnc_opt.simulation.statistics import pass_rate, percentile, share_below_maximum
 from gnc_opt.workers import pool
+from gnc_opt.workers.processes import processes_fork
 from problems.rendezvous import chaser_model
 
 BITS = (
@@ -382,15 +383,28 @@ q, v, a = cart.state("q"), cart.state("v"), cart.control("a")
 cart.ode({q: v, v: a})
 loop = go.ClosedLoop(cart, go.design_lqr(cart, [0, 0], Q=1, R=1, dt=0.1))
 spawned = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
-go.monte_carlo(loop, 4, x0=[1, 0], tf=1.0, executor=spawned)
+campaign = go.monte_carlo(loop, 4, x0=[1, 0], tf=1.0, executor=spawned)
 """
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    not processes_fork(), reason="processes of the pool's own are spawned, too, and die as well"
+)
+def test_a_script_that_spawned_processes_would_run_again_is_flown_by_forked_ones(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT + "print(len(campaign), len(campaign.failures))\n")
+    ended = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, timeout=300)
+    assert (ended.returncode, ended.stdout) == (0, "4 0\n")
 
 
 @pytest.mark.slow
 def test_a_script_that_new_processes_would_run_again_is_told_of_its_guard(tmp_path):
     """Spawned processes import the script: without the guard each begins a campaign of its own, and dies."""
     script = tmp_path / "script.py"
-    script.write_text(SCRIPT)
+    without_fork = "import gnc_opt.workers.processes as processes\nprocesses.processes_fork = lambda: False\n"
+    spawning = "import multiprocessing\nmultiprocessing.set_start_method('spawn', force=True)\n"
+    script.write_text(without_fork + spawning + SCRIPT.replace(", executor=spawned", ""))
     ended = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, timeout=300)
     assert ended.returncode != 0
     last = ended.stderr.strip().splitlines()[-1]
