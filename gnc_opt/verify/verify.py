@@ -126,8 +126,18 @@ def _second_order(
     cone = critical_cone(solution)
     if not cone.point.is_finite:
         return [_untold("second order", "a derivative of the problem is no number", _CANNOT_VARY)]
-    smooth = conjugate_points(solution, samples)
-    return [normality(cone), *smooth, reduced_hessian(solution, samples, cone)]
+    curvature = reduced_hessian(solution, samples, cone)
+    smooth = [_agreed(c, curvature) for c in conjugate_points(solution, samples)]
+    return [normality(cone), *smooth, curvature]
+
+
+def _agreed(conjugate: Condition, curvature: Condition) -> Condition:
+    """A conjugate time past which the cost curves upwards all the same cannot be told: one of the two errs."""
+    if conjugate.result is Result.FAIL and curvature.result is Result.PASS:
+        return replace(
+            conjugate, result=Result.CANNOT_TELL, where=f"{conjugate.where}, which 'second order' denies"
+        )
+    return conjugate
 
 
 def _untold(name: str, where: str, meaning: str) -> Condition:

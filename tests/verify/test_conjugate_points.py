@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.verify import Result
+from gnc_opt.verify import Condition, Result
 from gnc_opt.verify.conjugate_points import conjugate_points
 from gnc_opt.verify.judged import from_problem
+from gnc_opt.verify.verify import _agreed
 from tests.verify.test_reduced_hessian import great_circle, regulator
 
 
@@ -107,3 +108,12 @@ def test_what_is_not_smooth_is_not_judged() -> None:
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(leg.integral(x**2))
     assert judged(go.solve(problem, mesh="4x5")) == []
+
+
+@pytest.mark.parametrize("curvature", list(Result))
+def test_a_conjugate_time_that_the_second_order_denies_is_not_told(curvature: Result) -> None:
+    past = Condition("conjugate points", Result.FAIL, 0.1, 0.0, "t = 2 s", "")
+    judged = _agreed(past, Condition("second order", curvature, 0.0, 0.0, "", ""))
+    assert judged.result is (Result.CANNOT_TELL if curvature is Result.PASS else Result.FAIL)
+    none = Condition("conjugate points", Result.PASS, 0.0, 0.0, "none", "")
+    assert _agreed(none, Condition("second order", curvature, 0.0, 0.0, "", "")) is none
