@@ -47,9 +47,16 @@ class Outcome:
     what: str = ""
     time: float = math.nan
 
-    def __post_init__(self) -> None:
-        if math.isnan(self.time):  # one and the same NaN, so that equal outcomes compare equal
-            object.__setattr__(self, "time", math.nan)
+    def __eq__(self, other: object) -> bool:
+        """Outcomes without a time are equal, too, though not-a-number is not equal to itself."""
+        return isinstance(other, Outcome) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    @property
+    def _key(self) -> tuple[RunStatus, str, float | None]:
+        return self.status, self.what, None if math.isnan(self.time) else self.time
 
     def __reduce__(self) -> tuple[type[Outcome], tuple[RunStatus, str, float]]:
         return Outcome, (self.status, self.what, self.time)
