@@ -142,7 +142,7 @@ def _check(args: argparse.Namespace) -> ExitCode:
 
 def _new(args: argparse.Namespace) -> ExitCode:
     path = write_template(args.name, args.kind)
-    command = shlex.join(["gnc-opt", "solve", str(path), "--tol", "1e-8", "--report", "report"])
+    command = shlex.join(["gnc-opt", "solve", str(path), "--report", "report"])
     print(f"written: {path}\nsolve it with: {command}")
     return ExitCode.OK
 

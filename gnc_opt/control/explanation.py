@@ -9,6 +9,7 @@ import numpy as np
 
 from gnc_opt.errors import unknown_name
 from gnc_opt.strict import Strict
+from gnc_opt.tolerances import ROUNDING
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Fact:
     remark: str = ""
 
     def __str__(self) -> str:
-        value = self.value if isinstance(self.value, str) else _numbers(self.value)
+        value = self.value if isinstance(self.value, str) else number_text(self.value)
         line = f"{self.name}: {value}{' ' + self.unit if self.unit else ''}"
         return f"{line} ({self.remark})" if self.remark else line
 
@@ -62,8 +63,11 @@ class Explanation(Strict):
         return "\n".join([self.title, *(f"  {fact}" for fact in self.facts)])
 
 
-def _numbers(value: object) -> str:
+def number_text(value: object) -> str:
+    """Return a number, or an array of them, as text: as real ones where no imaginary part is more than rounding."""
     array = np.asarray(value)
+    if np.iscomplexobj(array) and np.all(np.abs(array.imag) <= ROUNDING * np.abs(array)):
+        array = array.real
     if array.ndim == 0:
         return f"{array[()]:.6g}"
     return np.array2string(array, precision=6, max_line_width=100, separator=", ")

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_numbers, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
-from gnc_opt.control.explanation import Explanation, Fact
+from gnc_opt.control.explanation import Explanation, Fact, number_text
 from gnc_opt.control.guard import (
     GROWTH,
     GUARD,
@@ -195,9 +195,10 @@ def _gain(
             gain[i, column] = as_vector(gains[k], errors.size, f"gain K{k + 1}", DesignError)[i]
         else:
             gain[i, column] = _polynomial(errors, label, degree, poles)[k]
-    if np.max(np.linalg.eigvals(a - b @ gain).real) >= 0:
+    found = np.linalg.eigvals(a - b @ gain)
+    if np.max(found.real) >= 0:
         raise DesignError(
-            f"the errors would not decay: the poles are {np.linalg.eigvals(a - b @ gain)} 1/s; "
+            f"the errors would not decay: the poles are {number_text(found)} 1/s; "
             "give poles with negative real parts."
         )
     return gain

@@ -16,7 +16,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, Schedule, first_memory, law
 from gnc_opt.control.dropout import bridge_dropouts
-from gnc_opt.control.explanation import Explanation, Fact
+from gnc_opt.control.explanation import Explanation, Fact, number_text
 from gnc_opt.control.lie import OutputErrors, Pair, zero_dynamics
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.rehearsal import Path, Rehearsal
@@ -144,8 +144,9 @@ def check_zero_dynamics(errors: OutputErrors, reference: Reference, growth: floa
     if zeros.growth > growth:
         worst = zeros.eigenvalues[int(np.argmax(zeros.eigenvalues.real))]
         raise DesignError(
-            f"the zero dynamics of outputs {', '.join(errors.labels)} are unstable: eigenvalue {worst:.6g} 1/s "
-            f"of {zeros.dimension} at the end of the reference; steer other outputs or another mix of them."
+            f"the zero dynamics of outputs {', '.join(errors.labels)} are unstable: "
+            f"eigenvalue {number_text(worst)} 1/s of {zeros.dimension} at the end of the reference; "
+            "steer other outputs or another mix of them."
         )
     facts = [Fact("dimension of the zero dynamics", zeros.dimension)]
     if zeros.dimension:

@@ -1,10 +1,10 @@
 """A rocket lands on the Moon with the least fuel: when to light the engine?
 
 Cost and dynamics are linear in the thrust, hence the best thrust is none or all there is
-(bang-bang). A mesh alone finds the switch only to the width of a segment; with --tol the
+(bang-bang). A mesh alone finds the switch only to the width of a segment; refined, the
 structure of the control is recognised and the time of the switch is found.
 
-Solve and judge it with: gnc-opt solve FILE --tol 1e-8 --report report
+Solve and judge it with: gnc-opt solve FILE --report report
 Look for mistakes with:  gnc-opt check FILE
 Options of build():      gnc-opt solve FILE --set height=2000
 """

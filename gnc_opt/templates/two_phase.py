@@ -3,7 +3,7 @@
 Phases follow each other: each has its model, its times and its limits, and a link joins
 the end of one with the beginning of the next. When the waypoint is passed is free.
 
-Solve and judge it with: gnc-opt solve FILE --tol 1e-8 --report report
+Solve and judge it with: gnc-opt solve FILE --report report
 Look for mistakes with:  gnc-opt check FILE
 Options of build():      gnc-opt solve FILE --set duration=5
 """

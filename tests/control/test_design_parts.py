@@ -14,7 +14,7 @@ from scipy.optimize import minimize_scalar
 
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation, evaluate_columns
-from gnc_opt.control.explanation import Explanation, Fact
+from gnc_opt.control.explanation import Explanation, Fact, number_text
 from gnc_opt.control.feedforward import feedforward
 from gnc_opt.control.limits import clip, read_limits, require_reserve, reserve_shares, saturated
 from gnc_opt.control.linear import riccati
@@ -167,6 +167,22 @@ def test_a_design_looks_at_ends_jumps_and_both_sides_of_them():
     assert np.all(np.diff(times) > 0) and times[0] == 1.0 and times[-1] == 3.0
     assert reference_times(Reference.constant(cart(), [1.0, 0.0])).tolist() == [0.0]
     assert reference_times(ramp()).size >= 101
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.1 + 0j, "0.1"),
+        (0.1 + 1e-17j, "0.1"),
+        (1 + 2j, "1+2j"),
+        (np.array([-1 + 0j, -2 + 0j]), "[-1., -2.]"),
+        (np.array([-1 + 2j, -1 - 2j]), "[-1.+2.j, -1.-2.j]"),
+        (1e-20j, "0+1e-20j"),
+    ],
+)
+def test_eigenvalues_are_told_as_real_where_they_are(value, text):
+    """NumPy returns them as complex numbers or as real ones, one version so and another so."""
+    assert number_text(value) == text
 
 
 def test_feedforward_commands_the_mean_and_nothing_else():

@@ -9,8 +9,9 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.problem.arc import ArcKind
+from gnc_opt.refine.structure import switching
 from gnc_opt.refine.structure.detect import detect
-from gnc_opt.refine.structure.newton import settle
+from gnc_opt.refine.structure.newton import _independent, settle
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from problems.rendezvous import SWITCHES, build
 
@@ -138,6 +139,26 @@ def test_states_on_their_bounds_are_left_to_others(cart: go.Solution) -> None:
     held = structure([0.0, 2.0, 4.0], LOWER, UPPER)
     kinds = ((LOWER, INTERIOR, LOWER), held.kinds[1])
     assert settle(cart, replace(held, kinds=kinds)) is None
+
+
+def test_a_structure_that_cannot_be_collocated_is_given_up(
+    cart: go.Solution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Thrust away from the goal and back leads nowhere: what was detected is tried then."""
+    nowhere = structure([0.0, 2.0, 4.0], UPPER, UPPER)
+    guess = replace(cart, statistics=cart.statistics)
+    monkeypatch.setattr(switching, "settle", lambda *_: (nowhere, guess))
+    found, history = switching.optimise_switches(cart)
+    assert history.converged and not history.passes[0].solved
+    assert found.objective == pytest.approx(4.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e12, 1e-12])
+def test_dependence_of_conditions_is_none_of_units(unit: float) -> None:
+    rows = np.array([[1.0, 2.0, 3.0], [2.0, 4.0, 6.1]]) * np.array([[1.0], [unit]])
+    assert _independent(rows)
+    assert not _independent(rows @ np.diag([1.0, 1.0, 0.0]))
+    assert not _independent(np.vstack([rows, np.zeros(3)]))
 
 
 def test_refinement_then_needs_one_pass() -> None:

@@ -24,8 +24,9 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
+from gnc_opt.control.explanation import number_text
 from gnc_opt.errors import DesignError
-from gnc_opt.tolerances import ROUNDING, TINY
+from gnc_opt.tolerances import TINY
 
 _REACH = 1e-10
 """A direction is reached if the reachability matrix has it above this, in balanced coordinates."""
@@ -134,8 +135,9 @@ def require_stabilizable(a: Array, b: Array, labels: tuple[str, ...], *, sampled
     for mode in unreached(a, b, labels):
         if not _decays(mode.eigenvalue, a, sampled):
             raise DesignError(
-                f"the plant is not stabilisable: no control reaches the mode with eigenvalue {_text(mode.eigenvalue)}"
-                f"{'' if sampled else ' 1/s'} in {_list(mode.states)} (smallest singular value of [lambda - A, B]: "
+                f"the plant is not stabilisable: no control reaches the mode with eigenvalue "
+                f"{number_text(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_list(mode.states)} "
+                f"(smallest singular value of [lambda - A, B]: "
                 f"{mode.rank_gap:.2g}); give those states a control, or leave them out of the design."
             )
 
@@ -145,8 +147,9 @@ def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: 
     for mode in unreached(a.T, q.T, labels):
         if not _decays(mode.eigenvalue, a, sampled):
             raise DesignError(
-                f"the weights are not detectable: the mode with eigenvalue {_text(mode.eigenvalue)}"
-                f"{'' if sampled else ' 1/s'} in {_list(mode.states)} costs nothing and does not decay "
+                f"the weights are not detectable: the mode with eigenvalue "
+                f"{number_text(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_list(mode.states)} "
+                "costs nothing and does not decay "
                 f"(smallest singular value of [lambda - A; Q]: {mode.rank_gap:.2g}); give one of those states a weight."
             )
 
@@ -227,10 +230,6 @@ def _polished(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, sample
             return best
         best, error = after, error_after
     return best
-
-
-def _text(value: complex) -> str:
-    return f"{value.real:.4g}" if abs(value.imag) <= ROUNDING * abs(value) else f"{value:.4g}"
 
 
 def _list(names: tuple[str, ...]) -> str:

@@ -68,10 +68,10 @@ def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructur
     -------
     (PhaseStructure, Solution) or None
         The structure, and the flown trajectory with its costates as a guess for the collocated problem; None where
-        the method does not fit (see `fits`), or does not settle.
+        the method does not fit, or does not settle.
     """
     problem, s = solution.need_problem("refine"), next(iter(solution.samples().values()))
-    if not fits(problem, s, structure):
+    if not _fits(problem, s, structure):
         return None
     switches = _switches(s, structure)
     for _ in range(MOST_STEPS):
@@ -92,7 +92,7 @@ def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructur
     return None
 
 
-def fits(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
+def _fits(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
     """Whether everything is decided by switch times and end times, and all conditions are equalities."""
     leg = s.leg
     times = np.array([[leg.initial_time], [leg.final_time], [leg.duration]])
@@ -147,8 +147,8 @@ def _newton_step(problem: Problem, s: PhaseSamples, switches: Switches) -> _Step
             _constraint_values(s, problem, flow) - limits.lower,
         ]
     )
-    if np.linalg.matrix_rank(rows, RANK * np.linalg.norm(rows, 2)) < rows.shape[0]:
-        return None  # Multipliers of conditions that depend on each other would run away in the collocated problem.
+    if not _independent(rows):
+        return None  # Their multipliers would run away in the collocated problem.
     gradient = (slope[:, 0] @ changes)[free]
     multipliers = np.linalg.lstsq(rows.T, -gradient, rcond=RANK)[0]
     on_states, nu = np.split(multipliers, [wanted.size])
@@ -162,12 +162,16 @@ def _newton_step(problem: Problem, s: PhaseSamples, switches: Switches) -> _Step
     return _Step(change, flow, adjoint, nu)
 
 
+def _independent(rows: Array) -> bool:
+    """Whether gradients of conditions are linearly independent, in whatever units the conditions are."""
+    sizes = np.linalg.norm(rows, axis=1, keepdims=True)
+    return bool(np.all(sizes > 0) and np.linalg.matrix_rank(rows / sizes, RANK) == rows.shape[0])
+
+
 def _model_minimum(hessian: Array, gradient: Array, rows: Array, misses: Array) -> Array:
     """Return the step to the minimum of a quadratic model on linear conditions, its negative curvatures reversed."""
-    left, sizes, basis = np.linalg.svd(rows, full_matrices=True)
-    rank = int(np.sum(sizes > RANK * np.max(sizes, initial=0.0)))
-    back = -basis[:rank].T @ ((left[:, :rank].T @ misses) / sizes[:rank])
-    null = basis[rank:].T
+    back = np.linalg.lstsq(rows, -misses, rcond=RANK)[0]
+    null = np.linalg.qr(rows.T, mode="complete")[0][:, rows.shape[0] :]
     if not null.shape[1]:
         return np.asarray(back)
     curvatures, directions = np.linalg.eigh(null.T @ hessian @ null)

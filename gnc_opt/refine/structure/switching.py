@@ -105,8 +105,10 @@ def optimise_switches(
     with pass_meter(solution.problem_name, tol, progress) as show:
         try:
             limits = _Limits(max_passes, max_points, deadline)
-            guess, plans = _settled(solution, plans)
-            status = _loop(problem, guess, plans, min(tol, FINEST), limits, chosen, show, tries)
+            guess, settled = _settled(solution, plans)
+            status = _loop(problem, guess, settled, min(tol, FINEST), limits, chosen, show, tries)
+            if status is RefinementStatus.FAILED and guess is not solution:
+                status = _loop(problem, solution, plans, min(tol, FINEST), limits, chosen, show, tries)
         except KeyboardInterrupt:
             status = RefinementStatus.INTERRUPTED
     best = _best(tries, status)
