@@ -16,6 +16,10 @@ then followed from either end. The frame (X, Lambda) is carried orthonormal, so 
 Riccati equation :math:`S = \Lambda X^{-1}` unharmed. Then :math:`M = X + i\Lambda` is unitary, :math:`M M^T` depends on
 the Lagrangian plane alone, and its eigenvalues pass -1, all in one direction, exactly where X is singular: what has
 passed is counted by the argument of the determinant (Arnold, Funct. Anal. Appl. 1(1), 1967).
+
+Where no variation of the controls moves :math:`y^T X`, as in a minimum time, whose costates have
+:math:`\lambda^T X = 0`, or along the norm of a quaternion, (0, y) solves the system and X is singular at all times.
+That says nothing: what is judged is the plane beside all such (0, y), a Lagrangian one in :math:`y^\perp`.
 """
 
 from __future__ import annotations
@@ -47,6 +51,9 @@ CONVEX = 1e-6
 
 REACHED = 1e-10
 """Angle from which a direction counts as reached by the controls."""
+
+UNREACHABLE, REACHABLE = 1e-10, 1e-8
+"""Mean square of the cosine to what controls move, below and above which a direction never is, or is, moved by them."""
 
 AGREED = 1e-2
 """Share of a phase within which conjugate times by different steps agree."""
@@ -204,16 +211,21 @@ def _conjugate_times(solution: Solution, s: PhaseSamples) -> list[tuple[int, flo
 
 def _first_crossing(s: PhaseSamples, system: tuple[Array, Array], frame: Array, end: int) -> float | None:
     """The first conjugate time by a system's flow; None if controls do not reach all directions early enough."""
-    times, flows = system
+    times, onwards = system
     with np.errstate(all="ignore"):
         try:
-            if end == END:
-                mirror = np.repeat([1.0, -1.0], s.leg.states.size)
-                flows = (mirror[:, None] * np.linalg.inv(flows) * mirror)[::-1]
-                times = times[::-1]
-            angles = _angles(frame, flows)
+            mirror = np.repeat([1.0, -1.0], s.leg.states.size)
+            back = (mirror[:, None] * np.linalg.inv(onwards) * mirror)[::-1]
+            flows, others = (onwards, back) if end == START else (back, onwards)
+            times = times if end == START else times[::-1]
+            never = _never_moved(others)
+            if never is None:
+                return None
+            angles = _angles(frame, _in_plane(never, frame), flows)
         except np.linalg.LinAlgError:  # H_uu is singular between the samples, or a number is not finite
             return None
+    if not angles.shape[1]:
+        return None
     reached = np.flatnonzero(np.min(np.minimum(angles, 2 * np.pi - angles), axis=1) > REACHED)
     if not reached.size or abs(times[reached[0]] - times[0]) > EARLY * s.leg.duration:
         return None
@@ -228,6 +240,35 @@ def _first_crossing(s: PhaseSamples, system: tuple[Array, Array], frame: Array, 
     return float(times[k - 1] + (times[k] - times[k - 1]) * before / (before + after))
 
 
+def _never_moved(flows: Array) -> Array | None:
+    """Directions y (n, k), where a flow ends, that controls never move (orthonormal); None if that cannot be told.
+
+    y obeys the adjoint equation; how much of it the controls have moved, a quadratic form of y, goes along with it.
+    """
+    n = flows.shape[1] // 2
+    basis, moved = np.eye(n), np.zeros((n, n))
+    for flow in flows:
+        by_control = flow[:n, n:] @ basis
+        size = np.linalg.norm(flow[:n, n:])
+        if size > 0:
+            moved = moved + by_control.T @ by_control / size**2
+        basis, growth = np.linalg.qr(flow[n:, n:] @ basis)
+        shrunk = np.linalg.inv(growth)
+        shares, vectors = np.linalg.eigh(shrunk.T @ moved @ shrunk)
+        # What has been moved enough need not grow beyond rounding of the rest.
+        moved = (vectors * np.clip(shares, 0.0, len(flows))) @ vectors.T
+    shares, vectors = np.linalg.eigh(moved / len(flows))
+    if np.any((shares > UNREACHABLE) & (shares < REACHABLE)):
+        return None
+    return np.asarray(basis @ vectors[:, shares <= UNREACHABLE])
+
+
+def _in_plane(directions: Array, frame: Array) -> Array:
+    """Combinations y of directions for which (0, y) belongs to the plane of an end's frame."""
+    across, cosines, _ = np.linalg.svd(directions.T @ frame[: directions.shape[0]])
+    return np.asarray(directions @ across[:, int(np.sum(cosines > np.sqrt(UNREACHABLE))) :])
+
+
 def _times(s: PhaseSamples, steps: int) -> Array:
     pieces = []
     for left, right in zip(s.leg.breaks[:-1], s.leg.breaks[1:], strict=True):
@@ -236,14 +277,24 @@ def _times(s: PhaseSamples, steps: int) -> Array:
     return np.append(np.concatenate(pieces), s.leg.breaks[-1])
 
 
-def _angles(frame: Array, flows: Array) -> Array:
-    """Angles of the eigenvalues of M M^T from -1, in [0, 2 pi), after each step (n_times, n)."""
-    n = frame.shape[1]
-    angles = np.zeros((len(flows) + 1, n))
-    for k, flow in enumerate(flows):
-        frame = np.linalg.qr(flow @ frame)[0]
-        unitary = frame[:n] + 1j * frame[n:]
-        angles[k + 1] = np.angle(-np.linalg.eigvals(unitary @ unitary.T)) % (2 * np.pi)
+def _angles(frame: Array, never: Array, flows: Array) -> Array:
+    """Angles of the eigenvalues of M M^T from -1, in [0, 2 pi), after each step (n_times, n - k).
+
+    Parameters
+    ----------
+    frame : array (2n, n)
+    never : array (n, k)
+        Directions y with (0, y) in the plane that controls never move: -1 is an eigenvalue for each, at all times.
+    flows : array (n_times - 1, 2n, 2n)
+    """
+    n, k = never.shape
+    angles = np.zeros((len(flows) + 1, n - k))
+    for j, flow in enumerate(flows):
+        frame, never = np.linalg.qr(flow @ frame)[0], np.linalg.qr(flow[n:, n:] @ never, mode="complete")[0]
+        unitary, beside = frame[:n] + 1j * frame[n:], never[:, k:]
+        never = never[:, :k]
+        product = beside.T @ unitary @ unitary.T @ beside
+        angles[j + 1] = np.angle(-np.linalg.eigvals(product)) % (2 * np.pi)
     return angles
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -90,6 +91,41 @@ def test_a_free_end_is_focal_earlier(at_rest: go.Solution, free: str, spring: fl
     assert condition.result is go.verify(solution)["second order"].result
     assert condition.where.endswith(free)
     assert first_time(condition) == pytest.approx(zero if free == "start" else 1 - zero, abs=1e-3)
+
+
+def equator(k: float) -> go.Problem:
+    """In minimum time along the equator of a sphere of radius 1 / k, beside a clock and a mirror.
+
+    Variations in a given time are at right angles to the costates, and x^2 + y^2 of the mirror never changes.
+    """
+    model = go.Model("ship")
+    latitude, longitude, course = model.state("latitude"), model.state("longitude"), model.control("course")
+    clock, x, y = model.state("clock"), model.state("x"), model.state("y")
+    turn = ca.sin(course) + 0.5
+    rates = {latitude: ca.sin(course), longitude: ca.cos(course) / ca.cos(k * latitude)}
+    model.ode({**rates, clock: 1.0 + 0.3 * latitude, x: -turn * y, y: turn * x})
+    problem = go.Problem("equator")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(latitude=0.0, longitude=0.0, clock=0.0, x=1.0, y=0.0)
+    leg.final(latitude=0.0, longitude=1.0)
+    leg.guess([0.0, 1.0], longitude=[0.0, 1.0], course=0.0, clock=[0.0, 1.0])
+    problem.minimize(leg.final_time)
+    return problem
+
+
+@pytest.fixture(scope="module")
+def eastwards() -> go.Solution:
+    return go.solve(equator(1.0), mesh="3x6")
+
+
+@pytest.mark.parametrize("share", [0.99, 1.01])
+def test_directions_that_controls_never_move_are_not_conjugate(eastwards: go.Solution, share: float) -> None:
+    (condition,) = judged(replace(eastwards, problem=equator(share * np.pi)))
+    assert condition.result is (Result.PASS if share < 1 else Result.FAIL)
+    if share > 1:
+        assert first_time(condition) == pytest.approx(1 - 1 / share, abs=1e-3)
+        assert condition.where.endswith("end")  # where the clock is free
 
 
 def test_what_is_not_smooth_is_not_judged() -> None:
