@@ -190,14 +190,36 @@ class PhaseSamples:
         slopes = np.maximum(np.abs(self.cost_slope), np.abs(self.switching - self.cost_slope))
         bends = 0.5 * np.sum(np.abs(self.control_hessian) * amplitude, axis=1)
         worth = np.fmax(slopes, bends) * amplitude
-        return np.asarray(np.max(np.where(np.isfinite(worth), worth, 0.0), axis=1, initial=0.0))
+        flown = np.max(np.where(np.isfinite(worth), worth, 0.0), axis=1, initial=0.0)
+        return np.fmax(flown, self._balanced_slopes * amplitude[:, 0])
+
+    @cached_property
+    def _balanced_slopes(self) -> Array:
+        """Slopes of H in the controls (m,) by costates that vanish all along because the terms of their rates cancel.
+
+        Along a totally singular phase that is what there is to compare with: the costates themselves are rounding.
+        """
+        leg, middles = self.leg, 0.5 * (self.leg.breaks[:-1] + self.leg.breaks[1:])
+        at = middles, leg.x(middles), leg.flown(middles)
+        none = np.zeros_like(at[1]), np.zeros((len(leg.path_labels), middles.size))
+        by_cost = np.abs(self.functions.state_gradient(*at, *none))
+        by_state = np.abs(self.functions.state_jacobian(*at))
+        flown = np.max(np.abs(self.lam_polynomial), axis=1)
+        balanced = np.zeros_like(flown)
+        for _ in range(flown.size):  # costates along a chain may all vanish
+            costates = np.maximum(np.abs(leg.lam(middles)), balanced[:, None])
+            terms = self.span * np.max(np.einsum("jit,jt->it", by_state, costates) + by_cost, axis=1)
+            balanced = np.where(np.isfinite(terms) & (flown <= NEGLIGIBLE * terms), terms, 0.0)
+        slopes = np.einsum("jkt,j->kt", np.abs(self.functions.input_jacobian(*at)), balanced)
+        return np.asarray(np.max(np.where(np.isfinite(slopes), slopes, 0.0), axis=1, initial=0.0))
 
     @property
     def joint_worth(self) -> float:
         """What half the spans of all controls are worth in H at most along the phase, cost per second.
 
-        By the slope of the integrands or of the costates' terms, which cancel at a minimum, or by H's curvature. What
-        is constant, or drifts without the controls, does not count.
+        By the slope of the integrands or of the costates' terms, which cancel at a minimum, or by H's curvature; where
+        costates vanish, by the terms that cancel in their rates. What is constant, or drifts without the controls, does
+        not count.
         """
         return max(float(np.sum(self._single_worths)), self.least_worth)
 
