@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.arrays import Array, Mask
 
 BRIEF = 1e-2
 """What lasts less than this share of a phase counts by its mean over it: loss of cost is size times duration."""
+
+SMEARED = 1e-4
+"""A control that is between its bounds for less than this share of a phase is on its way from one to the other."""
 
 
 def lasting(times: Array, offence: Array) -> Array:
@@ -21,3 +24,13 @@ def lasting(times: Array, offence: Array) -> Array:
         for row in total
     ]
     return np.asarray(np.reshape(means, offence.shape))
+
+
+def without_switches(times: Array, inside: Mask) -> Mask:
+    """Where controls are between their bounds (m, n_times) for longer than a switch, smeared by a polynomial, takes."""
+    arcs = inside.copy()
+    for row in arcs:
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
+        for first, end in edges.reshape(-1, 2):
+            row[first:end] &= times[end - 1] - times[first] > SMEARED * (times[-1] - times[0])
+    return arcs

@@ -12,7 +12,7 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT, RANK, SHORTEST
-from gnc_opt.verify.brief import lasting
+from gnc_opt.verify.brief import lasting, without_switches
 from gnc_opt.verify.feasibility import judge
 from gnc_opt.verify.held import left_free
 from gnc_opt.verify.least_hamiltonian import POINTS, coupled_gains, limits
@@ -163,10 +163,7 @@ def singular_arcs(samples: list[PhaseSamples], tolerance: float) -> Condition:
     )
     total, place = 0.0, "nowhere"
     for s in samples:
-        loss, unit = _offences(s)[0] / s.control_worth[:, None], s.control_span / np.sqrt(s.control_worth)
-        bases = left_free(s, _inside(s), unit)
-        left = np.stack([np.linalg.norm(basis, axis=1) > RANK for basis in bases], axis=1)
-        singular = left & (loss <= tolerance) & (np.abs(_curvature(s)) <= tolerance)
+        singular = undetermined(s, tolerance)[0]
         lengths = np.sum(singular * s.weights, axis=1) / max(s.leg.duration, SHORTEST)
         if lengths.size and lengths.max() > total:
             i = int(np.argmax(lengths))
@@ -175,6 +172,25 @@ def singular_arcs(samples: list[PhaseSamples], tolerance: float) -> Condition:
             place = f"from {s.place(j, s.leg.controls.labels[i])}, {100 * total:.1f} % of the phase"
     result = Result.PASS if total <= tolerance else Result.CANNOT_TELL
     return Condition("singular arcs", result, total, tolerance, place, meaning, sufficient=True)
+
+
+def undetermined(s: PhaseSamples, tolerance: float) -> tuple[Mask, Mask]:
+    """Where controls are between their bounds, and H or constraints do not determine them.
+
+    Returns
+    -------
+    singular : bool array (m, n_samples)
+        H neither slopes nor curves, and active constraints leave a direction free.
+    inside : bool array (m, n_samples)
+        Between the bounds, and active constraints leave all directions free.
+    """
+    loss, unit = _offences(s)[0] / s.control_worth[:, None], s.control_span / np.sqrt(s.control_worth)
+    inside = _inside(s)
+    bases = left_free(s, inside, unit)
+    left = np.stack([np.linalg.norm(basis, axis=1) > RANK for basis in bases], axis=1)
+    whole = np.array([basis.shape[1] for basis in bases]) == np.sum(inside, axis=0)
+    singular = left & (loss <= tolerance) & (np.abs(_curvature(s)) <= tolerance)
+    return without_switches(s.times, singular), inside & whole
 
 
 def _offences(s: PhaseSamples) -> tuple[Array, Mask]:
@@ -196,6 +212,6 @@ def _curvature(s: PhaseSamples) -> Array:
 
 
 def _inside(s: PhaseSamples) -> Mask:
-    """Where each control is clearly between its bounds, (m, n_samples)."""
+    """Where each control is clearly between its bounds, and not only on its way across, (m, n_samples)."""
     at_lower, at_upper = s.leg.control_bounds.near(s.u, CLEARLY_INSIDE * s.control_scale)
-    return ~(at_lower | at_upper)
+    return without_switches(s.times, np.asarray(~(at_lower | at_upper)))

@@ -24,11 +24,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.arrays import Array, Indices
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import TINY
-from gnc_opt.verify.controls import CLEARLY_INSIDE
+from gnc_opt.verify.brief import SMEARED
+from gnc_opt.verify.controls import undetermined
 from gnc_opt.verify.verdict import Condition, Result
 
 MOST_ORDER = 3
@@ -36,9 +37,6 @@ MOST_ORDER = 3
 
 MOST_INSTRUCTIONS = 200_000
 """Size of the derivatives of a switching function beyond which no further one is taken."""
-
-LEAST_SAMPLES = 3
-"""Samples of the shortest arc that is judged: shorter ones are switches, smeared by a polynomial."""
 
 NOT_AFFINE = "H is not affine in the controls between their bounds, whose curvature vanishes here only"
 
@@ -91,28 +89,17 @@ def generalised_legendre_clebsch(
 
 def singular_arcs(problem: Problem, s: PhaseSamples, tolerance: float) -> list[SingularArc]:
     """Judge the arcs of a phase along which controls are between their bounds without curvature of H."""
-    at_lower, at_upper = s.leg.control_bounds.near(s.u, CLEARLY_INSIDE * s.control_scale)
-    inside = ~(at_lower | at_upper)
-    scaled = s.control_hessian * s.control_scale[:, None, None] * s.control_scale[None, :, None]
-    flat = np.abs(np.einsum("iij->ij", scaled)) <= tolerance * s.hamiltonian_scale
-    lost = np.abs(s.control_gradient) * s.control_scale[:, None] <= tolerance * s.hamiltonian_scale
-    singular = inside & flat & lost & ~_pushed(s)
+    singular, inside = undetermined(s, tolerance)
+    singular &= inside
     kinds = np.vstack([singular, inside])
     changes = np.flatnonzero(np.any(kinds[:, 1:] != kinds[:, :-1], axis=0)) + 1
     found = []
     for first, last in pairwise([0, *changes, s.times.size]):
         channels = np.flatnonzero(singular[:, first])
-        if channels.size and last - first >= LEAST_SAMPLES:
+        if channels.size and s.times[last - 1] - s.times[first] > SMEARED * s.span:
             regular = np.flatnonzero(inside[:, first] & ~singular[:, first])
             found.append(_judge(problem, s, channels, regular, np.arange(first, last), tolerance))
     return found
-
-
-def _pushed(s: PhaseSamples) -> Mask:
-    """Samples at which an active path constraint or state bound determines controls."""
-    by_path = np.any(np.abs(s.mu) > 1e-6 * s.hamiltonian_scale, axis=0)
-    worth = np.abs(s.state_multiplier) * s.state_scale[:, None] * s.span
-    return np.asarray(by_path | np.any(worth > 1e-4 * s.cost_scale, axis=0))
 
 
 def _judge(

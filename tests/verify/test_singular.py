@@ -9,6 +9,8 @@ import pytest
 from wrong import singular_problem
 
 import gnc_opt as go
+from gnc_opt.verify.brief import without_switches
+from tests.unit import by_hand
 
 NAME = "generalised Legendre-Clebsch"
 TIMES = np.linspace(0.0, 1.0, 11)
@@ -110,3 +112,66 @@ def test_no_singular_arc() -> None:
     problem.minimize(leg.integral(0.5 * u**2))
     condition = go.verify(go.solve(problem, mesh="1x4"))[NAME]
     assert (condition.result, condition.where) == (go.Result.PASS, "no singular arc")
+
+
+def aly_chan() -> go.Problem:
+    """x' = y, y' = u; least z = (y^2 - x^2) / 2 integrated: u = -sin t all along, and the costate of y is 0."""
+    model = go.Model("Aly and Chan")
+    x, y, z, u = model.state("x"), model.state("y"), model.state("z"), model.control("u")
+    model.ode({x: y, y: u, z: 0.5 * (y**2 - x**2)})
+    problem = go.Problem("Aly and Chan")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 0.5 * np.pi)
+    leg.initial(x=0.0, y=1.0, z=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.final_state("z"))
+    return problem
+
+
+def along_the_arc(gradient: float) -> go.Solution:
+    """The closed form, with a costate of y that is off by a cosine."""
+    problem = aly_chan()
+    leg = by_hand.phase(
+        problem,
+        lambda t, k: np.array([np.sin(t), np.cos(t), np.sin(2 * t) / 4]),
+        lambda t, k: -np.sin([t]),
+        lambda t, k: np.array([-np.cos(t), gradient * np.cos(3 * t), 1 + 0 * t]),
+        breaks=np.linspace(0.0, 0.5 * np.pi, 4),
+        degree=10,
+    )
+    return by_hand.solution(problem, leg)
+
+
+@pytest.mark.parametrize(("gradient", "right"), [(1e-8, True), (3e-6, True), (3e-4, False), (1e-2, False)])
+def test_rounding_of_costates_that_vanish_is_no_offence(gradient: float, right: bool) -> None:
+    """What cancels in the rate of the costate of y moves it by up to pi: that is what it is measured against."""
+    verdict = go.verify(along_the_arc(gradient))
+    told = {c.name: c.result for c in verdict.conditions}
+    passed = [told[name] is go.Result.PASS for name in ("stationarity", "minimum principle")]
+    assert all(passed) if right else not any(passed), verdict.explain()
+    if right:
+        assert told["singular arcs"] is go.Result.CANNOT_TELL and told[NAME] is go.Result.PASS
+
+
+@pytest.mark.parametrize("factor", [1e-8, 1.0, 1e8])
+def test_a_path_constraint_that_determines_a_control_does_so_in_any_unit(factor: float) -> None:
+    """x is to stay at 1 or above at the least of its integral: along the limit the slope of u is zero, and u no arc."""
+    model = go.Model("wall")
+    x, y, u = model.state("x"), model.state("y"), model.control("u")
+    model.ode({x: u, y: 1.0})
+    problem = go.Problem("wall")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=1.0, y=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    leg.path("wall", factor * x, lower=factor)
+    problem.minimize(leg.integral(x) + leg.final_state("y"))
+    solution = go.solve(problem, mesh="2x4")
+    assert go.verify(solution)[NAME].where == "no singular arc"
+
+
+def test_a_switch_smeared_by_a_polynomial_is_no_arc() -> None:
+    times = np.linspace(0.0, 1.0, 100001)
+    inside = np.array([(times > 0.3) & (times < 0.30005), (times > 0.3) & (times < 0.301)])
+    assert not np.any(without_switches(times, inside)[0])
+    np.testing.assert_array_equal(without_switches(times, inside)[1], inside[1])
