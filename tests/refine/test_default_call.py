@@ -1,4 +1,4 @@
-"""What solve() does where nobody says how: refine, judge and tell, but stay cheap where it is called again and again."""
+"""What solve() does where nobody says how: refine, judge and tell, but stay cheap where it is called in loops."""
 
 from __future__ import annotations
 
