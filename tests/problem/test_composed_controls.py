@@ -235,7 +235,12 @@ def test_mistakes_are_named(mistake: Any, message: str) -> None:
         (lambda leg, T, d: leg.path("n", ca.dot(T, T), upper=1.0), None),
         (lambda leg, T, d: leg.path("n", d**2, lower=-1.0, upper=4.0), None),
         (lambda leg, T, d: leg.path("n", T[0] - d, upper=0.0), None),
-        (lambda leg, T, d: leg.bounds(T=([0.5, 0.5], [2.0, 2.0])) or leg.path("n", ca.norm_2(T), upper=2.0), None),
+        (
+            lambda leg, T, d: (
+                leg.bounds(T=([0.5, 0.5], [2.0, 2.0])) or leg.path("n", ca.norm_2(T), upper=2.0)
+            ),
+            None,
+        ),
     ],
 )
 def test_norms_by_hand_are_told_of(limit: Any, warning: str | None) -> None:
