@@ -8,7 +8,7 @@ is F) and the rows on theirs held (set C), the first-order conditions at the poi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -98,15 +98,23 @@ class ProgramPoint:
     rows: Limits
 
     @classmethod
-    def of(cls, solution: Solution, meshes: Mapping[str, Mesh] | None = None) -> ProgramPoint:
-        """Return the point of a solution that has a problem, on its own meshes or interpolated on others."""
+    def of(
+        cls,
+        solution: Solution,
+        meshes: Mapping[str, Mesh] | None = None,
+        scaled_by: Callable[[Transcription, Problem, Array], Array] = scale_variables,
+    ) -> ProgramPoint:
+        """Return the point of a solution that has a problem, on its own meshes or interpolated on others.
+
+        ``scaled_by`` gives the scales (n_variables,) from the program, its problem and the variables.
+        """
         problem = solution.need_problem("linearise")
         meshes = meshes or {name: leg.mesh for name, leg in solution.phases.items()}
         transcription = transcribe(problem, meshes, solution.scheme)
         start = program_start(transcription, problem, solution)
         x, lam_x, lam_g = start.x, start.lam_x, start.lam_g
         assert lam_x is not None and lam_g is not None, "a solution has multipliers"
-        scales = scale_variables(transcription, problem, x)
+        scales = scaled_by(transcription, problem, x)
         row_scales, objective = scale_rows(transcription, problem, x, scales)
         scaling = Scaling(scales, row_scales, objective)
         lam = lam_g / row_scales * objective

@@ -31,11 +31,14 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Mask
+from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.program_point import ProgramPoint
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT
 from gnc_opt.transcription.mesh import Mesh
+from gnc_opt.transcription.scaling import scale_variables
+from gnc_opt.transcription.transcription import Transcription
 from gnc_opt.verify.critical_cone import CriticalCone
 from gnc_opt.verify.null_space import FOUND, NullSpace, lanczos, quadratic
 from gnc_opt.verify.verdict import Condition, Result
@@ -95,10 +98,21 @@ class Curvature:
         return self.value < -steep and self.share < -CANCELLED
 
 
-def critical_cone(solution: Solution) -> CriticalCone:
-    """Return what is free to vary along a solution, on a mesh with room for it."""
+def critical_cone(solution: Solution, samples: list[PhaseSamples]) -> CriticalCone:
+    """Return what is free to vary along a solution, on a mesh with room for it, in shares of what moves."""
     meshes = {name: _rich(leg.mesh) for name, leg in solution.phases.items()}
-    return CriticalCone.of(ProgramPoint.of(solution, meshes))
+
+    def spans(transcription: Transcription, problem: Problem, x: Array) -> Array:
+        scales = scale_variables(transcription, problem, x)
+        for s in samples:
+            part = transcription.parts[s.leg.name]
+            for places in (part.collocation.boundary_states, part.collocation.point_states):
+                scales[places] = s.state_scale[:, None]
+            scales[part.collocation.point_controls] = s.control_span[:, None]
+            scales[part.times[part.times < transcription.n_variables]] = s.span
+        return scales
+
+    return CriticalCone.of(ProgramPoint.of(solution, meshes, spans))
 
 
 def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: CriticalCone) -> Condition:

@@ -123,7 +123,7 @@ def _second_order(
     """By the switch times where they alone are left to vary, else on the mesh."""
     if not second_order.obstacle(samples):
         return second_order.second_order(solution, samples, ends, tolerance)
-    cone = critical_cone(solution)
+    cone = critical_cone(solution, samples)
     if not cone.point.is_finite:
         return [_untold("second order", "a derivative of the problem is no number", _CANNOT_VARY)]
     curvature = reduced_hessian(solution, samples, cone)
