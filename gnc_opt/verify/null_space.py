@@ -29,7 +29,7 @@ FOUND = 1e-6
 class NullSpace:
     """The variations that keep some variables and rows of a program where they are.
 
-    Variations are taken in shares of the magnitudes, weighed such that their squares add up to an integral over time.
+    Variations are taken in shares of the scales, weighed such that their squares add up to an integral over time.
 
     Attributes
     ----------

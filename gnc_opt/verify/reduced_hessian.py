@@ -24,6 +24,7 @@ Loan, Matrix Computations, 2013, sec. 10.3).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -98,21 +99,24 @@ class Curvature:
         return self.value < -steep and self.share < -CANCELLED
 
 
-def critical_cone(solution: Solution, samples: list[PhaseSamples]) -> CriticalCone:
-    """Return what is free to vary along a solution, on a mesh with room for it, in shares of what moves."""
+def critical_cone(solution: Solution, samples: Sequence[PhaseSamples] = ()) -> CriticalCone:
+    """Return what is free to vary along a solution, on a mesh with room for it.
+
+    In shares of what states and controls move along ``samples``; of their magnitudes in phases that have none.
+    """
     meshes = {name: _rich(leg.mesh) for name, leg in solution.phases.items()}
 
-    def spans(transcription: Transcription, problem: Problem, x: Array) -> Array:
-        scales = scale_variables(transcription, problem, x)
+    def scales(transcription: Transcription, problem: Problem, x: Array) -> Array:
+        found = scale_variables(transcription, problem, x)
         for s in samples:
             part = transcription.parts[s.leg.name]
             for places in (part.collocation.boundary_states, part.collocation.point_states):
-                scales[places] = s.state_scale[:, None]
-            scales[part.collocation.point_controls] = s.control_span[:, None]
-            scales[part.times[part.times < transcription.n_variables]] = s.span
-        return scales
+                found[places] = s.state_scale[:, None]
+            found[part.collocation.point_controls] = s.control_span[:, None]
+            found[part.times[part.times < transcription.n_variables]] = s.span
+        return found
 
-    return CriticalCone.of(ProgramPoint.of(solution, meshes, spans))
+    return CriticalCone.of(ProgramPoint.of(solution, meshes, scales))
 
 
 def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: CriticalCone) -> Condition:

@@ -128,7 +128,8 @@ def _second_order(
         return [_untold("second order", "a derivative of the problem is no number", _CANNOT_VARY)]
     curvature = reduced_hessian(solution, samples, cone)
     smooth = [_agreed(c, curvature) for c in conjugate_points(solution, samples)]
-    return [normality(cone), *smooth, curvature]
+    # Where constraints alone single out a trajectory, nothing moves: variations of the size of the magnitudes.
+    return [normality(critical_cone(solution)), *smooth, curvature]
 
 
 def _agreed(conjugate: Condition, curvature: Condition) -> Condition:
