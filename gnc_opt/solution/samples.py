@@ -18,6 +18,9 @@ from gnc_opt.transcription.quadrature import CollocationRule, gauss_rule
 EXTRA = 9
 """Samples per segment beyond the number of collocation points; segment ends come on top."""
 
+EDGE = 1e-7
+"""Share of a segment by which samples keep from its ends: more than solvers miss an end by, less than would be seen."""
+
 NEGLIGIBLE = 1e-4
 """Costates worth less than this share of what the cost amounts to are rounding: they must not set the scale."""
 
@@ -87,11 +90,19 @@ class PhaseSamples:
         """Which samples are the end of their segment."""
         return np.append(self.segments[1:] > self.segments[:-1], True)
 
+    @cached_property
+    def times_within(self) -> Array:
+        """The times (n_samples,), those of segment ends by `EDGE` of the segment inside of it.
+
+        So everything is its limit from inside, also where the dynamics jump with a state that ends there, as friction
+        does at rest.
+        """
+        starts, ends = self.leg.breaks[self.segments], self.leg.breaks[self.segments + 1]
+        return np.clip(self.times, starts + EDGE * (ends - starts), ends - EDGE * (ends - starts))
+
     def sample(self, signal: PiecewisePolynomial) -> Array:
         """Evaluate a signal at the samples, with the limit from inside each segment."""
-        values = signal(self.times, "right")
-        values[:, self.at_end] = signal(self.times[self.at_end], "left")
-        return values
+        return signal(self.times_within)
 
     @cached_property
     def x(self) -> Array:
@@ -111,9 +122,7 @@ class PhaseSamples:
     @cached_property
     def u(self) -> Array:
         """Controls as flown, within bounds."""
-        values = self.leg.flown(self.times, "right")
-        values[:, self.at_end] = self.leg.flown(self.times[self.at_end], "left")
-        return values
+        return self.leg.flown(self.times_within)
 
     @cached_property
     def lam_polynomial(self) -> Array:

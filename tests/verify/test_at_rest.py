@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from test_reduced_hessian import great_circle
 from wrong import added, failed
 
 import gnc_opt as go
+from gnc_opt.arrays import Array
+from tests.unit import by_hand
 
 
 def at_rest(*, beside: bool = True, unit: float = 1.0, cost: float = 1.0) -> go.Problem:
@@ -94,3 +97,48 @@ def test_an_idle_control_without_curvature_stays_singular_and_a_maximum_fails(be
     if not bend:
         assert verdict["singular arcs"].value == pytest.approx(1.0)
     assert np.isfinite(verdict["Legendre-Clebsch"].value)
+
+
+def sled(rest: float, friction: float) -> go.Solution:
+    """From rest to rest over 1 m in minimum time against Coulomb friction of 0.2 m/s^2, |a| <= 1: v' = 0.8, then -1.2.
+
+    The switch is at sqrt(3 / 2) s, the end at 5 / sqrt(6) s; H = -1 gives the costates. ``rest`` is the velocity that
+    rounding leaves at both ends; ``friction`` is that of the problem by which it is judged.
+    """
+    model = go.Model("sled")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a - friction * ca.sign(v)})
+    problem = go.Problem("sled")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    switch, end = np.sqrt(1.5), 5 / np.sqrt(6)
+
+    def states(t: Array, k: int) -> Array:
+        last = end - t
+        return np.array([0.4 * t**2, rest + 0.8 * t] if k == 0 else [1 - 0.6 * last**2, rest + 1.2 * last])
+
+    return by_hand.solution(
+        problem,
+        by_hand.phase(
+            problem,
+            states,
+            lambda t, k: np.array([1.0 - 2 * k + 0 * t]),
+            lambda t, k: np.array([-1 / (0.8 * switch) + 0 * t, -1.25 + t / (0.8 * switch)]),
+            weights=(),
+            breaks=(0.0, switch, end),
+        ),
+    )
+
+
+@pytest.mark.parametrize("rest", [-1e-12, 0.0, 1e-12])
+def test_friction_at_rest_is_that_of_the_motion(rest: float) -> None:
+    """The sign of a velocity that is rounding must not decide: at both ends friction acts as beside them."""
+    verdict = go.verify(sled(rest, 0.2))
+    assert verdict.minimum, verdict.explain()
+    assert {"dynamics", "Hamiltonian", "transversality"} <= {
+        c.name for c in go.verify(sled(rest, 0.2002)).failed
+    }
