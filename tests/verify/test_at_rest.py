@@ -121,24 +121,22 @@ def sled(rest: float, friction: float) -> go.Solution:
         last = end - t
         return np.array([0.4 * t**2, rest + 0.8 * t] if k == 0 else [1 - 0.6 * last**2, rest + 1.2 * last])
 
-    return by_hand.solution(
+    flown = by_hand.phase(
         problem,
-        by_hand.phase(
-            problem,
-            states,
-            lambda t, k: np.array([1.0 - 2 * k + 0 * t]),
-            lambda t, k: np.array([-1 / (0.8 * switch) + 0 * t, -1.25 + t / (0.8 * switch)]),
-            weights=(),
-            breaks=(0.0, switch, end),
-        ),
+        states,
+        lambda t, k: np.array([1.0 - 2 * k + 0 * t]),
+        lambda t, k: np.array([-1 / (0.8 * switch) + 0 * t, -1.25 + t / (0.8 * switch)]),
+        breaks=(0.0, switch, end),
     )
+    return by_hand.solution(problem, flown, objective=end)
 
 
 @pytest.mark.parametrize("rest", [-1e-12, 0.0, 1e-12])
 def test_friction_at_rest_is_that_of_the_motion(rest: float) -> None:
     """The sign of a velocity that is rounding must not decide: at both ends friction acts as beside them."""
     verdict = go.verify(sled(rest, 0.2))
-    assert verdict.minimum, verdict.explain()
+    amiss = {c.name for c in (*verdict.failed, *verdict.untold)}
+    assert amiss == {"stored numbers"}, verdict.explain()  # limits, which a trajectory by hand does not keep
     assert {"dynamics", "Hamiltonian", "transversality"} <= {
         c.name for c in go.verify(sled(rest, 0.2002)).failed
     }
