@@ -32,6 +32,12 @@ from gnc_opt.problem.symbols import parameter_arguments
 _ARGUMENTS = ("t", "x", "u", "lam", "mu", "weights", "p", "q")
 
 
+_JUMPS = (
+    *(ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER),
+    *(ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE),
+)
+
+
 @dataclass(frozen=True)
 class PhaseFunctions:
     """Functions of one phase; every method takes one time or many (time as the last axis).
@@ -131,6 +137,12 @@ class PhaseFunctions:
         for name in ("switching", "paths"):
             coupled[self.functions[name].jac_sparsity(0, 2).get_col()] = True
         return ~coupled
+
+    @property
+    def jumping_rates(self) -> bool:
+        """Whether dx/dt contains an operation whose value jumps."""
+        function = self.functions["rates"]
+        return any(function.instruction_id(i) in _JUMPS for i in range(function.n_instructions()))
 
     @property
     def coupled_controls(self) -> list[Indices]:

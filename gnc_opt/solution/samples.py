@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -92,17 +93,20 @@ class PhaseSamples:
 
     @cached_property
     def times_within(self) -> Array:
-        """The times (n_samples,), those of segment ends by `EDGE` of the segment inside of it.
+        """The times (n_samples,); where the dynamics jump, those of segment ends by `EDGE` inside of the segment.
 
-        So everything is its limit from inside, also where the dynamics jump with a state that ends there, as friction
-        does at rest.
+        A jump with a state that ends there, as that of friction at rest, must not depend on how the end is rounded.
         """
+        if not self.functions.jumping_rates:
+            return self.times
         starts, ends = self.leg.breaks[self.segments], self.leg.breaks[self.segments + 1]
         return np.clip(self.times, starts + EDGE * (ends - starts), ends - EDGE * (ends - starts))
 
-    def sample(self, signal: PiecewisePolynomial) -> Array:
-        """Evaluate a signal at the samples, with the limit from inside each segment."""
-        return signal(self.times_within)
+    def sample(self, signal: Callable[..., Array]) -> Array:
+        """Evaluate a signal (of times and a side) at the samples, with the limit from inside each segment."""
+        values = signal(self.times_within, "right")
+        values[:, self.at_end] = signal(self.times_within[self.at_end], "left")
+        return values
 
     @cached_property
     def x(self) -> Array:
@@ -122,7 +126,7 @@ class PhaseSamples:
     @cached_property
     def u(self) -> Array:
         """Controls as flown, within bounds."""
-        return self.leg.flown(self.times_within)
+        return self.sample(self.leg.flown)
 
     @cached_property
     def lam_polynomial(self) -> Array:

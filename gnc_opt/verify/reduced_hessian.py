@@ -48,7 +48,7 @@ POINTS = 30
 """Collocation points that a phase has at least: the mesh of a solution that is simple has no room for variations."""
 
 UPWARDS, DOWNWARDS = 1e-6, 1e-4
-"""Curvature, in shares of the Hessian's mean row, from which it is told from none: above what is left of first-order
+"""Curvature, in shares of the Hessian's middle row, from which it is told from none: above what is left of first-order
 errors, those of the mesh between active limits included."""
 
 DOWNWARDS_SINGULAR = 1e-2
@@ -59,7 +59,7 @@ CANCELLED = 1e-6
 """Curvature that is less than this share of its own terms is what they leave when they cancel."""
 
 SHIFT = 0.1
-"""The shift, in shares of the Hessian's mean row: large beside curvatures that are as good as none."""
+"""The shift, in shares of the Hessian's middle row: large beside curvatures that are as good as none."""
 
 STEPS = 80
 """Steps of Lanczos' method; the ends of the spectrum of a compact operator settle in far fewer."""
@@ -75,7 +75,7 @@ class Curvature:
     Attributes
     ----------
     value : float
-        In shares of the mean of the Hessian's diagonal; NaN if nothing is left to vary.
+        In shares of the Hessian's middle row (the median of their sizes); NaN if nothing is left to vary.
     share : float
         In shares of the terms that add up to it.
     direction : array (n_variables,)
@@ -125,7 +125,7 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: Criti
     meaning = (
         "Along every variation of controls, times and parameters that keeps what is active, the cost must curve "
         "upwards (value: least curvature of the Lagrangian on the solution's mesh with the sign reversed, in shares "
-        "of its mean row); where it curves downwards, a cheaper trajectory is nearby."
+        "of its middle row); where it curves downwards, a cheaper trajectory is nearby."
     )
 
     def judged(result: Result, value: float, where: str, tolerance: float = -UPWARDS) -> Condition:
@@ -212,7 +212,8 @@ def least_curvature(point: ProgramPoint, held: Mask) -> Curvature:
     space = NullSpace.of(point, held)
     hessian = space.in_shares(point.hessian)
     sizes = np.sqrt(np.asarray((hessian**2).sum(axis=1)))
-    typical = float(np.mean(sizes)) if np.any(sizes > 0) else 1.0
+    # The one row of a parameter far from its origin, however large, is not what variations are worth.
+    typical = float(np.median(sizes[sizes > 0])) if np.any(sizes > 0) else 1.0
     direction = _least_direction(space, hessian / typical)
     if direction is None:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)

@@ -265,7 +265,7 @@ def test_least_curvature_is_an_eigenvalue_of_the_reduced_hessian(metric: Array) 
     scaled = hessian[np.ix_(free, free)] * np.outer(root, root)
     z = scipy.linalg.null_space(jacobian[:, free] * root)
     values, vectors = np.linalg.eigh(z.T @ scaled @ z)
-    typical = np.mean(np.linalg.norm(scaled, axis=1))
+    typical = np.median(np.linalg.norm(scaled, axis=1))
     assert found.value == pytest.approx(values[0] / typical, rel=1e-4) and values[0] < 0
     direction = np.zeros(5)
     direction[free] = root * (z @ vectors[:, 0])
@@ -280,7 +280,8 @@ def test_least_curvature_of_what_curves_upwards_and_of_nothing(metric: Array) ->
     jacobian, wide = np.array([[1.0, 2.0, 0.0, -1.0, 3.0]]), np.full(5, 9.0)
     point = program(jacobian, np.diag(metric * [3.0, 5.0, 2.0, 7.0, 1.0]), -wide, wide, np.zeros(5))
     loose = least_curvature(point, np.array([False] * 5 + [False]))
-    assert loose.value == pytest.approx(1.0 / 3.6, rel=1e-4) and np.argmax(np.abs(loose.direction)) == 4
+    assert loose.value == pytest.approx(1.0 / 3.0, rel=1e-4)  # the rows are 1, 2, 3, 5 and 7
+    assert np.argmax(np.abs(loose.direction)) == 4
     assert loose.upwards and loose.gain < 0
     assert np.isnan(least_curvature(point, np.array([True] * 5 + [False])).value)
     one = least_curvature(
