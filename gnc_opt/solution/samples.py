@@ -11,7 +11,6 @@ import numpy as np
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.phase_solution import PhaseSolution
-from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.spans import RESOLUTION, STILL, control_spans, end_spans, shared, state_spans
 from gnc_opt.tolerances import AT_LIMIT, SHORTEST, magnitude
 from gnc_opt.transcription.quadrature import CollocationRule, gauss_rule
@@ -204,7 +203,7 @@ class PhaseSamples:
         bends = 0.5 * np.sum(np.abs(self.control_hessian) * amplitude, axis=1)
         worth = np.fmax(slopes, bends) * amplitude
         flown = np.max(np.where(np.isfinite(worth), worth, 0.0), axis=1, initial=0.0)
-        return np.fmax(flown, self._balanced_slopes * amplitude[:, 0])
+        return np.asarray(np.fmax(flown, self._balanced_slopes * amplitude[:, 0]))
 
     @cached_property
     def _balanced_slopes(self) -> Array:
