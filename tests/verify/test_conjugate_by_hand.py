@@ -86,6 +86,8 @@ def test_smooth_only_where_the_hamiltonian_is_strictly_convex_in_free_controls()
     box = by_hand.interval([-9.0, -9.0], [9.0, 9.0])
     assert _is_smooth(planar(2.5), flight(planar(2.5), control_bounds=box))
     assert not _is_smooth(planar(1.5), flight(planar(1.5), control_bounds=box))
+    all_held = by_hand.interval([1.0, -1.0], [1.0, -1.0])
+    assert not _is_smooth(planar(), flight(planar(), control_bounds=all_held))  # there is nothing to vary
     u_held = by_hand.interval([1.0, -9.0], [9.0, 9.0])
     assert _is_smooth(planar(1.5), flight(planar(1.5), control_bounds=u_held))
     assert not _is_smooth(planar(-1.5), flight(planar(-1.5), control_bounds=u_held))
