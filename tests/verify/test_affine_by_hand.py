@@ -70,9 +70,13 @@ def problem_in(units: Units, smooth: bool) -> go.Problem:
         costs.append(leg.integral(running * units.unit[COST] / units.unit[T]))
     first.initial(q=units.new(Q, 0.1))
     second.final(v=units.range(V, -0.1, 0.2))
-    meeting = [units.old(i, second.initial_state(n)) - units.old(i, first.final_state(n)) for i, n in enumerate("qv")]
+    meeting = [
+        units.old(i, second.initial_state(n)) - units.old(i, first.final_state(n)) for i, n in enumerate("qv")
+    ]
     problem.constrain("meet", ca.vertcat(*meeting), equals=np.zeros(2))
-    problem.constrain("one after the other", (second.initial_time - first.final_time) / units.unit[T], equals=0.0)
+    problem.constrain(
+        "one after the other", (second.initial_time - first.final_time) / units.unit[T], equals=0.0
+    )
     far = units.old(Q, second.final_state("q"))
     problem.constrain("far", far**2, lower=1.0, upper=9.0)
     price = 0.7 * units.old(T, second.final_time) + (far - 1.0) ** 2 + units.origin[COST]
@@ -171,7 +175,9 @@ def test_figures_of_a_trajectory_in_other_units(units: Units, smooth: bool) -> N
     for condition in usual(smooth).conditions:
         twin = other[condition.name]
         assert twin.result is condition.result, condition.name
-        if condition.name != "second order" or not smooth:  # whose sign counts: its variations are shares of sizes
+        if (
+            condition.name != "second order" or not smooth
+        ):  # whose sign counts: its variations are shares of sizes
             same = pytest.approx(condition.value, rel=1e-6, abs=1e-9, nan_ok=True)
             assert twin.value == same, (condition, twin)
 

@@ -274,7 +274,11 @@ def test_no_control_between_its_bounds_is_a_sufficient_pass() -> None:
     s = PhaseSamples.of(replace(s.leg, control_bounds=box), s.functions)
     condition = controls.legendre_clebsch([s], TOLERANCE)
     assert condition.result is Result.PASS and condition.sufficient
-    assert (condition.value, condition.tolerance, condition.where) == (0.0, 0.0, "no control between its bounds")
+    assert (condition.value, condition.tolerance, condition.where) == (
+        0.0,
+        0.0,
+        "no control between its bounds",
+    )
 
 
 @pytest.mark.parametrize("bend", [2.0, 0.0, -2.0])
@@ -288,7 +292,9 @@ def test_least_curvature_over_the_spans(bend: float) -> None:
     leg = problem.phase("leg", model)
     leg.time(0.0, 2.0)
     problem.minimize(leg.integral(bend * u**2 / 2 + w**2 / 2 + u * w / 2 * ca.exp(-model.time)))
-    s = flown(problem, u=(0.5, -0.5), lam=(-1.0, 0.5), control_bounds=by_hand.interval([-9.0, -9.0], [9.0, 9.0]))
+    s = flown(
+        problem, u=(0.5, -0.5), lam=(-1.0, 0.5), control_bounds=by_hand.interval([-9.0, -9.0], [9.0, 9.0])
+    )
     unit = s.control_span / np.sqrt(s.control_worth)
     least = []
     for t in s.times:
@@ -322,7 +328,14 @@ def test_share_of_its_span_by_which_a_control_misses_its_minimum() -> None:
 
 @pytest.mark.parametrize(
     ("value", "slope", "room"),
-    [(0.25, 2.0, 1.25), (0.25, -2.0, 0.75), (1.0, -2.0, 0.0), (1.0, 2.0, 2.0), (-1.0, 2.0, 0.0), (-1.0, -2.0, 2.0)],
+    [
+        (0.25, 2.0, 1.25),
+        (0.25, -2.0, 0.75),
+        (1.0, -2.0, 0.0),
+        (1.0, 2.0, 2.0),
+        (-1.0, 2.0, 0.0),
+        (-1.0, -2.0, 2.0),
+    ],
 )
 def test_loss_is_slope_times_room_of_the_control(value: float, slope: float, room: float) -> None:
     """To the bound to which the slope points, at most the span."""

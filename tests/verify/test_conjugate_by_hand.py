@@ -159,7 +159,9 @@ def test_free_controls_in_a_hessian() -> None:
     hessians = np.array([[[2.0, 3.0], [3.0, 5.0]]] * 4)
     free = np.array([[True, True], [True, False], [False, True], [False, False]])
     found = _on_free(hessians, free)
-    np.testing.assert_array_equal(found, [[[2, 3], [3, 5]], [[2, 0], [0, 1]], [[1, 0], [0, 5]], [[1, 0], [0, 1]]])
+    np.testing.assert_array_equal(
+        found, [[[2, 3], [3, 5]], [[2, 0], [0, 1]], [[1, 0], [0, 5]], [[1, 0], [0, 1]]]
+    )
 
 
 def test_controls_are_free_a_millionth_of_their_range_off_their_bounds() -> None:

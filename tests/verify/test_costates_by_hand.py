@@ -119,7 +119,14 @@ def test_costates_at_free_ends(end: str, row: int, bounds: tuple[float, float], 
 
 @pytest.mark.parametrize(
     ("impulse", "beside", "left"),
-    [(-1.5, 2.0, 0.0), (-3.0, 2.0, 1.0), (1.0, 2.0, 1.0), (1.5, -2.0, 0.0), (3.0, -2.0, 1.0), (-1.0, -2.0, 1.0)],
+    [
+        (-1.5, 2.0, 0.0),
+        (-3.0, 2.0, 1.0),
+        (1.0, 2.0, 1.0),
+        (1.5, -2.0, 0.0),
+        (3.0, -2.0, 1.0),
+        (-1.0, -2.0, 1.0),
+    ],
 )
 def test_impulses_that_a_push_beside_them_makes_up_for(impulse: float, beside: float, left: float) -> None:
     """200 over half a hundredth of 2 s is 2, of the other sign; of the second state at 1.75, whose limits are 9 away."""
@@ -206,7 +213,9 @@ def test_adjoint_equation_segment_by_segment_and_at_jumps() -> None:
         condition = adjoint([s], 1e-6)
         offence = slope * 1.5 if slope else abs(jump)
         assert condition.value == pytest.approx(offence * s.state_scale[row] / s.cost_scale, rel=1e-9)
-        where = "segment 2 (0.5 to 2 s), costate of x[0]" if slope else "t = 0.5 s, jump of the costate of x[1]"
+        where = (
+            "segment 2 (0.5 to 2 s), costate of x[0]" if slope else "t = 0.5 s, jump of the costate of x[1]"
+        )
         assert condition.where == f"phase leg, {where}"
     right = drift(drifting(), breaks=(0.0, 2.0), lam=lambda t, k: np.array([3.0 + 0 * t, 1.0 + 0 * t]))
     assert adjoint([right], 1e-6).value == pytest.approx(0.0, abs=1e-12)

@@ -157,9 +157,7 @@ def test_error_of_the_gradient_with_that_of_the_conditions(monkeypatch: pytest.M
     """Multiplier -2 of a row that differs by (0, 0.3, 0) between the grids, and a gradient that does by 0.1."""
     fine = conditions([[1.0, 0.0, 0.0]], lower=[0.0], upper=[0.0])
     coarse = conditions([[1.0, -0.3, 0.0]], lower=[0.0], upper=[0.0])
-    found = judged(
-        monkeypatch, [2.0, 0.1, 0.0], np.eye(3), fine, coarse=[2.0, 0.0, 0.0], coarse_rows=coarse
-    )
+    found = judged(monkeypatch, [2.0, 0.1, 0.0], np.eye(3), fine, coarse=[2.0, 0.0, 0.0], coarse_rows=coarse)
     jacobian = np.array([1.0, 0.3 / 15, 0.0])
     gradient = np.array([2.0, 0.1 + 0.1 / 15, 0.0])
     multiplier = -gradient @ jacobian / (jacobian @ jacobian)

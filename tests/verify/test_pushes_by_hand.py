@@ -173,7 +173,9 @@ def test_a_jump_within_a_segment_is_followed_where_the_limit_pushes_outwards(
     t = s.times[here]
     for j in range(t.size - 1):
         flow = costate(t[j + 1 : j + 2], edge.costates[:, j], begin=t[j])[:, 0]
-        fall = np.linalg.solve(scipy.linalg.expm(-MATRIX.T * (t[j + 1] - t[j]) / 2), edge.costates[:, j + 1] - flow)
+        fall = np.linalg.solve(
+            scipy.linalg.expm(-MATRIX.T * (t[j + 1] - t[j]) / 2), edge.costates[:, j + 1] - flow
+        )
         assert fall[0] <= 1e-9 and abs(fall[1]) <= 0.05 * abs(fall[0]) + 1e-6
 
 

@@ -88,7 +88,9 @@ def test_value_slope_and_curvature_by_shares_of_the_range() -> None:
     u, w = -2 + 4 * shares[0], -1 + 4 * shares[1]
     np.testing.assert_allclose(found.value(shares, at), hamiltonian(u, w, s.times[at]), rtol=1e-12)
     gradient, bends = found.slopes(shares, at)
-    np.testing.assert_allclose(gradient, 4 * np.array([6 * (u - 1) + w + 0.3, 2 * (w - 2) + u - 0.2]), rtol=1e-9)
+    np.testing.assert_allclose(
+        gradient, 4 * np.array([6 * (u - 1) + w + 0.3, 2 * (w - 2) + u - 0.2]), rtol=1e-9
+    )
     np.testing.assert_allclose(bends, np.tile(16 * np.array([[6.0, 1.0], [1.0, 2.0]]), (3, 1, 1)))
     np.testing.assert_allclose(found._flown, np.tile([[0.625], [0.5]], s.times.size))
 
@@ -306,6 +308,7 @@ def test_points_are_anywhere_or_off_in_one_channel() -> None:
 
 def test_a_well_on_a_stretch_of_time_is_found_and_followed() -> None:
     """(u^2 - 1)^2 / 4 + c(t) u: near u = -1 as flown; near +1 it is lower in the second half of the phase only."""
+
     def cost(t: Any, x: Any, u: Any, w: Any) -> Any:
         return (u**2 - 1) ** 2 + 0.2 * (1 - t) * u - 0.3 * u + 1e-6 * u * w + w**2 + 0.2 * w
 
