@@ -107,7 +107,9 @@ SIGNALS: dict[bool, dict[str, tuple[Signal, Signal, Signal]]] = {
             lambda t, k: np.array([-1.1 + 0.1 * t, -1.0 + 0.6 * t + 0.05 * k]),
         ),
         "second": (
-            lambda t, k: np.array([0.1 + 0.5 * (t - 0.3), [0.9 + 0.75 * (t - 1.3), 1.2 + 0 * t, 1.2 - (t - 2.2) ** 2][k]]),
+            lambda t, k: np.array(
+                [0.1 + 0.5 * (t - 0.3), [0.9 + 0.75 * (t - 1.3), 1.2 + 0 * t, 1.2 - (t - 2.2) ** 2][k]]
+            ),
             lambda t, k: np.array([0.4 - 0.2 * t, 1.2 + 0.1 * t]),
             lambda t, k: np.array([-1.3 + 0.2 * t, -0.8 + 0.3 * t - 0.1 * k]),
         ),

@@ -29,6 +29,7 @@ from gnc_opt.verify.conjugate_points import (
 from tests.unit import by_hand
 
 Array = NDArray[np.float64]
+FAIL = Result.FAIL
 
 
 def planar(bend: float = 2.5, extra: Any = None) -> go.Problem:
@@ -265,9 +266,9 @@ def test_times_that_two_grids_agree_on(
     [
         ({"a": [(START, np.inf)], "b": [(START, np.inf)]}, Result.PASS, 0.0, "none along phase a, phase b"),
         ({"a": [(START, np.inf), (END, np.inf)], "b": [(START, None)]}, Result.PASS, 0.0, "none along phase a"),
-        ({"a": [(START, None)], "b": [(START, 2.5)]}, Result.FAIL, 0.25, "phase b, t = 2.5 s is conjugate to its start"),
-        ({"a": [(END, 2.5)], "b": [(START, np.inf)]}, Result.FAIL, 0.75, "phase a, t = 2.5 s is conjugate to its end"),
-        ({"a": [(START, np.inf), (END, 1.5)], "b": []}, Result.FAIL, 0.25, "phase a, t = 1.5 s is conjugate to its end"),
+        ({"a": [(START, None)], "b": [(START, 2.5)]}, FAIL, 0.25, "phase b, t = 2.5 s is conjugate to its start"),
+        ({"a": [(END, 2.5)], "b": [(START, np.inf)]}, FAIL, 0.75, "phase a, t = 2.5 s is conjugate to its end"),
+        ({"a": [(START, np.inf), (END, 1.5)], "b": []}, FAIL, 0.25, "phase a, t = 1.5 s is conjugate to its end"),
     ],
 )  # fmt: skip
 def test_what_is_told_of_conjugate_times(

@@ -129,7 +129,7 @@ def test_costates_at_free_ends(end: str, row: int, bounds: tuple[float, float], 
     ],
 )
 def test_impulses_that_a_push_beside_them_makes_up_for(impulse: float, beside: float, left: float) -> None:
-    """200 over half a hundredth of 2 s is 2, of the other sign; of the second state at 1.75, whose limits are 9 away."""
+    """200 over half a hundredth of 2 s is 2, of the other sign; the second state is 9 away from its limits."""
     impulses = np.zeros((2, 3))
     impulses[1, 1] = impulse
     s = drift(
@@ -205,7 +205,7 @@ def test_multipliers_of_boundary_constraints_away_from_limits() -> None:
 
 def test_adjoint_equation_segment_by_segment_and_at_jumps() -> None:
     """lam_0' = lam_1' = 0 is right: costates (3 - a t, 1) leave a times the segment, and jump by b."""
-    for slope, jump, segment, row in ((0.5, 0.0, 1, 0), (0.0, 0.25, 0, 1), (0.0, -0.25, 0, 1)):
+    for slope, jump, row in ((0.5, 0.0, 0), (0.0, 0.25, 1), (0.0, -0.25, 1)):
         s = drift(
             drifting(),
             lam=lambda t, k, a=slope, b=jump: np.array([3 - a * t, 1.0 + b * k + 0 * t]),

@@ -128,7 +128,7 @@ def test_slopes_beside_a_switch_are_taken_within_the_shorter_segment() -> None:
         s = by_hand.samples(
             problem,
             lambda t, k: np.array([t]),
-            lambda t, k: np.array([(-1.0 if (k < 2 if short_first else k < 1) else 1.0) + 0 * t]),
+            lambda t, k, e=edges, at=switch: np.array([(-1.0 if e[k] < at else 1.0) + 0 * t]),
             lambda t, k, b=brief, e=switch: np.array([(e - t) * (1.0 if k == b else 3.0)]),
             weights=(),
             breaks=edges,

@@ -33,6 +33,7 @@ def coupled(cost: Any, *paths: tuple[Any, float, float], bounds: Any = None) -> 
     return problem
 
 
+OFFSET = np.array([2.0, 1.0])
 BOX = by_hand.interval([-2.0, -1.0], [2.0, 3.0])
 
 
@@ -206,7 +207,7 @@ def test_step_of_newton_within_one_range() -> None:
     s = flown(coupled(bowl))
     found, at = search(s), np.array([2])
     minimum = np.linalg.solve([[6.0, 1.0], [1.0, 2.0]], [6 - 0.3, 4 + 0.2])
-    goal = (minimum + [2.0, 1.0]) / 4
+    goal = (minimum + OFFSET) / 4
     shares = np.array([[0.6], [0.6]])
     np.testing.assert_allclose(found._step(shares, at)[:, 0], goal - shares[:, 0], rtol=1e-9)
     outside = np.array([[0.0], [0.9]])  # H falls towards larger u: nothing blocks
@@ -234,7 +235,7 @@ def test_descent_reaches_the_minimum_or_the_limit() -> None:
     at = np.array([0, 9])
     shares, value = found.descend(np.array([[0.0, 1.0], [1.0, 0.0]]), at)
     minimum = np.linalg.solve([[6.0, 1.0], [1.0, 2.0]], [6 - 0.3, 4 + 0.2])
-    np.testing.assert_allclose(shares, np.tile(((minimum + [2.0, 1.0]) / 4)[:, None], 2), atol=1e-6)
+    np.testing.assert_allclose(shares, np.tile(((minimum + OFFSET) / 4)[:, None], 2), atol=1e-6)
     np.testing.assert_allclose(value, hamiltonian(*minimum, s.times[at]), rtol=1e-9)
     held = search(flown(coupled(bowl, (MIXED[0], -9.0, 2.6))))
     shares, value = held.descend(np.array([[0.5], [0.5]]), np.array([3]))
@@ -266,7 +267,7 @@ def test_only_a_convex_quadratic_function_has_one_minimum_for_sure(cost: Any, on
 
 
 def test_gain_and_its_share_of_what_the_move_is_worth() -> None:
-    """From (0.5, 1) to (1.5, 1): H falls by its difference; u over half its span is worth ..., by slope or curvature."""
+    """From (0.5, 1) to (1.5, 1): H falls by its difference; half the span of u is worth its slope or curvature."""
     s = flown(coupled(bowl))
     found, at = search(s), np.arange(s.times.size)
     better = found._flown.copy()
