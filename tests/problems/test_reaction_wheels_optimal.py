@@ -183,8 +183,8 @@ def test_optimal_slews_are_tracked_despite_errors(name: str) -> None:
     assert np.degrees(run.attitude_error("q", at=end)) < 0.02
     assert np.degrees(run.attitude_error("q")) < 0.002
     assert peak_speed(run) < NOMINAL_SPEED
-    # What is left in the end holds off the disturbance of (2, -1, 1) 1e-4 N m: of the cost (e / 0.1 deg)^2 +
-    # (T / 0.02 N m)^2, with 3/4 |T_body|^2 for the wheels, the regulator's stiffness is the root of both weights' ratio.
+    # What is left in the end holds off the disturbance of (2, -1, 1) 1e-4 N m. The regulator's stiffness is the root of
+    # the ratio of its weights, of (e / 0.1 deg)^2 + (T / 0.02 N m)^2 where the wheels' T^2 is 3/4 of the body's.
     stiffness = (0.02 / np.sqrt(0.75)) / np.radians(0.1)
     assert run.attitude_error("q") == pytest.approx(np.sqrt(6) * 1e-4 / stiffness, rel=0.02)
 
