@@ -674,3 +674,10 @@ def test_the_first_sample_without_a_number_ends_the_flight() -> None:
     lost = replace(s.functions, q=np.array([np.nan]))
     gone = feasibility._missing_number(PhaseSamples.of(by_hand.phase(problem), lost))
     assert gone is not None and gone.where == "a free parameter is not finite"
+
+
+def test_a_verdict_is_kept_for_its_tolerance() -> None:
+    problem = by_hand.cart()
+    solution = by_hand.solution(problem, by_hand.phase(problem))
+    first = go.verify(solution, tol=1e-3)
+    assert go.verify(solution, tol=1e-3) is first and go.verify(solution, tol=1e-4) is not first
