@@ -29,7 +29,7 @@ from gnc_opt.simulation.block import (
     scalar,
     values,
 )
-from gnc_opt.simulation.steps import is_first, next_phase, started_steps, whole_steps
+from gnc_opt.control.steps import is_first, next_phase, started_steps, whole_steps
 from gnc_opt.simulation.wave import Part, Wave
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 

@@ -223,7 +223,9 @@ def _campaign(mission: Mission, asked: int, goal: Array, flown: Sequence[Flown])
             "error": flight.error_layout,
             "applied": flight.controls,
             "command": flight.commands,
+            "memory": flight.memory,
         },
         flight=flight,
         fingerprint=flight.fingerprint,
+        memory=joined("memory", flight.memory.size),
     )

@@ -22,7 +22,7 @@ from gnc_opt.simulation.block import (
     scalar,
     values,
 )
-from gnc_opt.simulation.steps import is_first, next_phase, whole_steps
+from gnc_opt.control.steps import is_first, next_phase, whole_steps
 from gnc_opt.tolerances import SAME_TIME
 
 
