@@ -81,6 +81,8 @@ class AugmentedModel:
         Of all that is estimated, and of the errors.
     space : Space
         Of the augmented state.
+    vehicle : Space
+        Of the model's states, which come first.
     """
 
     def __init__(self, model: Model, measurements: Sequence[Measurement], dt: float) -> None:
@@ -104,6 +106,10 @@ class AugmentedModel:
             "error", tuple(Variable(v.name, s.errors, v.unit) for v, s in parts), owner
         )
         self.space = product([space for _, space in parts])
+        self.vehicle = product([space for _, space in parts[: len(model.states.variables)]])
+        t, own, u, p = model.arguments()
+        slope = ca.substitute(ca.jacobian(model.derivative(), own), p, model.parameter_values)
+        self._jacobian = ca.Function("A", [t, own, u], [slope])
 
     def flow(self, h: float) -> Any:
         """Return ``(t, x, u) -> x`` after h (s) by the classical Runge-Kutta method, u held."""
@@ -120,6 +126,37 @@ class AugmentedModel:
         k4 = rate(t + h, own + h * k3)
         after = own + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         return ca.Function("flow", [t, x, u], [ca.vertcat(after, x[n:])])
+
+    def transition(self, t: Any, x: Any, after: Any, u: Any, h: float, density: Any) -> tuple[Any, Any]:
+        """Return F (n_errors, n_errors) of a step h (s) from x to ``after``, and the covariance of the noise in it.
+
+        ``density`` (n_errors, n_errors) is that of the noise per second; see `filter` for the formulas.
+        """
+        n = self.model.states.size
+        own, end = x[:n], after[:n]
+        middle = 0.5 * (own + end)
+        A = self._jacobian(t + h / 2, middle, u)
+        last, vehicle = self.vehicle.error_slope(end), self.vehicle
+        rest = ca.SX.eye(self.errors.size - vehicle.errors)
+        whole = ca.diagcat(last @ _exponential(h * A) @ vehicle.move_slope(own), rest)
+        half = ca.diagcat(last @ _exponential(h / 2 * A) @ vehicle.move_slope(middle), rest)
+        return whole, h / 6 * (whole @ density @ whole.T + 4 * half @ density @ half.T + density)
+
+    def direct_slope(self, channel: Channel) -> Any:
+        """Return the slope (m, n_errors) of a measurement that sees errors as they are, else ``None``."""
+        biased, m = channel.measurement.biased, channel.space.errors
+        if channel.measurement.difference is not None:
+            return None
+        if channel.delay:
+            names = [channel.past(channel.delay)]
+        elif channel.name not in self.model.states or (biased and m != channel.space.size):
+            return None
+        else:
+            names = [channel.name, *([channel.bias] if biased else [])]
+        slope = ca.SX(m, self.errors.size)
+        for name in names:
+            slope[:, self.errors.slice(name)] = ca.SX.eye(m)
+        return slope
 
     def now(self, channel: Channel) -> Any:
         """Return ``(t, x) -> y``: what the sensor would tell without noise if it had no delay."""
@@ -149,14 +186,14 @@ class AugmentedModel:
         return any(channel.delay for channel in self.channels)
 
     def shift(self) -> Any:
-        """Return ``(t, x, u) -> x`` with the delay lines moved on by one."""
-        t, x, u = ca.SX.sym("t"), ca.SX.sym("x", self.states.size), ca.SX.sym("u", self.model.controls.size)
+        """Return ``(t, x) -> x`` with the delay lines moved on by one."""
+        t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
         parts = {name: x[self.states.slice(name)] for name in self.states.names}
         new = dict(parts)
         for channel in self.channels:
             for k in range(1, channel.delay + 1):
                 new[channel.past(k)] = self.now(channel)(t, x) if k == 1 else parts[channel.past(k - 1)]
-        return ca.Function("shift", [t, x, u], [ca.vertcat(*new.values())])
+        return ca.Function("shift", [t, x], [ca.vertcat(*new.values())])
 
     def spread(self, states: Array, bias: str) -> Array:
         """Return the standard deviations of all errors (n_errors,): of the states as given, of the biases by their
@@ -177,6 +214,15 @@ class AugmentedModel:
             for k in range(1, channel.delay + 1):
                 found[self.states.slice(channel.past(k))] = self.now(channel)(t, found).full()[:, 0]
         return found
+
+
+def _exponential(A: Any) -> Any:
+    """Return exp(A) up to the fourth power."""
+    one = ca.SX.eye(A.shape[0])
+    found = one
+    for k in (4, 3, 2, 1):
+        found = one + A @ found / k
+    return found
 
 
 def _state_space(model: Model, variable: Variable) -> Space:

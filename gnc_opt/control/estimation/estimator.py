@@ -39,9 +39,11 @@ class Estimator:
         Of y.
     commands : Layout
         Of u.
+    places : tuple of two int arrays (n,)
+        Rows and columns of the covariance of all errors that the entries of ``covariance`` in the memory are.
     memory : Layout
-        ``<state>_hat``, ``<measurement>_bias_hat`` and what else is estimated, ``covariance`` (lower triangle of that of
-        all errors, column by column), and for each measurement ``<measurement>_nis`` (sum of the normalised innovations
+        ``<state>_hat``, ``<measurement>_bias_hat`` and what else is estimated, ``covariance`` (of all errors, what of its
+        lower triangle can differ from zero), and for each measurement ``<measurement>_nis`` (sum of the normalised innovations
         squared of the samples taken), ``<measurement>_taken`` and ``<measurement>_refused`` (their numbers).
     error : casadi.Function
         ``(x, x_ref) -> e``, the error of states.
@@ -60,6 +62,7 @@ class Estimator:
     errors: Layout
     measured: Layout
     commands: Layout
+    places: tuple[Any, Any]
     memory: Layout
     error: Any
     sizes: dict[str, int]
@@ -98,13 +101,11 @@ class Estimator:
         """Return the covariance of the errors of the states (n_errors, n_errors) of a memory (n_memory,), or
         (n, n_errors, n_errors) of many (n_memory, n); biases and what else is estimated left out."""
         column = np.asarray(memory, dtype=float)[self.memory.slice(COVARIANCE)]
-        count = round((np.sqrt(8 * column.shape[0] + 1) - 1) / 2)
-        # column by column of the lower triangle is row by row of the upper one
-        rows, columns = np.triu_indices(count)
-        full = np.empty((count, count, *column.shape[1:]))
-        full[rows, columns] = full[columns, rows] = column
-        n = self.errors.size
-        return np.moveaxis(full[:n, :n], -1, 0) if column.ndim > 1 else full[:n, :n]
+        n, (rows, columns) = self.errors.size, self.places
+        full = np.zeros((n, n, *column.shape[1:]))
+        own = (rows < n) & (columns < n)
+        full[rows[own], columns[own]] = full[columns[own], rows[own]] = column[own]
+        return np.moveaxis(full, -1, 0) if column.ndim > 1 else full
 
 
 def output_feedback(controller: Controller, estimator: Estimator) -> Controller:

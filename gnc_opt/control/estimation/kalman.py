@@ -17,8 +17,8 @@ from gnc_opt.control.estimation.estimator import Estimator
 from gnc_opt.control.estimation.filter import COVARIANCE, build_filter
 from gnc_opt.control.estimation.linearization import Linearization, Regression, Tangent
 from gnc_opt.control.estimation.measurement import Measurement
-from gnc_opt.control.estimation.space import Space
 from gnc_opt.control.explanation import Explanation, Fact
+from gnc_opt.control.limits import Limits, read_limits
 from gnc_opt.control.linear.riccati import steady, unreached
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.model.layout import Layout, as_vector
@@ -39,6 +39,7 @@ def design_ekf(
     sigma0: Deviations,
     dt: float,
     process_noise: Deviations | None = None,
+    limits: Limits | None = None,
     t0: float = 0.0,
     substeps: int = 1,
     hold: int = HOLD,
@@ -61,6 +62,8 @@ def design_ekf(
     process_noise : mapping, optional
         White noise on the rates of states: standard deviation that it adds to the state, unit per square root of a
         second; 0 for those left out.
+    limits : tuple of two arrays (n_controls,) or numbers, optional
+        Lower and upper limits of the actuators: the prediction takes the command within them.
     t0 : float
         Time of the first control step, s; matters for the first value of delayed measurements that depend on time.
     substeps : int
@@ -80,7 +83,7 @@ def design_ekf(
         Bad numbers, unknown states, a measurement that depends on a control, a difference without a retraction or one
         that is not its inverse.
     """
-    design = _Design(model, x0, measurements, sigma0, process_noise, dt, t0, substeps, hold, name)
+    design = _Design(model, x0, measurements, sigma0, process_noise, limits, dt, t0, substeps, hold, name)
     return design.estimator(Tangent(), "extended Kalman filter")
 
 
@@ -92,6 +95,7 @@ def design_ukf(
     sigma0: Deviations,
     dt: float,
     process_noise: Deviations | None = None,
+    limits: Limits | None = None,
     kappa: float = 0.0,
     t0: float = 0.0,
     substeps: int = 1,
@@ -102,7 +106,7 @@ def design_ukf(
 
     Parameters
     ----------
-    model, x0, measurements, sigma0, dt, process_noise, t0, substeps, hold, name
+    model, x0, measurements, sigma0, dt, process_noise, limits, t0, substeps, hold, name
         As for `design_ekf`.
     kappa : float
         Spread of the points, which lie at sqrt(n + kappa) standard deviations of n errors; >= 0, so that no weight is
@@ -118,7 +122,7 @@ def design_ukf(
         As for `design_ekf`.
     """
     spread = read_positive(kappa, "kappa of design_ukf()", or_zero=True)
-    design = _Design(model, x0, measurements, sigma0, process_noise, dt, t0, substeps, hold, name)
+    design = _Design(model, x0, measurements, sigma0, process_noise, limits, dt, t0, substeps, hold, name)
     return design.estimator(Regression(spread), "unscented Kalman filter")
 
 
@@ -132,6 +136,7 @@ class _Design:
         measurements: Sequence[Measurement],
         sigma0: Deviations,
         process_noise: Deviations | None,
+        limits: Limits | None,
         dt: float,
         t0: float,
         substeps: int,
@@ -164,6 +169,7 @@ class _Design:
             raise ArgumentError(
                 f"sigma0 of '{name}' does not tell how well '{missing[0]}' is known: give every state, 0 if exactly."
             )
+        self.limits = read_limits(model, limits)
         self.sigma0 = self.augmented.spread(_deviations(model, sigma0, f"sigma0 of '{name}'"), "bias")
         noise = _deviations(model, process_noise or {}, f"process_noise of '{name}'")
         self.noise = self.augmented.spread(noise, "bias_walk")
@@ -171,11 +177,11 @@ class _Design:
     def estimator(self, linearization: Linearization, title: str) -> Estimator:
         """Return the filter with this linearization."""
         augmented, model = self.augmented, self.model
-        filter_ = build_filter(augmented, linearization, self.noise, self.substeps, self.hold)
+        filter_ = build_filter(augmented, linearization, self.noise, self.limits, self.substeps, self.hold)
         first = np.zeros(filter_.memory.size)
         first[: augmented.states.size] = augmented.first(self.t0, self.x0)
-        lower = np.diag(self.sigma0**2)
-        first[filter_.memory.slice(COVARIANCE)] = lower[np.triu_indices(lower.shape[0])]
+        places = tuple(np.array(k, dtype=np.int64) for k in filter_.pattern.get_triplet())
+        first[filter_.memory.slice(COVARIANCE)] = np.diag(self.sigma0**2)[places]
         for channel in augmented.channels:
             if channel.counted:
                 first[filter_.memory.slice(f"{channel.name}_next")] = channel.delay
@@ -189,6 +195,7 @@ class _Design:
             errors=model.errors,
             measured=Layout("measurement", tuple(c.variable for c in augmented.channels), f"'{self.name}'"),
             commands=model.controls,
+            places=(places[0], places[1]),
             memory=filter_.memory,
             error=ca.Function("error", [x, x_ref], [model.error_expression(x, x_ref)]),
             sizes={c.name: c.space.errors for c in augmented.channels},
@@ -238,29 +245,20 @@ class _Design:
     def _linear(self) -> tuple[Array, Array, Array, Array]:
         """Return F and Q of one control step, H and R of all measurements, at the first state without command."""
         augmented, space, tangent = self.augmented, self.augmented.space, Tangent()
-        x, P = ca.SX.sym("x", space.size), ca.SX(space.errors, space.errors)
-        u, first = ca.SX.zeros(self.model.controls.size), augmented.first(self.t0, self.x0)
-
-        def slope(f: Any, target: Space, at: Array) -> Array:
-            found = tangent.fit(f, space, target, x, P)[1]
-            return np.asarray(ca.Function("slope", [x], [found])(at).full())
-
-        half, shift = augmented.flow(self.dt / 2), augmented.shift()
-        middle = half(self.t0, first, np.zeros(u.shape[0])).full()[:, 0]
-        F1, F2 = (
-            slope(lambda own, t=t: half(t, own, u), space, at)
-            for t, at in ((self.t0, first), (self.t0 + self.dt / 2, middle))
-        )
-        H = np.vstack(
-            [
-                slope(lambda own, f=augmented.observed(c): f(self.t0, own), c.space, first)
-                for c in augmented.channels
-            ]
-        )
-        R = np.diag(np.concatenate([c.measurement.values("sigma", c.space.errors) for c in augmented.channels]) ** 2)
-        density = np.diag(self.noise**2) * self.dt / 6
-        Q = F2 @ (F1 @ density @ F1.T + 4 * density) @ F2.T + density
-        return F2 @ F1 @ slope(lambda own: shift(self.t0, own, u), space, first), Q, H, R
+        x, first = ca.SX.sym("x", space.size), augmented.first(self.t0, self.x0)
+        u = ca.SX.zeros(self.model.controls.size)
+        shift, after = augmented.shift(), augmented.flow(self.dt)(self.t0, x, u)
+        density = ca.diag(ca.SX(ca.DM(self.noise**2)))
+        F, Q = augmented.transition(self.t0, x, after, u, self.dt, density)
+        delays = tangent.fit(lambda own: shift(self.t0, own), space, space, x, None)[1]
+        rows = [
+            tangent.fit(lambda own, f=augmented.observed(c): f(self.t0, own), space, c.space, x, None)[1]
+            for c in augmented.channels
+        ]
+        found = ca.Function("linear", [x], [F @ delays, Q, ca.vertcat(*rows)])(first)
+        matrices = [np.asarray(m.full()) for m in found]
+        sigma = np.concatenate([c.measurement.values("sigma", c.space.errors) for c in augmented.channels])
+        return matrices[0], matrices[1], matrices[2], np.diag(sigma**2)
 
 
 def _read_state(model: Model, x0: ArrayLike | Mapping[str, ArrayLike], name: str) -> Array:

@@ -39,8 +39,12 @@ Map: TypeAlias = Callable[[Any], Any]
 class Linearization(Protocol):
     """How a filter describes functions; f takes and returns an SX column, x and P are SX symbols."""
 
-    def carry(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any]:
-        """Return the mean of f(x) and the covariance of its error."""
+    @property
+    def keeps_zeros(self) -> bool:
+        """Whether errors that f does not connect stay uncorrelated to the last bit."""
+
+    def carry(self, f: Map, space: Space, x: Any, P: Any, value: Any, slope: Any) -> tuple[Any, Any]:
+        """Return the mean of f(x) and the covariance of its error; ``value`` and ``slope`` are those of the tangent."""
 
     def fit(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
         """Return the mean of f(x), the slope F of its error and the covariance of what is left."""
@@ -50,9 +54,13 @@ class Linearization(Protocol):
 class Tangent:
     """By the Jacobian at the mean."""
 
-    def carry(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any]:
-        """Return the mean of f(x) and the covariance of its error."""
-        value, slope, _ = self.fit(f, source, target, x, P)
+    @property
+    def keeps_zeros(self) -> bool:
+        """Slopes have the zeros of what they are slopes of."""
+        return True
+
+    def carry(self, f: Map, space: Space, x: Any, P: Any, value: Any, slope: Any) -> tuple[Any, Any]:
+        """Return the tangent's value, and P carried by its slope."""
         return value, slope @ P @ slope.T
 
     def fit(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
@@ -75,10 +83,15 @@ class Regression:
 
     kappa: float = 0.0
 
-    def carry(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any]:
-        """Return the mean of f(x) and the covariance of its error."""
-        value, spread, remainder, _ = self._images(f, source, target, x, P)
-        return value, spread @ spread.T + remainder
+    @property
+    def keeps_zeros(self) -> bool:
+        """Points mix all errors."""
+        return False
+
+    def carry(self, f: Map, space: Space, x: Any, P: Any, value: Any, slope: Any) -> tuple[Any, Any]:
+        """Return the mean of f(x) and the covariance of its error, from the points alone."""
+        mean, spread, remainder, _ = self._images(f, space, space, x, P)
+        return mean, spread @ spread.T + remainder
 
     def fit(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
         """Return the mean of f(x), the slope of its error and the covariance of what is left."""
