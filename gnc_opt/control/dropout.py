@@ -63,7 +63,7 @@ def bridge_dropouts(controller: Controller, *, hold: int = HOLD, safe: ArrayLike
     expect(controller, Controller, "what bridge_dropouts() got", "give what a design function returned")
     if controller.estimated is not None:
         raise ArgumentError(
-            f"'{controller.name}' is fed by an estimator, which does without lost samples: bridge the controller inside."
+            f"'{controller.name}' is fed by an estimator, which bridges by itself: bridge the controller inside."
         )
     hold = read_integer(hold, "the number of lost samples to bridge", 0)
     inner = controller.unbridged or controller

@@ -449,10 +449,14 @@ class Model(Strict):
             return own + error
         what = f"the retraction of state '{name}' in model '{self.name}'"
         if name not in self._retractions:
-            raise ModelError(f"{what} is missing: give difference('{name}', ..., retraction=...) the way back.")
+            raise ModelError(
+                f"{what} is missing: give difference('{name}', ..., retraction=...) the way back."
+            )
         value = as_expression(self._retractions[name](own, error), what)
         if value.shape != own.shape:
-            raise ModelError(f"{what} has the shape {value.shape} where {own.shape} is needed: return a state.")
+            raise ModelError(
+                f"{what} has the shape {value.shape} where {own.shape} is needed: return a state."
+            )
         return value
 
     def _function(self, name: str, expressions: Any, *names: str) -> Any:

@@ -60,7 +60,11 @@ def plot_run_errors(run: Run, names: Sequence[str] | None = None) -> Figure:
     ArgumentError
         The controller of the run follows no reference.
     """
-    return _axes(run, names or [n for n in run.followed.names if n in run.layouts["error"]], lambda ax, name: _lines(ax, run.error(name)))
+    return _axes(
+        run,
+        names or [n for n in run.followed.names if n in run.layouts["error"]],
+        lambda ax, name: _lines(ax, run.error(name)),
+    )
 
 
 def plot_run_controls(run: Run, names: Sequence[str] | None = None) -> Figure:

@@ -64,8 +64,8 @@ class Consistency(Strict):
     average : float
         Mean of ``nees``.
     band : tuple of two floats
-        Of a campaign: between which that mean is with the confidence asked for, if the filter is right. Of a run: that of
-        each single value, whose successive ones depend on each other.
+        Of a campaign: between which that mean is with the confidence asked for, if the filter is right. Of a run: that
+        of each single value, whose successive ones depend on each other.
     components : int
         Of the error, the mean to be expected.
     independent : bool
@@ -99,7 +99,9 @@ class Consistency(Strict):
     def __str__(self) -> str:
         low, high = self.band
         where = "mean over the runs" if self.independent else "mean over the run, band of single values"
-        lines = [f"NEES {self.average:.4g}, {low:.4g} to {high:.4g} expected ({where}; {100 * self.within:.1f} % within)"]
+        lines = [
+            f"NEES {self.average:.4g}, {low:.4g} to {high:.4g} expected ({where}; {100 * self.within:.1f} % within)"
+        ]
         for name, test in self.innovations.items():
             low, high = test.band
             lines.append(
@@ -138,7 +140,9 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
     layout = flown.layouts.get("memory")
     missing = [n for n in estimator.memory.names if layout is None or n not in layout]
     if missing or layout is None or not flown.memory.size:
-        raise ArgumentError(f"the loop remembers no '{missing[0] if missing else 'state'}': it had no '{estimator.name}'.")
+        raise ArgumentError(
+            f"the loop remembers no '{missing[0] if missing else 'state'}': it had no '{estimator.name}'."
+        )
     memory = np.vstack([flown.memory[layout.slice(name)] for name in estimator.memory.names])
     independent = isinstance(flown, Campaign)
     nees, components = _nees(flown, estimator, memory)
@@ -160,7 +164,9 @@ def _nees(flown: Run | Campaign, estimator: Estimator, memory: Array) -> tuple[A
     there = flown.layouts["state"]
     shared = [name for name in estimator.states.names if name in there]
     if not shared:
-        raise ArgumentError(f"the plant has no state that '{estimator.name}' estimates: there is nothing to compare with.")
+        raise ArgumentError(
+            f"the plant has no state that '{estimator.name}' estimates: there is nothing to compare with."
+        )
     estimate = estimator.estimate(memory)
     truth = estimate.copy()
     for name in shared:
@@ -171,7 +177,9 @@ def _nees(flown: Run | Campaign, estimator: Estimator, memory: Array) -> tuple[A
     sigma = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
     if np.any(sigma <= 0):
         label = estimator.errors.labels[rows[int(np.flatnonzero(np.any(sigma <= 0, axis=0))[0])]]
-        raise ArgumentError(f"'{estimator.name}' holds '{label}' for exactly known: give sigma0 > 0 to compare errors.")
+        raise ArgumentError(
+            f"'{estimator.name}' holds '{label}' for exactly known: give sigma0 > 0 to compare errors."
+        )
     found = np.full(errors.shape[1], np.nan)
     good = np.all(np.isfinite(errors), axis=0) & np.all(np.isfinite(P), axis=(1, 2))
     scaled = errors.T[good] / sigma[good]
@@ -182,7 +190,8 @@ def _nees(flown: Run | Campaign, estimator: Estimator, memory: Array) -> tuple[A
 
 def _innovations(estimator: Estimator, name: str, ends: Array, confidence: float) -> InnovationTest:
     total, taken, refused = (
-        float(np.nansum(ends[estimator.memory.slice(f"{name}_{what}")])) for what in ("nis", "taken", "refused")
+        float(np.nansum(ends[estimator.memory.slice(f"{name}_{what}")]))
+        for what in ("nis", "taken", "refused")
     )
     return InnovationTest(
         average=total / taken if taken else float("nan"),

@@ -22,8 +22,8 @@ def check_measured(plant: Model, controller: Controller) -> None:
             ca.which_depends(plant.output_expression(variable.name), plant.symbols("control"), 1, True)
         ):
             raise ArgumentError(
-                f"controller '{controller.name}' measures the output '{variable.name}' of '{plant.name}', which depends "
-                "on a control: measure one of states alone."
+                f"controller '{controller.name}' measures the output '{variable.name}' of '{plant.name}', which "
+                "depends on a control: measure one of states alone."
             )
     for variable in controller.followed.variables if controller.estimated is not None else ():
         if variable.name in plant.states:  # the plant may know nothing of what is estimated

@@ -127,8 +127,8 @@ def quaternion_difference(q: Quaternion, q_ref: Quaternion) -> Vector:
 def quaternion_retraction(q_ref: Quaternion, error: Vector) -> Quaternion:
     """Return the unit quaternion that `quaternion_difference` tells to be ``error`` away from the reference.
 
-    The turn follows that of the reference. For `Model.difference` and `Noise`. Errors of more than 2 (half a turn) count
-    as half a turn.
+    The turn follows that of the reference. For `Model.difference` and `Noise`. Errors of more than 2 (half a turn)
+    count as half a turn.
 
     Parameters
     ----------
@@ -139,7 +139,9 @@ def quaternion_retraction(q_ref: Quaternion, error: Vector) -> Quaternion:
     """
     largest, root = (ca.fmax, ca.sqrt) if is_symbolic(error) or is_symbolic(q_ref) else (np.maximum, np.sqrt)
     square = 0.25 * dot(error, error)
-    turn = stack([root(largest(1 - square, 0)), *(0.5 * error[i] / root(largest(square, 1)) for i in range(3))])
+    turn = stack(
+        [root(largest(1 - square, 0)), *(0.5 * error[i] / root(largest(square, 1)) for i in range(3))]
+    )
     q = quaternion_product(q_ref, turn)
     length = root(q[0] ** 2 + dot(_vector(q), _vector(q)))
     return stack([q[i] / length for i in range(4)])

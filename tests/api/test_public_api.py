@@ -55,8 +55,8 @@ EXPECTED = {
         j2_gravity lvlh_rate mean_motion mrp_difference mrp_from_axis_angle mrp_rate mrp_retraction mrp_shadow
         mrp_short mrp_to_dcm mrp_to_euler mrp_to_quaternion mrp_to_rotation orbital_energy
         point_mass_gravity quaternion_angle quaternion_conjugate quaternion_difference
-        quaternion_error quaternion_from_euler quaternion_product quaternion_rate quaternion_retraction quaternion_to_dcm
-        quaternion_to_rotation radial_frame radial_frame_rate relative_acceleration
+        quaternion_error quaternion_from_euler quaternion_product quaternion_rate quaternion_retraction
+        quaternion_to_dcm quaternion_to_rotation radial_frame radial_frame_rate relative_acceleration
         relative_angular_acceleration relative_from_inertial scale speed_of_sound stack stack_rows
         total_momentum transpose us76 wheel_body_acceleration wheel_pyramid
     """,

@@ -102,9 +102,7 @@ class AugmentedModel:
                 )
         owner = f"the estimator of '{model.name}'"
         self.states = Layout("estimate", tuple(v for v, _ in parts), owner)
-        self.errors = Layout(
-            "error", tuple(Variable(v.name, s.errors, v.unit) for v, s in parts), owner
-        )
+        self.errors = Layout("error", tuple(Variable(v.name, s.errors, v.unit) for v, s in parts), owner)
         self.space = product([space for _, space in parts])
         self.vehicle = product([space for _, space in parts[: len(model.states.variables)]])
         t, own, u, p = model.arguments()
@@ -253,7 +251,7 @@ def _channel(model: Model, measurement: Measurement, dt: float) -> Channel:
         variable = model.outputs[name]
         if any(ca.which_depends(model.output_expression(name), model.symbols("control"), 1, True)):
             raise DesignError(
-                f"output '{name}' of model '{model.name}' depends on a control, which is not known when it is measured: "
+                f"output '{name}' of model '{model.name}' depends on a control, not known when it is measured: "
                 "name one of states alone."
             )
         space = flat(variable.size)
@@ -268,8 +266,12 @@ def _channel(model: Model, measurement: Measurement, dt: float) -> Channel:
     what = f"of the measurement of '{name}'"
     period = 1 if measurement.period is None else whole_steps(measurement.period, dt, f"the period {what}")
     if period < 1:
-        raise ArgumentError(f"the period {what} is shorter than the control step of {dt:g} s: choose a multiple.")
-    return Channel(measurement, variable, space, period, whole_steps(measurement.delay, dt, f"the delay {what}"))
+        raise ArgumentError(
+            f"the period {what} is shorter than the control step of {dt:g} s: choose a multiple."
+        )
+    return Channel(
+        measurement, variable, space, period, whole_steps(measurement.delay, dt, f"the delay {what}")
+    )
 
 
 def _with_difference(space: Space, function: Callable[[Any, Any], Any], name: str) -> Space:

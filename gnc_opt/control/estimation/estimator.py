@@ -42,9 +42,9 @@ class Estimator:
     places : tuple of two int arrays (n,)
         Rows and columns of the covariance of all errors that the entries of ``covariance`` in the memory are.
     memory : Layout
-        ``<state>_hat``, ``<measurement>_bias_hat`` and what else is estimated, ``covariance`` (of all errors, what of its
-        lower triangle can differ from zero), and for each measurement ``<measurement>_nis`` (sum of the normalised innovations
-        squared of the samples taken), ``<measurement>_taken`` and ``<measurement>_refused`` (their numbers).
+        ``<state>_hat``, ``<measurement>_bias_hat`` and what else is estimated, ``covariance`` (of all errors, what of
+        its lower triangle can differ from zero), and for each measurement ``<measurement>_nis`` (sum of the normalised
+        innovations squared of the samples taken), ``<measurement>_taken`` and ``<measurement>_refused`` (how many).
     error : casadi.Function
         ``(x, x_ref) -> e``, the error of states.
     sizes : mapping of str to int
@@ -73,7 +73,9 @@ class Estimator:
         """Return the facts of the design; print them to read them."""
         return self.explanation
 
-    def __call__(self, t: float, y: ArrayLike, u: ArrayLike, z: ArrayLike | None = None) -> tuple[Array, Array]:
+    def __call__(
+        self, t: float, y: ArrayLike, u: ArrayLike, z: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
         """Evaluate one step: return the estimated states (n_states,) at t and the memory (n_memory,) of the next step.
 
         Parameters
@@ -133,9 +135,13 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
         They do not fit.
     """
     expect(controller, Controller, "what output_feedback() got", "give what a design function returned")
-    expect(estimator, Estimator, "what output_feedback() got", "give what design_ekf() or design_ukf() returned")
+    expect(
+        estimator, Estimator, "what output_feedback() got", "give what design_ekf() or design_ukf() returned"
+    )
     if controller.estimated is not None:
-        raise ArgumentError(f"controller '{controller.name}' is fed by an estimator already: give the one inside.")
+        raise ArgumentError(
+            f"controller '{controller.name}' is fed by an estimator already: give the one inside."
+        )
     controller.step_length(estimator.dt)
     fed = _places(controller.states, estimator.states, "state", controller.name, estimator.name)
     sent = _places(estimator.commands, controller.commands, "command", estimator.name, controller.name)
@@ -156,13 +162,16 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
         ),
         dt=estimator.dt,
         explanation=Explanation(
-            f"{told.title}, fed by the {estimator.explanation.title}", (*told.facts, *estimator.explanation.facts)
+            f"{told.title}, fed by the {estimator.explanation.title}",
+            (*told.facts, *estimator.explanation.facts),
         ),
         unbridged=None,
     )
 
 
-def _functions(controller: Controller, estimator: Estimator, fed: list[int], sent: list[int]) -> tuple[Any, Any]:
+def _functions(
+    controller: Controller, estimator: Estimator, fed: list[int], sent: list[int]
+) -> tuple[Any, Any]:
     scalar = controller.step.is_a("SXFunction") and controller.start.is_a("SXFunction")
     kind = ca.SX if scalar else ca.MX
     size = estimator.memory.size

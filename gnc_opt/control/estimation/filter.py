@@ -1,8 +1,8 @@
 r"""Filter: one control step of an estimator as symbolic functions.
 
-**Update.** With y the samples, :math:`\nu = d(y, \hat y)` their innovations, H and :math:`\Omega` of `linearization` at
-the prediction and R the covariance of the noise, the measurements are taken one after the other. What is not finite, not
-due or refused by the gate,
+**Update.** With y the samples, :math:`\nu = d(y, \hat y)` their innovations, H and :math:`\Omega` of `linearization`
+at the prediction and R the covariance of the noise, the measurements are taken one after the other. What is not
+finite, not due or refused by the gate,
 
 .. math:: \nu^T (H P H^T + R + \Omega)^{-1} \nu > \chi^2_m(\text{gate}),
 
@@ -10,17 +10,17 @@ is left out. The rest is whitened and taken component by component, in Joseph's 
 
 .. math:: k = \frac{P h}{h^T P h + 1}, \qquad P \leftarrow (1 - k h^T) P (1 - k h^T)^T + k k^T,
 
-so that P stays a covariance also where a good sensor meets a bad guess. In the end the state moves by the error found. A
-turn of an attitude turns the axes of its error, too; that is of second order and left out.
+so that P stays a covariance also where a good sensor meets a bad guess. In the end the state moves by the error found.
+A turn of an attitude turns the axes of its error, too; that is of second order and left out.
 
-**Prediction** over a step h: the state by the classical Runge-Kutta method; with A the Jacobian of the dynamics halfway,
-R and D of `space`,
+**Prediction** over a step h: the state by the classical Runge-Kutta method; with A the Jacobian of the dynamics
+halfway, R and D of `space`,
 
 .. math:: F_{h,s} = D_h \, e^{A (h - s)} R_s, \qquad
    P \leftarrow F_{h,0} P F_{h,0}^T + \tfrac{h}{6} \left( F_{h,0} Q F_{h,0}^T + 4\, F_{h,h/2} Q F_{h,h/2}^T + Q \right),
 
-by Simpson's rule with the exponential up to its fourth power; the unscented filter carries its points in place of the first
-term. Exact for chains of two integrators; of second order in h where A changes.
+by Simpson's rule with the exponential up to its fourth power; the unscented filter carries its points in place of the
+first term. Exact for chains of two integrators; of second order in h where A changes.
 
 References
 ----------
@@ -32,6 +32,7 @@ Y. Bar-Shalom, X.-R. Li, T. Kirubarajan, Estimation with Applications to Trackin
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -40,7 +41,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.control.estimation.augmented import AugmentedModel, Channel
 from gnc_opt.control.estimation.chi_square import chi_square
-from gnc_opt.control.estimation.linearization import Linearization, Tangent, cholesky, solved_left
+from gnc_opt.control.estimation.linearization import Linearization, Map, Tangent, cholesky, solved_left
 from gnc_opt.control.limits import Authority, saturated
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.tolerances import LARGEST
@@ -120,7 +121,11 @@ class _Builder:
         augmented, n = self.augmented, self.augmented.errors.size
         if not self.linearization.keeps_zeros:
             return ca.Sparsity.lower(n)
-        t, x, u = ca.SX.sym("t"), ca.SX.sym("x", augmented.space.size), ca.SX.sym("u", augmented.model.controls.size)
+        t, x, u = (
+            ca.SX.sym("t"),
+            ca.SX.sym("x", augmented.space.size),
+            ca.SX.sym("u", augmented.model.controls.size),
+        )
         F, noise = augmented.transition(t, x, x, u, augmented.dt, self.density)
         maps = [_mask(F)]
         if augmented.remembers:
@@ -193,9 +198,7 @@ class _Builder:
             observed, space = augmented.observed(channel), channel.space
             slope = augmented.direct_slope(channel)
             if slope is None:
-                y, slope, left = self.linearization.fit(
-                    lambda own, f=observed: f(t, own), augmented.space, space, x, P
-                )
+                y, slope, left = self.linearization.fit(partial(observed, t), augmented.space, space, x, P)
             else:
                 y, left = observed(t, x), ca.SX(space.errors, space.errors)
             noise = ca.SX(ca.diag(ca.DM(channel.measurement.values("sigma", space.errors) ** 2)))
@@ -216,16 +219,20 @@ class _Builder:
         space = augmented.space
         if augmented.remembers:
             shift = augmented.shift()
-            x, P = self.linearization.carry(lambda own: shift(t, own), space, x, P, *self._tangent_of_shift(t, x))
+            x, P = self.linearization.carry(
+                lambda own: shift(t, own), space, x, P, *self._tangent_of_shift(t, x)
+            )
         h = augmented.dt / self.substeps
         flow = augmented.flow(h)
         for i in range(self.substeps):
             begin = t + i * h
             after = flow(begin, x, u)
             F, noise = augmented.transition(begin, x, after, u, h, self.density)
-            x, P = self.linearization.carry(lambda own, at=begin: flow(at, own, u), space, x, P, after, F)
+            x, P = self.linearization.carry(_held(flow, begin, u), space, x, P, after, F)
             P = P + noise
-        return ca.Function("predict", [t, command, z], [self._memory(entries, x, P)], ["t", "u", "z"], ["z_next"])
+        return ca.Function(
+            "predict", [t, command, z], [self._memory(entries, x, P)], ["t", "u", "z"], ["z_next"]
+        )
 
 
 @dataclass(frozen=True)
@@ -237,7 +244,9 @@ class _View:
     root: Any
 
 
-def _judged(channel: Channel, sample: Any, due: Any, view: _View, error: Any, P: Any) -> tuple[Any, Any, Any, Any]:
+def _judged(
+    channel: Channel, sample: Any, due: Any, view: _View, error: Any, P: Any
+) -> tuple[Any, Any, Any, Any]:
     """Return the whitened innovation of a sample, whether it is taken, whether the gate refuses it, and its NIS.
 
     ``error`` is what the measurements before have told, P the covariance of what is left.
@@ -266,6 +275,11 @@ def _joseph(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any, Any]:
         left = P - k @ g.T
         P = ca.tril2symm(ca.tril(left + (k - left @ h) @ k.T))
     return error, P
+
+
+def _held(flow: Any, t: Any, u: Any) -> Map:
+    """Return the flow from t under a held command as a function of the state alone."""
+    return lambda x: flow(t, x, u)
 
 
 def _mask(matrix: Any) -> Any:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeAlias
+from functools import partial
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -231,16 +232,25 @@ class _Design:
         """Return what is not seen and the steady accuracy, of the linear model at the first state without command."""
         F, Q, H, R = self._linear()
         where = "by the linear model at the first state, no command"
-        unseen = sorted({label for mode in unreached(F.T, H.T, labels) for label in mode.states}, key=labels.index)
+        unseen = sorted(
+            {label for mode in unreached(F.T, H.T, labels) for label in mode.states}, key=labels.index
+        )
         facts = [Fact("not seen", ", ".join(unseen) or "nothing", remark=where)]
         if any(channel.period > 1 for channel in self.augmented.channels):
             return facts
         try:
             regulator = steady(F.T, H.T, Q, R, np.zeros((F.shape[0], H.shape[0])), labels, sampled=True)
-        except DesignError:  # what is not seen, or what no noise moves: its variance has no steady value above zero
+        except (
+            DesignError
+        ):  # what is not seen, or what no noise moves: its variance has no steady value above zero
             return facts
-        P = regulator.cost - regulator.cost @ H.T @ np.linalg.solve(H @ regulator.cost @ H.T + R, H @ regulator.cost)
-        return [*facts, Fact("steady sigma", np.sqrt(np.maximum(np.diag(P), 0.0)), "", f"after an update, {where}")]
+        P = regulator.cost - regulator.cost @ H.T @ np.linalg.solve(
+            H @ regulator.cost @ H.T + R, H @ regulator.cost
+        )
+        return [
+            *facts,
+            Fact("steady sigma", np.sqrt(np.maximum(np.diag(P), 0.0)), "", f"after an update, {where}"),
+        ]
 
     def _linear(self) -> tuple[Array, Array, Array, Array]:
         """Return F and Q of one control step, H and R of all measurements, at the first state without command."""
@@ -250,9 +260,9 @@ class _Design:
         shift, after = augmented.shift(), augmented.flow(self.dt)(self.t0, x, u)
         density = ca.diag(ca.SX(ca.DM(self.noise**2)))
         F, Q = augmented.transition(self.t0, x, after, u, self.dt, density)
-        delays = tangent.fit(lambda own: shift(self.t0, own), space, space, x, None)[1]
+        delays = tangent.fit(partial(shift, self.t0), space, space, x, None)[1]
         rows = [
-            tangent.fit(lambda own, f=augmented.observed(c): f(self.t0, own), space, c.space, x, None)[1]
+            tangent.fit(partial(augmented.observed(c), self.t0), space, c.space, x, None)[1]
             for c in augmented.channels
         ]
         found = ca.Function("linear", [x], [F @ delays, Q, ca.vertcat(*rows)])(first)
@@ -301,6 +311,6 @@ def _check_way_back(model: Model, x0: Array) -> None:
     if bad.size:
         label = model.errors.labels[int(bad[0])]
         raise DesignError(
-            f"the retraction of '{label}' in model '{model.name}' is not the way back of its difference: the difference "
-            f"between retraction(x, e) and x misses e by {miss[bad[0]]:.2g} to first order."
+            f"the retraction of '{label}' in model '{model.name}' is not the way back of its difference: that between "
+            f"retraction(x, e) and x misses e by {miss[bad[0]]:.2g} to first order."
         )

@@ -32,7 +32,6 @@ import casadi as ca
 from gnc_opt.control.estimation.space import Space
 from gnc_opt.tolerances import ROUNDING
 
-
 Map: TypeAlias = Callable[[Any], Any]
 
 
@@ -98,9 +97,7 @@ class Regression:
         value, spread, remainder, root = self._images(f, source, target, x, P)
         return value, solved_right(spread, root), remainder
 
-    def _images(
-        self, f: Map, source: Space, target: Space, x: Any, P: Any
-    ) -> tuple[Any, Any, Any, Any]:
+    def _images(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any, Any]:
         root = cholesky(P)
         n = source.errors
         c = math.sqrt(n + self.kappa)

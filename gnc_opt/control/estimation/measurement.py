@@ -36,8 +36,8 @@ class Measurement:
     bias_walk : float or one per component
         Standard deviation by which that error changes, unit per square root of a second (`RandomWalk`).
     gate : float, optional
-        Probability with which a right sample passes, in (0, 1); what lies outside is refused as an outlier. Default: all
-        samples are taken.
+        Probability with which a right sample passes, in (0, 1); what lies outside is refused as an outlier. Default:
+        all samples are taken.
     difference : callable, optional
         ``difference(y, y_hat)`` of SX columns, where subtraction is not the answer (an angle that jumps by a turn);
         default that of the state, see `Model.difference`.
@@ -62,7 +62,9 @@ class Measurement:
             raise ArgumentError(f"a measurement of {shown(self.of)}: name a state or an output of the model.")
         for name in ("sigma", "bias", "bias_walk"):
             numbers = read_numbers(getattr(self, name), f"the {name} of the measurement of '{self.of}'")
-            if not np.all(np.isfinite(numbers)) or not np.all(numbers > 0 if name == "sigma" else numbers >= 0):
+            if not np.all(np.isfinite(numbers)) or not np.all(
+                numbers > 0 if name == "sigma" else numbers >= 0
+            ):
                 least = "> 0" if name == "sigma" else ">= 0"
                 raise ArgumentError(
                     f"the {name} of the measurement of '{self.of}' is {numbers}: give finite numbers {least}."
