@@ -2,6 +2,7 @@
 
 import shutil
 import subprocess
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -176,12 +177,10 @@ def test_a_law_of_several_expressions_is_fed_alike(right):
     inner = regulator(model)
     t, x = ca.MX.sym("t"), ca.MX.sym("x", 2)
     r, z = ca.MX.sym("r", inner.signals.size), ca.MX.sym("z", inner.memory.size)
-    wrapped = go.Controller(
-        **{
-            **{k: v for k, v in vars(inner).items()},
-            "step": ca.Function("law", [t, x, r, z], inner.step(t, x, r, z)),
-            "start": ca.Function("start", [t, x, r], [inner.start(t, x, r)]),
-        }
+    wrapped = replace(
+        inner,
+        step=ca.Function("law", [t, x, r, z], inner.step(t, x, r, z)),
+        start=ca.Function("start", [t, x, r], [inner.start(t, x, r)]),
     )
     loops = [go.ClosedLoop(model, output_feedback(c, right)) for c in (inner, wrapped)]
     ends = [loop.simulate([1.2, 0.1], tf=2.0).states for loop in loops]
