@@ -125,6 +125,12 @@ class PhaseStructure:
                 beside[row, k - 1 : k + 1] = True
         return np.asarray(beside & ~held & (np.array(self.orders) > 0)[:, None])
 
+    def on_contact(self, piece: int) -> bool:
+        """Whether a state constraint determines a control in a piece."""
+        return any(
+            kind.at_limit and order for kind, order in zip(self.kinds[piece], self.orders, strict=True)
+        )
+
     def touching(self, row: int, kind: ArcKind) -> list[float]:
         """Times at which a row touches a limit, s."""
         return [t for t, touches in zip(self.times, self.touches, strict=True) if (row, kind) in touches]

@@ -245,8 +245,13 @@ def _adjust(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan
             ), f"piece {emptied[0] + 1} dropped"
     if finer and not moved and not plan.loose and any(plan.structure.touches):
         return replace(plan, loose=True), LOOSENED
-    actions = (KINKS_MOVED if moved else "", RAISED if finer else "")
     resolutions = finer.resolutions if finer else plan.resolutions
+    if moved:  # multipliers along a state constraint are rough for as long as its ends are wrong
+        resolutions = tuple(
+            old if plan.structure.on_contact(k) else new
+            for k, (old, new) in enumerate(zip(plan.resolutions, resolutions, strict=True))
+        )
+    actions = (KINKS_MOVED if moved else "", RAISED if resolutions != plan.resolutions else "")
     return replace(plan, structure=moved or plan.structure, resolutions=resolutions), ", ".join(
         filter(None, actions)
     )
