@@ -93,7 +93,7 @@ def summary(solution: go.Solution) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def failure() -> dict[str, Any]:
-    return summary_dict(go.solve(minimum_fuel.build(duration=0.5), throw=False))
+    return summary_dict(go.solve(minimum_fuel.build(duration=0.5), throw=False, tol=None))
 
 
 def test_json_summary_lists_every_key(summary: dict[str, Any], failure: dict[str, Any]) -> None:
