@@ -141,7 +141,7 @@ def test_an_arc_of_first_order() -> None:
 
 @pytest.mark.parametrize(("limit", "form"), [(0.2, "bound"), (0.24, "bound"), (0.2, "ceiling")])
 def test_a_touch(limit: float, form: str) -> None:
-    """For l from 1/6 to 1/4 at t = 1/2 only; J = 2 + 6 (1 - 4 l)^2, lam_x = 24 (1 - 4 l) before and -24 (1 - 4 l) after."""
+    """For l from 1/6 to 1/4 at t = 1/2; J = 2 + 6 (1 - 4 l)^2, lam_x = 24 (1 - 4 l), afterwards reversed."""
     solution = thrown(limit, form, 1.0, "20x4" if form == "bound" else "11x4")
     assert solution.history.converged and go.verify(solution).minimum
     assert contact(solution) == pytest.approx((0.5, 0.5), abs=1e-8)
@@ -163,7 +163,7 @@ def test_a_limit_out_of_reach_is_no_contact() -> None:
 
 @pytest.mark.parametrize("limit", [1 / 9, 0.2])
 def test_a_wrong_jump_fails(limit: float) -> None:
-    """The costate of x one part in a thousand off after the last contact: a jump of another size, and of another state."""
+    """Costates a thousandth off after the last contact: a jump of another size, and one of another state."""
     solution = thrown(limit)
     leg = solution.phase()
     after = contact(solution)[1]
