@@ -144,6 +144,7 @@ def measure(case: Case, scheme: Scheme, degree: int) -> Row:
         scheme=scheme,
         options=go.SolverOptions(tolerance=TOLERANCE),
         throw=False,
+        tol=None,
     )
     iterations = solution.statistics.iterations
     if not solution.status.solved:

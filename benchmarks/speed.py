@@ -97,7 +97,7 @@ class Run:
 
 def ours(segments: int, degree: int) -> Run:
     """State, build and solve a new problem."""
-    solution, cpu, wall = _timed(lambda: go.solve(build(CASE), mesh=f"{segments}x{degree}"))
+    solution, cpu, wall = _timed(lambda: go.solve(build(CASE), mesh=f"{segments}x{degree}", tol=None))
     return _run(solution, cpu, wall)
 
 
@@ -148,11 +148,11 @@ def compare(mesh: str, runs: int) -> dict[str, Any]:
 def resolve(mesh: str, runs: int) -> dict[str, Any]:
     """Solve again and again with another initial position each time, cold, on the first build."""
     problem = build(CASE)
-    first = go.solve(problem, mesh=mesh)
+    first = go.solve(problem, mesh=mesh, tol=None)
     found = []
     for i in range(runs):
         other = problem.with_initial(r_L=[20.0, 0.2 * (i + 1), 0.1 * (i + 1)])
-        solution, cpu, wall = _timed(partial(go.solve, other, mesh=mesh))
+        solution, cpu, wall = _timed(partial(go.solve, other, mesh=mesh, tol=None))
         assert solution.statistics.build_reused, "a re-solve has built again"
         found.append(_run(solution, cpu, wall))
     overheads = [run.wall_s / run.solve_s for run in found]
@@ -171,7 +171,7 @@ def resolve(mesh: str, runs: int) -> dict[str, Any]:
 
 def verdict(runs: int) -> dict[str, Any]:
     """Verify the refined solution again and again, each time after a solve on the mesh that it is compared with."""
-    refined = go.refine(go.solve(build(CASE), mesh="20x3"), structure="bang-bang")
+    refined = go.refine(go.solve(build(CASE), mesh="20x3", tol=None), structure="bang-bang")
     verifications, solves = [], []
     for _ in range(runs):
         solves.append(ours(*VERDICT_MESH).cpu_s)
@@ -198,7 +198,7 @@ def growth(segments: Sequence[int], runs: int) -> list[dict[str, Any]]:
     for _ in range(runs):
         for k in segments:
             functions[k].append(evaluations[k].time())
-            solves[k].append(go.solve(problems[k], mesh=f"{k}x3", options=options, throw=False))
+            solves[k].append(go.solve(problems[k], mesh=f"{k}x3", options=options, throw=False, tol=None))
     rows: list[dict[str, Any]] = []
     for k in segments:
         found = [solution.statistics for solution in solves[k]]
@@ -390,7 +390,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     runs = 2 if arguments.quick else arguments.runs
     console = Console(width=110)
     go.solve(
-        build(CASE), mesh="4x3", options=go.SolverOptions(max_iterations=1), throw=False
+        build(CASE), mesh="4x3", options=go.SolverOptions(max_iterations=1), throw=False, tol=None
     )  # load the libraries
     comparisons = []
     for mesh in list(TARGETS)[: 1 if arguments.quick else None]:

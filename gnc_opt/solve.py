@@ -1,11 +1,12 @@
-"""solve: from a stated problem to a solution."""
+"""solve: from a stated problem to a solution that is accurate and judged."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from typing import Literal
 
-from gnc_opt.arguments import expect
+from gnc_opt.arguments import expect, read_positive
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.refine import StructureChoice, refine
@@ -17,6 +18,9 @@ from gnc_opt.tolerances import SHORTEST
 from gnc_opt.transcription.mesh import MeshLike
 from gnc_opt.transcription.scheme import GAUSS, Scheme, family_of
 
+TOLERANCE = 1e-6
+"""What a solution is refined to where nobody says otherwise."""
+
 
 def solve(
     problem: Problem,
@@ -24,28 +28,34 @@ def solve(
     mesh: MeshLike | Mapping[str, MeshLike] | None = None,
     scheme: Scheme = GAUSS,
     guess: Solution | None = None,
-    tol: float | None = None,
+    tol: float | Literal["auto"] | None = "auto",
     structure: StructureChoice = "auto",
     options: SolverOptions | None = None,
     progress: bool = False,
     throw: bool = True,
 ) -> Solution:
-    """Solve an optimal control problem by collocation, and refine the solution if a tolerance is given.
+    """Solve an optimal control problem by collocation, refine the solution, and judge it.
+
+    What is printed of the solution says whether it is ok, a minimum, or which condition of the verdict is open;
+    `verify` returns that verdict without judging again.
 
     Parameters
     ----------
     problem : Problem
     mesh : Mesh, str or mapping, optional
-        ``Mesh.uniform(20, 3)`` or ``"20x3"``; a mapping from phase to mesh for several phases.
+        ``Mesh.uniform(20, 3)`` or ``"20x3"``; a mapping from phase to mesh for several phases. Refining only starts
+        from it: for the solution on this very mesh give ``tol=None``.
     scheme : {"LG", "LGR", "LGL"}
         Collocation points: Legendre-Gauss, -Radau or -Lobatto.
     guess : Solution, optional
         Start from states, controls and multipliers of an earlier solution, on any mesh. Without it the
         problem's own guess and straight lines are used; where these end as infeasible, the constraints are met
         first and the cost is lowered afterwards, see `gnc_opt.solution.solve_mesh`.
-    tol : float, optional
-        Refine until the error between the nodes is below this; see `refine`. Without it the given mesh is final.
-        A solution that does not come to rest is compared with another one; see `gnc_opt.solution.solve_mesh`.
+    tol : float, "auto" or None
+        Refine until the error between the nodes is below this, and judge the result; see `refine`. A solution that
+        does not come to rest is compared with another one; see `gnc_opt.solution.solve_mesh`. None: one solve on the
+        given mesh, not judged. ``"auto"``: 1e-6 (`TOLERANCE`), but None with a ``guess``: a warm solve is for inner
+        loops, and stays on the mesh that it starts from.
     structure : {"auto", "bang-bang", "none"}
         How to refine; see `refine`.
     options : SolverOptions, optional
@@ -74,6 +84,10 @@ def solve(
         expect(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
     options = SolverOptions() if options is None else options
     expect(options, SolverOptions, "the options of solve()", "write options=SolverOptions(tolerance=1e-9)")
+    if tol == "auto":
+        tol = TOLERANCE if guess is None else None
+    elif tol is not None:
+        tol = read_positive(tol, "the tolerance of solve()")
     problem.check()
     begin = time.perf_counter()
     solution = solve_mesh(problem, mesh, scheme=scheme, guess=guess, options=options, progress=progress)

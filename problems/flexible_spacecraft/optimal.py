@@ -109,7 +109,7 @@ def solved(name: str) -> go.Solution:
     if name == "fast":
         return go.solve(build(), mesh=MESH, tol=1e-8)
     # a reference to follow: two passes leave 1e-6 s of the optimum, others add arcs of milliseconds
-    first = go.solve(build(RESERVED * MAX_TORQUE), mesh=MESH)
+    first = go.solve(build(RESERVED * MAX_TORQUE), mesh=MESH, tol=None)
     return go.refine(first, structure="bang-bang", max_passes=2)
 
 

@@ -151,7 +151,7 @@ class Structure:
         """Return the solution whose switch times are optimal."""
         states = np.zeros((11, len(self.times) - 1), dtype=int)
         states[7:11] = self.momenta
-        plain = go.solve(problem, mesh="40x4")
+        plain = go.solve(problem, mesh="40x4", tol=None)
         held = problem.with_arcs(arcs=np.array(self.torques), states=states)
         mesh = go.Mesh.at_times(self.times, self.points, movable=True)
         return go.solve(held, mesh=mesh, guess=plain)

@@ -134,7 +134,7 @@ def plan(case: int = 1, reserve: float = RESERVE, *, refined: bool = True) -> go
         raise go.ProblemError(f"a share of {reserve!r} of the authority is none: give a number in (0, 1].")
     torque, force = reserve * MAX_TORQUE, reserve * MAX_FORCE
     problem = build(case, "exact").with_bounds(T_B=(-torque, torque), F_B=(-force, force))
-    solution = go.solve(problem, mesh=PAPER_MESH)
+    solution = go.solve(problem, mesh=PAPER_MESH, tol=None)
     return go.refine(solution) if refined else solution
 
 

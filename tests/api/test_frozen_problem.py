@@ -26,7 +26,7 @@ def rest_to_rest() -> tuple[go.Problem, go.Phase]:
 def test_other_bounds_afterwards_leave_the_solution_alone() -> None:
     """With |a| <= 1 the minimum time is 2, with |a| <= 2 it would be sqrt(2)."""
     problem, leg = rest_to_rest()
-    solution = go.solve(problem)
+    solution = go.solve(problem, tol=None)
     leg.bounds(a=(-2.0, 2.0))
     assert go.refine(solution).objective == pytest.approx(2.0, abs=1e-9)
     assert go.multistart(solution.problem, n=2, executor="serial").best.objective == pytest.approx(
@@ -37,7 +37,7 @@ def test_other_bounds_afterwards_leave_the_solution_alone() -> None:
 
 def test_other_end_values_afterwards_leave_verdict_and_reference_alone() -> None:
     problem, leg = rest_to_rest()
-    solution = go.refine(go.solve(problem))
+    solution = go.refine(go.solve(problem, tol=None))
     leg.final(q=0.5)
     problem.parameter("late")
     assert go.verify(solution).ok
@@ -49,7 +49,7 @@ def test_other_end_values_afterwards_leave_verdict_and_reference_alone() -> None
 
 def test_a_loaded_solution_keeps_its_own_problem_too(tmp_path) -> None:  # type: ignore[no-untyped-def]
     problem, leg = rest_to_rest()
-    path = go.solve(problem).save(tmp_path / "plan.npz")
+    path = go.solve(problem, tol=None).save(tmp_path / "plan.npz")
     loaded = go.load(path, problem=problem)
     leg.bounds(a=(-2.0, 2.0))
     assert go.refine(loaded).objective == pytest.approx(2.0, abs=1e-9)
@@ -75,7 +75,7 @@ CHANGES: dict[str, Callable[[go.Problem], object]] = {
 
 @pytest.mark.parametrize("change", CHANGES)
 def test_the_problem_of_a_solution_refuses_every_declaration(change: str) -> None:
-    solution = go.solve(rest_to_rest()[0])
+    solution = go.solve(rest_to_rest()[0], tol=None)
     assert solution.problem is not None
     before = solution.problem.fingerprint()
     with pytest.raises(go.ProblemError, match="cannot be changed any more: make a variation"):
@@ -84,7 +84,7 @@ def test_the_problem_of_a_solution_refuses_every_declaration(change: str) -> Non
 
 
 def test_variations_of_the_problem_of_a_solution_are_open_again() -> None:
-    solution = go.solve(rest_to_rest()[0])
+    solution = go.solve(rest_to_rest()[0], tol=None)
     assert solution.problem is not None
     varied = solution.problem.with_bounds(a=(-2.0, 2.0))
     varied.get_phase().final(q=0.5)

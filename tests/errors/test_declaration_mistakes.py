@@ -49,7 +49,9 @@ def test_two_phases_may_share_a_model() -> None:
     legs[1].final(q=1.0, v=0.0)
     problem.link(*legs)
     problem.minimize(sum(leg.integral(model.symbol("a") ** 2) for leg in legs))
-    assert go.solve(problem, mesh="4x3").objective == pytest.approx(12.0 / 2.0**3, rel=1e-6)  # 12 d^2 / T^3
+    assert go.solve(problem, mesh="4x3", tol=None).objective == pytest.approx(
+        12.0 / 2.0**3, rel=1e-6
+    )  # 12 d^2 / T^3
 
 
 def test_two_phases_may_share_a_model_with_parameters() -> None:
@@ -64,7 +66,7 @@ def test_two_phases_may_share_a_model_with_parameters() -> None:
     force = model.symbol("force")
     problem.minimize(sum(leg.integral(force.T @ force) for leg in legs) * model.symbol("mass"))
     # r' = force / mass over 2 s: the force is mass / 2 in three axes, the cost mass * 2 * 3 (mass / 2)^2.
-    assert go.solve(problem, mesh="2x3").objective == pytest.approx(12.0, rel=1e-9)
+    assert go.solve(problem, mesh="2x3", tol=None).objective == pytest.approx(12.0, rel=1e-9)
 
 
 @mistake(go.UnknownNameError, "problem 'rest to rest' has no phase 'lag'", "did you mean 'leg'?")

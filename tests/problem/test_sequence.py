@@ -62,7 +62,7 @@ def test_stages_that_are_dropped_obey_the_rocket_equation() -> None:
     first.final(m=3e3)
     second.final(m=0.8e3)
     problem.minimize(second.final_time)  # full thrust throughout
-    solution = go.solve(problem, mesh="8x4")
+    solution = go.solve(problem, mesh="8x4", tol=None)
     assert solution.phases["second"].x(solution.phases["second"].initial_time)[1] == pytest.approx(2e3)
     gained = float(solution.state("v", "second")(solution.phases["second"].final_time))
     assert gained == pytest.approx(3000.0 * (math.log(7 / 3) + math.log(2 / 0.8)), rel=1e-5)

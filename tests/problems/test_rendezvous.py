@@ -23,7 +23,7 @@ ORBIT_RADIUS = RADIUS_EARTH + rendezvous.ALTITUDE
 
 @pytest.fixture(scope="module")
 def case_1() -> go.Solution:
-    return go.solve(rendezvous.build(), mesh=rendezvous.MESH)
+    return go.solve(rendezvous.build(), mesh=rendezvous.MESH, tol=None)
 
 
 # --- reference values -----------------------------------------------------------------------------------
@@ -32,7 +32,7 @@ def case_1() -> go.Solution:
 @pytest.mark.parametrize("equation", rendezvous.EQUATIONS)
 @pytest.mark.parametrize("case", rendezvous.CASES)
 def test_minimum_time_on_the_papers_mesh(case: int, equation: rendezvous.Equation) -> None:
-    solution = go.solve(rendezvous.build(case, equation), mesh=rendezvous.MESH)
+    solution = go.solve(rendezvous.build(case, equation), mesh=rendezvous.MESH, tol=None)
     reference = rendezvous.REFERENCE[case, equation]["20x3"]
     assert solution.status is go.Status.OPTIMAL
     # 2e-4 s also covers the two solvers' bound relaxation and stopping tolerances (about 2e-6 s here).
@@ -55,15 +55,17 @@ def test_size_of_the_program_is_the_papers(case_1: go.Solution) -> None:
 def test_parameters_of_the_chaser_can_be_dispersed_without_a_new_build() -> None:
     """A heavier chaser needs more time; scaling inertia and torque together changes nothing."""
     problem = rendezvous.build(3)
-    nominal = go.solve(problem, mesh=rendezvous.MESH)
-    heavy = go.solve(problem.with_parameters(mass=1.1 * rendezvous.MASS), mesh=rendezvous.MESH)
+    nominal = go.solve(problem, mesh=rendezvous.MESH, tol=None)
+    heavy = go.solve(problem.with_parameters(mass=1.1 * rendezvous.MASS), mesh=rendezvous.MESH, tol=None)
     assert heavy.statistics.build_reused
     assert heavy.objective > nominal.objective + 0.1
     scaled = problem.with_parameters(inertia=2 * np.array(rendezvous.INERTIA)).with_bounds(
         T_B=(-2 * rendezvous.MAX_TORQUE, 2 * rendezvous.MAX_TORQUE)
     )
     # Same problem in other units of torque: equal up to the solver's tolerance.
-    assert go.solve(scaled, mesh=rendezvous.MESH).objective == pytest.approx(nominal.objective, abs=1e-6)
+    assert go.solve(scaled, mesh=rendezvous.MESH, tol=None).objective == pytest.approx(
+        nominal.objective, abs=1e-6
+    )
 
 
 # --- structure ------------------------------------------------------------------------------------------
@@ -105,7 +107,7 @@ def test_movable_switches_reach_the_reference_and_pass_every_condition(
     solution = go.solve(
         problem.with_arcs(arcs=rendezvous.switch_arcs(case)),
         mesh=rendezvous.switch_mesh(case, 9, movable=True),
-        guess=go.solve(problem, mesh=rendezvous.MESH),
+        guess=go.solve(problem, mesh=rendezvous.MESH, tol=None),
         options=go.SolverOptions(
             tolerance=1e-10
         ),  # the guard on sigma is never active; its barrier shows at 1e-9
@@ -140,7 +142,8 @@ def test_case_1_has_a_mirror_twin() -> None:
     problem = rendezvous.build(1)
     push = 0.1 * rendezvous.MAX_FORCE
     one, other = (
-        go.solve(problem.with_guess(F_B=[0.0, side * push, 0.0]), mesh=rendezvous.MESH) for side in (1, -1)
+        go.solve(problem.with_guess(F_B=[0.0, side * push, 0.0]), mesh=rendezvous.MESH, tol=None)
+        for side in (1, -1)
     )
     assert one.objective == pytest.approx(other.objective, abs=1e-7)
     t = np.linspace(0.0, min(one.objective, other.objective), 50)
@@ -169,7 +172,7 @@ def test_the_plane_of_symmetry_holds_a_saddle_that_the_default_guess_avoids(case
     confined = problem.with_bounds(
         T_B=([0.0, -torque, 0.0], [0.0, torque, 0.0]), F_B=([-force, 0.0, -force], [force, 0.0, force])
     )
-    planar = go.solve(confined, mesh=rendezvous.MESH)
+    planar = go.solve(confined, mesh=rendezvous.MESH, tol=None)
     assert planar.objective == pytest.approx(27.185, abs=1e-3)
     lifted = go.solve(problem, mesh=rendezvous.MESH, guess=planar)
     assert lifted.objective == pytest.approx(planar.objective, abs=1e-6)
@@ -201,8 +204,8 @@ def wild_guess(seed: int) -> dict[str, Any]:
 def spurious_solution() -> tuple[int, go.Solution]:
     """Return the first wild start that IPOPT calls solved although sigma runs off, and its seed."""
     unguarded = rendezvous.build(1).with_bounds(sigma=None)
-    for seed in (1, 3, 13, 0, 6, 12, 15):
-        solution = go.solve(unguarded.with_guess(**wild_guess(seed)), mesh="10x4", throw=False)
+    for seed in (13, 1, 3, 0, 6, 12, 15):
+        solution = go.solve(unguarded.with_guess(**wild_guess(seed)), mesh="10x4", throw=False, tol=None)
         sigma = np.asarray(solution.state("sigma")(solution.phase().sample_times(5)))
         if solution.status.solved and np.max(np.linalg.norm(sigma, axis=0)) > 5.0:
             return seed, solution
@@ -218,7 +221,7 @@ def test_without_the_guard_a_coarse_mesh_has_spurious_optima_which_the_verdict_r
         verdict["dynamics"].value > 0.1
     )  # not a matter of tolerance: the states are nowhere near a trajectory
     assert verdict["propagation"].result is not go.Result.PASS
-    guarded = go.solve(rendezvous.build(1).with_guess(**wild_guess(seed)), mesh="10x4")
+    guarded = go.solve(rendezvous.build(1).with_guess(**wild_guess(seed)), mesh="10x4", tol=None)
     sigma = np.asarray(guarded.state("sigma")(guarded.phase().sample_times(5)))
     assert np.max(np.abs(sigma)) < 1.1
     assert guarded.objective > rendezvous.REFERENCE[1, "printed"]["exact"].value

@@ -105,5 +105,5 @@ def test_run_writes_resumes_and_keeps_what_is_done(
 
 def test_the_long_way_round_is_longer() -> None:
     """Its excess over the way across a pole, by the lengths themselves."""
-    long = go.solve(great_circle(1.5 * np.pi), mesh="10x4").objective
+    long = go.solve(great_circle(1.5 * np.pi), mesh="10x4", tol=None).objective
     assert long == pytest.approx(0.5 * (1.5 * np.pi) ** 2, rel=1e-6)

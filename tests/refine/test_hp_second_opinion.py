@@ -56,7 +56,7 @@ def refiner(status: RefinementStatus) -> Callable[[go.Solution], go.Solution]:
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_better_minimum_is_kept(sign: float) -> None:
     """The first answer is in the shallow well and does not come to rest, the second opinion starts in the deep one."""
-    shallow = go.solve(two_wells(1.0, sign), **COMMON)
+    shallow = go.solve(two_wells(1.0, sign), tol=None, **COMMON)
     assert sign * shallow.objective == pytest.approx(well(1.0), rel=1e-8)
     restless = refiner(RefinementStatus.STALLED)(shallow)
     kept = better_of_two(two_wells(-1.0, sign), shallow, restless, go.refine, go.SolverOptions(), **COMMON)
@@ -64,7 +64,7 @@ def test_the_better_minimum_is_kept(sign: float) -> None:
 
 
 def test_a_worse_minimum_is_not_even_refined() -> None:
-    deep = go.solve(two_wells(-1.0), **COMMON)
+    deep = go.solve(two_wells(-1.0), tol=None, **COMMON)
     restless = refiner(RefinementStatus.STALLED)(deep)
 
     def refuse(_: go.Solution) -> go.Solution:
@@ -74,7 +74,7 @@ def test_a_worse_minimum_is_not_even_refined() -> None:
 
 
 def test_a_better_but_less_accurate_answer_is_refused() -> None:
-    shallow = go.solve(two_wells(1.0), **COMMON)
+    shallow = go.solve(two_wells(1.0), tol=None, **COMMON)
     restless = refiner(RefinementStatus.STALLED)(shallow)
 
     def spoil(solution: go.Solution) -> go.Solution:
@@ -96,7 +96,7 @@ def test_a_better_but_less_accurate_answer_is_refused() -> None:
     ],
 )
 def test_a_strategy_that_the_user_chose_is_left_alone(options: SolverOptions) -> None:
-    shallow = go.solve(two_wells(1.0), **COMMON)
+    shallow = go.solve(two_wells(1.0), tol=None, **COMMON)
     restless = refiner(RefinementStatus.STALLED)(shallow)
     assert better_of_two(two_wells(-1.0), shallow, restless, go.refine, options, **COMMON) is restless
 
@@ -123,5 +123,5 @@ def test_solve_asks_only_when_refinement_does_not_come_to_rest(monkeypatch: pyte
     )
     go.solve(two_wells(1.0), tol=1e-8)
     assert asked == [False]
-    go.solve(two_wells(1.0), tol=1e-8, guess=go.solve(two_wells(-1.0)))
+    go.solve(two_wells(1.0), tol=1e-8, guess=go.solve(two_wells(-1.0), tol=None))
     assert asked == [False], "a given solution is the user's choice of a minimum"

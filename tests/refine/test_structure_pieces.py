@@ -112,7 +112,7 @@ def test_only_the_piece_that_is_inaccurate_is_solved_more_finely() -> None:
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
     problem.minimize(leg.final_time)
-    solution = go.refine(go.solve(problem, mesh="10x4"), structure="bang-bang")
+    solution = go.refine(go.solve(problem, mesh="10x4", tol=None), structure="bang-bang")
     assert solution.objective == pytest.approx(2.0, abs=1e-9)
     assert solution.state("z")(2.0 - 1e-9) == pytest.approx(1 / 30, rel=1e-6)
     first, *others = solution.phase().mesh.degrees
@@ -134,7 +134,7 @@ def test_switches_are_found_at_the_zeros_of_the_switching_function() -> None:
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
     problem.minimize(leg.final_time)
-    samples = go.solve(problem, mesh="5x4").samples()["leg"]
+    samples = go.solve(problem, mesh="5x4", tol=None).samples()["leg"]
     structure = detect(samples)
     assert [piece[0] for piece in structure.kinds] == [LOW, UP]
     assert abs(switching(samples, 0)(structure.times[1])) < 1e-12
@@ -179,7 +179,7 @@ def regulator(x_unit: float, u_unit: float, t_unit: float, cost: float) -> go.Pr
                                    (1.0, 1.0, 1.0, 1e3), (0.1, -20.0, 0.05, 0.02)])  # fmt: skip
 def test_the_structure_does_not_depend_on_units(problem: object, units: tuple[float, ...]) -> None:
     """Same arcs, same passes, same mesh; the arcs of a control in a negative unit are upside down."""
-    usual, other = (go.refine(go.solve(problem(*u))) for u in ((1.0,) * 4, units))  # type: ignore[operator]
+    usual, other = (go.refine(go.solve(problem(*u), tol=None)) for u in ((1.0,) * 4, units))  # type: ignore[operator]
     upside_down = {LOW: UP, UP: LOW} if units[1] < 0 else {}
     for a, b in zip(usual.structure, other.structure, strict=True):
         assert b.kind is upside_down.get(a.kind, a.kind)
@@ -211,7 +211,7 @@ def power_limited(unit: float) -> go.Problem:
 @pytest.mark.parametrize("unit", [1.0, 1e-3, 1e3])
 def test_power_limit_is_found_though_at_rest_it_does_not_depend_on_the_control(unit: float) -> None:
     """Free, at the limit (v^2 / 2 grows by 3 t), free again with a linear control: lam_q is constant."""
-    first = go.solve(power_limited(unit), mesh="12x4")
+    first = go.solve(power_limited(unit), mesh="12x4", tol=None)
     rows = [piece[0] for piece in zip(*detect(first.samples()["leg"]).paths.tolist(), strict=True)]
     assert rows == [FREE, UP, FREE]
     solution = go.refine(first)
@@ -239,7 +239,7 @@ MESHES = ["8x4", "10x3", "15x4", "20x3", "30x4", "40x3"]
 @pytest.mark.parametrize("units", [(1.0, 1.0, 1.0, 1.0), (1.0, 0.01, 1.0, 1.0), (40.0, -30.0, 10.0, 1e3)])
 def test_a_singular_arc_is_found_to_a_segment_on_any_mesh(mesh: str, units: tuple[float, ...]) -> None:
     """Controls chatter beside its ends; the short bangs are not taken for arcs. The ends are 0.338 s and 2.531 s."""
-    solution = go.solve(pursuit(*units), mesh=mesh)
+    solution = go.solve(pursuit(*units), mesh=mesh, tol=None)
     structure = detect(solution.samples()["leg"])
     bangs = [LOW, UP] if units[1] > 0 else [UP, LOW]
     assert [piece[0] for piece in structure.kinds] == [bangs[0], ArcKind.SINGULAR, bangs[1]]
@@ -249,7 +249,7 @@ def test_a_singular_arc_is_found_to_a_segment_on_any_mesh(mesh: str, units: tupl
 
 @pytest.mark.parametrize("mesh", MESHES)
 def test_two_bangs_before_a_singular_arc_are_found_on_any_mesh(mesh: str) -> None:
-    solution = go.solve(van_der_pol.build(), mesh=mesh)
+    solution = go.solve(van_der_pol.build(), mesh=mesh, tol=None)
     (samples,) = solution.samples().values()
     structure = detect(samples)
     assert [piece[0] for piece in structure.kinds] == [LOW, UP, ArcKind.SINGULAR]

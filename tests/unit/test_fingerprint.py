@@ -90,7 +90,7 @@ def test_value_of_a_parameter_that_is_optimised_does_not_count() -> None:
 
 def test_answer_for_one_free_parameter_is_not_joined_to_the_problem_with_another(tmp_path: Any) -> None:
     """The mass that is best for a given spring says nothing about the spring that is best for a given mass."""
-    solution = go.solve(cart(free="spring"), mesh="4x5", throw=False)
+    solution = go.solve(cart(free="spring"), mesh="4x5", throw=False, tol=None)
     file = solution.save(tmp_path / "cart.npz")
     assert np.isfinite(go.load(file, problem=cart(free="spring")).objective)
     for other in (cart(free="mass"), cart()):

@@ -28,7 +28,7 @@ def fall(rate_of_v: Any = lambda x, v, u: u) -> go.Problem:
 
 @pytest.fixture(scope="module")
 def solution() -> go.Solution:
-    return go.solve(fall(), mesh="4x4")
+    return go.solve(fall(), mesh="4x4", tol=None)
 
 
 def flown_with(solution: go.Solution, rate_of_v: Any) -> Propagation:

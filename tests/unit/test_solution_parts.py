@@ -26,7 +26,7 @@ def test_integrals_by_name() -> None:
     leg.final(x=1.0)
     leg.integral(x, name="area")
     problem.minimize(leg.integral(u**2, name="effort"))
-    phase = go.solve(problem, mesh="2x4").phase()
+    phase = go.solve(problem, mesh="2x4", tol=None).phase()
     assert (phase.integral("area"), phase.integral("effort")) == pytest.approx((1.0, 0.5), rel=1e-8)
     with pytest.raises(go.UnknownNameError, match="did you mean 'effort'"):
         phase.integral("efort")
@@ -47,7 +47,7 @@ def test_numbers_are_numbers_and_vectors_are_vectors() -> None:
     problem.constrain("both", q, equals=[1.0, 1.0])
     problem.constrain("one", p, upper=5.0)
     problem.minimize(leg.integral(u**2) + (p - 1) ** 2 + (q[0] - 2) ** 2 + (q[1] - 3) ** 2)
-    solution = go.solve(problem, mesh="1x4")
+    solution = go.solve(problem, mesh="1x4", tol=None)
     assert isinstance(solution.parameter("p"), float) and isinstance(solution.multiplier("one"), float)
     assert solution.parameter("p") == pytest.approx(1.0, abs=1e-7)
     assert solution.parameter("q") == pytest.approx([1.0, 1.0], abs=1e-9)

@@ -47,7 +47,7 @@ def oscillator(control_bound: float = 1.0) -> go.Problem:
 
 @pytest.fixture(scope="module")
 def refined() -> go.Solution:
-    return refine(go.solve(oscillator(), mesh="20x3"))
+    return refine(go.solve(oscillator(), mesh="20x3", tol=None))
 
 
 def test_switches_are_half_periods_apart(refined: go.Solution) -> None:
@@ -130,7 +130,7 @@ def drifting(start: float) -> go.Problem:
 def test_least_curvature_with_a_free_start_and_a_cost_that_depends_on_time(start: float) -> None:
     """x = x0 + t up to the switch s and x0 + 2 s - t after it: the cost of (x0, s) is a cubic, differentiated here."""
     mesh = go.Mesh.at_times([start, start + 0.8, start + 2.0], 5, movable=True)
-    solution = go.solve(drifting(start).with_arcs(arcs=[[1, -1]]), mesh=mesh)
+    solution = go.solve(drifting(start).with_arcs(arcs=[[1, -1]]), mesh=mesh, tol=None)
     arcs = (
         Arc("leg", "u", ArcKind.UPPER, start, float(solution.phase().breaks[1])),
         Arc("leg", "u", ArcKind.LOWER, float(solution.phase().breaks[1]), start + 2.0),
@@ -234,7 +234,7 @@ def weighted(weight: float) -> go.Solution:
     problem.minimize(weight * leg.final_time)
     mesh = go.Mesh.at_times([0.0, 9.0, 20.0], 5, movable=True)
     options = go.SolverOptions(tolerance=1e-11)
-    solution = go.solve(problem.with_arcs(arcs=[[-1, 1]]), mesh=mesh, options=options)
+    solution = go.solve(problem.with_arcs(arcs=[[-1, 1]]), mesh=mesh, options=options, tol=None)
     arcs = (Arc("leg", "a", ArcKind.LOWER, 0.0, 10.0), Arc("leg", "a", ArcKind.UPPER, 10.0, 20.0))
     return replace(solution, structure=arcs)
 
@@ -251,7 +251,7 @@ def test_a_single_arc_has_no_switch_to_judge() -> None:
     leg.final(x=1.0)
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(leg.final_time)
-    solution = go.solve(problem.with_arcs(arcs=[[1]]), mesh="1x4")
+    solution = go.solve(problem.with_arcs(arcs=[[1]]), mesh="1x4", tol=None)
     verdict = go.verify(replace(solution, structure=(Arc("leg", "u", ArcKind.UPPER, 0.0, 1.0),)))
     strict, second = verdict["strict switches"], verdict["second order"]
     assert (strict.result, strict.value, strict.where) == (Result.PASS, 0.0, "no switch")
@@ -342,7 +342,7 @@ def pair(kappa: float) -> go.Solution:
     total = leg.final_state("x") + leg.final_state("y") - leg.integral(x + y)
     problem.minimize(total - kappa / 8 * ends**2)
     mesh = go.Mesh.at_times([0.0, 0.9, 2.0], 5, movable=True)
-    solution = go.solve(problem.with_arcs(arcs=[[1, -1], [1, -1]]), mesh=mesh)
+    solution = go.solve(problem.with_arcs(arcs=[[1, -1], [1, -1]]), mesh=mesh, tol=None)
     arcs = [
         Arc("leg", c, k, *e)
         for c in "uw"
@@ -370,7 +370,7 @@ def test_equal_carts_switch_together() -> None:
     leg.final(q=[0.0, 0.0], v=[0.0, 0.0])
     leg.bounds(a=([-1.0, -1.0], [1.0, 1.0]))
     problem.minimize(leg.final_time)
-    solution = go.refine(go.solve(problem, mesh="7x3"), structure="bang-bang")
+    solution = go.refine(go.solve(problem, mesh="7x3", tol=None), structure="bang-bang")
     verdict = go.verify(solution)
     assert solution.objective == pytest.approx(2.0, abs=1e-8)
     assert len(solution.structure) == 4 and verdict.minimum, verdict.explain()
@@ -416,7 +416,7 @@ def test_a_switch_may_come_in_from_the_end(gain: float, result: Result) -> None:
     leg.time(0.0, 2.0)
     leg.initial(q=0.0, v=0.0)
     problem.minimize(-leg.final_state("q") - gain * (leg.final_state("v") - 2.0) ** 2)
-    verdict = go.verify(go.solve(problem.with_arcs(arcs=[[1]]), mesh="1x4"))
+    verdict = go.verify(go.solve(problem.with_arcs(arcs=[[1]]), mesh="1x4", tol=None))
     assert verdict["second order"].result is result, verdict.explain()
     assert verdict["strict switches"].result is verdict["induced gradient"].result is Result.PASS
 
@@ -438,6 +438,6 @@ def test_each_phase_of_several_has_switches_of_its_own(split: float, result: Res
         ends.append(leg.final_state("x"))
     problem.minimize(total - split / 8 * (ends[0] - ends[1]) ** 2)
     held = problem.with_arcs("first", arcs=[[1, -1]]).with_arcs("second", arcs=[[1, -1]])
-    verdict = go.verify(go.solve(held, mesh=go.Mesh.at_times([0.0, 0.9, 2.0], 5, movable=True)))
+    verdict = go.verify(go.solve(held, mesh=go.Mesh.at_times([0.0, 0.9, 2.0], 5, movable=True), tol=None))
     condition = verdict["second order"]
     assert condition.result is result and "2 degrees of freedom" in condition.where, verdict.explain()

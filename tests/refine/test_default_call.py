@@ -1,0 +1,67 @@
+"""What solve() does where nobody says how: refine, judge and tell, but stay cheap where it is called in loops."""
+
+from __future__ import annotations
+
+import pytest
+
+import gnc_opt as go
+from gnc_opt.solve import TOLERANCE
+from gnc_opt.verify.kept import kept_verdict
+from gnc_opt.verify.verify import TOLERANCE as JUDGED
+
+
+def dash(limit: float = 1.0) -> go.Problem:
+    """Return rest to rest over 1 m in minimum time, 2 / sqrt(limit)."""
+    cart = go.Model("cart")
+    q, v, a = cart.state("q"), cart.state("v"), cart.control("a")
+    cart.ode({q: v, v: a})
+    problem = go.Problem("dash")
+    leg = problem.phase("leg", cart)
+    leg.time(initial=0.0, final=(0.1, 10.0))
+    leg.initial(q=1.0, v=0.0)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(a=(-limit, limit))
+    problem.minimize(leg.final_time)
+    return problem
+
+
+@pytest.fixture(scope="module")
+def solution() -> go.Solution:
+    """Three segments put no boundary on the switch at half time."""
+    return go.solve(dash(), mesh="3x3")
+
+
+def test_the_default_call_refines_and_judges(solution: go.Solution) -> None:
+    history = solution.history
+    assert history is not None and history.converged and history.tolerance == TOLERANCE == 1e-6
+    assert solution.objective == pytest.approx(2.0, abs=1e-9)
+    verdict = kept_verdict(solution, JUDGED)
+    assert verdict is not None and verdict.minimum and go.verify(solution) is verdict
+
+
+def test_the_lines_of_a_person_say_so(solution: go.Solution) -> None:
+    lines = str(solution).splitlines()
+    assert len(lines) == 6 and "refined (converged)" in lines[0]
+    assert lines[1].split(maxsplit=1) == ["verdict", "every condition passes: a strict local minimum"]
+    assert "(wanted 1.0e-06)" in lines[2]
+
+
+def test_an_explicit_mesh_is_where_refining_starts(solution: go.Solution) -> None:
+    one_pass = go.solve(dash(), mesh="3x3", tol=None)
+    assert one_pass.history is None and str(one_pass.phase().mesh) == "3x3"
+    assert one_pass.objective > 2.0 + 1e-3  # no control of three pieces of degree 2 switches in the middle
+    assert str(solution.phase().mesh) != "3x3"
+
+
+def test_a_warm_solve_stays_on_the_mesh_of_its_guess_unless_told(solution: go.Solution) -> None:
+    start = go.solve(dash(), mesh="4x3", tol=None)
+    again = go.solve(dash(1.01), guess=start)
+    assert again.history is None and str(again.phase().mesh) == "4x3"
+    asked = go.solve(dash(1.01), guess=start, tol=1e-6)
+    assert asked.converged and asked.objective == pytest.approx(2.0 / 1.01**0.5, abs=1e-9)
+
+
+@pytest.mark.parametrize("tol", [0.0, -1e-6, float("nan"), "tight", True])
+def test_a_tolerance_that_is_none_is_refused_before_solving(tol: object) -> None:
+    with pytest.raises(go.ArgumentError, match=r"the tolerance of solve\(\) is"):
+        go.solve(dash(), tol=tol)  # type: ignore[arg-type]
