@@ -53,6 +53,8 @@ class Campaign(Strict):
     saturation_time, variation : array (n_commands, m)
         As in `Run`.
     integration_error : array (m,)
+    memory : array (n_memory, m)
+        Of the controller at the end; (0, 0) in files of versions that did not store it.
     outcomes : tuple of m Outcome
     span : tuple of two floats
         First and last time, s.
@@ -63,7 +65,7 @@ class Campaign(Strict):
     interrupted : bool
         Whether Ctrl-C ended the campaign before its time.
     layouts : mapping
-        Names, sizes and units by kind: parameter, state, error, applied, command.
+        Names, sizes and units by kind: parameter, state, error, applied, command, memory.
     flight : Flight or None
         What was flown; not stored in files.
     fingerprint : str
@@ -90,6 +92,7 @@ class Campaign(Strict):
     layouts: Mapping[str, Layout] = field(repr=False)
     flight: Flight | None = field(default=None, repr=False)
     fingerprint: str = field(default="", repr=False)
+    memory: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
 
     def __len__(self) -> int:
         return len(self.outcomes)
@@ -393,12 +396,18 @@ def _require_same(campaign: Campaign, flight: Flight, path: str | Path) -> None:
 _PACKING = Packing((Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("flight",)})
 
 
-def _second_fields(header: dict[str, Any], arrays: Arrays) -> dict[str, Any]:
-    """Return the fields of a `Campaign` of version 2, which has no fingerprint."""
+def _earlier_fields(header: dict[str, Any], arrays: Arrays) -> dict[str, Any]:
+    """Return the fields of a `Campaign` of version 2, which has no fingerprint, or 3, which has no memory."""
     return dict(vars(_PACKING.unpack(header["campaign"], arrays)))
 
 
-CAMPAIGN_FILES = FileFormat(Campaign, "campaign", 3, _PACKING, older={1: campaign_fields, 2: _second_fields})
+CAMPAIGN_FILES = FileFormat(
+    Campaign,
+    "campaign",
+    4,
+    _PACKING,
+    older={1: campaign_fields, 2: _earlier_fields, 3: _earlier_fields},
+)
 
 
 def _or_infinite(values: Array) -> Array:

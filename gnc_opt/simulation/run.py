@@ -78,7 +78,7 @@ class Run(Strict):
     memory : array (n_memory, N + 1)
         Of the controller.
     reference : array (n, N + 1) or None
-        What the controller follows.
+        What the controller follows, see `followed`.
     errors : array (n_errors, N + 1) or None
         States relative to the reference, by the plant's own difference; not-a-number for states without one.
     parameters : array (n_parameters,)
@@ -91,7 +91,7 @@ class Run(Strict):
         Whether all is well; otherwise what went wrong first, and when.
     seed : str
     layouts : dict
-        Names, sizes and units by kind: state, measured, command, applied, memory, error, parameter.
+        Names, sizes and units by kind: state, measured, followed, command, applied, memory, error, parameter.
     """
 
     times: Array
@@ -123,6 +123,11 @@ class Run(Strict):
         lines.insert(-1, "  effort        " + _listed(self.layouts["applied"], self.effort, " s"))
         lines.insert(-1, "  saturated     " + _listed(self.layouts["command"], self.saturation, None))
         return "\n".join(lines)
+
+    @property
+    def followed(self) -> Layout:
+        """Names, sizes and units of the states that the reference is of."""
+        return self.layouts.get("followed", self.layouts["measured"])  # older files know no estimators
 
     # --- signals ------------------------------------------------------------------------------------------
 
@@ -193,7 +198,7 @@ class Run(Strict):
         index = -1 if at is None else int(np.argmin(np.abs(self.times - at)))
         self._need_errors()
         assert self.reference is not None
-        place = self.layouts["measured"].slice(name)
+        place = self.followed.slice(name)
         return metrics.rotation_angle(self.state(name).values[:, index], self.reference[place, index])
 
     def settling_time(self, name: str, band: float, target: ArrayLike | None = None) -> float:

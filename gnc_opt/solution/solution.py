@@ -236,6 +236,11 @@ class Solution:
 
     def samples(self) -> dict[str, PhaseSamples]:
         """Return every phase sampled densely in time, from model and trajectory alone; needs the problem."""
+        return dict(self._samples)
+
+    @cached_property
+    def _samples(self) -> dict[str, PhaseSamples]:
+        """Kept, for what is derived from them is asked for again and again while a solution is refined."""
         return {name: PhaseSamples.of(leg, self.functions(name)) for name, leg in self.phases.items()}
 
     # --- quality ----------------------------------------------------------------------------------
@@ -251,7 +256,7 @@ class Solution:
         found: list[OutsideTable] = []
         for name, leg in problem.phases.items():
             if table_uses(problem, leg):
-                s = PhaseSamples.of(self.phases[name], self.functions(name))
+                s = self._samples[name]
                 found += outside_tables(
                     problem, leg, s.times, s.x, s.u, s.leg.parameters, self.parameter_values
                 )
