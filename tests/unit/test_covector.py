@@ -15,6 +15,7 @@ from gnc_opt.nlp import SolverOptions
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.solution.attempt import Attempt
 from gnc_opt.solution.covector import (
+    Iterate,
     _boundary_costates,
     _CostatePieces,
     _held_segments,
@@ -24,11 +25,18 @@ from gnc_opt.solution.covector import (
     point_multipliers,
     settle_doubled_paths,
 )
-from gnc_opt.solution.extract import _mesh_in_time, _point_times, _time_multipliers, model_parameters
+from gnc_opt.solution.extract import (
+    _mesh_in_time,
+    _point_times,
+    _time_multipliers,
+    extract_phases,
+    model_parameters,
+)
 from gnc_opt.solution.start import guess_from_solution, start_from_guess, start_from_solution, with_integrals
 from gnc_opt.transcription.collocation import PhaseCollocation
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.scheme import SCHEMES, Scheme
+from gnc_opt.transcription.transcription import transcribe
 
 UNEVEN = Mesh((0.0, 0.3, 1.0), (3, 4))
 
@@ -283,6 +291,29 @@ def test_shares_go_by_the_weights_of_unlike_segments() -> None:
         part, np.array([[0.0, 2, 3, 5, 0, 0]]), 4 * part.quadrature, np.array([False])
     )
     assert one_sided == pytest.approx(np.array([[0, 2, 18.0, 0, 0, 0]]))
+
+
+def test_a_path_is_mixed_if_any_control_moves_it_anywhere() -> None:
+    """One of two controls, with a factor that vanishes at the start: its doubled multipliers stay what they are."""
+    model = go.Model("two")
+    x, y = model.state("x"), model.state("y")
+    a, b = model.control("a"), model.control("b")
+    model.ode({x: a, y: b})
+    problem = go.Problem("two")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    leg.path("mixed", y + a * model.time, upper=9.0)
+    leg.path("pure", x, upper=9.0)
+    problem.minimize(leg.final_state("x"))
+    transcription = transcribe(problem, {"leg": Mesh((0.0, 0.5, 1.0), (4, 4))}, "LGL")
+    collocation = transcription.parts["leg"].collocation
+    lam = np.zeros(transcription.n_constraints)
+    lam[collocation.path_rows] = [np.arange(1.0, 9.0), np.arange(1.0, 9.0)]
+    iterate = Iterate(np.zeros(transcription.n_variables), np.zeros(transcription.n_variables), lam)
+    phases, _ = extract_phases(transcription, problem, iterate)
+    densities = np.arange(1.0, 9.0) / (2 * collocation.quadrature)
+    np.testing.assert_allclose(phases["leg"].path_multipliers[0], densities)
+    assert np.max(np.abs(phases["leg"].path_multipliers[1] - densities)[3:5]) > 0.1
 
 
 # --- from the program and back ----------------------------------------------------------------------------
