@@ -680,4 +680,5 @@ def test_a_verdict_is_kept_for_its_tolerance() -> None:
     problem = by_hand.cart()
     solution = by_hand.solution(problem, by_hand.phase(problem))
     first = go.verify(solution, tol=1e-3)
+    assert not first.estimated
     assert go.verify(solution, tol=1e-3) is first and go.verify(solution, tol=1e-4) is not first
