@@ -365,3 +365,6 @@ def test_a_bound_blocks_only_what_pushes_against_it(monkeypatch: pytest.MonkeyPa
     np.testing.assert_allclose(found._step(np.array([[0.0], [0.25]]), at)[:, 0], [0.0, 0.25], rtol=1e-9)
     slope[0] = -1e-3
     np.testing.assert_allclose(found._step(np.array([[1.0], [0.25]]), at)[:, 0], [0.0, 0.25], rtol=1e-9)
+    slope[0] = 1e-3
+    away = found._step(np.array([[1.0], [0.25]]), at)[:, 0]
+    np.testing.assert_allclose(away, -np.linalg.solve(curved, slope), rtol=1e-9)
