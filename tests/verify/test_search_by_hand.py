@@ -282,6 +282,8 @@ def test_gain_and_its_share_of_what_the_move_is_worth() -> None:
     np.testing.assert_allclose(found._worth(-7.0 * (better - found._flown)), worth, rtol=1e-9)
     none, share = found._gain(found._flown, np.full(at.size, np.inf), at)
     assert not np.any(none) and not np.any(share)
+    endless, share = found._gain(found._flown, np.full(at.size, -np.inf), at)  # a pole of H is no gain
+    assert not np.any(endless) and not np.any(share)
 
 
 def test_points_are_anywhere_or_off_in_one_channel() -> None:
