@@ -11,8 +11,10 @@ import scipy
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.composed import VectorControl
 from gnc_opt.problem.arc import ArcKind
+from gnc_opt.refine.structure.contacts import with_contacts
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose
 from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.solution.solution import Solution
 
 NEAR = 0.02
 """A control this close to a bound, relative to its range, is taken to sit on it."""
@@ -41,6 +43,12 @@ SHORT = 2.0
 
 CONVEX = 1e-6
 """Least second derivative of H in a control, over its range and in shares of H, that determines the control."""
+
+
+def structures_of(solution: Solution) -> dict[str, PhaseStructure]:
+    """Return the structures of all phases, contacts with state constraints included."""
+    problem = solution.need_problem("refine")
+    return {name: with_contacts(detect(s), problem, s) for name, s in solution.samples().items()}
 
 
 def detect(samples: PhaseSamples) -> PhaseStructure:

@@ -19,6 +19,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gnc_opt.arrays import Array
+from gnc_opt.refine.structure.contacts import StateConstraints, junction_time
 from gnc_opt.refine.structure.detect import crossing
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import Plan
@@ -28,20 +29,30 @@ from gnc_opt.solution.samples import PhaseSamples
 SETTLED = 1e-8
 """A kink that wants to move by less than this share of the phase is where it belongs."""
 
+ENTERED = 1e-10
+"""The same for the ends of an arc on a state constraint: what is wrong there is differentiated in its multiplier."""
 
-def move_kinks(samples: PhaseSamples, plan: Plan) -> PhaseStructure | None:
+
+def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | None:
     """Return the structure with its kinks where the solution wants them, or None if they are there.
 
     Pieces may be left with no length, or less.
     """
-    structure = plan.structure
+    structure, samples = plan.structure, constraints.samples
     times = list(structure.times)
     for boundary in range(1, structure.pieces):
         if structure.kinked(boundary):
-            wanted = [_wanted(samples, plan, boundary, i) for i in structure.changes(boundary)]
+            wanted = [
+                junction_time(constraints, structure, boundary, i)
+                if structure.orders[i]
+                else _wanted(samples, plan, boundary, i)
+                for i in structure.changes(boundary)
+            ]
             times[boundary] = max(wanted, key=lambda t: abs(t - structure.times[boundary]))
     moves = np.abs(np.asarray(times) - np.asarray(structure.times))
-    if np.max(moves) <= SETTLED * (times[-1] - times[0]):
+    contact = [any(structure.orders[i] for i in structure.changes(k)) for k in range(1, structure.pieces)]
+    settled = np.where([False, *contact, False], ENTERED, SETTLED)
+    if np.all(moves <= settled * (times[-1] - times[0])):
         return None
     return structure.at(tuple(times))
 
