@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import expect, read_integer, read_name, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ModelError, did_you_mean, unknown_name
+from gnc_opt.model.composed import ComposedControl, SplitControl, VectorControl
 from gnc_opt.model.evaluation import checked, evaluate
 from gnc_opt.model.exchange import declared, derivative_in, known_names
 from gnc_opt.model.layout import Layout, Variable, as_vector
@@ -42,13 +43,13 @@ class Model(Strict):
     """
 
     __slots__ = (
+        "_composed_controls",
         "_differences",
         "_equations",
         "_functions",
         "_in_use_by",
         "_outputs",
         "_parameter_values",
-        "_split_controls",
         "_symbols",
         "_time",
         "name",
@@ -63,7 +64,7 @@ class Model(Strict):
         self._differences: dict[str, Callable[[Any, Any], Any]] = {}
         self._time = Symbol(Variable("t", unit="s"))
         self._in_use_by: str | None = None
-        self._split_controls: dict[str, tuple[Symbol, Symbol]] = {}
+        self._composed_controls: dict[str, ComposedControl] = {}
         self._functions: dict[str, Any] = {}
 
     @classmethod
@@ -172,8 +173,8 @@ class Model(Strict):
 
         The controls are ``name_plus`` and ``name_minus``, both >= 0. An optimum that pays for their sum never
         pushes both ways at once, hence the sum is the absolute value, and a cost of it is linear (the way to state
-        an L1 norm, such as the fuel of opposed thrusters). ``Phase.bounds`` takes the range of ``name``, which is
-        also an output.
+        an L1 norm, such as the fuel of opposed thrusters). ``Phase.bounds`` and ``Phase.guess`` take ``name``, which
+        solutions know, too, and which is also an output.
 
         Parameters
         ----------
@@ -192,8 +193,46 @@ class Model(Strict):
         """
         plus = self.control(f"{name}_plus", size, unit=unit, nominal=nominal)
         minus = self.control(f"{name}_minus", size, unit=unit, nominal=nominal)
-        self._split_controls[name] = (plus, minus)
-        return self.output(name, plus - minus, unit=unit), plus + minus
+        return self._compose(SplitControl, name, plus, minus, unit), plus + minus
+
+    def vector_control(
+        self, name: str, size: int, *, unit: str = "", nominal: ArrayLike | None = None
+    ) -> tuple[Any, Any]:
+        """Declare a control whose Euclidean norm is limited or costs, without a kink where it is zero.
+
+        The controls are ``name_magnitude``, >= 0, and ``name_direction``; a phase keeps the direction within the
+        unit ball, or on the unit sphere where the norm has a lower limit > 0 or something is not affine in the
+        direction. ``Phase.bounds_norm`` takes the range of the norm, ``Phase.guess`` that of ``name``, which solutions
+        know, too, and which is also an output.
+
+        Within the ball the norm of the vector is at most the magnitude. If everything is affine in the vector, the
+        Hamiltonian is least on the sphere wherever the vector matters to it, so that an optimum has the two equal;
+        where the magnitude is zero (it coasts), the direction is anything, and the Jacobian of the constraints is
+        regular all the same, which it is not for ``T @ T <= d**2``. (The relaxation is that of B. Acikmese and S. R.
+        Ploen, Convex programming approach to powered descent guidance for Mars landing, J. Guidance 30 (2007) 1353.)
+
+        Parameters
+        ----------
+        name : str
+        size : int
+            At least 2; of one component, ``split_control`` has the absolute value.
+        unit, nominal
+            As in `state`; ``nominal`` is the typical norm.
+
+        Returns
+        -------
+        tuple of casadi.SX
+            The control (size, 1), and its magnitude, for costs and mass flows.
+
+        Raises
+        ------
+        ModelError
+            As in `state`, or of one component.
+        """
+        read_integer(size, f"the size of vector control '{name}' of model '{self.name}'", 2, ModelError)
+        magnitude = self.control(f"{name}_magnitude", unit=unit, nominal=nominal)
+        direction = self.control(f"{name}_direction", size, nominal=1.0)
+        return self._compose(VectorControl, name, magnitude, direction, unit), magnitude
 
     def parameter(self, name: str, value: ArrayLike, *, unit: str = "") -> Symbol:
         """Declare a constant with its value (scalar or vector); change it with `with_parameters`.
@@ -291,9 +330,9 @@ class Model(Strict):
         return Layout("output", tuple(v for v, _ in self._outputs.values()), f"model '{self.name}'")
 
     @property
-    def split_controls(self) -> Mapping[str, tuple[Symbol, Symbol]]:
-        """The two one-sided controls behind each control of `split_control`."""
-        return self._split_controls
+    def composed_controls(self) -> Mapping[str, ComposedControl]:
+        """What `split_control` and `vector_control` declared, by name."""
+        return self._composed_controls
 
     @property
     def parameter_values(self) -> Array:
@@ -444,6 +483,16 @@ class Model(Strict):
         symbol = Symbol(Variable(name, size, unit, scale))
         self._symbols[kind][name] = symbol
         return symbol
+
+    def _compose(
+        self, kind: type[ComposedControl], name: str, first: Symbol, second: Symbol, unit: str
+    ) -> Any:
+        size = max(first.variable.size, second.variable.size)
+        parts = (first.variable.name, second.variable.name)
+        composed = kind(Variable(name, size, unit), parts)
+        value = self.output(name, composed.compose(first, second), unit=unit)
+        self._composed_controls[name] = composed
+        return value
 
     def _check_new_name(self, name: str) -> None:
         read_name(name, f"variable of model '{self.name}'", ModelError)

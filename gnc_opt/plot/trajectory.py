@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from gnc_opt.arrays import Array
+from gnc_opt.model.composed import ComposedControl
 from gnc_opt.plot.sampling import chosen_names, chosen_phases, data_range, sample, zero_crossings
 from gnc_opt.plot.style import (
     COLORS,
@@ -144,7 +145,8 @@ def plot_controls(
     Above: the flown signal (bold), the collocation polynomial with its nodes (thin; it may overshoot between
     nodes and is cut off beyond an eighth of the range), bounds dashed. Below: the switching function dH/du;
     a bounded control belongs on its upper bound where this is negative. Dotted lines mark its changes of
-    sign. A solution that was loaded without its problem has no switching functions.
+    sign. A solution that was loaded without its problem has no switching functions. Controls that are made of two
+    (``Model.vector_control``, ``Model.split_control``) follow, as flown.
 
     Parameters
     ----------
@@ -168,14 +170,18 @@ def plot_controls(
         There is no such phase or control.
     """
     legs = chosen_phases(solution, phase)
-    names = chosen_names(legs, "controls", names)
+    known = {c.name: c for leg in legs for c in leg.composed_controls}
+    composed = [c for name, c in known.items() if names is None or name in names]
+    names = chosen_names(legs, "controls", names if names is None else [n for n in names if n not in known])
     sizes = {name: leg.controls[name].size for leg in legs for name in names if name in leg.controls}
     parts = [(name, i) for name in names for i in range(sizes[name])]
     rows = 1 if solution.problem is None else 2
     with style():
-        figure = new_figure(0.5 + 2.15 * len(parts))
-        ratios = [2.2, 1.0][:rows] * len(parts)
-        grid = figure.subplots(rows * len(parts), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
+        figure = new_figure(0.5 + 2.15 * (len(parts) + len(composed)))
+        ratios = [2.2, 1.0][:rows] * len(parts) + [2.2] * len(composed)
+        grid = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
+        for ax, control in zip(grid[rows * len(parts) :], composed, strict=True):
+            _draw_composed(ax, legs, control, labels)
         for k, (name, i) in enumerate(parts):
             axes = grid[rows * k : rows * (k + 1)]
             for leg in legs:
@@ -312,6 +318,20 @@ def _draw_control(ax: Axes, leg: PhaseSolution, name: str, i: int, shown: str) -
         middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
         ax.set_ylim(middle - _ROOM * half, middle + _ROOM * half)
     ax.set_ylabel(axis_label(shown, signal.unit))
+
+
+def _draw_composed(
+    ax: Axes, legs: Sequence[PhaseSolution], control: ComposedControl, labels: Labels | None
+) -> None:
+    """Draw all components of a control that is made of two, as flown."""
+    for leg in legs:
+        if control in leg.composed_controls:
+            signal = leg.flown_control(control.name)
+            shown = _labels(control.name, signal, labels)
+            _draw_components(ax, *sample(signal, leg.flown.jumps), shown)
+    ax.set_ylabel(axis_label(name_text(control.name), control.variable.unit))
+    if control.variable.size > 1:
+        legend_above(ax)
 
 
 def _draw_switching(

@@ -9,6 +9,7 @@ import numpy as np
 
 from gnc_opt.errors import ProblemError, did_you_mean, warn_user
 from gnc_opt.model.layout import Variable
+from gnc_opt.problem.check_norms import warn_of_norms
 from gnc_opt.problem.check_smooth import check_guess_in_tables, warn_of_kinks
 from gnc_opt.problem.check_values import check_values
 from gnc_opt.problem.interval import Interval, intersect
@@ -36,6 +37,9 @@ def check_problem(problem: Statement) -> None:
     for leg in problem.phases.values():
         check_guess_in_tables(problem, leg, warn=first)
     check_values(problem)
+    if first:
+        for leg in problem.phases.values():
+            warn_of_norms(problem, leg)
 
 
 # --- numbers ------------------------------------------------------------------------------------------

@@ -37,7 +37,7 @@ def check_values(problem: Statement) -> None:
 
 
 @dataclass(frozen=True)
-class _Tried:
+class Tried:
     """Functions of one kind, their values (rows, times) and derivatives (rows, columns, times)."""
 
     what: str
@@ -47,7 +47,7 @@ class _Tried:
     derivatives: Array
 
     @classmethod
-    def at(cls, what: str, rows: tuple[str, ...], columns: tuple[str, ...], outputs: Any) -> _Tried:
+    def at(cls, what: str, rows: tuple[str, ...], columns: tuple[str, ...], outputs: Any) -> Tried:
         values, jacobian = (np.asarray(output.full()) for output in outputs)
         shape = (len(rows), len(columns), values.shape[1])
         return cls(what, rows, columns, values, jacobian.reshape(shape, order="F"))
@@ -88,7 +88,7 @@ def first_not_finite(
     states, controls : array (n_states, N), (n_controls, N)
     parameters : array (n_free_parameters,)
     """
-    for tried in _try_along(problem, leg, times, states, controls, parameters).values():
+    for tried in try_along(problem, leg, times, states, controls, parameters).values():
         bad = tried.first_bad()
         if bad:
             labels = (*leg.model.states.labels, *leg.model.controls.labels)
@@ -97,14 +97,15 @@ def first_not_finite(
     return None
 
 
-def _try_along(
+def try_along(
     problem: Statement, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
-) -> dict[str, _Tried]:
+) -> dict[str, Tried]:
+    """Return functions along a phase and their derivatives, at the points of `first_not_finite`, by their kind."""
     columns = (*leg.model.states.labels, *leg.model.controls.labels, *problem.parameters.labels)
     tried = {}
     for what, rows, function in _functions_along(problem, leg):
         outputs = function(times.reshape(1, -1), states, controls, leg.model.parameter_values, parameters)
-        tried[what] = _Tried.at(what, rows, columns, outputs)
+        tried[what] = Tried.at(what, rows, columns, outputs)
     return tried
 
 
@@ -120,7 +121,7 @@ def _check_along(problem: Statement, leg: Phase) -> list[Any]:
     bad = first_not_finite(problem, leg, times, states, controls, q)
     if bad:
         raise _not_finite(f"{bad.what} at the guess in {leg.where} at t = {bad.time:.4g} s", bad.point)
-    integrands = _try_along(problem, leg, times, states, controls, q).get("integral")
+    integrands = try_along(problem, leg, times, states, controls, q).get("integral")
     integrals = np.zeros(0) if integrands is None else integrands.values.mean(axis=1) * span
     first = _inside(start.states[:, :1], intersect(numbers.initial, numbers.states), state_scales)
     last = _inside(start.states[:, -1:], intersect(numbers.final, numbers.states), state_scales)
@@ -130,7 +131,7 @@ def _check_along(problem: Statement, leg: Phase) -> list[Any]:
 def _check_ends(problem: Statement, ends: list[Any]) -> None:
     """Try the cost and the boundary constraints at the end points of the guess."""
     for what, rows, columns, function in _functions_at_ends(problem):
-        tried = _Tried.at(what, rows, columns, function(*ends, _parameter_guess(problem)))
+        tried = Tried.at(what, rows, columns, function(*ends, _parameter_guess(problem)))
         bad = tried.first_bad()
         if bad:
             raise _not_finite(f"{bad[0]} at the end points of the guess", {})

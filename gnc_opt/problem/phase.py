@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_label
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.model.composed import SplitControl, VectorControl
 from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol, as_expression
@@ -68,6 +69,7 @@ class Phase(Strict):
     """
 
     __slots__ = (
+        "_curved",
         "_ends",
         "_owner",
         "final_time",
@@ -88,7 +90,18 @@ class Phase(Strict):
             None, None, Interval(np.zeros(1), np.full(1, np.inf)), free(n), free(n), free(n), free(m)
         )
         self.numbers = replace(self.numbers, controls=self._without_negative_parts())
-        self.paths: dict[str, Constraint] = {}
+        self.paths: dict[str, Constraint] = {
+            v.length: make_constraint(
+                v.length,
+                ca.sumsqr(model.symbol(v.direction)),
+                None,
+                1.0,
+                None,
+                f"the direction of '{v.name}'",
+            )
+            for v in self.vectors
+        }
+        self._curved: set[str] = set()
         self.integrands: dict[str, tuple[Any, Any]] = {}
         self.initial_time: Any = ca.SX.sym(f"{name}_initial_time")
         self.final_time: Any = ca.SX.sym(f"{name}_final_time")
@@ -96,6 +109,7 @@ class Phase(Strict):
             end: {v.name: ca.SX.sym(f"{name}_{end}_{v.name}", v.size) for v in model.states.variables}
             for end in ("initial", "final")
         }
+        self._note_curved(model.derivative())
 
     def __repr__(self) -> str:
         return f"Phase({self.name!r} on {self.model!r})"
@@ -153,6 +167,32 @@ class Phase(Strict):
             controls=self._merge(self.numbers.controls, controls, "bounds", self.model.controls),
         )
 
+    def bounds_norm(self, **ranges: Any) -> None:
+        """State bounds of the Euclidean norm of vector controls over the whole phase: ``bounds_norm(T=(0.0, 5.0))``.
+
+        A lower limit > 0 leaves an annulus, which is not convex; other than with ``T @ T >= lower**2`` its centre is
+        no place where derivatives vanish.
+
+        Raises
+        ------
+        ProblemError
+            The name is not that of a ``Model.vector_control``, or the range has no number >= 0.
+        """
+        parts = {}
+        for name, value in ranges.items():
+            what = f"the norm of '{name}' in {self.where}"
+            vector = self.model.composed_controls.get(name)
+            if not isinstance(vector, VectorControl):
+                known = [v.name for v in self.vectors]
+                if name in self.model.controls or name in self.model.composed_controls:
+                    raise ProblemError(f"{what} has no bounds: declare '{name}' with vector_control().")
+                raise unknown_name("vector control", name, self.where, known)
+            box = read_interval(value, 1, what)
+            if box.upper[0] < 0:
+                raise ProblemError(f"{what} is at most {box.upper[0]:g}: give a limit >= 0.")
+            parts[vector.magnitude] = (max(0.0, box.lower[0]), box.upper[0])
+        self.bounds(**parts)
+
     def path(
         self, name: str, expression: Any, *, lower: Any = None, upper: Any = None, equals: Any = None
     ) -> None:
@@ -177,6 +217,7 @@ class Phase(Strict):
         self._owner.refuse_foreign(self, constraint.expression, what)
         self._owner.refuse_if_frozen()
         self.paths[name] = constraint
+        self._note_curved(constraint.expression)
         self._owner.changed()
 
     def integral(self, integrand: Any, name: str | None = None) -> Any:
@@ -194,6 +235,7 @@ class Phase(Strict):
         self._owner.refuse_if_frozen()
         symbol = ca.SX.sym(f"{self.name}_{label}")
         self.integrands[label] = (symbol, value)
+        self._note_curved(value)
         self._owner.changed()
         return symbol
 
@@ -213,7 +255,8 @@ class Phase(Strict):
         merged = {**old.values, **values}
         ends = np.array([0.0, 1.0])
         for name, value in merged.items():
-            size = self._owner_layout(name, "guess")[name].size
+            composed = self.model.composed_controls.get(name)
+            size = (composed.variable if composed else self._owner_layout(name, "guess")[name]).size
             if not callable(value):  # those must wait until the phase's times are known
                 sample_guess(value, size, ends, ends, times, f"the guess of '{name}' in {self.where}")
         self._set(guess=PhaseGuess(times, merged))
@@ -317,10 +360,27 @@ class Phase(Strict):
 
     def path_interval(self) -> Interval:
         """Bounds of all path constraint rows, in order."""
-        cs = [c.interval for c in self.paths.values()]
-        if not cs:
+        boxes = {name: c.interval for name, c in self.paths.items()}
+        boxes |= {v.length: Interval(np.ones(1), np.ones(1)) for v in self.vectors if self.on_sphere(v)}
+        if not boxes:
             return free(0)
-        return Interval(np.concatenate([c.lower for c in cs]), np.concatenate([c.upper for c in cs]))
+        return Interval(
+            *(np.concatenate([getattr(b, end) for b in boxes.values()]) for end in ("lower", "upper"))
+        )
+
+    @property
+    def vectors(self) -> tuple[VectorControl, ...]:
+        """The vector controls of the model."""
+        return tuple(c for c in self.model.composed_controls.values() if isinstance(c, VectorControl))
+
+    def on_sphere(self, vector: VectorControl) -> bool:
+        """Whether the direction of a vector control has the length 1 everywhere, instead of at most 1.
+
+        So it is where the norm is never zero, and where anything but affine functions of the vector could make
+        shorter ones look better than they are.
+        """
+        least = self.numbers.controls.lower[self.model.controls.slice(vector.magnitude)]
+        return bool(least[0] > 0) or vector.name in self._curved
 
     def path_expression(self) -> Any:
         """Stacked SX expression of all path constraints."""
@@ -338,6 +398,7 @@ class Phase(Strict):
         """Return a copy for another problem, which shares the symbols and owns its numbers."""
         twin = copy.copy(self)
         twin.paths, twin.integrands = dict(self.paths), dict(self.integrands)
+        twin._curved = set(self._curved)
         twin._owner = owner
         return twin
 
@@ -371,30 +432,42 @@ class Phase(Strict):
             (states if self._owner_layout(name, what).kind == "state" else controls)[name] = value
         return states, controls
 
+    def _note_curved(self, expression: Any) -> None:
+        """Note in which vectors an expression is not affine."""
+        for vector in self.vectors:
+            direction = self.model.symbol(vector.direction)
+            if any(ca.which_depends(expression, direction, 2, True)):
+                self._curved.add(vector.name)
+
     def _without_negative_parts(self) -> Interval:
-        """Return the bounds of controls before any are stated: the parts of split controls are >= 0."""
+        """Return the bounds of controls before any are stated: parts of split controls and magnitudes are >= 0."""
         box = free(self.model.controls.size)
-        for parts in self.model.split_controls.values():
-            for part in parts:
-                box.lower[self.model.controls.slice(part.variable.name)] = 0.0
+        for control in self.model.composed_controls.values():
+            for part in control.parts if isinstance(control, SplitControl) else control.parts[:1]:
+                box.lower[self.model.controls.slice(part)] = 0.0
         return box
 
     def _one_sided(self, ranges: Mapping[str, Any]) -> dict[str, Any]:
         """Return ranges in which those of split controls are of their two parts: u = plus - minus."""
         parts: dict[str, Any] = {}
         for name, value in ranges.items():
-            if name not in self.model.split_controls:
+            composed = self.model.composed_controls.get(name)
+            if composed is None:
                 parts[name] = value
                 continue
             what = f"the bounds of '{name}' in {self.where}"
-            plus, minus = self.model.split_controls[name]
-            box = read_interval(value, plus.variable.size, what)
+            if not isinstance(composed, SplitControl):
+                raise ProblemError(
+                    f"{what} are those of a vector: give bounds_norm({name}=...), or path() for its components."
+                )
+            box = read_interval(value, composed.variable.size, what)
             if np.any(box.lower > 0) or np.any(box.upper < 0):
                 raise ProblemError(
                     f"{what} leave out zero, which a split control needs: declare it with control()."
                 )
-            parts[plus.variable.name] = (np.zeros(box.upper.size), box.upper)
-            parts[minus.variable.name] = (np.zeros(box.lower.size), -box.lower)
+            plus, minus = composed.parts
+            parts[plus] = (np.zeros(box.upper.size), box.upper)
+            parts[minus] = (np.zeros(box.lower.size), -box.lower)
         return parts
 
     def _owner_layout(self, name: str, what: str) -> Layout:

@@ -73,6 +73,8 @@ def _quantities(leg: PhaseSolution, t: Array) -> Iterator[tuple[Variable, Array]
         yield state, x[leg.states.slice(state.name)]
     for control in leg.controls.variables:
         yield control, u[leg.controls.slice(control.name)]
+    for composed in leg.composed_controls:
+        yield composed.variable, np.atleast_2d(leg.flown_control(composed.name)(t))
     for state in leg.states.variables:
         signal = leg.costate(state.name)
         yield Variable(signal.name, state.size, signal.unit), lam[signal.rows]

@@ -154,6 +154,7 @@ def _extract_phase(
         initial_time_bounds=initial_time,
         final_time_bounds=final_time,
         duration_bounds=numbers.duration,
+        composed_controls=tuple(leg.model.composed_controls.values()),
     )
 
 

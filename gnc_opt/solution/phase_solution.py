@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import unknown_name
+from gnc_opt.model.composed import ComposedControl
 from gnc_opt.model.layout import Layout
 from gnc_opt.problem.interval import Interval
 from gnc_opt.solution.flown import FlownControl
@@ -32,7 +33,7 @@ class Signal:
     name: str
     unit: str
     labels: tuple[str, ...]
-    source: PiecewisePolynomial | FlownControl
+    source: PiecewisePolynomial | FlownControl | ComposedSignal
     rows: slice
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array | float:
@@ -41,6 +42,21 @@ class Signal:
         if len(self.labels) > 1:
             return values
         return float(values[0]) if np.ndim(t) == 0 else values[0]
+
+
+@dataclass(frozen=True)
+class ComposedSignal:
+    """A control over time that is made of two others."""
+
+    control: ComposedControl
+    layout: Layout
+    source: PiecewisePolynomial | FlownControl
+
+    def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
+        """Evaluate at times t (s): shape (size,) for a scalar, (size, n_times) for an array."""
+        values = self.source(t, side)
+        first, second = (values[self.layout.slice(part)] for part in self.control.parts)
+        return np.asarray(self.control.compose(first, second))
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +97,8 @@ class PhaseSolution:
         Values of the model's parameters, optimised ones included.
     state_bounds, control_bounds, path_bounds, initial_bounds, final_bounds : Interval
     initial_time_bounds, final_time_bounds, duration_bounds : Interval
+    composed_controls : tuple of ComposedControl
+        Controls as they were declared that are made of two of ``controls``.
     """
 
     name: str
@@ -116,6 +134,7 @@ class PhaseSolution:
     initial_time_bounds: Interval
     final_time_bounds: Interval
     duration_bounds: Interval
+    composed_controls: tuple[ComposedControl, ...] = ()
 
     @cached_property
     def rules(self) -> tuple[CollocationRule, ...]:
@@ -172,11 +191,11 @@ class PhaseSolution:
 
     def control(self, name: str) -> Signal:
         """Return a control over time by its collocation polynomial (it may leave its bounds between nodes)."""
-        return self._signal(name, self.controls, self.u)
+        return self._control(name, self.u)
 
     def flown_control(self, name: str) -> Signal:
         """Return a control over time as the bounded signal that can be flown."""
-        return self._signal(name, self.controls, self.flown)
+        return self._control(name, self.flown)
 
     def integral(self, name: str) -> float:
         """Return the value of a named integral."""
@@ -187,6 +206,13 @@ class PhaseSolution:
     def sample_times(self, per_segment: int = 10) -> Array:
         """Return dense times, segment boundaries included."""
         return self.x.sample_times(per_segment)
+
+    def _control(self, name: str, source: PiecewisePolynomial | FlownControl) -> Signal:
+        for composed in self.composed_controls:
+            if composed.name == name:
+                own, variable = ComposedSignal(composed, self.controls, source), composed.variable
+                return Signal(name, variable.unit, variable.labels, own, slice(None))
+        return self._signal(name, self.controls, source)
 
     def _signal(self, name: str, layout: Layout, source: PiecewisePolynomial | FlownControl) -> Signal:
         rows = layout.slice(name)

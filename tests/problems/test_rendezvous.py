@@ -204,7 +204,7 @@ def wild_guess(seed: int) -> dict[str, Any]:
 def spurious_solution() -> tuple[int, go.Solution]:
     """Return the first wild start that IPOPT calls solved although sigma runs off, and its seed."""
     unguarded = rendezvous.build(1).with_bounds(sigma=None)
-    for seed in (1, 3, 13, 0, 6, 12, 15):
+    for seed in (13, 1, 3, 0, 6, 12, 15):
         solution = go.solve(unguarded.with_guess(**wild_guess(seed)), mesh="10x4", throw=False, tol=None)
         sigma = np.asarray(solution.state("sigma")(solution.phase().sample_times(5)))
         if solution.status.solved and np.max(np.linalg.norm(sigma, axis=0)) > 5.0:

@@ -261,7 +261,9 @@ def test_a_mixed_path_needs_every_control_it_depends_on_to_be_convex() -> None:
     )  # on the first, on both, on the second at times
     there: Any = SimpleNamespace(
         functions=SimpleNamespace(path_control_jacobian=lambda *at: slopes), times=None, x=None, u=None,
-        leg=SimpleNamespace(path_bounds=interval([-np.inf] * 3, [1.0] * 3)),
+        leg=SimpleNamespace(
+            path_bounds=interval([-np.inf] * 3, [1.0] * 3), path_labels=("a", "b", "c"), composed_controls=()
+        ),
     )  # fmt: skip
     assert d._mixed_paths(there, np.array([True, False])).tolist() == [True, False, False]
     assert d._mixed_paths(there, np.array([False, True])).tolist() == [False, False, True]

@@ -43,14 +43,23 @@ def start_phase(leg: Phase, fractions: Array, *, perturbed: bool = True) -> Phas
     first, last = end_values(leg)
     states = first[:, None] + (last - first)[:, None] * fractions
     controls = np.repeat(numbers.controls.middle[:, None], fractions.size, axis=1)
+    for vector in leg.vectors:
+        if leg.on_sphere(vector):  # at its centre the derivatives of the sphere vanish
+            controls[model.controls.slice(vector.direction)] = vector.variable.size**-0.5
     if perturbed:
         controls += perturbation(numbers.controls, fractions)
     for name, value in numbers.guess.values.items():
-        layout, rows = (model.states, states) if name in model.states else (model.controls, controls)
         what = f"the guess of '{name}' in {leg.where}"
-        rows[layout.slice(name)] = sample_guess(
-            value, layout[name].size, at, fractions, numbers.guess.time, what
-        )
+        composed = model.composed_controls.get(name)
+        layout, rows = (model.states, states) if name in model.states else (model.controls, controls)
+        size = (composed.variable if composed else layout[name]).size
+        values = sample_guess(value, size, at, fractions, numbers.guess.time, what)
+        if composed is None:
+            rows[layout.slice(name)] = values
+            continue
+        for part, own in zip(composed.parts, composed.decompose(values), strict=True):
+            place = layout.slice(part)
+            rows[place] = np.where(np.isnan(own), rows[place], own)
     return PhaseStart(times, states, controls)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Mask
+from gnc_opt.model.composed import VectorControl
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose
 from gnc_opt.solution.samples import PhaseSamples
@@ -168,11 +169,15 @@ def _nonlinear_labels(samples: PhaseSamples, i: int) -> KindArray:
 
 
 def _mixed_paths(samples: PhaseSamples, regular: Mask) -> Mask:
-    """Which path constraints are inequalities on controls that H determines: they become active with a kink."""
+    """Which path constraints are inequalities on controls that H determines: they become active with a kink.
+
+    The length of a direction does not: it is at its limit all along but where the direction does not matter.
+    """
     leg = samples.leg
+    lengths = [v.length for v in leg.composed_controls if isinstance(v, VectorControl)]
     slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
     depends = np.any(slopes != 0, axis=2)
-    inequality = leg.path_bounds.lower < leg.path_bounds.upper
+    inequality = (leg.path_bounds.lower < leg.path_bounds.upper) & ~np.isin(leg.path_labels, lengths)
     return np.asarray(inequality & np.any(depends, axis=1) & ~np.any(depends & ~regular, axis=1))
 
 

@@ -1,0 +1,82 @@
+"""Controls that are stated as one and optimised as two: a difference, or a magnitude times a direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.model.layout import Variable
+
+
+@dataclass(frozen=True)
+class ComposedControl:
+    """A control u made of two.
+
+    Attributes
+    ----------
+    variable : Variable
+        Name, size and unit of u.
+    parts : tuple of two str
+        Names of the controls that it is made of.
+    """
+
+    variable: Variable
+    parts: tuple[str, str]
+
+    @property
+    def name(self) -> str:
+        """Of u."""
+        return self.variable.name
+
+    def compose(self, first: Any, second: Any) -> Any:
+        """Return u (size, ...), symbols or numbers, from its parts."""
+        raise NotImplementedError
+
+    def decompose(self, u: Array) -> tuple[Array, Array]:
+        """Return parts that u (size, n_times) is made of; NaN where any would do."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class SplitControl(ComposedControl):
+    """The difference of two controls >= 0, of which an optimum that pays for both uses one at a time."""
+
+    def compose(self, first: Any, second: Any) -> Any:
+        """Return first - second."""
+        return first - second
+
+    def decompose(self, u: Array) -> tuple[Array, Array]:
+        """Return the positive and the negative part."""
+        return np.maximum(u, 0.0), np.maximum(-u, 0.0)
+
+
+@dataclass(frozen=True)
+class VectorControl(ComposedControl):
+    """The product of a magnitude >= 0 (one component) and a direction, a vector of length 1 where it matters."""
+
+    @property
+    def magnitude(self) -> str:
+        """Name of the control that is the norm."""
+        return self.parts[0]
+
+    @property
+    def direction(self) -> str:
+        """Name of the control that is the direction."""
+        return self.parts[1]
+
+    @property
+    def length(self) -> str:
+        """Name of the path constraint that limits the length of the direction."""
+        return f"{self.direction} squared"
+
+    def compose(self, first: Any, second: Any) -> Any:
+        """Return first * second."""
+        return first * second
+
+    def decompose(self, u: Array) -> tuple[Array, Array]:
+        """Return norm and direction."""
+        norm = np.linalg.norm(u, axis=0, keepdims=True)
+        return norm, np.divide(u, norm, out=np.full_like(u, np.nan), where=norm > 0)
