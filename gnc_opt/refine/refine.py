@@ -16,7 +16,7 @@ from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.hp.mesh_refinement import refine_mesh
 from gnc_opt.refine.passes import pass_record
-from gnc_opt.refine.structure.detect import affine_channels, detect, regular_channels
+from gnc_opt.refine.structure.detect import affine_channels, regular_channels, structures_of
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.switching import optimise_switches
 from gnc_opt.solution.history import History, RefinementStatus, work_of
@@ -188,7 +188,7 @@ class _Task:
     def attempts(self, structure: StructureChoice) -> Iterator[_Attempt]:
         """Yield what one way after the other leads to, for as long as that is asked for."""
         if structure == "bang-bang":
-            found = _structures(self.solution)
+            found = structures_of(self.solution)
             if not _switches(self.solution, found, at_least=0):
                 raise ProblemError(
                     f"no control of '{self.solution.problem_name}' enters the Hamiltonian linearly between two finite "
@@ -208,7 +208,7 @@ class _Task:
         """Try a structure that nobody asked for, if there is one, and work left."""
         if not self._left:
             return
-        found = _structures(start)
+        found = structures_of(start)
         if _switches(start, found, at_least=1) and not self._known(found):
             yield from self._by_structure(start, found, UNASKED)
 
@@ -235,7 +235,7 @@ class _Task:
             if finer.status is Status.INTERRUPTED:
                 raise KeyboardInterrupt
             if finer.status.solved:
-                yield self._structured(finer, _structures(finer), share)
+                yield self._structured(finer, structures_of(finer), share)
 
     def _finer(self, start: Solution) -> Solution:
         """Return the solution with one more collocation point in every segment."""
@@ -287,10 +287,6 @@ class _Task:
                 progress=self.progress,
             )
         )
-
-
-def _structures(solution: Solution) -> dict[str, PhaseStructure]:
-    return {name: detect(samples) for name, samples in solution.samples().items()}
 
 
 def _switches(solution: Solution, found: Mapping[str, PhaseStructure], at_least: int) -> bool:

@@ -142,6 +142,22 @@ def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
     return scale(4 * factor, numerator)
 
 
+def mrp_retraction(sigma_ref: Vector, error: Vector) -> Vector:
+    """Return the MRP, of length <= 1, that `mrp_difference` tells to be ``error`` away from the reference.
+
+    The turn follows that of the reference. For `Model.difference` and `Noise`.
+
+    Parameters
+    ----------
+    sigma_ref : casadi (3, 1), array (3,) or (3, n_times)
+        Either of the two sets.
+    error : casadi (3, 1), array (3,) or (3, n_times)
+        rad to first order, in components of the turned frame.
+    """
+    # composition is the difference to the turn back
+    return scale(0.25, mrp_difference(scale(0.25, error), scale(-1, sigma_ref)))
+
+
 def mrp_to_quaternion(sigma_BL: Vector) -> Vector:
     """Return the unit quaternion, scalar part first: casadi (4, 1), array (4,) or (4, n_times).
 

@@ -207,7 +207,7 @@ def interrupt_after(count: int, monkeypatch: pytest.MonkeyPatch, module: str, na
     [
         ("gnc_opt.refine.hp.mesh_refinement", "solve_mesh", 2),
         ("gnc_opt.refine.hp.mesh_refinement", "estimate_errors", 2),
-        ("gnc_opt.refine.refine", "detect", 1),
+        ("gnc_opt.refine.refine", "structures_of", 1),
         ("gnc_opt.refine.refine", "verify", 1),
     ],
 )

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from gnc_opt.problem.interval import Interval
 from gnc_opt.solution.program_point import Limits, ProgramPoint
 from gnc_opt.verify import null_space
-from gnc_opt.verify.bang_bang_flow import _stacked
 from gnc_opt.verify.critical_cone import CriticalCone
 from gnc_opt.verify.multipliers import _least_squares, _Limits, _sort_out
 from gnc_opt.verify.normality import _least_dependent, _may_push, normality
@@ -151,14 +150,6 @@ def test_what_an_order_explains_of_a_gradient() -> None:
     residual, pushes = _explained(np.array([1.0]), np.zeros((0, 1)))
     np.testing.assert_allclose(residual, [1.0])
     assert pushes.shape == (0,)
-
-
-def test_matrices_side_by_side_are_stacked() -> None:
-    class Wide:
-        def full(self) -> Array:
-            return np.array([[1.0, 2.0, 5.0, 6.0], [3.0, 4.0, 7.0, 8.0]])
-
-    np.testing.assert_array_equal(_stacked(Wide(), 2), [[[1, 2], [3, 4]], [[5, 6], [7, 8]]])
 
 
 # --- multipliers ----------------------------------------------------------------------------------------------

@@ -22,7 +22,8 @@ from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.passes import pass_meter, pass_record
-from gnc_opt.refine.structure.detect import affine_channels, detect
+from gnc_opt.refine.structure.contacts import StateConstraints, crossed_contact, pushed_contact, wrong_touch
+from gnc_opt.refine.structure.detect import affine_channels, structures_of
 from gnc_opt.refine.structure.junctions import move_kinks
 from gnc_opt.refine.structure.newton import settle
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose, signs_of
@@ -37,7 +38,7 @@ from gnc_opt.tolerances import VANISHED as NO_MAGNITUDE
 PATIENCE = 4
 """Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
 
-KINKS_MOVED, RAISED = "kinks moved", "resolution raised"
+KINKS_MOVED, RAISED, LOOSENED = "kinks moved", "resolution raised", "limits beside touches released"
 
 FINEST = 1e-9
 """Switch times are asked for at least this accurately: that costs a solve of a few iterations, if any."""
@@ -102,7 +103,7 @@ def optimise_switches(
     begin = time.perf_counter()
     problem = solution.need_problem("refine")
     chosen = options or SolverOptions(tolerance=TIGHT, max_iterations=MOST_ITERATIONS)
-    found = structures or {name: detect(s) for name, s in solution.samples().items()}
+    found = structures or structures_of(solution)
     plans = {name: Plan.of(s, points_of(solution.phases[name].mesh)) for name, s in found.items()}
     tries: list[_Try] = []
     with pass_meter(solution.problem_name, tol, progress) as show:
@@ -221,33 +222,47 @@ def _improve(
     solution: Solution, plans: dict[str, Plan], swapped: set[tuple[str, PhaseStructure]], tol: float
 ) -> tuple[dict[str, Plan], str]:
     """Mend the structure of one phase, or kinks and resolution of all; return the plans and what was done."""
-    samples = solution.samples()
+    problem, samples = solution.need_problem("refine"), solution.samples()
+    constraints = {name: StateConstraints(problem, s) for name, s in samples.items()}
     for name, s in samples.items():
         structure, action = _collapse(s, plans[name].structure, swapped)
         if structure is not None:
             return {**plans, name: Plan.of(structure, plans[name].points)}, action
-    adjusted = {name: _adjust(s, plans[name], tol) for name, s in samples.items()}
+    for name, c in constraints.items():
+        structure, action = _mended_contacts(c, plans[name].structure)
+        if structure is not None:
+            return {**plans, name: Plan.of(structure, plans[name].points)}, action
+    adjusted = {name: _adjust(c, plans[name], tol) for name, c in constraints.items()}
     actions = dict.fromkeys(action for _, action in adjusted.values() if action)
     if actions:
         return {name: plan for name, (plan, _) in adjusted.items()}, ", ".join(actions)
     for name, s in samples.items():
         structure, action = _complete(s, plans[name])
+        if structure is None:
+            structure, action = crossed_contact(constraints[name], plans[name].structure)
         if structure is not None:
             return {**plans, name: Plan.of(structure, plans[name].points)}, action
     return plans, ""
 
 
-def _adjust(samples: PhaseSamples, plan: Plan, tol: float) -> tuple[Plan, str]:
+def _adjust(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan, str]:
     """Move kinks and raise resolutions where the solution asks for it."""
-    moved, finer = move_kinks(samples, plan), _finer(samples, plan, tol)
+    moved, finer = move_kinks(constraints, plan), _finer(constraints.samples, plan, tol)
     if moved is not None:
         emptied = np.flatnonzero(moved.lengths < VANISHED * (moved.times[-1] - moved.times[0]))
         if emptied.size:
             return Plan.of(
-                plan.structure.without(int(emptied[0])), plan.points
+                plan.structure.emptied(int(emptied[0])), plan.points
             ), f"piece {emptied[0] + 1} dropped"
-    actions = (KINKS_MOVED if moved else "", RAISED if finer else "")
+    if finer and not moved and not plan.loose and any(plan.structure.touches):
+        return replace(plan, loose=True), LOOSENED
     resolutions = finer.resolutions if finer else plan.resolutions
+    if moved:  # multipliers along a state constraint are rough for as long as its ends are wrong
+        resolutions = tuple(
+            old if plan.structure.on_contact(k) else new
+            for k, (old, new) in enumerate(zip(plan.resolutions, resolutions, strict=True))
+        )
+    actions = (KINKS_MOVED if moved else "", RAISED if resolutions != plan.resolutions else "")
     return replace(plan, structure=moved or plan.structure, resolutions=resolutions), ", ".join(
         filter(None, actions)
     )
@@ -299,7 +314,7 @@ def _collapse(
     # Only an order that has been left before is not tried again.
     if other is not None and (samples.leg.name, other.at(())) not in swapped:
         return _spread(other, shortest), f"switches {shortest} and {shortest + 1} swapped"
-    return structure.without(shortest), f"piece {shortest + 1} dropped"
+    return structure.emptied(shortest), f"piece {shortest + 1} dropped"
 
 
 def _spread(structure: PhaseStructure, piece: int) -> PhaseStructure:
@@ -388,6 +403,19 @@ def _wrong_interval(samples: PhaseSamples, offence: Array) -> tuple[float, float
 def _zero(times: Array, values: Array, left: int, right: int) -> float:
     """Zero of a straight line between two samples whose values do not have the same sign."""
     return float(times[left] - values[left] * (times[right] - times[left]) / (values[right] - values[left]))
+
+
+# --- contacts with state constraints --------------------------------------------------------------------------
+
+
+def _mended_contacts(
+    constraints: StateConstraints, structure: PhaseStructure
+) -> tuple[PhaseStructure | None, str]:
+    """Return the structure without a touch that pulls, or with one that pushes unseen, and what was done."""
+    wrong = wrong_touch(constraints, structure)
+    if wrong is not None:
+        return structure.without_touch(*wrong), f"touch at {structure.times[wrong[0]]:.4g} s dropped"
+    return pushed_contact(constraints, structure)
 
 
 # --- resolution ---------------------------------------------------------------------------------------------
