@@ -19,11 +19,10 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
-from gnc_opt.examples import examples
-
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # for problems/ and website/, which are not installed
 
+from gnc_opt.examples import examples  # noqa: E402
 from website import api, gallery  # noqa: E402
 
 FROM_ROOT = {

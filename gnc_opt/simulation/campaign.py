@@ -15,6 +15,7 @@ from gnc_opt.archive import FileFormat
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
 from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.model.records import Records, named
 from gnc_opt.packing import Arrays, Packing
 from gnc_opt.simulation.first_files import campaign_fields
 from gnc_opt.simulation.flight import Flight
@@ -295,6 +296,43 @@ class Campaign(Strict):
                 "the campaign came from a file and cannot fly: load it with flight=loop.flight(x0, tf=...)."
             )
         return self.flight.run(self.parameters[:, places[0]], [self.seed, int(index)])
+
+    # --- tables -------------------------------------------------------------------------------------------
+
+    def to_pandas(self) -> Any:
+        """Return a row per run as a DataFrame, one column per component; ``attrs["units"]`` holds the units.
+
+        ``outcome``; what was drawn by its dotted name; ``final.q`` and ``error.q`` at the end; every measure.
+
+        Raises
+        ------
+        GncOptError
+            pandas is not installed; it comes with the extra ``data``.
+        """
+        return self._records().to_pandas()
+
+    def to_xarray(self) -> Any:
+        """Return the same as a Dataset, each variable with its unit; vectors have a dimension for their components."""
+        return self._records().to_xarray()
+
+    def export(self, path: str | Path) -> Path:
+        """Write the same to a file for other programs, ``.csv``, ``.json`` or ``.mat``, and return its path."""
+        return self._records().write(path)
+
+    def _records(self) -> Records:
+        outcomes = [outcome.status.value for outcome in self.outcomes]
+        measures = [
+            (Variable(name, unit=self.unit(name)), self.measure(name)[None, :]) for name in self.measures
+        ]
+        quantities = (
+            (Variable("outcome"), np.array([outcomes], dtype=object)),
+            *named(self.layouts["parameter"], self.parameters),
+            *named(self.layouts["state"], self.states, "final."),
+            *named(self.layouts["error"], self.errors, "error."),
+            *measures,
+        )
+        about = {"seed": self.seed, "asked": self.asked, "fingerprint": self.fingerprint}
+        return Records(Variable("run"), np.asarray(self.indices), quantities, about)
 
     # --- files --------------------------------------------------------------------------------------------
 

@@ -143,7 +143,7 @@ def test_an_offence_reaches_to_its_first_zero() -> None:
     assert j._reach(times, lambda t: 1.25 - t) == pytest.approx(1.25)
     assert j._reach(times, lambda t: (t - 0.5) * (t - 1.5)) == pytest.approx(0.5)
     assert j._reach(times, lambda t: 9.0 - t) == 3.0
-    assert j._reach(times, lambda t: t) is None and j._reach(times, lambda t: -1.0) is None
+    assert j._reach(times, lambda t: t) is None and j._reach(times, lambda t: 0 * t - 1.0) is None
     assert j._reach(times[::-1], lambda t: t - 1.75) == pytest.approx(1.75)
 
 
