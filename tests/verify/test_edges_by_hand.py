@@ -27,7 +27,7 @@ from gnc_opt.verify.judged import ends_of, from_problem, has_costates, missing_n
 from gnc_opt.verify.magnitude import Magnitudes, integral_spans
 from gnc_opt.verify.multipliers import _or_one, estimate
 from gnc_opt.verify.null_space import FOUND, SETTLED, NullSpace, _settled, lanczos
-from gnc_opt.verify.reduced_hessian import _least_direction
+from gnc_opt.verify.reduced_hessian import _least_direction, _straight
 from gnc_opt.verify.second_order import _least_slope, _on_bound, _precedences, least_squares
 from gnc_opt.verify.switches import GRAZES, Switches, _vanishing
 from gnc_opt.verify.trajectory_fit import (
@@ -35,6 +35,7 @@ from gnc_opt.verify.trajectory_fit import (
     _Controls,
     _interpolants,
     _Jump,
+    _kinks_of,
     _place,
     _unmarked_jumps,
     fit,
@@ -680,4 +681,63 @@ def test_a_verdict_is_kept_for_its_tolerance() -> None:
     problem = by_hand.cart()
     solution = by_hand.solution(problem, by_hand.phase(problem))
     first = go.verify(solution, tol=1e-3)
+    assert not first.estimated
     assert go.verify(solution, tol=1e-3) is first and go.verify(solution, tol=1e-4) is not first
+
+
+def test_a_fit_takes_the_interpolant_that_carries_the_states() -> None:
+    """Beside a kink that is not located, in seven samples, a spline ripples by 1e-2."""
+    t = np.array([0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 2.4])
+    u = np.maximum(t - 1.2, 0.0)
+    fitted = fit(Samples(t, np.array([u**2 / 2, t]), u[None]), lambda t, x, u: np.array([u[0], 1 + 0 * t]))
+    np.testing.assert_allclose(fitted.u(np.array([0.2, 0.6]))[0], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("turn", "seen"), [(0.015, False), (0.03, True)])
+def test_a_kink_is_seen_by_what_it_moves_in_one_interval(turn: float, seen: bool) -> None:
+    """In 0.1 s by a thousandth of the range of 2."""
+    t = np.linspace(0.0, 2.0, 21)
+    u = t + turn * np.maximum(t - 1.03, 0.0)
+    found = _kinks_of(t, u, 5, 2)
+    assert len(found) == seen
+    for kink in found:
+        assert kink.after == 15 and kink.time == pytest.approx(1.03, abs=1e-6)
+        assert kink.channels == (2,) and kink.of_slope
+
+
+def test_interpolants_are_the_spline_and_the_modified_akima_spline() -> None:
+    """Between a flat stretch and a slope Akima's own has an undershoot where the modified one stays flat."""
+    t, u = np.arange(7.0), np.array([0.0, 0.0, 0.0, 1.0, 2.0, 2.0, 2.0])
+    smooth, akima = _interpolants(t, u)
+    slopes = np.diff(u)
+    # Weights |m3 - m2| + |m3 + m2| / 2 and |m1 - m0| + |m1 + m0| / 2 of the slopes beside the sample at 3.
+    left, right = abs(slopes[4] - slopes[3]) + abs(slopes[4] + slopes[3]) / 2, 0.0
+    right = abs(slopes[2] - slopes[1]) + abs(slopes[2] + slopes[1]) / 2
+    expected = (left * slopes[2] + right * slopes[3]) / (left + right)
+    assert float(akima(3.0, 1)) == pytest.approx(expected)
+    left = abs(slopes[3] - slopes[2]) + abs(slopes[3] + slopes[2]) / 2
+    right = abs(slopes[1] - slopes[0]) + abs(slopes[1] + slopes[0]) / 2
+    assert float(akima(2.0, 1)) == pytest.approx((left * slopes[1] + right * slopes[2]) / (left + right))
+    assert float(akima(1.5)) == 0.0 and abs(float(smooth(1.5))) > 1e-2
+
+
+@pytest.mark.parametrize("cost", [1.0, 1e3])
+def test_straight_is_a_millionth_of_the_hamiltonian_over_the_range(cost: float) -> None:
+    """bend u^2 / 2 over a range of 5."""
+    for factor, straight in ((0.9, True), (1.1, False), (-5.0, True)):
+        bend = 0.0
+        for _ in range(2):  # H's scale depends on the curvature only a little
+            model = go.Model("one")
+            x, u = model.state("x"), model.control("u")
+            model.ode({x: u})
+            problem = go.Problem("one")
+            leg = problem.phase("leg", model)
+            leg.time(0.0, 2.0)
+            problem.minimize(leg.integral(cost * (x + bend * u**2 / 2)))
+            s = by_hand.samples(
+                problem, lambda t, k: np.array([t]), lambda t, k: np.array([1.0 + 0 * t]),
+                lambda t, k: np.array([-cost + 0 * t]), weights=(1.0,), breaks=(0.0, 2.0),
+                control_bounds=by_hand.interval(-1.0, 4.0),
+            )  # fmt: skip
+            bend = factor * 1e-6 * s.hamiltonian_scale / cost / 25
+        assert bool(np.all(_straight(s))) is straight

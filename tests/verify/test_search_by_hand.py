@@ -282,6 +282,8 @@ def test_gain_and_its_share_of_what_the_move_is_worth() -> None:
     np.testing.assert_allclose(found._worth(-7.0 * (better - found._flown)), worth, rtol=1e-9)
     none, share = found._gain(found._flown, np.full(at.size, np.inf), at)
     assert not np.any(none) and not np.any(share)
+    endless, share = found._gain(found._flown, np.full(at.size, -np.inf), at)  # a pole of H is no gain
+    assert not np.any(endless) and not np.any(share)
 
 
 def test_points_are_anywhere_or_off_in_one_channel() -> None:
@@ -365,3 +367,6 @@ def test_a_bound_blocks_only_what_pushes_against_it(monkeypatch: pytest.MonkeyPa
     np.testing.assert_allclose(found._step(np.array([[0.0], [0.25]]), at)[:, 0], [0.0, 0.25], rtol=1e-9)
     slope[0] = -1e-3
     np.testing.assert_allclose(found._step(np.array([[1.0], [0.25]]), at)[:, 0], [0.0, 0.25], rtol=1e-9)
+    slope[0] = 1e-3
+    away = found._step(np.array([[1.0], [0.25]]), at)[:, 0]
+    np.testing.assert_allclose(away, -np.linalg.solve(curved, slope), rtol=1e-9)
