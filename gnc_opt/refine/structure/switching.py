@@ -65,6 +65,7 @@ def optimise_switches(
     tol: float = FINEST,
     max_passes: int = 40,
     max_points: int = 1000,
+    max_work: float = math.inf,
     structures: Mapping[str, PhaseStructure] | None = None,
     options: SolverOptions | None = None,
     deadline: float = math.inf,
@@ -82,6 +83,8 @@ def optimise_switches(
         At most so many solves.
     max_points : int
         At most so many collocation points in any phase.
+    max_work : float
+        No pass begins after this much work, in iterations at one collocation point; see `Pass.work`.
     structures : mapping of PhaseStructure, optional
         What to start from, by phase, if it has been detected already.
     options : SolverOptions, optional
@@ -105,7 +108,7 @@ def optimise_switches(
     tries: list[_Try] = []
     with pass_meter(solution.problem_name, tol, progress) as show:
         try:
-            limits = _Limits(max_passes, max_points, deadline)
+            limits = _Limits(max_passes, max_points, max_work, deadline)
             guess, settled = _settled(solution, plans)
             status = _loop(problem, guess, settled, min(tol, FINEST), limits, chosen, show, tries)
             if status is RefinementStatus.FAILED and guess is not solution:
@@ -130,6 +133,7 @@ class _Limits:
 
     passes: int
     points: int
+    work: float
     deadline: float
 
 
@@ -180,6 +184,8 @@ def _loop(
             return RefinementStatus.INTERRUPTED
         if any(plan.mesh().size > limits.points for plan in plans.values()):
             return RefinementStatus.POINT_LIMIT
+        if sum(t.record.work for t in tries) > limits.work:
+            return RefinementStatus.WORK_LIMIT
         found = _solve(problem, plans, solution, options, limits.deadline)
         if not found.status.solved:
             tries.append(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
@@ -191,11 +197,16 @@ def _loop(
         plans, action = _improve(solution, current, swapped, tol)
         tries.append(_Try(solution, current, _record(solution, begin, action or "structure stands")))
         show(tries[-1].record)
-        if not action:
+        if not action or _resolved([t.record for t in tries], tol):
             return RefinementStatus.CONVERGED
         if _restless([t.record for t in tries]):
             return RefinementStatus.STALLED
     return RefinementStatus.PASS_LIMIT
+
+
+def _resolved(records: list[Pass], tol: float) -> bool:
+    """Whether a finer mesh was asked for twice where the error is small: for costates that are nothing but rounding."""
+    return len(records) > 1 and all(r.actions == RAISED and r.error <= tol for r in records[-2:])
 
 
 def _restless(records: list[Pass]) -> bool:
@@ -246,12 +257,7 @@ def _adjust(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan
     if finer and not moved and not plan.loose and any(plan.structure.touches):
         return replace(plan, loose=True), LOOSENED
     resolutions = finer.resolutions if finer else plan.resolutions
-    if moved:  # multipliers along a state constraint are rough for as long as its ends are wrong
-        resolutions = tuple(
-            old if plan.structure.on_contact(k) else new
-            for k, (old, new) in enumerate(zip(plan.resolutions, resolutions, strict=True))
-        )
-    actions = (KINKS_MOVED if moved else "", RAISED if resolutions != plan.resolutions else "")
+    actions = (KINKS_MOVED if moved else "", RAISED if finer else "")
     return replace(plan, structure=moved or plan.structure, resolutions=resolutions), ", ".join(
         filter(None, actions)
     )
@@ -400,11 +406,15 @@ def _zero(times: Array, values: Array, left: int, right: int) -> float:
 def _mended_contacts(
     constraints: StateConstraints, structure: PhaseStructure
 ) -> tuple[PhaseStructure | None, str]:
-    """Return the structure without a touch that pulls, or with one that pushes unseen, and what was done."""
+    """Return the structure with a contact that pushes unseen, else without a touch that pulls, and what was done.
+
+    A touch may pull because another is missing beside it.
+    """
+    added, action = pushed_contact(constraints, structure)
     wrong = wrong_touch(constraints, structure)
-    if wrong is not None:
-        return structure.without_touch(*wrong), f"touch at {structure.times[wrong[0]]:.4g} s dropped"
-    return pushed_contact(constraints, structure)
+    if added is not None or wrong is None:
+        return added, action
+    return structure.without_touch(*wrong), f"touch at {structure.times[wrong[0]]:.4g} s dropped"
 
 
 # --- resolution ---------------------------------------------------------------------------------------------
@@ -419,6 +429,9 @@ def _finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
     )
     residual = samples.per_segment(samples.lam_rate + gradient + samples.state_multiplier)
     worth = samples.state_scale[:, None] / samples.cost_scale
+    # Multipliers along a state constraint are differences of what the solver leaves: rougher, the finer the piece.
+    contact = np.array([plan.structure.on_contact(k) for k in range(plan.structure.pieces)])
+    residual = np.where(contact[plan.segment_pieces], 0.0, residual)
     per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
     worst, open_gradient = np.zeros(plan.structure.pieces), _open_gradient(samples, plan)
     np.maximum.at(worst, plan.segment_pieces, per_segment)
