@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         Explanation,
         Reference,
         bryson,
+        design_ekf,
         design_feedback_linearization,
         design_hierarchical_sliding_mode,
         design_integral_sliding_mode,
@@ -45,8 +46,10 @@ if TYPE_CHECKING:
         design_mpc,
         design_sliding_mode,
         design_tvlqr,
+        design_ukf,
         export_c,
         feedforward,
+        output_feedback,
     )
     from gnc_opt.simulation import Campaign, ClosedLoop, Outcome, Run, RunStatus, monte_carlo
 
@@ -92,6 +95,7 @@ __all__ = [
     "Verdict",
     "bryson",
     "continue_in",
+    "design_ekf",
     "design_feedback_linearization",
     "design_hierarchical_sliding_mode",
     "design_integral_sliding_mode",
@@ -99,6 +103,7 @@ __all__ = [
     "design_mpc",
     "design_sliding_mode",
     "design_tvlqr",
+    "design_ukf",
     "export_c",
     "feedforward",
     "guess_from_data",
@@ -106,6 +111,7 @@ __all__ = [
     "load",
     "monte_carlo",
     "multistart",
+    "output_feedback",
     "polish",
     "refine",
     "sensitivity",

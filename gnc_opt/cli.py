@@ -1,4 +1,7 @@
-"""The command line: ``gnc-opt new NAME``, and ``gnc-opt solve``, ``gnc-opt multistart`` and ``gnc-opt check FILE``."""
+"""The command line.
+
+``gnc-opt new NAME`` and ``gnc-opt examples``; ``gnc-opt solve``, ``gnc-opt multistart`` and ``gnc-opt check FILE``.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from gnc_opt.errors import GncOptError, ProblemWarning
+from gnc_opt.examples import example, examples
 from gnc_opt.problem_file import ProblemFile, load_problem_file, parse_setting
 from gnc_opt.templates import KINDS, write_template
 
@@ -76,6 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _solve(args: argparse.Namespace) -> ExitCode:
+    from gnc_opt.solution.failure import failure_message
     from gnc_opt.solve import solve
 
     _check_targets(args)
@@ -93,6 +98,8 @@ def _solve(args: argparse.Namespace) -> ExitCode:
             throw=False,
         )
         verdict = _verify(solution) if solution.status.solved and not args.no_verify else None
+    if args.quiet and not solution.status.solved:
+        print(f"gnc-opt: {failure_message(solution)}", file=sys.stderr)
     _show(console, solution, verdict)
     _write(args, console, file, solution, verdict)
     return _exit_code(solution, verdict, args.exit_zero)
@@ -144,6 +151,16 @@ def _new(args: argparse.Namespace) -> ExitCode:
     path = write_template(args.name, args.kind)
     command = shlex.join(["gnc-opt", "solve", str(path), "--report", "report"])
     print(f"written: {path}\nsolve it with: {command}")
+    return ExitCode.OK
+
+
+def _examples(args: argparse.Namespace) -> int:
+    if args.name is not None:
+        return example(args.name).run(args.options)
+    found = examples()
+    width = max(len(each.name) for each in found)
+    print("\n".join(f"{each.name:{width}}  {each.title}" for each in found))
+    print(f"run one with: gnc-opt examples NAME\nread them in: {found[0].path.parent}")
     return ExitCode.OK
 
 
@@ -291,6 +308,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"gnc-opt {package_version('gnc_opt')}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
     _add_new(commands)
+    _add_examples(commands)
     _add_solve(commands)
     _add_multistart(commands)
     check = commands.add_parser("check", help="look for mistakes in a problem without solving it")
@@ -306,6 +324,20 @@ def _add_new(commands: Any) -> None:
     add("--kind", choices=KINDS, default=KINDS[0], help="what it states, default %(default)s")
     add("--debug", action="store_true", help="show the traceback of an error")
     command.set_defaults(run=_new)
+
+
+def _add_examples(commands: Any) -> None:
+    command = commands.add_parser("examples", help="list the problems that come with gnc_opt, or run one")
+    add = command.add_argument
+    add("--debug", action="store_true", help="show the traceback of an error")
+    add("name", metavar="NAME", nargs="?", help="of the problem to run; without it they are listed")
+    add(
+        "options",
+        metavar="OPTION",
+        nargs=argparse.REMAINDER,
+        help="of the problem; try --help after its NAME",
+    )
+    command.set_defaults(run=_examples)
 
 
 def number_or_none(text: str) -> float | None:

@@ -24,6 +24,13 @@ PATIENCE = 300.0
 PressWhen: TypeAlias = Callable[[Callable[[], bool]], None]
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What is slow is not slowed further: it covers hardly a line that nothing else covers."""
+    for item in items:
+        if item.get_closest_marker("slow"):
+            item.add_marker("no_cover")
+
+
 @pytest.fixture
 def ctrl_c_when() -> Iterator[PressWhen]:
     """``ctrl_c_when(condition)`` presses Ctrl-C, from a thread, as soon as the condition is true."""

@@ -3,6 +3,9 @@
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.dropout import bridge_dropouts
+from gnc_opt.control.estimation.estimator import Estimator, output_feedback
+from gnc_opt.control.estimation.kalman import design_ekf, design_ukf
+from gnc_opt.control.estimation.measurement import Measurement
 from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.feedback_linearization import design_feedback_linearization
 from gnc_opt.control.feedforward import feedforward
@@ -38,10 +41,12 @@ __all__ = [
     "ConstantRate",
     "Controller",
     "Deviation",
+    "Estimator",
     "Explanation",
     "ExponentialRate",
     "Fact",
     "FlightCode",
+    "Measurement",
     "PowerRate",
     "PredictiveReaching",
     "Reference",
@@ -53,6 +58,7 @@ __all__ = [
     "bridge_dropouts",
     "bryson",
     "decoupling_matrix",
+    "design_ekf",
     "design_feedback_linearization",
     "design_hierarchical_sliding_mode",
     "design_integral_sliding_mode",
@@ -60,12 +66,14 @@ __all__ = [
     "design_mpc",
     "design_sliding_mode",
     "design_tvlqr",
+    "design_ukf",
     "export_c",
     "feedforward",
     "first_memory",
     "law",
     "lie_derivative",
     "output_errors",
+    "output_feedback",
     "relative_degrees",
     "trim",
     "zero_dynamics",

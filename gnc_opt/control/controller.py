@@ -44,6 +44,9 @@ class Controller:
         example, begins at zero this way.
     states, commands, signals, memory : Layout
         Names, sizes and units of x, u, r and z.
+    estimated : Layout, optional
+        The states that the law feeds back, where an estimator makes them of what is measured, see `output_feedback`;
+        ``states`` then are measurements.
     schedule : callable
         See `Schedule`.
     dt : float or None
@@ -72,6 +75,7 @@ class Controller:
     alarms: tuple[str, ...] = ()
     span: tuple[float, float] | None = None
     unbridged: Controller | None = field(default=None, repr=False)
+    estimated: Layout | None = None
 
     def __post_init__(self) -> None:
         sizes = (1, self.states.size, self.signals.size, self.memory.size)
@@ -79,6 +83,11 @@ class Controller:
         _check_shape(f"the first memory of '{self.name}'", self.start, sizes[:3], (self.memory.size,))
         for alarm in self.alarms:
             self.memory.slice(alarm)
+
+    @property
+    def followed(self) -> Layout:
+        """Names, sizes and units of the states that the law feeds back and its reference is of."""
+        return self.states if self.estimated is None else self.estimated
 
     def explain(self) -> Explanation:
         """Return the facts of the design: gains, poles or margins, bounds and reserves; print them to read them."""

@@ -58,9 +58,13 @@ def bridge_dropouts(controller: Controller, *, hold: int = HOLD, safe: ArrayLike
     Raises
     ------
     ArgumentError
-        It is no controller; bad numbers; or its own memory has these names.
+        It is no controller, or one that an estimator feeds; bad numbers; or its own memory has these names.
     """
     expect(controller, Controller, "what bridge_dropouts() got", "give what a design function returned")
+    if controller.estimated is not None:
+        raise ArgumentError(
+            f"'{controller.name}' is fed by an estimator, which bridges by itself: bridge the controller inside."
+        )
     hold = read_integer(hold, "the number of lost samples to bridge", 0)
     inner = controller.unbridged or controller
     given = None if safe is None else as_vector(safe, inner.commands.size, "the safe command", ArgumentError)

@@ -50,6 +50,7 @@ class Model(Strict):
         "_in_use_by",
         "_outputs",
         "_parameter_values",
+        "_retractions",
         "_symbols",
         "_time",
         "name",
@@ -62,6 +63,7 @@ class Model(Strict):
         self._equations: dict[str, Any] = {}
         self._outputs: dict[str, tuple[Variable, Any]] = {}
         self._differences: dict[str, Callable[[Any, Any], Any]] = {}
+        self._retractions: dict[str, Callable[[Any, Any], Any]] = {}
         self._time = Symbol(Variable("t", unit="s"))
         self._in_use_by: str | None = None
         self._composed_controls: dict[str, ComposedControl] = {}
@@ -274,7 +276,12 @@ class Model(Strict):
         self._outputs[name] = (Variable(name, value.shape[0], unit), value)
         return value
 
-    def difference(self, state: Symbol | str, function: Callable[[Any, Any], Any]) -> None:
+    def difference(
+        self,
+        state: Symbol | str,
+        function: Callable[[Any, Any], Any],
+        retraction: Callable[[Any, Any], Any] | None = None,
+    ) -> None:
         """Declare how far a state is from a reference, where subtraction is not the answer (attitudes).
 
         Parameters
@@ -283,16 +290,24 @@ class Model(Strict):
         function : callable
             ``function(x, x_ref)`` of two SX columns returns the error, an SX column: zero for equal attitudes,
             first order in small differences. It may have fewer components than the state (3 for a quaternion).
+        retraction : callable, optional
+            ``retraction(x_ref, e)`` returns the state x that is the error e away from x_ref, to first order at least:
+            the way back, which estimators need.
 
         Raises
         ------
         ModelError
-            The result is not a column of SX, or it uses other symbols.
+            The result is not a column of SX, or it uses other symbols; or there is no way back with this size.
         """
         self._refuse_if_in_use("difference")
         name = self._state_name(state)
         self._differences[name] = function
+        self._retractions.pop(name, None)
+        if retraction is not None:
+            self._retractions[name] = retraction
         self.error_expression(self.symbols("state"), ca.SX.sym("x_ref", self.states.size))
+        if retraction is not None:
+            self._moved(name, self.symbols("state"), ca.SX.sym("e", self.errors.size))
 
     def with_parameters(self, **values: ArrayLike) -> Model:
         """Return a copy of the model with other parameter values (same symbols, same equations)."""
@@ -353,6 +368,16 @@ class Model(Strict):
     def error_expression(self, x: Any, x_ref: Any) -> Any:
         """Return the stacked SX errors of states x relative to x_ref, both SX (n_states, 1)."""
         return ca.vertcat(*self._errors(x, x_ref))
+
+    def moved_expression(self, x_ref: Any, e: Any) -> Any:
+        """Return the stacked SX states that are the errors e (n_errors, 1) away from x_ref (n_states, 1), both SX.
+
+        Raises
+        ------
+        ModelError
+            A state has a difference without a retraction.
+        """
+        return ca.vertcat(*[self._moved(name, x_ref, e) for name in self.states.names])
 
     def symbols(self, kind: str) -> Any:
         """Return the stacked SX vector of "state", "control" or "parameter" symbols."""
@@ -456,6 +481,22 @@ class Model(Strict):
             what = f"the difference of state '{name}' in model '{self.name}'"
             parts.append(as_expression(self._differences[name](own, reference), what))
         return parts
+
+    def _moved(self, name: str, x_ref: Any, e: Any) -> Any:
+        own, error = x_ref[self.states.slice(name)], e[self.errors.slice(name)]
+        if name not in self._differences:
+            return own + error
+        what = f"the retraction of state '{name}' in model '{self.name}'"
+        if name not in self._retractions:
+            raise ModelError(
+                f"{what} is missing: give difference('{name}', ..., retraction=...) the way back."
+            )
+        value = as_expression(self._retractions[name](own, error), what)
+        if value.shape != own.shape:
+            raise ModelError(
+                f"{what} has the shape {value.shape} where {own.shape} is needed: return a state."
+            )
+        return value
 
     def _function(self, name: str, expressions: Any, *names: str) -> Any:
         if name not in self._functions:

@@ -32,8 +32,8 @@ def plot_run_states(run: Run, names: Sequence[str] | None = None) -> Figure:
 
     def draw(ax: Axes, name: str) -> None:
         signal = run.state(name)
-        if run.reference is not None and name in run.layouts["measured"]:
-            followed = run.reference[run.layouts["measured"].slice(name)]
+        if run.reference is not None and name in run.followed:
+            followed = run.reference[run.followed.slice(name)]
             for i, row in enumerate(followed):
                 label = "reference" if i == 0 else "_"
                 ax.plot(run.times, row, color=QUIET, linestyle="--", linewidth=1.0, label=label)
@@ -60,7 +60,11 @@ def plot_run_errors(run: Run, names: Sequence[str] | None = None) -> Figure:
     ArgumentError
         The controller of the run follows no reference.
     """
-    return _axes(run, names or run.layouts["measured"].names, lambda ax, name: _lines(ax, run.error(name)))
+    return _axes(
+        run,
+        names or [n for n in run.followed.names if n in run.layouts["error"]],
+        lambda ax, name: _lines(ax, run.error(name)),
+    )
 
 
 def plot_run_controls(run: Run, names: Sequence[str] | None = None) -> Figure:

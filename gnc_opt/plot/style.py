@@ -43,7 +43,6 @@ _STYLE: dict[str, Any] = {
     "axes.axisbelow": True,
     "axes.formatter.useoffset": False,
     "axes.formatter.limits": (-5, 5),
-    "axes.formatter.use_mathtext": True,
     "axes.unicode_minus": True,
     "xtick.direction": "in",
     "ytick.direction": "in",

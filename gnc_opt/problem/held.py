@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -16,11 +15,8 @@ from gnc_opt.problem.interval import Interval
 Kinds: TypeAlias = "tuple[tuple[ArcKind, ...], ...]"
 """Rows of kinds, one per segment or piece."""
 
-MAY_BE_RELEASED = (ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED)
-"""What a control or path constraint may be told."""
-
-WITHIN_LIMITS = MAY_BE_RELEASED[:3]
-"""What a state may be told."""
+MAY_BE_TOLD = (ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED)
+"""What a control, path constraint or state may be told."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +40,29 @@ class Smooth:
 
 
 @dataclass(frozen=True)
+class Junction:
+    """A mesh boundary at which a state constraint meets its limit.
+
+    Attributes
+    ----------
+    constraint : int
+        Row among the path constraints, then the states.
+    boundary : int
+        Index of the interior mesh break.
+    kind : ArcKind
+        LOWER or UPPER: the limit that is met.
+    conditions : int
+        So many conditions hold there: the constraint is at its limit, and its first ``conditions - 1`` derivatives
+        along the dynamics vanish.
+    """
+
+    constraint: int
+    boundary: int
+    kind: ArcKind
+    conditions: int
+
+
+@dataclass(frozen=True)
 class Held:
     """What is held, rows of K kinds each; interior means free within the limits."""
 
@@ -51,13 +70,13 @@ class Held:
     paths: Kinds = ()
     states: Kinds = ()
     smooth: tuple[Smooth, ...] = ()
+    junctions: tuple[Junction, ...] = ()
 
 
 def read_kinds(
     given: ArrayLike,
     labels: tuple[str, ...],
     limits: Interval,
-    allowed: Collection[ArcKind],
     what: str,
     where: str,
 ) -> Kinds:
@@ -73,8 +92,8 @@ def read_kinds(
     except (TypeError, ValueError):  # symbols, or objects that refuse
         kinds = np.empty((0, 0), dtype=object)
     read = [[_kind(entry) for entry in row] for row in kinds] if kinds.ndim == 2 else []
-    if len(read) != len(labels) or any(kind not in allowed for row in read for kind in row):
-        names = ", ".join(kind.name for kind in allowed)
+    if len(read) != len(labels) or any(kind not in MAY_BE_TOLD for row in read for kind in row):
+        names = ", ".join(kind.name for kind in MAY_BE_TOLD)
         raise ProblemError(
             f"arcs of {where} must be -1, 0 and +1, or {names} of ArcKind, in an array of {len(labels)} rows ({what} "
             f"{', '.join(labels)}) and one column per segment; got {shown(given)} of shape {kinds.shape}."

@@ -20,7 +20,7 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol, as_expression
 from gnc_opt.problem.constraint import Constraint, make_constraint
 from gnc_opt.problem.guess.values import GuessValue, read_guess_times, sample_guess
-from gnc_opt.problem.held import MAY_BE_RELEASED, WITHIN_LIMITS, Held, Smooth, read_kinds
+from gnc_opt.problem.held import Held, Junction, Smooth, read_kinds
 from gnc_opt.problem.interval import Interval, free, intersect, read_interval
 from gnc_opt.strict import Strict
 
@@ -283,6 +283,7 @@ class Phase(Strict):
         paths: ArrayLike | None = None,
         states: ArrayLike | None = None,
         smooth: tuple[Smooth, ...] = (),
+        junctions: tuple[Junction, ...] = (),
     ) -> None:
         """Hold controls on their bounds, segment by segment, for a mesh of K segments.
 
@@ -295,26 +296,29 @@ class Phase(Strict):
         paths : array (n_paths, K), optional
             The same for the rows of the path constraints.
         states : array (n_states, K), optional
-            LOWER or UPPER: on that bound, INTERIOR: within bounds. The bound must be of first order: the state's own
-            derivative depends on a control that is free there.
+            LOWER or UPPER: on that bound, INTERIOR: within bounds, RELEASED: free of them. A bound of higher order (the
+            state's own derivative depends on no control) needs a junction where the arc begins.
         smooth : tuple of Smooth
             Controls that are one polynomial over several segments.
+        junctions : tuple of Junction
+            Mesh boundaries at which a state constraint meets its limit.
         """
         if arcs is None:
             self._set(arcs=None)
             return
         model, box = self.model, self.numbers
         held = Held(
-            read_kinds(arcs, model.controls.labels, box.controls, MAY_BE_RELEASED, "controls", self.where),
+            read_kinds(arcs, model.controls.labels, box.controls, "controls", self.where),
             smooth=tuple(smooth),
+            junctions=tuple(junctions),
         )
         if paths is not None:
             labels, limits = self.path_labels, self.path_interval()
-            kinds = read_kinds(paths, labels, limits, MAY_BE_RELEASED, "path constraints", self.where)
+            kinds = read_kinds(paths, labels, limits, "path constraints", self.where)
             held = replace(held, paths=kinds)
         if states is not None:
             labels = model.states.labels
-            kinds = read_kinds(states, labels, box.states, WITHIN_LIMITS, "states", self.where)
+            kinds = read_kinds(states, labels, box.states, "states", self.where)
             held = replace(held, states=kinds)
         self._set(arcs=held)
 

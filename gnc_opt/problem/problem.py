@@ -21,7 +21,7 @@ from gnc_opt.problem.check import check_problem
 from gnc_opt.problem.constraint import make_constraint
 from gnc_opt.problem.fingerprint import problem_fingerprint
 from gnc_opt.problem.guess.values import GuessValue
-from gnc_opt.problem.held import Smooth
+from gnc_opt.problem.held import Junction, Smooth
 from gnc_opt.problem.interval import Interval, read_interval, read_range
 from gnc_opt.problem.link import linkages
 from gnc_opt.problem.phase import Phase
@@ -331,10 +331,11 @@ class Problem(Statement):
         paths: ArrayLike | None = None,
         states: ArrayLike | None = None,
         smooth: tuple[Smooth, ...] = (),
+        junctions: tuple[Junction, ...] = (),
     ) -> Problem:
         """Return a copy whose controls are held on their bounds segment by segment; see ``Phase.hold``."""
         twin = self._clone()
-        twin.get_phase(phase).hold(arcs, paths=paths, states=states, smooth=smooth)
+        twin.get_phase(phase).hold(arcs, paths=paths, states=states, smooth=smooth, junctions=junctions)
         return twin
 
     def with_parameters(self, **values: ArrayLike) -> Problem:

@@ -17,6 +17,7 @@ from gnc_opt.simulation.actuators import (
 from gnc_opt.simulation.allocation import Allocation, Mixer, WheelArray
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.campaign import Campaign
+from gnc_opt.simulation.consistency import Consistency, InnovationTest, consistency
 from gnc_opt.simulation.dispersion import Ball, Choice, Normal, Sphere, Turn, Uniform
 from gnc_opt.simulation.disturbances import Constant, Disturbance, Expression, RandomHold, Sinusoid
 from gnc_opt.simulation.flight import Ending, Flight
@@ -35,6 +36,7 @@ __all__ = [
     "Campaign",
     "Choice",
     "ClosedLoop",
+    "Consistency",
     "Constant",
     "Deadband",
     "Delay",
@@ -43,6 +45,7 @@ __all__ = [
     "Expression",
     "Flight",
     "Hold",
+    "InnovationTest",
     "Lag",
     "MinimumImpulse",
     "Mixer",
@@ -71,5 +74,6 @@ __all__ = [
     "Turn",
     "Uniform",
     "WheelArray",
+    "consistency",
     "monte_carlo",
 ]

@@ -15,6 +15,7 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_integer, read_positive
+from gnc_opt.control.steps import is_first, next_phase, started_steps, whole_steps
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.block import (
     POSITIVE,
@@ -29,7 +30,6 @@ from gnc_opt.simulation.block import (
     scalar,
     values,
 )
-from gnc_opt.simulation.steps import is_first, next_phase, started_steps, whole_steps
 from gnc_opt.simulation.wave import Part, Wave
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 

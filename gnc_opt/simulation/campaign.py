@@ -15,6 +15,7 @@ from gnc_opt.archive import FileFormat
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
 from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.model.records import Records, named
 from gnc_opt.packing import Arrays, Packing
 from gnc_opt.simulation.first_files import campaign_fields
 from gnc_opt.simulation.flight import Flight
@@ -52,6 +53,8 @@ class Campaign(Strict):
     saturation_time, variation : array (n_commands, m)
         As in `Run`.
     integration_error : array (m,)
+    memory : array (n_memory, m)
+        Of the controller at the end; (0, 0) in files of versions that did not store it.
     outcomes : tuple of m Outcome
     span : tuple of two floats
         First and last time, s.
@@ -62,7 +65,7 @@ class Campaign(Strict):
     interrupted : bool
         Whether Ctrl-C ended the campaign before its time.
     layouts : mapping
-        Names, sizes and units by kind: parameter, state, error, applied, command.
+        Names, sizes and units by kind: parameter, state, error, applied, command, memory.
     flight : Flight or None
         What was flown; not stored in files.
     fingerprint : str
@@ -89,6 +92,7 @@ class Campaign(Strict):
     layouts: Mapping[str, Layout] = field(repr=False)
     flight: Flight | None = field(default=None, repr=False)
     fingerprint: str = field(default="", repr=False)
+    memory: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
 
     def __len__(self) -> int:
         return len(self.outcomes)
@@ -293,6 +297,43 @@ class Campaign(Strict):
             )
         return self.flight.run(self.parameters[:, places[0]], [self.seed, int(index)])
 
+    # --- tables -------------------------------------------------------------------------------------------
+
+    def to_pandas(self) -> Any:
+        """Return a row per run as a DataFrame, one column per component; ``attrs["units"]`` holds the units.
+
+        ``outcome``; what was drawn by its dotted name; ``final.q`` and ``error.q`` at the end; every measure.
+
+        Raises
+        ------
+        GncOptError
+            pandas is not installed; it comes with the extra ``data``.
+        """
+        return self._records().to_pandas()
+
+    def to_xarray(self) -> Any:
+        """Return the same as a Dataset, each variable with its unit; vectors have a dimension for their components."""
+        return self._records().to_xarray()
+
+    def export(self, path: str | Path) -> Path:
+        """Write the same to a file for other programs, ``.csv``, ``.json`` or ``.mat``, and return its path."""
+        return self._records().write(path)
+
+    def _records(self) -> Records:
+        outcomes = [outcome.status.value for outcome in self.outcomes]
+        measures = [
+            (Variable(name, unit=self.unit(name)), self.measure(name)[None, :]) for name in self.measures
+        ]
+        quantities = (
+            (Variable("outcome"), np.array([outcomes], dtype=object)),
+            *named(self.layouts["parameter"], self.parameters),
+            *named(self.layouts["state"], self.states, "final."),
+            *named(self.layouts["error"], self.errors, "error."),
+            *measures,
+        )
+        about = {"seed": self.seed, "asked": self.asked, "fingerprint": self.fingerprint}
+        return Records(Variable("run"), np.asarray(self.indices), quantities, about)
+
     # --- files --------------------------------------------------------------------------------------------
 
     def to_json(self, path: str | Path | None = None) -> str:
@@ -355,12 +396,18 @@ def _require_same(campaign: Campaign, flight: Flight, path: str | Path) -> None:
 _PACKING = Packing((Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("flight",)})
 
 
-def _second_fields(header: dict[str, Any], arrays: Arrays) -> dict[str, Any]:
-    """Return the fields of a `Campaign` of version 2, which has no fingerprint."""
+def _earlier_fields(header: dict[str, Any], arrays: Arrays) -> dict[str, Any]:
+    """Return the fields of a `Campaign` of version 2, which has no fingerprint, or 3, which has no memory."""
     return dict(vars(_PACKING.unpack(header["campaign"], arrays)))
 
 
-CAMPAIGN_FILES = FileFormat(Campaign, "campaign", 3, _PACKING, older={1: campaign_fields, 2: _second_fields})
+CAMPAIGN_FILES = FileFormat(
+    Campaign,
+    "campaign",
+    4,
+    _PACKING,
+    older={1: campaign_fields, 2: _earlier_fields, 3: _earlier_fields},
+)
 
 
 def _or_infinite(values: Array) -> Array:

@@ -66,7 +66,7 @@ def _flown(part: Campaign, count: int) -> Flown:
     ending = Ending(
         states=part.states[:, :count],
         errors=None,
-        memory=np.empty((0, count)),
+        memory=part.memory[:, :count],
         effort=part.effort[:, :count],
         energy=part.energy[:, :count],
         saturation_time=part.saturation_time[:, :count],

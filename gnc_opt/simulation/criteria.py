@@ -31,8 +31,9 @@ class Criteria:
         """Return what states are compared with at the end (n_states,); not-a-number where there is nothing."""
         goal = np.full(flight.states.size, np.nan)
         if flight.reference is not None:
-            for name in flight.measured.names:
-                goal[flight.states.slice(name)] = flight.reference[flight.measured.slice(name), -1]
+            for name in flight.followed.names:
+                if name in flight.states:
+                    goal[flight.states.slice(name)] = flight.reference[flight.followed.slice(name), -1]
         for name, value in self.target.items():
             place = flight.states.slice(name)
             goal[place] = as_vector(value, flight.states[name].size, f"the target of '{name}'", ArgumentError)

@@ -15,9 +15,9 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_numbers
+from gnc_opt.control.steps import is_first, next_phase, whole_steps
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.block import Block, Defaults, Parameters, Tick, scalar, values
-from gnc_opt.simulation.steps import is_first, next_phase, whole_steps
 
 
 @dataclass(frozen=True)

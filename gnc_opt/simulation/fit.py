@@ -4,29 +4,47 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import casadi as ca
+
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, did_you_mean
+from gnc_opt.model.layout import Variable
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.signals import Kinds
 
 
 def check_measured(plant: Model, controller: Controller) -> None:
-    """Refuse a plant without the states that the controller measures."""
+    """Refuse a plant without the states and outputs that the controller measures, and without those it follows."""
     for variable in controller.states.variables:
-        if variable.name not in plant.states:
+        _check_there(variable, plant, controller, "measures")
+        if variable.name in plant.outputs and any(
+            ca.which_depends(plant.output_expression(variable.name), plant.symbols("control"), 1, True)
+        ):
             raise ArgumentError(
-                f"controller '{controller.name}' measures '{variable.name}', which the plant '{plant.name}' does not "
-                f"have: {did_you_mean(variable.name, plant.states.names)}"
+                f"controller '{controller.name}' measures the output '{variable.name}' of '{plant.name}', which "
+                "depends on a control: measure one of states alone."
             )
-        if plant.states[variable.name].size != variable.size:
-            raise ArgumentError(
-                f"state '{variable.name}' has {plant.states[variable.name].size} components in the plant "
-                f"'{plant.name}' and {variable.size} in controller '{controller.name}'."
-            )
-        _check_unit(
-            f"state '{variable.name}'", plant, plant.states[variable.name].unit, variable.unit, controller
+    for variable in controller.followed.variables if controller.estimated is not None else ():
+        if variable.name in plant.states:  # the plant may know nothing of what is estimated
+            _check_there(variable, plant, controller, "estimates")
+
+
+def _check_there(variable: Variable, plant: Model, controller: Controller, verb: str) -> None:
+    kind = "output" if variable.name in plant.outputs else "state"
+    layout = plant.outputs if kind == "output" else plant.states
+    if variable.name not in layout:
+        known = [*plant.states.names, *plant.outputs.names]
+        raise ArgumentError(
+            f"controller '{controller.name}' {verb} '{variable.name}', which the plant '{plant.name}' does not "
+            f"have: {did_you_mean(variable.name, known)}"
         )
+    if layout[variable.name].size != variable.size:
+        raise ArgumentError(
+            f"{kind} '{variable.name}' has {layout[variable.name].size} components in the plant "
+            f"'{plant.name}' and {variable.size} in controller '{controller.name}'."
+        )
+    _check_unit(f"{kind} '{variable.name}'", plant, layout[variable.name].unit, variable.unit, controller)
 
 
 def _check_unit(what: str, plant: Model, unit: str, expected: str, controller: Controller) -> None:

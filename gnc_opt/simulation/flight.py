@@ -84,8 +84,8 @@ class Flight:
         The loop as a compiled function.
     schedule : array (n_signals, n_steps)
         Rows r of the controller.
-    states, measured, commands, controls, memory : Layout
-        Names, sizes and units.
+    states, measured, followed, commands, controls, memory : Layout
+        Names, sizes and units; ``followed`` are the states that the reference is of.
     errors : casadi Function
         Errors of the states relative to the reference.
     error_layout : Layout
@@ -111,6 +111,7 @@ class Flight:
     reference: Array | None
     states: Layout
     measured: Layout
+    followed: Layout
     commands: Layout
     controls: Layout
     memory: Layout
@@ -249,6 +250,7 @@ class Flight:
             layouts={
                 "state": self.states,
                 "measured": self.measured,
+                "followed": self.followed,
                 "command": self.commands,
                 "applied": self.controls,
                 "memory": self.memory,
@@ -380,8 +382,9 @@ class Flight:
         if self.reference is None:
             return None
         follow = np.full((self.states.size, self.times[columns].size), np.nan)
-        for name in self.measured.names:
-            follow[self.states.slice(name)] = self.reference[self.measured.slice(name)][:, columns]
+        for name in self.followed.names:
+            if name in self.states:
+                follow[self.states.slice(name)] = self.reference[self.followed.slice(name)][:, columns]
         wide = np.broadcast_to(follow, states.shape) if follow.shape[1] == 1 else follow
         return np.asarray(self.errors(states, wide).full())
 

@@ -158,7 +158,7 @@ class _Builder:
     ) -> tuple[Any, dict[str, Any]]:
         """Return the measured state and the sensors' memories; without memories they begin."""
         by_name = self._by_state(x)
-        signals = {n: by_name[n] for n in self.measured.names}
+        signals = {n: by_name[n] if n in by_name else self._output(n, t, x) for n in self.measured.names}
         tick = Tick(t, self.wiring.dt, self.wiring.dt, 0, by_name)
         after = {}
         for i, link in enumerate(self.wiring.sensors):
@@ -168,6 +168,13 @@ class _Builder:
             signals = put(signals, link, step.signal)
             after[key] = before if memory is None else step.state
         return take(signals, self.measured.names), after
+
+    def _output(self, name: str, t: Any, x: Any) -> Any:
+        """Return an output of the plant; it depends on no control."""
+        plant = self.wiring.plant
+        time, xs, _, ps = plant.arguments()
+        expression = plant.output_expression(name)
+        return ca.substitute(expression, ca.vertcat(time, xs, ps), ca.vertcat(t, x, self.plant_p))
 
     def _actuate(
         self, tick: Tick, u: Any, memory: dict[str, Any], w: dict[str, Any], minor: int
@@ -371,8 +378,9 @@ def _distinct(breaks: list[Any]) -> list[Any]:
 
 
 def watched(wiring: Wiring, measured: Any) -> tuple[Any, ...]:
-    """Return the measurement, of which a controller that bridges dropouts has to make the best itself: nothing."""
-    return (measured,) if wiring.controller.unbridged is None else ()
+    """Return the measurement, unless the controller or its estimator does without lost samples: then nothing."""
+    controller = wiring.controller
+    return (measured,) if controller.unbridged is None and controller.estimated is None else ()
 
 
 def watched_labels(wiring: Wiring) -> list[str]:

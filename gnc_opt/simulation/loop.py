@@ -60,9 +60,10 @@ class ClosedLoop:
     Parameters
     ----------
     plant : Model
-        May differ from the one the controller was designed with, as long as it has the controller's states and
-        the applied controls by name; its other controls are zero.
+        May differ from the one the controller was designed with, as long as it has what the controller measures
+        (states, or outputs that depend on no control) and the applied controls by name; its other controls are zero.
     controller : Controller
+        With an estimator between it and the sensors where `output_feedback` put one.
     actuators, sensors : sequence of Block
         In the order in which the signal passes them.
     disturbances : sequence of Disturbance
@@ -323,6 +324,7 @@ class ClosedLoop:
             reference=self._followed(rows),
             states=self.plant.states,
             measured=self.controller.states,
+            followed=self.controller.followed,
             commands=self.controller.commands,
             controls=self.plant.controls,
             memory=self.controller.memory,
@@ -367,7 +369,7 @@ class ClosedLoop:
 
     def _followed(self, rows: Array) -> Array | None:
         """Return the states the controller follows (n_states, n_times), if its schedule has them."""
-        signals, states = self.controller.signals, self.controller.states
+        signals, states = self.controller.signals, self.controller.followed
         if all(f"{n}_ref" in signals for n in states.names):
             places = np.concatenate([np.r_[signals.slice(f"{n}_ref")] for n in states.names])
         elif "x_ref" in signals and signals["x_ref"].size == states.size:

@@ -185,7 +185,7 @@ def _campaign(mission: Mission, asked: int, goal: Array, flown: Sequence[Flown])
         parts = [
             np.full((size, len(p.batch)), np.nan)
             if p.ending is None
-            else np.asarray(getattr(p.ending, attribute)).reshape(size, -1)
+            else np.asarray(getattr(p.ending, attribute)).reshape(size, len(p.batch))
             for p in flown
         ]
         return np.hstack([np.empty((size, 0)), *parts])
@@ -223,7 +223,9 @@ def _campaign(mission: Mission, asked: int, goal: Array, flown: Sequence[Flown])
             "error": flight.error_layout,
             "applied": flight.controls,
             "command": flight.commands,
+            "memory": flight.memory,
         },
         flight=flight,
         fingerprint=flight.fingerprint,
+        memory=joined("memory", flight.memory.size),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +14,7 @@ from gnc_opt.archive import FileFormat
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.model.records import Records, named
 from gnc_opt.packing import Packing
 from gnc_opt.simulation import metrics
 from gnc_opt.simulation.first_files import run_fields
@@ -76,7 +78,7 @@ class Run(Strict):
     memory : array (n_memory, N + 1)
         Of the controller.
     reference : array (n, N + 1) or None
-        What the controller follows.
+        What the controller follows, see `followed`.
     errors : array (n_errors, N + 1) or None
         States relative to the reference, by the plant's own difference; not-a-number for states without one.
     parameters : array (n_parameters,)
@@ -89,7 +91,7 @@ class Run(Strict):
         Whether all is well; otherwise what went wrong first, and when.
     seed : str
     layouts : dict
-        Names, sizes and units by kind: state, measured, command, applied, memory, error, parameter.
+        Names, sizes and units by kind: state, measured, followed, command, applied, memory, error, parameter.
     """
 
     times: Array
@@ -121,6 +123,11 @@ class Run(Strict):
         lines.insert(-1, "  effort        " + _listed(self.layouts["applied"], self.effort, " s"))
         lines.insert(-1, "  saturated     " + _listed(self.layouts["command"], self.saturation, None))
         return "\n".join(lines)
+
+    @property
+    def followed(self) -> Layout:
+        """Names, sizes and units of the states that the reference is of."""
+        return self.layouts.get("followed", self.layouts["measured"])  # older files know no estimators
 
     # --- signals ------------------------------------------------------------------------------------------
 
@@ -191,7 +198,7 @@ class Run(Strict):
         index = -1 if at is None else int(np.argmin(np.abs(self.times - at)))
         self._need_errors()
         assert self.reference is not None
-        place = self.layouts["measured"].slice(name)
+        place = self.followed.slice(name)
         return metrics.rotation_angle(self.state(name).values[:, index], self.reference[place, index])
 
     def settling_time(self, name: str, band: float, target: ArrayLike | None = None) -> float:
@@ -223,6 +230,47 @@ class Run(Strict):
     def chattering(self, name: str) -> Array:
         """Return the total variation of a command, (size,): the sum of its changes (unit of the command)."""
         return self.variation[self.layouts["command"].slice(name)]
+
+    # --- tables -------------------------------------------------------------------------------------------
+
+    def to_pandas(self) -> Any:
+        """Return all that was logged as a DataFrame, one column per component; ``attrs["units"]`` holds the units.
+
+        States have their names, the rest a prefix: ``measured.q``, ``command.F``, ``applied.F``, ``memory.z``,
+        ``error.q``, ``reference.q``. What belongs to a control step stands at its beginning; there is none at the end.
+
+        Raises
+        ------
+        GncOptError
+            pandas is not installed; it comes with the extra ``data``.
+        """
+        return self._records().to_pandas()
+
+    def to_xarray(self) -> Any:
+        """Return the same as a Dataset, each variable with its unit; vectors have a dimension for their components."""
+        return self._records().to_xarray()
+
+    def export(self, path: str | Path) -> Path:
+        """Write the same to a file for other programs, ``.csv``, ``.json`` or ``.mat``, and return its path."""
+        return self._records().write(path)
+
+    def _records(self) -> Records:
+        n = self.times.size
+        quantities = [*named(self.layouts["state"], self.states)]
+        steps = {
+            "measured": self.measured,
+            "command": self.commands,
+            "applied": self.applied,
+            "memory": self.memory,
+        }
+        for kind, values in steps.items():
+            quantities += named(self.layouts[kind], values, f"{kind}.", n)
+        if self.errors is not None:
+            quantities += named(self.layouts["error"], self.errors, "error.")
+        if self.reference is not None:
+            quantities += named(self.layouts["measured"], self.reference, "reference.")
+        about = {"outcome": str(self.outcome), "seed": self.seed}
+        return Records(Variable("time", unit="s"), self.times, tuple(quantities), about)
 
     # --- files --------------------------------------------------------------------------------------------
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_integer, read_numbers
+from gnc_opt.control.steps import is_first, next_phase, whole_steps
 from gnc_opt.simulation.block import (
     Block,
     Defaults,
@@ -22,7 +23,6 @@ from gnc_opt.simulation.block import (
     scalar,
     values,
 )
-from gnc_opt.simulation.steps import is_first, next_phase, whole_steps
 from gnc_opt.tolerances import SAME_TIME
 
 

@@ -11,6 +11,7 @@ from gnc_opt.problem.functions import EndGradients, end_gradients, phase_functio
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.covector import Iterate, map_costates, point_costates, settle_doubled_paths
+from gnc_opt.solution.held_paths import settle_held_paths
 from gnc_opt.solution.phase_solution import PhaseSolution, piecewise
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.tolerances import ROUNDING, SHORTEST
@@ -120,7 +121,7 @@ def _extract_phase(
     )
     numbers = leg.numbers
     initial_time, final_time = leg.times()
-    return PhaseSolution(
+    found = PhaseSolution(
         name=part.name,
         scheme=collocation.scheme,
         mesh=mesh,
@@ -156,6 +157,7 @@ def _extract_phase(
         duration_bounds=numbers.duration,
         composed_controls=tuple(leg.model.composed_controls.values()),
     )
+    return settle_held_paths(found, numbers.arcs, functions)
 
 
 def _time_multipliers(part: PhasePart, lam_x: Array) -> Array:

@@ -43,23 +43,11 @@ class FlownControl:
     @cached_property
     def held(self) -> Mask:
         """Which channel is held piecewise constant in which segment, shape (m, K)."""
-        tau = np.linspace(-1.0, 1.0, _SAMPLES)
+        values = self.polynomial.within(np.linspace(-1.0, 1.0, _SAMPLES))
         slack = self.tolerance * _finite_range(self.bounds)
-        columns = []
-        for k in range(len(self.rules)):
-            left, right = self.polynomial.breaks[k], self.polynomial.breaks[k + 1]
-            inside = left + 0.5 * (right - left) * (1 + tau[1:-1])
-            values = np.hstack(
-                [
-                    self.polynomial(left, "right")[:, None],
-                    self.polynomial(inside),
-                    self.polynomial(right, "left")[:, None],
-                ]
-            )
-            over = np.max(values - self.bounds.upper[:, None], axis=1, initial=-np.inf) > slack
-            under = np.max(self.bounds.lower[:, None] - values, axis=1, initial=-np.inf) > slack
-            columns.append(over | under)
-        return np.stack(columns, axis=1)
+        over = np.max(values, axis=2) - self.bounds.upper[:, None] > slack[:, None]
+        under = self.bounds.lower[:, None] - np.min(values, axis=2) > slack[:, None]
+        return np.asarray(over | under)
 
     @cached_property
     def _cells(self) -> tuple[Array, ...]:

@@ -78,15 +78,24 @@ class PiecewisePolynomial:
             raise ArgumentError(f"the side of a segment boundary is {shown(side)}: give 'left' or 'right'.")
         times = self._clamped(np.atleast_1d(read_numbers(t, "the time")))
         segment = np.clip(np.searchsorted(self.breaks, times, side) - 1, 0, len(self.nodes) - 1)
-        tau, first = self._tau(segment, times), self._first_alike[segment]
+        tau = self._tau(segment, times)
         result = np.empty((self.values[0].shape[0], times.size))
-        for alike in np.unique(first):
-            here = np.flatnonzero(first == alike)
-            basis = interpolation_matrix(self.nodes[alike], tau[here])
-            for k in np.unique(segment[here]):
-                rows = segment[here] == k
-                result[:, here[rows]] = self.values[k] @ basis[rows].T
+        for alike in self._alike:
+            places = alike.places[segment]
+            here = np.flatnonzero(places >= 0)
+            basis = interpolation_matrix(alike.nodes, tau[here])
+            terms = zip(alike.values, basis.T, strict=True)
+            result[:, here] = sum(values[:, places[here]] * weights for values, weights in terms)
         return result if np.ndim(t) else result[:, 0]
+
+    def within(self, tau: ArrayLike) -> Array:
+        """Evaluate at the same places ``tau`` on [-1, 1] of all segments, from within each: (n, K, len(tau))."""
+        at = np.atleast_1d(read_numbers(tau, "the place"))
+        result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
+        for alike in self._alike:
+            basis = interpolation_matrix(alike.nodes, at)
+            result[:, alike.places >= 0] = np.tensordot(alike.values, basis, axes=(0, 1))
+        return result
 
     def derivative(self) -> "PiecewisePolynomial":
         """The time derivative, on the same nodes; per second."""
@@ -126,14 +135,40 @@ class PiecewisePolynomial:
         return np.clip(times, first, last)
 
     @cached_property
-    def _first_alike(self) -> Indices:
-        """For each segment the first one with the same nodes (K,): they share one interpolation matrix."""
-        first: dict[bytes, int] = {}
-        return np.array([first.setdefault(x.tobytes(), k) for k, x in enumerate(self.nodes)])
+    def _alike(self) -> tuple["_Alike", ...]:
+        """Segments with the same nodes, which share one interpolation matrix."""
+        groups: dict[bytes, list[int]] = {}
+        for k, x in enumerate(self.nodes):
+            groups.setdefault(x.tobytes(), []).append(k)
+        return tuple(_Alike.of(self, np.array(segments)) for segments in groups.values())
 
     def _tau(self, segment: Indices, times: Array) -> Array:
         initial, final = self.breaks[segment], self.breaks[segment + 1]
         return np.asarray(((times - initial) - (final - times)) / (final - initial))
+
+
+@dataclass(frozen=True, eq=False)
+class _Alike:
+    """Some segments with the same nodes.
+
+    Attributes
+    ----------
+    nodes : array (m,)
+    values : array (m, n, n_alike)
+    places : int array (K,)
+        Where each segment is among them, -1 for others.
+    """
+
+    nodes: Array
+    values: Array
+    places: Indices
+
+    @classmethod
+    def of(cls, signal: PiecewisePolynomial, segments: Indices) -> "_Alike":
+        places = np.full(len(signal.nodes), -1)
+        places[segments] = np.arange(segments.size)
+        values = np.stack([signal.values[k].T for k in segments], axis=2)
+        return cls(signal.nodes[segments[0]], values, places)
 
 
 def _node_integrals(nodes: Array) -> Array:
@@ -151,10 +186,13 @@ def _check_breaks(breaks: Array) -> None:
 def _check_segments(count: int, nodes: tuple[Array, ...], values: tuple[Array, ...]) -> None:
     if not count == len(nodes) == len(values):
         raise ArgumentError(f"{count} segments, but {len(nodes)} sets of nodes and {len(values)} of values")
+    good: set[tuple[tuple[int, ...], bytes]] = set()  # most segments have the nodes of others
     for k, (x, v) in enumerate(zip(nodes, values, strict=True)):
+        key = (x.shape, x.tobytes())
         vector = x.ndim == 1 and 1 <= x.size <= MAX_NODES
-        if not (vector and (abs(x) <= 1).all() and np.unique(x).size == x.size):
+        if key not in good and not (vector and (abs(x) <= 1).all() and np.unique(x).size == x.size):
             raise ArgumentError(f"segment {k}: need 1 to {MAX_NODES} distinct nodes in [-1, 1], got {x}")
+        good.add(key)
         if v.ndim != 2 or v.shape != (len(values[0]), x.size):
             raise ArgumentError(
                 f"segment {k}: values have shape {v.shape}, need (components, {x.size}) throughout"

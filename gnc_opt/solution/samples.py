@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.model.composed import VectorControl
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.spans import RESOLUTION, STILL, control_spans, end_spans, shared, state_spans
@@ -126,6 +127,18 @@ class PhaseSamples:
     def u(self) -> Array:
         """Controls as flown, within bounds."""
         return self.sample(self.leg.flown)
+
+    @cached_property
+    def idle(self) -> Mask:
+        """Where a control does nothing (m, n_samples): the direction of a vector whose magnitude is zero."""
+        layout, idle = self.leg.controls, np.zeros(self.u.shape, dtype=bool)
+        for vector in self.leg.composed_controls:
+            if isinstance(vector, VectorControl):
+                magnitude = self.u[layout.slice(vector.magnitude)]
+                idle[layout.slice(vector.direction)] = (
+                    magnitude <= AT_LIMIT * self.control_scale[layout.slice(vector.magnitude), None]
+                )
+        return idle
 
     @cached_property
     def lam_polynomial(self) -> Array:

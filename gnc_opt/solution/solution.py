@@ -25,7 +25,7 @@ from gnc_opt.problem.functions import PhaseFunctions, evaluator, phase_functions
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
 from gnc_opt.problem.tables import OutsideTable, outside_tables, table_uses
-from gnc_opt.solution.export import data_frame, dataset
+from gnc_opt.solution.export import records
 from gnc_opt.solution.history import Actions, History, Pass, RefinementStatus
 from gnc_opt.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.solution.polynomial import PiecewisePolynomial, Side
@@ -236,6 +236,11 @@ class Solution:
 
     def samples(self) -> dict[str, PhaseSamples]:
         """Return every phase sampled densely in time, from model and trajectory alone; needs the problem."""
+        return dict(self._samples)
+
+    @cached_property
+    def _samples(self) -> dict[str, PhaseSamples]:
+        """Kept, for what is derived from them is asked for again and again while a solution is refined."""
         return {name: PhaseSamples.of(leg, self.functions(name)) for name, leg in self.phases.items()}
 
     # --- quality ----------------------------------------------------------------------------------
@@ -251,7 +256,7 @@ class Solution:
         found: list[OutsideTable] = []
         for name, leg in problem.phases.items():
             if table_uses(problem, leg):
-                s = PhaseSamples.of(self.phases[name], self.functions(name))
+                s = self._samples[name]
                 found += outside_tables(
                     problem, leg, s.times, s.x, s.u, s.leg.parameters, self.parameter_values
                 )
@@ -317,7 +322,7 @@ class Solution:
         GncOptError
             pandas is not installed; it comes with the extra ``data``.
         """
-        return data_frame(self.phase(phase), times)
+        return records(self.phase(phase), times).to_pandas()
 
     def to_xarray(self, phase: str | None = None, times: ArrayLike | None = None) -> Any:
         """Return states, flown controls and costates as variables over time (s), each with its unit.
@@ -340,7 +345,26 @@ class Solution:
             xarray is not installed; it comes with the extra ``data``.
         """
         told = {"problem": self.problem_name, "status": self.status.value, "objective": self.objective}
-        return dataset(self.phase(phase), times).assign_attrs({**told, **self.provenance})
+        return records(self.phase(phase), times).to_xarray().assign_attrs({**told, **self.provenance})
+
+    def export(self, path: str | Path, phase: str | None = None, times: ArrayLike | None = None) -> Path:
+        """Write states, flown controls and costates to a file for other programs, and return its path.
+
+        Parameters
+        ----------
+        path : str or Path
+            ``.csv`` (which `guess_from_data` reads), ``.json`` or ``.mat``, with all digits. `save` keeps the whole.
+        phase : str, optional
+            May be left out when there is only one.
+        times : array (n_times,), optional
+            As for `to_pandas`.
+
+        Raises
+        ------
+        ArgumentError
+            Another suffix.
+        """
+        return records(self.phase(phase), times).write(path)
 
     def save(self, path: str | Path) -> Path:
         """Write the numbers to a file that `load` reads without the model.

@@ -124,6 +124,29 @@ def quaternion_difference(q: Quaternion, q_ref: Quaternion) -> Vector:
     return stack([2 * error[i] for i in (1, 2, 3)])
 
 
+def quaternion_retraction(q_ref: Quaternion, error: Vector) -> Quaternion:
+    """Return the unit quaternion that `quaternion_difference` tells to be ``error`` away from the reference.
+
+    The turn follows that of the reference. For `Model.difference` and `Noise`. Errors of more than 2 (half a turn)
+    count as half a turn.
+
+    Parameters
+    ----------
+    q_ref : casadi (4, 1), array (4,) or (4, n_times)
+        Of any length but zero.
+    error : casadi (3, 1), array (3,) or (3, n_times)
+        rad to first order, in components of the turned frame.
+    """
+    largest, root = (ca.fmax, ca.sqrt) if is_symbolic(error) or is_symbolic(q_ref) else (np.maximum, np.sqrt)
+    square = 0.25 * dot(error, error)
+    turn = stack(
+        [root(largest(1 - square, 0)), *(0.5 * error[i] / root(largest(square, 1)) for i in range(3))]
+    )
+    q = quaternion_product(q_ref, turn)
+    length = root(q[0] ** 2 + dot(_vector(q), _vector(q)))
+    return stack([q[i] / length for i in range(4)])
+
+
 def quaternion_angle(q: ArrayLike, q_ref: ArrayLike) -> Any:
     """Return the angle between two attitudes in [0, pi], rad; numeric, exact near 0 and near pi.
 

@@ -287,7 +287,9 @@ def _with_structure(problem: Problem, last: Solution) -> Problem:
             arcs, paths, states = (
                 np.array(kinds) if kinds else None for kinds in (held.controls, held.paths, held.states)
             )
-            problem = problem.with_arcs(name, arcs=arcs, paths=paths, states=states, smooth=held.smooth)
+            problem = problem.with_arcs(
+                name, arcs=arcs, paths=paths, states=states, smooth=held.smooth, junctions=held.junctions
+            )
     return problem
 
 

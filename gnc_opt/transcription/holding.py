@@ -10,7 +10,7 @@ from numpy.polynomial import legendre
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import ProblemError
 from gnc_opt.problem.arc import ArcKind
-from gnc_opt.problem.held import Held, Kinds, Smooth
+from gnc_opt.problem.held import Held, Junction, Kinds, Smooth
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.phase import Phase
 from gnc_opt.transcription.collocation import PhaseCollocation
@@ -49,12 +49,26 @@ def hold_states(box: Interval, held: Held, bounds: Interval, collocation: PhaseC
     _put(box, collocation.point_states, _at_points(held.states, collocation), bounds)
     for i, row in enumerate(held.states):
         for k, kind in enumerate(row):
+            if kind is ArcKind.RELEASED:
+                inner = collocation.boundary_states[i, max(k, 1) : min(k + 2, len(row))]
+                box.lower[inner], box.upper[inner] = -np.inf, np.inf
+    for i, row in enumerate(held.states):
+        for k, kind in enumerate(row):
             if not kind.at_limit:
                 continue
             start, end = collocation.boundary_states[i, k : k + 2]
             if k == 0 or row[k - 1] is not kind:
                 box.lower[start] = box.upper[start] = _limits(bounds, kind)[i]
             box.lower[end], box.upper[end] = -np.inf, np.inf
+
+
+def meet_limits(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
+    """Put states on their bounds at junctions; what else holds there is for rows to say."""
+    for junction in held.junctions:
+        i = junction.constraint - collocation.n_paths
+        if i >= 0:
+            place = collocation.boundary_states[i, junction.boundary]
+            box.lower[place] = box.upper[place] = _limits(bounds, junction.kind)[i]
 
 
 def _limits(bounds: Interval, kind: ArcKind) -> Array:
@@ -73,6 +87,27 @@ def _put(box: Interval, places: Indices, kinds: Any, bounds: Interval) -> None:
         box.lower[places[here]] = box.upper[places[here]] = limits[here]
     released = places[kinds == ArcKind.RELEASED]
     box.lower[released], box.upper[released] = -np.inf, np.inf
+
+
+# --- junctions of state constraints -------------------------------------------------------------------------
+
+
+def junctions_of(leg: Phase) -> tuple[Junction, ...]:
+    """Return where state constraints of a phase meet their limits."""
+    return () if leg.numbers.arcs is None else leg.numbers.arcs.junctions
+
+
+def junction_orders(junction: Junction, n_paths: int) -> range:
+    """Return which derivatives have a row: that a state is on its bound needs none."""
+    return range(0 if junction.constraint < n_paths else 1, junction.conditions)
+
+
+def junction_values(junction: Junction, paths: Interval) -> Array:
+    """Return what the rows of a junction are equal to: a path constraint's limit, and zeros."""
+    values = np.zeros(len(junction_orders(junction, paths.lower.size)))
+    if junction.constraint < paths.lower.size:
+        values[0] = _limits(paths, junction.kind)[junction.constraint]
+    return values
 
 
 # --- smooth controls ----------------------------------------------------------------------------------------

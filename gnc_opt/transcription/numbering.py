@@ -10,10 +10,11 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices
+from gnc_opt.problem.held import Junction
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.transcription.collocation import PhaseCollocation
-from gnc_opt.transcription.holding import smooth_controls, smooth_rows
+from gnc_opt.transcription.holding import junction_orders, junctions_of, smooth_controls, smooth_rows
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.scheme import Scheme
 
@@ -56,7 +57,7 @@ class Numbering:
     Notes
     -----
     Variables: per phase states and controls in time order; then free times, parameters, integrals.
-    Rows: per phase dynamics and path constraints; then smooth controls, durations, lengths of arcs, boundary
+    Rows: per phase dynamics and path constraints; then smooth controls, junctions, durations, lengths of arcs, boundary
     constraints, integrals.
     """
 
@@ -124,13 +125,25 @@ class Numbering:
             for smooth in smooth_controls(leg)
         ]
         self._first_smooth_row = row
+        self._junctions = self._place_junctions(row + sum(values.shape[0] for _, values in self._smooth))
         self._first_end_row = row + sum(values.shape[0] for _, values in self._smooth)
+        self._first_end_row += sum(rows.size for *_, rows in self._junctions)
         for k, (name, collocation) in enumerate(collocations.items()):
             places = [
                 time_place.get((name, anchor), self.n_variables + 2 * k + min(anchor, 1))
                 for anchor in collocation.mesh.anchors
             ]
             self.parts[name] = PhasePart(name, collocation, np.asarray(places, dtype=np.int64))
+
+    def _place_junctions(self, row: int) -> list[tuple[str, Junction, Indices]]:
+        """Phase, junction and rows of each junction of a state constraint."""
+        placed = []
+        for name, leg in self.problem.phases.items():
+            for junction in junctions_of(leg):
+                count = len(junction_orders(junction, len(leg.path_labels)))
+                placed.append((name, junction, row + np.arange(count)))
+                row += count
+        return placed
 
     def _is_fixed(self, name: str, anchor: int) -> bool:
         if anchor in self._movable[name]:
@@ -169,7 +182,11 @@ class Numbering:
         for name, part in self.parts.items():
             leg = self.problem.phases[name]
             labels += part.collocation.row_labels(name, leg.model.states.labels, leg.path_labels)
-        labels += ["smoothness of a control"] * (self._first_end_row - self._first_smooth_row)
+        labels += ["smoothness of a control"] * sum(values.shape[0] for _, values in self._smooth)
+        for name, junction, rows in self._junctions:
+            leg = self.problem.phases[name]
+            what = (*leg.path_labels, *leg.model.states.labels)[junction.constraint]
+            labels += [f"junction of {what}, phase {name}, end of segment {junction.boundary}"] * rows.size
         return (*labels, *self._end_labels)
 
     @cached_property

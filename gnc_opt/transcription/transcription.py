@@ -13,6 +13,8 @@ import scipy
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.errors import unknown_name
+from gnc_opt.problem.constraint_order import constraint_order
+from gnc_opt.problem.held import Junction
 from gnc_opt.problem.interval import Interval, free
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
@@ -24,6 +26,10 @@ from gnc_opt.transcription.holding import (
     hold_controls,
     hold_paths,
     hold_states,
+    junction_orders,
+    junction_values,
+    junctions_of,
+    meet_limits,
     smooth_controls,
     smooth_entries,
 )
@@ -70,7 +76,8 @@ class Transcription(Numbering):
         super().__init__(problem, meshes, scheme)
         self.built: dict[Any, Any] = {}
         phase_blocks = [block for leg in problem.phases.values() for block in self._phase_blocks(leg)]
-        self.program = SeparableProgram(self._linear(), (*phase_blocks, self._end_block()))
+        junctions = [self._junction_block(*placed) for placed in self._junctions]
+        self.program = SeparableProgram(self._linear(), (*phase_blocks, *junctions, self._end_block()))
         self.objective, self.constraints = (
             self.program.rows(0, 1),
             self.program.rows(1, 1 + self.n_constraints),
@@ -147,6 +154,34 @@ class Transcription(Numbering):
             return [(int(rows[i]), float(coefficients[i])) for i in np.flatnonzero(coefficients)]
         row = self.n_constraints - len(self._defined) + self._defined.index((phase, label))
         return [(1 + row, -1.0)]
+
+    def _junction_block(self, name: str, junction: Junction, rows: Indices) -> PointBlock:
+        """A state constraint and its derivatives at a mesh boundary."""
+        leg, part = self.problem.phases[name], self.parts[name]
+        mesh = part.collocation.mesh
+        t, x, _, p = leg.model.arguments()
+        arc, ends = int(mesh.segment_arcs[junction.boundary]), ca.SX.sym("ends", 2)
+        derivatives = constraint_order(self.problem, leg, junction.constraint).derivatives
+        orders = junction_orders(junction, len(leg.path_labels))
+        outputs = ca.vertcat(*[derivatives[k] for k in orders], ca.SX(0, 1))
+        time = ends[0] + float(mesh.arc_starts[junction.boundary]) * (ends[1] - ends[0])
+        places = part.times[[arc, arc + 1]]
+        free, fixed = np.flatnonzero(places < self.n_variables), np.flatnonzero(places >= self.n_variables)
+        function = PointFunction.build(
+            f"{name}_junction",
+            ca.vertcat(x, ends[free.tolist()], self.problem.parameter_symbols()),
+            ca.vertcat(ends[fixed.tolist()], p),
+            ca.substitute(outputs, t, time),
+        )
+        states = part.collocation.boundary_states[:, junction.boundary]
+        variables = np.concatenate([states, places[free], self.parameter_places])
+        data = ca.vertcat(
+            self._symbols.times[(places[fixed] - self.n_variables).tolist()], self._symbols.models[name]
+        )
+        weights = weight_matrix(
+            1 + self.n_constraints, rows.size, (1 + rows, np.arange(rows.size), np.ones(rows.size))
+        )
+        return PointBlock(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
 
     def _end_block(self) -> PointBlock:
         function, variables = self._end_function()
@@ -312,6 +347,7 @@ class Transcription(Numbering):
             )
         if numbers.arcs is not None:
             hold_states(box, numbers.arcs, numbers.states, collocation)
+            meet_limits(box, numbers.arcs, numbers.states, collocation)
         for place, time in zip(part.times[[0, -1]], leg.times(), strict=True):
             if place < self.n_variables:
                 box.lower[place], box.upper[place] = time.lower[0], time.upper[0]
@@ -330,6 +366,9 @@ class Transcription(Numbering):
             duration = problem.phases[name].numbers.duration
             box.lower[self._first_end_row + i] = duration.lower[0]
             box.upper[self._first_end_row + i] = duration.upper[0]
+        for name, junction, rows in self._junctions:
+            values = junction_values(junction, problem.phases[name].path_interval())
+            box.lower[rows] = box.upper[rows] = values
         first = self._first_end_row + len(self._durations)
         arcs = slice(first, first + len(self._arcs))
         box.lower[arcs], box.upper[arcs] = SHORTEST, np.inf
@@ -350,8 +389,8 @@ def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> 
         if name not in problem.phases:
             raise unknown_name("phase", name, f"mesh of problem '{problem.name}'", problem.phases)
     fixed = tuple(time_is_fixed(leg, end) for leg in problem.phases.values() for end in (0, 1))
-    smooth = tuple(smooth_controls(leg) for leg in problem.phases.values())
-    key = (scheme, tuple(meshes[name] for name in problem.phases), fixed, smooth)
+    held = tuple((smooth_controls(leg), junctions_of(leg)) for leg in problem.phases.values())
+    key = (scheme, tuple(meshes[name] for name in problem.phases), fixed, held)
     builds = problem.builds
     built: Transcription = builds.pop(key, None) or Transcription(problem, meshes, scheme)
     builds[key] = built  # the last one used is the last in the order

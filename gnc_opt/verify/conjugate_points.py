@@ -143,7 +143,7 @@ def _end_derivatives(problem: Problem, phase: str, end: int) -> Any:
 
 
 def _is_smooth(problem: Problem, s: PhaseSamples) -> bool:
-    """Whether no state or path constraint is active, H is strictly convex in free controls, and integrals only add."""
+    """Whether controls are free, H is strictly convex in them, no other limit is active, and integrals only add."""
     leg = s.leg
     if not leg.controls.size or not s.has_length or not _only_adds(problem, leg.name):
         return False
@@ -157,8 +157,9 @@ def _is_smooth(problem: Problem, s: PhaseSamples) -> bool:
         if np.any(at_lower[:, inner] | at_upper[:, inner]):
             return False
     scaled = s.control_hessian * s.control_scale[:, None, None] * s.control_scale[None, :, None]
-    curvature = _on_free(scaled.transpose(2, 0, 1) / s.hamiltonian_scale, _free(s, s.u))
-    return bool(np.all(np.linalg.eigvalsh(curvature) > CONVEX))
+    free = _free(s, s.u)
+    curvature = _on_free(scaled.transpose(2, 0, 1) / s.hamiltonian_scale, free)
+    return bool(np.any(free) and np.all(np.linalg.eigvalsh(curvature) > CONVEX))
 
 
 def _only_adds(problem: Problem, phase: str) -> bool:

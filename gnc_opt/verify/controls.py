@@ -212,6 +212,6 @@ def _curvature(s: PhaseSamples) -> Array:
 
 
 def _inside(s: PhaseSamples) -> Mask:
-    """Where each control is clearly between its bounds, and not only on its way across, (m, n_samples)."""
+    """Where each control that does something is between its bounds, and not only on its way across, (m, n_samples)."""
     at_lower, at_upper = s.leg.control_bounds.near(s.u, CLEARLY_INSIDE * s.control_scale)
-    return without_switches(s.times, np.asarray(~(at_lower | at_upper)))
+    return without_switches(s.times, np.asarray(~(at_lower | at_upper | s.idle)))

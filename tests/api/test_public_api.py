@@ -24,26 +24,27 @@ EXPECTED = {
         DesignError Explanation GncOptError History Mesh Minimum Model ModelError Multistart Outcome Phase
         PhaseSolution Problem ProblemError ProblemWarning Reference RefinementStatus Result Run RunStatus
         Sensitivity Solution SolveError SolverOptions Status Sweep Table UnknownAttributeError
-        UnknownNameError Verdict bryson continue_in design_feedback_linearization
+        UnknownNameError Verdict bryson continue_in design_ekf design_feedback_linearization
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
-        design_sliding_mode design_tvlqr export_c feedforward guess_from_data guess_from_solution load
-        monte_carlo multistart polish refine sensitivity simulate_guess smooth_abs solve sweep table
+        design_sliding_mode design_tvlqr design_ukf export_c feedforward guess_from_data guess_from_solution load
+        monte_carlo multistart output_feedback polish refine sensitivity simulate_guess smooth_abs solve sweep table
         table_from_csv verify verify_trajectory
     """,
     "gnc_opt.control": """
-        ConstantRate Controller Deviation Explanation ExponentialRate Fact FlightCode PowerRate
+        ConstantRate Controller Deviation Estimator Explanation ExponentialRate Fact FlightCode Measurement PowerRate
         PredictiveReaching Reference SaturationLayer Sign SuperTwisting SuperTwistingObserver
-        TanhLayer bridge_dropouts bryson decoupling_matrix design_feedback_linearization
+        TanhLayer bridge_dropouts bryson decoupling_matrix design_ekf design_feedback_linearization
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
-        design_sliding_mode design_tvlqr export_c feedforward first_memory law lie_derivative output_errors
+        design_sliding_mode design_tvlqr design_ukf export_c feedforward first_memory law lie_derivative output_errors
+        output_feedback
         relative_degrees trim zero_dynamics
     """,
     "gnc_opt.simulation": """
-        Allocation Ball Bias Block Campaign Choice ClosedLoop Constant Deadband Delay Disturbance
-        Ending Expression Flight Hold Lag MinimumImpulse Mixer Noise NonNegativeAllocation Normal
+        Allocation Ball Bias Block Campaign Choice ClosedLoop Consistency Constant Deadband Delay Disturbance
+        Ending Expression Flight Hold InnovationTest Lag MinimumImpulse Mixer Noise NonNegativeAllocation Normal
         Outage Outcome Pwm Pwpf Quantisation RandomHold RandomWalk RateLimit Run RunStatus Sampling
         Saturation Scale ScaleFactor SchmittTrigger SensorDelay Sinusoid Sphere ThrusterSet Turn
-        Uniform WheelArray monte_carlo
+        Uniform WheelArray consistency monte_carlo
     """,
     "gnc_opt.spacecraft": """
         FLATTENING_EARTH J2_EARTH MU_EARTH PYRAMID_ELEVATION RADIUS_EARTH RATE_EARTH FlexibleBody
@@ -51,11 +52,11 @@ EXPECTED = {
         altitude angular_acceleration angular_momentum angular_momentum_about_axis apply
         array_momentum cross differential_j2 divide_by_inertia dot drag_acceleration
         gravity_gradient_torque gravity_potential hill_acceleration inertial_from_relative
-        j2_gravity lvlh_rate mean_motion mrp_difference mrp_from_axis_angle mrp_rate mrp_shadow
+        j2_gravity lvlh_rate mean_motion mrp_difference mrp_from_axis_angle mrp_rate mrp_retraction mrp_shadow
         mrp_short mrp_to_dcm mrp_to_euler mrp_to_quaternion mrp_to_rotation orbital_energy
         point_mass_gravity quaternion_angle quaternion_conjugate quaternion_difference
-        quaternion_error quaternion_from_euler quaternion_product quaternion_rate quaternion_to_dcm
-        quaternion_to_rotation radial_frame radial_frame_rate relative_acceleration
+        quaternion_error quaternion_from_euler quaternion_product quaternion_rate quaternion_retraction
+        quaternion_to_dcm quaternion_to_rotation radial_frame radial_frame_rate relative_acceleration
         relative_angular_acceleration relative_from_inertial scale speed_of_sound stack stack_rows
         total_momentum transpose us76 wheel_body_acceleration wheel_pyramid
     """,
@@ -65,7 +66,7 @@ EXPECTED = {
         plot_verdict save_figure
     """,
     "gnc_opt.report": """
-        search_dict summary summary_dict write_json write_report write_search
+        search_dict summary summary_dict write_aem write_json write_oem write_report write_search
     """,
 }
 """What users may rely on, by package; whoever changes it changes this list."""

@@ -166,6 +166,8 @@ def _resolve_name(name: str) -> list[Thing]:
     ]
     members = [thing for cls in classes for thing in _attribute(Thing(cls, instance=True), name)]
     members += [Thing(getattr(module, name)) for module in _problem_modules() if hasattr(module, name)]
+    if not members and hasattr(builtins, name):
+        return [Thing(getattr(builtins, name))]
     if not members:
         raise NameError(f"nothing public is called '{name}'")
     return members

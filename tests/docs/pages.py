@@ -72,8 +72,9 @@ class Page:
 
     @cached_property
     def prose(self) -> str:
-        """The page without its fenced and indented blocks."""
-        return re.sub(r"(?m)^ {4}(?! *[*-] ).*$", "", FENCE.sub("", self.text))
+        """The page without its fenced and indented blocks, and without the names of other tools in the first column."""
+        text = re.sub(r"(?m)^ {4}(?! *[*-] ).*$", "", FENCE.sub("", self.text))
+        return re.sub(r"(?m)^\|[^|]*\|", "|", text) if self.path.parent.name == "coming_from" else text
 
     @cached_property
     def spans(self) -> list[str]:
@@ -122,10 +123,10 @@ def subparsers(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentPa
 
 README = Page(ROOT / "README.md")
 CONTRIBUTING = Page(ROOT / "CONTRIBUTING.md")
-DOCS = [Page(path) for path in sorted((ROOT / "docs").glob("*.md"))]
+DOCS = [Page(path) for path in sorted((ROOT / "docs").rglob("*.md"))]
 PAGES = [README, CONTRIBUTING, *DOCS]
 
 
 def doc(name: str) -> Page:
-    """The page ``docs/NAME.md``."""
+    """The page of this name in ``docs/`` or a folder there."""
     return next(page for page in DOCS if page.path.stem == name)

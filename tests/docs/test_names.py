@@ -17,14 +17,18 @@ from itertools import pairwise
 
 import pytest
 from names import Span, resolve
-from pages import CONTRIBUTING, DOCS, FENCE, PAGES, README, ROOT, Page, doc, documented, options, subparsers
+from pages import CONTRIBUTING, DOCS, FENCE, PAGES, ROOT, Page, doc, documented, options, subparsers
 
 from gnc_opt.cli import _parser
 
 page_by_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
 NOT_OURS = {
-    "README.md": {"report.html", "report/report.html"},  # what a command writes
+    "README.md": {"report/report.html"},  # what a command writes
+    "docs/coming_from/casadi_opti.md": {"Opti"},
+    "docs/howto/command_line.md": {"report.html"},
+    "docs/howto/results.md": {"report.html"},
+    "docs/learn/campaigns.md": {"plant.mass", "initial.q"},  # what a dispersion is called
     "docs/control.md": {
         "SeedSequence([seed, i])",
         "StateSpace",
@@ -181,12 +185,6 @@ def test_shell_blocks_can_be_run(page: Page) -> None:
 
 
 # --- files --------------------------------------------------------------------------------------------
-
-
-def test_the_layout_lists_every_package() -> None:
-    told = set(re.findall(r"`(?:gnc_opt/)?(\w+)/`", README.section("Layout")))
-    there = {path.parent.name for path in (ROOT / "gnc_opt").glob("*/__init__.py")}
-    assert there <= told, there - told
 
 
 def test_contributing_lists_every_package() -> None:

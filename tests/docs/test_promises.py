@@ -22,7 +22,7 @@ from gnc_opt.report import summary_dict
 from gnc_opt.report.search import search_dict
 from problems import minimum_fuel
 
-COMMANDS = README.section("Command line")
+COMMANDS = doc("command_line").text
 JSON = doc("json_summary")
 
 
@@ -30,7 +30,7 @@ JSON = doc("json_summary")
 
 
 @pytest.mark.parametrize("name", sorted(subparsers(_parser())))
-def test_readme_lists_every_command_with_every_option(name: str) -> None:
+def test_the_page_lists_every_command_with_every_option(name: str) -> None:
     parser = subparsers(_parser())[name]
     usages = re.findall(rf"(?m)^gnc-opt {name} .*(?:\n +.*)*", COMMANDS)
     assert len(usages) == 1, f"the usage of {name} is given {len(usages)} times"
@@ -39,7 +39,7 @@ def test_readme_lists_every_command_with_every_option(name: str) -> None:
     assert set(told) == options(parser.format_help()) - {"--help"}
 
 
-def test_readme_lists_no_other_command() -> None:
+def test_the_page_lists_no_other_command() -> None:
     assert set(re.findall(r"(?m)^gnc-opt (\w+)", COMMANDS)) == set(subparsers(_parser()))
     assert set(subparsers(_parser())) <= set(re.findall(r"gnc-opt (\w+)", cli.__doc__ or ""))
 
@@ -51,7 +51,7 @@ def test_choices_are_those_of_the_program() -> None:
                 assert f"{action.option_strings[0]} {'|'.join(map(str, action.choices))}]" in COMMANDS
 
 
-def test_readme_lists_every_exit_code() -> None:
+def test_the_page_lists_every_exit_code() -> None:
     listed = [int(code) for code in re.findall(r"^\| (\d+) \|", COMMANDS, re.MULTILINE)]
     assert listed == [int(code) for code in ExitCode]
 
@@ -159,6 +159,7 @@ def test_control_lists_every_design() -> None:
 def test_control_lists_everything_a_loop_can_hold() -> None:
     made_of = {name for name in simulation.__all__ if inspect.isclass(getattr(simulation, name))}
     results = {"Block", "Campaign", "ClosedLoop", "Ending", "Flight", "Outcome", "Run", "RunStatus"}
+    results |= {"Consistency", "InnovationTest"}
     assert made_of - results <= told_in_table(doc("control")), (
         made_of - results - told_in_table(doc("control"))
     )

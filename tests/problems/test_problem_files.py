@@ -22,14 +22,18 @@ from gnc_opt import cli
 from problems import (
     bilimoria_wie,
     bryson_denham,
+    cannonball,
     delta3,
+    earth_mars,
     goddard,
     hypersensitive,
+    mars_landing,
     minimum_fuel,
     moon_landing,
     robot_arm,
     shuttle,
     speed_limit,
+    tumour,
     van_der_pol,
     zermelo,
 )
@@ -47,7 +51,21 @@ NAMES = sorted(
 """The basic problems, of one file each; systems are folders with tests of their own."""
 ON_A_MESH = {"climb", "cw_fuel", "low_thrust"}
 """Solved on the mesh of their file: to refine them takes long."""
-REFINED = [name for name in NAMES if name not in ON_A_MESH]
+COARSE = {
+    # Deviation from the reference on 10x3 (or the mesh given), in shares of it: what such a mesh is worth, no more.
+    "mars_landing": 1e-4,
+    "earth_mars": 2e-5,
+    "cw_thrust": 5e-3,
+    "quadrotor": 3e-4,
+    "reorientation": 2e-2,
+    "tumour": 1e-4,
+    "station_momentum": 1e-3,
+    "rayleigh": 3e-3,
+    "two_link_arm": 5e-4,
+    "cannonball": 1e-6,
+}
+"""Solved once here; ``python -m benchmarks.problem_files`` refines and judges them, and all the others."""
+REFINED = [name for name in NAMES if name not in {*ON_A_MESH, *COARSE}]
 SLOW = {"delta3", "low_thrust"}
 """Solved in more than 5 s on a free core."""
 CLOSED = {
@@ -57,7 +75,7 @@ CLOSED = {
     "zermelo": (1e-7, 1e-6, 1e-7),
     "minimum_fuel": (1e-9, 1e-9, 1e-8),
     "speed_limit": (1e-8, 1e-8, 1e-7),
-    "bryson_denham": (1e-6, 1e-3, 2e-3),
+    "bryson_denham": (1e-9, 1e-8, 1e-5),
     "moon_landing": (1e-8, 1e-8, 1e-8),
     "hypersensitive": (1e-6, 1e-6, 1e-6),
     "interior_point": (1e-6, 1e-5, 1e-5),
@@ -116,6 +134,94 @@ def test_reference_on_the_mesh_of_the_file(name: str) -> None:
     assert solution.outside_tables() == []
 
 
+@cache
+def roughly(name: str) -> go.Solution:
+    """The solution of a problem file on a coarse mesh."""
+    return go.solve(module(name).build(), mesh="10x3", tol=None)
+
+
+@pytest.mark.parametrize("name", COARSE)
+def test_reference_roughly(name: str) -> None:
+    reference = module(name).REFERENCE
+    assert roughly(name).objective == pytest.approx(reference.value, rel=COARSE[name])
+    assert reference.tolerance <= 1e-6 * max(1.0, abs(reference.value))
+
+
+@pytest.mark.parametrize("name", ["mars_landing", "earth_mars", "cw_thrust"])
+def test_thrust_keeps_its_norm_and_burns_the_fuel(name: str) -> None:
+    """The integral of the norm of the vector, as flown and reported, is what the cost says."""
+    solution = roughly(name)
+    leg = solution.phase()
+    label = "a" if name == "cw_thrust" else "T"
+    vector = np.asarray(leg.control(label)(leg.point_times))
+    norm = np.linalg.norm(vector, axis=0)
+    row = leg.controls.slice(f"{label}_magnitude")
+    limits = [bound[row][0] for bound in (leg.control_bounds.lower, leg.control_bounds.upper)]
+    assert np.all((norm >= limits[0] * (1 - 1e-6)) & (norm <= limits[1] * (1 + 1e-6)))
+    weights = np.concatenate(
+        [rule.weights * width / 2 for rule, width in zip(leg.rules, np.diff(leg.breaks), strict=True)]
+    )
+    burnt = norm @ weights
+    wanted = {
+        "mars_landing": lambda: (1905.0 - solution.objective) / mars_landing.MASS_RATE,
+        "earth_mars": lambda: (1000.0 - solution.objective) * earth_mars.EXHAUST_SPEED,
+        "cw_thrust": lambda: solution.objective,
+    }[name]()
+    assert burnt == pytest.approx(wanted, rel=1e-5)
+
+
+def test_range_of_the_cannonball_by_integration() -> None:
+    """The shot that is found flies as far by another program, and shots next to it less far."""
+    solution = roughly("cannonball")
+    radius, angle = float(solution.parameter("radius")), float(solution.state("gamma", "ascent")(0.0))
+
+    def flown(radius: float, angle: float) -> float:
+        mass = cannonball.mass_of(radius)
+
+        def rates(_: float, y: Array) -> list[float]:
+            drag = 0.5 * 1.225 * (1 - 2.25577e-5 * y[1]) ** 4.2558797 * y[2] ** 2 * 0.5 * np.pi * radius**2
+            along, across = np.cos(y[3]), np.sin(y[3])
+            return [y[2] * along, y[2] * across, -drag / mass - 9.80665 * across, -9.80665 * along / y[2]]
+
+        def ground(_: float, y: Array) -> float:
+            return float(y[1])
+
+        ground.terminal, ground.direction = True, -1  # type: ignore[attr-defined]
+        start = [0.0, 0.0, math.sqrt(2 * cannonball.ENERGY / mass), angle]
+        run = solve_ivp(rates, (0.0, 100.0), start, "DOP853", rtol=1e-11, atol=1e-9, events=ground)
+        return float(run.y[0, -1])
+
+    best = flown(radius, angle)
+    assert best == pytest.approx(cannonball.REFERENCE.value, abs=1e-3)
+    for change in (0.02, -0.02):
+        assert flown(radius * (1 + change), angle) < best - 0.1
+        assert flown(radius, angle * (1 + change)) < best - 0.1
+
+
+def test_smallest_tumour_by_integration() -> None:
+    """All of the drug at once, then none until the tumour no longer shrinks."""
+    x, dose = ca.SX.sym("x", 2), ca.SX.sym("dose")
+    model = tumour.build().get_phase().model
+    rate = ca.Function("rate", [x, dose], [model.function(0.0, x, dose, [])])
+
+    def turns(_: float, y: Array) -> float:
+        return float(y[0] - y[1])
+
+    turns.terminal, turns.direction = True, -1  # type: ignore[attr-defined]
+    y, options = [tumour.LARGEST / 2, tumour.LARGEST / 4], {"rtol": 1e-12, "atol": 1e-8}
+    given = solve_ivp(
+        lambda _, y: rate(y, tumour.RATE).full()[:, 0],
+        (0.0, tumour.DOSE / tumour.RATE),
+        y,
+        "DOP853",
+        **options,
+    )
+    after = solve_ivp(
+        lambda _, y: rate(y, 0.0).full()[:, 0], (0.0, 3.0), given.y[:, -1], "DOP853", events=turns, **options
+    )
+    assert after.y[0, -1] == pytest.approx(tumour.REFERENCE.value, abs=1e-5)
+
+
 @pytest.mark.parametrize("name", marked(REFINED))
 def test_verdict_fails_nowhere_without_an_explanation(name: str) -> None:
     verdict = go.verify(solved(name))
@@ -132,7 +238,7 @@ def test_trajectory_and_costates_are_the_closed_form(name: str) -> None:
         t = inner_times(leg)
         if name == "bryson_denham":  # at entry and exit lam_x jumps and the control has a kink
             edge = 3 * bryson_denham.LIMIT
-            t = t[np.minimum(np.abs(t - edge), np.abs(t - 1 + edge)) > 0.01]
+            t = t[np.minimum(np.abs(t - edge), np.abs(t - 1 + edge)) > 1e-6]
         wanted = module(name).closed_form(t)
         found = (leg.state, leg.control, leg.costate)
         kinds = (wanted.states, wanted.controls, wanted.costates)

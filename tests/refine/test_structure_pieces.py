@@ -137,7 +137,7 @@ def test_switches_are_found_at_the_zeros_of_the_switching_function() -> None:
     samples = go.solve(problem, mesh="5x4", tol=None).samples()["leg"]
     structure = detect(samples)
     assert [piece[0] for piece in structure.kinds] == [LOW, UP]
-    assert abs(switching(samples, 0)(structure.times[1])) < 1e-12
+    assert abs(switching(samples, np.array([structure.times[1]]))[0, 0]) < 1e-12
     assert structure.times[0] == 0.0 and structure.times[2] == pytest.approx(samples.leg.final_time)
 
 

@@ -276,7 +276,7 @@ def test_only_runs_that_are_there_are_flown_again():
 
 def test_the_goal_is_the_reference_at_the_end_unless_a_target_is_given():
     flight = SimpleNamespace(
-        states=LAYOUTS["state"], measured=LAYOUTS["measured"], reference=np.arange(10.0).reshape(5, 2)
+        states=LAYOUTS["state"], followed=LAYOUTS["measured"], reference=np.arange(10.0).reshape(5, 2)
     )
     assert Criteria().goal(flight)[:5].tolist() == [1, 3, 5, 7, 9] and np.isnan(Criteria().goal(flight)[5])
     assert Criteria({"n": 2.0, "q": 8.0}).goal(flight).tolist() == [8, 8, 5, 7, 9, 2]

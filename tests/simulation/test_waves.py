@@ -68,12 +68,11 @@ def truth(regulator, *, delay=0.0, rate=np.inf, tau=1e-9, tf=2.0, gain=1.0, limi
     return np.array(states).T
 
 
-@pytest.mark.parametrize("tau", [1e-4, 5e-3, 0.05, 10.0])
-def test_lag_is_exact_whatever_its_time_constant(regulator, tau):
-    run = ClosedLoop(pendulum(), regulator, [Saturation("limit", -8, 8), Lag("lag", tau)]).simulate(
-        START, tf=1.0
-    )
-    apart = np.max(np.abs(run.states - truth(regulator, tau=tau, tf=1.0)))
+@pytest.mark.parametrize(("tau", "tf"), [(1e-4, 0.2), (5e-3, 1.0), (0.05, 1.0), (10.0, 1.0)])
+def test_lag_is_exact_whatever_its_time_constant(regulator, tau, tf):
+    chain = [Saturation("limit", -8, 8), Lag("lag", tau)]
+    run = ClosedLoop(pendulum(), regulator, chain).simulate(START, tf=tf)
+    apart = np.max(np.abs(run.states - truth(regulator, tau=tau, tf=tf)))
     assert run.outcome.ok and apart < run.integration_error < 1e-9
 
 

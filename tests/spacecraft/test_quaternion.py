@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from gnc_opt.spacecraft import (
     mrp_difference,
+    mrp_retraction,
     mrp_to_quaternion,
     quaternion_angle,
     quaternion_conjugate,
@@ -18,6 +19,7 @@ from gnc_opt.spacecraft import (
     quaternion_from_euler,
     quaternion_product,
     quaternion_rate,
+    quaternion_retraction,
     quaternion_to_dcm,
     quaternion_to_rotation,
 )
@@ -111,6 +113,15 @@ def test_mrp_difference_knows_the_shadow_set():
     np.testing.assert_allclose(symbolic(shadow, reference).full()[:, 0], expected, atol=1e-14)
 
 
+def test_mrp_do_not_differ_from_their_shadow():
+    sigma = np.array([[0.0, 0.3, 0.6], [1.0, -0.2, 0.0], [1.0, 0.9, 0.8]])
+    shadow = -sigma / np.sum(sigma**2, axis=0)
+    np.testing.assert_allclose(mrp_difference(sigma, shadow), 0, atol=1e-15)
+    a, b = ca.SX.sym("a", 3), ca.SX.sym("b", 3)
+    symbolic = ca.Function("d", [a, b], [mrp_difference(a, b)])
+    np.testing.assert_allclose(symbolic(sigma, shadow).full(), 0, atol=1e-15)
+
+
 def test_differences_are_radians_to_first_order():
     small = 1e-6 * np.array([1.0, -2.0, 0.5])
     reference = np.array([0.2, 0.3, -0.1])
@@ -118,3 +129,33 @@ def test_differences_are_radians_to_first_order():
     np.testing.assert_allclose(mrp_difference(turned, reference), small, atol=1e-16)
     q, q_ref = mrp_to_quaternion(turned), mrp_to_quaternion(reference)
     np.testing.assert_allclose(quaternion_difference(q, q_ref), small, atol=1e-15)
+
+
+@given(st.lists(st.floats(-1.5, 1.5), min_size=6, max_size=6))
+def test_retractions_are_the_way_back_of_differences(values):
+    error, reference = np.array(values[:3]), np.array(values[3:])
+    found = mrp_retraction(reference, error)
+    assert np.linalg.norm(found) <= 1 + 1e-12
+    np.testing.assert_allclose(mrp_difference(found, reference), error, atol=1e-9)
+    q_ref = mrp_to_quaternion(reference)
+    if np.linalg.norm(error) < 1.99:
+        q = quaternion_retraction(3.0 * q_ref, error)
+        np.testing.assert_allclose(np.linalg.norm(q), 1, atol=1e-14)
+        np.testing.assert_allclose(quaternion_difference(q, q_ref), error, atol=1e-9)
+
+
+def test_retractions_of_symbols_and_of_many_times_are_those_of_numbers():
+    errors, references = (
+        np.array([[0.1, 0.4], [-0.2, 0.1], [0.3, 2.5]]),
+        np.array([[0.2, 0.9], [0.3, 0.8], [-0.1, 0]]),
+    )
+    a, b, q = ca.SX.sym("a", 3), ca.SX.sym("b", 3), ca.SX.sym("q", 4)
+    mrp = ca.Function("m", [a, b], [mrp_retraction(a, b)])
+    quaternion = ca.Function("q", [q, b], [quaternion_retraction(q, b)])
+    many, q_ref = mrp_retraction(references, errors), mrp_to_quaternion(references)
+    np.testing.assert_allclose(mrp(references, errors).full(), many, atol=1e-14)
+    np.testing.assert_allclose(
+        quaternion(q_ref, errors).full(), quaternion_retraction(q_ref, errors), atol=1e-14
+    )
+    half = quaternion_retraction(q_ref[:, 1], errors[:, 1])  # longer than 2: half a turn
+    assert quaternion_angle(half, q_ref[:, 1]) == pytest.approx(np.pi)

@@ -1,14 +1,21 @@
-"""Solutions as tables of other packages: the numbers of the solution, under its names, with its units."""
+"""Solutions, runs and campaigns as tables and files: their numbers, under their names, with their units."""
 
 from __future__ import annotations
 
+import json
 import sys
+from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
+import scipy
 
 import gnc_opt as go
 from gnc_opt.errors import GncOptError
+from gnc_opt.model.columns import read_columns
+from gnc_opt.simulation import Uniform
+from tests.simulation.loops import scheduled
 
 
 @pytest.fixture(scope="module")
@@ -79,3 +86,93 @@ def test_repr_is_one_line(solution: go.Solution) -> None:
     assert (
         repr(solution) == f"Solution('plane', optimal, objective={solution.objective:.10g}, phases=['leg'])"
     )
+
+
+# --- files --------------------------------------------------------------------------------------------
+
+
+def test_a_table_in_csv_is_a_guess(solution: go.Solution, tmp_path: Path) -> None:
+    """What is written is read by the library's own reader, digit for digit."""
+    path = solution.export(tmp_path / "leg.csv", times=[0.0, 0.1, 1.0])
+    columns = read_columns(path, ["time"], ["r[1]", "lam_v[0]"])
+    assert columns["time"].tolist() == [0.0, 0.1, 1.0]
+    assert columns["r[1]"].tolist() == solution.state("r")([0.0, 0.1, 1.0])[1].tolist()
+    assert columns["lam_v[0]"].tolist() == solution.costate("v")([0.0, 0.1, 1.0])[0].tolist()
+
+
+def test_json_holds_every_number_with_its_unit(solution: go.Solution, tmp_path: Path) -> None:
+    told = json.loads(solution.export(tmp_path / "leg.json", times=[0.3]).read_text())
+    assert told["phase"] == "leg" and told["time"] == [0.3]
+    assert told["columns"]["a[0]"] == [solution.phase().flown([0.3])[0, 0]]
+    assert told["units"]["a[0]"] == "m/s^2" and told["units"]["time"] == "s"
+
+
+def test_matlab_reads_matrices_by_name(solution: go.Solution, tmp_path: Path) -> None:
+    path = solution.export(tmp_path / "leg.mat", "leg", [0.0, 0.5])
+    read = scipy.io.loadmat(path)
+    assert read["time"].shape == (2, 1) and read["r"].shape == (2, 2)
+    assert read["r"].T.tolist() == solution.state("r")([0.0, 0.5]).tolist()
+    assert read["units"]["lam_m"][0, 0][0] == "1/(kg)"
+
+
+def test_other_kinds_of_files_are_refused(solution: go.Solution, tmp_path: Path) -> None:
+    with pytest.raises(go.ArgumentError, match=r"\.csv, \.json, \.mat"):
+        solution.export(tmp_path / "leg.xlsx")
+    assert not list(tmp_path.iterdir())
+
+
+# --- runs and campaigns -------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def campaign() -> go.Campaign:
+    """A point that drifts in the plane, three runs; nothing pushes it, so its ends are known."""
+    model = go.Model("drift")
+    r, u = model.state("r", 2, unit="m"), model.control("u", unit="m/s")
+    speed = model.parameter("speed", 1.0, unit="m/s")
+    model.ode({r: ca.vertcat(speed, u)})
+    loop = go.ClosedLoop(model, scheduled(model, lambda t: np.full((1, t.size), 0.25)), dt=0.5)
+    return go.monte_carlo(
+        loop,
+        3,
+        x0={"r": [0.0, 0.0]},
+        tf=2.0,
+        seed=3,
+        dispersions={"plant.speed": Uniform(-0.5, 0.5)},
+        executor="serial",
+    )
+
+
+def test_a_row_per_run(campaign: go.Campaign) -> None:
+    pytest.importorskip("pandas")
+    frame = campaign.to_pandas()
+    assert frame.index.tolist() == [0, 1, 2] and frame.index.name == "run"
+    assert frame["outcome"].tolist() == ["ok"] * 3
+    np.testing.assert_allclose(frame["final.r[0]"], 2.0 * frame["plant.speed"], rtol=1e-12)
+    np.testing.assert_allclose(frame["effort(u)"], 0.5, rtol=1e-12)
+    assert frame["plant.speed"].nunique() == 3
+    assert frame.attrs["units"]["plant.speed"] == "m/s" and frame.attrs["seed"] == 3
+
+
+def test_a_row_per_control_step(campaign: go.Campaign) -> None:
+    pytest.importorskip("xarray")
+    run = campaign.rerun(1)
+    data = run.to_xarray()
+    assert data.sizes == {"time": 5, "r_component": 2, "measured.r_component": 2}
+    np.testing.assert_allclose(data["r"][1], 0.25 * data["time"], rtol=1e-12)
+    assert data["command.u"].values[:4].tolist() == [0.25] * 4
+    assert np.isnan(data["command.u"].values[4]), "nothing is commanded at the end"
+    assert data["measured.r"].attrs["units"] == "m" and data.attrs["outcome"] == "ok"
+
+
+def test_files_of_runs_and_campaigns(campaign: go.Campaign, tmp_path: Path) -> None:
+    run = campaign.rerun(2)
+    lines = run.export(tmp_path / "run.csv").read_text().splitlines()
+    assert lines[0] == "time,r[0],r[1],measured.r[0],measured.r[1],command.u,applied.u"
+    assert lines[-1].endswith(",,,,"), "no number, an empty field"
+    told = json.loads(campaign.export(tmp_path / "campaign.json").read_text())
+    assert told["columns"]["outcome"] == ["ok"] * 3 and told["run"] == [0, 1, 2]
+    assert told["columns"]["plant.speed"] == campaign.parameter("plant.speed")[0].tolist()
+    read = scipy.io.loadmat(campaign.export(tmp_path / "campaign.mat"))
+    assert read["final_r"].T.tolist() == campaign.state("r").tolist()
+    assert [str(word[0]) for word in read["outcome"][:, 0]] == ["ok"] * 3

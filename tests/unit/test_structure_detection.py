@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -225,10 +226,10 @@ def test_curvature_tells_linear_from_convex() -> None:
 
 def test_the_switching_function_at_a_time_is_that_of_the_samples() -> None:
     found = samples(CART, lam=lambda t, k: [0 * t, 5 + t], paths=lambda t, k: [2 * t, 0 * t])
-    value = d.switching(found, 0)
-    assert [value(t) for t in (0.1, 0.8)] == pytest.approx([6 - 12 * t + 5 + t + 2 * t for t in (0.1, 0.8)])
+    t = np.array([0.1, 0.8])
+    assert d.switching(found, t)[0] == pytest.approx(6 - 12 * t + 5 + t + 2 * t)
     line = flight(lambda t, k: [0 * t], lambda t, k: [3.7 - t])
-    assert d.switching(line, 0)(1.0) == pytest.approx(2.7)
+    assert d.switching(line, np.ones(1)) == pytest.approx(np.array([[2.7]]))
 
 
 def test_a_convex_control_is_at_a_bound_if_it_touches_and_is_pulled_there() -> None:
@@ -351,27 +352,42 @@ def test_which_state_a_singular_control_commands() -> None:
 def test_changes_lie_midway_or_at_the_zero_of_the_switching_function() -> None:
     line = flight(lambda t, k: [0 * t], lambda t, k: [(t - 2.3) * (t - 5.6)], segments=8)
     labels = choose(line.control_gradient[0] > 0, LOW, UP)
-    assert d._change_times(line, 0, labels) == pytest.approx([2.3, 5.6], abs=1e-12)
+    assert d._change_times(line, [labels])[0] == pytest.approx([2.3, 5.6], abs=1e-12)
     j = np.flatnonzero(labels[1:] != labels[:-1])
     middles = 0.5 * (line.times[j] + line.times[j + 1])
     assert d._middles(line, labels) == pytest.approx(list(middles)) and len(middles) == 2
     labels[j[0] + 1 : j[1] + 1] = SING
-    assert d._change_times(line, 0, labels) == pytest.approx(list(middles))
+    assert d._change_times(line, [labels])[0] == pytest.approx(list(middles))
     assert d._middles(line, np.full(line.times.size, LOW)) == []
 
 
 def test_a_jump_at_a_boundary_is_a_change_there() -> None:
     line = flight(lambda t, k: [0 * t], lambda t, k: [1.0 - 2 * (k > 3) + 0 * t])
     labels = choose(line.control_gradient[0] > 0, LOW, UP)
-    assert d._change_times(line, 0, labels) == pytest.approx([4.0], abs=1e-12)
+    assert d._change_times(line, [labels])[0] == pytest.approx([4.0], abs=1e-12)
 
 
 def test_a_root_lies_where_the_signs_differ_or_else_in_the_middle() -> None:
-    assert d.root(lambda t: t - 0.3, 0.0, 1.0) == pytest.approx(0.3, abs=1e-14)
-    assert d.root(lambda t: 0.3 - t, 0.0, 1.0) == pytest.approx(0.3, abs=1e-14)
-    assert d.root(lambda t: t + 1, 0.0, 1.0) == 0.5 and d.root(lambda t: -t - 1, 2.0, 4.0) == 3.0
-    assert d.root(lambda t: t, 0.0, 1.0) == 0.5  # a zero at an end is no change of sign
-    assert d.crossing(lambda t: t - 1e6 - 0.3, 1e6, 1e6 + 1) == pytest.approx(1e6 + 0.3, abs=2e-8)
+    def at(values: Callable[[Array], Array], left: float, right: float) -> float:
+        return float(d.roots(values, np.array([left]), np.array([right]))[0])
+
+    assert at(lambda t: t - 0.3, 0.0, 1.0) == pytest.approx(0.3, abs=1e-14)
+    assert at(lambda t: 0.3 - t, 0.0, 1.0) == pytest.approx(0.3, abs=1e-14)
+    assert at(lambda t: t + 1, 0.0, 1.0) == 0.5 and at(lambda t: -t - 1, 2.0, 4.0) == 3.0
+    assert at(lambda t: t, 0.0, 1.0) == 0.5  # a zero at an end is no change of sign
+    assert at(lambda t: t - 1e6 - 0.3, 1e6, 1e6 + 1) == pytest.approx(1e6 + 0.3, abs=2e-8)
+
+
+def test_roots_are_found_all_at_once_however_bent_the_functions_are() -> None:
+    wanted = np.array([0.2, 0.5, 0.7, 0.999, 1e-9, 0.4])
+
+    def values(t: Array) -> Array:
+        u = t - wanted
+        return np.array([u[0], u[1] ** 3, np.tanh(1e3 * u[2]), np.expm1(40 * u[3]), u[4], np.sign(u[5])])
+
+    found = d.crossings(values, np.zeros(6), np.ones(6))
+    assert found == pytest.approx(wanted, abs=3e-14)
+    assert d.crossings(values, np.ones(6), np.zeros(6)) == pytest.approx(wanted, abs=3e-14)
 
 
 def test_labels_between_changes() -> None:

@@ -16,6 +16,7 @@ from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.problem.held import Smooth
 from gnc_opt.refine.structure import junctions as j
 from gnc_opt.refine.structure import switching as s
+from gnc_opt.refine.structure.contacts import StateConstraints
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import (
     COARSE,
@@ -142,7 +143,7 @@ def test_an_offence_reaches_to_its_first_zero() -> None:
     assert j._reach(times, lambda t: 1.25 - t) == pytest.approx(1.25)
     assert j._reach(times, lambda t: (t - 0.5) * (t - 1.5)) == pytest.approx(0.5)
     assert j._reach(times, lambda t: 9.0 - t) == 3.0
-    assert j._reach(times, lambda t: t) is None and j._reach(times, lambda t: -1.0) is None
+    assert j._reach(times, lambda t: t) is None and j._reach(times, lambda t: 0 * t - 1.0) is None
     assert j._reach(times[::-1], lambda t: t - 1.75) == pytest.approx(1.75)
 
 
@@ -173,7 +174,7 @@ def kinked(where: float, pieces: tuple[ArcKind, ArcKind], bounds: Any, costate: 
         control_bounds=interval(*bounds),
         lam=lambda t, k: [0 * t, costate - 6 + 12 * t],
     )
-    moved = j.move_kinks(found, Plan(structure, (Resolution(), Resolution())))
+    moved = j.move_kinks(StateConstraints(CART, found), Plan(structure, (Resolution(), Resolution())))
     return None if moved is None else moved.times[1]
 
 
@@ -199,7 +200,8 @@ def test_a_kink_moves_to_where_its_arc_may_begin(
 def test_switches_are_no_kinks_and_the_farthest_wish_of_all_rows_counts() -> None:
     structure = PhaseStructure((0.0, 0.5, 1.0), ((UP, FREE), (FREE, LOW)), regular=(True, False))
     plan = Plan(structure, (Resolution(), Resolution()))
-    assert j.move_kinks(samples(CART, control_bounds=interval(-9.0, -1.2)), plan) is None
+    constraints = StateConstraints(CART, samples(CART, control_bounds=interval(-9.0, -1.2)))
+    assert j.move_kinks(constraints, plan) is None
     both = PhaseStructure(
         (0.0, 0.5, 1.0),
         ((UP, FREE, FREE), (FREE, UP, FREE)),
@@ -211,7 +213,7 @@ def test_switches_are_no_kinks_and_the_farthest_wish_of_all_rows_counts() -> Non
         CART, control_bounds=interval(-9.0, -1.2), path_bounds=interval([-50.0, -50.0], [-0.5, 50.0]),
         paths=lambda t, k: [1 + 0 * t, 0 * t],
     )  # fmt: skip
-    moved = j.move_kinks(found, Plan(both, (Resolution(), Resolution())))
+    moved = j.move_kinks(StateConstraints(CART, found), Plan(both, (Resolution(), Resolution())))
     assert moved is not None and moved.kinds == both.kinds
     # the control wants 0.6 s; the constraint -0.5 >= 6 - 6 t - 6 t^2 is beyond its limit on all of the free arc: 0 s
     assert moved.times == pytest.approx((0.0, 0.0, 1.0))
@@ -454,6 +456,15 @@ def test_the_loop_is_restless_if_adjusting_does_not_help() -> None:
     assert s._restless([record(0.1, "x"), *[record(0.1, s.RAISED)] * 4])
 
 
+def test_a_mesh_is_refined_once_beyond_a_small_error() -> None:
+    """Costates that are zero are rounding to any resolution."""
+    raised = record(1e-10, s.RAISED)
+    assert s._resolved([raised, raised], 1e-9) and not s._resolved([raised, raised], 1e-11)
+    assert not s._resolved([raised], 1e-9)
+    assert not s._resolved([record(1e-8, s.RAISED), raised], 1e-9)
+    assert not s._resolved([raised, record(1e-10, s.KINKS_MOVED)], 1e-9)
+
+
 @pytest.fixture
 def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
     """The loop with solves and mending as told: `script` is (status, action) of every pass."""
@@ -486,7 +497,8 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
         ([(Status.OPTIMAL, "a"), (Status.OPTIMAL, "b")], 2, "pass_limit", ["a", "b"]),
         ([(Status.OPTIMAL, "a"), (Status.INFEASIBLE, "")], 40, "failed", ["a", "not solved (infeasible)"]),
         ([(Status.INTERRUPTED, "")], 40, "interrupted", ["not solved (interrupted)"]),
-        ([(Status.OPTIMAL, s.RAISED)] * 5, 40, "stalled", [s.RAISED] * 5),
+        ([(Status.OPTIMAL, s.KINKS_MOVED)] * 5, 40, "stalled", [s.KINKS_MOVED] * 5),
+        ([(Status.OPTIMAL, s.RAISED)] * 2, 40, "converged", [s.RAISED] * 2),  # the error is rounding already
     ],
 )
 def test_how_the_loop_ends(scripted: Any, script: Any, passes: int, status: str, actions: list[str]) -> None:
@@ -516,15 +528,21 @@ def test_plans_follow_the_switch_times_of_their_solution() -> None:
 def improved(monkeypatch: pytest.MonkeyPatch, **answers: Any) -> tuple[dict[str, Plan], str]:
     """Two phases; what each step answers by phase."""
     plans = {n: Plan(THREE, (Resolution(),) * 3, 7.0) for n in ("a", "b")}
-    there: Any = SimpleNamespace(samples=lambda: {n: SimpleNamespace(name=n) for n in plans})
+    there: Any = SimpleNamespace(
+        samples=lambda: {n: SimpleNamespace(name=n) for n in plans}, need_problem=lambda _: None
+    )
     nothing: Any = {"a": None, "b": None}
 
     def step(name: str, otherwise: Any) -> Any:
-        return lambda samples, *more: answers.get(name, nothing)[samples.name] or otherwise(*more)
+        return lambda of, *more: (
+            answers.get(name, nothing)[getattr(of, "samples", of).name] or otherwise(*more)
+        )
 
     monkeypatch.setattr(s, "_collapse", step("collapse", lambda *_: (None, "")))
     monkeypatch.setattr(s, "_adjust", step("adjust", lambda plan, tol: (plan, "")))
     monkeypatch.setattr(s, "_complete", step("complete", lambda *_: (None, "")))
+    for contacts in ("_mended_contacts", "crossed_contact"):
+        monkeypatch.setattr(s, contacts, lambda *_: (None, ""))
     return s._improve(there, plans, set(), 1e-9)
 
 
@@ -567,7 +585,8 @@ def test_kinks_and_resolutions_are_adjusted_together(
     raised = replace(plan, resolutions=(Resolution(2),) * 3)
     monkeypatch.setattr(s, "move_kinks", lambda *_: None if moved is None else THREE.at(moved))
     monkeypatch.setattr(s, "_finer", lambda *_: raised if finer else None)
-    found, what = s._adjust(LEG, plan, 1e-9)
+    constraints: Any = SimpleNamespace(samples=LEG)
+    found, what = s._adjust(constraints, plan, 1e-9)
     assert what == action and found.structure.pieces == pieces and found.points == 7.0
     if pieces == 3:
         assert found.structure.times == (moved or THREE.times)

@@ -6,13 +6,14 @@ import itertools
 from collections.abc import Callable
 
 import numpy as np
-import scipy
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.composed import VectorControl
 from gnc_opt.problem.arc import ArcKind
+from gnc_opt.refine.structure.contacts import with_contacts
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose
 from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.solution.solution import Solution
 
 NEAR = 0.02
 """A control this close to a bound, relative to its range, is taken to sit on it."""
@@ -33,6 +34,9 @@ SMALL = 2e-2
 LAST_DIGITS = 1e-14
 """Relative accuracy of a time at which a function crosses zero."""
 
+MOST_HALVINGS = 100
+"""Steps that find it in any case; a smooth function needs six or so."""
+
 PROBE = 1e-3
 """Share of a control's range by which it is moved to see whether a rate depends on it."""
 
@@ -41,6 +45,12 @@ SHORT = 2.0
 
 CONVEX = 1e-6
 """Least second derivative of H in a control, over its range and in shares of H, that determines the control."""
+
+
+def structures_of(solution: Solution) -> dict[str, PhaseStructure]:
+    """Return the structures of all phases, contacts with state constraints included."""
+    problem = solution.need_problem("refine")
+    return {name: with_contacts(detect(s), problem, s) for name, s in solution.samples().items()}
 
 
 def detect(samples: PhaseSamples) -> PhaseStructure:
@@ -52,11 +62,11 @@ def detect(samples: PhaseSamples) -> PhaseStructure:
     by their multipliers.
     """
     leg, regular, affine = samples.leg, regular_channels(samples), affine_channels(samples)
-    rows, changes = [], []
-    for i in range(leg.controls.size):
-        labels = _linear_labels(samples, i) if affine[i] else _nonlinear_labels(samples, i)
-        rows.append(labels)
-        changes.append(_change_times(samples, i, labels))
+    rows = [
+        _linear_labels(samples, i) if affine[i] else _nonlinear_labels(samples, i)
+        for i in range(leg.controls.size)
+    ]
+    changes = _change_times(samples, rows)
     mixed = _mixed_paths(samples, regular)
     for labels in [*_path_labels(samples, mixed), *_state_labels(samples, np.asarray(rows))]:
         rows.append(labels)
@@ -88,20 +98,17 @@ def regular_channels(samples: PhaseSamples) -> Mask:
 
 def _curvature(samples: PhaseSamples) -> Array:
     """Second derivative of H in each control over its range, in shares of H, (m, n_samples)."""
-    hessians = samples.functions.control_hessian(samples.times, samples.x, samples.u, samples.lam, samples.mu)
     scale = samples.control_scale
-    return np.asarray(np.einsum("iij->ij", hessians) * scale[:, None] ** 2 / samples.hamiltonian_scale)
+    return np.asarray(
+        np.einsum("iij->ij", samples.control_hessian) * scale[:, None] ** 2 / samples.hamiltonian_scale
+    )
 
 
-def switching(samples: PhaseSamples, i: int) -> Callable[[float], float]:
-    """Return dH/du of channel i as a function of one time."""
-    leg, functions = samples.leg, samples.functions
-
-    def value(t: float) -> float:
-        mu = leg.path_multiplier(t) if leg.path_labels else np.zeros(0)
-        return float(functions.control_gradient(t, leg.x(t), leg.flown(t), leg.lam(t), mu)[i])
-
-    return value
+def switching(samples: PhaseSamples, times: Array) -> Array:
+    """Return dH/du of every control at some times (s), (m, n_times)."""
+    leg = samples.leg
+    mu = leg.path_multiplier(times) if leg.path_labels else np.zeros(0)
+    return samples.functions.control_gradient(times, leg.x(times), leg.flown(times), leg.lam(times), mu)
 
 
 def _linear_labels(samples: PhaseSamples, i: int) -> KindArray:
@@ -239,26 +246,60 @@ def _middles(samples: PhaseSamples, labels: KindArray) -> list[float]:
     return [float(t) for t in 0.5 * (samples.times[jumps] + samples.times[jumps + 1])]
 
 
-def _change_times(samples: PhaseSamples, i: int, labels: KindArray) -> list[float]:
-    """Times at which a channel's label changes; sign changes of the switching function are polished."""
-    changes = []
-    for j in np.flatnonzero(labels[1:] != labels[:-1]):
-        left, right = samples.times[j], samples.times[j + 1]
-        polish = labels[j].at_limit and labels[j + 1].at_limit and right > left
-        changes.append(root(switching(samples, i), left, right) if polish else 0.5 * (left + right))
-    return changes
+def _change_times(samples: PhaseSamples, rows: list[KindArray]) -> list[list[float]]:
+    """Times at which each control's label changes; sign changes of the switching functions are polished."""
+    times = samples.times
+    found = [(i, j) for i, row in enumerate(rows) for j in np.flatnonzero(row[1:] != row[:-1])]
+    polished = [
+        (i, j)
+        for i, j in found
+        if rows[i][j].at_limit and rows[i][j + 1].at_limit and times[j + 1] > times[j]
+    ]
+    at = {(i, j): 0.5 * (times[j] + times[j + 1]) for i, j in found}
+    if polished:
+        channels, places = np.array(polished).T
+        asked = np.arange(channels.size)
+
+        def own(t: Array) -> Array:
+            return np.asarray(switching(samples, t)[channels, asked])
+
+        at |= zip(polished, roots(own, times[places], times[places + 1]), strict=True)
+    return [[float(at[k, j]) for k, j in found if k == i] for i in range(len(rows))]
 
 
-def root(function: Callable[[float], float], left: float, right: float) -> float:
-    """Return a zero between left and right, or their middle where the signs do not differ."""
-    if function(left) * function(right) >= 0:
-        return 0.5 * (left + right)
-    return crossing(function, left, right)
+def roots(function: Callable[[Array], Array], left: Array, right: Array) -> Array:
+    """Return zeros between left and right (n,), or the middle where the signs do not differ."""
+    differ, middle = function(left) * function(right) < 0, 0.5 * (left + right)
+    return crossings(function, np.where(differ, left, middle), np.where(differ, right, middle))
 
 
-def crossing(function: Callable[[float], float], left: float, right: float) -> float:
-    """Return a zero between two times (s) where the signs differ, to the last digits of a time."""
-    return float(scipy.optimize.brentq(function, left, right, xtol=LAST_DIGITS * max(1.0, abs(right))))
+def crossings(function: Callable[[Array], Array], left: Array, right: Array) -> Array:
+    """Return zeros between times (s) (n,) at which the signs differ, to the last digits of a time.
+
+    Chandrupatla's method, all intervals at once: inverse quadratic interpolation where it is safe, else bisection
+    (Advances in Engineering Software 28, 1997).
+    """
+    a, b = np.array(right, dtype=float), np.array(left, dtype=float)
+    at_a, at_b = function(a), function(b)
+    share, slack = np.full(a.size, 0.5), LAST_DIGITS * np.maximum(1.0, np.abs(a))
+    for _ in range(MOST_HALVINGS):
+        here = a + share * (b - a)
+        value = function(here)
+        beyond = np.sign(value) == np.sign(at_a)
+        c, at_c = np.where(beyond, a, b), np.where(beyond, at_a, at_b)
+        b, at_b = np.where(beyond, b, a), np.where(beyond, at_b, at_a)
+        a, at_a, b = here, value, np.where(value == 0, here, b)
+        width = np.abs(b - a)
+        if np.all(width <= 2 * slack):
+            break
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along, up = (a - b) / (c - b), (at_a - at_b) / (at_c - at_b)
+            step = at_a / (at_b - at_a) * at_c / (at_b - at_c)
+            step += (c - a) / (b - a) * at_a / (at_c - at_a) * at_b / (at_c - at_b)
+            least = np.minimum(slack / width, 0.5)
+            safe = (up**2 < along) & ((1 - up) ** 2 < 1 - along) & np.isfinite(step)
+        share = np.clip(np.where(safe, step, 0.5), least, 1 - least)
+    return np.where(np.abs(at_a) < np.abs(at_b), a, b)
 
 
 def _labels_at(labels: KindArray, changes: list[float], times: Array) -> KindArray:

@@ -19,7 +19,8 @@ from collections.abc import Callable
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.refine.structure.detect import crossing
+from gnc_opt.refine.structure.contacts import StateConstraints, junction_time
+from gnc_opt.refine.structure.detect import crossings
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import Plan
 from gnc_opt.solution.polynomial import Side
@@ -28,20 +29,30 @@ from gnc_opt.solution.samples import PhaseSamples
 SETTLED = 1e-8
 """A kink that wants to move by less than this share of the phase is where it belongs."""
 
+ENTERED = 1e-10
+"""The same for the ends of an arc on a state constraint: what is wrong there is differentiated in its multiplier."""
 
-def move_kinks(samples: PhaseSamples, plan: Plan) -> PhaseStructure | None:
+
+def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | None:
     """Return the structure with its kinks where the solution wants them, or None if they are there.
 
     Pieces may be left with no length, or less.
     """
-    structure = plan.structure
+    structure, samples = plan.structure, constraints.samples
     times = list(structure.times)
     for boundary in range(1, structure.pieces):
         if structure.kinked(boundary):
-            wanted = [_wanted(samples, plan, boundary, i) for i in structure.changes(boundary)]
+            wanted = [
+                junction_time(constraints, structure, boundary, i)
+                if structure.orders[i]
+                else _wanted(samples, plan, boundary, i)
+                for i in structure.changes(boundary)
+            ]
             times[boundary] = max(wanted, key=lambda t: abs(t - structure.times[boundary]))
     moves = np.abs(np.asarray(times) - np.asarray(structure.times))
-    if np.max(moves) <= SETTLED * (times[-1] - times[0]):
+    contact = [any(structure.orders[i] for i in structure.changes(k)) for k in range(1, structure.pieces)]
+    settled = np.where([False, *contact, False], ENTERED, SETTLED)
+    if np.all(moves <= settled * (times[-1] - times[0])):
         return None
     return structure.at(tuple(times))
 
@@ -61,7 +72,7 @@ def _wanted(samples: PhaseSamples, plan: Plan, boundary: int, row: int) -> float
             here, side = here[::-1], "left"
         index = row if row < n_controls else row - n_controls
 
-        def offence(t: float, side: Side = side, number: int = number, index: int = index) -> float:
+        def offence(t: Array, side: Side = side, number: int = number, index: int = index) -> Array:
             return direction * signals(samples, index, direction, side, t)[number]
 
         reach = _reach(samples.times[here], offence)
@@ -71,32 +82,30 @@ def _wanted(samples: PhaseSamples, plan: Plan, boundary: int, row: int) -> float
 
 
 def _control_signals(
-    samples: PhaseSamples, i: int, direction: int, side: Side, t: float
-) -> tuple[float, float]:
-    """How far a control lies above its limit, and its switching function."""
+    samples: PhaseSamples, i: int, direction: int, side: Side, t: Array
+) -> tuple[Array, Array]:
+    """How far a control lies above its limit, and its switching function, at some times (n_times,)."""
     leg, bounds = samples.leg, samples.leg.control_bounds
     u, mu = leg.u(t, side), leg.path_multiplier(t, side)
     limit = bounds.upper[i] if direction > 0 else bounds.lower[i]
     gradient = samples.functions.control_gradient(t, leg.x(t, side), u, leg.lam(t, side), mu)
-    return float(u[i] - limit), float(gradient[i])
+    return u[i] - limit, gradient[i]
 
 
-def _path_signals(samples: PhaseSamples, i: int, direction: int, side: Side, t: float) -> tuple[float, float]:
-    """How far a path constraint lies above its limit, and its multiplier with the sign reversed."""
+def _path_signals(samples: PhaseSamples, i: int, direction: int, side: Side, t: Array) -> tuple[Array, Array]:
+    """How far a path constraint lies above its limit, and its multiplier with the sign reversed, (n_times,)."""
     leg, bounds = samples.leg, samples.leg.path_bounds
     limit = bounds.upper[i] if direction > 0 else bounds.lower[i]
-    value = samples.functions.paths(t, leg.x(t, side), leg.u(t, side))[i]
-    return float(value - limit), -float(leg.path_multiplier(t, side)[i])
+    values = samples.functions.paths(t, leg.x(t, side), leg.u(t, side))
+    return values[i] - limit, -leg.path_multiplier(t, side)[i]
 
 
-def _reach(times: Array, offence: Callable[[float], float]) -> float | None:
+def _reach(times: Array, offence: Callable[[Array], Array]) -> float | None:
     """Return up to where an offence that starts at the first time reaches, or None if there is none."""
-    left = float(times[0])
-    if offence(left) <= 0:
+    over = offence(times) > 0
+    if not over[0]:
         return None
-    for t in times[1:]:
-        right = float(t)
-        if offence(right) <= 0:
-            return crossing(offence, left, right)
-        left = right
-    return float(times[-1])
+    if np.all(over):
+        return float(times[-1])
+    k = int(np.argmin(over))
+    return float(crossings(offence, times[k - 1 : k], times[k : k + 1])[0])

@@ -216,7 +216,7 @@ def _structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> Phas
         if length > 0:
             times.append(float(t))
             kept.append(tuple(column))
-    return replace(old, times=(*times, float(pieces.times[-1])), kinds=tuple(kept)).merged()
+    return replace(old, times=(*times, float(pieces.times[-1])), kinds=tuple(kept), touches=()).merged()
 
 
 def _order(switches: Switches) -> tuple[int, ...]:

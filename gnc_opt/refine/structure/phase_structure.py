@@ -9,12 +9,15 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gnc_opt.arrays import Array, Indices
+from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.problem.held import Kinds
 
 KindArray: TypeAlias = NDArray[np.object_]
 """Kinds of arcs."""
+
+Touch: TypeAlias = "tuple[int, ArcKind]"
+"""A row that meets a limit for an instant, and which limit."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,10 @@ class PhaseStructure:
         The rows are so many controls, then path constraints, then states, at the limit that is active there or
         interior; None: controls only.
     n_paths : int
+    orders : tuple of int
+        For each row the order of the state constraint, if a control that H determines holds it on its limit; else 0.
+    touches : tuple of A + 1 tuples of Touch
+        What state constraints only touch, at each of the times.
     """
 
     times: tuple[float, ...]
@@ -42,8 +49,14 @@ class PhaseStructure:
     regular: tuple[bool, ...] = ()
     n_controls: int | None = None
     n_paths: int = 0
+    orders: tuple[int, ...] = ()
+    touches: tuple[tuple[Touch, ...], ...] = ()
 
     def __post_init__(self) -> None:
+        if not self.orders:
+            object.__setattr__(self, "orders", (0,) * len(self.kinds[0]))
+        if not self.touches:
+            object.__setattr__(self, "touches", ((),) * (len(self.kinds) + 1))
         if not self.regular:
             object.__setattr__(self, "regular", (False,) * len(self.kinds[0]))
 
@@ -91,11 +104,48 @@ class PhaseStructure:
         return [i for i, (before, after) in enumerate(pair) if before is not after]
 
     def kinked(self, boundary: int) -> bool:
-        """Whether controls only enter or leave their bounds with a kink between a piece and the one before."""
+        """Whether controls only have a kink between a piece and the one before.
+
+        They do where they, mixed path constraints, or state constraints that determine them, enter or leave a limit.
+        """
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
-        return all(
-            self.regular[i] and not (before[i].at_limit and after[i].at_limit) for i in self.changes(boundary)
+        return not self.touches[boundary] and all(
+            (self.regular[i] or self.orders[i]) and not (before[i].at_limit and after[i].at_limit)
+            for i in self.changes(boundary)
         )
+
+    def beside_contacts(self, touches: bool) -> Mask:
+        """In which pieces state constraints are beside an arc on their limit, or beside a touch, (n_rows, A)."""
+        held = np.array([[kind.at_limit for kind in row] for row in self.matrix()])
+        beside = np.zeros_like(held)
+        beside[:, :-1] |= held[:, 1:]
+        beside[:, 1:] |= held[:, :-1]
+        for k in range(1, self.pieces if touches else 1):
+            for row, _ in self.touches[k]:
+                beside[row, k - 1 : k + 1] = True
+        return np.asarray(beside & ~held & (np.array(self.orders) > 0)[:, None])
+
+    def on_contact(self, piece: int) -> bool:
+        """Whether a state constraint determines a control in a piece."""
+        return any(
+            kind.at_limit and order for kind, order in zip(self.kinds[piece], self.orders, strict=True)
+        )
+
+    def touching(self, row: int, kind: ArcKind) -> list[float]:
+        """Times at which a row touches a limit, s."""
+        return [t for t, touches in zip(self.times, self.touches, strict=True) if (row, kind) in touches]
+
+    def contact(self, row: int, times: Array) -> Mask:
+        """Whether a row is held at a limit, or touches it, at some times (n,)."""
+        pieces = np.clip(np.searchsorted(self.times, times, "right") - 1, 0, self.pieces - 1)
+        before = np.clip(np.searchsorted(self.times, times, "left") - 1, 0, self.pieces - 1)
+        held = np.array([kinds[row].at_limit for kinds in self.kinds])
+        touched = [
+            t
+            for t, touches in zip(self.times, self.touches, strict=True)
+            if any(i == row for i, _ in touches)
+        ]
+        return np.asarray(held[pieces] | held[before] | np.isin(times, touched))
 
     def at(self, times: tuple[float, ...]) -> PhaseStructure:
         """Return the same order of switches at other times."""
@@ -106,11 +156,26 @@ class PhaseStructure:
         middle = 0.5 * (self.times[piece] + self.times[piece + 1])
         inner = 0 < piece < self.pieces - 1
         times = [*self.times[:piece], *([middle] if inner else []), *self.times[piece + 2 :]]
+        joined = tuple(dict.fromkeys((*self.touches[piece], *self.touches[piece + 1])))
+        touches = [*self.touches[:piece], joined, *self.touches[piece + 2 :]]
         if piece == 0:
             times = [self.times[0], *self.times[2:]]
         elif piece == self.pieces - 1:
             times = [*self.times[:-2], self.times[-1]]
-        return self._merged(times, (*self.kinds[:piece], *self.kinds[piece + 1 :]))
+        if not inner:
+            touches[piece] = ()
+        return self._merged(times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches)
+
+    def emptied(self, piece: int) -> PhaseStructure:
+        """Return the structure after a piece has vanished; of an arc on a limit of second order a touch is left."""
+        kinds, left = self.kinds[piece], self.without(piece)
+        if 0 < piece < self.pieces - 1:
+            middle = 0.5 * (self.times[piece] + self.times[piece + 1])
+            for i, (kind, order) in enumerate(zip(kinds, self.orders, strict=True)):
+                beside = (self.kinds[piece - 1][i], self.kinds[piece + 1][i])
+                if order > 1 and kind.at_limit and not any(k.at_limit for k in beside):
+                    left = left.with_touch(i, middle, kind)
+        return left
 
     def swapped(self, piece: int) -> PhaseStructure | None:
         """Return the structure in which the switches at the two ends of a piece change places.
@@ -123,21 +188,50 @@ class PhaseStructure:
         if any(before is not here and here is not after for before, here, after in rows):
             return None
         other = tuple(after if before is here else before for before, here, after in rows)
-        return replace(self, kinds=(*self.kinds[:piece], other, *self.kinds[piece + 1 :]))
+        touches = list(self.touches)
+        touches[piece], touches[piece + 1] = touches[piece + 1], touches[piece]
+        kinds = (*self.kinds[:piece], other, *self.kinds[piece + 1 :])
+        return replace(self, kinds=kinds, touches=tuple(touches))
 
     def with_arc(self, row: int, start: float, end: float, kind: ArcKind) -> PhaseStructure:
-        """Return the structure with a row at another place from ``start`` to ``end``."""
+        """Return the structure with a row at another place from ``start`` to ``end``; its touches there are gone."""
         times = sorted({*self.times, start, end})
+        touches = self._touches_at(times)
+        for k, t in enumerate(times):
+            if start <= t <= end:
+                touches[k] = tuple(touch for touch in touches[k] if touch[0] != row)
         middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
         pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.pieces - 1)
         kinds = [list(self.kinds[k]) for k in pieces]
         for piece, middle in zip(kinds, middles, strict=True):
             if start < middle < end:
                 piece[row] = kind
-        return self._merged(times, tuple(tuple(piece) for piece in kinds))
+        return self._merged(times, tuple(tuple(piece) for piece in kinds), touches)
+
+    def with_touch(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
+        """Return the structure with a row at a limit for an instant between its ends."""
+        times = sorted({*self.times, time})
+        touches = self._touches_at(times)
+        touches[times.index(time)] += ((row, kind),)
+        middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
+        pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.pieces - 1)
+        return self._merged(times, tuple(self.kinds[k] for k in pieces), touches)
+
+    def without_touch(self, boundary: int, row: int) -> PhaseStructure:
+        """Return the structure in which a row does not touch its limit at a boundary."""
+        touches = list(self.touches)
+        touches[boundary] = tuple(touch for touch in touches[boundary] if touch[0] != row)
+        return self._merged(list(self.times), self.kinds, touches)
+
+    def _touches_at(self, times: list[float]) -> list[tuple[Touch, ...]]:
+        """What is touched at each of some times, those of the structure among them."""
+        known = dict(zip(self.times, self.touches, strict=True))
+        return [known.get(t, ()) for t in times]
 
     def arcs(self, phase: str, labels: tuple[str, ...]) -> tuple[Arc, ...]:
         """Return the arcs of every control, and those of active path constraints and state bounds.
+
+        A touch is an arc without length.
 
         Parameters
         ----------
@@ -152,6 +246,8 @@ class PhaseStructure:
                 kind = row[first]
                 if i < self._n_free or kind is not ArcKind.INTERIOR:
                     found.append(Arc(phase, label, kind, self.times[first], self.times[last]))
+            for time, touches in zip(self.times, self.touches, strict=True):
+                found += [Arc(phase, label, kind, time, time) for row, kind in touches if row == i]
         return tuple(found)
 
     def _shown(self, kinds: tuple[ArcKind, ...], i: int) -> ArcKind:
@@ -161,12 +257,15 @@ class PhaseStructure:
 
     def merged(self) -> PhaseStructure:
         """Return the structure with equal neighbouring pieces joined."""
-        return self._merged(list(self.times), self.kinds)
+        return self._merged(list(self.times), self.kinds, list(self.touches))
 
-    def _merged(self, times: list[float], kinds: Kinds) -> PhaseStructure:
-        kept = [k for k in range(len(kinds)) if k == 0 or kinds[k] != kinds[k - 1]]
+    def _merged(self, times: list[float], kinds: Kinds, touches: list[tuple[Touch, ...]]) -> PhaseStructure:
+        kept = [k for k in range(len(kinds)) if k == 0 or kinds[k] != kinds[k - 1] or touches[k]]
         return replace(
-            self, times=(*[times[k] for k in kept], times[-1]), kinds=tuple(kinds[k] for k in kept)
+            self,
+            times=(*[times[k] for k in kept], times[-1]),
+            kinds=tuple(kinds[k] for k in kept),
+            touches=(*[touches[k] for k in kept], ()),
         )
 
 

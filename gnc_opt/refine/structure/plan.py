@@ -8,7 +8,7 @@ import numpy as np
 
 from gnc_opt.arrays import Indices, Mask
 from gnc_opt.problem.arc import ArcKind
-from gnc_opt.problem.held import Smooth
+from gnc_opt.problem.held import Junction, Smooth
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose
 from gnc_opt.transcription.mesh import Mesh
@@ -89,11 +89,15 @@ class Plan:
         Collocation points of the mesh that the structure was found on, if all of it were as coarse as its coarsest
         segment. Pieces of a fine mesh start with more than the coarsest resolution: oscillations that are many times
         shorter than a piece are otherwise aliased, and the loop settles on a structure that is none.
+    loose : bool
+        Whether state constraints may be left beside their touches, too. The barrier of an interior-point method pushes
+        where points come close to a limit; but without limits a structure that lacks a contact may have no solution.
     """
 
     structure: PhaseStructure
     resolutions: tuple[Resolution, ...]
     points: float = 0.0
+    loose: bool = False
 
     @classmethod
     def of(cls, structure: PhaseStructure, points: float = 0.0) -> Plan:
@@ -134,19 +138,33 @@ class Plan:
         """Return the problem with controls, path constraints and states held as the structure says."""
         structure, segments = self.structure, self.segment_pieces
         n_controls, n_paths = len(structure.controls), len(structure.paths)
-        regular = np.asarray(structure.regular, dtype=bool)[:, None]
+        regular = np.asarray(structure.regular, dtype=bool)[:, None] | structure.beside_contacts(self.loose)
         # An interior control may leave its bounds: by how much tells where its arc has to end.
         controls = _released(structure.controls, regular[:n_controls])
         controls = choose(controls == ArcKind.SINGULAR, ArcKind.INTERIOR, controls)
         paths = _released(structure.paths, regular[n_controls : n_controls + n_paths])
-        states = structure.states
+        states = _released(structure.states, regular[n_controls + n_paths :])
         return problem.with_arcs(
             phase,
             arcs=controls[:, segments],
             paths=paths[:, segments] if paths.size else None,
             states=states[:, segments] if np.any(states != ArcKind.INTERIOR) else None,
             smooth=self._smooth(),
+            junctions=self._junctions(),
         )
+
+    def _junctions(self) -> tuple[Junction, ...]:
+        """Where state constraints that determine a control reach their limit to stay there, or touch it."""
+        structure, found = self.structure, []
+        n_controls = len(structure.controls)
+        for k in range(1, structure.pieces):
+            entered = [(i, structure.kinds[k][i], structure.orders[i]) for i in structure.changes(k)]
+            entered = [(i, kind, order) for i, kind, order in entered if order and kind.at_limit]
+            touched = [(i, kind, 2) for i, kind in structure.touches[k]]
+            found += [
+                Junction(i - n_controls, self.piece_ends[k], kind, n) for i, kind, n in entered + touched
+            ]
+        return tuple(found)
 
     def _smooth(self) -> tuple[Smooth, ...]:
         """One polynomial for every control that nothing determines, over each of its pieces."""
@@ -169,7 +187,8 @@ def _first_resolution(structure: PhaseStructure, piece: int, points: float) -> R
     if ArcKind.SINGULAR in kinds and not structure.constrained(piece):
         return Resolution(2, FIRST_DEGREE, SINGULAR_DEGREE)
     if ArcKind.INTERIOR in structure.controls[:, piece]:
-        return Resolution(int(np.ceil(INTERIOR_SEGMENTS * share)), INTERIOR_DEGREE)
+        degree = FIRST_DEGREE if structure.on_contact(piece) else INTERIOR_DEGREE
+        return Resolution(int(np.ceil(INTERIOR_SEGMENTS * share)), degree)
     segments = int(np.ceil(share * points / (THINNED * MAX_DEGREE))) if points > COARSE else 1
     return Resolution() if segments == 1 else Resolution(min(segments, MAX_SEGMENTS), MAX_DEGREE)
 

@@ -22,7 +22,8 @@ from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.passes import pass_meter, pass_record
-from gnc_opt.refine.structure.detect import affine_channels, detect
+from gnc_opt.refine.structure.contacts import StateConstraints, crossed_contact, pushed_contact, wrong_touch
+from gnc_opt.refine.structure.detect import affine_channels, structures_of
 from gnc_opt.refine.structure.junctions import move_kinks
 from gnc_opt.refine.structure.newton import settle
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose, signs_of
@@ -37,7 +38,7 @@ from gnc_opt.tolerances import VANISHED as NO_MAGNITUDE
 PATIENCE = 4
 """Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
 
-KINKS_MOVED, RAISED = "kinks moved", "resolution raised"
+KINKS_MOVED, RAISED, LOOSENED = "kinks moved", "resolution raised", "limits beside touches released"
 
 FINEST = 1e-9
 """Switch times are asked for at least this accurately: that costs a solve of a few iterations, if any."""
@@ -64,6 +65,7 @@ def optimise_switches(
     tol: float = FINEST,
     max_passes: int = 40,
     max_points: int = 1000,
+    max_work: float = math.inf,
     structures: Mapping[str, PhaseStructure] | None = None,
     options: SolverOptions | None = None,
     deadline: float = math.inf,
@@ -81,6 +83,8 @@ def optimise_switches(
         At most so many solves.
     max_points : int
         At most so many collocation points in any phase.
+    max_work : float
+        No pass begins after this much work, in iterations at one collocation point; see `Pass.work`.
     structures : mapping of PhaseStructure, optional
         What to start from, by phase, if it has been detected already.
     options : SolverOptions, optional
@@ -99,12 +103,12 @@ def optimise_switches(
     begin = time.perf_counter()
     problem = solution.need_problem("refine")
     chosen = options or SolverOptions(tolerance=TIGHT, max_iterations=MOST_ITERATIONS)
-    found = structures or {name: detect(s) for name, s in solution.samples().items()}
+    found = structures or structures_of(solution)
     plans = {name: Plan.of(s, points_of(solution.phases[name].mesh)) for name, s in found.items()}
     tries: list[_Try] = []
     with pass_meter(solution.problem_name, tol, progress) as show:
         try:
-            limits = _Limits(max_passes, max_points, deadline)
+            limits = _Limits(max_passes, max_points, max_work, deadline)
             guess, settled = _settled(solution, plans)
             status = _loop(problem, guess, settled, min(tol, FINEST), limits, chosen, show, tries)
             if status is RefinementStatus.FAILED and guess is not solution:
@@ -129,6 +133,7 @@ class _Limits:
 
     passes: int
     points: int
+    work: float
     deadline: float
 
 
@@ -179,6 +184,8 @@ def _loop(
             return RefinementStatus.INTERRUPTED
         if any(plan.mesh().size > limits.points for plan in plans.values()):
             return RefinementStatus.POINT_LIMIT
+        if sum(t.record.work for t in tries) > limits.work:
+            return RefinementStatus.WORK_LIMIT
         found = _solve(problem, plans, solution, options, limits.deadline)
         if not found.status.solved:
             tries.append(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
@@ -190,11 +197,16 @@ def _loop(
         plans, action = _improve(solution, current, swapped, tol)
         tries.append(_Try(solution, current, _record(solution, begin, action or "structure stands")))
         show(tries[-1].record)
-        if not action:
+        if not action or _resolved([t.record for t in tries], tol):
             return RefinementStatus.CONVERGED
         if _restless([t.record for t in tries]):
             return RefinementStatus.STALLED
     return RefinementStatus.PASS_LIMIT
+
+
+def _resolved(records: list[Pass], tol: float) -> bool:
+    """Whether a finer mesh was asked for twice where the error is small: for costates that are nothing but rounding."""
+    return len(records) > 1 and all(r.actions == RAISED and r.error <= tol for r in records[-2:])
 
 
 def _restless(records: list[Pass]) -> bool:
@@ -210,33 +222,42 @@ def _improve(
     solution: Solution, plans: dict[str, Plan], swapped: set[tuple[str, PhaseStructure]], tol: float
 ) -> tuple[dict[str, Plan], str]:
     """Mend the structure of one phase, or kinks and resolution of all; return the plans and what was done."""
-    samples = solution.samples()
+    problem, samples = solution.need_problem("refine"), solution.samples()
+    constraints = {name: StateConstraints(problem, s) for name, s in samples.items()}
     for name, s in samples.items():
         structure, action = _collapse(s, plans[name].structure, swapped)
         if structure is not None:
             return {**plans, name: Plan.of(structure, plans[name].points)}, action
-    adjusted = {name: _adjust(s, plans[name], tol) for name, s in samples.items()}
+    for name, c in constraints.items():
+        structure, action = _mended_contacts(c, plans[name].structure)
+        if structure is not None:
+            return {**plans, name: Plan.of(structure, plans[name].points)}, action
+    adjusted = {name: _adjust(c, plans[name], tol) for name, c in constraints.items()}
     actions = dict.fromkeys(action for _, action in adjusted.values() if action)
     if actions:
         return {name: plan for name, (plan, _) in adjusted.items()}, ", ".join(actions)
     for name, s in samples.items():
         structure, action = _complete(s, plans[name])
+        if structure is None:
+            structure, action = crossed_contact(constraints[name], plans[name].structure)
         if structure is not None:
             return {**plans, name: Plan.of(structure, plans[name].points)}, action
     return plans, ""
 
 
-def _adjust(samples: PhaseSamples, plan: Plan, tol: float) -> tuple[Plan, str]:
+def _adjust(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan, str]:
     """Move kinks and raise resolutions where the solution asks for it."""
-    moved, finer = move_kinks(samples, plan), _finer(samples, plan, tol)
+    moved, finer = move_kinks(constraints, plan), _finer(constraints.samples, plan, tol)
     if moved is not None:
         emptied = np.flatnonzero(moved.lengths < VANISHED * (moved.times[-1] - moved.times[0]))
         if emptied.size:
             return Plan.of(
-                plan.structure.without(int(emptied[0])), plan.points
+                plan.structure.emptied(int(emptied[0])), plan.points
             ), f"piece {emptied[0] + 1} dropped"
-    actions = (KINKS_MOVED if moved else "", RAISED if finer else "")
+    if finer and not moved and not plan.loose and any(plan.structure.touches):
+        return replace(plan, loose=True), LOOSENED
     resolutions = finer.resolutions if finer else plan.resolutions
+    actions = (KINKS_MOVED if moved else "", RAISED if finer else "")
     return replace(plan, structure=moved or plan.structure, resolutions=resolutions), ", ".join(
         filter(None, actions)
     )
@@ -288,7 +309,7 @@ def _collapse(
     # Only an order that has been left before is not tried again.
     if other is not None and (samples.leg.name, other.at(())) not in swapped:
         return _spread(other, shortest), f"switches {shortest} and {shortest + 1} swapped"
-    return structure.without(shortest), f"piece {shortest + 1} dropped"
+    return structure.emptied(shortest), f"piece {shortest + 1} dropped"
 
 
 def _spread(structure: PhaseStructure, piece: int) -> PhaseStructure:
@@ -379,6 +400,23 @@ def _zero(times: Array, values: Array, left: int, right: int) -> float:
     return float(times[left] - values[left] * (times[right] - times[left]) / (values[right] - values[left]))
 
 
+# --- contacts with state constraints --------------------------------------------------------------------------
+
+
+def _mended_contacts(
+    constraints: StateConstraints, structure: PhaseStructure
+) -> tuple[PhaseStructure | None, str]:
+    """Return the structure with a contact that pushes unseen, else without a touch that pulls, and what was done.
+
+    A touch may pull because another is missing beside it.
+    """
+    added, action = pushed_contact(constraints, structure)
+    wrong = wrong_touch(constraints, structure)
+    if added is not None or wrong is None:
+        return added, action
+    return structure.without_touch(*wrong), f"touch at {structure.times[wrong[0]]:.4g} s dropped"
+
+
 # --- resolution ---------------------------------------------------------------------------------------------
 
 
@@ -391,6 +429,9 @@ def _finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
     )
     residual = samples.per_segment(samples.lam_rate + gradient + samples.state_multiplier)
     worth = samples.state_scale[:, None] / samples.cost_scale
+    # Multipliers along a state constraint are differences of what the solver leaves: rougher, the finer the piece.
+    contact = np.array([plan.structure.on_contact(k) for k in range(plan.structure.pieces)])
+    residual = np.where(contact[plan.segment_pieces], 0.0, residual)
     per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
     worst, open_gradient = np.zeros(plan.structure.pieces), _open_gradient(samples, plan)
     np.maximum.at(worst, plan.segment_pieces, per_segment)

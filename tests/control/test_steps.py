@@ -3,8 +3,8 @@
 import casadi as ca
 import pytest
 
+from gnc_opt.control.steps import is_first, next_phase, started_steps, whole_steps
 from gnc_opt.errors import ArgumentError
-from gnc_opt.simulation.steps import is_first, next_phase, started_steps, whole_steps
 
 
 @pytest.mark.parametrize(

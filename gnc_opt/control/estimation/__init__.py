@@ -1,0 +1,1 @@
+"""Estimators: the states that a law feeds back, from what sensors measure."""

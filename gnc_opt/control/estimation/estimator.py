@@ -1,0 +1,212 @@
+"""Estimator: a discrete-time filter as symbolic functions with a memory, and a law that feeds back what it tells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import expect
+from gnc_opt.arrays import Array
+from gnc_opt.control.controller import Controller, first_memory, law
+from gnc_opt.control.estimation.filter import COVARIANCE
+from gnc_opt.control.explanation import Explanation
+from gnc_opt.errors import ArgumentError, did_you_mean
+from gnc_opt.model.layout import Layout, as_vector
+
+
+@dataclass(frozen=True, eq=False)
+class Estimator:
+    """A discrete-time estimator: ``(t, y, z) -> (x, z)``, then ``(t, u, z) -> z`` until the next control step.
+
+    At a control step that begins at t it gets the samples y and its memory z, the prediction for t; it returns the
+    estimated states x, and, once the command u is known, the prediction for the next step.
+
+    Attributes
+    ----------
+    name : str
+    update, predict : casadi.Function
+        ``(t, y, z) -> (x, z)`` and ``(t, u, z) -> z``, columns. x is not a number while nothing has been measured for
+        longer than the estimator's ``hold``.
+    first : array (n_memory,)
+        The memory at the first step.
+    states, errors : Layout
+        Names, sizes and units of x and of its error.
+    measured : Layout
+        Of y.
+    commands : Layout
+        Of u.
+    places : tuple of two int arrays (n,)
+        Rows and columns of the covariance of all errors that the entries of ``covariance`` in the memory are.
+    memory : Layout
+        ``<state>_hat``, ``<measurement>_bias_hat`` and what else is estimated, ``covariance`` (of all errors, what of
+        its lower triangle can differ from zero), and for each measurement ``<measurement>_nis`` (sum of the normalised
+        innovations squared of the samples taken), ``<measurement>_taken`` and ``<measurement>_refused`` (how many).
+    error : casadi.Function
+        ``(x, x_ref) -> e``, the error of states.
+    sizes : mapping of str to int
+        Components of each measurement's error.
+    dt : float
+        Control step, s.
+    explanation : Explanation
+    """
+
+    name: str
+    update: Any
+    predict: Any
+    first: Array
+    states: Layout
+    errors: Layout
+    measured: Layout
+    commands: Layout
+    places: tuple[Any, Any]
+    memory: Layout
+    error: Any
+    sizes: dict[str, int]
+    dt: float
+    explanation: Explanation
+
+    def explain(self) -> Explanation:
+        """Return the facts of the design; print them to read them."""
+        return self.explanation
+
+    def __call__(
+        self, t: float, y: ArrayLike, u: ArrayLike, z: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """Evaluate one step: return the estimated states (n_states,) at t and the memory (n_memory,) of the next step.
+
+        Parameters
+        ----------
+        t : float
+            Beginning of the step, s.
+        y : array (n_measured,)
+            Samples; those that are missing are not-a-number.
+        u : array (n_commands,)
+            Applied from t to the next step.
+        z : array (n_memory,), optional
+            Memory; without it the step is the first.
+        """
+        sample = as_vector(y, self.measured.size, f"the samples given to '{self.name}'", ArgumentError)
+        command = as_vector(u, self.commands.size, f"the command given to '{self.name}'", ArgumentError)
+        x, after = self.update(float(t), sample, self.first if z is None else z)
+        return np.asarray(x.full()[:, 0]), np.asarray(self.predict(float(t), command, after).full()[:, 0])
+
+    def estimate(self, memory: ArrayLike) -> Array:
+        """Return the states of memories (n_memory,) or (n_memory, n), predictions for the times of the memories."""
+        names = [f"{name}_hat" for name in self.states.names]
+        return np.concatenate([np.asarray(memory, dtype=float)[self.memory.slice(n)] for n in names])
+
+    def covariance(self, memory: ArrayLike) -> Array:
+        """Return the covariance of the errors of the states (n_errors, n_errors) of a memory (n_memory,), or
+        (n, n_errors, n_errors) of many (n_memory, n); biases and what else is estimated left out."""
+        column = np.asarray(memory, dtype=float)[self.memory.slice(COVARIANCE)]
+        n, (rows, columns) = self.errors.size, self.places
+        full = np.zeros((n, n, *column.shape[1:]))
+        own = (rows < n) & (columns < n)
+        full[rows[own], columns[own]] = full[columns[own], rows[own]] = column[own]
+        return np.moveaxis(full, -1, 0) if column.ndim > 1 else full
+
+
+def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
+    """Return the controller that feeds back what an estimator makes of measurements.
+
+    While nothing has been measured for longer than the estimator's ``hold``, the controller gets what is no number:
+    its own provision for lost samples acts, see `bridge_dropouts`.
+
+    Parameters
+    ----------
+    controller : Controller
+        Of states that are estimated.
+    estimator : Estimator
+        Its commands are among those of the controller; it takes them as applied as they are.
+
+    Returns
+    -------
+    Controller
+        Its ``states`` are the measurements, in the order of the design; its memory is the estimator's and, below it,
+        the controller's.
+
+    Raises
+    ------
+    ArgumentError
+        They do not fit.
+    """
+    expect(controller, Controller, "what output_feedback() got", "give what a design function returned")
+    expect(
+        estimator, Estimator, "what output_feedback() got", "give what design_ekf() or design_ukf() returned"
+    )
+    if controller.estimated is not None:
+        raise ArgumentError(
+            f"controller '{controller.name}' is fed by an estimator already: give the one inside."
+        )
+    controller.step_length(estimator.dt)
+    fed = _places(controller.states, estimator.states, "state", controller.name, estimator.name)
+    sent = _places(estimator.commands, controller.commands, "command", estimator.name, controller.name)
+    _check_names(controller, estimator)
+    step, start = _functions(controller, estimator, fed, sent)
+    told = controller.explanation
+    return replace(
+        controller,
+        name=f"{controller.name}_{estimator.name}",
+        step=step,
+        start=start,
+        states=estimator.measured,
+        estimated=controller.states,
+        memory=Layout(
+            "memory",
+            (*estimator.memory.variables, *controller.memory.variables),
+            f"controller '{controller.name}' fed by '{estimator.name}'",
+        ),
+        dt=estimator.dt,
+        explanation=Explanation(
+            f"{told.title}, fed by the {estimator.explanation.title}",
+            (*told.facts, *estimator.explanation.facts),
+        ),
+        unbridged=None,
+    )
+
+
+def _functions(
+    controller: Controller, estimator: Estimator, fed: list[int], sent: list[int]
+) -> tuple[Any, Any]:
+    scalar = controller.step.is_a("SXFunction") and controller.start.is_a("SXFunction")
+    kind = ca.SX if scalar else ca.MX
+    size = estimator.memory.size
+    t, y = kind.sym("t"), kind.sym("y", estimator.measured.size)
+    r, z = kind.sym("r", controller.signals.size), kind.sym("z", size + controller.memory.size)
+    own, inner = ca.vertsplit(z, [0, size, size + controller.memory.size])
+    x, after = estimator.update(t, y, own)
+    u, inner_after = controller.step(t, x[fed], r, inner)
+    step = law(t, y, r, z, u, ca.vertcat(estimator.predict(t, u[sent], after), inner_after))
+    x_first, _ = estimator.update(t, y, ca.DM(estimator.first))
+    begun = ca.vertcat(ca.DM(estimator.first), controller.start(t, x_first[fed], r))
+    return step, first_memory(t, y, r, begun)
+
+
+def _places(wanted: Layout, there: Layout, kind: str, whose: str, where: str) -> list[int]:
+    """Return the rows of all wanted variables among those that are there."""
+    rows: list[int] = []
+    for v in wanted.variables:
+        if v.name not in there:
+            raise ArgumentError(
+                f"'{whose}' needs the {kind} '{v.name}', which '{where}' does not give: "
+                f"{did_you_mean(v.name, there.names)}"
+            )
+        if there[v.name].size != v.size:
+            raise ArgumentError(
+                f"{kind} '{v.name}' has {v.size} components in '{whose}' and {there[v.name].size} in '{where}'."
+            )
+        place = there.slice(v.name)
+        rows += range(place.start, place.stop)
+    return rows
+
+
+def _check_names(controller: Controller, estimator: Estimator) -> None:
+    for name in estimator.memory.names:
+        if name in controller.memory:
+            raise ArgumentError(
+                f"'{controller.name}' and '{estimator.name}' both remember a '{name}': rename the state or the output."
+            )

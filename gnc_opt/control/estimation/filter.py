@@ -1,0 +1,288 @@
+r"""Filter: one control step of an estimator as symbolic functions.
+
+**Update.** With y the samples, :math:`\nu = d(y, \hat y)` their innovations, H and :math:`\Omega` of `linearization`
+at the prediction and R the covariance of the noise, the measurements are taken one after the other. What is not
+finite, not due or refused by the gate,
+
+.. math:: \nu^T (H P H^T + R + \Omega)^{-1} \nu > \chi^2_m(\text{gate}),
+
+is left out. The rest is whitened and taken component by component, in Joseph's form,
+
+.. math:: k = \frac{P h}{h^T P h + 1}, \qquad P \leftarrow (1 - k h^T) P (1 - k h^T)^T + k k^T,
+
+so that P stays a covariance also where a good sensor meets a bad guess. In the end the state moves by the error found.
+A turn of an attitude turns the axes of its error, too; that is of second order and left out.
+
+**Prediction** over a step h: the state by the classical Runge-Kutta method; with A the Jacobian of the dynamics
+halfway, R and D of `space`,
+
+.. math:: F_{h,s} = D_h \, e^{A (h - s)} R_s, \qquad
+   P \leftarrow F_{h,0} P F_{h,0}^T + \tfrac{h}{6} \left( F_{h,0} Q F_{h,0}^T + 4\, F_{h,h/2} Q F_{h,h/2}^T + Q \right),
+
+by Simpson's rule with the exponential up to its third power (that from h/2 on, of the noise, up to its second); the
+unscented filter carries its points in place of the first term. Exact for chains of two integrators; of second order in
+h where A changes.
+
+References
+----------
+R. E. Kalman, A new approach to linear filtering and prediction problems, J. Basic Engineering 82 (1960).
+R. S. Bucy, P. D. Joseph, Filtering for Stochastic Processes with Applications to Guidance (1968).
+Y. Bar-Shalom, X.-R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 5.4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.control.estimation.augmented import AugmentedModel, Channel
+from gnc_opt.control.estimation.chi_square import chi_square
+from gnc_opt.control.estimation.linearization import Linearization, Map, Tangent, cholesky, solved_left
+from gnc_opt.control.limits import Authority, saturated
+from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.tolerances import LARGEST
+
+COVARIANCE = "covariance"
+"""The entry of the memory with what of the lower triangle of P can differ from zero, column by column."""
+
+LOST = "lost_steps"
+"""The entry that counts control steps in a row that should have brought a sample and brought none."""
+
+
+@dataclass(frozen=True)
+class Filter:
+    """The functions of a filter.
+
+    Attributes
+    ----------
+    update : casadi.Function
+        ``(t, y, z) -> (x, z)``: the estimated states of the model with the samples y at t (s), and the memory.
+    predict : casadi.Function
+        ``(t, u, z) -> z``: the memory at the next control step, u applied until then.
+    memory : Layout
+    pattern : casadi.Sparsity
+        Of the lower triangle of P, column by column, in the memory.
+    """
+
+    update: Any
+    predict: Any
+    memory: Layout
+    pattern: Any
+
+
+def build_filter(
+    augmented: AugmentedModel,
+    linearization: Linearization,
+    noise: Array,
+    limits: Authority | None,
+    substeps: int,
+    hold: int,
+) -> Filter:
+    """Return the filter; ``noise`` (n_errors,) are densities by error, unit per square root of a second."""
+    builder = _Builder(augmented, linearization, noise, limits, substeps, hold)
+    return Filter(builder.update(), builder.predict(), builder.memory, builder.pattern)
+
+
+class _Builder:
+    def __init__(
+        self,
+        augmented: AugmentedModel,
+        linearization: Linearization,
+        noise: Array,
+        limits: Authority | None,
+        substeps: int,
+        hold: int,
+    ) -> None:
+        self.augmented, self.linearization = augmented, linearization
+        self.density = ca.diag(ca.SX(ca.sparsify(ca.DM(noise**2))))
+        self.limits, self.substeps, self.hold = limits, substeps, hold
+        self.pattern = self._pattern()
+        self.memory = self._layout()
+
+    def _layout(self) -> Layout:
+        augmented = self.augmented
+        entries = [Variable(f"{v.name}_hat", v.size, v.unit) for v in augmented.states.variables]
+        entries.append(Variable(COVARIANCE, self.pattern.nnz()))
+        for channel in augmented.channels:
+            entries += [Variable(f"{channel.name}_{what}") for what in ("nis", "taken", "refused")]
+            if channel.counted:
+                entries.append(Variable(f"{channel.name}_next"))
+        return Layout("memory", (*entries, Variable(LOST)), f"the estimator of '{augmented.model.name}'")
+
+    def _pattern(self) -> Any:
+        """Return the sparsity of the lower triangle of P: what can ever differ from zero.
+
+        Errors that neither the dynamics nor a measurement connects stay uncorrelated.
+        """
+        augmented, n = self.augmented, self.augmented.errors.size
+        if not self.linearization.keeps_zeros:
+            return ca.Sparsity.lower(n)
+        t, x, u = (
+            ca.SX.sym("t"),
+            ca.SX.sym("x", augmented.space.size),
+            ca.SX.sym("u", augmented.model.controls.size),
+        )
+        F, noise = augmented.transition(t, x, x, u, augmented.dt, self.density)
+        maps = [_mask(F)]
+        if augmented.remembers:
+            maps.append(_mask(self._tangent_of_shift(t, x)[1]))
+        rows = np.vstack([_mask(view.slope) for view in self._views(t, x, ca.SX(n, n))])
+        P = np.eye(n, dtype=bool) | _mask(noise)
+        while True:
+            new = P.copy()
+            for each in maps:
+                new |= each @ new @ each.T
+            for seen in rows:
+                touched = new @ seen
+                new |= np.outer(touched, touched)
+            if np.array_equal(new, P):
+                return ca.DM(ca.sparsify(ca.DM(np.tril(P).astype(float)))).sparsity()
+            P = new
+
+    def _state(self, z: Any) -> tuple[Any, Any]:
+        """Return the augmented state and its covariance in a memory."""
+        half = ca.SX(self.pattern, z[self.memory.slice(COVARIANCE)])
+        return z[: self.augmented.states.size], ca.tril2symm(half)
+
+    def _memory(self, entries: dict[str, Any], x: Any, P: Any) -> Any:
+        """Return the column of the memory with another state and covariance."""
+        new = dict(entries)
+        for name in self.augmented.states.names:
+            new[f"{name}_hat"] = x[self.augmented.states.slice(name)]
+        new[COVARIANCE] = ca.project(ca.tril(P), self.pattern).nz[:]
+        return ca.vertcat(*[new[name] for name in self.memory.names])
+
+    def _tangent_of_shift(self, t: Any, x: Any) -> tuple[Any, Any]:
+        shift, space = self.augmented.shift(), self.augmented.space
+        return Tangent().fit(lambda own: shift(t, own), space, space, x, None)[:2]
+
+    # --- update -------------------------------------------------------------------------------------------
+
+    def update(self) -> Any:
+        """Return ``(t, y, z) -> (x, z)``."""
+        augmented = self.augmented
+        sizes = [0, *np.cumsum([c.variable.size for c in augmented.channels]).tolist()]
+        t, y, z = ca.SX.sym("t"), ca.SX.sym("y", sizes[-1]), ca.SX.sym("z", self.memory.size)
+        entries = {name: z[self.memory.slice(name)] for name in self.memory.names}
+        x, P = self._state(z)
+        views = self._views(t, x, P)
+        error = ca.SX.zeros(augmented.errors.size)
+        any_due, any_taken = ca.SX(0), ca.SX(0)
+        for channel, sample, view in zip(augmented.channels, ca.vertsplit(y, sizes), views, strict=True):
+            name = channel.name
+            due = entries[f"{name}_next"] < 0.5 if channel.counted else ca.SX(1)
+            innovation, taken, refused, nis = _judged(channel, sample, due, view, error, P)
+            error, P = _joseph(P, view.slope, innovation, taken, error)
+            entries[f"{name}_nis"] += ca.if_else(taken, nis, 0)
+            entries[f"{name}_taken"] += taken
+            entries[f"{name}_refused"] += refused
+            if channel.counted:
+                left = entries[f"{name}_next"]
+                entries[f"{name}_next"] = ca.if_else(due, channel.period - 1, left - 1)
+            any_due, any_taken = ca.fmax(any_due, due), ca.fmax(any_taken, taken)
+        entries[LOST] = ca.if_else(any_taken, 0, entries[LOST] + any_due)
+        x = augmented.space.retraction(x, error)
+        trusted = entries[LOST] < self.hold + 0.5
+        told = ca.if_else(trusted, x[: augmented.model.states.size], np.nan)
+        after = self._memory(entries, x, P)
+        return ca.Function("update", [t, y, z], [told, after], ["t", "y", "z"], ["x", "z_next"])
+
+    def _views(self, t: Any, x: Any, P: Any) -> list[_View]:
+        """Return how the measurements see the errors of x at t."""
+        augmented, views = self.augmented, []
+        for channel in augmented.channels:
+            observed, space = augmented.observed(channel), channel.space
+            slope = augmented.direct_slope(channel)
+            if slope is None:
+                y, slope, left = self.linearization.fit(partial(observed, t), augmented.space, space, x, P)
+            else:
+                y, left = observed(t, x), ca.SX(space.errors, space.errors)
+            noise = ca.SX(ca.diag(ca.DM(channel.measurement.values("sigma", space.errors) ** 2)))
+            root = cholesky(noise + left)
+            views.append(_View(y, solved_left(root, slope), root))
+        return views
+
+    # --- prediction ---------------------------------------------------------------------------------------
+
+    def predict(self) -> Any:
+        """Return ``(t, u, z) -> z``."""
+        augmented = self.augmented
+        t, z = ca.SX.sym("t"), ca.SX.sym("z", self.memory.size)
+        command = ca.SX.sym("u", augmented.model.controls.size)
+        u = saturated(command, self.limits)
+        entries = {name: z[self.memory.slice(name)] for name in self.memory.names}
+        x, P = self._state(z)
+        space = augmented.space
+        if augmented.remembers:
+            shift = augmented.shift()
+            x, P = self.linearization.carry(
+                lambda own: shift(t, own), space, x, P, *self._tangent_of_shift(t, x)
+            )
+        h = augmented.dt / self.substeps
+        flow = augmented.flow(h)
+        for i in range(self.substeps):
+            begin = t + i * h
+            after = flow(begin, x, u)
+            F, noise = augmented.transition(begin, x, after, u, h, self.density)
+            x, P = self.linearization.carry(_held(flow, begin, u), space, x, P, after, F)
+            P = P + noise
+        return ca.Function(
+            "predict", [t, command, z], [self._memory(entries, x, P)], ["t", "u", "z"], ["z_next"]
+        )
+
+
+@dataclass(frozen=True)
+class _View:
+    """How a measurement sees the errors: its prediction y, its slope whitened by the root of its covariance."""
+
+    y: Any
+    slope: Any
+    root: Any
+
+
+def _judged(
+    channel: Channel, sample: Any, due: Any, view: _View, error: Any, P: Any
+) -> tuple[Any, Any, Any, Any]:
+    """Return the whitened innovation of a sample, whether it is taken, whether the gate refuses it, and its NIS.
+
+    ``error`` is what the measurements before have told, P the covariance of what is left.
+    """
+    good = ca.logic_and(ca.sum1(ca.fabs(sample) <= LARGEST) == sample.shape[0], due)
+    innovation = solved_left(view.root, ca.if_else(good, channel.space.difference(sample, view.y), 0))
+    root = cholesky(view.slope @ P @ view.slope.T + ca.SX.eye(view.slope.shape[0]))
+    nis = ca.sumsqr(solved_left(root, innovation - view.slope @ error))
+    gate = channel.measurement.gate
+    if gate is None:
+        return innovation, good, ca.SX(0), nis
+    passes = nis <= chi_square(channel.space.errors, gate)
+    return innovation, ca.logic_and(good, passes), ca.logic_and(good, ca.logic_not(passes)), nis
+
+
+def _joseph(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any, Any]:
+    """Return the error with what whitened components with the slopes H (m, n) and innovations nu tell, and P with them.
+
+    Nothing changes if they are not taken.
+    """
+    for i in range(H.shape[0]):
+        h = H[i, :].T
+        g = P @ h
+        k = taken * g / (ca.dot(h, g) + 1)
+        error = error + k * (nu[i] - ca.dot(h, error))
+        left = P - k @ g.T
+        P = ca.tril2symm(ca.tril(left + (k - left @ h) @ k.T))
+    return error, P
+
+
+def _held(flow: Any, t: Any, u: Any) -> Map:
+    """Return the flow from t under a held command as a function of the state alone."""
+    return lambda x: flow(t, x, u)
+
+
+def _mask(matrix: Any) -> Any:
+    """Return where a matrix is not zero by its structure, bool array."""
+    return np.asarray(ca.DM(matrix.sparsity(), 1).full()) > 0

@@ -1,0 +1,79 @@
+r"""Space: where a quantity lives, and what an error in it is.
+
+An error e of x relative to :math:`x_r` is :math:`d(x, x_r)`, and :math:`r(x_r, e)` leads back. To first order
+:math:`dx = R\, e` and :math:`e = D\, dx` with
+
+.. math:: R = \left.\frac{\partial r}{\partial e}\right|_{e=0}, \qquad
+   D = \left.\frac{\partial d}{\partial x}\right|_{x=x_r}, \qquad D R = 1 .
+
+Covariances are those of e; for attitudes this is the multiplicative filter (Markley and Crassidis, Fundamentals of
+Spacecraft Attitude Determination and Control, 2014, section 6.2.4), whatever parameters the attitude has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+
+@dataclass(frozen=True)
+class Space:
+    """A space of columns (size, 1) with errors (errors, 1).
+
+    Attributes
+    ----------
+    size, errors : int
+    difference : callable
+        ``difference(x, x_ref) -> e`` of SX columns.
+    retraction : callable
+        ``retraction(x_ref, e) -> x``.
+    """
+
+    size: int
+    errors: int
+    difference: Callable[[Any, Any], Any]
+    retraction: Callable[[Any, Any], Any]
+
+    def error_slope(self, x: Any) -> Any:
+        """Return D (errors, size) at an SX column x."""
+        own, reference = ca.SX.sym("x", self.size), ca.SX.sym("x_ref", self.size)
+        slope = ca.jacobian(self.difference(own, reference), own)
+        return ca.substitute(slope, ca.vertcat(own, reference), ca.vertcat(x, x))
+
+    def move_slope(self, x: Any) -> Any:
+        """Return R (size, errors) at an SX column x."""
+        own, error = ca.SX.sym("x", self.size), ca.SX.sym("e", self.errors)
+        slope = ca.jacobian(self.retraction(own, error), error)
+        return ca.substitute(slope, ca.vertcat(own, error), ca.vertcat(x, ca.SX.zeros(self.errors)))
+
+
+def flat(size: int) -> Space:
+    """Return the space in which errors are differences."""
+    return Space(size, size, lambda x, ref: x - ref, lambda ref, e: ref + e)
+
+
+def product(spaces: Sequence[Space]) -> Space:
+    """Return the space of stacked columns."""
+    sizes = [0, *_sums(s.size for s in spaces)]
+    errors = [0, *_sums(s.errors for s in spaces)]
+
+    def difference(x: Any, ref: Any) -> Any:
+        parts = zip(spaces, ca.vertsplit(x, sizes), ca.vertsplit(ref, sizes), strict=True)
+        return ca.vertcat(*[s.difference(own, other) for s, own, other in parts])
+
+    def retraction(ref: Any, e: Any) -> Any:
+        parts = zip(spaces, ca.vertsplit(ref, sizes), ca.vertsplit(e, errors), strict=True)
+        return ca.vertcat(*[s.retraction(own, error) for s, own, error in parts])
+
+    return Space(sizes[-1], errors[-1], difference, retraction)
+
+
+def _sums(numbers: Any) -> list[int]:
+    total, found = 0, []
+    for number in numbers:
+        total += number
+        found.append(total)
+    return found

@@ -1,0 +1,324 @@
+r"""Contacts of a trajectory with state constraints: arcs on a limit and touches, found and mended.
+
+Let S(t, x) <= 0 have order q (`gnc_opt.problem.constraint_order`), and H be strictly convex in the controls that
+:math:`S^{(q)}` depends on. Then the control is continuous where an arc on the limit begins and ends (Jacobson, Lele &
+Speyer, J. Math. Anal. Appl. 35, 1971; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995): there :math:`S^{(q)}` comes to
+zero, with a kink, from the side of the interior arc. As with the kinks of module `junctions`, the cost hardly depends
+on the time; so an entry is kept where it is during a solve, in which the constraint may be left beside the arc, and
+then moves to where :math:`S^{(q)}` of the interior arc vanishes. Since states and costates are wrong in second order
+only, repeating this converges quadratically.
+
+The time of a touch, of order two or more, is a variable: with :math:`S = \dot S = 0` there the cost has a strict
+minimum at the time at which the multiplier of :math:`\dot S = 0` vanishes, so that the costate jumps along
+:math:`\partial S/\partial x` alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.model.evaluation import evaluate
+from gnc_opt.problem.arc import ArcKind
+from gnc_opt.problem.constraint_order import constraint_order
+from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.problem import Problem
+from gnc_opt.refine.error import states_at_points
+from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.solution.polynomial import Side
+from gnc_opt.solution.samples import PhaseSamples
+
+MOST_ORDER = 3
+"""Orders of constraints whose contacts are looked for."""
+
+NEAR = 1e-2
+"""A constraint this close to its limit, in shares of what it moves, may be on it between two pushes."""
+
+PUSHING = 1e-3
+"""Share of the largest push of a constraint that counts as one, ..."""
+
+WORTH = 1e-5
+"""... if that is worth this share of the cost."""
+
+FEW = 5
+"""A contact of second order over no more nodes than this is a touch to begin with."""
+
+BESIDE = 1e-4
+"""Distance from a junction, in shares of the segment beside it, over which a slope is taken."""
+
+FARTHEST = 0.5
+"""Share of the shorter piece beside a junction by which it may move at once."""
+
+EXCEEDED = 1e-8
+"""A constraint beyond its limit by this share of what it moves is left."""
+
+ODD = 1e-6
+"""A push of the wrong direction worth this share of the cost says that there is no contact."""
+
+
+@dataclass(frozen=True, eq=False)
+class StateConstraints:
+    """The path constraints and states of a phase as functions of the state, with their derivatives.
+
+    Rows are path constraints, then states.
+    """
+
+    problem: Problem
+    samples: PhaseSamples
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+        return len(self.samples.leg.path_labels) + self.samples.leg.states.size
+
+    @property
+    def bounds(self) -> Interval:
+        """Limits of all rows."""
+        leg = self.samples.leg
+        return Interval(
+            np.concatenate([leg.path_bounds.lower, leg.state_bounds.lower]),
+            np.concatenate([leg.path_bounds.upper, leg.state_bounds.upper]),
+        )
+
+    @property
+    def scales(self) -> Array:
+        """How far each row moves."""
+        return np.concatenate([self.samples.path_scale, self.samples.state_scale])
+
+    def order(self, row: int, regular: Mask) -> int:
+        """Return the order of a row if controls in which H is strictly convex (m,) hold it on its limit, else 0."""
+        if not self.bounds.lower[row] < self.bounds.upper[row]:
+            return 0
+        if not np.isfinite([self.bounds.lower[row], self.bounds.upper[row]]).any():
+            return 0
+        found = constraint_order(self.problem, self.problem.phases[self.samples.leg.name], row)
+        held = bool(found.controls) and all(regular[i] for i in found.controls)
+        return found.order if held and found.order and found.order <= MOST_ORDER else 0
+
+    def values(self, times: Array, x: Array, u: Array) -> Array:
+        """Return all rows, (n_rows, n_times)."""
+        return np.vstack([self.samples.functions.paths(times, x, u), x])
+
+    def derivative(self, row: int, k: int, times: Any, x: Array, u: Array) -> Array:
+        """Return the k-th derivative of a row along the dynamics, shape of times."""
+        name, f = self.samples.leg.name, self.samples.functions
+        function = self.problem.once(("derivative", name, row, k), lambda: self._function(row, k))
+        return np.asarray(evaluate(function, times, x, u, f.p, f.q)[0])
+
+    def gradient(self, row: int, time: float, x: Array, u: Array) -> Array:
+        """Return the derivative of a row by the states, (n_states,)."""
+        n_paths = len(self.samples.leg.path_labels)
+        if row < n_paths:
+            return np.asarray(self.samples.functions.path_state_jacobian(time, x, u)[row])
+        return np.asarray(np.eye(x.size)[row - n_paths])
+
+    def _function(self, row: int, k: int) -> Any:
+        leg = self.problem.phases[self.samples.leg.name]
+        t, x, u, p = leg.model.arguments()
+        expression = constraint_order(self.problem, leg, row).derivatives[k]
+        return ca.Function(
+            "derivative", [t, x, u, p, self.problem.parameter_symbols()], [ca.densify(expression)]
+        )
+
+
+# --- found on a mesh ------------------------------------------------------------------------------------------
+
+
+def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamples) -> PhaseStructure:
+    """Return the structure with the contacts that multipliers and slacks of a mesh show.
+
+    A constraint of first order that pushes is on its limit; one of higher order is where it stays there over
+    more than a segment, else it touches; one of third order only touches, as arcs of odd order beyond the first have no
+    simple junctions (Jacobson, Lele & Speyer, 1971).
+    """
+    constraints, first = StateConstraints(problem, samples), len(structure.controls)
+    regular = np.asarray(structure.regular[:first], dtype=bool)
+    held = [any(kinds[first + row].at_limit for kinds in structure.kinds) for row in range(constraints.size)]
+    orders = [0 if held[row] else constraints.order(row, regular) for row in range(constraints.size)]
+    if not any(orders):
+        return structure
+    structure = replace(structure, orders=(*(0,) * first, *orders))
+    for run in _runs_of_pushes(constraints, structure):
+        structure = run.added(structure, samples)
+    return structure
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """Neighbouring nodes of a mesh near a limit at some of which a constraint pushes.
+
+    Attributes
+    ----------
+    row : int
+        Of the structure.
+    kind : ArcKind
+    times, worth : array
+        Of the nodes, and of the pushes there in shares of the cost; zero where there is none that counts.
+    """
+
+    row: int
+    kind: ArcKind
+    times: Array
+    worth: Array
+
+    def added(self, structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
+        """Return the structure with the contacts of the nodes."""
+        runs, order = _runs(self.worth > 0), structure.orders[self.row]
+        first, last = samples.leg.breaks[[0, -1]]
+        beside = [t for t in structure.touching(self.row, self.kind) if self.times[0] <= t <= self.times[-1]]
+        if order == 2 and (runs[-1][1] - runs[0][0] > FEW or beside):  # between its ends an arc need not push
+            runs, order = [(runs[0][0], runs[-1][1])], 1
+        for a, b in runs:
+            if order == 1:
+                start, end = self._between(a, first), self._between(b, last)
+                structure = structure.with_arc(
+                    self.row, float(min([start, *beside])), float(max([end, *beside])), self.kind
+                )
+                continue
+            time = float(np.average(self.times[a:b], weights=self.worth[a:b]))
+            if first < time < last:
+                structure = structure.with_touch(self.row, time, self.kind)
+        return structure
+
+    def _between(self, node: int, end: float) -> float:
+        """Time between a node and the one before; beyond the first and last, the phase's end if that is next."""
+        times, size = self.times, self.times.size
+        if 0 < node < size:
+            return float(0.5 * (times[node - 1] + times[node]))
+        outer, inner = (
+            (times[0], times[min(1, size - 1)]) if node == 0 else (times[-1], times[max(-2, -size)])
+        )
+        return float(end if abs(end - outer) <= abs(outer - inner) else outer)
+
+
+def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) -> list[_Run]:
+    """Where constraints push that determine a control, but for the contacts of the structure."""
+    s, first = constraints.samples, len(structure.controls)
+    times, values, pushes = _at_nodes(constraints)
+    found = []
+    for row in np.flatnonzero(structure.orders[first:]):
+        known = structure.contact(first + int(row), times)
+        for kind, limit in (
+            (ArcKind.LOWER, constraints.bounds.lower[row]),
+            (ArcKind.UPPER, constraints.bounds.upper[row]),
+        ):
+            near = np.abs(values[row] - limit) < NEAR * constraints.scales[row]
+            worth = kind.sign * pushes[row] * constraints.scales[row] / s.cost_scale
+            counts = near & ~known & (worth > max(PUSHING * float(np.max(worth)), WORTH))
+            worth = np.where(counts, worth, 0.0)
+            runs = [(a, b) for a, b in _runs(near) if np.any(worth[a:b] > 0)]
+            found += [_Run(first + int(row), kind, times[a:b], worth[a:b]) for a, b in runs]
+    return found
+
+
+def _at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
+    """Times of points and inner boundaries, rows there and what they push on costates (n_rows, n_nodes)."""
+    leg = constraints.samples.leg
+    inner, points = leg.breaks[1:-1], leg.point_times
+    weights = np.concatenate([r.weights for r in leg.rules]) * np.repeat(
+        0.5 * np.diff(leg.breaks), leg.mesh.degrees
+    )
+    times = np.concatenate([points, inner])
+    x = np.hstack([states_at_points(leg), leg.x(inner)])
+    u = np.hstack([*leg.u.values, leg.u(inner)])
+    densities = np.vstack([leg.path_multipliers, leg.state_multipliers]) * weights
+    # Path constraints have no row at a boundary: there they push as long as they do on both sides.
+    paths = densities[: len(leg.path_labels)]
+    left, right = paths[:, np.array(leg.mesh.offsets[1:-1]) - 1], paths[:, leg.mesh.offsets[1:-1]]
+    atoms = np.vstack([np.where(left * right > 0, 0.5 * (left + right), 0.0), leg.state_impulses[:, 1:-1]])
+    order = np.argsort(times, kind="stable")
+    pushes = np.hstack([densities, atoms])[:, order]
+    return times[order], constraints.values(times, x, u)[:, order], pushes
+
+
+def _runs(here: Mask) -> list[tuple[int, int]]:
+    """First places, and those after the last ones, of the runs in which something holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(int)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+# --- mended ---------------------------------------------------------------------------------------------------
+
+
+def junction_time(constraints: StateConstraints, structure: PhaseStructure, boundary: int, row: int) -> float:
+    """Return where a row's arc wants to begin or end: where its q-th derivative along the interior arc vanishes."""
+    leg, first = constraints.samples.leg, len(structure.controls)
+    entered = structure.kinds[boundary][row].at_limit
+    side: Side = "left" if entered else "right"
+    time = structure.times[boundary]
+    k = int(np.argmin(np.abs(leg.breaks - time)))
+    step = BESIDE * (leg.breaks[k] - leg.breaks[k - 1] if entered else leg.breaks[k] - leg.breaks[k + 1])
+    times = np.array([leg.breaks[k], leg.breaks[k] - step])
+    values = constraints.derivative(
+        row - first, structure.orders[row], times, leg.x(times, side), leg.u(times, side)
+    )
+    slope = (values[0] - values[1]) / step
+    lengths = structure.lengths
+    most = FARTHEST * min(lengths[boundary - 1], lengths[boundary])
+    move = -values[0] / slope if slope != 0 else 0.0
+    return time + float(np.clip(move, -most, most))
+
+
+def wrong_touch(constraints: StateConstraints, structure: PhaseStructure) -> tuple[int, int] | None:
+    """Return boundary and row of a touch whose limit would have to pull, or None."""
+    s, first = constraints.samples, len(structure.controls)
+    for k, touches in enumerate(structure.touches):
+        for row, kind in touches:
+            time = float(s.leg.breaks[np.argmin(np.abs(s.leg.breaks - structure.times[k]))])
+            gradient = constraints.gradient(row - first, time, s.leg.x(time), s.leg.u(time)) * s.state_scale
+            jump = (s.leg.lam(time, "left") - s.leg.lam(time, "right")) * s.state_scale
+            push = kind.sign * float(gradient @ jump) / max(float(np.linalg.norm(gradient)), 1e-300)
+            if push < -ODD * s.cost_scale:
+                return k, row
+    return None
+
+
+def pushed_contact(
+    constraints: StateConstraints, structure: PhaseStructure
+) -> tuple[PhaseStructure | None, str]:
+    """Return the structure with a contact where a constraint pushes, and what was done; None if none does."""
+    return _worst_added(constraints, structure, _runs_of_pushes(constraints, structure))
+
+
+def crossed_contact(
+    constraints: StateConstraints, structure: PhaseStructure
+) -> tuple[PhaseStructure | None, str]:
+    """Return the structure with a contact where a constraint is left, and what was done; None if none is."""
+    return _worst_added(constraints, structure, _excesses(constraints, structure))
+
+
+def _worst_added(
+    constraints: StateConstraints, structure: PhaseStructure, runs: list[_Run]
+) -> tuple[PhaseStructure | None, str]:
+    s, labels = (
+        constraints.samples,
+        (*constraints.samples.leg.path_labels, *constraints.samples.leg.states.labels),
+    )
+    if not runs:
+        return None, ""
+    run = max(runs, key=lambda r: float(np.max(r.worth)))
+    at = run.times[int(np.argmax(run.worth))]
+    label = labels[run.row - len(structure.controls)]
+    return run.added(structure, s), f"contact of {label} added at {at:.4g} s"
+
+
+def _excesses(constraints: StateConstraints, structure: PhaseStructure) -> list[_Run]:
+    """Samples at which constraints are left beside their arcs and between points."""
+    s, first = constraints.samples, len(structure.controls)
+    values = constraints.values(s.times, s.x, s.u_polynomial)
+    found = []
+    for row in np.flatnonzero(structure.orders[first:]):
+        known = structure.contact(first + int(row), s.times)
+        for kind, limit in (
+            (ArcKind.LOWER, constraints.bounds.lower[row]),
+            (ArcKind.UPPER, constraints.bounds.upper[row]),
+        ):
+            excess = np.where(known, 0.0, kind.sign * (values[row] - limit) / constraints.scales[row])
+            found += [
+                _Run(first + int(row), kind, s.times[a:b], excess[a:b]) for a, b in _runs(excess > EXCEEDED)
+            ]
+    return found

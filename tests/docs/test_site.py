@@ -1,0 +1,112 @@
+"""What the site adds to the pages: the reference of every public name, the gallery, links and formulas."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+from pages import DOCS, PAGES, ROOT
+
+from gnc_opt.examples import examples
+
+pytest.importorskip("mkdocs", reason="the site is built with the extra docs")
+pytest.importorskip("latex2mathml")
+pytest.importorskip("griffe")
+
+from website import api, gallery, hooks, sphinx_math
+
+
+def test_every_public_name_is_in_the_reference_once() -> None:
+    told = re.findall(r"(?m)^::: (\S+)$", "\n".join(api.pages().values()))
+    assert len(told) == len(set(told))
+    for room, names in api.room_names().items():
+        for name in names:
+            value = getattr(importlib.import_module(room), name)
+            named = inspect.isclass(value) or inspect.isfunction(value)
+            if named:
+                assert f"{value.__module__}.{value.__qualname__}" in told
+            else:
+                assert any(path.endswith(f".{name}") for path in told), f"{room}.{name}"
+
+
+def test_the_index_lists_every_name_of_gnc_opt() -> None:
+    index = api.pages()["api/index.md"]
+    assert not [name for name in api.gnc_opt.__all__ if f"`go.{name}`" not in index]
+
+
+def test_every_room_has_its_page() -> None:
+    assert set(api.room_names()) <= set(api.entries())
+
+
+def test_every_page_is_in_the_navigation() -> None:
+    listed = set(re.findall(r"(?m)^ +- ([\w/]+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8")))
+    there = {str(page.path.relative_to(ROOT / "docs")) for page in DOCS}
+    assert listed - {"index.md"} == there
+
+
+def test_every_problem_has_its_exhibit() -> None:
+    pages = gallery.pages(pictures=False)
+    assert set(pages) == {f"gallery/{each.name}.md" for each in examples()}
+    assert "**Known answer**: 5.457865264 s" in pages["gallery/zermelo.md"]
+    assert "def headings()" in pages["gallery/zermelo.md"]
+    assert "problems/rendezvous/model.py" in pages["gallery/rendezvous.md"]
+
+
+def test_a_picture_shows_states_and_controls() -> None:
+    zermelo = next(each for each in examples() if each.name == "zermelo")
+    found = gallery.pictures(zermelo)
+    assert set(found) == {"gallery/zermelo_states.svg", "gallery/zermelo_controls.svg"}
+    assert all(svg.startswith(b"<?xml") and len(svg) < 200_000 for svg in found.values())
+
+
+@pytest.mark.parametrize(
+    ("source", "place", "text", "shown"),
+    [
+        ("README.md", "index.md", "[a](docs/verdict.md)", "[a](verdict.md)"),
+        ("README.md", "index.md", "![a](docs/rendezvous.svg)", "![a](rendezvous.svg)"),
+        ("docs/problems.md", "problems.md", "[a](../problems/zermelo.py)", "[a](gallery/zermelo.md)"),
+        ("docs/problems.md", "problems.md", "[`a`](../problems/rendezvous)", "[`a`](gallery/rendezvous.md)"),
+        ("docs/learn/a.md", "learn/a.md", "[a](../verdict.md#b)", "[a](../verdict.md#b)"),
+        ("docs/learn/a.md", "learn/a.md", "[a](#b)", "[a](#b)"),
+        ("CONTRIBUTING.md", "development/contributing.md", "[a](docs/b.md)", "[a](../b.md)"),
+        ("README.md", "index.md", "[a](CONTRIBUTING.md)", "[a](development/contributing.md)"),
+        ("README.md", "index.md", "[a](CITATION.cff)", "a"),
+    ],
+)
+def test_links_of_the_repository_lead_to_pages(source: str, place: str, text: str, shown: str) -> None:
+    assert hooks.relinked(text, source, place) == shown
+
+
+def test_no_link_of_a_page_is_lost() -> None:
+    """Whatever a page links to is shown, but for licence, citation and the like."""
+    for page in PAGES:
+        folder = Path(page.name).parent
+        lost = [
+            t
+            for t in page.links
+            if hooks.shown_at(str((ROOT / folder / t).resolve().relative_to(ROOT))) is None
+        ]
+        assert set(lost) <= {"CITATION.cff"}, page.name
+
+
+def test_formulas_of_docstrings_stand_between_dollars() -> None:
+    inline = "With :math:`a\n b` so\n\n.. math:: x = y, \\qquad\n   z = 1 .\n\nand"
+    assert " ".join(sphinx_math.dollars(inline).split()) == "With $a b$ so $$ x = y, \\qquad z = 1 . $$ and"
+    aligned = ".. math::\n   a &= b \\\\\n   c &= d\n\nthen."
+    shown = "$$ \\begin{split} a &= b \\\\ c &= d \\end{split} $$ then."
+    assert " ".join(sphinx_math.dollars(aligned).split()) == shown
+
+
+def test_formulas_become_mathml() -> None:
+    shown = hooks.on_page_content('<p><span class="arithmatex">\\(x &lt; y\\)</span></p>')
+    assert shown.startswith("<p><math") and "arithmatex" not in shown and "<mi>x</mi>" in shown
+
+
+def test_nothing_is_loaded_from_elsewhere() -> None:
+    """The theme's fonts and the offline search would come from other servers."""
+    settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    assert re.search(r"(?m)^  font: false", settings)
+    assert not re.search(r"https?://|offline", settings)

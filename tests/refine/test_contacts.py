@@ -1,0 +1,230 @@
+"""Arcs on state constraints and touches, found on a coarse mesh and refined: closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.problem.arc import ArcKind
+from gnc_opt.problem.constraint_order import constraint_order
+from gnc_opt.refine.structure.phase_structure import PhaseStructure
+
+LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER
+
+
+def throw(limit: float, form: str = "bound", unit: float = 1.0) -> go.Problem:
+    """Bryson and Denham's problem (Bryson & Ho 1975, p. 120), x <= limit; x in units of 1 / unit m.
+
+    "curved": the state is z with x = z + z^3 / 3, the limit a path constraint that is not linear in it.
+    """
+    model = go.Model("double integrator")
+    x, v = model.state("x"), model.state("v")
+    a = model.control("a")
+    model.ode({x: v / (1 + x**2) if form == "curved" else unit * v, v: a})
+    problem = go.Problem(f"throw, {form}")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(x=0.0, v=1.0)
+    leg.final(x=0.0, v=-1.0)
+    if form == "bound":
+        leg.bounds(x=(None, unit * limit))
+    else:
+        leg.path("ceiling", x + x**3 / 3 if form == "curved" else x, upper=unit * limit)
+    problem.minimize(leg.integral(a**2 / 2, "effort"))
+    return problem
+
+
+@cache
+def thrown(limit: float, form: str = "bound", unit: float = 1.0, mesh: str = "20x4") -> go.Solution:
+    return go.refine(go.solve(throw(limit, form, unit), mesh=mesh, tol=None))
+
+
+def contact(solution: go.Solution) -> tuple[float, float]:
+    """When the one contact begins and ends."""
+    (arc,) = [a for a in solution.structure if a.channel in ("x", "ceiling", "v")]
+    assert arc.kind is UP
+    return arc.start, arc.end
+
+
+# --- order ----------------------------------------------------------------------------------------------------
+
+
+def test_the_order_is_the_first_derivative_with_a_control() -> None:
+    model = go.Model("chain")
+    x, v, w = model.state("x"), model.state("v"), model.state("w")
+    u, s = model.control("u"), model.control("s")
+    model.ode({x: v**2, v: w, w: u * x})
+    problem = go.Problem("chain")
+    leg = problem.phase("leg", model)
+    leg.path("free", x - s, upper=0.0)
+    leg.path("moving", v - model.time**3, upper=0.0)
+    leg.path("clock", model.time, upper=0.0)
+    found = [constraint_order(problem, leg, row) for row in range(6)]
+    assert [f.order for f in found] == [0, 2, None, 3, 2, 1]
+    assert [f.controls for f in found] == [(1,), (0,), (), (0,), (0,), (0,)]
+    assert found[0].label == "free" and found[3].label == "x"
+    # (v - t^3)'' = u x - 6 t and (v^2)'' = 2 w^2 + 2 v u x, at t, x, v, w, u = 2, 3, 5, 7, 11
+    t, states, controls, p = model.arguments()
+    at = ca.Function(
+        "at", [t, states, controls, p], [f.derivatives[-1] for f in found[1:4:2]], {"allow_free": False}
+    )(2, [3, 5, 7], [11, 13], [])
+    assert [float(value) for value in at] == [11 * 3 - 12, 2 * 49 + 2 * 5 * 11 * 3]
+
+
+# --- arcs -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("form", "unit", "mesh"),
+    [("bound", 1.0, "20x4"), ("bound", 1e3, "11x3"), ("ceiling", 1.0, "20x4"), ("curved", 1.0, "20x4")],
+)
+def test_an_arc_of_second_order(form: str, unit: float, mesh: str) -> None:
+    """On the limit from 3 l to 1 - 3 l; J = 4 / (9 l), lam_x = 2 / (9 l^2) before, 0 on it, -2 / (9 l^2) after."""
+    limit = 1 / 9
+    solution = thrown(limit, form, unit, mesh)
+    assert solution.history.status.value == "converged" and go.verify(solution).minimum
+    assert contact(solution) == pytest.approx((1 / 3, 2 / 3), abs=1e-9)
+    assert solution.objective == pytest.approx(4.0, abs=1e-11)
+    leg, t = solution.phase(), np.array([0.1, 0.3, 0.4, 0.6, 0.7, 0.9])
+    side = np.sign(0.5 - t) * (np.abs(t - 0.5) > 1 / 6)
+    slope = 1 + leg.state("x")(t) ** 2 if form == "curved" else unit**-1.0
+    np.testing.assert_allclose(leg.costate("x")(t), 18 * side * slope, rtol=1e-6, atol=2e-6 / unit)
+    a = -6 * np.maximum(1 - 3 * np.minimum(t, 1 - t), 0)
+    np.testing.assert_allclose(leg.control("a")(t), a, atol=1e-8)
+    np.testing.assert_allclose(leg.costate("v")(t), -a, atol=1e-8)
+
+
+@pytest.mark.parametrize("limit", [0.05, 0.15])
+def test_longer_and_shorter_arcs(limit: float) -> None:
+    solution = thrown(limit)
+    assert go.verify(solution).ok and solution.structure
+    assert contact(solution) == pytest.approx((3 * limit, 1 - 3 * limit), abs=1e-9)
+    assert solution.objective == pytest.approx(4 / (9 * limit), abs=1e-10)
+
+
+def test_the_bound_s_impulses_are_the_atoms_at_entry_and_exit() -> None:
+    leg = thrown(1 / 9).phase()
+    at_ends = np.min(np.abs(leg.breaks[:, None] - np.array([1 / 3, 2 / 3])), axis=1) < 1e-6
+    np.testing.assert_allclose(leg.state_impulses[0, 1:-1], 18.0 * at_ends[1:-1], atol=5e-5)
+    np.testing.assert_allclose(leg.state_impulses[1, 1:-1], 0.0, atol=1e-7)
+
+
+def test_an_arc_of_first_order() -> None:
+    """Least effort from rest to rest over 1 m in 1 s, v <= V = 5/4: on the limit from t1 = 3/2 (1 - 1/V) to 1 - t1.
+
+    Before, v = V (1 - (1 - t / t1)^2); hence J = 4 V^2 / (3 t1).
+    """
+    model = go.Model("cart")
+    x, v = model.state("x"), model.state("v")
+    a = model.control("a")
+    model.ode({x: v, v: a})
+    problem = go.Problem("limited speed")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=1.0, v=0.0)
+    leg.path("v", v, upper=1.25)
+    problem.minimize(leg.integral(a**2 / 2, "effort"))
+    solution = go.refine(go.solve(problem, tol=None))
+    assert solution.history.converged and go.verify(solution).minimum
+    assert contact(solution) == pytest.approx((0.3, 0.7), abs=1e-9)
+    assert solution.objective == pytest.approx(4 * 1.25**2 / 0.9, abs=1e-10)
+
+
+# --- touches --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("limit", "form"), [(0.2, "bound"), (0.24, "bound"), (0.2, "ceiling")])
+def test_a_touch(limit: float, form: str) -> None:
+    """For l from 1/6 to 1/4 at t = 1/2; J = 2 + 6 (1 - 4 l)^2, lam_x = 24 (1 - 4 l), afterwards reversed."""
+    solution = thrown(limit, form, 1.0, "20x4" if form == "bound" else "11x4")
+    assert solution.history.converged and go.verify(solution).minimum
+    assert contact(solution) == pytest.approx((0.5, 0.5), abs=1e-8)
+    assert solution.objective == pytest.approx(2 + 6 * (1 - 4 * limit) ** 2, abs=1e-10)
+    costate = solution.phase().costate("x")
+    np.testing.assert_allclose(
+        costate(np.array([0.2, 0.8])), 24 * (1 - 4 * limit) * np.array([1, -1]), atol=1e-6
+    )
+
+
+def test_touches_of_third_order() -> None:
+    """Robbins (SIAM J. Control Optim. 18(4), 1980): least int 3 x + u^2 / 2, d3x/dt3 = u, x >= 0; touches, no arc.
+
+    The problem is convex: multipliers of the right signs make the optimum.
+    """
+    model = go.Model("third order")
+    x, v, a = model.state("x"), model.state("v"), model.state("a")
+    u = model.control("u")
+    model.ode({x: v, v: a, a: u})
+    problem = go.Problem("Robbins")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=4.0)
+    leg.initial(x=1.0, v=-2.0, a=0.0)
+    leg.bounds(x=(0.0, None))
+    problem.minimize(leg.integral(3 * x + u**2 / 2, "effort"))
+    solution = go.refine(go.solve(problem, tol=None))
+    assert solution.history.converged and go.verify(solution).ok
+    touches = [(arc.start, arc.end) for arc in solution.structure if arc.channel == "x"]
+    assert touches and all(start == end for start, end in touches)
+    found, times = solution.phase(), np.array([start for start, _ in touches])
+    np.testing.assert_allclose(found.x(times)[:2], 0.0, atol=1e-9)
+    assert np.min(found.x(found.sample_times(40))[0]) > -1e-9
+    jumps = found.lam(times, "left") - found.lam(times, "right")
+    assert np.all(jumps[0] < 0) and np.max(np.abs(jumps[1:])) < 1e-6 * np.max(np.abs(jumps[0]))
+
+
+def test_a_limit_out_of_reach_is_no_contact() -> None:
+    solution = thrown(0.26)
+    assert solution.objective == pytest.approx(2.0, abs=1e-9)
+    assert not any(a.channel == "x" for a in solution.structure)
+
+
+# --- what is wrong still fails ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("limit", [1 / 9, 0.2])
+def test_a_wrong_jump_fails(limit: float) -> None:
+    """Costates a thousandth off after the last contact: a jump of another size, and one of another state."""
+    solution = thrown(limit)
+    leg = solution.phase()
+    after = contact(solution)[1]
+    for row, offset in ((0, 0.02), (1, 0.01)):
+        values = [v.copy() for v in leg.lam.values]
+        for k, start in enumerate(leg.breaks[:-1]):
+            if start >= after - 1e-6:
+                values[k][row] += offset
+        lam = type(leg.lam)(leg.breaks, leg.lam.nodes, tuple(values))
+        wrong = replace(solution, phases={"leg": replace(leg, lam=lam)})
+        failed = {c.name for c in go.verify(wrong).failed}
+        assert ("adjoint equation" in failed) if row == 1 else failed
+
+
+# --- bookkeeping ----------------------------------------------------------------------------------------------
+
+
+def test_touches_stay_with_their_times() -> None:
+    free = PhaseStructure((0.0, 4.0), ((FREE, FREE),), (), 1, 0, (0, 2))
+    one = free.with_touch(1, 1.0, UP)
+    two = one.with_touch(1, 3.0, UP)
+    assert (two.times, two.touches) == ((0.0, 1.0, 3.0, 4.0), ((), ((1, UP),), ((1, UP),), ()))
+    assert two.kinds == ((FREE, FREE),) * 3 and not two.kinked(1)
+    assert two.without_touch(1, 1) == free.with_touch(1, 3.0, UP)
+    assert two.merged() == two and two.touching(1, UP) == [1.0, 3.0] and two.touching(1, LOW) == []
+    assert two.at((0.0, 1.0, 1.0, 4.0)).without(1).touches == ((), ((1, UP),), ())
+    held = two.with_arc(1, 0.5, 2.0, UP)
+    assert held.times == (0.0, 0.5, 2.0, 3.0, 4.0) and held.touches == ((), (), (), ((1, UP),), ())
+    assert held.kinked(1) and held.kinked(2)
+    assert held.emptied(1).touching(1, UP) == [1.25, 3.0]
+    assert held.beside_contacts(False).tolist() == [[False] * 4, [True, False, True, False]]
+    assert held.beside_contacts(True).tolist() == [[False] * 4, [True, False, True, True]]
+    np.testing.assert_array_equal(
+        held.contact(1, np.array([0.4, 0.5, 1.0, 2.0, 2.5, 3.0, 3.5])),
+        [False, True, True, True, False, True, False],
+    )
+    arcs = [(a.channel, a.start, a.end) for a in held.arcs("leg", ("a", "x")) if a.channel == "x"]
+    assert arcs == [("x", 0.5, 2.0), ("x", 3.0, 3.0)]

@@ -1,0 +1,86 @@
+"""The gallery: a page per problem with its statement, its known answer, its picture and its code."""
+
+from __future__ import annotations
+
+import ast
+import io
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+
+import gnc_opt as go
+from gnc_opt.examples import Example, examples
+from gnc_opt.plot import plot_controls, plot_states
+from problems.reference import Reference
+from website.sphinx_math import module_page
+
+ROOT = Path(__file__).parents[1]
+SOLVED_FOR_A_PICTURE = 20
+"""Segments of four points, where a problem names no mesh: enough for the eye."""
+
+
+def reference(example: Example) -> Reference | None:
+    """Return the known answer; systems compare themselves with their publications instead."""
+    found = getattr(import_module(f"problems.{example.name}"), "REFERENCE", None)
+    return found if isinstance(found, Reference) else None
+
+
+def heading(example: Example) -> str:
+    """Return what the title says before the colon, or all of it."""
+    return example.title.partition(":")[0]
+
+
+def pages(pictures: bool) -> dict[str, str]:
+    """Return the Markdown of every example by its place in the site."""
+    return {f"gallery/{e.name}.md": "\n".join(_page(e, pictures)) for e in examples()}
+
+
+def _page(example: Example, pictures: bool) -> Iterator[str]:
+    yield f"# {heading(example)}\n"
+    yield module_page(example.statement) + "\n"
+    known = reference(example)
+    if known is not None:
+        told = f"{known.value:.10g} {known.unit} ({known.source})"
+        yield f"**Known answer**: {told}; to be met within {known.tolerance:.0e}.\n"
+    if (ROOT / "docs" / f"{example.name}.md").exists():
+        yield f"Its results: [{example.name.replace('_', ' ')}](../{example.name}.md).\n"
+    yield f"Run it: `gnc-opt examples {example.name}`, or `python -m problems.{example.name}` in the repository.\n"
+    if pictures and drawn(example):
+        yield "".join(f"![{kind}]({example.name}_{kind}.svg)\n\n" for kind in ("states", "controls"))
+    for path in sorted(example.path.glob("*.py")) if example.is_system else [example.path]:
+        place = path.relative_to(ROOT)
+        code = path.read_text(encoding="utf-8")
+        if example.is_system:
+            body = "\n".join(f"    {line}".rstrip() for line in code.splitlines())
+            yield f'??? example "{place}"\n\n    ```python\n{body}\n    ```\n'
+        else:
+            yield f'```python title="{place}"\n{_without_docstring(code)}```\n'
+
+
+def _without_docstring(code: str) -> str:
+    """Return the code of a module after its docstring, which the page shows as text."""
+    first = ast.parse(code).body[0]
+    return "".join(code.splitlines(keepends=True)[first.end_lineno or 0 :]).lstrip("\n")
+
+
+# --- pictures -----------------------------------------------------------------------------------------
+
+
+def drawn(example: Example) -> bool:
+    """Whether there is a picture: systems have their own reports."""
+    return not example.is_system
+
+
+def pictures(example: Example) -> dict[str, bytes]:
+    """Return states and controls of a problem on one mesh as SVG by their place in the site; empty if unsolved."""
+    module = import_module(f"problems.{example.name}")
+    mesh = getattr(module, "MESH", f"{SOLVED_FOR_A_PICTURE}x4")
+    solution = go.solve(module.build(), mesh=mesh, tol=None, throw=False)
+    figures = {"states": plot_states(solution), "controls": plot_controls(solution)}
+    return {f"gallery/{example.name}_{kind}.svg": _svg(figure) for kind, figure in figures.items()}
+
+
+def _svg(figure: object) -> bytes:
+    stream = io.BytesIO()
+    figure.savefig(stream, format="svg", metadata={"Date": None})  # type: ignore[attr-defined]
+    return stream.getvalue()

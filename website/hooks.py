@@ -1,0 +1,111 @@
+"""What mkdocs calls while it builds the site: pages that are generated, links, formulas.
+
+Links in the pages are those of the repository, so that they also work where the repository is read as files. Formulas
+become MathML, which browsers draw themselves: no script, and nothing from the network.
+"""
+
+from __future__ import annotations
+
+import html
+import posixpath
+import re
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from latex2mathml.converter import convert
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))  # for problems/ and website/, which are not installed
+
+from gnc_opt.examples import examples  # noqa: E402
+from website import api, gallery  # noqa: E402
+
+FROM_ROOT = {
+    "index.md": "README.md",
+    "development/contributing.md": "CONTRIBUTING.md",
+    "development/changelog.md": "CHANGELOG.md",
+}
+"""Pages that are files of the root, by their place in the site."""
+
+_LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s:#]+)(#[^)\s]*)?\)")
+_FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
+_FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """List what is generated in the navigation."""
+    assert config.nav is not None
+    sections = {
+        title: pages for entry in config.nav if isinstance(entry, dict) for title, pages in entry.items()
+    }
+    sections["Gallery"].extend({gallery.heading(e): f"gallery/{e.name}.md"} for e in examples())
+    sections["API reference"].append("api/index.md")
+    sections["API reference"].extend({room: f"api/{room}.md"} for room in api.entries())
+    sections["Development"].extend(place for place in FROM_ROOT if place.startswith("development/"))
+    return config
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add what is generated."""
+    wanted = bool(config.extra["figures"])
+    texts = {place: (ROOT / name).read_text(encoding="utf-8") for place, name in FROM_ROOT.items()}
+    for place, text in (texts | api.pages() | gallery.pages(wanted)).items():
+        files.append(File.generated(config, place, content=text))
+    if wanted:
+        with ProcessPoolExecutor() as pool:
+            for found in pool.map(gallery.pictures, filter(gallery.drawn, examples())):
+                for place, picture in found.items():
+                    files.append(File.generated(config, place, content=picture))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, **more: Any) -> str:
+    """Let links to files of the repository lead to the pages that show them; what is generated has the site's own."""
+    place = page.file.src_uri
+    if place not in FROM_ROOT and page.file.generated_by:
+        return markdown
+    pieces = re.split(f"({_FENCE.pattern})", markdown, flags=_FENCE.flags)
+    source = FROM_ROOT.get(place, f"docs/{place}")
+    return "".join(piece if piece.startswith("```") else relinked(piece, source, place) for piece in pieces)
+
+
+def relinked(text: str, source: str, place: str) -> str:
+    """Return a text of the repository's file ``source`` with links for the page at ``place`` of the site.
+
+    What the site does not show is named without a link.
+    """
+
+    def link(found: re.Match[str]) -> str:
+        sign, label, target, anchor = found[1], found[2], found[3], found[4] or ""
+        there = shown_at(posixpath.normpath(posixpath.join(posixpath.dirname(source), target)))
+        if there is None:
+            return label
+        return f"{sign}[{label}]({posixpath.relpath(there, posixpath.dirname(place) or '.')}{anchor})"
+
+    return _LINK.sub(link, text)
+
+
+def shown_at(path: str) -> str | None:
+    """Return where the site shows a file or folder of the repository; None if nowhere."""
+    for place, name in FROM_ROOT.items():
+        if path == name:
+            return place
+    if path.startswith("docs/"):
+        return path.removeprefix("docs/")
+    found = re.fullmatch(r"problems/(\w+)(?:\.py|/)?", path)
+    return f"gallery/{found[1]}.md" if found else None
+
+
+def on_page_content(content: str, **more: Any) -> str:
+    """Turn formulas into MathML."""
+
+    def formula(found: re.Match[str]) -> str:
+        latex = html.unescape(found[2]).strip()[2:-2]  # without \( \) or \[ \]
+        return str(convert(latex, display="inline" if found[1] == "span" else "block"))
+
+    return _FORMULA.sub(formula, content)

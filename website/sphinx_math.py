@@ -1,0 +1,40 @@
+"""Docstrings write mathematics as Sphinx does; a page of Markdown writes it between dollars."""
+
+from __future__ import annotations
+
+import re
+from textwrap import dedent
+from typing import Any
+
+import griffe
+
+_BLOCK = re.compile(r"^([ \t]*)\.\. math::(.*(?:\n(?:\1[ \t]+\S.*|[ \t]*(?=\n\1[ \t]+\S)))*)", re.MULTILINE)
+_INLINE = re.compile(r":math:`([^`]+)`")
+_UNDERLINED = re.compile(r"^([A-Z]\w*(?: \w+)?)\n-{3,}$", re.MULTILINE)
+
+
+def dollars(text: str) -> str:
+    """Return a text with its ``math`` directives and roles between dollars."""
+
+    def block(found: re.Match[str]) -> str:
+        indent, formula = found[1], dedent(found[2]).strip()
+        formula = "\n".join(f"{indent}{line.strip()}" for line in formula.splitlines() if line.strip())
+        if "&" in formula and r"\begin" not in formula:
+            formula = f"{indent}\\begin{{split}}\n{formula}\n{indent}\\end{{split}}"
+        return f"\n{indent}$$\n{formula}\n{indent}$$\n"
+
+    inline = _INLINE.sub(lambda found: f"${' '.join(found[1].split())}$", text)
+    return _BLOCK.sub(block, inline)
+
+
+def module_page(docstring: str) -> str:
+    """Return the docstring of a module as Markdown; its headings are no headings of the page."""
+    return _UNDERLINED.sub(r"**\1**\n", dollars(docstring))
+
+
+class SphinxMath(griffe.Extension):
+    """For mkdocstrings: the docstring of every object, read by `dollars`."""
+
+    def on_object(self, *, obj: griffe.Object, **more: Any) -> None:
+        if obj.docstring:
+            obj.docstring.value = dollars(obj.docstring.value)
