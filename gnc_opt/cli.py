@@ -80,6 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _solve(args: argparse.Namespace) -> ExitCode:
+    from gnc_opt.solution.failure import failure_message
     from gnc_opt.solve import solve
 
     _check_targets(args)
@@ -97,6 +98,8 @@ def _solve(args: argparse.Namespace) -> ExitCode:
             throw=False,
         )
         verdict = _verify(solution) if solution.status.solved and not args.no_verify else None
+    if args.quiet and not solution.status.solved:
+        print(f"gnc-opt: {failure_message(solution)}", file=sys.stderr)
     _show(console, solution, verdict)
     _write(args, console, file, solution, verdict)
     return _exit_code(solution, verdict, args.exit_zero)

@@ -19,9 +19,16 @@ from collections.abc import Sequence
 import casadi as ca
 
 import gnc_opt as go
-from problems.cw_fuel import DURATION, LIMIT, RATE, START
 from problems.reference import Reference
 from problems.run import run
+
+RATE = 0.00113
+"""Of the orbit, rad/s."""
+DURATION = 4500.0
+"""s."""
+LIMIT = 0.02
+"""Of the norm of the acceleration, m/s^2."""
+START = {"r": [-2000.0, -5000.0, 300.0], "v": [0.5, 1.0, -0.2]}
 
 
 def build(duration: float = DURATION, limit: float = LIMIT) -> go.Problem:

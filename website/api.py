@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Any
 
 import gnc_opt
-from website.sphinx_math import module_page
+from website.sphinx_math import dollars, module_page
 
 ROOMS = (
     *("model", "problem", "solution", "verify", "refine", "study", "control", "simulation"),
@@ -84,13 +84,22 @@ def _page(room: str, names: list[Entry]) -> Iterator[str]:
 
 def _index() -> Iterator[str]:
     yield "# API reference\n"
-    yield "Every public name, by the room that it lives in, and what to write after `import gnc_opt as go`.\n"
-    yield "| name | | room |\n|---|---|---|"
+    yield "Every public name, by the room that it lives in; `go` is `import gnc_opt as go`.\n"
     short = set(gnc_opt.__all__)
     for room, names in entries().items():
+        yield f"## [{room}]({room}.md)\n\n| | |\n|---|---|"
         for entry in sorted(names, key=lambda entry: entry.name.lower()):
-            mark = f"`go.{entry.name}`" if entry.name in short else ""
-            yield f"| [`{entry.name}`][{entry.path}] | {mark} | [{room}]({room}.md) |"
+            shown = f"go.{entry.name}" if entry.name in short else entry.name
+            yield f"| [`{shown}`][{entry.path}] | {_first_line(entry)} |"
+        yield ""
+
+
+def _first_line(entry: Entry) -> str:
+    """Return what the docstring of a class or function begins with, for the cell of a table."""
+    value = getattr(import_module(entry.module), entry.name, None)
+    described = inspect.isclass(value) or inspect.isfunction(value)
+    text = (inspect.getdoc(value) or "") if described else ""
+    return dollars(text.partition("\n")[0]).replace("|", "&#124;")
 
 
 def _docstring(module: ModuleType) -> str:

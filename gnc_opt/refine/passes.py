@@ -1,14 +1,21 @@
-"""The passes of a refinement: how each is recorded and whether it is shown."""
+"""The passes of a refinement: how each is recorded, whether it is shown, and whether they lead anywhere."""
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 
 from gnc_opt.refine.error import PhaseError, largest_error
 from gnc_opt.solution.history import Actions, Pass
 from gnc_opt.solution.solution import Solution
+
+PATIENCE = 6
+"""So many passes tell how fast the error falls."""
+
+HORIZON = 10
+"""If it falls so slowly that more passes than this would be needed, refining stops."""
 
 
 def pass_record(
@@ -36,3 +43,21 @@ def pass_meter(name: str, tol: float, shown: bool) -> AbstractContextManager[Cal
     from gnc_opt.report.progress import refinement_meter
 
     return refinement_meter(name, tol)
+
+
+def crawls(errors: Sequence[float], tol: float) -> bool:
+    """Whether it takes too many more passes if the error goes on to fall as fast as in the last ones.
+
+    Parameters
+    ----------
+    errors : sequence of float
+        Of all passes so far. Fewer than `PATIENCE` after the first tell nothing.
+    tol : float
+        What the error should come down to.
+    """
+    if len(errors) <= PATIENCE:
+        return False
+    before, now = min(errors[:-PATIENCE]), min(errors[-PATIENCE:])
+    if now <= tol:
+        return False
+    return now >= before or PATIENCE * math.log(now / tol) > HORIZON * math.log(before / now)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -19,7 +19,7 @@ from gnc_opt.refine.passes import pass_record
 from gnc_opt.refine.structure.detect import affine_channels, regular_channels, structures_of
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.switching import optimise_switches
-from gnc_opt.solution.history import History, RefinementStatus
+from gnc_opt.solution.history import History, RefinementStatus, work_of
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
 from gnc_opt.verify.kept import keep_verdict
@@ -28,8 +28,11 @@ from gnc_opt.verify.verify import TOLERANCE, verify
 
 StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]
 
-PATIENCE = 25
-"""Passes after which a control structure that nobody asked for is given up."""
+UNASKED = 0.5
+"""Share of the work that is left after which a control structure that nobody asked for is given up."""
+
+LEAST_WORK = 7e4
+"""What refining may cost in any case, in iterations at one collocation point (`Pass.work`): one to a few seconds."""
 
 NAMED = 3
 """So many open conditions are named."""
@@ -42,6 +45,7 @@ def refine(
     structure: StructureChoice = "auto",
     max_passes: int = 40,
     max_points: int = 1000,
+    max_work: float = 15.0,
     max_wall_time: float | None = None,
     options: SolverOptions | None = None,
     progress: bool = False,
@@ -66,6 +70,10 @@ def refine(
         At most so many solves (of each attempt, where structure and mesh are tried in turn).
     max_points : int
         At most so many collocation points in any phase.
+    max_work : float
+        No pass begins when all of them have cost this many times what the given solution did, counted in iterations
+        at one collocation point (`Pass.work`), so that it ends in the same place on every machine. What costs a few
+        seconds (`LEAST_WORK`) is allowed in any case; ``math.inf`` allows everything.
     max_wall_time : float, optional
         Limit in s on all of it; then, and after Ctrl-C, the best solution so far is returned, without a verdict.
     options : SolverOptions, optional
@@ -93,12 +101,15 @@ def refine(
         raise ProblemError(
             f"refine() knows no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
         )
+    if max_work != math.inf:
+        read_positive(max_work, "max_work of refine()")
     begin = time.perf_counter()
     limit = math.inf if max_wall_time is None else read_positive(max_wall_time, "max_wall_time of refine()")
     _check(solution)
     solution = _released(solution)
-    task = _Task(solution, tol, max_passes, max_points, options, begin + limit, progress)
-    attempts: list[_Attempt] = []
+    work = max(max_work * _work(solution), LEAST_WORK)
+    task = _Task(solution, tol, max_passes, max_points, work, options, begin + limit, progress)
+    attempts = task.attempted
     try:
         for attempt in task.attempts(structure):
             attempts.append(attempt)
@@ -117,6 +128,11 @@ def _check(solution: Solution) -> None:
         )
 
 
+def _work(solution: Solution) -> float:
+    points = sum(leg.mesh.size for leg in solution.phases.values())
+    return work_of(points, solution.statistics.iterations)
+
+
 def _released(solution: Solution) -> Solution:
     """Return the solution with a problem that holds no arcs: those are told segment by segment of one mesh."""
     problem = solution.need_problem("refine")
@@ -131,10 +147,11 @@ def _released(solution: Solution) -> Solution:
 
 @dataclass(frozen=True, eq=False)
 class _Attempt:
-    """What one way of refining led to."""
+    """What one way of refining led to, and the structure that it began with, if any."""
 
     solution: Solution
     history: History
+    begun: Mapping[str, PhaseStructure] | None = None
 
     @property
     def error(self) -> float:
@@ -162,9 +179,11 @@ class _Task:
     tol: float
     max_passes: int
     max_points: int
+    max_work: float
     options: SolverOptions | None
     deadline: float
     progress: bool
+    attempted: list[_Attempt] = field(default_factory=list)
 
     def attempts(self, structure: StructureChoice) -> Iterator[_Attempt]:
         """Yield what one way after the other leads to, for as long as that is asked for."""
@@ -175,7 +194,7 @@ class _Task:
                     f"no control of '{self.solution.problem_name}' enters the Hamiltonian linearly between two finite "
                     'bounds: use structure="none".'
                 )
-            yield from self._by_structure(self.solution, found, self.max_passes)
+            yield from self._by_structure(self.solution, found)
             return
         if structure == "auto":
             yield from self._unasked(self.solution)
@@ -186,16 +205,28 @@ class _Task:
             yield from self._unasked(by_mesh.solution)
 
     def _unasked(self, start: Solution) -> Iterator[_Attempt]:
-        """Try a structure that nobody asked for, if there is one."""
+        """Try a structure that nobody asked for, if there is one, and work left."""
+        if not self._left:
+            return
         found = structures_of(start)
-        if _switches(start, found, at_least=1):
-            yield from self._by_structure(start, found, min(self.max_passes, PATIENCE))
+        if _switches(start, found, at_least=1) and not self._known(found):
+            yield from self._by_structure(start, found, UNASKED)
+
+    def _known(self, found: Mapping[str, PhaseStructure]) -> bool:
+        """Whether the same arcs in the same order have been tried and had a solution."""
+        order = {name: structure.at(()) for name, structure in found.items()}
+        return any(
+            a.begun is not None
+            and any(p.solved for p in a.history.passes)
+            and order == {name: structure.at(()) for name, structure in a.begun.items()}
+            for a in self.attempted
+        )
 
     def _by_structure(
-        self, start: Solution, found: Mapping[str, PhaseStructure], max_passes: int
+        self, start: Solution, found: Mapping[str, PhaseStructure], share: float = 1.0
     ) -> Iterator[_Attempt]:
         """Try the structure that a mesh shows; if it cannot be met at all, that of a slightly finer mesh."""
-        first = self._structured(start, found, max_passes)
+        first = self._structured(start, found, share)
         yield first
         if first.history.status is RefinementStatus.FAILED and not any(
             p.solved for p in first.history.passes
@@ -204,7 +235,7 @@ class _Task:
             if finer.status is Status.INTERRUPTED:
                 raise KeyboardInterrupt
             if finer.status.solved:
-                yield self._structured(finer, structures_of(finer), max_passes)
+                yield self._structured(finer, structures_of(finer), share)
 
     def _finer(self, start: Solution) -> Solution:
         """Return the solution with one more collocation point in every segment."""
@@ -221,18 +252,26 @@ class _Task:
             deadline=self.deadline,
         )
 
-    def _structured(self, start: Solution, found: Mapping[str, PhaseStructure], max_passes: int) -> _Attempt:
+    @property
+    def _left(self) -> float:
+        """Work that is left."""
+        spent = sum(p.work for a in self.attempted for p in a.history.passes)
+        return max(self.max_work - spent, 0.0)
+
+    def _structured(self, start: Solution, found: Mapping[str, PhaseStructure], share: float) -> _Attempt:
         return _Attempt(
             *optimise_switches(
                 start,
                 tol=self.tol,
-                max_passes=max_passes,
+                max_passes=self.max_passes,
                 max_points=self.max_points,
+                max_work=share * self._left,
                 structures=found,
                 options=self.options,
                 deadline=self.deadline,
                 progress=self.progress,
-            )
+            ),
+            begun=found,
         )
 
     def _by_mesh(self) -> _Attempt:
@@ -242,6 +281,7 @@ class _Task:
                 tol=self.tol,
                 max_passes=self.max_passes,
                 max_points=self.max_points,
+                max_work=self._left,
                 options=self.options,
                 deadline=self.deadline,
                 progress=self.progress,

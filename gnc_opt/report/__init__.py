@@ -1,8 +1,18 @@
-"""Reports: the six-line summary, its JSON, the verdict as a table, the progress meter, the report folder."""
+"""Reports: the six-line summary, its JSON, the verdict as a table, progress, the report folder, CCSDS messages."""
 
+from gnc_opt.report.ccsds import write_aem, write_oem
 from gnc_opt.report.report import write_report
 from gnc_opt.report.search import search_dict, write_search
 from gnc_opt.report.summary import summary
 from gnc_opt.report.summary_json import summary_dict, write_json
 
-__all__ = ["search_dict", "summary", "summary_dict", "write_json", "write_report", "write_search"]
+__all__ = [
+    "search_dict",
+    "summary",
+    "summary_dict",
+    "write_aem",
+    "write_json",
+    "write_oem",
+    "write_report",
+    "write_search",
+]

@@ -15,6 +15,7 @@ class RefinementStatus(Enum):
     VERDICT_FAILS = "verdict_fails"
     POINT_LIMIT = "point_limit"
     PASS_LIMIT = "pass_limit"
+    WORK_LIMIT = "work_limit"
     STALLED = "stalled"
     FAILED = "failed"
     INTERRUPTED = "interrupted"
@@ -41,10 +42,15 @@ _REMEDIES = {
     RefinementStatus.PASS_LIMIT: (
         "The passes ran out while the error was still falling. Raise `max_passes`, or refine the solution again."
     ),
+    RefinementStatus.WORK_LIMIT: (
+        "What refining may cost was spent before the error had fallen far enough; the best solution so far is "
+        "returned. Raise `max_work`, or refine the solution again; where this goes on, look at the place of the error."
+    ),
     RefinementStatus.STALLED: (
-        "Finer meshes did not reduce the error any more. A control that chatters (no optimum exists, or a singular "
-        "arc) never settles on any mesh: add a small penalty on the control, or use its structure; if it does "
-        "not chatter, the tolerance is beyond what rounding and the solver permit."
+        "Finer meshes did not reduce the error any more, or so slowly that many more would be needed. A control that "
+        "chatters (no optimum exists, or a singular arc) never settles on any mesh: add a small penalty on the "
+        "control, or use its structure; if it does not chatter, the tolerance is beyond what rounding and the solver "
+        "permit."
     ),
     RefinementStatus.FAILED: (
         "The solver found no solution on the next mesh, neither from the last solution nor from its trajectory "
@@ -55,6 +61,15 @@ _REMEDIES = {
         "verdict. Refine it again to carry on."
     ),
 }
+
+
+SETTING_UP = 15
+"""What a solve costs beside its iterations (derivatives, estimate of the error, the next mesh), in iterations."""
+
+
+def work_of(points: int, iterations: int) -> float:
+    """Return what a solve costs, in iterations at one collocation point: the same on every machine."""
+    return points * float(iterations + SETTING_UP)
 
 
 @dataclass(frozen=True)
@@ -134,6 +149,11 @@ class Pass:
     def segments(self) -> int:
         """Segments of all phases."""
         return sum(mesh.segments for mesh in self.meshes.values())
+
+    @property
+    def work(self) -> float:
+        """What it cost, in iterations at one collocation point."""
+        return work_of(self.points, self.iterations)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.model.composed import VectorControl
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import PiecewisePolynomial
@@ -114,6 +115,18 @@ class PhaseSamples:
         values = self.leg.flown(self.times, "right")
         values[:, self.at_end] = self.leg.flown(self.times[self.at_end], "left")
         return values
+
+    @cached_property
+    def idle(self) -> Mask:
+        """Where a control does nothing (m, n_samples): the direction of a vector whose magnitude is zero."""
+        layout, idle = self.leg.controls, np.zeros(self.u.shape, dtype=bool)
+        for vector in self.leg.composed_controls:
+            if isinstance(vector, VectorControl):
+                magnitude = self.u[layout.slice(vector.magnitude)]
+                idle[layout.slice(vector.direction)] = (
+                    magnitude <= AT_LIMIT * self.control_scale[layout.slice(vector.magnitude), None]
+                )
+        return idle
 
     @cached_property
     def lam_polynomial(self) -> Array:

@@ -110,7 +110,9 @@ def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
     For `Model.difference`: the error of attitudes by composition, by the short way round,
 
     .. math:: \delta\sigma = \frac{(1 - \sigma_r^2)\, \sigma - (1 - \sigma^2)\, \sigma_r + 2\, \sigma \times \sigma_r}
-       {1 + \sigma^2 \sigma_r^2 + 2\, \sigma \cdot \sigma_r} .
+       {1 + \sigma^2 \sigma_r^2 + 2\, \sigma \cdot \sigma_r}
+
+    or its shadow.
 
     Parameters
     ----------
@@ -127,19 +129,15 @@ def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
     numerator = stack(
         [(1 - square_ref) * sigma[i] - (1 - square) * sigma_ref[i] + 2 * across[i] for i in range(3)]
     )
-    denominator = 1 + square * square_ref + 2 * dot(sigma, sigma_ref)
-    # |delta sigma| = |numerator| / denominator; where that is > 1 the shadow is shorter, which is
-    # -numerator * denominator / |numerator|^2: no zero to divide by on either side.
-    length = dot(numerator, numerator)
+    # (cosine, 2 numerator) is the error quaternion, times the length. MRP are its vector over length + scalar part, and
+    # that is positive on the short way: nothing cancels where sigma is near the shadow of the reference
+    cosine = (1 - square) * (1 - square_ref) + 4 * dot(sigma, sigma_ref)
+    length = (1 + square) * (1 + square_ref)
     if is_symbolic(numerator):
-        far = length > denominator * denominator
-        factor = ca.if_else(
-            far, -denominator / ca.if_else(far, length, 1), 1 / ca.if_else(far, 1, denominator)
-        )
+        factor = ca.if_else(cosine < 0, -8 / (length - cosine), 8 / (length + cosine))
     else:
-        far = np.asarray(length > denominator**2)
-        factor = np.where(far, -denominator / np.where(far, length, 1), 1 / np.where(far, 1, denominator))
-    return scale(4 * factor, numerator)
+        factor = np.where(cosine < 0, -8 / (length + np.abs(cosine)), 8 / (length + np.abs(cosine)))
+    return scale(factor, numerator)
 
 
 def mrp_retraction(sigma_ref: Vector, error: Vector) -> Vector:

@@ -196,6 +196,6 @@ def _curvature(s: PhaseSamples) -> Array:
 
 
 def _inside(s: PhaseSamples) -> Mask:
-    """Where each control is clearly between its bounds, (m, n_samples)."""
+    """Where each control that does something is clearly between its bounds, (m, n_samples)."""
     at_lower, at_upper = s.leg.control_bounds.near(s.u, CLEARLY_INSIDE * s.control_scale)
-    return ~(at_lower | at_upper)
+    return ~(at_lower | at_upper | s.idle)

@@ -1,10 +1,11 @@
 """The least Hamiltonian over the admissible controls: told where H is affine or convex, searched for elsewhere.
 
-Controls that H and the path constraints do not couple are searched apart, group by group: their gains add up. A group
-of which H is a convex quadratic function, under affine constraints, has no minimum but the nearest. In any other
-group `POINTS` controls are tried along the phase, and Newton's method descends from the best of them, from some others
-and from the flown control. The points are a Kronecker lattice that goes on from one time to the next: what lasts meets
-points everywhere (its gaps in one dimension: Slater, Proc. Cambridge Philos. Soc. 63, 1967).
+Controls that H and the path constraints do not couple are searched apart, group by group: their gains add up. Of a
+vector control in which H is affine the least is known in closed form. A group of which H is a convex quadratic
+function, under affine constraints, has no minimum but the nearest. In any other group `POINTS` controls are tried
+along the phase, and Newton's method descends from the best of them, from some others and from the flown control. The
+points are a Kronecker lattice that goes on from one time to the next: what lasts meets points everywhere (its gaps in
+one dimension: Slater, Proc. Cambridge Philos. Soc. 63, 1967).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices
+from gnc_opt.model.composed import VectorControl
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import RANK, TINY
 from gnc_opt.verify.brief import lasting
@@ -88,12 +90,36 @@ def coupled_gains(s: PhaseSamples, tolerance: float) -> tuple[list[Gain], bool]:
     gains, searched = [], False
     for group in s.functions.coupled_controls:
         search = _Search(s, group, chosen)
-        if not search.only_one_minimum:
+        vector = _lone_vector(s, group)
+        if vector is not None:
+            gains.append(search.lasting(search.aligned(vector)))
+        elif not search.only_one_minimum:
             gains.append(search.everywhere(tolerance))
             searched = True
         else:
             gains.append(search.lasting(search.nearest()))
     return gains, searched
+
+
+def _lone_vector(s: PhaseSamples, group: Indices) -> VectorControl | None:
+    """Return the vector control that a group consists of, if H is affine in it and only its length is limited."""
+    layout = s.leg.controls
+    for vector in s.leg.composed_controls:
+        if not isinstance(vector, VectorControl):
+            continue
+        places = [np.arange(layout.size)[layout.slice(part)] for part in vector.parts]
+        if not np.array_equal(np.sort(np.concatenate(places)), group):
+            continue
+        bends = s.functions.functions["switching"].jac_sparsity(0, 2)
+        limited = s.functions.functions["paths"].jac_sparsity(0, 2)
+        curved = {(i, j) for i, j in zip(bends.row(), bends.get_col(), strict=True) if i in group}
+        across = {(int(i), int(j)) for i in places[0] for j in places[1]}
+        rows = {
+            s.leg.path_labels[i] for i, j in zip(limited.row(), limited.get_col(), strict=True) if j in group
+        }
+        if curved <= across | {(j, i) for i, j in across} and rows == {vector.length}:
+            return vector
+    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,6 +234,27 @@ class _Search:
     def nearest(self) -> Array:
         """Return the minima that descents from the flown controls reach (group, n_times)."""
         return self.descend(self._flown, np.arange(self.chosen.size))[0]
+
+    def aligned(self, vector: VectorControl) -> Array:
+        """Return the controls (group, n_times) of least H for a vector in which H is affine, in closed form.
+
+        H = H_0 + s (c + sigma . n) with the magnitude s and the direction n is least where n points against sigma, at
+        the lower limit of s if c > |sigma|, else at the upper one (Lawden, Optimal Trajectories for Space Navigation,
+        1963).
+        """
+        s, layout = self.s, self.s.leg.controls
+        magnitude, direction = (layout.slice(part) for part in vector.parts)
+        times, x, u = self._at(self._flown, np.arange(self.chosen.size))
+        flown = u[direction].copy()
+        u[magnitude], u[direction] = 1.0, 0.0
+        slope = s.functions.switching(times, x, u, s.lam[:, self.chosen])
+        strength = np.linalg.norm(slope[direction], axis=0)
+        u[direction] = np.divide(-slope[direction], strength, out=flown, where=strength > 0)
+        least, most = (limit[magnitude, None] for limit in limits(s))
+        u[magnitude] = np.where(slope[magnitude] > strength, least, most)
+        lower, span = self._box
+        away = u[self.group] - lower
+        return np.asarray(np.divide(away, span, out=np.zeros_like(away), where=span > 0))
 
     def everywhere(self, tolerance: float) -> Gain:
         """Search among all controls; what gains is followed to all times."""

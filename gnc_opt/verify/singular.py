@@ -92,7 +92,7 @@ def generalised_legendre_clebsch(
 def singular_arcs(problem: Problem, s: PhaseSamples, tolerance: float) -> list[SingularArc]:
     """Judge the arcs of a phase along which controls are between their bounds without curvature of H."""
     at_lower, at_upper = s.leg.control_bounds.near(s.u, CLEARLY_INSIDE * s.control_scale)
-    inside = ~(at_lower | at_upper)
+    inside = ~(at_lower | at_upper | s.idle)
     scaled = s.control_hessian * s.control_scale[:, None, None] * s.control_scale[None, :, None]
     flat = np.abs(np.einsum("iij->ij", scaled)) <= tolerance * s.hamiltonian_scale
     lost = np.abs(s.control_gradient) * s.control_scale[:, None] <= tolerance * s.hamiltonian_scale

@@ -67,7 +67,7 @@ EXPECTED = {
         plot_verdict save_figure
     """,
     "gnc_opt.report": """
-        search_dict summary summary_dict write_json write_report write_search
+        search_dict summary summary_dict write_aem write_json write_oem write_report write_search
     """,
 }
 """What users may rely on, by package; whoever changes it changes this list."""

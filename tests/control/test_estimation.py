@@ -117,7 +117,7 @@ def test_noise_enters_as_the_exact_integral_of_a_damped_plant():
         van_loan = scipy.linalg.expm(np.block([[-A, np.diag([0, 1.0])], [np.zeros((2, 2)), A.T]]) * 0.2)
         exact = van_loan[2:, 2:].T @ van_loan[:2, 2:]
         errors.append(np.max(np.abs(estimator.covariance(z) / exact - 1)))
-    assert errors[0] < 1e-3 and errors[1] < errors[0] / 6
+    assert errors[0] < 2e-3 and errors[1] < errors[0] / 6
 
 
 def test_predictions_follow_the_nonlinear_dynamics_within_the_limits():

@@ -103,3 +103,10 @@ def test_formulas_of_docstrings_stand_between_dollars() -> None:
 def test_formulas_become_mathml() -> None:
     shown = hooks.on_page_content('<p><span class="arithmatex">\\(x &lt; y\\)</span></p>')
     assert shown.startswith("<p><math") and "arithmatex" not in shown and "<mi>x</mi>" in shown
+
+
+def test_nothing_is_loaded_from_elsewhere() -> None:
+    """The theme's fonts and the offline search would come from other servers."""
+    settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    assert re.search(r"(?m)^  font: false", settings)
+    assert not re.search(r"https?://|offline", settings)

@@ -135,6 +135,20 @@ def test_least_time_is_bang_bang_and_leaves_no_vibration() -> None:
     assert BODY.modal_energy(end[7:11], end[11:15]) < 1e-20
 
 
+def test_tracked_least_time_leaves_a_twentieth_of_the_torque(monkeypatch: pytest.MonkeyPatch) -> None:
+    """0.475 of 0.5 N m on every axis, 25 mN m for feedback; what is refined is that plan, and so is what is tracked."""
+    asked: list[go.Problem] = []
+    monkeypatch.setattr(go, "solve", lambda problem, **options: asked.append(problem) or "plan")
+    monkeypatch.setattr(go, "refine", lambda first, **options: (first, "refined"))
+    assert optimal.solved.__wrapped__("fast, reserve") == ("plan", "refined")
+    (problem,) = asked
+    limits = problem.get_phase().numbers.controls
+    np.testing.assert_allclose([limits.lower, limits.upper], [[-0.475] * 3, [0.475] * 3], rtol=1e-12)
+    asked.clear()
+    optimal.solved.__wrapped__("fast")
+    np.testing.assert_allclose(asked[0].get_phase().numbers.controls.upper, 0.5)
+
+
 @pytest.mark.slow
 def test_least_vibration_passes_and_beats_the_published_slew() -> None:
     solution = gentle()

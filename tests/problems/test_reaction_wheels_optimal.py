@@ -116,18 +116,32 @@ def test_optimal_slews_obey_the_minimum_principle_and_the_limits(name: str) -> N
         np.testing.assert_allclose(solution.state("h")(end), 0.0, atol=1e-12)
 
 
-def test_least_time_ends_at_rest_when_its_switches_are_flown_with_the_published_torque() -> None:
-    """Euler's equations in numbers: a torque that is 0.01 % off, or switches that are late, miss the target."""
-    target, leg = target_quaternion(5), optimal_slew("time, small").phase()
-    moments = np.array(INERTIA)
-    first = 2 * 0.0316 * moments * target[1:]  # the published law's first torque on the body: 2 K1 J q
-    limit = float(np.max(np.abs(INVERSE @ first)))
+def first_torque(target: np.ndarray) -> float:
+    """Of the published law from rest, 2 K1 J q on the body, the largest of a wheel."""
+    return float(np.max(np.abs(INVERSE @ (2 * 0.0316 * np.array(INERTIA) * target[1:]))))
+
+
+@pytest.mark.parametrize(
+    ("name", "manoeuvre", "torque", "bias"),
+    [("time, small", 5, first_torque, 0.0), ("time, speed limit", 1, lambda target: 0.05, 300.0)],
+)
+def test_least_time_ends_at_rest_when_its_switches_are_flown_with_the_stated_torque(
+    name: str, manoeuvre: int, torque: Callable[[np.ndarray], float], bias: float
+) -> None:
+    """Euler's equations in numbers: a torque that is 0.01 % off, or switches that are late, miss the target.
+
+    A wheel has the stated torque, one way or the other, or none while its speed is at the limit.
+    """
+    target, leg = target_quaternion(manoeuvre), optimal_slew(name).phase()
+    moments, limit = np.array(INERTIA), torque(target)
     ends = np.concatenate([[0.0], [t for t in leg.breaks if 0 < t < leg.final_time], [leg.final_time]])
+    # 5e-4 kg m^2 each
+    start = np.concatenate([REST[:4], np.zeros(3), 5e-4 * bias * 2 * np.pi / 60 * NULL])
 
     def flown(limit: float) -> np.ndarray:
-        y = np.concatenate([REST[:4], np.zeros(3), REST[7:]])
+        y = start
         for a, b in itertools.pairwise(ends):
-            wheels = limit * np.sign(leg.flown_control("T")((a + b) / 2))
+            wheels = limit * np.round(leg.flown_control("T")((a + b) / 2) / limit)
 
             def rates(_: float, y: np.ndarray, wheels: np.ndarray = wheels) -> np.ndarray:
                 q, w, h = y[:4], y[4:7], y[7:]
@@ -169,6 +183,10 @@ def test_optimal_slews_are_tracked_despite_errors(name: str) -> None:
     assert np.degrees(run.attitude_error("q", at=end)) < 0.02
     assert np.degrees(run.attitude_error("q")) < 0.002
     assert peak_speed(run) < NOMINAL_SPEED
+    # What is left in the end holds off the disturbance of (2, -1, 1) 1e-4 N m. The regulator's stiffness is the root of
+    # the ratio of its weights, of (e / 0.1 deg)^2 + (T / 0.02 N m)^2 where the wheels' T^2 is 3/4 of the body's.
+    stiffness = (0.02 / np.sqrt(0.75)) / np.radians(0.1)
+    assert run.attitude_error("q") == pytest.approx(np.sqrt(6) * 1e-4 / stiffness, rel=0.02)
 
 
 def test_problem_without_such_a_goal_or_manoeuvre() -> None:

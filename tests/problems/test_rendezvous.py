@@ -43,6 +43,23 @@ def test_minimum_time_on_the_papers_mesh(case: int, equation: rendezvous.Equatio
         assert not time_rows(case, equation, reference.value + sign * 3e-4)[0].passes
 
 
+@pytest.mark.parametrize(
+    ("case", "exact"),
+    [(1, 25.8699620765), (2, 26.16569), (3, 25.9323677271), (4, 25.6589517308), (5, 28.71481)],
+)
+def test_the_papers_times_are_local_minima_on_its_mesh(case: int, exact: float) -> None:
+    """60 points cost 1.4 to 4 ms beside exact switch times; what these are comes from another program's search.
+
+    In cases 2 and 5 the paper's is the third and the fourth local minimum of 2800 random starts. Its GPOPS column is
+    the best or the second one, 26.03353, 26.16518 and 25.89860 s in cases 2 to 4, to the digits printed.
+    """
+    printed = rendezvous.REFERENCE[case, "printed"]["paper GPM"].value
+    assert 1.4e-3 < printed - exact < 4e-3
+    gpops = {1: exact, 2: 26.03353, 3: 26.16518, 4: 25.89860, 5: 28.27843}[case]
+    printed = rendezvous.REFERENCE[case, "printed"]["paper GPOPS"].value
+    assert printed == pytest.approx(gpops, abs=5e-3 if case == 1 else 1e-4)
+
+
 def test_size_of_the_program_is_the_papers(case_1: go.Solution) -> None:
     leg = case_1.phase()
     states, controls, points, segments = 12, 6, leg.mesh.size, leg.mesh.segments

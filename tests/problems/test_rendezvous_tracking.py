@@ -57,6 +57,39 @@ def test_feedback_passes_99_percent_of_the_runs(tracking, name):
     assert dict(campaign.limits) == LIMITS
 
 
+@pytest.fixture(scope="module")
+def flown(tracking):
+    """One run without dispersions, for 12 s."""
+    return tracking.loop(tracking.tvlqr).simulate(tracking.initial, tf=12.0, seed=SEED)
+
+
+def test_measurements_are_off_by_the_stated_noise(flown):
+    """5 mm, 1 mm/s, 0.02 deg and 0.002 deg/s on each axis; 360 numbers tell a standard deviation to 4 %."""
+    off = flown.measured - flown.states[:, :-1]
+    place = flown.layouts["state"].slice
+    sigma = flown.states[place("sigma"), :-1]
+    # Of small turns the parameters change by a quarter of the angle times 1 + sigma^2 (Schaub & Junkins 2018, 3.5).
+    off[place("sigma")] *= 4 / (1 + np.sum(sigma**2, axis=0))
+    stated = {"r_L": 5e-3, "v_L": 1e-3, "sigma": np.radians(0.02), "omega": np.radians(0.002)}
+    for name, deviation in stated.items():
+        noise = off[place(name)]
+        assert np.sqrt(np.mean(noise**2)) == pytest.approx(deviation, rel=0.15), name
+        np.testing.assert_allclose(np.std(noise, axis=1), deviation, rtol=0.3)
+
+
+def test_thrusters_round_limit_and_lag_as_stated(flown):
+    """Steps of 0.1 N m and 1 N, 50 N m and 320 N, then 50 ms: the mean over a step of 0.1 s, in closed form."""
+    step, most = np.repeat([0.1, 1.0], 3)[:, None], np.repeat([50.0, 320.0], 3)[:, None]
+    asked = np.clip(np.round(flown.commands / step) * step, -most, most)
+    left = np.exp(-0.1 / 0.05)
+    y, means = np.zeros(6), []
+    for u in asked.T:
+        means.append(u + (y - u) * 0.05 / 0.1 * (1 - left))
+        y = u + (y - u) * left
+    np.testing.assert_allclose(flown.applied, np.transpose(means), atol=1e-6)
+    assert np.max(np.abs(flown.commands - asked)) > 0.4  # it is rounded, and not to anything finer
+
+
 def test_open_loop_does_not(tracking):
     campaign = tracking.campaign("open loop", FEW, SEED, "serial")
     assert campaign.pass_rate().high < 0.1

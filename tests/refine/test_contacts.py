@@ -41,7 +41,7 @@ def throw(limit: float, form: str = "bound", unit: float = 1.0) -> go.Problem:
 
 @cache
 def thrown(limit: float, form: str = "bound", unit: float = 1.0, mesh: str = "20x4") -> go.Solution:
-    return go.refine(go.solve(throw(limit, form, unit), mesh=mesh))
+    return go.refine(go.solve(throw(limit, form, unit), mesh=mesh, tol=None))
 
 
 def contact(solution: go.Solution) -> tuple[float, float]:
@@ -130,7 +130,7 @@ def test_an_arc_of_first_order() -> None:
     leg.final(x=1.0, v=0.0)
     leg.path("v", v, upper=1.25)
     problem.minimize(leg.integral(a**2 / 2, "effort"))
-    solution = go.refine(go.solve(problem))
+    solution = go.refine(go.solve(problem, tol=None))
     assert solution.history.converged and go.verify(solution).minimum
     assert contact(solution) == pytest.approx((0.3, 0.7), abs=1e-9)
     assert solution.objective == pytest.approx(4 * 1.25**2 / 0.9, abs=1e-10)
@@ -150,6 +150,32 @@ def test_a_touch(limit: float, form: str) -> None:
     np.testing.assert_allclose(
         costate(np.array([0.2, 0.8])), 24 * (1 - 4 * limit) * np.array([1, -1]), atol=1e-6
     )
+
+
+def test_touches_of_third_order() -> None:
+    """Robbins (SIAM J. Control Optim. 18(4), 1980): least int 3 x + u^2 / 2, d3x/dt3 = u, x >= 0; touches, no arc.
+
+    The problem is convex: multipliers of the right signs make the optimum.
+    """
+    model = go.Model("third order")
+    x, v, a = model.state("x"), model.state("v"), model.state("a")
+    u = model.control("u")
+    model.ode({x: v, v: a, a: u})
+    problem = go.Problem("Robbins")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=4.0)
+    leg.initial(x=1.0, v=-2.0, a=0.0)
+    leg.bounds(x=(0.0, None))
+    problem.minimize(leg.integral(3 * x + u**2 / 2, "effort"))
+    solution = go.refine(go.solve(problem, tol=None))
+    assert solution.history.converged and go.verify(solution).ok
+    touches = [(arc.start, arc.end) for arc in solution.structure if arc.channel == "x"]
+    assert touches and all(start == end for start, end in touches)
+    found, times = solution.phase(), np.array([start for start, _ in touches])
+    np.testing.assert_allclose(found.x(times)[:2], 0.0, atol=1e-9)
+    assert np.min(found.x(found.sample_times(40))[0]) > -1e-9
+    jumps = found.lam(times, "left") - found.lam(times, "right")
+    assert np.all(jumps[0] < 0) and np.max(np.abs(jumps[1:])) < 1e-6 * np.max(np.abs(jumps[0]))
 
 
 def test_a_limit_out_of_reach_is_no_contact() -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,9 @@ from gnc_opt.refine.error import estimate_errors, largest_error
 from gnc_opt.refine.hp.kinks import SHARPENING, _closed_in
 from gnc_opt.refine.hp.mesh_refinement import refine_mesh
 from gnc_opt.refine.hp.remesh import Remesh
-from gnc_opt.solution.history import History, RefinementStatus
+from gnc_opt.refine.passes import PATIENCE, crawls
+from gnc_opt.solution.history import SETTING_UP, History, RefinementStatus
+from gnc_opt.solution.solve_mesh import solve_mesh
 
 
 def regulator(duration: float = 10.0) -> go.Problem:
@@ -265,6 +269,63 @@ def test_chatter_stalls() -> None:
     _, history = refine_mesh(go.solve(chatter(), tol=None), tol=1e-8)
     assert history.status is RefinementStatus.STALLED
     assert "chatter" in history.message
+
+
+def test_work_limit() -> None:
+    """The first pass is allowed, what comes after it is not; and the best solution is kept."""
+    first = go.solve(layered(), tol=None)
+    solution, history = refine_mesh(first, tol=1e-10, max_work=1.0)
+    assert history.status is RefinementStatus.WORK_LIMIT and len(history.passes) == 2
+    assert "max_work" in history.message and solution.objective == history.final.objective
+    _, at_once = refine_mesh(solution, tol=1.0, max_work=0.0)
+    assert at_once.converged
+
+
+def test_work_is_counted_in_iterations_and_points() -> None:
+    first = go.solve(layered(), mesh="6x4", tol=None)
+    _, history = refine_mesh(first, tol=1e-4, max_passes=1)
+    assert history.passes[0].work == 24 * (first.statistics.iterations + SETTING_UP)
+    assert history.passes[1].work == history.passes[1].points * (history.passes[1].iterations + SETTING_UP)
+
+
+@pytest.mark.parametrize(
+    ("errors", "crawling"),
+    [
+        ([1e-2] * PATIENCE, False),  # too few to tell
+        ([1e-2] * (PATIENCE + 1), True),
+        ([1e-9, *[1e-2] * PATIENCE], True),
+        ([1e-2, *[1.0] * (PATIENCE - 1), 1e-9], False),  # there already
+        ([10.0 ** (-k) for k in range(PATIENCE + 1)], False),  # a decade a pass: two are left
+        ([10.0 ** (-0.3 * k) for k in range(PATIENCE + 1)], True),  # twenty are left
+    ],
+)
+def test_an_error_that_falls_too_slowly_is_told_from_one_that_gets_there(
+    errors: list[float], crawling: bool
+) -> None:
+    assert crawls(errors, 1e-8) is crawling
+
+
+def test_passes_that_are_given_up_are_solved_to_fewer_digits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tenth of the error that the pass aims at; the options of a user are left alone."""
+    module = importlib.import_module("gnc_opt.refine.hp.mesh_refinement")
+    asked: list[float] = []
+
+    def solve(*args: Any, options: go.SolverOptions, **more: Any) -> go.Solution:
+        asked.append(options.tolerance)
+        return solve_mesh(*args, options=options, **more)
+
+    monkeypatch.setattr(module, "solve_mesh", solve)
+    _, history = refine_mesh(go.solve(layered(), mesh="2x3", tol=None), tol=1e-7)
+    aims = [max(1e-4 * min(p.error, 1.0), 1e-8) for p in history.passes[:-1]]
+    assert asked == pytest.approx([max(0.1 * aim, 1e-9) for aim in aims]) and max(asked) > 1e-7
+    asked.clear()
+    refine_mesh(
+        go.solve(layered(), mesh="2x3", tol=None),
+        tol=1e-3,
+        max_passes=1,
+        options=go.SolverOptions(tolerance=1e-10),
+    )
+    assert set(asked) == {1e-10}
 
 
 @pytest.mark.parametrize("gain", [0.0, 1.0, -1.0])

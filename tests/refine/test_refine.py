@@ -287,6 +287,37 @@ def test_attempts_that_were_given_up_are_told(cart: go.Solution, monkeypatch: py
     assert history.final.error <= 1e-5
 
 
+def test_work_that_is_spent_ends_it_and_is_told(cart: go.Solution, monkeypatch: pytest.MonkeyPatch) -> None:
+    import importlib
+
+    module = importlib.import_module("gnc_opt.refine.refine")
+    monkeypatch.setattr(module, "LEAST_WORK", 1.0)
+    refined = go.refine(cart, structure="none", max_work=1e-9)
+    history = told(refined)
+    assert history.status is RefinementStatus.WORK_LIMIT and len(history.passes) == 2
+    assert "NOT CONVERGED (work limit)" in str(refined) and "max_work" in history.message
+    with pytest.raises(go.GncOptError, match="max_work of refine"):
+        go.refine(cart, max_work=0.0)
+
+
+def test_the_same_arcs_are_not_tried_twice(cart: go.Solution, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A structure that had a solution and did not convince is not begun again after the mesh."""
+    import importlib
+
+    module = importlib.import_module("gnc_opt.refine.refine")
+    real, begun = module.optimise_switches, []
+
+    def unconvincing(*args: Any, structures: Any, **more: Any) -> Any:
+        begun.append([structure.at(()) for structure in structures.values()])
+        solution, history = real(*args, structures=structures, **more)
+        return solution, replace(history, status=RefinementStatus.STALLED)
+
+    monkeypatch.setattr(module, "optimise_switches", unconvincing)
+    monkeypatch.setattr(module._Attempt, "final", False)
+    go.refine(cart, tol=1e-5)
+    assert begun and all(begun.count(order) == 1 for order in begun)
+
+
 @pytest.mark.parametrize("structure", ["bang-bang", "none"])
 def test_progress_shows_the_tolerance_that_was_asked_for(
     cart: go.Solution, structure: Any, capsys: pytest.CaptureFixture[str]

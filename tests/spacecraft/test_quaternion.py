@@ -113,6 +113,15 @@ def test_mrp_difference_knows_the_shadow_set():
     np.testing.assert_allclose(symbolic(shadow, reference).full()[:, 0], expected, atol=1e-14)
 
 
+def test_mrp_do_not_differ_from_their_shadow():
+    sigma = np.array([[0.0, 0.3, 0.6], [1.0, -0.2, 0.0], [1.0, 0.9, 0.8]])
+    shadow = -sigma / np.sum(sigma**2, axis=0)
+    np.testing.assert_allclose(mrp_difference(sigma, shadow), 0, atol=1e-15)
+    a, b = ca.SX.sym("a", 3), ca.SX.sym("b", 3)
+    symbolic = ca.Function("d", [a, b], [mrp_difference(a, b)])
+    np.testing.assert_allclose(symbolic(sigma, shadow).full(), 0, atol=1e-15)
+
+
 def test_differences_are_radians_to_first_order():
     small = 1e-6 * np.array([1.0, -2.0, 0.5])
     reference = np.array([0.2, 0.3, -0.1])

@@ -179,6 +179,12 @@ def test_exit_code_of_a_problem_without_solution(
     assert json.loads(target.read_text())["violations"]
 
 
+def test_quiet_tells_why_there_is_no_solution(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("solve", cart, "--set", "far=100", "--quiet") == 3
+    told = capsys.readouterr()
+    assert not told.out and told.err.startswith("gnc-opt: no solution of 'cart'") and "infeasible" in told.err
+
+
 @pytest.mark.parametrize("asked", [(), ("--tol", "1e-8"), ("--structure", "none")])
 def test_refining_goes_the_way_of_solve(
     cart: Path, monkeypatch: pytest.MonkeyPatch, asked: tuple[str, ...]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from by_hand import cart
+from by_hand import cart, phase
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
@@ -15,6 +15,7 @@ from gnc_opt.nlp import SolverOptions
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.solution.attempt import Attempt
 from gnc_opt.solution.covector import (
+    Iterate,
     _boundary_costates,
     _CostatePieces,
     _held_segments,
@@ -24,11 +25,19 @@ from gnc_opt.solution.covector import (
     point_multipliers,
     settle_doubled_paths,
 )
-from gnc_opt.solution.extract import _mesh_in_time, _point_times, _time_multipliers, model_parameters
+from gnc_opt.solution.extract import (
+    _mesh_in_time,
+    _point_times,
+    _time_multipliers,
+    extract_phases,
+    model_parameters,
+)
+from gnc_opt.solution.spans import control_spans
 from gnc_opt.solution.start import guess_from_solution, start_from_guess, start_from_solution, with_integrals
 from gnc_opt.transcription.collocation import PhaseCollocation
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.scheme import SCHEMES, Scheme
+from gnc_opt.transcription.transcription import transcribe
 
 UNEVEN = Mesh((0.0, 0.3, 1.0), (3, 4))
 
@@ -285,6 +294,78 @@ def test_shares_go_by_the_weights_of_unlike_segments() -> None:
     assert one_sided == pytest.approx(np.array([[0, 2, 18.0, 0, 0, 0]]))
 
 
+def test_a_path_is_mixed_if_any_control_moves_it_anywhere() -> None:
+    """One of two controls, with a factor that vanishes at the start: its doubled multipliers stay what they are."""
+    model = go.Model("two")
+    x, y = model.state("x"), model.state("y")
+    a, b = model.control("a"), model.control("b")
+    model.ode({x: a, y: b})
+    problem = go.Problem("two")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    leg.path("mixed", y + a * model.time, upper=9.0)
+    leg.path("pure", x, upper=9.0)
+    problem.minimize(leg.final_state("x"))
+    transcription = transcribe(problem, {"leg": Mesh((0.0, 0.5, 1.0), (4, 4))}, "LGL")
+    collocation = transcription.parts["leg"].collocation
+    lam = np.zeros(transcription.n_constraints)
+    lam[collocation.path_rows] = [np.arange(1.0, 9.0), np.arange(1.0, 9.0)]
+    iterate = Iterate(np.zeros(transcription.n_variables), np.zeros(transcription.n_variables), lam)
+    phases, _ = extract_phases(transcription, problem, iterate)
+    densities = np.arange(1.0, 9.0) / (2 * collocation.quadrature)
+    np.testing.assert_allclose(phases["leg"].path_multipliers[0], densities)
+    assert np.max(np.abs(phases["leg"].path_multipliers[1] - densities)[3:5]) > 0.1
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_what_pushes_does_not_depend_on_the_unit_of_the_cost(unit: float) -> None:
+    """Beside costates of all sizes, in a program of arbitrary numbers."""
+    model = go.Model("one")
+    x, a = model.state("x", 2), model.control("a")
+    model.ode({x: a * np.ones(2)})
+    problem = go.Problem("one")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    problem.minimize(leg.final_state("x")[0])
+    transcription = transcribe(problem, {"leg": Mesh((0.0, 0.5, 1.0), (4, 4))}, "LGL")
+    part, random = transcription.parts["leg"].collocation, np.random.default_rng(4)
+    lam_x = 10.0 ** random.uniform(-9, 0, transcription.n_variables)
+    lam_g, x0 = random.normal(size=transcription.n_constraints), np.zeros(transcription.n_variables)
+    gradient, push = random.normal(size=(2, 8)), 10.0 ** random.uniform(-9, 0, (2, 8))
+
+    def found(c: float) -> _CostatePieces:
+        return _CostatePieces.of(
+            part, Iterate(x0, c * lam_x, c * lam_g), 2 * part.quadrature, c * gradient, c * push
+        )
+
+    usual, other = found(1.0), found(unit)
+    assert np.sum(usual.pushed) > 0 and 0 < np.sum(usual.bounded) < usual.bounded.size
+    np.testing.assert_array_equal(other.pushed, usual.pushed)
+    np.testing.assert_array_equal(other.bounded, usual.bounded)
+    np.testing.assert_array_equal(other.held, usual.held)
+
+
+@pytest.mark.parametrize(("pull", "curvature", "worth"), [(3.0, 0.0, 6.0), (0.1, 5.0, 20.0)])
+def test_an_idle_control_spans_what_is_worth_as_much_as_the_others(
+    pull: float, curvature: float, worth: float
+) -> None:
+    """Of a, over 2, the slope or the curvature counts; b, with the curvature 4, moves as far as is worth that."""
+    model = go.Model("two")
+    x, y = model.state("x"), model.state("y")
+    a, b = model.control("a"), model.control("b")
+    model.ode({x: a, y: b})
+    problem = go.Problem("two")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    problem.minimize(leg.final_state("x"))
+    one = phase(problem, *(lambda t, k: np.array([t, 0 * t]),) * 3)
+    flown, ones = np.array([np.linspace(0, 2, 5), np.zeros(5)]), np.ones(5)
+    found = control_spans(
+        one, flown, np.array([pull * ones, 0 * ones]), np.array([curvature * ones, 4 * ones])
+    )
+    np.testing.assert_allclose(found, [2.0, np.sqrt(worth / 4)])
+
+
 # --- from the program and back ----------------------------------------------------------------------------
 
 
@@ -406,6 +487,8 @@ def test_segments_of_an_arc_that_has_vanished_still_increase(start: float) -> No
     mesh = Mesh((0.0, 0.25, 0.5, 1.0), (3, 4, 5), (2,))
     _, breaks = _mesh_in_time(mesh, np.array([start, start, start + 1.0]))
     assert np.all(np.diff(breaks) > 0) and breaks[2] - start < 1e-4
+    _, late = _mesh_in_time(mesh, np.array([0.0, start + 2e6, start + 2e6]))
+    assert np.all(np.diff(late) > 0)  # the last arc ends far from the first time
 
 
 def test_only_times_that_are_variables_have_multipliers() -> None:

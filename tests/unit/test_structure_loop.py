@@ -456,6 +456,15 @@ def test_the_loop_is_restless_if_adjusting_does_not_help() -> None:
     assert s._restless([record(0.1, "x"), *[record(0.1, s.RAISED)] * 4])
 
 
+def test_a_mesh_is_refined_once_beyond_a_small_error() -> None:
+    """Costates that are zero are rounding to any resolution."""
+    raised = record(1e-10, s.RAISED)
+    assert s._resolved([raised, raised], 1e-9) and not s._resolved([raised, raised], 1e-11)
+    assert not s._resolved([raised], 1e-9)
+    assert not s._resolved([record(1e-8, s.RAISED), raised], 1e-9)
+    assert not s._resolved([raised, record(1e-10, s.KINKS_MOVED)], 1e-9)
+
+
 @pytest.fixture
 def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
     """The loop with solves and mending as told: `script` is (status, action) of every pass."""
@@ -488,7 +497,8 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
         ([(Status.OPTIMAL, "a"), (Status.OPTIMAL, "b")], 2, "pass_limit", ["a", "b"]),
         ([(Status.OPTIMAL, "a"), (Status.INFEASIBLE, "")], 40, "failed", ["a", "not solved (infeasible)"]),
         ([(Status.INTERRUPTED, "")], 40, "interrupted", ["not solved (interrupted)"]),
-        ([(Status.OPTIMAL, s.RAISED)] * 5, 40, "stalled", [s.RAISED] * 5),
+        ([(Status.OPTIMAL, s.KINKS_MOVED)] * 5, 40, "stalled", [s.KINKS_MOVED] * 5),
+        ([(Status.OPTIMAL, s.RAISED)] * 2, 40, "converged", [s.RAISED] * 2),  # the error is rounding already
     ],
 )
 def test_how_the_loop_ends(scripted: Any, script: Any, passes: int, status: str, actions: list[str]) -> None:

@@ -178,6 +178,29 @@ def test_an_arc_that_fails_needs_no_excuse(sign: float, why: str) -> None:
     assert arc == SingularArc("phase leg, u from 0.5 s to 2 s", 1, pytest.approx(expected), why)
 
 
+def test_controls_that_curve_h_together_are_not_affine() -> None:
+    """u w has no curvature in either: where both rest at zero, the arc's first derivative is of order zero."""
+    model = go.Model("pair")
+    x, y = model.state("x"), model.state("y")
+    u, w = model.control("u"), model.control("w")
+    model.ode({x: u, y: w})
+    problem = go.Problem("pair")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    problem.minimize(leg.integral(x + u * w))
+    s = by_hand.samples(
+        problem,
+        lambda t, k: np.array([1 + t, 2 - t]),
+        lambda t, k: np.zeros((2, t.size)),
+        lambda t, k: np.zeros((2, t.size)),
+        weights=(1.0,),
+        breaks=(0.0, 2.0),
+        control_bounds=BOX,
+    )
+    (arc,) = singular_arcs(problem, s, TOLERANCE)
+    assert arc == SingularArc("phase leg, u, w from 0 s to 2 s", 0, 0.0, singular.NOT_AFFINE)
+
+
 # --- what active constraints take -------------------------------------------------------------------------
 
 

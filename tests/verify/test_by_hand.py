@@ -718,6 +718,8 @@ def test_how_far_a_variation_leads_beyond_active_limits(side: float, expected: l
     cone = CriticalCone(point, np.zeros(0, dtype=bool), np.zeros(0, dtype=bool))
     found = cone._outwards_between(s, side * direction / scales)
     np.testing.assert_allclose(found, expected, atol=1e-9)
+    small = cone._outwards_between(s, 1e-3 * side * direction / scales)
+    np.testing.assert_allclose(small, expected, atol=1e-9)  # in shares of the direction's largest
 
 
 def test_a_limit_is_reached_in_shares_of_what_its_row_varies_by() -> None:

@@ -18,6 +18,7 @@ from gnc_opt.verify.costates import (
     _time_transversality,
     adjoint,
     complementarity,
+    parameters,
     transversality,
 )
 from gnc_opt.verify.judged import ends_of
@@ -219,3 +220,34 @@ def test_adjoint_equation_segment_by_segment_and_at_jumps() -> None:
         assert condition.where == f"phase leg, {where}"
     right = drift(drifting(), breaks=(0.0, 2.0), lam=lambda t, k: np.array([3.0 + 0 * t, 1.0 + 0 * t]))
     assert adjoint([right], 1e-6).value == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("value", "slope", "amount", "left"),
+    [
+        (1.0, 3.0, 4.0, 0.75),  # between its limits
+        (1.0, -3.0, 4.0, 0.75),
+        (0.0, 3.0, 4.0, 0.0),  # at the lower one, which pushes upwards
+        (0.0, -3.0, 4.0, 0.75),
+        (5.0, -3.0, 4.0, 0.0),
+        (5.0, 3.0, 4.0, 0.75),
+        (1.0, 0.0, 0.0, 0.0),  # nothing depends on it
+    ],
+)
+def test_a_parameter_is_stationary_or_pushes_at_its_limit(
+    value: float, slope: float, amount: float, left: float
+) -> None:
+    """In shares of what the cost changes by it, 0 <= k <= 5; of a trajectory that does not know of it."""
+    problem = go.Problem("k")
+    model = go.Model("one")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    k = problem.parameter("k", lower=0.0, upper=5.0)
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    problem.minimize(leg.final_state("x") + slope * k)
+    one = (lambda t, k: np.array([t]),) * 3
+    solution = by_hand.solution(problem, by_hand.phase(problem, *one), parameter_values=np.array([value]))
+    condition = parameters(solution, [], ends_of(solution), np.array([amount]), 1e-6)
+    assert condition.value == pytest.approx(left) and condition.where == "parameter k"
+    assert condition.name == "parameters" and not condition.sufficient

@@ -17,18 +17,29 @@ import gnc_opt as go
 from gnc_opt.problem.interval import Interval
 from gnc_opt.solution.quality import Worst
 from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.verify import Result, conjugate_points, controls, feasibility
+from gnc_opt.transcription.transcription import transcribe
+from gnc_opt.verify import Result, conjugate_points, controls, feasibility, null_space, singular
 from gnc_opt.verify.brief import lasting
 from gnc_opt.verify.critical_cone import _close_arcs
 from gnc_opt.verify.feasibility import _worst_miss
 from gnc_opt.verify.induced import Unknowns
 from gnc_opt.verify.judged import ends_of, from_problem, has_costates, missing_number
-from gnc_opt.verify.magnitude import integral_spans
-from gnc_opt.verify.null_space import FOUND, NullSpace, lanczos
-from gnc_opt.verify.reduced_hessian import _least_direction
-from gnc_opt.verify.second_order import _least_slope, _precedences, least_squares
+from gnc_opt.verify.magnitude import Magnitudes, integral_spans
+from gnc_opt.verify.multipliers import _or_one, estimate
+from gnc_opt.verify.null_space import FOUND, SETTLED, NullSpace, _settled, lanczos
+from gnc_opt.verify.reduced_hessian import _least_direction, _straight
+from gnc_opt.verify.second_order import _least_slope, _on_bound, _precedences, least_squares
 from gnc_opt.verify.switches import GRAZES, Switches, _vanishing
-from gnc_opt.verify.trajectory_fit import Samples, _Controls, _interpolants, _Jump, _place, fit
+from gnc_opt.verify.trajectory_fit import (
+    Samples,
+    _Controls,
+    _interpolants,
+    _Jump,
+    _kinks_of,
+    _place,
+    _unmarked_jumps,
+    fit,
+)
 from gnc_opt.verify.verify_trajectory import _shaped, _solution
 from tests.unit import by_hand
 
@@ -529,3 +540,204 @@ def test_variations_are_judged_only_with_all_numbers(
         assert second.result is Result.CANNOT_TELL and second.sufficient
         assert second.where == ("there" if told else "everywhere")
     assert verdict.not_judged == ("" if told else "no costates")
+
+
+# --- more corners -----------------------------------------------------------------------------------------
+
+
+def test_both_ends_of_a_spectrum_must_have_settled() -> None:
+    """((0, b), (b, c)): eigenvectors whose last components are known; in shares of the largest eigenvalue."""
+    diagonal, beside = [0.0, 3.0], [1.0]
+    values, vectors = np.linalg.eigh(np.array([[0.0, 1.0], [1.0, 3.0]]))
+    worst, largest = np.max(np.abs(vectors[-1])), np.max(np.abs(values))
+    for factor, settled in ((0.99, True), (1.01, False)):
+        assert _settled(diagonal, beside, factor * SETTLED * largest / worst) is settled
+
+
+def test_rows_without_a_gradient_have_the_norm_of_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that what they curve by counts as it is; the others are scaled to unit gradients."""
+    point: Any = SimpleNamespace(
+        x=np.zeros(2),
+        transcription=None,
+        jacobian=scipy.sparse.csr_array(np.array([[0.0, 0.0], [3.0, 4.0]])),
+    )
+    monkeypatch.setattr(null_space, "_metric", lambda transcription: np.array([1.0, 4.0]))
+    found = NullSpace.of(point, np.array([False, False, True, True]))
+    np.testing.assert_allclose(found.root, [1.0, 0.5])
+    np.testing.assert_allclose(found.norms, [1.0, np.sqrt(9 + 4)])
+    np.testing.assert_allclose(found.jacobian.toarray(), [[0, 0], [3 / np.sqrt(13), 2 / np.sqrt(13)]])
+
+
+def test_ones_take_the_place_of_nothing() -> None:
+    np.testing.assert_array_equal(_or_one(np.array([0.5, 0.0, 2.0])), [0.5, 1.0, 2.0])
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_multipliers_of_a_cost_that_falls_with_its_variables(sign: float) -> None:
+    """Farthest in one direction in 1 s at |u| <= 1: the costate is minus the direction, the bound pushes along it."""
+    model = go.Model("one")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("far")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(-sign * leg.final_state("x"))
+    t = np.linspace(0.0, 1.0, 5)
+    fitted = {"leg": fit(Samples(t, sign * t[None], sign + 0 * t[None]), lambda t, x, u: u + 0 * x)}
+    transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
+    found = estimate(transcription, problem, fitted, np.zeros(0))
+    part = transcription.parts["leg"].collocation
+    np.testing.assert_allclose(found.lam_x[part.point_controls[0]] / part.quadrature, sign, rtol=1e-6)
+    assert found.lam_x[part.boundary_states[0, 0]] == pytest.approx(sign, rel=1e-6)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e3])
+def test_on_a_bound_is_a_millionth_of_the_range(unit: float) -> None:
+    """w over its range of 4, in any unit; u rests on its own."""
+    for off, told in ((3e-6, True), (5e-6, False)):
+        s = bang(unit=unit)
+        box = by_hand.interval([-unit, -off * unit, -3 * unit], [unit, (4.0 + off) * unit, 2 * unit])
+        s = PhaseSamples.of(replace(s.leg, control_bounds=box), s.functions)
+        assert bool(np.all(_on_bound(s)[1])) is told and np.all(_on_bound(s)[[0, 2]])
+
+
+def test_given_times_do_not_change_the_cost() -> None:
+    """The final time is given, the initial one is not: it moves by the 2 s of the phase."""
+    model = go.Model("one")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("times")
+    leg = problem.phase("leg", model)
+    leg.time((-9.0, 9.0), 2.0)
+    problem.minimize(1000 * leg.final_time + 3 * leg.initial_time)
+    base = by_hand.phase(
+        problem, lambda t, k: np.array([0.1 * t]), lambda t, k: np.array([0.1 + 0 * t]), lambda t, k: np.array([t]),
+        breaks=(0.0, 0.5, 2.0),
+    )  # fmt: skip
+    solution = from_problem(by_hand.solution(problem, base))
+    found = Magnitudes.of(solution, list(solution.samples().values()))
+    assert found.cost == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize("maximised", [False, True])
+def test_what_is_judged_is_maximised_as_its_problem_says(maximised: bool) -> None:
+    problem = go.Problem("way")
+    model = go.Model("one")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    (problem.maximize if maximised else problem.minimize)(leg.final_state("x"))
+    one = (lambda t, k: np.array([t]),) * 3
+    stored = by_hand.solution(problem, by_hand.phase(problem, *one), maximised=not maximised)
+    assert from_problem(stored).maximised is maximised
+
+
+def test_derivatives_that_grow_too_large_are_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = go.Model("one")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("one")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    problem.minimize(leg.integral(x**2))
+    s = by_hand.samples(
+        problem, lambda t, k: np.array([0 * t]), lambda t, k: np.array([0 * t]), lambda t, k: np.array([0 * t]),
+        weights=(1.0,), breaks=(0.0, 2.0), control_bounds=by_hand.interval(-1.0, 1.0),
+    )  # fmt: skip
+    monkeypatch.setattr(singular, "MOST_INSTRUCTIONS", 0)
+    (arc,) = singular.singular_arcs(problem, s, 1e-5)
+    assert (arc.order, arc.least) == (0, 0.0)
+    assert arc.why == "the derivative of order 0 of the switching function is too large"
+
+
+def test_unmarked_jumps_begin_in_the_middle_of_their_interval() -> None:
+    """Ten times the changes beside it; one given twice is none of them."""
+    t = np.array([1.0, 2.0, 4.0, 5.0, 5.0, 6.0, 7.0])
+    u = np.array([[0.0, 0.1, 5.0, 5.1, 9.0, 9.1, 9.2], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]])
+    (jump,) = _unmarked_jumps(Samples(t, u, u), np.array([3]))
+    assert (jump.after, jump.time, jump.channels, jump.of_slope) == (1, 3.0, (0,), False)
+
+
+def test_the_first_sample_without_a_number_ends_the_flight() -> None:
+    """A state that has none from the second segment on, a parameter that has none at all."""
+    problem = by_hand.cart()
+
+    def hole(t: Array, k: int) -> Array:
+        return by_hand.rest(t, k) * np.array([[1.0], [np.nan if k else 1.0]])
+
+    s = by_hand.samples(problem, hole)
+    worst = feasibility._missing_number(s)
+    assert worst is not None and worst.value == np.inf and worst.where == "phase leg, t = 0.5 s: not finite"
+    assert feasibility._missing_number(by_hand.samples(problem)) is None
+    lost = replace(s.functions, q=np.array([np.nan]))
+    gone = feasibility._missing_number(PhaseSamples.of(by_hand.phase(problem), lost))
+    assert gone is not None and gone.where == "a free parameter is not finite"
+
+
+def test_a_verdict_is_kept_for_its_tolerance() -> None:
+    problem = by_hand.cart()
+    solution = by_hand.solution(problem, by_hand.phase(problem))
+    first = go.verify(solution, tol=1e-3)
+    assert not first.estimated
+    assert go.verify(solution, tol=1e-3) is first and go.verify(solution, tol=1e-4) is not first
+
+
+def test_a_fit_takes_the_interpolant_that_carries_the_states() -> None:
+    """Beside a kink that is not located, in seven samples, a spline ripples by 1e-2."""
+    t = np.array([0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 2.4])
+    u = np.maximum(t - 1.2, 0.0)
+    fitted = fit(Samples(t, np.array([u**2 / 2, t]), u[None]), lambda t, x, u: np.array([u[0], 1 + 0 * t]))
+    np.testing.assert_allclose(fitted.u(np.array([0.2, 0.6]))[0], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("turn", "seen"), [(0.015, False), (0.03, True)])
+def test_a_kink_is_seen_by_what_it_moves_in_one_interval(turn: float, seen: bool) -> None:
+    """In 0.1 s by a thousandth of the range of 2."""
+    t = np.linspace(0.0, 2.0, 21)
+    u = t + turn * np.maximum(t - 1.03, 0.0)
+    found = _kinks_of(t, u, 5, 2)
+    assert len(found) == seen
+    for kink in found:
+        assert kink.after == 15 and kink.time == pytest.approx(1.03, abs=1e-6)
+        assert kink.channels == (2,) and kink.of_slope
+
+
+def test_interpolants_are_the_spline_and_the_modified_akima_spline() -> None:
+    """Between a flat stretch and a slope Akima's own has an undershoot where the modified one stays flat."""
+    t, u = np.arange(7.0), np.array([0.0, 0.0, 0.0, 1.0, 2.0, 2.0, 2.0])
+    smooth, akima = _interpolants(t, u)
+    slopes = np.diff(u)
+    # Weights |m3 - m2| + |m3 + m2| / 2 and |m1 - m0| + |m1 + m0| / 2 of the slopes beside the sample at 3.
+    left, right = abs(slopes[4] - slopes[3]) + abs(slopes[4] + slopes[3]) / 2, 0.0
+    right = abs(slopes[2] - slopes[1]) + abs(slopes[2] + slopes[1]) / 2
+    expected = (left * slopes[2] + right * slopes[3]) / (left + right)
+    assert float(akima(3.0, 1)) == pytest.approx(expected)
+    left = abs(slopes[3] - slopes[2]) + abs(slopes[3] + slopes[2]) / 2
+    right = abs(slopes[1] - slopes[0]) + abs(slopes[1] + slopes[0]) / 2
+    assert float(akima(2.0, 1)) == pytest.approx((left * slopes[1] + right * slopes[2]) / (left + right))
+    assert float(akima(1.5)) == 0.0 and abs(float(smooth(1.5))) > 1e-2
+
+
+@pytest.mark.parametrize("cost", [1.0, 1e3])
+def test_straight_is_a_millionth_of_the_hamiltonian_over_the_range(cost: float) -> None:
+    """bend u^2 / 2 over a range of 5."""
+    for factor, straight in ((0.9, True), (1.1, False), (-5.0, True)):
+        bend = 0.0
+        for _ in range(2):  # H's scale depends on the curvature only a little
+            model = go.Model("one")
+            x, u = model.state("x"), model.control("u")
+            model.ode({x: u})
+            problem = go.Problem("one")
+            leg = problem.phase("leg", model)
+            leg.time(0.0, 2.0)
+            problem.minimize(leg.integral(cost * (x + bend * u**2 / 2)))
+            s = by_hand.samples(
+                problem, lambda t, k: np.array([t]), lambda t, k: np.array([1.0 + 0 * t]),
+                lambda t, k: np.array([-cost + 0 * t]), weights=(1.0,), breaks=(0.0, 2.0),
+                control_bounds=by_hand.interval(-1.0, 4.0),
+            )  # fmt: skip
+            bend = factor * 1e-6 * s.hamiltonian_scale / cost / 25
+        assert bool(np.all(_straight(s))) is straight

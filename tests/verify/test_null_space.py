@@ -325,3 +325,20 @@ def test_constraints_whose_second_order_outweighs_their_first(
     size = np.hypot(bend * root[1] ** 2, 0.5 * bend * root[2] ** 2)  # of the row alone, its whole Hessian
     assert condition.value == pytest.approx(size / slope, rel=1e-4)
     assert condition.where == "row 1" or slope == 1.0
+
+
+@pytest.mark.parametrize("bend", [1.0, -1.0, 0.0])
+@pytest.mark.parametrize("apart", [1e-6, 1e-2])
+def test_constraints_that_depend_on_each_other_but_curve_differently(
+    metric: Array, bend: float, apart: float
+) -> None:
+    """z0 + bend z1^2 / 2 and z0 + apart z3, less each other: of first order apart z3, of second bend z1^2 / 2."""
+    jacobian = np.array([[1.0, 0.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, apart, 0.0]])
+    curves = (np.diag([0.0, bend, 0.0, 0.0, 0.0]), np.zeros((5, 5)))
+    point = program(jacobian, np.eye(5), np.full(5, -9.0), np.full(5, 9.0), np.zeros(5), curves)
+    cone = CriticalCone(point, np.array([False] * 5 + [True] * 2), np.zeros(7, dtype=bool))
+    condition = normality(cone)
+    root = 1 / np.sqrt(metric)
+    assert condition.value == pytest.approx(abs(bend) * root[1] ** 2 / (apart * root[3]), rel=1e-3)
+    assert condition.result.name == ("FAIL" if bend and apart < 1e-4 else "PASS")
+    assert condition.tolerance == 1e4 and not condition.sufficient

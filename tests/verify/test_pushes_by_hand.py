@@ -279,3 +279,37 @@ def test_the_side_of_a_limit_is_that_on_which_the_trajectory_is() -> None:
     transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
     found = estimate(transcription, problem, fitted, np.zeros(0))
     assert found.lam_g[transcription.constraint_rows] == [0.0]
+
+
+def test_missing_costates_are_not_integrated_anew() -> None:
+    assert _integrate_anew(flown(), 1, 1e-6) is not None
+    gone = by_hand.samples(
+        linear(),
+        lambda t, k: np.array([1 + t, 2 - t**2]),
+        lambda t, k: np.array([-0.3 + 0 * t]),
+        lambda t, k: np.where(k == 1, np.nan, 1.0) + np.zeros((2, t.size)),
+        weights=(1.0,),
+        breaks=(0.0, 0.5, 2.0),
+        state_bounds=by_hand.interval([-99.0, -99.0], [1.5, 99.0]),
+    )
+    assert _integrate_anew(gone, 1, 1e-6) is None
+
+
+def test_a_parameter_of_the_cost_alone_is_in_no_row() -> None:
+    """(k - 2)^2 at k = 2.5: nothing holds it, and its derivative of 1 is left to no limit."""
+    model, t = cart(1.0).get_phase().model, np.linspace(0.0, 1.0, 7)
+    other = go.Problem("with a parameter")
+    k = other.parameter("k", lower=0.0, upper=5.0)
+    leg = other.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    other.minimize(0.5 * leg.integral(model.symbol("a") ** 2) + (k - 2) ** 2)
+    samples = Samples(t, np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2]), (6 - 12 * t)[None])
+    fitted = {"leg": fit(samples, lambda t, x, u: np.array([x[1], u[0]]))}
+    transcription = transcribe(other, {"leg": fitted["leg"].mesh}, "LG")
+    found = estimate(transcription, other, fitted, np.array([2.5]))
+    assert found.lam_x[transcription.parameter_places] == [0.0]
+    assert found.x[transcription.parameter_places] == [2.5]
+    held = estimate(transcription, other, fitted, np.array([5.0]))
+    assert held.lam_x[transcription.parameter_places] == pytest.approx([-6.0])

@@ -282,6 +282,8 @@ def test_gain_and_its_share_of_what_the_move_is_worth() -> None:
     np.testing.assert_allclose(found._worth(-7.0 * (better - found._flown)), worth, rtol=1e-9)
     none, share = found._gain(found._flown, np.full(at.size, np.inf), at)
     assert not np.any(none) and not np.any(share)
+    endless, share = found._gain(found._flown, np.full(at.size, -np.inf), at)  # a pole of H is no gain
+    assert not np.any(endless) and not np.any(share)
 
 
 def test_points_are_anywhere_or_off_in_one_channel() -> None:
@@ -335,3 +337,36 @@ def test_times_are_no_more_than_four_hundred() -> None:
     (gain,), _ = coupled_gains(s, 1e-5)
     assert gain.times.size == least_hamiltonian._MOST_TIMES
     assert gain.times[0] == 0.0 and gain.times[-1] == 2.0
+
+
+def test_slopes_that_are_no_numbers_point_nowhere() -> None:
+    """The root of u has an endless slope at its end, and none beyond it, where its values are no limit either."""
+    root = coupled(
+        lambda t, x, u, w: ca.sqrt(u + 2) + u * w + w**2, (lambda t, x, u, w: ca.sqrt(w) + u, -9.0, 0.0)
+    )
+    s = flown(root, -0.5, 0.25)
+    found, at = search(s), np.array([3])
+    gradient, bends = found.slopes(np.array([[0.0], [0.5]]), at)
+    assert gradient[0, 0] == 0.0 and np.isfinite(gradient[1, 0]) and bends[0, 0, 0] == 0.0
+    assert found.value(np.array([[0.5], [0.1]]), at) == [np.inf]
+    shares = np.array([[0.5, 0.9], [0.1, 0.5]])  # w = -0.6 and 1: the second one is beyond the path
+    moved = found._restored(shares, np.array([3, 4]))
+    np.testing.assert_array_equal(moved[:, 0], shares[:, 0])
+    assert np.all(np.isfinite(moved)) and moved[0, 1] < 0.9
+
+
+def test_a_bound_blocks_only_what_pushes_against_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At u = -2 without a slope in u, the coupling to w still moves both."""
+    curved = 16 * np.array([[2.0, 1.0], [1.0, 2.0]])
+    slope = np.array([0.0, -8.0])
+    monkeypatch.setattr(_Search, "slopes", lambda self, shares, at, mu=None: (slope[:, None], curved[None]))
+    found, at = search(flown(coupled(bowl))), np.array([2])
+    step = found._step(np.array([[0.0], [0.25]]), at)[:, 0]
+    np.testing.assert_allclose(step, -np.linalg.solve(curved, slope), rtol=1e-9)
+    slope[0] = 1e-3
+    np.testing.assert_allclose(found._step(np.array([[0.0], [0.25]]), at)[:, 0], [0.0, 0.25], rtol=1e-9)
+    slope[0] = -1e-3
+    np.testing.assert_allclose(found._step(np.array([[1.0], [0.25]]), at)[:, 0], [0.0, 0.25], rtol=1e-9)
+    slope[0] = 1e-3
+    away = found._step(np.array([[1.0], [0.25]]), at)[:, 0]
+    np.testing.assert_allclose(away, -np.linalg.solve(curved, slope), rtol=1e-9)

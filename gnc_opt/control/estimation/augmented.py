@@ -136,8 +136,11 @@ class AugmentedModel:
         A = self._jacobian(t + h / 2, middle, u)
         last, vehicle = self.vehicle.error_slope(end), self.vehicle
         rest = ca.SX.eye(self.errors.size - vehicle.errors)
-        whole = ca.diagcat(last @ _exponential(h * A) @ vehicle.move_slope(own), rest)
-        half = ca.diagcat(last @ _exponential(h / 2 * A) @ vehicle.move_slope(middle), rest)
+        one, square = ca.SX.eye(n), A @ A
+        change = one + h * A + h**2 / 2 * square + h**3 / 6 * (square @ A)
+        whole = ca.diagcat(last @ change @ vehicle.move_slope(own), rest)
+        change = one + h / 2 * A + h**2 / 8 * square  # for the noise, which is small already
+        half = ca.diagcat(last @ change @ vehicle.move_slope(middle), rest)
         return whole, h / 6 * (whole @ density @ whole.T + 4 * half @ density @ half.T + density)
 
     def direct_slope(self, channel: Channel) -> Any:
@@ -212,15 +215,6 @@ class AugmentedModel:
             for k in range(1, channel.delay + 1):
                 found[self.states.slice(channel.past(k))] = self.now(channel)(t, found).full()[:, 0]
         return found
-
-
-def _exponential(A: Any) -> Any:
-    """Return exp(A) up to the fourth power."""
-    one = ca.SX.eye(A.shape[0])
-    found = one
-    for k in (4, 3, 2, 1):
-        found = one + A @ found / k
-    return found
 
 
 def _state_space(model: Model, variable: Variable) -> Space:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.problem.interval import Interval
@@ -74,7 +72,7 @@ def _switches(error: PhaseError, k: int) -> list[Kink]:
             if np.isfinite(level) and _reaches(
                 samples.u_polynomial[i, inside], level, samples.control_scale[i]
             ):
-                roots += _crossings(_gradient_at(error, i, level, k), times, unit)
+                roots += _crossings(_gradient_at(error, i, level, times) * unit, times)
         found += [Kink(t - margin, t + margin) for t in roots]
     return found
 
@@ -83,28 +81,25 @@ def _reaches(values: Array, level: float, scale: float) -> bool:
     return bool(np.min(np.abs(values - level)) < 0.1 * scale)
 
 
-def _gradient_at(error: PhaseError, i: int, level: float, k: int) -> Callable[[Array], Array]:
-    """Return d(H + mu.c)/du_i over time with control i at a level."""
+def _gradient_at(error: PhaseError, i: int, level: float, times: Array) -> Array:
+    """Return d(H + mu.c)/du_i at times with control i at a level."""
     leg, functions = error.samples.leg, error.samples.functions
-
-    def gradient(t: Array) -> Array:
-        u = leg.flown.clipped(t)
-        u[i] = level
-        mu = leg.path_multiplier(t) if leg.path_labels else np.zeros((0, t.size))
-        return np.asarray(functions.control_gradient(t, leg.x(t), u, leg.lam(t), mu)[i])
-
-    return gradient
+    u = leg.flown.clipped(times)
+    u[i] = level
+    mu = leg.path_multiplier(times) if leg.path_labels else np.zeros((0, times.size))
+    return np.asarray(functions.control_gradient(times, leg.x(times), u, leg.lam(times), mu)[i])
 
 
-def _crossings(gradient: Callable[[Array], Array], times: Array, unit: float) -> list[float]:
-    values = gradient(times) * unit
-    changes = np.flatnonzero(values[:-1] * values[1:] < 0)
-    if not changes.size or not (np.max(values) > CLEAR and np.min(values) < -CLEAR):
+def _crossings(values: Array, times: Array) -> list[float]:
+    """Return the zeros of a switching function, in shares of H, from a straight line between its samples.
+
+    These lie closer to each other than the collocation points, whose spacing limits what is known of a switch.
+    """
+    before = np.flatnonzero(values[:-1] * values[1:] < 0)
+    if not before.size or not (np.max(values) > CLEAR and np.min(values) < -CLEAR):
         return []
-    return [
-        float(scipy.optimize.brentq(lambda t: float(gradient(np.array([t]))[0]), times[j], times[j + 1]))
-        for j in changes
-    ]
+    share = values[before] / (values[before] - values[before + 1])
+    return [float(t) for t in times[before] + share * (times[before + 1] - times[before])]
 
 
 def _junctions(error: PhaseError, k: int, active: Array) -> list[Kink]:

@@ -18,17 +18,11 @@ from gnc_opt.errors import GncOptError
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.refine.error import NEGLIGIBLE, PhaseError, estimate_errors
 from gnc_opt.refine.hp.remesh import SAFETY, Past, Remesh, known_segments
-from gnc_opt.refine.passes import pass_meter, pass_record
+from gnc_opt.refine.passes import crawls, pass_meter, pass_record
 from gnc_opt.solution.history import Actions, History, Pass, RefinementStatus
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
 from gnc_opt.transcription.mesh import Mesh
-
-PATIENCE = 4
-"""Passes without progress after which refining stops."""
-
-PROGRESS = 0.5
-"""Progress means that the largest error, or the sum of all, falls to this share of its best so far."""
 
 WARM_ITERATIONS = 150
 """A warm start that takes longer has lost its way."""
@@ -39,6 +33,10 @@ must not be pushed off its bounds only to come back in ten iterations."""
 
 STAGE = 1e-4
 """Each pass aims at this share of the error before it, and at least at this error."""
+
+SOLVED, LAXER = 1e-9, 0.1
+"""Tolerance of the solver at most, and in shares of the error that the pass aims at: more digits of a mesh that is
+given up at once are worth nothing."""
 
 ROOMY = 300
 """Meshes with no more points than this are refined without making them smaller elsewhere: to find out what can go
@@ -92,6 +90,7 @@ def refine_mesh(
     tol: float = 1e-8,
     max_passes: int = 20,
     max_points: int = 1000,
+    max_work: float = math.inf,
     options: SolverOptions | None = None,
     deadline: float = math.inf,
     progress: bool = False,
@@ -109,6 +108,8 @@ def refine_mesh(
         At most so many solves.
     max_points : int
         At most so many collocation points in any phase.
+    max_work : float
+        No pass begins after this much work, in iterations at one collocation point; see `Pass.work`.
     options : SolverOptions, optional
         For the solves.
     deadline : float
@@ -132,7 +133,7 @@ def refine_mesh(
         raise GncOptError(
             f"the solution of '{solution.problem_name}' ended as {solution.status.value}: refine one that is solved."
         )
-    refinement = _Refinement(solution, tol, max_points, options, deadline)
+    refinement = _Refinement(solution, tol, max_points, max_work, options, deadline)
     with pass_meter(solution.problem_name, tol, progress) as show:
         try:
             status = refinement.run(max_passes, show)
@@ -149,13 +150,15 @@ class _Refinement:
         solution: Solution,
         tol: float,
         max_points: int,
+        max_work: float,
         options: SolverOptions | None,
         deadline: float,
     ) -> None:
         self._problem = solution.need_problem("refine")
         self._scheme = solution.scheme
-        self._tol, self._max_points, self._deadline = tol, max_points, deadline
-        self._options = options or SolverOptions(tolerance=min(1e-9, 0.1 * tol))
+        self._tol, self._max_points, self._max_work, self._deadline = tol, max_points, max_work, deadline
+        self._options = options or SolverOptions(tolerance=min(SOLVED, LAXER * tol))
+        self._asked = options is not None
         self._records: list[Pass] = []
         self._past: dict[str, Past] = {}
         self._totals: list[float] = []
@@ -175,14 +178,15 @@ class _Refinement:
             plan = self._plan()
             if isinstance(plan, RefinementStatus):
                 return plan
+            if sum(record.work for record in self._records[1:]) > self._max_work:
+                return self._ending(RefinementStatus.WORK_LIMIT)
             meshes, actions = plan
             self._past = {name: known_segments(e) for name, e in self._state.errors.items()}
             status = self._solve(meshes, actions)
             show(self._records[-1])
             if not status.solved:
                 return self.ending_without(status)
-        done = self._converged(self._best.record)
-        return RefinementStatus.CONVERGED if done else RefinementStatus.PASS_LIMIT
+        return self._ending(RefinementStatus.PASS_LIMIT)
 
     def _plan(self) -> NextMeshes | RefinementStatus:
         """Return the next meshes with what was done to get them, or how it ends here."""
@@ -277,23 +281,22 @@ class _Refinement:
 
     def ending_without(self, status: Status) -> RefinementStatus:
         """Return how it ends without another solution, because of what became of the last solve."""
-        if self._converged(self._best.record):
-            return RefinementStatus.CONVERGED
-        return RefinementStatus.INTERRUPTED if status is Status.INTERRUPTED else RefinementStatus.FAILED
+        interrupted = status is Status.INTERRUPTED
+        return self._ending(RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED)
+
+    def _ending(self, otherwise: RefinementStatus) -> RefinementStatus:
+        """Return how it ends if no pass follows: there may be an accurate solution already."""
+        return RefinementStatus.CONVERGED if self._converged(self._best.record) else otherwise
 
     def _converged(self, record: Pass) -> bool:
         return record.solved and record.error <= self._tol
 
     def _stalled(self, meshes: dict[str, Mesh]) -> bool:
-        """Whether nothing is left to do, or neither the largest error nor the sum of all has fallen lately."""
+        """Whether nothing is left to do, or neither the largest error nor the sum of all falls fast enough."""
         if meshes == self._state.record.meshes:
             return True
-        if len(self._records) <= PATIENCE:
-            return False
-        errors = [r.error for r in self._records if r.solved]
-        return all(
-            min(values[-PATIENCE:]) > PROGRESS * min(values[:-PATIENCE]) for values in (errors, self._totals)
-        )
+        errors = [r.error for r in self._records]
+        return all(crawls(values, self._tol) for values in (errors, self._totals))
 
     def _solve(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
         """Solve on new meshes, warm, then cold; remember the pass."""
@@ -313,11 +316,13 @@ class _Refinement:
         return solution.status
 
     def _warm_options(self) -> SolverOptions:
-        """Return the options with a barrier parameter that suits how far the solution still has to move."""
-        if self._options.mu_init is not None:
-            return self._options
-        mu = WARM_MU * min(self._state.finite_error, 1.0)
-        return replace(self._options, mu_init=max(mu, LEAST_MU))
+        """Return the options with tolerance and barrier parameter that suit how far the solution still has to move."""
+        options, left = self._options, min(self._state.finite_error, 1.0)
+        if not self._asked:
+            options = replace(options, tolerance=max(options.tolerance, LAXER * STAGE * left))
+        if options.mu_init is None:
+            options = replace(options, mu_init=max(WARM_MU * left, LEAST_MU))
+        return options
 
     def _judge(self, solution: Solution, begin: float, actions: Actions) -> _State:
         errors = estimate_errors(solution)

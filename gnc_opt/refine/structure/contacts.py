@@ -167,32 +167,32 @@ class _Run:
 
     def added(self, structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
         """Return the structure with the contacts of the nodes."""
-        pushed, order = np.flatnonzero(self.worth > 0), structure.orders[self.row]
+        runs, order = _runs(self.worth > 0), structure.orders[self.row]
         first, last = samples.leg.breaks[[0, -1]]
         beside = [t for t in structure.touching(self.row, self.kind) if self.times[0] <= t <= self.times[-1]]
-        if order == 1 or (order == 2 and (pushed[-1] - pushed[0] > FEW or beside)):
-            start, end = (
-                self.times[max(pushed[0] - 1, 0)],
-                self.times[min(pushed[-1] + 1, self.times.size - 1)],
-            )
-            start = (
-                first
-                if pushed[0] == 0 and start - first < end - start
-                else 0.5 * (start + self.times[pushed[0]])
-            )
-            end = (
-                last
-                if pushed[-1] == self.times.size - 1 and last - end < end - start
-                else 0.5 * (end + self.times[pushed[-1]])
-            )
-            return structure.with_arc(
-                self.row, float(min([start, *beside])), float(max([end, *beside])), self.kind
-            )
-        for a, b in _runs(self.worth > 0):
+        if order == 2 and (runs[-1][1] - runs[0][0] > FEW or beside):  # between its ends an arc need not push
+            runs, order = [(runs[0][0], runs[-1][1])], 1
+        for a, b in runs:
+            if order == 1:
+                start, end = self._between(a, first), self._between(b, last)
+                structure = structure.with_arc(
+                    self.row, float(min([start, *beside])), float(max([end, *beside])), self.kind
+                )
+                continue
             time = float(np.average(self.times[a:b], weights=self.worth[a:b]))
             if first < time < last:
                 structure = structure.with_touch(self.row, time, self.kind)
         return structure
+
+    def _between(self, node: int, end: float) -> float:
+        """Time between a node and the one before; beyond the first and last, the phase's end if that is next."""
+        times, size = self.times, self.times.size
+        if 0 < node < size:
+            return float(0.5 * (times[node - 1] + times[node]))
+        outer, inner = (
+            (times[0], times[min(1, size - 1)]) if node == 0 else (times[-1], times[max(-2, -size)])
+        )
+        return float(end if abs(end - outer) <= abs(outer - inner) else outer)
 
 
 def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) -> list[_Run]:
@@ -226,7 +226,10 @@ def _at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
     x = np.hstack([states_at_points(leg), leg.x(inner)])
     u = np.hstack([*leg.u.values, leg.u(inner)])
     densities = np.vstack([leg.path_multipliers, leg.state_multipliers]) * weights
-    atoms = np.vstack([np.zeros((len(leg.path_labels), inner.size)), leg.state_impulses[:, 1:-1]])
+    # Path constraints have no row at a boundary: there they push as long as they do on both sides.
+    paths = densities[: len(leg.path_labels)]
+    left, right = paths[:, np.array(leg.mesh.offsets[1:-1]) - 1], paths[:, leg.mesh.offsets[1:-1]]
+    atoms = np.vstack([np.where(left * right > 0, 0.5 * (left + right), 0.0), leg.state_impulses[:, 1:-1]])
     order = np.argsort(times, kind="stable")
     pushes = np.hstack([densities, atoms])[:, order]
     return times[order], constraints.values(times, x, u)[:, order], pushes

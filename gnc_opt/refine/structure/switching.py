@@ -65,6 +65,7 @@ def optimise_switches(
     tol: float = FINEST,
     max_passes: int = 40,
     max_points: int = 1000,
+    max_work: float = math.inf,
     structures: Mapping[str, PhaseStructure] | None = None,
     options: SolverOptions | None = None,
     deadline: float = math.inf,
@@ -82,6 +83,8 @@ def optimise_switches(
         At most so many solves.
     max_points : int
         At most so many collocation points in any phase.
+    max_work : float
+        No pass begins after this much work, in iterations at one collocation point; see `Pass.work`.
     structures : mapping of PhaseStructure, optional
         What to start from, by phase, if it has been detected already.
     options : SolverOptions, optional
@@ -105,7 +108,7 @@ def optimise_switches(
     tries: list[_Try] = []
     with pass_meter(solution.problem_name, tol, progress) as show:
         try:
-            limits = _Limits(max_passes, max_points, deadline)
+            limits = _Limits(max_passes, max_points, max_work, deadline)
             guess, settled = _settled(solution, plans)
             status = _loop(problem, guess, settled, min(tol, FINEST), limits, chosen, show, tries)
             if status is RefinementStatus.FAILED and guess is not solution:
@@ -130,6 +133,7 @@ class _Limits:
 
     passes: int
     points: int
+    work: float
     deadline: float
 
 
@@ -180,6 +184,8 @@ def _loop(
             return RefinementStatus.INTERRUPTED
         if any(plan.mesh().size > limits.points for plan in plans.values()):
             return RefinementStatus.POINT_LIMIT
+        if sum(t.record.work for t in tries) > limits.work:
+            return RefinementStatus.WORK_LIMIT
         found = _solve(problem, plans, solution, options, limits.deadline)
         if not found.status.solved:
             tries.append(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
@@ -191,11 +197,16 @@ def _loop(
         plans, action = _improve(solution, current, swapped, tol)
         tries.append(_Try(solution, current, _record(solution, begin, action or "structure stands")))
         show(tries[-1].record)
-        if not action:
+        if not action or _resolved([t.record for t in tries], tol):
             return RefinementStatus.CONVERGED
         if _restless([t.record for t in tries]):
             return RefinementStatus.STALLED
     return RefinementStatus.PASS_LIMIT
+
+
+def _resolved(records: list[Pass], tol: float) -> bool:
+    """Whether a finer mesh was asked for twice where the error is small: for costates that are nothing but rounding."""
+    return len(records) > 1 and all(r.actions == RAISED and r.error <= tol for r in records[-2:])
 
 
 def _restless(records: list[Pass]) -> bool:

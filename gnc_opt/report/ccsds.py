@@ -1,0 +1,192 @@
+"""Orbits and attitudes as CCSDS messages in key-value notation, which flight dynamics systems exchange.
+
+OEM: orbit ephemeris message, CCSDS 502.0-B (version 2.0); km and km/s. AEM: attitude ephemeris message, CCSDS 504.0-B
+(version 1.0); the quaternion from frame A to frame B, that is our ``q_BA``, with its scalar part last.
+
+What no number can tell (epoch, frames, centre, time system) is stated by who writes, never assumed. Within a file the
+clock runs evenly: in UTC no leap second may lie between its first and last time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_numbers
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError, shown
+
+_KILO = 1e3
+_UNIT = 1e-6
+"""How far the length of a quaternion may be from 1; it is made 1."""
+
+
+def write_oem(
+    path: str | Path,
+    times: ArrayLike,
+    r: ArrayLike,
+    v: ArrayLike,
+    *,
+    epoch: str,
+    time_system: str,
+    frame: str,
+    center: str,
+    object_name: str,
+    object_id: str,
+    originator: str,
+) -> Path:
+    """Write an orbit ephemeris message.
+
+    Parameters
+    ----------
+    path : str or Path
+    times : array (n,)
+        s since the epoch, increasing by a nanosecond at least.
+    r, v : array (3, n)
+        Position (m) and velocity (m/s) relative to the centre in the frame.
+    epoch : str
+        Date and time of day of t = 0, ``"2027-03-01T12:00:00"``, in the time system.
+    time_system, frame, center : str
+        By their CCSDS names: ``"UTC"``, ``"EME2000"``, ``"EARTH"``.
+    object_name, object_id, originator : str
+        Whose orbit (the id is the international designator, ``"2027-001A"``), and who writes.
+
+    Returns
+    -------
+    Path
+        Of the file.
+
+    Raises
+    ------
+    ArgumentError
+        Arrays that do not fit or hold no numbers, times that do not increase, an epoch that is none, empty texts.
+    """
+    stamps = _stamps(times, epoch)
+    rows = np.vstack([_vectors(r, 3, stamps.size, "r"), _vectors(v, 3, stamps.size, "v")]) / _KILO
+    about = {"OBJECT_NAME": object_name, "OBJECT_ID": object_id, "CENTER_NAME": center, "REF_FRAME": frame}
+    lines = _message("OEM", "2.0", originator, {**about, "TIME_SYSTEM": time_system, **_span(stamps)})
+    return _written(path, [*lines, "", *_data(stamps, rows)])
+
+
+def write_aem(
+    path: str | Path,
+    times: ArrayLike,
+    q_BA: ArrayLike,
+    *,
+    epoch: str,
+    time_system: str,
+    frame_a: str,
+    frame_b: str,
+    object_name: str,
+    object_id: str,
+    originator: str,
+) -> Path:
+    """Write an attitude ephemeris message.
+
+    Parameters
+    ----------
+    path : str or Path
+    times : array (n,)
+        s since the epoch, increasing by a nanosecond at least.
+    q_BA : array (4, n)
+        Unit quaternion of frame B relative to frame A, scalar part first, as in `gnc_opt.spacecraft`:
+        `mrp_to_quaternion` gives it.
+    epoch, time_system : str
+        As for `write_oem`.
+    frame_a, frame_b : str
+        By their CCSDS names: ``"EME2000"``, ``"SC_BODY_1"``.
+    object_name, object_id, originator : str
+        As for `write_oem`.
+
+    Returns
+    -------
+    Path
+        Of the file.
+
+    Raises
+    ------
+    ArgumentError
+        As for `write_oem`; quaternions whose length is not 1.
+    """
+    stamps = _stamps(times, epoch)
+    q = _vectors(q_BA, 4, stamps.size, "q_BA")
+    size = np.linalg.norm(q, axis=0)
+    if np.max(np.abs(size - 1.0)) > _UNIT:
+        raise ArgumentError(
+            f"q_BA has a column of length {size[np.argmax(np.abs(size - 1.0))]:.6g}: give unit quaternions."
+        )
+    about = {
+        "OBJECT_NAME": object_name,
+        "OBJECT_ID": object_id,
+        "REF_FRAME_A": frame_a,
+        "REF_FRAME_B": frame_b,
+    }
+    form = {"ATTITUDE_TYPE": "QUATERNION", "QUATERNION_TYPE": "LAST"}
+    metadata = {**about, "ATTITUDE_DIR": "A2B", "TIME_SYSTEM": time_system, **_span(stamps), **form}
+    lines = _message("AEM", "1.0", originator, metadata)
+    scalar_last = np.roll(q / size, -1, axis=0)
+    return _written(path, [*lines, "", "DATA_START", *_data(stamps, scalar_last), "DATA_STOP"])
+
+
+def _stamps(times: ArrayLike, epoch: str) -> Any:
+    """Return the times of day as text, to the nanosecond."""
+    t = np.atleast_1d(read_numbers(times, "the times"))
+    if t.ndim != 1 or not np.all(np.isfinite(t)):
+        raise ArgumentError(f"the times have the shape {t.shape} or are not finite: give (n,) numbers, s.")
+    nanoseconds = np.round(t * 1e9).astype("timedelta64[ns]")
+    if np.any(np.diff(nanoseconds) <= np.timedelta64(0, "ns")):
+        raise ArgumentError(
+            "the times do not increase by a nanosecond at least: leave out those that are given twice."
+        )
+    return np.datetime_as_string(_date(epoch) + nanoseconds, unit="ns")
+
+
+def _date(epoch: str) -> Any:
+    try:
+        if not isinstance(epoch, str) or "T" not in epoch or epoch[-1] not in "0123456789" or "+" in epoch:
+            raise ValueError
+        return np.datetime64(epoch, "ns")
+    except ValueError as error:
+        raise ArgumentError(
+            f"the epoch is {shown(epoch)}: give date and time of day, '2027-03-01T12:00:00', without a zone."
+        ) from error
+
+
+def _vectors(values: ArrayLike, size: int, n: int, name: str) -> Array:
+    numbers = read_numbers(values, name)
+    if numbers.shape != (size, n) or not np.all(np.isfinite(numbers)):
+        raise ArgumentError(
+            f"{name} has the shape {numbers.shape} or is not finite: with {n} times give ({size}, {n})."
+        )
+    return numbers
+
+
+def _span(stamps: Any) -> dict[str, str]:
+    return {"START_TIME": stamps[0], "STOP_TIME": stamps[-1]}
+
+
+def _message(kind: str, version: str, originator: str, metadata: Mapping[str, str]) -> Iterator[str]:
+    head = {"CREATION_DATE": str(np.datetime64("now", "s")), "ORIGINATOR": originator}
+    for key, text in (head | dict(metadata)).items():
+        if not isinstance(text, str) or not text.strip() or not text.isprintable():
+            raise ArgumentError(
+                f"{key.lower().replace('_', ' ')} is {shown(text)}: state it in one line of text."
+            )
+    yield f"CCSDS_{kind}_VERS = {version}"
+    yield from (f"{key} = {text}" for key, text in head.items())
+    yield from ("", "META_START", *(f"{key} = {text}" for key, text in metadata.items()), "META_STOP")
+
+
+def _data(stamps: Any, rows: Array) -> Iterator[str]:
+    for stamp, column in zip(stamps, rows.T, strict=True):
+        yield " ".join([stamp, *(repr(float(value)) for value in column)])
+
+
+def _written(path: str | Path, lines: list[str]) -> Path:
+    target = Path(path)
+    target.write_text("\n".join(lines) + "\n", encoding="ascii", errors="strict")
+    return target

@@ -1,0 +1,100 @@
+"""The verdict on vector controls: the least Hamiltonian over a ball or an annulus is known in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.verify.least_hamiltonian import _lone_vector, _Search, limits
+
+MAGNITUDE, DIRECTION = 0, slice(1, 3)
+
+
+@cache
+def flight(least: float) -> go.Solution:
+    """One unit across in a field of forces, with the least integral of the norm, on a coarse mesh."""
+    model = go.Model("cart")
+    r, v = model.state("r", 2), model.state("v", 2)
+    a, norm = model.vector_control("a", 2)
+    model.ode({r: v, v: a - 0.3 * r})
+    problem = go.Problem("move")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=3.0)
+    leg.initial(r=[0.0, 0.0], v=[0.0, 0.2])
+    leg.final(r=[1.0, 0.5], v=[0.0, 0.0])
+    leg.bounds_norm(a=(least, 2.0))
+    problem.minimize(leg.integral(norm))
+    return go.solve(problem, mesh="12x3", tol=None)
+
+
+def samples(solution: go.Solution, angle: float = 0.0) -> PhaseSamples:
+    """The phase sampled, with its direction turned by an angle (rad)."""
+    leg = solution.phase()
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    values = tuple(np.vstack([u[:1], turn @ u[DIRECTION]]) for u in leg.u.values)
+    turned = replace(leg, u=replace(leg.u, values=values))
+    return PhaseSamples.of(turned, solution.functions("leg"))
+
+
+@pytest.mark.parametrize("least", [0.0, 0.2])
+@pytest.mark.parametrize("angle", [0.0, 2.0])
+def test_nothing_in_the_annulus_has_a_lower_hamiltonian(least: float, angle: float) -> None:
+    s = samples(flight(least), angle)
+    every = np.arange(s.times.size)
+    (group,) = s.functions.coupled_controls
+    vector = _lone_vector(s, group)
+    assert vector is not None
+    search = _Search(s, group, every)
+    lower, upper = limits(s)
+    best = lower[:, None] + (upper - lower)[:, None] * search.aligned(vector)
+    assert np.all(np.isclose(best[MAGNITUDE], least) | np.isclose(best[MAGNITUDE], 2.0))
+    np.testing.assert_allclose(np.linalg.norm(best[DIRECTION], axis=0), 1.0, rtol=1e-12)
+    lowest = s.functions.hamiltonian(s.times, s.x, best, s.lam)
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        other = rng.uniform(-1.0, 1.0, best.shape)
+        other[DIRECTION] /= np.linalg.norm(other[DIRECTION], axis=0)
+        other[MAGNITUDE] = rng.uniform(least, 2.0, best.shape[1])
+        assert np.all(s.functions.hamiltonian(s.times, s.x, other, s.lam) >= lowest - 1e-12)
+
+
+@pytest.mark.parametrize("curve", ["cost", "path"])
+def test_closed_form_is_for_affine_hamiltonians_without_other_limits(curve: str) -> None:
+    model = go.Model("cart")
+    v = model.state("v", 2)
+    a, norm = model.vector_control("a", 2)
+    model.ode({v: a})
+    problem = go.Problem("move")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=3.0)
+    leg.initial(v=[0.0, 0.0])
+    leg.final(v=[1.0, 0.5])
+    leg.bounds_norm(a=(0.0, 2.0))
+    if curve == "path":
+        leg.path("forwards", a[0] - 0.1 * norm, lower=0.0)
+    problem.minimize(leg.integral(norm**2 if curve == "cost" else norm))
+    s = samples(go.solve(problem, mesh="2x3", tol=None))
+    assert _lone_vector(s, s.functions.coupled_controls[0]) is None
+
+
+def test_optimum_passes_and_a_turned_thrust_fails_the_minimum_principle() -> None:
+    solution = go.refine(flight(0.0), tol=1e-7)
+    verdict = go.verify(solution)
+    assert verdict["minimum principle"].result is go.Result.PASS
+    assert "searched" not in verdict["minimum principle"].meaning
+    for name in ("Legendre-Clebsch", "singular arcs", "generalised Legendre-Clebsch"):
+        assert verdict[name].result is go.Result.PASS, name
+    s = samples(solution)
+    coasts = s.u[MAGNITUDE] == 0
+    assert 0 < np.mean(coasts) < 1
+    np.testing.assert_array_equal(s.idle, [np.zeros_like(coasts), coasts, coasts])
+    leg = solution.phase()
+    turn = np.array([[np.cos(0.02), -np.sin(0.02)], [np.sin(0.02), np.cos(0.02)]])
+    values = tuple(np.vstack([u[:1], turn @ u[DIRECTION]]) for u in leg.u.values)
+    wrong = replace(solution, phases={"leg": replace(leg, u=replace(leg.u, values=values))})
+    assert go.verify(wrong)["minimum principle"].result is go.Result.FAIL
