@@ -14,6 +14,7 @@ import argparse
 import json
 import time
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -60,13 +61,13 @@ def measure(resolver: go.Resolver, problem: go.Problem, size: float, runs: int, 
     }
 
 
-def main() -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Measure all sizes and print one line each."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.resolve")
     parser.add_argument("--runs", type=int, default=1000)
     parser.add_argument("--cold", type=int, default=20)
     parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(argv)
     problem = build(CASE)
     resolver = go.Resolver(go.solve(problem, mesh=MESH, tol=TOL))
     found = [measure(resolver, problem, size, arguments.runs, arguments.cold) for size in SIZES]
