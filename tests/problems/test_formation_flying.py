@@ -36,7 +36,8 @@ from problems.formation_flying.published import (
     truth_rows,
 )
 
-TABLES = (table_rows, course_rows, switching_rows, truth_rows, claim_rows)
+QUICK, LONG = (course_rows, switching_rows, truth_rows), (table_rows, claim_rows)
+TABLES = [*QUICK, *(pytest.param(table, marks=pytest.mark.slow) for table in LONG)]
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.__name__)

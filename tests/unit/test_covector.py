@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,13 @@ from gnc_opt.solution.extract import (
     model_parameters,
 )
 from gnc_opt.solution.spans import control_spans
-from gnc_opt.solution.start import guess_from_solution, start_from_guess, start_from_solution, with_integrals
+from gnc_opt.solution.start import (
+    _put_end_rows,
+    guess_from_solution,
+    start_from_guess,
+    start_from_solution,
+    with_integrals,
+)
 from gnc_opt.transcription.collocation import PhaseCollocation
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.scheme import SCHEMES, Scheme
@@ -364,6 +371,23 @@ def test_an_idle_control_spans_what_is_worth_as_much_as_the_others(
         one, flown, np.array([pull * ones, 0 * ones]), np.array([curvature * ones, 4 * ones])
     )
     np.testing.assert_allclose(found, [2.0, np.sqrt(worth / 4)])
+
+
+def test_end_rows_of_a_start_are_known_or_nothing() -> None:
+    """Boundary constraints, durations and integrals by their labels; a row that the guess does not have gets 0."""
+    leg = SimpleNamespace(
+        duration_multiplier=0.5, integral_labels=("cost",), integral_weights=np.array([3.0])
+    )
+    guess: Any = SimpleNamespace(
+        constraint_labels=("near", "far"), constraint_multipliers=np.array([7.0, 8.0]), phases={"leg": leg}
+    )
+    labels = (
+        "constraint far", "duration of phase leg", "integral cost, phase leg", "constraint new", "constraint near",
+    )  # fmt: skip
+    transcription: Any = SimpleNamespace(end_rows=dict(zip(labels, (4, 1, 3, 0, 2), strict=True)))
+    lam = np.full(6, 9.0)
+    _put_end_rows(transcription, guess, lam)
+    assert lam.tolist() == [0.0, 0.5, 7.0, -3.0, 8.0, 9.0]
 
 
 # --- from the program and back ----------------------------------------------------------------------------

@@ -187,7 +187,8 @@ def _first_resolution(structure: PhaseStructure, piece: int, points: float) -> R
     if ArcKind.SINGULAR in kinds and not structure.constrained(piece):
         return Resolution(2, FIRST_DEGREE, SINGULAR_DEGREE)
     if ArcKind.INTERIOR in structure.controls[:, piece]:
-        return Resolution(int(np.ceil(INTERIOR_SEGMENTS * share)), INTERIOR_DEGREE)
+        degree = FIRST_DEGREE if structure.on_contact(piece) else INTERIOR_DEGREE
+        return Resolution(int(np.ceil(INTERIOR_SEGMENTS * share)), degree)
     segments = int(np.ceil(share * points / (THINNED * MAX_DEGREE))) if points > COARSE else 1
     return Resolution() if segments == 1 else Resolution(min(segments, MAX_SEGMENTS), MAX_DEGREE)
 

@@ -257,12 +257,7 @@ def _adjust(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan
     if finer and not moved and not plan.loose and any(plan.structure.touches):
         return replace(plan, loose=True), LOOSENED
     resolutions = finer.resolutions if finer else plan.resolutions
-    if moved:  # multipliers along a state constraint are rough for as long as its ends are wrong
-        resolutions = tuple(
-            old if plan.structure.on_contact(k) else new
-            for k, (old, new) in enumerate(zip(plan.resolutions, resolutions, strict=True))
-        )
-    actions = (KINKS_MOVED if moved else "", RAISED if resolutions != plan.resolutions else "")
+    actions = (KINKS_MOVED if moved else "", RAISED if finer else "")
     return replace(plan, structure=moved or plan.structure, resolutions=resolutions), ", ".join(
         filter(None, actions)
     )
@@ -411,11 +406,15 @@ def _zero(times: Array, values: Array, left: int, right: int) -> float:
 def _mended_contacts(
     constraints: StateConstraints, structure: PhaseStructure
 ) -> tuple[PhaseStructure | None, str]:
-    """Return the structure without a touch that pulls, or with one that pushes unseen, and what was done."""
+    """Return the structure with a contact that pushes unseen, else without a touch that pulls, and what was done.
+
+    A touch may pull because another is missing beside it.
+    """
+    added, action = pushed_contact(constraints, structure)
     wrong = wrong_touch(constraints, structure)
-    if wrong is not None:
-        return structure.without_touch(*wrong), f"touch at {structure.times[wrong[0]]:.4g} s dropped"
-    return pushed_contact(constraints, structure)
+    if added is not None or wrong is None:
+        return added, action
+    return structure.without_touch(*wrong), f"touch at {structure.times[wrong[0]]:.4g} s dropped"
 
 
 # --- resolution ---------------------------------------------------------------------------------------------
@@ -430,6 +429,9 @@ def _finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
     )
     residual = samples.per_segment(samples.lam_rate + gradient + samples.state_multiplier)
     worth = samples.state_scale[:, None] / samples.cost_scale
+    # Multipliers along a state constraint are differences of what the solver leaves: rougher, the finer the piece.
+    contact = np.array([plan.structure.on_contact(k) for k in range(plan.structure.pieces)])
+    residual = np.where(contact[plan.segment_pieces], 0.0, residual)
     per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
     worst, open_gradient = np.zeros(plan.structure.pieces), _open_gradient(samples, plan)
     np.maximum.at(worst, plan.segment_pieces, per_segment)
