@@ -24,6 +24,7 @@ from gnc_opt.problem.guess.simulate import simulate_guess
 from gnc_opt.refine import History, Minimum, Multistart, RefinementStatus, multistart, polish, refine
 from gnc_opt.refine.sensitivity.derivatives import Sensitivity
 from gnc_opt.refine.sensitivity.sensitivity import sensitivity
+from gnc_opt.resolve import Resolver
 from gnc_opt.solution import PhaseSolution, Solution, load
 from gnc_opt.solution.failure import SolveError
 from gnc_opt.solution.start import guess_from_solution
@@ -80,6 +81,7 @@ __all__ = [
     "ProblemWarning",
     "Reference",
     "RefinementStatus",
+    "Resolver",
     "Result",
     "Run",
     "RunStatus",

@@ -29,7 +29,8 @@ from gnc_opt.verify.verify import TOLERANCE, verify
 StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]
 
 UNASKED = 0.5
-"""Share of the work that is left after which a control structure that nobody asked for is given up."""
+"""Share of the work that is left after which a control structure that nobody asked for is given up. What it costs
+comes on top of what the mesh may cost."""
 
 LEAST_WORK = 7e4
 """What refining may cost in any case, in iterations at one collocation point (`Pass.work`): one to a few seconds."""
@@ -71,9 +72,10 @@ def refine(
     max_points : int
         At most so many collocation points in any phase.
     max_work : float
-        No pass begins when all of them have cost this many times what the given solution did, counted in iterations
-        at one collocation point (`Pass.work`), so that it ends in the same place on every machine. What costs a few
-        seconds (`LEAST_WORK`) is allowed in any case; ``math.inf`` allows everything.
+        No pass on a mesh begins when these have cost this many times what the given solution did, counted in
+        iterations at one collocation point (`Pass.work`), so that it ends in the same place on every machine. What
+        costs a few seconds (`LEAST_WORK`) is allowed in any case; ``math.inf`` allows everything. A structure that is
+        tried unasked may cost half as much before.
     max_wall_time : float, optional
         Limit in s on all of it; then, and after Ctrl-C, the best solution so far is returned, without a verdict.
     options : SolverOptions, optional
@@ -281,7 +283,7 @@ class _Task:
                 tol=self.tol,
                 max_passes=self.max_passes,
                 max_points=self.max_points,
-                max_work=self._left,
+                max_work=self.max_work,  # however much a structure that nobody asked for has cost
                 options=self.options,
                 deadline=self.deadline,
                 progress=self.progress,
@@ -317,7 +319,8 @@ def _result(given: Solution, attempts: Sequence[_Attempt], tol: float, begin: fl
     elif attempts[-1].final:
         chosen = len(attempts) - 1
     else:  # a structure that nobody asked for is not worth more than the mesh if it does not convince
-        chosen = next((k for k, a in enumerate(attempts) if not a.solution.structure), len(attempts) - 1)
+        meshes = (k for k, a in enumerate(attempts) if not a.solution.structure and a.history.final.solved)
+        chosen = next(meshes, len(attempts) - 1)
     solution, history = attempts[chosen].solution, attempts[chosen].history
     verdict = None if attempts[-1].stopped else verify(solution)
     status = RefinementStatus.INTERRUPTED if verdict is None else history.status

@@ -22,7 +22,8 @@ EXPECTED = {
     "gnc_opt": """
         Arc ArcKind ArgumentError Campaign ClosedLoop Condition Continuation ContinuationStatus Controller
         DesignError Explanation GncOptError History Mesh Minimum Model ModelError Multistart Outcome Phase
-        PhaseSolution Problem ProblemError ProblemWarning Reference RefinementStatus Result Run RunStatus
+        PhaseSolution Problem ProblemError ProblemWarning Reference RefinementStatus Resolver Result Run
+        RunStatus
         Sensitivity Solution SolveError SolverOptions Status Sweep Table UnknownAttributeError
         UnknownNameError Verdict bryson continue_in design_ekf design_feedback_linearization
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc

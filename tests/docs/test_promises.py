@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pages import README, ROOT, Page, doc, documented, options, subparsers
+from pages import DOCS, README, ROOT, Page, doc, documented, options, subparsers
 
 import gnc_opt as go
 from gnc_opt import cli, control, simulation
@@ -212,3 +212,12 @@ def test_every_system_is_introduced() -> None:
     for name in systems:
         assert f"docs/{name}.md" in README.links
         assert f"{name}.md" in doc("control").links
+
+
+# --- site ---------------------------------------------------------------------------------------------
+
+
+def test_every_page_is_in_the_navigation() -> None:
+    listed = set(re.findall(r"(?m)^ +- ([\w/]+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8")))
+    there = {str(page.path.relative_to(ROOT / "docs")) for page in DOCS}
+    assert listed - {"index.md"} == there

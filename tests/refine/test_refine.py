@@ -287,6 +287,26 @@ def test_attempts_that_were_given_up_are_told(cart: go.Solution, monkeypatch: py
     assert history.final.error <= 1e-5
 
 
+def test_a_structure_without_any_solution_is_not_what_is_kept(
+    cart: go.Solution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It hands back what it was given, with no structure: the mesh that was refined is better."""
+    import importlib
+
+    module = importlib.import_module("gnc_opt.refine.refine")
+    real: Callable[..., Any] = module.optimise_switches
+
+    def hopeless(start: go.Solution, **more: Any) -> Any:
+        _, history = real(start, **more)
+        record = replace(history.passes[0], solved=False, error=1e3)
+        return start, replace(history, status=RefinementStatus.FAILED, passes=(record,), chosen=0)
+
+    monkeypatch.setattr(module, "optimise_switches", hopeless)
+    monkeypatch.setattr(module._Attempt, "final", False)
+    history = told(go.refine(cart, tol=1e-5))
+    assert history.final.solved and history.final.error <= 1e-5 and history.chosen > 0
+
+
 def test_work_that_is_spent_ends_it_and_is_told(cart: go.Solution, monkeypatch: pytest.MonkeyPatch) -> None:
     import importlib
 

@@ -14,6 +14,7 @@ Optimization, 2006, ch. 3.4, 18.3).
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +38,21 @@ MOST_STEPS = 40
 
 SETTLED = 1e-7
 """Step, in shares of the phase, below which switch times have settled; the collocated problem does the rest."""
+
+REFINEMENTS = (2, 4, 8)
+"""Of the grid, where the flow itself is the answer."""
+
+MOST_POLISHING = 4
+"""Steps on each of these grids."""
+
+SPENT = 0.1
+"""Share of the accuracy that a last step on a grid may be worth."""
+
+FOURTH_ORDER = 15
+"""How many times its own error a grid of half the steps is off by against it."""
+
+NEAR = 1e-4
+"""Step, in shares of the phase, from which on finer grids are worth their price."""
 
 SHRUNK = 0.8
 """Share of its length that an arc may lose in one step."""
@@ -73,7 +89,68 @@ def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructur
     problem, s = solution.need_problem("refine"), next(iter(solution.samples().values()))
     if not _fits(problem, s, structure):
         return None
-    switches = _switches(s, structure)
+    found = _optimum(problem, s, _switches(s, structure), SETTLED)
+    if found is None:
+        return None
+    switches, step = found
+    return _structure(structure, s, switches), _guess(solution, s, switches, step)
+
+
+def settle_flow(
+    solution: Solution, structure: PhaseStructure, accuracy: float
+) -> tuple[PhaseStructure, Solution] | None:
+    """Find the least cost to some accuracy, without any collocated problem.
+
+    The flow is integrated on finer grids until its own error, told from two grids (Richardson; fourth order), is
+    below the accuracy. Near an optimum the cost depends on the switch times in second order, so these are told to the
+    root of it.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of one phase.
+    structure : PhaseStructure
+        To start from.
+    accuracy : float
+        Of the cost, relative to its size; its root is that of the switch times, in shares of the phase.
+
+    Returns
+    -------
+    (PhaseStructure, Solution) or None
+        The structure; the flown trajectory with its costates and multipliers, on the grid of its integration; its
+        objective is that of the given solution, and limits between the ends are not looked at. None where the method
+        does not fit, or does not settle.
+    """
+    problem, s = solution.need_problem("solve"), next(iter(solution.samples().values()))
+    found = _optimum(problem, s, _switches(s, structure), NEAR) if _fits(problem, s, structure) else None
+    if found is None:
+        return None
+    switches, step = found
+    for refinement in REFINEMENTS:
+        off = None
+        for _ in range(MOST_POLISHING):
+            switches = _moved(switches, step.change)
+            following = _newton_step(problem, s, switches, refinement)
+            if following is None or np.any(np.diff(switches.pieces(_order(switches)).times) < 0):
+                return None
+            step = following
+            away = max(step.gain / accuracy, step.share(switches) / math.sqrt(accuracy))
+            off = away if off is None else off
+            if away < SPENT:
+                break
+        else:
+            return None
+        if off < FOURTH_ORDER:
+            if _completed(s, switches, step) is not None:
+                return None
+            return _structure(structure, s, switches), _guess(solution, s, switches, step)
+    return None
+
+
+def _optimum(
+    problem: Problem, s: PhaseSamples, switches: Switches, settled: float
+) -> tuple[Switches, _Step] | None:
+    """Return switches that have settled with signs that agree, and the step that is left there."""
     for _ in range(MOST_STEPS):
         step = _newton_step(problem, s, switches)
         if step is None:
@@ -82,10 +159,10 @@ def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructur
         if emptied and share < LEAST_SHARE:
             switches = _without(switches, emptied)
             continue
-        if np.max(np.abs(step.change)) < SETTLED * (switches.ends[1] - switches.ends[0]):
+        if step.share(switches) < settled:
             completed = _completed(s, switches, step)
             if completed is None:
-                return _structure(structure, s, switches), _guess(solution, s, switches, step)
+                return switches, step
             switches = completed
         else:
             switches = _moved(switches, share * step.change)
@@ -118,18 +195,26 @@ def _fits(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """A Newton step in (start, switches, end), and the flow and multipliers that it comes from."""
+    """A Newton step in (start, switches, end), and the flow and multipliers that it comes from.
+
+    Its gain is by how much it changes the cost, to first order and relative to the cost's size.
+    """
 
     change: Array
     flow: BangBangFlow
     adjoint: Array
     multipliers: Array
+    gain: float
+
+    def share(self, switches: Switches) -> float:
+        """Its largest entry, as a share of the phase."""
+        return float(np.max(np.abs(self.change)) / (switches.ends[1] - switches.ends[0]))
 
 
-def _newton_step(problem: Problem, s: PhaseSamples, switches: Switches) -> _Step | None:
+def _newton_step(problem: Problem, s: PhaseSamples, switches: Switches, refinement: int = 1) -> _Step | None:
     """Return the step, or None where the flow is no number or conditions depend on each other."""
     leg, size = s.leg, s.leg.states.size + s.leg.integrals.size + 1
-    flow = bang_bang_flow(problem, s, switches.pieces(_order(switches)), np.zeros(0, dtype=int))
+    flow = bang_bang_flow(problem, s, switches.pieces(_order(switches)), np.zeros(0, dtype=int), refinement)
     if not np.isfinite(flow.final_sensitivity).all():
         return None
     changes = np.vstack([flow.initial_sensitivity[:size], flow.final_sensitivity[:size]])
@@ -141,12 +226,8 @@ def _newton_step(problem: Problem, s: PhaseSamples, switches: Switches) -> _Step
         [~leg.initial_time_bounds.fixed, np.ones(switches.times.size, bool), ~leg.final_time_bounds.fixed]
     )
     rows = np.vstack([flow.final_sensitivity[wanted], jacobian @ changes])[:, free]
-    misses = np.concatenate(
-        [
-            flow.final[wanted] - leg.final_bounds.lower[wanted],
-            _constraint_values(s, problem, flow) - limits.lower,
-        ]
-    )
+    cost, constraints = _end_values(s, problem, flow)
+    misses = np.concatenate([flow.final[wanted] - leg.final_bounds.lower[wanted], constraints - limits.lower])
     if not _independent(rows):
         return None  # Their multipliers would run away in the collocated problem.
     gradient = (slope[:, 0] @ changes)[free]
@@ -159,7 +240,8 @@ def _newton_step(problem: Problem, s: PhaseSamples, switches: Switches) -> _Step
     hessian = (flow.curvature(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
     change = np.zeros(free.size)
     change[free] = _model_minimum(hessian, gradient, rows, misses)
-    return _Step(change, flow, adjoint, nu)
+    gain = abs(float(gradient @ change[free])) / max(abs(cost), TINY)
+    return _Step(change, flow, adjoint, nu, gain)
 
 
 def _independent(rows: Array) -> bool:
@@ -180,15 +262,15 @@ def _model_minimum(hessian: Array, gradient: Array, rows: Array, misses: Array) 
     return np.asarray(back - null @ (directions @ (slopes / np.maximum(np.abs(curvatures), least))))
 
 
-def _constraint_values(s: PhaseSamples, problem: Problem, flow: BangBangFlow) -> Array:
-    """Boundary constraints at the ends of the flow."""
+def _end_values(s: PhaseSamples, problem: Problem, flow: BangBangFlow) -> tuple[float, Array]:
+    """Cost and boundary constraints at the ends of the flow."""
     n, n_integrals = s.leg.states.size, s.leg.integrals.size
     start, final, clock = flow.initial[:n], flow.final[:n], n + n_integrals
     nothing = np.zeros(problem.constraint_interval().lower.size)
     times = (flow.initial[clock], flow.final[clock])
     integrals = flow.final[n:clock]
     found = end_function(problem)(start, final, *times, integrals, s.functions.p, s.functions.q, nothing)
-    return np.asarray(found[1].full()[:, 0])
+    return float(found[0]), np.asarray(found[1].full()[:, 0])
 
 
 # --- switches -------------------------------------------------------------------------------------------
