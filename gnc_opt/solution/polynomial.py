@@ -54,6 +54,7 @@ class PiecewisePolynomial:
         object.__setattr__(self, "values", tuple(_frozen(v) for v in self.values))
         _check_breaks(self.breaks)
         _check_segments(self.breaks.size - 1, self.nodes, self.values)
+        object.__setattr__(self, "values", self._shared())
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
         """Evaluate at times ``t`` [s].
@@ -141,6 +142,15 @@ class PiecewisePolynomial:
         for k, x in enumerate(self.nodes):
             groups.setdefault(x.tobytes(), []).append(k)
         return tuple(_Alike.of(self, np.array(segments)) for segments in groups.values())
+
+    def _shared(self) -> tuple[Array, ...]:
+        """Return the values as views of what `_alike` keeps, lest a number that is changed in place go unseen."""
+        values = list(self.values)
+        for alike in self._alike:
+            for j, k in enumerate(np.flatnonzero(alike.places >= 0)):
+                values[k] = alike.values[:, :, j].T
+                values[k].setflags(write=False)
+        return tuple(values)
 
     def _tau(self, segment: Indices, times: Array) -> Array:
         initial, final = self.breaks[segment], self.breaks[segment + 1]
