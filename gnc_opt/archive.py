@@ -38,14 +38,17 @@ class FileFormat:
     version : int
         Raise it whenever a stored class changes its fields.
     packing : Packing
+    alike : tuple of int
+        Older versions that lack nothing but fields with defaults.
     older : mapping of int to callable
-        What reads files of older versions.
+        What reads files of other older versions.
     """
 
     kind: type
     noun: str
     version: int
     packing: Packing
+    alike: tuple[int, ...] = ()
     older: Mapping[int, OlderReader] = field(default_factory=dict)
 
     def write(self, path: str | Path, result: Any, *, written_by: str | None = None, **more: Any) -> Path:
@@ -84,7 +87,7 @@ class FileFormat:
             raise GncOptError(f"'{path}' is an archive, but not a {self.noun} of gnc_opt.")
         version = header.get("version")
         older = self.older.get(version) if isinstance(version, int) else None
-        if version != self.version and older is None:
+        if version not in (self.version, *self.alike) and older is None:
             written = f" (gnc_opt {header['written_by']})" if "written_by" in header else ""
             raise GncOptError(
                 f"'{path}' has format version {version}{written}, but this gnc_opt reads version {self.version}: "

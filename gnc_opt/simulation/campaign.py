@@ -16,7 +16,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.records import Records, named
-from gnc_opt.packing import Arrays, Packing
+from gnc_opt.packing import Packing
 from gnc_opt.simulation.first_files import campaign_fields
 from gnc_opt.simulation.flight import Flight
 from gnc_opt.simulation.metrics import rotation_angle
@@ -393,20 +393,13 @@ def _require_same(campaign: Campaign, flight: Flight, path: str | Path) -> None:
     raise GncOptError(f"the campaign of '{path}' flew {why}.")
 
 
-_PACKING = Packing((Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("flight",)})
-
-
-def _earlier_fields(header: dict[str, Any], arrays: Arrays) -> dict[str, Any]:
-    """Return the fields of a `Campaign` of version 2, which has no fingerprint, or 3, which has no memory."""
-    return dict(vars(_PACKING.unpack(header["campaign"], arrays)))
-
-
 CAMPAIGN_FILES = FileFormat(
     Campaign,
     "campaign",
     4,
-    _PACKING,
-    older={1: campaign_fields, 2: _earlier_fields, 3: _earlier_fields},
+    Packing((Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("flight",)}),
+    alike=(2, 3),  # 2 has no fingerprint, 3 no memory
+    older={1: campaign_fields},
 )
 
 

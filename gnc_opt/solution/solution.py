@@ -430,7 +430,7 @@ class Solution:
 SOLUTION_FILES = FileFormat(
     Solution,
     "solution",
-    1,
+    2,
     Packing(
         (
             *(Solution, PhaseSolution, PiecewisePolynomial, Layout, Variable, Interval, Mesh),
@@ -440,6 +440,7 @@ SOLUTION_FILES = FileFormat(
         ),
         left_out={Solution: ("problem", "history")},
     ),
+    alike=(1,),  # has no composed controls
 )
 """Solutions on disk: numbers and text, no code. Raise the version whenever a stored class changes its fields."""
 
