@@ -116,11 +116,23 @@ def _movable(leg: PhaseSolution, functions: PhaseFunctions, used: Array) -> Arra
     by_state = np.median(np.abs(functions.state_jacobian(middles, x, u)), axis=2)
     np.fill_diagonal(by_state, 0.0)
     lasts = leg.breaks[-1] - leg.breaks[0]
-    at_once = lasts * by_control @ used
+    at_once = lasts * by_control @ _pushes(leg, used)
     movable = np.maximum(at_once, lasts * by_state @ at_once)
     for _ in range(movable.size):  # what is further down a chain
         movable = np.where(movable > 0, movable, lasts * by_state @ movable)
     return np.asarray(movable)
+
+
+def _pushes(leg: PhaseSolution, used: Array) -> Array:
+    """Return by how much each control differs from its mean, on average (n_controls,); a constant one by its span.
+
+    A control that acts for seconds of hours moves no state as far as its span would in hours.
+    """
+    times = leg.sample_times()
+    lasts, u = times[-1] - times[0], leg.flown(times)
+    mean = scipy.integrate.trapezoid(u, times, axis=1) / lasts
+    pushes = scipy.integrate.trapezoid(np.abs(u - mean[:, None]), times, axis=1) / lasts
+    return np.asarray(np.where(pushes > IDLE * used, pushes, used))
 
 
 def _within_range(spans: Array, extent: Array) -> Array:

@@ -165,3 +165,24 @@ def replace_row(box: Interval, row: int, value: float) -> Interval:
     lower, upper = box.lower.copy(), box.upper.copy()
     lower[row] = upper[row] = value
     return replace(box, lower=lower, upper=upper)
+
+
+@pytest.mark.parametrize("horizon", [100.0, 1e4, 1e5])
+def test_a_state_that_waits_is_not_measured_by_what_controls_could_do_meanwhile(horizon: float) -> None:
+    """Least x^2 + u^2 by x' = u from 1 to 1.5: some seconds of decay, a long rest, some seconds of growth."""
+    model = go.Model("waiting")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("waiting")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, horizon)
+    leg.initial(x=1.0)
+    leg.final(x=1.5)
+    problem.minimize(leg.integral(x**2 + u**2))
+    ends = np.array([0.0, 1.0, 3.0, 7.0, 15.0, 35.0]) / horizon
+    mesh = go.Mesh(np.concatenate([ends, 1.0 - ends[::-1]]), (12,) * 11)
+    right = go.solve(problem, mesh=mesh, tol=None)
+    assert right.objective == pytest.approx(1.0 + 1.5**2, rel=1e-5)
+    assert right.samples()["leg"].state_scale == pytest.approx([1.0], rel=0.01)  # down to zero, and up again
+    assert go.verify(right).ok, go.verify(right).explain()
+    assert "dynamics" in failed(added(right, "u", 0, 1e-3, segment=0))
