@@ -88,7 +88,7 @@ def smallest_hand_mesh(start: go.Solution, tol: float) -> tuple[go.Mesh, float]:
             mesh = hand_mesh(layer, ratio, pieces, degree)
             if found is not None and mesh.size >= found[0].size:
                 break
-            solution = go.solve(problem, mesh=mesh, guess=start, options=options, throw=False)
+            solution = go.solve(problem, mesh=mesh, guess=start, options=options, throw=False, tol=None)
             if not solution.status.solved:
                 continue
             error, where = largest_error(estimate_errors(solution))

@@ -158,7 +158,7 @@ class ProgramPoint:
     @cached_property
     def _rows_and_jacobian(self) -> tuple[Array, Any]:
         g, jacobian = self.transcription.nlp.jac_g(self.x, self.numbers)
-        return g.full().ravel(), _sparse(jacobian)
+        return g.full().ravel(), as_sparse(jacobian)
 
     @property
     def values(self) -> Array:
@@ -183,7 +183,7 @@ class ProgramPoint:
 
     def hessian_of(self, objective: float, multipliers: Array) -> Any:
         """Of ``objective * f + multipliers @ g``, sparse (n_variables, n_variables)."""
-        upper = _sparse(self.transcription.nlp.hess_lag(self.x, self.numbers, objective, multipliers))
+        upper = as_sparse(self.transcription.nlp.hess_lag(self.x, self.numbers, objective, multipliers))
         return scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
 
     @property
@@ -226,7 +226,7 @@ def _scaled(box: Interval, scales: Array) -> Interval:
     return Interval(box.lower / scales, box.upper / scales)
 
 
-def _sparse(matrix: Any) -> Any:
+def as_sparse(matrix: Any) -> Any:
     """Convert a sparse CasADi DM to scipy."""
     pattern = matrix.sparsity()
     return scipy.sparse.csc_array((matrix.nonzeros(), pattern.row(), pattern.colind()), shape=matrix.shape)

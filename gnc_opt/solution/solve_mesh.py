@@ -32,6 +32,7 @@ from gnc_opt.nlp import NlpPoint, NlpResult, NlpSolver, SolverOptions, Status
 from gnc_opt.problem.guess.random import with_random_guess
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.attempt import Attempt, ShowIteration
+from gnc_opt.solution.least_multipliers import least_multipliers
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.start import ProgramStart, guess_from_solution, start_from_guess
 from gnc_opt.transcription.mesh import Mesh, MeshLike, read_meshes
@@ -142,6 +143,8 @@ def _solve(
         result = _solve_point(attempt.solver, point, show, deadline)
     if result.status in CONSTRAINTS_FIRST and guess is None and not knows_trajectory(problem):
         result = _constraints_first(attempt, result, deadline)
+    if result.status.solved:
+        result = least_multipliers(attempt.transcription, point, result)
     return attempt.solution(result)
 
 

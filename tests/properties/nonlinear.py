@@ -83,7 +83,8 @@ def solve(
     problem: go.Problem, mesh: go.Mesh, scheme: str = "LG", guess: go.Solution | None = None
 ) -> go.Solution:
     """Solve to 1e-10."""
-    return go.solve(problem, mesh=mesh, scheme=scheme, guess=guess, options=go.SolverOptions(tolerance=1e-10))
+    options = go.SolverOptions(tolerance=1e-10)
+    return go.solve(problem, mesh=mesh, scheme=scheme, guess=guess, options=options, tol=None)
 
 
 def initial_costates(solution: go.Solution) -> np.ndarray:

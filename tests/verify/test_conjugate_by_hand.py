@@ -188,7 +188,7 @@ def test_angles_of_a_plane_that_turns() -> None:
     cosine, sine = np.diag(np.cos(rates * step)), np.diag(np.sin(rates * step))
     flow = np.block([[cosine, sine], [-sine, cosine]])
     frame = np.vstack([np.zeros((2, 2)), np.eye(2)])
-    angles = np.sort(_angles(frame, np.array([flow, flow, flow])), axis=1)
+    angles = np.sort(_angles(frame, np.zeros((2, 0)), np.array([flow, flow, flow])), axis=1)
     assert angles.shape == (4, 2) and np.all(angles[0] == 0.0)
     for k in (1, 2, 3):
         np.testing.assert_allclose(angles[k], np.sort(2 * np.pi - 2 * rates * step * k), rtol=1e-12)
