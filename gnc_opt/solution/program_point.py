@@ -21,6 +21,8 @@ from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.start import program_start
+from gnc_opt.solution.touches import with_touches
+from gnc_opt.tolerances import RANK
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.scaling import Scaling, scale_rows, scale_variables
 from gnc_opt.transcription.transcription import Transcription, transcribe
@@ -108,7 +110,7 @@ class ProgramPoint:
 
         ``scaled_by`` gives the scales (n_variables,) from the program, its problem and the variables.
         """
-        problem = solution.need_problem("linearise")
+        problem = with_touches(solution)
         meshes = meshes or {name: leg.mesh for name, leg in solution.phases.items()}
         transcription = transcribe(problem, meshes, solution.scheme)
         start = program_start(transcription, problem, solution)
@@ -135,7 +137,24 @@ class ProgramPoint:
             np.where(rows.active, lam, 0.0),
             variables,
             rows,
-        )
+        )._with_jumps()
+
+    def _with_jumps(self) -> ProgramPoint:
+        """Return the point with the multipliers of its junctions: what jumps of the costates leave of the gradient."""
+        if not self.transcription.junctions:
+            return self
+        met = [
+            (self.transcription.parts[name].collocation.boundary_states[:, junction.boundary], rows)
+            for name, junction, rows in self.transcription.junctions
+        ]
+        states, rows = (np.unique(np.concatenate(places)) for places in zip(*met, strict=True))
+        states = states[~self.variables.active[states]]
+        by_state, left = self.jacobian[rows][:, states].toarray(), self.gradient[states]
+        if not (np.isfinite(by_state).all() and np.isfinite(left).all()):
+            return self
+        lam = self.lam.copy()
+        lam[rows] += np.linalg.lstsq(by_state.T, -left, rcond=RANK)[0]
+        return replace(self, lam=lam)
 
     def moved(self, step: Array) -> ProgramPoint:
         """Return the point after a step of the free variables and of the multipliers of held rows, stacked."""

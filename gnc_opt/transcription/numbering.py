@@ -52,6 +52,8 @@ class Numbering:
         Places of the free parameters, and of those integrals that are variables.
     constraint_rows : int array
         Rows of the boundary constraints.
+    junctions : list of (phase, Junction, int array)
+        Where state constraints meet their limits, with the rows of each.
     n_variables, n_constraints : int
 
     Notes
@@ -125,9 +127,9 @@ class Numbering:
             for smooth in smooth_controls(leg)
         ]
         self._first_smooth_row = row
-        self._junctions = self._place_junctions(row + sum(values.shape[0] for _, values in self._smooth))
+        self.junctions = self._place_junctions(row + sum(values.shape[0] for _, values in self._smooth))
         self._first_end_row = row + sum(values.shape[0] for _, values in self._smooth)
-        self._first_end_row += sum(rows.size for *_, rows in self._junctions)
+        self._first_end_row += sum(rows.size for *_, rows in self.junctions)
         for k, (name, collocation) in enumerate(collocations.items()):
             places = [
                 time_place.get((name, anchor), self.n_variables + 2 * k + min(anchor, 1))
@@ -183,7 +185,7 @@ class Numbering:
             leg = self.problem.phases[name]
             labels += part.collocation.row_labels(name, leg.model.states.labels, leg.path_labels)
         labels += ["smoothness of a control"] * sum(values.shape[0] for _, values in self._smooth)
-        for name, junction, rows in self._junctions:
+        for name, junction, rows in self.junctions:
             leg = self.problem.phases[name]
             what = (*leg.path_labels, *leg.model.states.labels)[junction.constraint]
             labels += [f"junction of {what}, phase {name}, end of segment {junction.boundary}"] * rows.size

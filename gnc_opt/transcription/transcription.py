@@ -76,7 +76,7 @@ class Transcription(Numbering):
         super().__init__(problem, meshes, scheme)
         self.built: dict[Any, Any] = {}
         phase_blocks = [block for leg in problem.phases.values() for block in self._phase_blocks(leg)]
-        junctions = [self._junction_block(*placed) for placed in self._junctions]
+        junctions = [self._junction_block(*placed) for placed in self.junctions]
         self.program = SeparableProgram(self._linear(), (*phase_blocks, *junctions, self._end_block()))
         self.objective, self.constraints = (
             self.program.rows(0, 1),
@@ -366,7 +366,7 @@ class Transcription(Numbering):
             duration = problem.phases[name].numbers.duration
             box.lower[self._first_end_row + i] = duration.lower[0]
             box.upper[self._first_end_row + i] = duration.upper[0]
-        for name, junction, rows in self._junctions:
+        for name, junction, rows in self.junctions:
             values = junction_values(junction, problem.phases[name].path_interval())
             box.lower[rows] = box.upper[rows] = values
         first = self._first_end_row + len(self._durations)

@@ -12,7 +12,9 @@ import pytest
 import gnc_opt as go
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.constraint_order import constraint_order
+from gnc_opt.problem.held import Junction
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.solution.touches import with_touches
 
 LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER
 
@@ -176,6 +178,59 @@ def test_touches_of_third_order() -> None:
     assert np.min(found.x(found.sample_times(40))[0]) > -1e-9
     jumps = found.lam(times, "left") - found.lam(times, "right")
     assert np.all(jumps[0] < 0) and np.max(np.abs(jumps[1:])) < 1e-6 * np.max(np.abs(jumps[0]))
+
+
+@pytest.mark.parametrize("form", ["bound", "ceiling", "curved"])
+def test_where_a_touch_moves(form: str) -> None:
+    """With v(0) = w, J(s) = 6 l^2/s^3 - 6 l w/s^2 + 2 w^2/s + the same of 1 - s and w = 1 is least at the touch s.
+
+    Hence at w = 1, s = 1/2: ds/dw = -(96 l - 16) / (4608 l^2 - 1152 l + 64), which takes the second order right.
+    """
+    limit = 0.2
+    moved = go.sensitivity(thrown(limit, form, 1.0, "20x4" if form == "bound" else "11x4"), initial="v")
+    exact = -(96 * limit - 16) / (4608 * limit**2 - 1152 * limit + 64)
+    assert moved.phases["leg"].switch_times == pytest.approx([exact], abs=1e-6)
+    assert moved.objective == pytest.approx(8 - 24 * limit, abs=1e-6)
+
+
+@pytest.mark.parametrize("form", ["bound", "ceiling"])
+def test_a_touch_is_held_where_it_pushes(form: str) -> None:
+    """At the boundary where the costate jumps inwards; not if it jumps the other way, and not on a mesh that stays."""
+    touched = thrown(0.2, form, 1.0, "20x4" if form == "bound" else "11x4")
+    leg = touched.phase()
+    held = with_touches(touched).phases["leg"].numbers.arcs
+    assert held is not None and held.junctions == (Junction(0, *leg.mesh.movable, UP, 2),)
+    pulled = replace(leg, lam=replace(leg.lam, values=tuple(-v for v in leg.lam.values)))
+    stays = replace(leg, mesh=replace(leg.mesh, movable=()))
+    for other in (pulled, stays):
+        assert with_touches(replace(touched, phases={"leg": other})).phases["leg"].numbers.arcs is None
+
+
+def test_a_saddle_beside_a_touch_fails() -> None:
+    """Beside the throw y = 0, y' = w, least int (w^2 - k y^2) / 2: y = 0 is a minimum just for k < pi^2."""
+    model = go.Model("double integrator and another")
+    x, v, y = model.state("x"), model.state("v"), model.state("y")
+    a, w = model.control("a"), model.control("w")
+    k = model.parameter("k", 8.0)
+    model.ode({x: v, v: a, y: w})
+    problem = go.Problem("throw beside a saddle")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(x=0.0, v=1.0, y=0.0)
+    leg.final(x=0.0, v=-1.0, y=0.0)
+    leg.bounds(x=(None, 0.24))
+    problem.minimize(leg.integral((a**2 + w**2 - k * y**2) / 2, "effort"))
+    solution = go.refine(go.solve(problem, mesh="11x4", tol=None))
+    assert contact(solution)[0] == pytest.approx(0.5, abs=1e-8) and solution.phase().mesh.movable
+    assert go.verify(solution)["second order"].result.value == "PASS"
+    for k, told in ((9.0, "PASS"), (11.0, "FAIL")):
+        other = replace(solution, problem=problem.with_parameters(k=k))
+        assert go.verify(other)["second order"].result.value == told
+
+
+def test_a_mesh_of_one_segment() -> None:
+    solution = go.refine(go.solve(throw(0.2), mesh="1x12", tol=None))
+    assert solution.history.converged and contact(solution) == pytest.approx((0.5, 0.5), abs=1e-8)
 
 
 def test_a_limit_out_of_reach_is_no_contact() -> None:

@@ -228,7 +228,8 @@ def _at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
     densities = np.vstack([leg.path_multipliers, leg.state_multipliers]) * weights
     # Path constraints have no row at a boundary: there they push as long as they do on both sides.
     paths = densities[: len(leg.path_labels)]
-    left, right = paths[:, np.array(leg.mesh.offsets[1:-1]) - 1], paths[:, leg.mesh.offsets[1:-1]]
+    first = np.array(leg.mesh.offsets[1:-1], dtype=int)
+    left, right = paths[:, first - 1], paths[:, first]
     atoms = np.vstack([np.where(left * right > 0, 0.5 * (left + right), 0.0), leg.state_impulses[:, 1:-1]])
     order = np.argsort(times, kind="stable")
     pushes = np.hstack([densities, atoms])[:, order]

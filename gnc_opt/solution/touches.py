@@ -1,0 +1,111 @@
+r"""Touches of state constraints as conditions of a solution's program.
+
+At an isolated time at which a constraint :math:`S(t, x) \le 0` of order two or more pushes, all neighbouring
+trajectories have to keep their *largest* value of S on the limit. With a mesh boundary at that time which is a
+variable, that is :math:`S = \dot S = 0` there; S alone would let the boundary go to where less is held, and S leave
+its limit beside it. At an optimum :math:`\dot S = 0` has no multiplier, and that of S = 0 is by how much the costate
+jumps along :math:`\partial S/\partial x` (Bryson & Ho, Applied Optimal Control, 1975, section 3.11).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.problem.arc import ArcKind
+from gnc_opt.problem.constraint_order import constraint_order
+from gnc_opt.problem.held import Junction
+from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.problem import Problem
+from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import AT_LIMIT
+
+PUSHES = 1e-5
+"""Share of the cost from which a jump of the costate across what a constraint moves is a push."""
+
+
+def with_touches(solution: Solution) -> Problem:
+    """Return the problem of a solution with its state constraints held at movable boundaries at which they push.
+
+    Beside a touch they are released: what the barrier of an interior-point method leaves at points that come close to
+    the limit is no push. Phases in which arcs are held by hand are left as they are.
+    """
+    problem = solution.need_problem("linearise")
+    for name, s in solution.samples().items():
+        if s.leg.mesh.movable and problem.phases[name].numbers.arcs is None:
+            problem = _held(problem, s)
+    return problem
+
+
+def _held(problem: Problem, s: PhaseSamples) -> Problem:
+    leg, n_paths = s.leg, len(s.leg.path_labels)
+    rows = _Rows.of(s)
+    found = _touches(problem, s, rows)
+    if not found:
+        return problem
+    kinds = np.full((n_paths + leg.states.size, leg.mesh.segments), ArcKind.INTERIOR, dtype=object)
+    along = np.any(rows.near(rows.values(s.times, s.x, s.u)), axis=0)
+    for junction in found:
+        for k in (junction.boundary - 1, junction.boundary):
+            if not np.all(along[junction.constraint, s.segments == k]):  # no arc that begins or ends there
+                kinds[junction.constraint, k] = ArcKind.RELEASED
+    return problem.with_arcs(
+        leg.name,
+        arcs=np.zeros((leg.controls.size, leg.mesh.segments), dtype=int),
+        paths=kinds[:n_paths] if n_paths else None,
+        states=kinds[n_paths:],
+        junctions=found,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Path constraints of a phase, then its states, with limits and scales (n_rows,)."""
+
+    samples: PhaseSamples
+    box: Interval
+    scales: Array
+
+    @classmethod
+    def of(cls, s: PhaseSamples) -> _Rows:
+        paths, states = s.leg.path_bounds, s.leg.state_bounds
+        box = Interval(
+            np.concatenate([paths.lower, states.lower]), np.concatenate([paths.upper, states.upper])
+        )
+        return cls(s, box, np.concatenate([s.path_scale, s.state_scale]))
+
+    def values(self, times: Array, x: Array, u: Array) -> Array:
+        return np.vstack([self.samples.functions.paths(times, x, u), x])
+
+    def near(self, values: Array) -> Mask:
+        """Whether they are at their lower, and at their upper limit (2, n_rows, n_times)."""
+        return np.asarray(np.stack(self.box.near(values, AT_LIMIT * self.scales)) & ~self.box.fixed[:, None])
+
+    def pushes(self, times: Array, x: Array, u: Array) -> Array:
+        """Jumps of costates along the gradient of each row, worth of the cost (n_rows, n_times)."""
+        s = self.samples
+        units = np.repeat(np.eye(x.shape[0])[:, :, None], times.size, axis=2)
+        by_state = np.concatenate([s.functions.path_state_jacobian(times, x, u), units])
+        gradients = by_state * s.state_scale[:, None]
+        jumps = (s.leg.lam(times, "left") - s.leg.lam(times, "right")) * s.state_scale[:, None]
+        sizes = np.linalg.norm(gradients, axis=1)
+        along = np.einsum("ijk,jk->ik", gradients, jumps)
+        return np.asarray(np.divide(along, sizes, out=np.zeros_like(sizes), where=sizes > 0))
+
+
+def _touches(problem: Problem, s: PhaseSamples, rows: _Rows) -> tuple[Junction, ...]:
+    """Where constraints of order two or more push at movable boundaries."""
+    boundaries = s.leg.mesh.movable
+    times = s.leg.breaks[list(boundaries)]
+    point = times, s.leg.x(times), s.leg.flown(times)
+    near, pushes = rows.near(rows.values(*point)), rows.pushes(*point)
+    found = []
+    for kind, here in zip((ArcKind.LOWER, ArcKind.UPPER), near, strict=True):
+        for row, k in np.argwhere(here & (kind.sign * pushes > PUSHES * s.cost_scale)):
+            order = constraint_order(problem, problem.phases[s.leg.name], int(row)).order
+            if order is not None and order >= 2:
+                found.append(Junction(int(row), boundaries[k], kind, 2))
+    return tuple(found)
