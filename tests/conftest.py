@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -25,10 +26,16 @@ PressWhen: TypeAlias = Callable[[Callable[[], bool]], None]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What is slow is not slowed further: it covers hardly a line that nothing else covers."""
+    """What is slow is not slowed further, nor what is about problems: hardly a line is covered by nothing else."""
     for item in items:
-        if item.get_closest_marker("slow"):
+        if item.get_closest_marker("slow") or item.path.parent.name == "problems":
             item.add_marker("no_cover")
+
+
+@pytest.fixture(autouse=True)
+def search_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forget the folders from which a test has loaded problem files: new processes would search them first."""
+    monkeypatch.setattr(sys, "path", list(sys.path))
 
 
 @pytest.fixture

@@ -49,8 +49,7 @@ def build(far=1.0, limits=(-1.0, 1.0), name="cart", wrong=None):
 
 
 @pytest.fixture
-def cart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(sys, "path", list(sys.path))
+def cart(tmp_path: Path) -> Path:
     path = tmp_path / "cart.py"
     path.write_text(CART)
     return path
@@ -373,8 +372,7 @@ def test_build_with_free_keywords_takes_any_name(tmp_path: Path) -> None:
         load_problem_file(tmp_path / "free.py").build({"anything": 1})
 
 
-def test_siblings_can_be_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "path", list(sys.path))
+def test_siblings_can_be_imported(tmp_path: Path) -> None:
     folder = tmp_path / "zoo_of_problems"
     folder.mkdir()
     (folder / "zoo_helper.py").write_text("NUMBER = 7")
@@ -416,9 +414,7 @@ def package(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Path]:
         f"from {outer}.cow.model import build\nfrom {outer}.shared import MESH\n"
     )
     (folder / "model.py").write_text(MODEL)
-    path = list(sys.path)
     yield folder
-    sys.path[:] = path
     for name in [name for name in sys.modules if name.partition(".")[0] == outer]:
         del sys.modules[name]
 
@@ -473,10 +469,7 @@ def test_errors_in_a_package_name_its_file_and_line(
     assert f"{package}/model.py, line 11: ZeroDivisionError" in complaint(capsys)
 
 
-def test_package_hidden_by_another_module_of_its_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys, "path", list(sys.path))
+def test_package_hidden_by_another_module_of_its_name(tmp_path: Path) -> None:
     (tmp_path / "json").mkdir()
     (tmp_path / "json" / "__init__.py").write_text("def build(): ...")
     with pytest.raises(

@@ -61,9 +61,8 @@ def test_two_phase_costs_what_the_spline_costs() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_new_writes_the_template_and_check_accepts_it(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(sys, "path", list(sys.path))
     assert run("new", tmp_path / "mine", "--kind", kind) == 0
     assert f"gnc-opt solve {tmp_path / 'mine.py'}" in capsys.readouterr().out
     source = Path(template(kind).__file__)
