@@ -24,7 +24,6 @@ from gnc_opt.verify.judged import ends_of, from_problem
 ACCURACY = 1e-9
 """Of the cost, relative to its size, where it is found by switch times."""
 
-
 BEYOND = 1e-7
 """By how much a limit may be exceeded, in shares of what is limited; cubics between steps are not better."""
 

@@ -3,8 +3,9 @@ r"""How far states and controls move on a flight: what their deviations are meas
 A position of 7000 km says nothing about a flight of 1 m: sizes depend on units and origin, what a flight *moves* does
 not on the latter. So the yardstick of a state is its span, the farthest that it gets from where it starts, shared by
 the components of a vector. A state that hardly moves has what the controls could move it,
-:math:`T\,\sum_k |\partial f_i/\partial u_k|\,\Delta u_k`, or the same through another state. What nothing can move has
-the width of its limits, or its size. Below `RESOLUTION` of the size, rounding would be measured.
+:math:`T\,\sum_k |\partial f_i/\partial u_k|\,\Delta u_k` with the mean deviation :math:`\Delta u_k` of each control
+from its mean (a constant one: its span), or the same through another state. What nothing can move has the width of its
+limits, or its size. Below `RESOLUTION` of the size, rounding would be measured.
 """
 
 from __future__ import annotations
