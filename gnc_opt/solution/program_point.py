@@ -105,10 +105,19 @@ class ProgramPoint:
         solution: Solution,
         meshes: Mapping[str, Mesh] | None = None,
         scaled_by: Callable[[Transcription, Problem, Array], Array] = scale_variables,
+        least_cost: float = 0.0,
     ) -> ProgramPoint:
         """Return the point of a solution that has a problem, on its own meshes or interpolated on others.
 
-        ``scaled_by`` gives the scales (n_variables,) from the program, its problem and the variables.
+        Parameters
+        ----------
+        solution : Solution
+        meshes : mapping of Mesh, optional
+        scaled_by : callable
+            The scales (n_variables,) from the program, its problem and the variables.
+        least_cost : float
+            The cost is scaled to this, at least: where its gradient vanishes, as at a least cost of zero, scaling it
+            to one would make multipliers of rounding.
         """
         problem = with_touches(solution)
         meshes = meshes or {name: leg.mesh for name, leg in solution.phases.items()}
@@ -118,6 +127,7 @@ class ProgramPoint:
         assert lam_x is not None and lam_g is not None, "a solution has multipliers"
         scales = scaled_by(transcription, problem, x)
         row_scales, objective = scale_rows(transcription, problem, x, scales)
+        objective = min(objective, 1 / least_cost) if least_cost > 0 else objective
         scaling = Scaling(scales, row_scales, objective)
         lam = lam_g / row_scales * objective
         box = _scaled(transcription.variable_interval(problem), scales)

@@ -34,7 +34,7 @@ import scipy
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.program_point import ProgramPoint
-from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.solution.samples import NEGLIGIBLE, PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT
 from gnc_opt.transcription.mesh import Mesh
@@ -99,10 +99,13 @@ class Curvature:
         return self.value < -steep and self.share < -CANCELLED
 
 
-def critical_cone(solution: Solution, samples: Sequence[PhaseSamples] = ()) -> CriticalCone:
+def critical_cone(
+    solution: Solution, samples: Sequence[PhaseSamples] = (), least_cost: float = 0.0
+) -> CriticalCone:
     """Return what is free to vary along a solution, on a mesh with room for it.
 
-    In shares of what states and controls move along ``samples``; of their magnitudes in phases that have none.
+    In shares of what states and controls move along ``samples``; of their magnitudes in phases that have none. Costs
+    below ``least_cost`` are rounding (`rounding_of_cost`).
     """
     meshes = {name: _rich(leg.mesh) for name, leg in solution.phases.items()}
 
@@ -116,7 +119,12 @@ def critical_cone(solution: Solution, samples: Sequence[PhaseSamples] = ()) -> C
             found[part.times[part.times < transcription.n_variables]] = s.span
         return found
 
-    return CriticalCone.of(ProgramPoint.of(solution, meshes, scales))
+    return CriticalCone.of(ProgramPoint.of(solution, meshes, scales, least_cost))
+
+
+def rounding_of_cost(samples: Sequence[PhaseSamples]) -> float:
+    """Return the cost below which differences are rounding: the share `NEGLIGIBLE` of what it amounts to."""
+    return NEGLIGIBLE * max((s.cost_magnitude for s in samples), default=0.0)
 
 
 def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: CriticalCone) -> Condition:
@@ -132,7 +140,8 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: Criti
         return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
 
     steep = DOWNWARDS_SINGULAR if any(map(_has_singular_control, samples)) else DOWNWARDS
-    free = least_curvature(cone.point, cone.strong)
+    rounding = rounding_of_cost(samples)
+    free = least_curvature(cone.point, cone.strong, rounding)
     jumping = "" if solution.structure else _jumping_control(samples)
     if np.isnan(free.value) or free.upwards:
         told = Result.CANNOT_TELL if jumping else Result.PASS
@@ -142,7 +151,7 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: Criti
             )
         return judged(told, -free.value, jumping or _place(cone.point, solution, free.direction))
     # Where weakly active limits bind as well, less is left to vary; what is downwards there is so in the cone.
-    bound = least_curvature(cone.point, cone.strong | cone.weak) if np.any(cone.weak) else free
+    bound = least_curvature(cone.point, cone.strong | cone.weak, rounding) if np.any(cone.weak) else free
     for found in (free, bound):
         admitted = (cone.admits(sign * found.direction, samples) for sign in (1.0, -1.0))
         if found.downwards(steep) and any(admitted):
@@ -201,19 +210,22 @@ def _place(point: ProgramPoint, solution: Solution, direction: Array) -> str:
     return point.variables.labels[int(np.argmax(size))]
 
 
-def least_curvature(point: ProgramPoint, held: Mask) -> Curvature:
+def least_curvature(point: ProgramPoint, held: Mask, rounding: float = 0.0) -> Curvature:
     """Return the least curvature of the Lagrangian where some variables and rows do not vary.
 
     Parameters
     ----------
     point : ProgramPoint
     held : bool array (n_variables + n_constraints,)
+    rounding : float
+        Cost below which a row of the Hessian is rounding: where costates vanish, nothing of it is more.
     """
     space = NullSpace.of(point, held)
     hessian = space.in_shares(point.hessian)
     sizes = np.sqrt(np.asarray((hessian**2).sum(axis=1)))
     # The one row of a parameter far from its origin, however large, is not what variations are worth.
     typical = float(np.median(sizes[sizes > 0])) if np.any(sizes > 0) else 1.0
+    typical = max(typical, rounding * point.scaling.objective)
     direction = _least_direction(space, hessian / typical)
     if direction is None:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
