@@ -100,12 +100,12 @@ class Curvature:
 
 
 def critical_cone(
-    solution: Solution, samples: Sequence[PhaseSamples] = (), least_cost: float = 0.0
+    solution: Solution, samples: Sequence[PhaseSamples] = (), rounding: float = 0.0
 ) -> CriticalCone:
     """Return what is free to vary along a solution, on a mesh with room for it.
 
     In shares of what states and controls move along ``samples``; of their magnitudes in phases that have none. Costs
-    below ``least_cost`` are rounding (`rounding_of_cost`).
+    below ``rounding`` are that (`rounding_of_cost`).
     """
     meshes = {name: _rich(leg.mesh) for name, leg in solution.phases.items()}
 
@@ -119,7 +119,7 @@ def critical_cone(
             found[part.times[part.times < transcription.n_variables]] = s.span
         return found
 
-    return CriticalCone.of(ProgramPoint.of(solution, meshes, scales, least_cost))
+    return CriticalCone.of(ProgramPoint.of(solution, meshes, scales, rounding))
 
 
 def rounding_of_cost(samples: Sequence[PhaseSamples]) -> float:
@@ -140,8 +140,7 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: Criti
         return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
 
     steep = DOWNWARDS_SINGULAR if any(map(_has_singular_control, samples)) else DOWNWARDS
-    rounding = rounding_of_cost(samples)
-    free = least_curvature(cone.point, cone.strong, rounding)
+    free = least_curvature(cone.point, cone.strong)
     jumping = "" if solution.structure else _jumping_control(samples)
     if np.isnan(free.value) or free.upwards:
         told = Result.CANNOT_TELL if jumping else Result.PASS
@@ -151,7 +150,7 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: Criti
             )
         return judged(told, -free.value, jumping or _place(cone.point, solution, free.direction))
     # Where weakly active limits bind as well, less is left to vary; what is downwards there is so in the cone.
-    bound = least_curvature(cone.point, cone.strong | cone.weak, rounding) if np.any(cone.weak) else free
+    bound = least_curvature(cone.point, cone.strong | cone.weak) if np.any(cone.weak) else free
     for found in (free, bound):
         admitted = (cone.admits(sign * found.direction, samples) for sign in (1.0, -1.0))
         if found.downwards(steep) and any(admitted):
@@ -210,22 +209,20 @@ def _place(point: ProgramPoint, solution: Solution, direction: Array) -> str:
     return point.variables.labels[int(np.argmax(size))]
 
 
-def least_curvature(point: ProgramPoint, held: Mask, rounding: float = 0.0) -> Curvature:
+def least_curvature(point: ProgramPoint, held: Mask) -> Curvature:
     """Return the least curvature of the Lagrangian where some variables and rows do not vary.
 
     Parameters
     ----------
     point : ProgramPoint
     held : bool array (n_variables + n_constraints,)
-    rounding : float
-        Cost below which a row of the Hessian is rounding: where costates vanish, nothing of it is more.
     """
     space = NullSpace.of(point, held)
     hessian = space.in_shares(point.hessian)
     sizes = np.sqrt(np.asarray((hessian**2).sum(axis=1)))
     # The one row of a parameter far from its origin, however large, is not what variations are worth.
     typical = float(np.median(sizes[sizes > 0])) if np.any(sizes > 0) else 1.0
-    typical = max(typical, rounding * point.scaling.objective)
+    typical = max(typical, point.rounding)  # where costates vanish, no row is more than that
     direction = _least_direction(space, hessian / typical)
     if direction is None:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)

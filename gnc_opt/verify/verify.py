@@ -130,7 +130,7 @@ def _second_order(
     curvature = reduced_hessian(solution, samples, cone)
     smooth = [_agreed(c, curvature) for c in conjugate_points(solution, samples)]
     # Where constraints alone single out a trajectory, nothing moves: variations of the size of the magnitudes.
-    return [normality(critical_cone(solution, least_cost=rounding)), *smooth, curvature]
+    return [normality(critical_cone(solution, rounding=rounding)), *smooth, curvature]
 
 
 def _agreed(conjugate: Condition, curvature: Condition) -> Condition:
