@@ -76,7 +76,7 @@ def test_what_nothing_determines_is_named(hessian: Any, rows: Any, culprit: str)
 
 def test_a_free_direction_shows_among_redundant_rows_too() -> None:
     """Two equal rows hold a; nothing holds b + c."""
-    with pytest.raises(go.GncOptError, match="do not determine '(b|c)'"):
+    with pytest.raises(go.GncOptError, match=r"do not determine '(b|c)'"):
         system([[1, 0, 0], [0, 1, -1], [0, -1, 1]], [[1.0, 0, 0], [1.0, 0, 0]])
     assert FREE < 1.0
 
@@ -84,7 +84,7 @@ def test_a_free_direction_shows_among_redundant_rows_too() -> None:
 def test_rows_that_contradict_each_other_are_named() -> None:
     found = system(np.eye(2), [[1, 1], [1, 1]])
     assert np.all(np.isfinite(found.solve(np.array([0.0, 0.0, 2.0, 2.0]))))
-    with pytest.raises(go.GncOptError, match="leave no room for its constraints, at '(c|d)'"):
+    with pytest.raises(go.GncOptError, match=r"leave no room for its constraints, at '(c|d)'"):
         found.solve(np.array([0.0, 0.0, 2.0, 2.001]))
     # A difference of rounding is none.
     assert found.solve(np.array([0.0, 0.0, 2.0, 2.0 + 1e-9]))[:2] == pytest.approx([1.0, 1.0], abs=1e-6)
