@@ -28,8 +28,8 @@ EXPECTED = {
         UnknownNameError Verdict bryson continue_in design_ekf design_feedback_linearization
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
         design_sliding_mode design_tvlqr design_ukf export_c export_fmu feedforward guess_from_data guess_from_solution
-        load monte_carlo multistart output_feedback polish refine sensitivity simulate_guess smooth_abs solve sweep table
-        table_from_csv verify verify_trajectory
+        load monte_carlo multistart output_feedback polish refine sensitivity simulate_guess smooth_abs solve sweep
+        table table_from_csv verify verify_trajectory
     """,
     "gnc_opt.control": """
         ConstantRate Controller Deviation Estimator Explanation ExponentialRate Fact FlightCode Measurement MockupUnit
