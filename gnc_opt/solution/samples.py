@@ -197,7 +197,8 @@ class PhaseSamples:
     def control_span(self) -> Array:
         """How far each control is moved, by itself or by the costates (m,); see module `spans`."""
         terms = np.abs(self.switching - self.cost_slope)
-        return control_spans(self.leg, self.u, terms, np.einsum("iij->ij", self.control_hessian))
+        curvature = np.einsum("iij->ij", self.control_hessian)
+        return control_spans(self.leg, self.u, terms, curvature, float(np.nanmax(self._terms, initial=0.0)))
 
     @cached_property
     def switching(self) -> Array:
@@ -274,14 +275,19 @@ class PhaseSamples:
         return worth if worth > 0 else 1.0
 
     @cached_property
+    def _terms(self) -> Array:
+        """Sum of the magnitudes of what costates contribute to H (n_samples,)."""
+        rates = self.functions.rates(self.times, self.x, self.u)
+        return np.asarray(np.sum(np.abs(self.lam_polynomial * rates), axis=0))
+
+    @cached_property
     def hamiltonian_scale(self) -> float:
         """Largest sum of the magnitudes of H's terms along the phase (cost per second).
 
         Where the duration is given, integrands count by what they are above their least value: a constant means
         nothing.
         """
-        rates = self.functions.rates(self.times, self.x, self.u)
-        terms = np.sum(np.abs(self.lam_polynomial * rates), axis=0)
+        terms = self._terms
         integrands = self.functions.integrands(self.times, self.x, self.u)
         if self.lasts_as_told and integrands.size:
             integrands = integrands - np.min(integrands, axis=1, keepdims=True)

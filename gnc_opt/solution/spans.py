@@ -86,7 +86,7 @@ def end_spans(leg: PhaseSolution, functions: PhaseFunctions, moved: Array, used:
     return np.asarray(moved * np.where(reach > STILL, np.clip(reach, STEERED, 1.0), 1.0))
 
 
-def control_spans(leg: PhaseSolution, flown: Array, pull: Array, curvature: Array) -> Array:
+def control_spans(leg: PhaseSolution, flown: Array, pull: Array, curvature: Array, terms: float) -> Array:
     """Return how far each control moves along a phase (n_controls,), at most its range; positive.
 
     Parameters
@@ -94,7 +94,10 @@ def control_spans(leg: PhaseSolution, flown: Array, pull: Array, curvature: Arra
     flown, pull, curvature : array (n_controls, n_samples)
         The control; what the costates' terms contribute to dH/du; d2H/du2. A constant control is moved by
         pull / curvature from where the integrands alone would have it. One that is idle and has no range has the span
-        that is worth in H what the others are; if all that is rounding, its size, or 1.
+        that is worth in H what the others are.
+    terms : float
+        What the products of costates and rates in H amount to, which counts where all controls are idle, as the heading
+        along a straight line; if all that is rounding, a control has its size, or 1.
     """
     extent, size = _width(leg.control_bounds), np.max(np.abs(flown), axis=1, initial=0.0)
     moved = np.maximum(np.ptp(flown, axis=1), RESOLUTION * size) if flown.size else size
@@ -103,6 +106,7 @@ def control_spans(leg: PhaseSolution, flown: Array, pull: Array, curvature: Arra
     spans = shared(_within_range(np.fmax(moved, pulled), extent), leg.controls)
     worth = np.fmax(steepest * spans, most * spans**2)
     largest = np.max(worth, initial=0.0, where=np.isfinite(worth))
+    largest = largest if largest > IDLE**2 * terms else terms
     alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
     spans = shared(np.where(spans > IDLE * alike, spans, alike), leg.controls)
     return _otherwise(np.where(spans > ROUNDING, spans, extent), magnitude(size))

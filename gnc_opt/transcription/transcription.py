@@ -129,7 +129,7 @@ class Transcription(Numbering):
             ca.repmat(self._symbols.models[leg.name], 1, n_points),
         )
         function = PointFunction.build(
-            f"{leg.name}_point",
+            "point",
             ca.vertcat(x, u, ends[free.tolist()], self.problem.parameter_symbols()),
             ca.vertcat(fraction, ends[fixed.tolist()], p),
             outputs,
@@ -168,7 +168,7 @@ class Transcription(Numbering):
         places = part.times[[arc, arc + 1]]
         free, fixed = np.flatnonzero(places < self.n_variables), np.flatnonzero(places >= self.n_variables)
         function = PointFunction.build(
-            f"{name}_junction",
+            "junction",
             ca.vertcat(x, ends[free.tolist()], self.problem.parameter_symbols()),
             ca.vertcat(ends[fixed.tolist()], p),
             ca.substitute(outputs, t, time),

@@ -368,7 +368,7 @@ def test_an_idle_control_spans_what_is_worth_as_much_as_the_others(
     one = phase(problem, *(lambda t, k: np.array([t, 0 * t]),) * 3)
     flown, ones = np.array([np.linspace(0, 2, 5), np.zeros(5)]), np.ones(5)
     found = control_spans(
-        one, flown, np.array([pull * ones, 0 * ones]), np.array([curvature * ones, 4 * ones])
+        one, flown, np.array([pull * ones, 0 * ones]), np.array([curvature * ones, 4 * ones]), 1e3
     )
     np.testing.assert_allclose(found, [2.0, np.sqrt(worth / 4)])
 

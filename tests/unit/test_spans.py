@@ -173,7 +173,9 @@ def test_components_of_a_vector_share_their_reach_and_no_number_is_no_reach() ->
 # --- controls ---------------------------------------------------------------------------------------------
 
 
-def controls(flown: Any, pull: Any, curvature: Any, bounds: Interval | None = None, rows: int = 1) -> Array:
+def controls(
+    flown: Any, pull: Any, curvature: Any, bounds: Interval | None = None, rows: int = 1, terms: float = 0.0
+) -> Array:
     model = go.Model("controls")
     x = model.state("x")
     u = model.control("u", rows)
@@ -184,7 +186,8 @@ def controls(flown: Any, pull: Any, curvature: Any, bounds: Interval | None = No
     problem.minimize(leg.integral(x**2))
     box = bounds or free(rows)
     here = phase(problem, still(0.0), still(*[0.0] * rows), still(0.0), control_bounds=box)
-    return control_spans(here, *(np.atleast_2d(np.asarray(v, float)) for v in (flown, pull, curvature)))
+    given = (np.atleast_2d(np.asarray(v, float)) for v in (flown, pull, curvature))
+    return control_spans(here, *given, terms)
 
 
 @pytest.mark.parametrize(
@@ -208,6 +211,16 @@ def test_how_far_a_control_moves(
 ) -> None:
     given = (flown, np.broadcast_to(pull, 3), np.broadcast_to(curvature, 3))
     assert controls(*given, interval(*bounds)) == pytest.approx([span], rel=1e-6)
+
+
+@pytest.mark.parametrize(("level", "span"), [(0.0, 0.5), (3.0, 0.5), (3e6, 0.3), (1e9, 100.0)])
+def test_where_all_controls_are_idle_what_the_costates_add_to_h_counts(level: float, span: float) -> None:
+    """A heading along a straight line: H'' = 8 makes 2 of half a radian, whatever it is counted from."""
+    for flown in ([level] * 3, [level * (1 + 1e-9), level, level]):
+        assert controls(flown, np.zeros(3), 8 * np.ones(3), terms=2.0) == pytest.approx([span], rel=1e-6)
+    assert controls([level, level + 20.0, level], np.zeros(3), 8 * np.ones(3), terms=2.0) == pytest.approx(
+        [max(20.0, RESOLUTION * level)]
+    )
 
 
 def test_components_of_a_control_share_their_span() -> None:

@@ -188,3 +188,43 @@ def test_lanczos_finds_both_ends_of_a_spectrum() -> None:
     found, vectors = lanczos(lambda v: matrix @ v, np.ones(values.size), 80)
     assert found[0] == pytest.approx(-3.0, abs=1e-7) and found[-1] == pytest.approx(2.0, abs=1e-7)
     np.testing.assert_allclose(matrix @ vectors[:, 0], found[0] * vectors[:, 0], atol=1e-3)
+
+
+def mirror(bend: float, unit: float = 1.0, cost: float = 1.0) -> go.Verdict:
+    """From (-1, 0) to (1, 0) over the mirror y = 1 - bend x^2, at its middle: Fermat's stationary time.
+
+    The ellipse with these foci through (0, 1) bends by 1/4: a mirror that bends more is nearer beside its middle.
+    """
+    problem = go.Problem("mirror")
+    legs = []
+    for name in ("towards_", "away"):
+        model = go.Model(name)
+        x, y, heading = model.state("x"), model.state("y"), model.control("heading")
+        model.ode({x: unit * ca.cos(heading), y: unit * ca.sin(heading)})
+        legs.append(problem.phase(name, model))
+    legs[0].time(0.0, (0.5, 5.0))
+    legs[1].time((0.5, 5.0), (1.0, 10.0))
+    legs[0].initial(x=-unit, y=0.0)
+    legs[1].final(x=unit, y=0.0)
+    problem.link(*legs)
+    x, y = (legs[0].final_state(name) / unit for name in ("x", "y"))
+    problem.constrain("mirror", y + bend * x**2, lower=1.0, upper=1.0)
+    problem.minimize(cost * legs[1].final_time)
+    way, none = unit * np.linspace(0.0, 1.0, 11), np.zeros(11)
+    t = way / unit * np.sqrt(2)
+    return go.verify_trajectory(
+        problem,
+        {"towards_": t, "away": np.sqrt(2) + t},
+        {"towards_": [way - unit, way], "away": [way, unit - way]},
+        {"towards_": none + np.pi / 4, "away": none - np.pi / 4},
+    )
+
+
+@pytest.mark.parametrize(("unit", "cost"), [(1.0, 1.0), (1e3, 1e-6), (1e-3, 1e6)])
+@pytest.mark.parametrize(("bend", "result"), [(-0.3, PASS), (0.2, PASS), (0.3, FAIL), (1.0, FAIL)])
+def test_a_mirror_is_left_where_it_was_reached_first_unless_it_bends_too_much(
+    bend: float, result: Result, unit: float, cost: float
+) -> None:
+    verdict = mirror(bend, unit, cost)
+    assert verdict.minimum is (result is PASS), verdict.explain()
+    assert [c.name for c in verdict.failed] == ([] if result is PASS else ["second order"])
