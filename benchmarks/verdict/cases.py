@@ -12,6 +12,7 @@ import gnc_opt as go
 from benchmarks.verdict.changes import LEAST, Planted, changes, off_by
 from benchmarks.verdict.extremals import extremals
 from benchmarks.verdict.forged import forged
+from benchmarks.verdict.pairs import SCALES, Pair, pairs
 from benchmarks.verdict.right import NotRight, right
 from benchmarks.verdict.statements import FAMILY, Frame, Statement, build, frames, in_frame
 
@@ -83,7 +84,7 @@ class Outcome:
 
 
 def cases(documents: Sequence[Mapping[str, Any]], seed: int) -> Iterator[Case]:
-    """Yield every case, wrong ones first."""
+    """Yield every case."""
     for s in FAMILY:
         for k, planted in enumerate(changes(s)):
             framed = frames(s, seed)
@@ -94,6 +95,13 @@ def cases(documents: Sequence[Mapping[str, Any]], seed: int) -> Iterator[Case]:
         yield Case(e.kind, e.name, e.why, True, e.first_order, lambda e=e: (e.judge(), e.off))
     for f in forged():
         yield Case("forged file", f.name, f.why, True, True, lambda f=f: (f.judge(), f.off))
+    for pair in pairs():
+        for scale in SCALES:
+            name = f"{pair.name}, unit {scale[0]:g}, cost {scale[1]:g}"
+            yield Case(
+                "beside a closed form", name, pair.why, True, pair.first_order, _paired(pair, scale, True)
+            )
+            yield Case("right: closed forms", name, "", False, True, _paired(pair, scale, False))
     for r in right(documents, seed):
         yield Case(f"right: {r.kind}", r.name, "", False, True, lambda r=r: (r.judge(), 0.0))
 
@@ -105,6 +113,10 @@ def _sampled(s: Statement, planted: Planted, frame: Frame) -> Callable[[], tuple
         return go.verify_trajectory(build(s, frame), *in_frame(s, wrong, frame)), off
 
     return judge
+
+
+def _paired(pair: Pair, scale: tuple[float, float], wrong: bool) -> Callable[[], tuple[go.Verdict, float]]:
+    return lambda: (pair.make(*scale, wrong).judge(), pair.off if wrong else 0.0)
 
 
 def judged(case: Case) -> Outcome:

@@ -333,7 +333,7 @@ class PhaseSamples:
 
     @cached_property
     def path_scale(self) -> Array:
-        """How far each path constraint moves along the phase (n_paths,), or the spans of states and controls could."""
+        """How far each path constraint moves along the phase (n_paths,); one that is still, what it could be moved."""
         at = self.times, self.x, self.u
         values = self.functions.paths(*at)
         by_state = np.einsum("ijt,j->it", np.abs(self.functions.path_state_jacobian(*at)), self.state_scale)
@@ -341,7 +341,8 @@ class PhaseSamples:
             "ijt,j->it", np.abs(self.functions.path_control_jacobian(*at)), self.control_scale
         )
         movable = np.max(by_state + by_control, axis=1, initial=0.0)
-        scale = np.fmax(np.ptp(values, axis=1), STILL * movable)
+        moved = np.ptp(values, axis=1)
+        scale = np.where(moved > STILL * movable, moved, movable)
         size = np.max(np.abs(values), axis=1, initial=0.0)
         scale = np.fmax(scale, RESOLUTION * size)
         return np.where(np.isfinite(scale) & (scale > 0), scale, 1.0)

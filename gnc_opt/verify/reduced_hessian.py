@@ -24,7 +24,7 @@ Loan, Matrix Computations, 2013, sec. 10.3).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,7 +36,7 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.program_point import ProgramPoint
 from gnc_opt.solution.samples import NEGLIGIBLE, PhaseSamples
 from gnc_opt.solution.solution import Solution
-from gnc_opt.tolerances import AT_LIMIT
+from gnc_opt.tolerances import AT_LIMIT, VANISHED, magnitude
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.scaling import scale_variables
 from gnc_opt.transcription.transcription import Transcription
@@ -100,12 +100,22 @@ class Curvature:
 
 
 def critical_cone(
-    solution: Solution, samples: Sequence[PhaseSamples] = (), rounding: float = 0.0
+    solution: Solution,
+    samples: Sequence[PhaseSamples],
+    rounding: float,
+    sizes: Callable[[PhaseSamples], tuple[Array, Array]],
 ) -> CriticalCone:
     """Return what is free to vary along a solution, on a mesh with room for it.
 
-    In shares of what states and controls move along ``samples``; of their magnitudes in phases that have none. Costs
-    below ``rounding`` are that (`rounding_of_cost`).
+    Parameters
+    ----------
+    solution : Solution
+    samples : sequence of PhaseSamples
+        Of its phases.
+    rounding : float
+        Costs below this are that (`rounding_of_cost`).
+    sizes : callable
+        Variations of 1 in the states (n,) and in the controls (m,) of a phase: `flown_spans` or `visible_spans`.
     """
     meshes = {name: _rich(leg.mesh) for name, leg in solution.phases.items()}
 
@@ -113,13 +123,29 @@ def critical_cone(
         found = scale_variables(transcription, problem, x)
         for s in samples:
             part = transcription.parts[s.leg.name]
+            states, controls = sizes(s)
             for places in (part.collocation.boundary_states, part.collocation.point_states):
-                found[places] = s.state_scale[:, None]
-            found[part.collocation.point_controls] = s.control_span[:, None]
+                found[places] = states[:, None]
+            found[part.collocation.point_controls] = controls[:, None]
             found[part.times[part.times < transcription.n_variables]] = s.span
         return found
 
     return CriticalCone.of(ProgramPoint.of(solution, meshes, scales, rounding))
+
+
+def flown_spans(s: PhaseSamples) -> tuple[Array, Array]:
+    """Return what states and controls move along a phase."""
+    return s.state_scale, s.control_span
+
+
+def visible_spans(s: PhaseSamples) -> tuple[Array, Array]:
+    """Return the same, or 1 for states that do not move, and for controls that move none.
+
+    Where constraints alone single out a trajectory, as x' = u^2 does between equal ends, what moves is rounding.
+    """
+    slopes = np.abs(s.functions.input_jacobian(s.times, s.x, s.u))
+    moved = s.span * s.control_span * np.max(slopes, axis=(0, 2), initial=0.0)
+    return magnitude(s.state_scale), np.where(moved > VANISHED, s.control_span, 1.0)
 
 
 def rounding_of_cost(samples: Sequence[PhaseSamples]) -> float:
@@ -178,11 +204,19 @@ def _jumping_control(samples: list[PhaseSamples]) -> str:
     for s in samples:
         lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
         straight = _straight(s)
-        jumps = np.any(lower & straight, axis=1) & np.any(upper & straight, axis=1)
+        changes = (np.diff(lower, axis=1) | np.diff(upper, axis=1)) & ~np.isin(
+            s.times[1:], _variable_times(s)
+        )
+        jumps = np.any(lower & straight, axis=1) & np.any(upper & straight, axis=1) & np.any(changes, axis=1)
         if np.any(jumps):
             label = s.leg.controls.labels[int(np.argmax(jumps))]
             return f"phase {s.leg.name}, {label}: switch times that are not variables of the mesh do not vary"
     return ""
+
+
+def _variable_times(s: PhaseSamples) -> Array:
+    """Segment boundaries that are variables, at which a control may switch."""
+    return np.asarray(s.leg.breaks[list(s.leg.mesh.movable)])
 
 
 def _has_singular_control(s: PhaseSamples) -> bool:

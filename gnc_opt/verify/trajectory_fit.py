@@ -3,9 +3,9 @@ r"""A trajectory known at samples, as piecewise polynomials: states by Hermite, 
 Between two samples the states are the cubic through both values with the slopes :math:`f(t, x, u)` there, fourth order
 in the sampling interval. Controls are interpolated between their jumps: by a cubic spline where they are smooth, beside
 kinks by a modified Akima spline, which has no ripples; from sample to sample by that of the two with which the
-dynamics carry the states closer to the next sample. A jump is a time given twice, or a change from one sample to
-the next that is ten times those before and after it; where in between it happens is told by the states in the
-same way. A kink is the same of slopes, and lies where the interpolants from both sides meet.
+dynamics carry the states closer to the next sample. A jump is a time given twice, with other values, or a change from
+one sample to the next that is ten times those before and after it; where in between it happens is told by the states
+in the same way. A kink is the same of slopes, and lies where the interpolants from both sides meet.
 """
 
 from __future__ import annotations
@@ -84,7 +84,8 @@ def fit(samples: Samples, rates: Rates) -> FittedPhase:
         (times, x, u) -> dx/dt, (n_states, n_times).
     """
     twice = np.flatnonzero(np.diff(samples.t) == 0)
-    jumps = [_Jump(int(i), float(samples.t[i]), tuple(range(samples.u.shape[0]))) for i in twice]
+    every = tuple(range(samples.u.shape[0]))
+    jumps = [_Jump(int(i), float(samples.t[i]), every, of_slope=not _changes(samples, int(i))) for i in twice]
     unmarked = _unmarked_jumps(samples, twice)
     jumps += unmarked
     jumps += _kinks(samples, jumps)
@@ -104,6 +105,12 @@ class _Jump:
     time: float
     channels: tuple[int, ...]
     of_slope: bool = False
+
+
+def _changes(samples: Samples, i: int) -> bool:
+    """Whether a control jumps at a time given twice, or only its slope: then that time is not one to be optimised."""
+    size = np.abs(samples.u[:, i + 1] - samples.u[:, i])
+    return bool(np.any(size > VISIBLE * np.ptp(samples.u, axis=1)))
 
 
 def _unmarked_jumps(samples: Samples, twice: Indices) -> list[_Jump]:

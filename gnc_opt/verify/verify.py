@@ -17,7 +17,13 @@ from gnc_opt.verify.kept import keep_verdict, kept_verdict
 from gnc_opt.verify.magnitude import Magnitudes
 from gnc_opt.verify.normality import normality
 from gnc_opt.verify.pushes import settle_edges
-from gnc_opt.verify.reduced_hessian import critical_cone, reduced_hessian, rounding_of_cost
+from gnc_opt.verify.reduced_hessian import (
+    critical_cone,
+    flown_spans,
+    reduced_hessian,
+    rounding_of_cost,
+    visible_spans,
+)
 from gnc_opt.verify.singular import generalised_legendre_clebsch
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 
@@ -124,13 +130,13 @@ def _second_order(
     if not second_order.obstacle(samples):
         return second_order.second_order(solution, samples, ends, tolerance)
     rounding = rounding_of_cost(samples)
-    cone = critical_cone(solution, samples, rounding)
+    cone = critical_cone(solution, samples, rounding, flown_spans)
     if not cone.point.is_finite:
         return [_untold("second order", "a derivative of the problem is no number", _CANNOT_VARY)]
     curvature = reduced_hessian(solution, samples, cone)
     smooth = [_agreed(c, curvature) for c in conjugate_points(solution, samples)]
-    # Where constraints alone single out a trajectory, nothing moves: variations of the size of the magnitudes.
-    return [normality(critical_cone(solution, rounding=rounding)), *smooth, curvature]
+    visible = critical_cone(solution, samples, rounding, visible_spans)
+    return [normality(visible), *smooth, curvature]
 
 
 def _agreed(conjugate: Condition, curvature: Condition) -> Condition:

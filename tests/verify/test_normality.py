@@ -13,23 +13,25 @@ import gnc_opt as go
 from gnc_opt.verify import Result
 
 
-def squared(offset: float, cost: Callable[[Any], Any]) -> go.Solution:
+def squared(offset: float, cost: Callable[[Any], Any], clock: bool = False) -> go.Solution:
     """x' = u^2 - offset from 0 to 0: with offset 0 nothing but u = 0 gets there, whatever it costs."""
     model = go.Model("square")
     x, u = model.state("x"), model.control("u")
-    model.ode({x: u**2 - offset})
+    model.ode({x: u**2 - offset, **({model.state("clock"): 1.0 + 0 * u} if clock else {})})
     problem = go.Problem("squared")
     leg = problem.phase("leg", model)
     leg.time(0.0, 1.0)
-    leg.initial(x=0.0)
+    leg.initial(**dict.fromkeys(model.states.names, 0.0))
     leg.final(x=0.0)
     problem.minimize(leg.integral(cost(u)))
     return go.solve(problem, mesh="5x4", tol=None)
 
 
+@pytest.mark.parametrize("clock", [False, True])
 @pytest.mark.parametrize("cost", [lambda u: (u - 1) ** 2, lambda u: u**2, lambda u: -u])
-def test_squares_that_must_vanish_are_degenerate(cost: Callable[[Any], Any]) -> None:
-    verdict = go.verify(squared(0.0, cost))
+def test_squares_that_must_vanish_are_degenerate(cost: Callable[[Any], Any], clock: bool) -> None:
+    """Also beside something that moves."""
+    verdict = go.verify(squared(0.0, cost, clock))
     assert verdict["normality"].result is Result.FAIL
     assert not verdict.ok and not verdict.minimum
 
@@ -40,6 +42,24 @@ def test_squares_that_may_vary_are_not(offset: float) -> None:
     condition = go.verify(squared(offset, lambda u: (u - 2) ** 2))["normality"]
     assert condition.result is Result.PASS
     assert 0 < condition.value < 10 / np.sqrt(offset)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e5, 1e-4])
+def test_a_budget_is_no_degenerate_constraint_in_any_unit(unit: float) -> None:
+    """Far with a given effort: the budget bends by as much as it slopes, for variations of what the flight moves."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("budget")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    problem.constrain("effort", leg.integral((u / unit) ** 2), upper=4.0)
+    problem.minimize((leg.final_state("x") / unit - 3) ** 2)
+    t = np.linspace(0.0, 1.0, 11)
+    verdict = go.verify_trajectory(problem, t, 2 * unit * t, 0 * t + 2 * unit)
+    assert verdict.minimum, verdict.explain()
+    assert verdict["normality"].value < 10
 
 
 def turned(unit: bool) -> go.Solution:

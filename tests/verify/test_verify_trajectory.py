@@ -1,5 +1,6 @@
 """verify_trajectory: closed forms pass at the accuracy of their samples, what is wrong fails, mistakes are named."""
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -219,3 +220,78 @@ def test_missing_parameters_and_phases_are_named() -> None:
         go.verify_trajectory(design_problem(), *smooth())
     with pytest.raises(go.ProblemError, match="there are several"):
         go.verify_trajectory(interior_point.build(), *smooth())
+
+
+def three_arcs(*durations: float) -> tuple[Array, Array]:
+    """Times of arcs one after the other, both ends of each included, and which arc each is of."""
+    ends = np.cumsum([0.0, *durations])
+    times = np.concatenate([np.linspace(a, b, 21) for a, b in itertools.pairwise(ends)])
+    return times, np.repeat(np.arange(len(durations)), 21)
+
+
+def speed_limited(unit: float, *, in_time: bool) -> go.Problem:
+    """Rest to rest over one unit, at no more than 1.3: with the least effort in 1 s, or in the least time."""
+    model = go.Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("speed limited")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.1, 9.0) if in_time else 1.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=unit, v=0.0)
+    leg.bounds(v=(None, 1.3 * unit))
+    if in_time:
+        leg.bounds(a=(-8.0 * unit, 8.0 * unit))
+    problem.minimize(leg.final_time if in_time else leg.integral((a / unit) ** 2))
+    return problem
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e4, 1e-4])
+def test_an_arc_given_with_both_its_ends_twice_is_a_minimum(unit: float) -> None:
+    """The control has kinks there and no jumps, so that these times are none to be optimised."""
+    rise = 1.5 * (1 - 1 / 1.3)  # the area under the speed is 1
+    t, arc = three_arcs(rise, 1 - 2 * rise, rise)
+    left = np.choose(arc, [1 - t / rise, 0 * t, 1 - (1 - t) / rise])  # how far from the limit
+    way = np.choose(arc, [rise / 3 * (left**3 - 1), -rise / 3 + 0 * t, -rise / 3 * (1 + left**3)])
+    states = [unit * (1.3 * (t + way)), unit * 1.3 * (1 - left**2)]
+    force = unit * 2.6 / rise * left * np.choose(arc, [1, 0, -1])
+    verdict = go.verify_trajectory(speed_limited(unit, in_time=False), t, states, force)
+    assert verdict.minimum, verdict.explain()
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e4, 1e-4])
+def test_switches_onto_a_limit_and_off_it_are_variables_too(unit: float) -> None:
+    """The control is on a bound, then where the limit wants it, then on the other bound."""
+    rise = 1.3 / 8
+    last = 1 / 1.3 + rise
+    t, arc = three_arcs(rise, last - 2 * rise, rise)
+    way = np.choose(arc, [4 * t**2, 1.3 * (t - rise / 2), 1 - 4 * (last - t) ** 2])
+    speed = np.choose(arc, [8 * t, 1.3 + 0 * t, 8 * (last - t)])
+    force = unit * np.choose(arc, [8.0, 0.0, -8.0])
+    problem = speed_limited(unit, in_time=True)
+    verdict = go.verify_trajectory(problem, t, [unit * way, unit * speed], force)
+    assert verdict.minimum, verdict.explain()
+    slow = 1.001  # takes its time
+    late = go.verify_trajectory(problem, slow * t, [unit * way, unit * speed / slow], force / slow**2)
+    assert not late.ok and late["propagation"].result is go.Result.PASS
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e4, 1e-4])
+@pytest.mark.parametrize("share", [1.0, 0.8])
+def test_a_mixed_constraint_that_holds_all_along_determines_the_control(share: float, unit: float) -> None:
+    """As far as possible with x + u <= 1: riding on the limit is best, and the limit never moves."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("mixed")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(0.0, 2.0 * unit))
+    leg.path("sum", x + u, upper=unit)
+    problem.maximize(leg.final_state("x"))
+    t = np.linspace(0.0, 1.0, 41)
+    rest = np.exp(-share * t)
+    verdict = go.verify_trajectory(problem, t, unit * (1 - rest), unit * share * rest)
+    assert verdict.minimum is (share == 1.0), verdict.explain()
+    assert verdict.ok is (share == 1.0)
