@@ -3,7 +3,7 @@
 In the order of reading: `statements` (problems in any units, with any origin and scale of the cost), `changes` (what
 makes the answer of one problem a wrong answer of another), `extremals` (stationary, but no minimum), `pairs`
 (closed forms and what only looks like one), `forged` (numbers changed in a file), `right` (what must pass), `cases`,
-`command`.
+`table` (what came of them), `command`.
 """
 
 from benchmarks.verdict.command import main

@@ -43,7 +43,7 @@ def changes(s: Statement) -> Iterator[Planted]:
     for name in s.end:
         yield _of("end missed", f"{name} ends 0.3 % of its way off", _moved(s, "end", name, 0.003))
     for name in s.states:
-        if name not in s.end:
+        if name not in s.end and name not in s.tied:
             yield _of("end not optimal", f"{name} is led to another end", _led(s, name))
     for name in s.limits:
         if name in s.controls and s.name != "Zermelo" and s.name != "brachistochrone":

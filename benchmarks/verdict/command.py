@@ -1,26 +1,28 @@
 """Planted wrong answers and right ones, and what the verdict says about each.
 
     python -m benchmarks.verdict [FILE.json] [--class TEXT ...] [--only TEXT ...] [--seed 0] [--json OUT [--resume]]
+                                 [--page PAGE.md]
 
 Wrong answers are wrong by construction, and say by how much; one that is off by less than 1e-4 does not count. Most
 are made by operators: the right answer of a changed problem (another end, limit, parameter, weight, duration, cost), or
 one flown differently, is judged as an answer of the old problem, as arrays, as stated and in another frame
 (units, origin, constant in the cost, scale of the cost). Others are extremals that are no minima (conjugate points,
-saddles of switch times, narrow wells of H, singular maxima), what default calls yield past a limit, and files whose
-numbers were changed. Right answers are those of closed forms, of `problems`, and of FILE.json, a set in the format of
-`benchmarks.ocp_json`.
+saddles of switch times, narrow wells of H, singular maxima), answers that look like a closed form and are none, what
+default calls yield past a limit, and files whose numbers were changed. Right answers are those of closed forms, of
+`problems`, and of FILE.json, a set in the format of `benchmarks.ocp_json`.
 
 The table counts, by class: planted; failed; passed wrongly; false alarms; untold (neither failed nor known to be a
 minimum). What is amiss is listed by name. The exit code is 1 if a wrong answer passes or a right one fails. Ctrl-C
 ends the run and keeps what is done, in the JSON file too; ``--resume`` leaves out what that file already has.
+``--page``
+puts the table into a page (`docs/verdict.md`) and keeps its numbers beside the benchmark.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich import box
@@ -28,6 +30,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.ocp_json import read_documents
+from benchmarks.verdict import table
 from benchmarks.verdict.cases import Case, Outcome, cases, judged
 
 _WIDTH = 140
@@ -35,8 +38,6 @@ _WIDTH = 140
 
 UNTOLD = 3
 """Most cases that may be untold."""
-
-_COLUMNS = ("failed", "passed wrongly", "false alarm", "untold", "crash", "not planted", "not found")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -60,6 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         console.print("interrupted")
     _show(console, outcomes)
+    if options.page:
+        table.write(table.count(outcomes), options.page)
     return int(any(o.word in ("passed wrongly", "false alarm", "crash") for o in outcomes))
 
 
@@ -70,16 +73,16 @@ def _is_chosen(case: Case, options: argparse.Namespace) -> bool:
 
 
 def _show(console: Console, outcomes: Sequence[Outcome]) -> None:
-    table = Table(box=box.SIMPLE_HEAD, title="the verdict on planted answers", title_justify="left")
-    table.add_column("class", no_wrap=True)
-    for column in ("planted", *_COLUMNS):
-        table.add_column(column, justify="right")
-    for kind in dict.fromkeys(o.kind for o in outcomes):
-        table.add_row(kind, *_counts(o for o in outcomes if o.kind == kind))
-    table.add_section()
-    for what, wrong in (("wrong", True), ("right", False)):
-        table.add_row(f"all {what} ones", *_counts(o for o in outcomes if o.wrong is wrong))
-    console.print(table)
+    grid = Table(box=box.SIMPLE_HEAD, title="the verdict on planted answers", title_justify="left")
+    grid.add_column("class", no_wrap=True)
+    for column in table.COLUMNS:
+        grid.add_column(column, justify="right")
+    cells = table.shown(table.count(outcomes))
+    for k, row in enumerate(cells):
+        if k == len(cells) - 2:
+            grid.add_section()
+        grid.add_row(*row)
+    console.print(grid)
     for o in outcomes:
         if o.word:
             off = "" if not o.off else f" (off by {o.off:.1e})"
@@ -88,14 +91,6 @@ def _show(console: Console, outcomes: Sequence[Outcome]) -> None:
     console.print(
         f"{sum(o.seconds for o in outcomes):.0f} s of processor time; untold: at most {UNTOLD} wanted"
     )
-
-
-def _counts(outcomes: Iterable[Outcome]) -> list[str]:
-    listed = list(outcomes)
-    words = Counter(o.word for o in listed) + Counter(o.told for o in listed if o.told.startswith("not"))
-    words["failed"] = sum(o.wrong and o.told == "failed" for o in listed)
-    planted = sum(not o.told.startswith("not") for o in listed)
-    return [str(planted), *(str(words[c]) if words[c] else "" for c in _COLUMNS)]
 
 
 def _write(path: Path, outcomes: Sequence[Outcome], seed: int) -> None:
@@ -135,4 +130,5 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=0, help="of units, origins and constants")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the outcomes after every case")
     parser.add_argument("--resume", action="store_true", help="leave out what OUT already has")
+    parser.add_argument("--page", type=Path, metavar="PAGE", help="put the table into a page")
     return parser

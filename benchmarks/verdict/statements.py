@@ -62,6 +62,8 @@ class Statement:
         Of the dynamics and the cost, k.
     guess : mapping
         Values from start to end, by name.
+    tied : tuple of str
+        States whose ends follow from those of the others.
     """
 
     name: str
@@ -77,6 +79,7 @@ class Statement:
     paths: Mapping[str, tuple[Expression, float | None, float | None]] = field(default_factory=dict)
     numbers: Mapping[str, float] = field(default_factory=dict)
     guess: Mapping[str, Any] = field(default_factory=dict)
+    tied: tuple[str, ...] = ()
 
     @property
     def has_free_time(self) -> bool:
@@ -240,6 +243,7 @@ FAMILY: tuple[Statement, ...] = (
         lambda x, u, k: [x.v * ca.sin(u.theta), x.v * ca.cos(u.theta), k.gravity * ca.cos(u.theta)],
         {"x": 0.0, "y": 0.0, "v": 0.5}, {"x": 2.0, "y": 1.0}, (0.1, 10.0), final=_time,
         limits={"theta": (-1.0, 2.5)}, numbers={"gravity": 9.81},
+        tied=("v",),
     ),
     Statement(
         "least fuel", ("q", "v"), ("forward", "backward"), lambda x, u, k: [x.v, (u.forward - u.backward) / k.mass],

@@ -39,11 +39,14 @@ class EdgeSegment:
     costates : array (n_states, n_samples of the segment)
     offence : array (n_states,)
         What no legitimate push explains, in shares of the cost.
+    gains : array (n_samples of the segment,)
+        What H gains since the start of the segment by pushes of constraints that move.
     """
 
     segment: int
     costates: Array
     offence: Array
+    gains: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -332,17 +335,20 @@ class PhaseSamples:
         return np.minimum(least, most - self.state_scale), np.maximum(most, least + self.state_scale)
 
     @cached_property
-    def path_scale(self) -> Array:
-        """How far each path constraint moves along the phase (n_paths,); one that is still, what it could be moved."""
+    def path_reach(self) -> Array:
+        """How far the spans of states and controls could move each path constraint (n_paths,)."""
         at = self.times, self.x, self.u
-        values = self.functions.paths(*at)
         by_state = np.einsum("ijt,j->it", np.abs(self.functions.path_state_jacobian(*at)), self.state_scale)
         by_control = np.einsum(
             "ijt,j->it", np.abs(self.functions.path_control_jacobian(*at)), self.control_scale
         )
-        movable = np.max(by_state + by_control, axis=1, initial=0.0)
-        moved = np.ptp(values, axis=1)
-        scale = np.where(moved > STILL * movable, moved, movable)
+        return np.asarray(np.max(by_state + by_control, axis=1, initial=0.0))
+
+    @cached_property
+    def path_scale(self) -> Array:
+        """How far each path constraint moves along the phase (n_paths,), or the spans of states and controls could."""
+        values = self.functions.paths(self.times, self.x, self.u)
+        scale = np.fmax(np.ptp(values, axis=1), STILL * self.path_reach)
         size = np.max(np.abs(values), axis=1, initial=0.0)
         scale = np.fmax(scale, RESOLUTION * size)
         return np.where(np.isfinite(scale) & (scale > 0), scale, 1.0)

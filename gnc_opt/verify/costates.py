@@ -28,7 +28,7 @@ from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT
 from gnc_opt.verify.feasibility import judge
 from gnc_opt.verify.magnitude import parameter_scale
-from gnc_opt.verify.pushes import pushed_beside, unexplained_jumps
+from gnc_opt.verify.pushes import hamiltonian_drift, pushed_beside, unexplained_jumps
 from gnc_opt.verify.verdict import Condition
 
 
@@ -124,9 +124,7 @@ def hamiltonian(samples: list[PhaseSamples], tolerance: float) -> Condition:
     """H is constant, or changes only as its explicit dependence on time says."""
     worst = NOTHING
     for s in samples:
-        drift = s.functions.time_gradient(s.times, s.x, s.u, s.lam, s.mu)
-        expected = s.integral_from_start(drift)
-        levels = s.hamiltonian - expected
+        levels = s.hamiltonian - hamiltonian_drift(s)
         told = levels[np.isfinite(levels)]
         offset = float(np.median(told)) if told.size else 0.0
         band = np.abs(levels - offset) / s.hamiltonian_scale

@@ -17,6 +17,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.samples import NEGLIGIBLE, PhaseSamples
+from gnc_opt.solution.spans import STILL
 from gnc_opt.tolerances import RANK
 
 MOST_ORDER = 3
@@ -55,7 +56,9 @@ def _rows(s: PhaseSamples) -> Array:
     leg = s.leg
     found = [np.zeros((0, leg.controls.size, s.times.size))]
     if leg.path_labels:
-        near = _near(s.functions.paths(s.times, s.x, s.u), leg.path_bounds, s.path_scale)
+        # One that holds all along hardly moves: it is near by what could move it.
+        scale = np.where(s.path_scale > STILL * s.path_reach, s.path_scale, s.path_reach)
+        near = _near(s.functions.paths(s.times, s.x, s.u), leg.path_bounds, scale)
         found.append(s.functions.path_control_jacobian(s.times, s.x, s.u) * near[:, None])
     density = NEGLIGIBLE * s.cost_scale / s.span
     on_state = _near(s.x, leg.state_bounds, s.state_scale)

@@ -41,10 +41,13 @@ class Pushers:
     ----------
     directions : array (n_states, n_sides, n_times)
         Gradient of each side of each constraint, outwards: a legitimate push moves lambda against it.
+    drifts : array (n_sides, n_times)
+        Derivative of each side by time: what a push adds to H.
     active : bool array (n_sides, n_times)
     """
 
     directions: Array
+    drifts: Array
     active: Mask
 
     @classmethod
@@ -52,11 +55,14 @@ class Pushers:
         """Evaluate state bounds and the path constraints that do not depend on controls."""
         leg, n = s.leg, s.leg.states.size
         gradients = [np.repeat(np.eye(n)[:, :, None], times.size, axis=2)]
+        rates = [np.zeros((n, times.size))]
         values, scales = [x], [s.state_scale]
         lower, upper = [leg.state_bounds.lower], [leg.state_bounds.upper]
         pure = s.pure_paths
         if pure.size:
-            gradients.append(_path_gradients(s, times, x, u)[:, pure])
+            by_state, by_time = _path_gradients(s, times, x, u)
+            gradients.append(by_state[:, pure])
+            rates.append(by_time[pure])
             values.append(s.functions.paths(times, x, u)[pure])
             scales.append(s.path_scale[pure])
             lower.append(leg.path_bounds.lower[pure])
@@ -65,20 +71,26 @@ class Pushers:
         at_upper = value >= np.concatenate(upper)[:, None] - near
         at_lower = value <= np.concatenate(lower)[:, None] + near
         outward = np.concatenate(gradients, axis=1)
-        return cls(np.concatenate([outward, -outward], axis=1), np.vstack([at_upper, at_lower]))
+        drift = np.concatenate(rates)
+        return cls(
+            np.concatenate([outward, -outward], axis=1),
+            np.concatenate([drift, -drift]),
+            np.vstack([at_upper, at_lower]),
+        )
 
 
-def _path_gradients(s: PhaseSamples, times: Array, x: Array, u: Array) -> Array:
-    """dc/dx, (n_states, n_paths, n_times)."""
+def _path_gradients(s: PhaseSamples, times: Array, x: Array, u: Array) -> tuple[Array, Array]:
+    """dc/dx, (n_states, n_paths, n_times), and dc/dt, (n_paths, n_times)."""
     paths, zero = len(s.leg.path_labels), np.zeros_like(x)
     mu = np.zeros((paths, times.size))
-    without = s.functions.state_gradient(times, x, u, zero, mu)
-    columns = []
+    derivatives = s.functions.state_gradient, s.functions.time_gradient
+    by_state, by_time = ([f(times, x, u, zero, mu)] for f in derivatives)
     for i in range(paths):
         mu[i] = 1.0
-        columns.append(s.functions.state_gradient(times, x, u, zero, mu) - without)
+        by_state.append(derivatives[0](times, x, u, zero, mu) - by_state[0])
+        by_time.append(derivatives[1](times, x, u, zero, mu) - by_time[0])
         mu[i] = 0.0
-    return np.stack(columns, axis=1)
+    return np.stack(by_state[1:], axis=1), np.stack(by_time[1:])
 
 
 def unexplained_jumps(s: PhaseSamples) -> Array:
@@ -86,10 +98,33 @@ def unexplained_jumps(s: PhaseSamples) -> Array:
 
     A jump the wrong way is explained as far as a push beside it makes up for it, see `pushed_beside`.
     """
+    return _jumps(s)[0]
+
+
+def hamiltonian_drift(s: PhaseSamples) -> Array:
+    """What H gains by time at the samples (n_samples,): by its own derivative and by pushes of constraints that move.
+
+    Where a constraint c(t, x) without controls has an atom eta, H(t+) = H(t-) + eta dc/dt.
+    """
+    mu = s.mu.copy()
+    for edge in s.edges:
+        mu[np.ix_(s.pure_paths, np.flatnonzero(s.segments == edge.segment))] = 0.0
+    total = s.integral_from_start(s.functions.time_gradient(s.times, s.x, s.u, s.lam, mu))
+    if s.leg.mesh.segments > 1 and s.pure_paths.size:
+        total = total + np.append(0.0, np.cumsum(_jumps(s)[1]))[s.segments]
+    for edge in s.edges:
+        here = s.segments == edge.segment
+        total[here] += edge.gains
+        total[s.segments > edge.segment] += edge.gains[-1]
+    return total
+
+
+def _jumps(s: PhaseSamples) -> tuple[Array, Array]:
+    """What no active constraint explains of jumps (n_states, K - 1), and what H gains by the others (K - 1,)."""
     breaks = s.leg.breaks[1:-1]
     jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
     pushers = Pushers.at(s, breaks, s.leg.x(breaks), s.leg.flown(breaks))
-    rest = jumps.copy()
+    rest, gains = jumps.copy(), np.zeros(breaks.size)
     scale, spare = s.state_scale, _spare_pushes(s)
     for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
         directions = pushers.directions[:, pushers.active[:, k], k]
@@ -98,7 +133,8 @@ def unexplained_jumps(s: PhaseSamples) -> Array:
             directions * scale[:, None], (jumps[:, k] - directions @ least) * scale
         )
         rest[:, k] -= directions @ (sizes + least)
-    return rest
+        gains[k] = pushers.drifts[pushers.active[:, k], k] @ (sizes + least)
+    return rest, gains
 
 
 def pushed_beside(s: PhaseSamples, densities: Array) -> Array:
@@ -149,7 +185,7 @@ def _integrate_anew(s: PhaseSamples, k: int, tolerance: float) -> EdgeSegment | 
     times, x, u, lam = s.times[here], s.x[:, here], s.u[:, here], s.lam[:, here]
     free, fundamental = _without_pushes(s, k, here)
     pushers = Pushers.at(s, times, x, u)
-    responses = _responses(pushers, fundamental)
+    responses, gained = _responses(pushers, fundamental)
     if not responses.shape[2]:
         return None
     worth = s.state_scale / s.cost_scale
@@ -171,7 +207,7 @@ def _integrate_anew(s: PhaseSamples, k: int, tolerance: float) -> EdgeSegment | 
     reach = np.max(np.abs(responses) @ weights, axis=1)
     if np.any(np.abs(costates - lam) * worth[:, None] > (reach * worth + tolerance)[:, None]):
         return None
-    return EdgeSegment(k, costates, np.abs(costates[:, -1] - lam[:, -1]) * worth)
+    return EdgeSegment(k, costates, np.abs(costates[:, -1] - lam[:, -1]) * worth, gained @ weights)
 
 
 def _without_pushes(s: PhaseSamples, k: int, here: Indices) -> tuple[Array, Array]:
@@ -198,10 +234,10 @@ def _without_pushes(s: PhaseSamples, k: int, here: Indices) -> tuple[Array, Arra
     return every[:, :, -1].T, np.transpose(every[:, :, :-1], (1, 2, 0))
 
 
-def _responses(pushers: Pushers, fundamental: Array) -> Array:
-    """Costates (n, m, n_pushes) that a unit push between two neighbouring samples causes."""
+def _responses(pushers: Pushers, fundamental: Array) -> tuple[Array, Array]:
+    """Costates (n, m, n_pushes) that a unit push between two neighbouring samples causes, and what H gains (m, ...)."""
     n, _, m = fundamental.shape
-    columns = []
+    columns, gains = [], []
     at_start = np.stack(
         [np.linalg.solve(fundamental[:, :, j], pushers.directions[:, :, j]) for j in range(m)]
     )
@@ -211,4 +247,7 @@ def _responses(pushers: Pushers, fundamental: Array) -> Array:
             response = np.zeros((n, m))
             response[:, j + 1 :] = -np.einsum("abt,b->at", fundamental[:, :, j + 1 :], push)
             columns.append(response)
-    return np.stack(columns, axis=2) if columns else np.zeros((n, m, 0))
+            gains.append(np.where(np.arange(m) > j, np.mean(pushers.drifts[side, j : j + 2]), 0.0))
+    if not columns:
+        return np.zeros((n, m, 0)), np.zeros((m, 0))
+    return np.stack(columns, axis=2), np.stack(gains, axis=1)

@@ -103,7 +103,7 @@ def critical_cone(
     solution: Solution,
     samples: Sequence[PhaseSamples],
     rounding: float,
-    sizes: Callable[[PhaseSamples], tuple[Array, Array]],
+    sizes: Callable[[PhaseSamples], tuple[Array, Array]] | None = None,
 ) -> CriticalCone:
     """Return what is free to vary along a solution, on a mesh with room for it.
 
@@ -114,13 +114,16 @@ def critical_cone(
         Of its phases.
     rounding : float
         Costs below this are that (`rounding_of_cost`).
-    sizes : callable
-        Variations of 1 in the states (n,) and in the controls (m,) of a phase: `flown_spans` or `visible_spans`.
+    sizes : callable, optional
+        Variations of 1 in the states (n,) and in the controls (m,) of a phase: `flown_spans` or `visible_spans`;
+        default: the magnitudes of the program.
     """
     meshes = {name: _rich(leg.mesh) for name, leg in solution.phases.items()}
 
     def scales(transcription: Transcription, problem: Problem, x: Array) -> Array:
         found = scale_variables(transcription, problem, x)
+        if sizes is None:
+            return found
         for s in samples:
             part = transcription.parts[s.leg.name]
             states, controls = sizes(s)

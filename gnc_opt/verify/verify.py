@@ -135,8 +135,15 @@ def _second_order(
         return [_untold("second order", "a derivative of the problem is no number", _CANNOT_VARY)]
     curvature = reduced_hessian(solution, samples, cone)
     smooth = [_agreed(c, curvature) for c in conjugate_points(solution, samples)]
-    visible = critical_cone(solution, samples, rounding, visible_spans)
-    return [normality(visible), *smooth, curvature]
+    return [_normality(solution, samples, rounding), *smooth, curvature]
+
+
+def _normality(solution: Solution, samples: list[PhaseSamples], rounding: float) -> Condition:
+    """By the magnitudes of the program and, where those may be too large, by what the flight moves."""
+    told = normality(critical_cone(solution, samples, rounding))
+    if told.result is Result.PASS:
+        return told
+    return normality(critical_cone(solution, samples, rounding, visible_spans))
 
 
 def _agreed(conjugate: Condition, curvature: Condition) -> Condition:

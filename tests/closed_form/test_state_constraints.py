@@ -12,6 +12,7 @@ import pytest
 from closed_form import SCHEMES, Truth, assert_matches, constant, solve
 
 import gnc_opt as go
+from gnc_opt.verify.pushes import hamiltonian_drift
 
 on_schemes = pytest.mark.parametrize("scheme", SCHEMES)
 
@@ -257,3 +258,29 @@ def test_speed_limit_on_a_fixed_mesh(degree: int, scheme: str) -> None:
     on = (leg.point_times > 0.5 + 1e-6) & (leg.point_times < 2 - 1e-6)
     np.testing.assert_allclose(leg.state_multipliers[1][on], -lam_x, atol=1e-7)
     assert leg.state_impulses[1, 2] == pytest.approx(0.0, abs=1e-8)
+
+
+@pytest.mark.parametrize("height", [0.2, 0.1])
+@pytest.mark.parametrize("climb", [0.3, -0.3])
+def test_under_a_ceiling_that_moves_h_jumps_as_the_costate_does(height: float, climb: float) -> None:
+    """Bryson-Denham from a moving lift: H(t+) = H(t-) + eta dc/dt where the ceiling is touched, or an arc begins."""
+    model = go.Model("cart")
+    x, v, a = model.state("x"), model.state("v"), model.control("a")
+    model.ode({x: v, v: a})
+    problem = go.Problem("lift")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0, v=1.0 + climb)
+    leg.final(x=climb, v=climb - 1.0)
+    leg.path("ceiling", x - climb * model.time, upper=height)
+    problem.minimize(leg.integral(0.5 * a**2))
+    solution = go.solve(problem, tol=1e-8)
+    # Arc: 4 / (9 l); touch: 2 + 6 (1 - 4 l)^2 (Bryson & Ho 1975, sec. 3.11).
+    known = 4 / (9 * height) if height < 1 / 6 else 2 + 6 * (1 - 4 * height) ** 2
+    assert solution.objective == pytest.approx(known, rel=1e-7)
+    verdict = go.verify(solution)
+    assert verdict.ok, verdict.explain()
+    # lambda_x is the rate of a, the same before and after but for its sign; H differs by as much times the climb.
+    rate = 2 / (3 * height) ** 2 if height < 1 / 6 else 24 * (1 - 4 * height)
+    drift = hamiltonian_drift(next(iter(solution.samples().values())))
+    assert drift[-1] - drift[0] == pytest.approx(-2 * climb * rate, rel=1e-5)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import gnc_opt as go
-from benchmarks.verdict import command
+from benchmarks.verdict import command, table
 from benchmarks.verdict.cases import Case, Outcome, cases, judged
 from benchmarks.verdict.changes import changes, off_by
 from benchmarks.verdict.extremals import great_circle
+from benchmarks.verdict.pairs import Pair, pairs
 from benchmarks.verdict.statements import FAMILY, build, frames, in_frame, solved, trajectory
 
 ENERGY = FAMILY[0]
@@ -107,3 +109,53 @@ def test_the_long_way_round_is_longer() -> None:
     """Its excess over the way across a pole, by the lengths themselves."""
     long = go.solve(great_circle(1.5 * np.pi), mesh="10x4", tol=None).objective
     assert long == pytest.approx(0.5 * (1.5 * np.pi) ** 2, rel=1e-6)
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def outcome(kind: str, told: Any, wrong: bool = True) -> Outcome:
+    return Outcome(kind, f"{kind} {told}", "why", wrong, told, 0.1, (), 0.1)
+
+
+def test_classes_are_counted_and_shown(tmp_path: Path) -> None:
+    told = [outcome("a", t) for t in ("failed", "failed", "passed", "not found", "crash")]
+    told += [outcome("right: b", t, wrong=False) for t in ("passed", "failed", "untold")]
+    rows = table.count(told)
+    assert [rows["a"][c] for c in ("planted", "failed", "passed wrongly", "crash", "not found")] == [
+        4,
+        2,
+        1,
+        1,
+        1,
+    ]
+    assert [rows["right: b"][c] for c in ("planted", "failed", "false alarm", "untold")] == [3, 0, 1, 1]
+    assert rows["all wrong ones"] == rows["a"] and rows["all right ones"] == rows["right: b"]
+    page, numbers = tmp_path / "page.md", tmp_path / "numbers.json"
+    page.write_text("before\n<!-- table of benchmarks.verdict -->\nstale\n<!-- end of the table -->\nafter\n")
+    for _ in range(2):  # again, it replaces the table
+        table.write(rows, page, numbers)
+    text = page.read_text()
+    assert "| a | 4 | 2 | 1 |  |  | 1 |  | 1 |\n" in text and "stale" not in text
+    assert text.startswith("before\n") and text.endswith("<!-- end of the table -->\nafter\n")
+    assert json.loads(numbers.read_text()) == rows
+    page.write_text("no place")
+    with pytest.raises(ValueError, match="no place for the table"):
+        table.write(rows, page, numbers)
+
+
+def test_the_page_shows_the_numbers_of_the_last_run_and_nothing_passed_wrongly() -> None:
+    rows = json.loads(table.NUMBERS.read_text(encoding="utf-8"))
+    assert table.markdown(rows) in (ROOT / "docs" / "verdict.md").read_text(encoding="utf-8")
+    assert rows["all wrong ones"]["planted"] >= 400 and rows["all right ones"]["planted"] >= 100
+    assert rows["all wrong ones"]["passed wrongly"] == rows["all wrong ones"]["crash"] == 0
+    planned = {c.kind for c in cases([], seed=0)}
+    assert set(rows) - {"all wrong ones", "all right ones", "right: problem set"} == planned
+
+
+@pytest.mark.parametrize(
+    "pair", [p for p in pairs() if p.name in ("refraction", "loss of speed between phases")]
+)
+def test_of_a_pair_one_is_right(pair: Pair) -> None:
+    assert pair.make(1e3, 1e-3, False).judge().minimum
+    assert pair.make(1e3, 1e-3, True).judge().failed

@@ -86,7 +86,9 @@ def test_flown_controls_are_within_bounds_and_polynomials_need_not_be() -> None:
 
 def test_edges_have_their_own_costates_and_offences(right: PhaseSamples) -> None:
     here = right.segments == 1
-    anew = EdgeSegment(1, np.full((2, int(here.sum())), 7.0), np.array([0.25, 0.5]))
+    anew = EdgeSegment(
+        1, np.full((2, int(here.sum())), 7.0), np.array([0.25, 0.5]), np.zeros(int(here.sum()))
+    )
     edged = replace(right, edges=(anew,))
     assert np.all(edged.lam[:, here] == 7.0)
     assert np.array_equal(edged.lam[:, ~here], right.lam_polynomial[:, ~here])

@@ -320,7 +320,8 @@ def test_costates_without_pushes_and_what_pushes_add() -> None:
     np.testing.assert_allclose(fundamental, exact, atol=1e-8)
     np.testing.assert_allclose(costates, np.einsum("abt,b->at", exact, [2.5, 2.0]), atol=1e-8)
     pushers = Pushers.at(s, times, s.x[:, here], s.u[:, here])
-    responses = _responses(pushers, fundamental)
+    responses, gains = _responses(pushers, fundamental)
+    assert not np.any(gains)  # a bound does not move
     assert responses.shape == (2, times.size, times.size - 1)  # x_0 is beyond its limit from 0.5 s on
     j = 4
     at = [np.linalg.solve(exact[:, :, k], [1.0, 0.0]) for k in (j, j + 1)]
