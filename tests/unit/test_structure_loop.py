@@ -420,6 +420,24 @@ def test_costates_count_in_shares_of_the_cost() -> None:
     assert s._finer(pushed, plan, 1e-9) is None
 
 
+def test_multipliers_along_a_contact_are_rough_and_do_not_count() -> None:
+    """lam_q' = 1 where 0 is right, in both pieces; along the second one a state constraint is held. Dynamics count."""
+    contact = PhaseStructure(
+        (0.0, 0.5, 1.0),
+        ((FREE,) * 5, (FREE, FREE, FREE, UP, FREE)),
+        n_controls=1,
+        n_paths=2,
+        orders=(0, 0, 0, 2, 0),
+    )
+    plan = Plan(contact, (Resolution(1, 4), Resolution(1, 4)))
+    wrong = samples(CART, lam=lambda t, k: [-12 + t, -6 + 12 * t - 0.5 * t**2])
+    found = s._finer(wrong, plan, 1e-9)
+    assert found is not None and [r.degree for r in found.resolutions] == [7, 4]
+    bent = samples(CART, lambda t, k: [3 * t**2 - 2 * t**3, 6 * t - 6 * t**2 + 0.4 * k * (t - 0.5)])
+    found = s._finer(bent, plan, 1e-9)
+    assert found is not None and [r.degree for r in found.resolutions] == [4, 7]
+
+
 def test_an_open_gradient_of_a_singular_control_asks_for_a_higher_degree() -> None:
     plan = plan_of(
         Resolution(1, 4, 4),
@@ -463,6 +481,7 @@ def test_a_mesh_is_refined_once_beyond_a_small_error() -> None:
     assert not s._resolved([raised], 1e-9)
     assert not s._resolved([record(1e-8, s.RAISED), raised], 1e-9)
     assert not s._resolved([raised, record(1e-10, s.KINKS_MOVED)], 1e-9)
+    assert s._resolved([record(1.0, s.KINKS_MOVED), record(1.0, s.RAISED), raised, raised], 1e-9)
 
 
 @pytest.fixture
