@@ -456,6 +456,9 @@ def test_an_open_gradient_of_a_singular_control_asks_for_a_higher_degree() -> No
     assert s._open_gradient(found, bang).tolist() == [0.0, 0.0]
 
 
+TWO_ROWS = PhaseStructure((0.0, 0.5, 1.0), ((LOW,) + (FREE,) * 4, (UP,) + (FREE,) * 4), (), 1, 2)
+
+
 # --- the loop ---------------------------------------------------------------------------------------------
 
 
@@ -527,6 +530,35 @@ def test_how_the_loop_ends(scripted: Any, script: Any, passes: int, status: str,
     assert history.message == f"{status}: {actions[-1]}"
     if status == "converged":
         assert found.objective == len(script) and history.chosen == len(script) - 1
+
+
+@pytest.mark.parametrize(("tol", "asked"), [(1e-3, s.FINEST), (1e-12, 1e-12)])
+def test_what_was_detected_is_tried_after_a_structure_that_fails(
+    monkeypatch: pytest.MonkeyPatch, tol: float, asked: float
+) -> None:
+    problem = cart()
+    base, other = solution(problem, phase(problem)), solution(problem, phase(problem))
+    told, calls = {"leg": Plan.of(TWO_ROWS)}, []
+
+    def loop(
+        problem: Any, guess: Any, plans: Any, tol: float, limits: Any, options: SolverOptions, *_: Any
+    ) -> Any:
+        calls.append((guess, plans, tol, limits.passes, options.tolerance))
+        return RefinementStatus.FAILED
+
+    monkeypatch.setattr(s, "_settled", lambda *_: (other, told))
+    monkeypatch.setattr(s, "_loop", loop)
+    found, history = s.optimise_switches(base, tol=tol, max_passes=7, structures={"leg": TWO_ROWS})
+    assert found is base and history.status is RefinementStatus.FAILED and history.tolerance == tol
+    assert [(c[0] is other, c[0] is base, *c[2:]) for c in calls] == [
+        (True, False, asked, 7, s.TIGHT),
+        (False, True, asked, 7, s.TIGHT),
+    ]
+    assert calls[0][1] is told and calls[1][1]["leg"].structure == TWO_ROWS
+    monkeypatch.setattr(s, "_settled", lambda *_: (base, told))
+    calls.clear()
+    s.optimise_switches(base, structures={"leg": TWO_ROWS})
+    assert len(calls) == 1  # the same guess would fail again
 
 
 def test_solves_of_the_loop_are_sharp_and_brief(scripted: Any) -> None:
