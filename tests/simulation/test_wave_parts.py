@@ -1,11 +1,16 @@
 """Waves piece by piece: what they are at a time, how they are stacked, cut, bent, averaged and integrated."""
 
 import itertools
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
+from loops import scheduled
 
+from gnc_opt.model.model import Model
+from gnc_opt.simulation import ClosedLoop, Delay, Lag, RateLimit
+from gnc_opt.simulation.loop import _growth
 from gnc_opt.simulation.wave import Part, Wave, cut, stacked
 
 H = 2.0
@@ -244,3 +249,55 @@ def test_an_average_knows_how_far_it_is_off():
     assert number(late.blur) == pytest.approx([max(abs(begin - mean), abs(end - mean))])
     still = held(1.0)
     assert still.averaged(H) is still
+
+
+@pytest.mark.parametrize(("start", "minor"), [(0.0, 1), (0.0, 3), (50.0, 1)])
+def test_what_averaging_may_add_is_reckoned_at_every_minor_step(start, minor):
+    """x' = 3 u behind two lags: the second one takes the mean of the first, by a plain loop; shares of large states."""
+    plant = Model("impulse")
+    x, u = plant.state("x"), plant.control("u")
+    plant.ode({x: 3 * u})
+    law = scheduled(plant, lambda t: 1 + 0 * t[None, :])
+    loop = ClosedLoop(plant, law, [Lag("one", 0.5), Lag("two", 0.25)], dt=0.6, minor_steps=minor)
+    flight = loop.flight([start], tf=1.2)
+    ending = flight.final(flight.nominal[:, None], [0])
+    h, one, two, at, total = 0.6 / minor, 0.0, 0.0, start, 0.0
+    for _ in range(2 * minor):
+        end = 1 + (one - 1) * np.exp(-h / 0.5)
+        mean = 1 + (one - 1) * 0.5 * (1 - np.exp(-h / 0.5)) / h
+        far = max(abs(one - mean), abs(end - mean))
+        applied = mean + (two - mean) * 0.25 * (1 - np.exp(-h / 0.25)) / h
+        one, two = end, mean + (two - mean) * np.exp(-h / 0.25)
+        at += 3 * h * applied
+        total += 3 * h * far / max(1.0, abs(at))
+    assert ending.states[0, 0] == pytest.approx(at, rel=1e-12)
+    assert ending.averaging_error[0] == pytest.approx(total, rel=1e-9)
+    assert ending.integration_error[0] == pytest.approx(total, rel=1e-6)  # the integration itself is exact
+
+
+def test_where_waves_of_several_actuators_break_the_integration_begins_anew():
+    """Two delays and a rate limit on three controls: held, then held, then a ramp, in one step of 1 s."""
+    plant = Model("impulses")
+    x = plant.state("x", 3)
+    a, b, c = (plant.control(name) for name in "abc")
+    plant.ode({x: ca.vertcat(a, b, c)})
+    law = scheduled(plant, lambda t: np.tile([[2.0], [3.0], [4.0]], t.size))
+    chain = [Delay("late", 0.25, on="a"), Delay("later", 0.75, on="b"), RateLimit("slew", 8.0, on="c")]
+    run = ClosedLoop(plant, law, chain, dt=1.0).simulate(np.zeros(3), tf=1.0)
+    assert run.applied[:, 0] == pytest.approx([2 * 0.75, 3 * 0.25, 4 * (1 - 0.25)], rel=1e-13)
+    assert run.states[:, -1] == pytest.approx(run.applied[:, 0], rel=1e-13)
+    assert run.outcome.ok
+
+
+def test_by_how_much_errors_grow():
+    """Apart by 1/2 of 1 and by 10 of 10 where single steps leave 0.01: the fifth power of the steps' ratio is left."""
+
+    def at(*states):
+        return SimpleNamespace(states=np.array(states)[:, None])
+
+    growth = _growth(at(1.5, 20.0, 0.5), at(1.0, 10.0, 0.4), 0.01, 0.5)
+    assert growth == pytest.approx(1 / ((1 - 1 / 32) * 0.01))
+    assert _growth(at(0.7), at(0.2), 0.01, 0.5) == pytest.approx(0.5 / ((1 - 1 / 32) * 0.01))
+    assert _growth(at(1.001), at(1.0), 0.01, 0.5) == 1.0
+    assert _growth(at(2.0), at(1.0), 1e-14, 0.5) == 1.0 and _growth(at(2.0), at(1.0), 2e-14, 0.5) > 1.0
+    assert _growth(at(1.5, 1.0), at(1.0, np.nan), 0.01, 0.5) == 1.0
