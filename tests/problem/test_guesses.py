@@ -214,3 +214,33 @@ def test_the_solution_of_a_simpler_problem() -> None:
         go.solve(hop(drag=True), guess=simple)
     with pytest.raises(go.ProblemError, match="no phase with states or controls of the same names"):
         go.guess_from_solution(spiral(), simple)
+
+
+def aimed(**parameters: int) -> go.Problem:
+    """A cart from rest whose parameters, of the sizes given, are drawn to 3, 4, ..."""
+    model = go.Model("cart")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("aimed")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    cost = leg.integral(u**2)
+    for name, size in parameters.items():
+        p = problem.parameter(name, size, guess=[-1.0] * size)
+        cost += sum((p[i] - 3 - i) ** 2 for i in range(size))
+    problem.minimize(cost)
+    return problem
+
+
+def test_parameters_of_the_same_name_and_size_are_guessed_as_they_were_found() -> None:
+    found = go.solve(aimed(a=1, b=2, c=2), mesh="1x3", tol=None)
+    start = go.guess_from_solution(aimed(d=1, b=1, c=2), found)
+    guess = {name: list(values) for name, values in start.parameter_guess.items()}
+    assert guess["c"] == pytest.approx([3.0, 4.0], abs=1e-6)
+    assert (guess["d"], guess["b"]) == ([-1.0], [-1.0])
+    warm = go.solve(aimed(d=1, c=2), mesh="1x3", guess=found, tol=None)
+    assert warm.parameter("c") == pytest.approx([3.0, 4.0], abs=1e-6)
+    assert warm.parameter("d") == pytest.approx(3.0, abs=1e-6)
+    none = go.guess_from_solution(aimed(d=1), found)
+    assert list(none.parameter_guess["d"]) == [-1.0]

@@ -478,6 +478,7 @@ def test_a_solution_in_the_problems_own_terms(solved: Any) -> None:
         solution.provenance["mesh"].startswith("first 2x(4..5)")
         and solution.provenance["scheme"] == solution.scheme
     )
+    assert solution.constraint_values == pytest.approx(np.zeros(3), abs=1e-8)
     assert solution.multiplier("joined v") == pytest.approx(first.costate("v")(first.final_time), abs=1e-5)
     assert first.costate("v")(first.final_time, "left") == pytest.approx(
         second.costate("v")(second.initial_time), abs=1e-5
