@@ -467,3 +467,20 @@ def test_plant_and_controller_must_fit():
             ClosedLoop(small, idle(small), actuators, dt=DT)
     with pytest.raises(ArgumentError, match="one of the disturbances of a closed loop is a Lag"):
         ClosedLoop(small, idle(small), disturbances=[Lag("x", 0.1)], dt=DT)
+
+
+def test_a_law_that_solves_equations_is_flown():
+    """A function of matrix symbols only: [[1 + t, 1/2], [1/2, 2]] u = (q, 1), of which the first component is -a."""
+    plant = memory_of_impulse()
+
+    def expression(t, x, r, z):
+        return -ca.solve(ca.blockcat([[1 + t, 0.5], [0.5, 2.0]]), ca.vertcat(x, 1.0))[0], z
+
+    law = controller(plant, expression, symbols=ca.MX)
+    run = ClosedLoop(plant, law, dt=0.25).simulate([5.0], tf=1.0)
+    q = 5.0
+    for k in range(4):
+        a = -np.linalg.solve([[1 + 0.25 * k, 0.5], [0.5, 2.0]], [q, 1.0])[0]
+        assert run.commands[0, k] == pytest.approx(a)
+        q += 0.25 * a
+    assert run.states[0, -1] == pytest.approx(q)
