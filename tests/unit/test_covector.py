@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from by_hand import cart, phase
+from by_hand import cart, phase, solution
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
@@ -487,6 +487,35 @@ def test_a_start_on_another_mesh_is_sampled(solved: Any) -> None:
     (middle,) = other.parts["second"].times[1:-1]
     second = solution.phases["second"]
     assert start.x[middle] == pytest.approx(0.5 * (second.initial_time + second.final_time))
+
+
+def test_jumps_of_costates_and_impulses_come_back_on_their_mesh() -> None:
+    """Costates that fall at 2 s, and impulses of both states at all three boundaries."""
+    problem = guessed()
+    impulses = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    leg = phase(
+        problem, lambda t, k: [t, 2 * t], lambda t, k: 0.5 * t, lambda t, k: [t - 10 * k, 2 - k + 0 * t],
+        breaks=(1.0, 2.0, 5.0), degree=3, state_impulses=impulses,
+    )  # fmt: skip
+    transcription = transcribe(problem, {"leg": leg.mesh}, "LG")
+    start = start_from_solution(
+        transcription, problem, solution(problem, leg), np.zeros(transcription.n_variables)
+    )
+    part = transcription.parts["leg"].collocation
+    assert start.lam_x is not None and start.lam_g is not None
+    assert start.lam_x[part.boundary_states] == pytest.approx(impulses)
+    for k, end in enumerate(([2.0, 2.0], [-5.0, 1.0])):
+        assert start.lam_g[part.dynamics_rows[k]][:, -1] == pytest.approx(-np.array(end))
+    assert point_costates(part, start.lam_g) == pytest.approx(leg.point_costates)
+    assert _boundary_costates(part, start.lam_g, np.zeros((2, 6)))[1] == pytest.approx(leg.lam_end)
+
+
+def test_each_state_is_held_by_its_own_pushes() -> None:
+    """Of the trapezoidal rule, which has no points within: the first state is pushed at both, the second at one."""
+    part = collocation("LGL", Mesh((0.0, 0.3, 1.0), (2, 2)))
+    pushed = np.array([[True, True, False, True], [True, False, True, True]])
+    held = _held_segments(part, pushed, np.ones((2, 4), dtype=bool))
+    assert held.tolist() == [[True, False], [False, True]]
 
 
 def arc_ends(part: Any) -> Array:

@@ -294,6 +294,21 @@ def test_constants_in_the_cost_count_where_the_duration_is_free(
     assert found.hamiltonian_scale == pytest.approx(0.1 * 3.0 if told else 4.5)
 
 
+def test_each_integrand_counts_above_its_own_least() -> None:
+    """4 u^2 + 2 (x + 3)^2 with u = 1 + t and x = t: from 4 to 16 and from 18 to 32, of which 12 and 14 count."""
+    model = go.Model("two costs")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("two costs")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    problem.minimize(4 * leg.integral(u**2) + 2 * leg.integral((x + 3) ** 2))
+    at = (problem, lambda t, k: [t], lambda t, k: 1 + t, lambda t, k: 0 * t)
+    assert samples(*at, weights=(4.0, 2.0)).hamiltonian_scale == pytest.approx(26.0)
+    free_end = samples(*at, weights=(4.0, 2.0), final_time_bounds=interval(0.5, 2.0))
+    assert free_end.hamiltonian_scale == pytest.approx(48.0)
+
+
 # --- where rates jump, and directions of nothing ------------------------------------------------------------
 
 
