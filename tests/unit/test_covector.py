@@ -324,8 +324,8 @@ def test_a_path_is_mixed_if_any_control_moves_it_anywhere() -> None:
     assert np.max(np.abs(phases["leg"].path_multipliers[1] - densities)[3:5]) > 0.1
 
 
-@pytest.mark.parametrize("unit", [1e-6, 1e6])
-def test_what_pushes_does_not_depend_on_the_unit_of_the_cost(unit: float) -> None:
+@pytest.mark.parametrize(("unit", "second"), [(1e-6, 1.0), (1e6, 1.0), (1.0, 1e-3), (1.0, 1e3)])
+def test_what_pushes_does_not_depend_on_the_units_of_cost_and_time(unit: float, second: float) -> None:
     """Beside costates of all sizes, in a program of arbitrary numbers."""
     model = go.Model("one")
     x, a = model.state("x", 2), model.control("a")
@@ -340,12 +340,13 @@ def test_what_pushes_does_not_depend_on_the_unit_of_the_cost(unit: float) -> Non
     lam_g, x0 = random.normal(size=transcription.n_constraints), np.zeros(transcription.n_variables)
     gradient, push = random.normal(size=(2, 8)), 10.0 ** random.uniform(-9, 0, (2, 8))
 
-    def found(c: float) -> _CostatePieces:
+    def found(c: float, t: float) -> _CostatePieces:
+        weights = 2 * t * part.quadrature
         return _CostatePieces.of(
-            part, Iterate(x0, c * lam_x, c * lam_g), 2 * part.quadrature, c * gradient, c * push
+            part, Iterate(x0, c * lam_x, c * lam_g), weights, c / t * gradient, c / t * push
         )
 
-    usual, other = found(1.0), found(unit)
+    usual, other = found(1.0, 1.0), found(unit, second)
     assert np.sum(usual.pushed) > 0 and 0 < np.sum(usual.bounded) < usual.bounded.size
     np.testing.assert_array_equal(other.pushed, usual.pushed)
     np.testing.assert_array_equal(other.bounded, usual.bounded)
