@@ -213,3 +213,16 @@ def test_the_same_places_of_all_segments_are_evaluated_from_within_each() -> Non
     assert found[0] == pytest.approx(np.array([[-0.5, 0.5, 1.5], [1.0, 0.0, 1.0], [5.0, 5.0, 5.0]]))
     assert signal([0.5, 1.0, 2.5, 3.0])[0] == pytest.approx([0.5, 1.0, 0.25, 5.0])
     assert signal([1.0, 3.0], "left")[0] == pytest.approx([1.5, 1.0])
+
+
+def test_whole_numbers_are_numbers() -> None:
+    """t^2 on [0, 2] and 8 - 2 t on [2, 4], all given as integers."""
+    signal = PiecewisePolynomial(
+        [0, 2, 4],  # type: ignore[arg-type]
+        ([-1, 0, 1], [-1, 1]),  # type: ignore[arg-type]
+        ([[0, 1, 4]], [[4, 0]]),  # type: ignore[arg-type]
+    )
+    assert all(array.dtype == float for array in (signal.breaks, *signal.nodes, *signal.values))
+    assert signal([0.5, 1.5, 3.0])[0] == pytest.approx([0.25, 2.25, 2.0])
+    assert signal.derivative()([0.5, 3.0])[0] == pytest.approx([1.0, -2.0])
+    assert signal.integral() == pytest.approx([8 / 3 + 4])
