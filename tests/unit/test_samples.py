@@ -659,6 +659,27 @@ def test_depth_beyond_a_circle_is_the_distance_to_it(
     assert path_offences(point, found) == pytest.approx([depth], rel=1e-6)
 
 
+@pytest.mark.parametrize("limit", [-1.0, 1.0])
+def test_what_sits_on_its_limit_keeps_it(limit: float) -> None:
+    """limit + max(q - limit, 0)^2 <= limit: below it the value is the limit itself. From limit + 3/2, of a span of 2."""
+    model = go.Model("line")
+    q, a = model.state("q"), model.control("a")
+    model.ode({q: a})
+    problem = go.Problem("line")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.path("above", limit + ca.fmax(q - limit, 0) ** 2, upper=limit)
+    problem.minimize(leg.integral(a**2))
+    found = samples(
+        problem, lambda t, k: [limit + 2 * t], lambda t, k: 0 * t, lambda t, k: 0 * t, weights=(1.0,)
+    )
+    limits_ = Limits.of(found.functions.paths, leg.path_interval())
+    point = Violations(
+        limits_, np.array([0.75]), np.array([2.25]), np.array([[limit + 1.5]]), np.zeros((1, 1))
+    )
+    assert path_offences(point, found) == pytest.approx([0.75], rel=1e-6)
+
+
 def test_at_the_centre_of_a_circle_the_nearest_sample_shows_the_way_out() -> None:
     problem, leg = circle(-1, 0.5)
     found = samples(problem, lambda t, k: [1.0 + t, 0 * t], lambda t, k: 0 * t, weights=(1.0,))
