@@ -661,7 +661,7 @@ def test_depth_beyond_a_circle_is_the_distance_to_it(
 
 @pytest.mark.parametrize("limit", [-1.0, 1.0])
 def test_what_sits_on_its_limit_keeps_it(limit: float) -> None:
-    """limit + max(q - limit, 0)^2 <= limit: below it the value is the limit itself. From limit + 3/2, of a span of 2."""
+    """limit + max(q - limit, 0)^2 <= limit: below it the value is the limit. From limit + 3/2, of a span of 2."""
     model = go.Model("line")
     q, a = model.state("q"), model.control("a")
     model.ode({q: a})
