@@ -234,25 +234,59 @@ def test_components_share_what_they_are_worth_and_small_ones_have_a_hundredth_of
 def test_where_costates_vanish_controls_are_worth_the_terms_that_cancel() -> None:
     """At q = 3 costates of nothing: q^2 / 2 would make T 3 of lam_q and T^2 3 of lam_v in T = 2 s, for half of 2 m/s^2.
 
-    Not if costates are there, however small they are beside it: then they say what a control is worth.
+    Not if they are there, however small they are beside that: then they say what a control is worth. Another state
+    with its costate and a control that does nothing change nothing; only the middles of segments are looked at.
     """
     model = go.Model("cart")
-    q, v, a = model.state("q"), model.state("v"), model.control("a")
-    model.ode({q: v, v: a})
+    q, v, y = model.state("q"), model.state("v"), model.state("y")
+    a, idle = model.control("a"), model.control("idle")
+    model.ode({q: -v, v: -a, y: 0 * idle})
     problem = go.Problem("rest")
     leg = problem.phase("leg", model)
     leg.time(0.0, 2.0)
-    problem.minimize(leg.integral(0.5 * q**2))
+    problem.minimize(leg.integral(-0.5 * q**2))
 
-    def at(lam: float, **changes: Any) -> PhaseSamples:
+    def at(lam: float) -> PhaseSamples:
         return samples(
-            problem, lambda t, k: [3 + 0 * t, 0 * t], lambda t, k: 0 * t, lambda t, k: [lam + 0 * t, lam + 0 * t],
-            weights=(1.0,), breaks=(0.0, 0.5, 2.0), control_bounds=interval(-1.0, 1.0), **changes,
+            problem, lambda t, k: [3 + (t - 0.25) * (t - 1.25), 0 * t, 1 + 0 * t], lambda t, k: [0 * t, 0 * t],
+            lambda t, k: [lam + 0 * t, -lam + 0 * t, 7 + 0 * t], weights=(1.0,), breaks=(0.0, 0.5, 2.0),
+            control_bounds=interval([-1.0, -1.0], [1.0, 1.0]),
         )  # fmt: skip
 
-    assert at(0.0)._balanced_slopes == pytest.approx([12.0]) and at(0.0).joint_worth == pytest.approx(12.0)
-    assert at(5e-4)._balanced_slopes == pytest.approx([12.0], rel=1e-3)
-    assert at(0.01)._balanced_slopes.tolist() == [0.0] and at(0.01).joint_worth == pytest.approx(0.01)
+    assert at(0.0)._balanced_slopes == pytest.approx([12.0, 0.0])
+    assert at(0.0).joint_worth == pytest.approx(12.0)
+    assert at(5e-4)._balanced_slopes == pytest.approx([12.0, 0.0], rel=1e-3)
+    assert at(0.01)._balanced_slopes.tolist() == [0.0, 0.0] and at(0.01).joint_worth == pytest.approx(0.01)
+
+
+def test_controls_without_bounds_have_their_own_reach() -> None:
+    found = samples(
+        axes(), lambda t, k: [t, t], lambda t, k: [0.5 + 0 * t, -4 * t, 6 * t], lambda t, k: [0 * t, 0 * t],
+        weights=(1.0,), control_bounds=interval([-np.inf] * 3, [np.inf, np.inf, 9.0]),
+    )  # fmt: skip
+    assert found.control_scale == pytest.approx([0.5, 4.0, 6.0])
+
+
+def test_path_constraints_that_hardly_move_are_measured_by_what_could_move_them() -> None:
+    """At q = 1/2 and a = 4, as far as they reach: -2 q and q - a by both; what is far off by rounding, nothing by one."""
+    model = go.Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("paths")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    for label, value in (("down", -2 * q), ("far", 1e9 + 0 * q), ("none", 0 * q), ("both", q - a)):
+        leg.path(label, value, upper=9e9)
+    problem.minimize(leg.integral(a**2))
+    found = samples(
+        problem,
+        lambda t, k: [0.5 + 0 * t, 0 * t],
+        lambda t, k: 4 + 0 * t,
+        lambda t, k: [0 * t, 0 * t],
+        weights=(1.0,),
+    )
+    assert found.state_scale == pytest.approx([0.5, 1.0]) and found.control_scale == pytest.approx([4.0])
+    assert found.path_scale == pytest.approx([1e-4 * 1.0, 100.0, 1.0, 1e-4 * 4.5])
 
 
 def test_a_box_about_the_flight_is_as_wide_as_the_spans(right: PhaseSamples) -> None:
