@@ -548,6 +548,73 @@ def test_points_take_what_is_on_their_side_of_a_jump() -> None:
         assert lam == pytest.approx(np.where(times >= 2, [times - 10, 1 + 0 * times], [times, 2 + 0 * times]))
 
 
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
+    """Of a thousand, one and a thousandth in size: held still, moved and pushed here and there, free; as one by one."""
+    mesh, random, count = Mesh((0.0, 0.2, 0.5, 1.0), (3, 2, 4)), np.random.default_rng(seed), 3
+    whole = collocation(scheme, mesh, count)
+    states = whole.point_states
+    sizes = np.array([1e3, 1.0, 1e-3])[:, None]
+    x, lam_x, lam_g = (random.normal(size=whole.n_variables) for _ in range(3))
+    lam_g = random.normal(size=whole.n_rows)
+    push = random.normal(size=states.shape) * (random.random(states.shape) < 0.1) / sizes
+    gradient = random.normal(size=states.shape) / sizes
+    for i in range(count):
+        for k in range(mesh.segments):
+            lam_g[whole.dynamics_rows[k][i]] /= sizes[i]
+        everywhere = np.unique(np.concatenate([whole.segment_nodes(k)[i] for k in range(mesh.segments)]))
+        x[everywhere] *= sizes[i]
+        lam_x[everywhere] *= (random.random(everywhere.size) < 0.2) / sizes[i]
+    x[whole.segment_nodes(0)[0]] = 1e3
+    weights, breaks = 5.0 * whole.quadrature, 5.0 * np.asarray(mesh.breaks)
+
+    def settled(part: PhaseCollocation, numbers: Iterate, gradient: Array, push: Array) -> _CostatePieces:
+        found = _CostatePieces.of(part, numbers, weights, gradient, push)
+        if scheme == "LG":
+            found.settle_redundant_rows()
+        else:
+            found.split_boundary_multipliers()
+        return found
+
+    together = settled(whole, Iterate(x, lam_x, lam_g), gradient, push)
+    assert together.still[0, 0] and not together.still[0].all() and not together.still[1:].any()
+    assert 0 < together.held.sum() < together.held.size and 0 < together.bounded.sum() < together.bounded.size
+    single = collocation(scheme, mesh, 1)
+    for i in range(count):
+        own = [np.zeros(single.n_variables), np.zeros(single.n_variables), np.zeros(single.n_rows)]
+        for k in range(mesh.segments):
+            for vector, given in zip(own, (x, lam_x), strict=False):
+                vector[single.segment_nodes(k)[0]] = given[whole.segment_nodes(k)[i]]
+            own[2][single.dynamics_rows[k][0]] = lam_g[whole.dynamics_rows[k][i]]
+        for vector, given in zip(own, (x, lam_x), strict=False):
+            vector[single.point_states[0]] = given[states[i]]
+        alone = settled(single, Iterate(*own), gradient[[i]], push[[i]])
+        for name in (
+            "held",
+            "still",
+            "pushed",
+            "bounded",
+            "lam",
+            "start",
+            "end",
+            "densities",
+            "impulses",
+            "pull",
+        ):
+            assert getattr(together, name)[i] == pytest.approx(getattr(alone, name)[0], rel=1e-9), name
+        t = np.linspace(0.0, 5.0, 31)
+        assert together.polynomial(breaks)(t)[i] == pytest.approx(alone.polynomial(breaks)(t)[0], rel=1e-9)
+    paths, mixed = (
+        random.normal(size=(3, 9)) * (random.random((3, 9)) < 0.7) * sizes,
+        np.array([False, True, False]),
+    )
+    shared_out = settle_doubled_paths(whole, paths, weights, mixed)
+    for i in range(3):
+        one = settle_doubled_paths(whole, paths[[i]], weights, mixed[[i]])
+        assert shared_out[i] == pytest.approx(one[0])
+
+
 def test_each_state_is_held_by_its_own_pushes() -> None:
     """Of the trapezoidal rule, which has no points within: the first state is pushed at both, the second at one."""
     part = collocation("LGL", Mesh((0.0, 0.3, 1.0), (2, 2)))

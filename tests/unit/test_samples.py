@@ -268,7 +268,7 @@ def test_controls_without_bounds_have_their_own_reach() -> None:
 
 
 def test_path_constraints_that_hardly_move_are_measured_by_what_could_move_them() -> None:
-    """At q = 1/2 and a = 4, as far as they reach: -2 q and q - a by both; what is far off by rounding, nothing by one."""
+    """At q = 1/2 and a = 4, their sizes: -2 q and q - a by both; what is far off by rounding, nothing by one."""
     model = go.Model("cart")
     q, v, a = model.state("q"), model.state("v"), model.control("a")
     model.ode({q: v, v: a})
