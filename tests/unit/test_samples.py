@@ -460,11 +460,14 @@ def test_a_defect_is_an_integral_and_a_jump_counts_for_the_segment_before() -> N
     size = drifting.state_scale
     assert worst.value == pytest.approx(max(1.5 / size[1], (1.5 - 0.375) / size[0]))
     assert worst.where == "phase leg, segment 1 (0 to 0.5 s), v" if 1.5 / size[1] > 1.125 else worst.where
-    jump = samples(
-        CART, lambda t, k: rest(t, k) + np.array([[0.125 * (k > 0)], [0.0]]), breaks=(0, 0.25, 0.5, 1)
-    )
-    found = worst_defect(jump)
-    assert found.value == pytest.approx(0.125 / 1.125) and found.where.startswith("phase leg, segment 1")
+    for height, size in ((0.125, 1.125), (-0.125, 0.875)):
+        jump = samples(
+            CART,
+            lambda t, k, h=height: rest(t, k) + np.array([[h * (k > 0)], [0.0]]),
+            breaks=(0, 0.25, 0.5, 1),
+        )
+        found = worst_defect(jump)
+        assert found.value == pytest.approx(0.125 / size) and found.where.startswith("phase leg, segment 1")
     assert worst_defect(samples(CART)).value < 1e-14
     assert worst_defect(samples(CART, breaks=(0.0, 1.0))).value < 1e-14
 
