@@ -50,11 +50,11 @@ def evaluate_columns(function: Any, n: int, *arguments: Array) -> Array:
             here[:] = argument[:, :1].T if n else 0.0  # also where the last block is not full
             changing.append((here, np.ascontiguousarray(argument.T)))
         if here.size:
-            buffer.set_arg(i, memoryview(here.reshape(-1)))
+            buffer.set_arg(i, here.reshape(-1).data)
         kept.append(here)
     results = np.empty((block, function.nnz_out(0)))
     if results.size:
-        buffer.set_res(0, memoryview(results.reshape(-1)))
+        buffer.set_res(0, results.reshape(-1).data)
     found = np.empty((n, results.shape[1]))
     for first in range(0, n, block):
         places = slice(first, min(first + block, n))
@@ -88,9 +88,9 @@ def evaluate_chain(function: Any, start: Array, inputs: Array) -> Array:
     states, columns = np.empty((inputs.shape[1] + 1, start.size)), np.ascontiguousarray(inputs.T)
     state, following, given = np.array(start, dtype=float), np.empty(start.size), np.empty(inputs.shape[0])
     buffer, run = function.buffer()
-    buffer.set_arg(0, memoryview(state))
-    buffer.set_arg(1, memoryview(given))
-    buffer.set_res(0, memoryview(following))
+    buffer.set_arg(0, state.data)
+    buffer.set_arg(1, given.data)
+    buffer.set_res(0, following.data)
     states[0] = state
     for k, column in enumerate(columns, 1):
         given[:] = column
