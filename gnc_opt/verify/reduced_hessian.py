@@ -179,6 +179,7 @@ def _jumping_control(samples: list[PhaseSamples]) -> str:
         lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
         straight = _straight(s)
         jumps = np.any(lower & straight, axis=1) & np.any(upper & straight, axis=1)
+        jumps &= ~s.leg.control_bounds.fixed
         if np.any(jumps):
             label = s.leg.controls.labels[int(np.argmax(jumps))]
             return f"phase {s.leg.name}, {label}: switch times that are not variables of the mesh do not vary"
