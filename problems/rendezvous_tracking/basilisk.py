@@ -19,11 +19,12 @@ framework", J. Aerospace Information Systems 17 (9), 2020.
 
 from __future__ import annotations
 
+import argparse
 import ctypes
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -217,9 +218,14 @@ def start(tracking: Tracking) -> Array:
     return tracking.initial + off
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Fly in gnc_opt and in Basilisk, print the differences."""
-    tracking = Tracking(plan())
+    parser = argparse.ArgumentParser(
+        prog="python -m problems.rendezvous_tracking.basilisk", description=main.__doc__
+    )
+    parser.add_argument("--case", type=int, default=1, help="initial position, 1 to 5 (1)")
+    case = parser.parse_args(arguments).case
+    tracking = Tracking(plan(case))
     controller = tracking.tvlqr
     x0, steps = start(tracking), round(tracking.end / DT)
     run = go.ClosedLoop(chaser_model("exact"), controller, dt=DT, accuracy=1e-12).simulate(
