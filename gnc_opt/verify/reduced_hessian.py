@@ -34,7 +34,7 @@ import scipy
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.program_point import ProgramPoint
-from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.solution.samples import NEGLIGIBLE, PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT
 from gnc_opt.transcription.mesh import Mesh
@@ -99,10 +99,13 @@ class Curvature:
         return self.value < -steep and self.share < -CANCELLED
 
 
-def critical_cone(solution: Solution, samples: Sequence[PhaseSamples] = ()) -> CriticalCone:
+def critical_cone(
+    solution: Solution, samples: Sequence[PhaseSamples] = (), rounding: float = 0.0
+) -> CriticalCone:
     """Return what is free to vary along a solution, on a mesh with room for it.
 
-    In shares of what states and controls move along ``samples``; of their magnitudes in phases that have none.
+    In shares of what states and controls move along ``samples``; of their magnitudes in phases that have none. Costs
+    below ``rounding`` are that (`rounding_of_cost`).
     """
     meshes = {name: _rich(leg.mesh) for name, leg in solution.phases.items()}
 
@@ -116,7 +119,12 @@ def critical_cone(solution: Solution, samples: Sequence[PhaseSamples] = ()) -> C
             found[part.times[part.times < transcription.n_variables]] = s.span
         return found
 
-    return CriticalCone.of(ProgramPoint.of(solution, meshes, scales))
+    return CriticalCone.of(ProgramPoint.of(solution, meshes, scales, rounding))
+
+
+def rounding_of_cost(samples: Sequence[PhaseSamples]) -> float:
+    """Return the cost below which differences are rounding: the share `NEGLIGIBLE` of what it amounts to."""
+    return NEGLIGIBLE * max((s.cost_magnitude for s in samples), default=0.0)
 
 
 def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: CriticalCone) -> Condition:
@@ -171,6 +179,7 @@ def _jumping_control(samples: list[PhaseSamples]) -> str:
         lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
         straight = _straight(s)
         jumps = np.any(lower & straight, axis=1) & np.any(upper & straight, axis=1)
+        jumps &= ~s.leg.control_bounds.fixed
         if np.any(jumps):
             label = s.leg.controls.labels[int(np.argmax(jumps))]
             return f"phase {s.leg.name}, {label}: switch times that are not variables of the mesh do not vary"
@@ -214,6 +223,7 @@ def least_curvature(point: ProgramPoint, held: Mask) -> Curvature:
     sizes = np.sqrt(np.asarray((hessian**2).sum(axis=1)))
     # The one row of a parameter far from its origin, however large, is not what variations are worth.
     typical = float(np.median(sizes[sizes > 0])) if np.any(sizes > 0) else 1.0
+    typical = max(typical, point.rounding)  # where costates vanish, no row is more than that
     direction = _least_direction(space, hessian / typical)
     if direction is None:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
