@@ -39,7 +39,7 @@ def normality(cone: CriticalCone) -> Condition:
     """The gradients of what is active leave no multipliers without the cost."""
     where, value = "nowhere", 0.0
     space = NullSpace.of(cone.point, cone.strong)
-    if space.rows.size and space.free.size:
+    if space.rows.size and space.size:
         combined, slope = _least_dependent(space)
         multipliers = np.zeros(cone.point.lam.size)
         multipliers[space.rows] = combined
@@ -90,7 +90,7 @@ def _may_push(cone: CriticalCone, multipliers: Array) -> bool:
 
 def _least_dependent(space: NullSpace) -> tuple[Array, float]:
     """Multipliers of the rows whose combined gradient is smallest, by inverse iteration, and its size."""
-    n, m = space.free.size, space.rows.size
+    n, m = space.size, space.rows.size
     _, factors = space.factorised(scipy.sparse.eye_array(n))
     y = np.random.default_rng(0).standard_normal(m)
     for _ in range(_ITERATIONS):
@@ -103,7 +103,7 @@ def _least_dependent(space: NullSpace) -> tuple[Array, float]:
 
 def _curvature(cone: CriticalCone, space: NullSpace, multipliers: Array) -> float:
     """Largest curvature of the combined rows where they do not vary to first order, 0 if it is rounding."""
-    n = space.free.size
+    n = space.size
     hessian = space.in_shares(cone.point.hessian_of(0.0, multipliers))
     project = space.projected_inverse(scipy.sparse.eye_array(n))
     start = project(np.random.default_rng(1).standard_normal(n))

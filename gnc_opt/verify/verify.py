@@ -18,7 +18,7 @@ from gnc_opt.verify.magnitude import Magnitudes
 from gnc_opt.verify.normality import normality
 from gnc_opt.verify.pushes import settle_edges
 from gnc_opt.verify.reduced_hessian import critical_cone, reduced_hessian
-from gnc_opt.verify.singular import generalised_legendre_clebsch
+from gnc_opt.verify.singular import generalised_legendre_clebsch, of_first_order
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 
 TOLERANCE = 1e-5
@@ -84,7 +84,7 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         feasibility.cost(stored, samples, ends, told, tol),
         stored_numbers(stored, solution, missing, tol),
     ]
-    lasting = [s for s in samples if s.has_length]
+    lasting, problem = [s for s in samples if s.has_length], solution.need_problem("verify")
     along = [
         costates.adjoint(lasting, tol),
         costates.transversality(lasting, ends, tol),
@@ -94,8 +94,8 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         controls.minimum(lasting, tol),
         costates.complementarity(solution, lasting, ends, amounts.constraints, tol),
         controls.legendre_clebsch(lasting, tol),
-        controls.singular_arcs(lasting, tol),
-        generalised_legendre_clebsch(solution.need_problem("verify"), lasting, tol),
+        controls.singular_arcs(lasting, tol, [of_first_order(problem, s, tol) for s in lasting]),
+        generalised_legendre_clebsch(problem, lasting, tol),
     ]
     switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
     names = ("strict switches", "second order") if switching else ("second order",)
