@@ -49,6 +49,7 @@ if TYPE_CHECKING:
         design_tvlqr,
         design_ukf,
         export_c,
+        export_fmu,
         feedforward,
         output_feedback,
     )
@@ -107,6 +108,7 @@ __all__ = [
     "design_tvlqr",
     "design_ukf",
     "export_c",
+    "export_fmu",
     "feedforward",
     "guess_from_data",
     "guess_from_solution",

@@ -11,10 +11,10 @@ import json
 import os
 import tempfile
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, TypeAlias
+from typing import IO, Any, BinaryIO, TypeAlias
 
 import numpy as np
 
@@ -117,10 +117,18 @@ def _write_archive(path: str | Path, header: Mapping[str, Any], arrays: Mapping[
     target = Path(path)
     target = target if target.suffix else target.with_suffix(".npz")
     entries: dict[str, Any] = {"header": np.array(json.dumps(header, allow_nan=False)), **arrays}
+    with written_whole(target) as stream:
+        np.savez_compressed(stream, **entries)
+    return target
+
+
+@contextlib.contextmanager
+def written_whole(target: Path) -> Iterator[IO[bytes]]:
+    """A stream to a new file, which takes the place of an old one when all is written, and leaves nothing otherwise."""
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     try:
         with os.fdopen(handle, "wb") as stream:
-            np.savez_compressed(stream, **entries)
+            yield stream
         os.chmod(name, 0o666 & ~_umask())
         os.replace(name, target)
     except BaseException as error:
@@ -129,7 +137,6 @@ def _write_archive(path: str | Path, header: Mapping[str, Any], arrays: Mapping[
         if isinstance(error, OSError) and error.errno is not None and error.filename is None:
             error.filename = str(target)  # a full disk says so without saying where
         raise
-    return target
 
 
 def _read_archive(path: str | Path, noun: str) -> tuple[Any, Arrays]:

@@ -16,6 +16,9 @@ from hypothesis import settings
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+# A shell ignores Ctrl-C on behalf of what it starts in the background, and processes inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 settings.register_profile("gnc_opt", deadline=None)  # how long an example takes says more about the machine
 settings.load_profile("gnc_opt")
 

@@ -10,6 +10,7 @@ from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.feedback_linearization import design_feedback_linearization
 from gnc_opt.control.feedforward import feedforward
 from gnc_opt.control.flight_code import FlightCode, export_c
+from gnc_opt.control.functional_mockup import MockupUnit, export_fmu
 from gnc_opt.control.lie import (
     decoupling_matrix,
     lie_derivative,
@@ -47,6 +48,7 @@ __all__ = [
     "Fact",
     "FlightCode",
     "Measurement",
+    "MockupUnit",
     "PowerRate",
     "PredictiveReaching",
     "Reference",
@@ -68,6 +70,7 @@ __all__ = [
     "design_tvlqr",
     "design_ukf",
     "export_c",
+    "export_fmu",
     "feedforward",
     "first_memory",
     "law",

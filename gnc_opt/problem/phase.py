@@ -15,7 +15,7 @@ from gnc_opt.arguments import read_label
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.composed import SplitControl, VectorControl
-from gnc_opt.model.layout import Layout, as_vector
+from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol, as_expression
 from gnc_opt.problem.constraint import Constraint, make_constraint
@@ -255,8 +255,8 @@ class Phase(Strict):
         merged = {**old.values, **values}
         ends = np.array([0.0, 1.0])
         for name, value in merged.items():
-            composed = self.model.composed_controls.get(name)
-            size = (composed.variable if composed else self._owner_layout(name, "guess")[name]).size
+            variable = self.guessable.get(name) or self._owner_layout(name, "guess")[name]
+            size = variable.size
             if not callable(value):  # those must wait until the phase's times are known
                 sample_guess(value, size, ends, ends, times, f"the guess of '{name}' in {self.where}")
         self._set(guess=PhaseGuess(times, merged))
@@ -356,6 +356,13 @@ class Phase(Strict):
         if final.fixed[0] and not initial.fixed[0]:
             return intersect(initial, Interval(final.lower - span.upper, final.lower - span.lower)), final
         return initial, final
+
+    @property
+    def guessable(self) -> dict[str, Variable]:
+        """All that a guess may name: states, controls, and the controls that are made of those."""
+        model = self.model
+        composed = (control.variable for control in model.composed_controls.values())
+        return {v.name: v for v in (*model.states.variables, *model.controls.variables, *composed)}
 
     @property
     def path_labels(self) -> tuple[str, ...]:

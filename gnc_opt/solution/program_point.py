@@ -89,6 +89,8 @@ class ProgramPoint:
         0 in rows that are not held.
     variables, rows : Limits
         ``variables.active`` is the set P, ``rows.active`` the set C.
+    rounding : float
+        Differences of the scaled cost below this are rounding.
     """
 
     problem: Problem
@@ -98,6 +100,7 @@ class ProgramPoint:
     lam: Array
     variables: Limits
     rows: Limits
+    rounding: float = 0.0
 
     @classmethod
     def of(
@@ -105,10 +108,19 @@ class ProgramPoint:
         solution: Solution,
         meshes: Mapping[str, Mesh] | None = None,
         scaled_by: Callable[[Transcription, Problem, Array], Array] = scale_variables,
+        rounding: float = 0.0,
     ) -> ProgramPoint:
         """Return the point of a solution that has a problem, on its own meshes or interpolated on others.
 
-        ``scaled_by`` gives the scales (n_variables,) from the program, its problem and the variables.
+        Parameters
+        ----------
+        solution : Solution
+        meshes : mapping of Mesh, optional
+        scaled_by : callable
+            The scales (n_variables,) from the program, its problem and the variables.
+        rounding : float
+            Costs below this are rounding, and not scaled to more than one: where the cost's gradient vanishes, as
+            where the least cost is zero, multipliers are rounding too.
         """
         problem = with_touches(solution)
         meshes = meshes or {name: leg.mesh for name, leg in solution.phases.items()}
@@ -118,6 +130,7 @@ class ProgramPoint:
         assert lam_x is not None and lam_g is not None, "a solution has multipliers"
         scales = scaled_by(transcription, problem, x)
         row_scales, objective = scale_rows(transcription, problem, x, scales)
+        objective = min(objective, 1 / rounding) if rounding > 0 else objective
         scaling = Scaling(scales, row_scales, objective)
         lam = lam_g / row_scales * objective
         box = _scaled(transcription.variable_interval(problem), scales)
@@ -137,6 +150,7 @@ class ProgramPoint:
             np.where(rows.active, lam, 0.0),
             variables,
             rows,
+            rounding * objective,
         )._with_jumps()
 
     def _with_jumps(self) -> ProgramPoint:

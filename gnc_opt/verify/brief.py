@@ -34,3 +34,15 @@ def without_switches(times: Array, inside: Mask) -> Mask:
         for first, end in edges.reshape(-1, 2):
             row[first:end] &= times[end - 1] - times[first] > SMEARED * (times[-1] - times[0])
     return arcs
+
+
+def least_for_long(times: Array, values: Array) -> int:
+    """Return a sample at which values (n_times,) are least, of those that are not undercut for longer than `SMEARED`.
+
+    A dip that takes less is a switch, smeared by a polynomial that wiggles on the way. ``times`` do not decrease.
+    """
+    length = SMEARED * (times[-1] - times[0])
+    firsts = np.flatnonzero(times <= times[-1] - length)
+    ends = np.searchsorted(times, times[firsts] + length, "right")
+    peaks = [first + int(np.argmax(values[first:end])) for first, end in zip(firsts, ends, strict=True)]
+    return int(peaks[np.argmin(values[peaks])])

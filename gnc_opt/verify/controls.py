@@ -14,7 +14,7 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT, RANK, SHORTEST
-from gnc_opt.verify.brief import lasting, without_switches
+from gnc_opt.verify.brief import lasting, least_for_long, without_switches
 from gnc_opt.verify.feasibility import judge
 from gnc_opt.verify.held import left_free
 from gnc_opt.verify.least_hamiltonian import POINTS, coupled_gains, limits
@@ -150,18 +150,20 @@ def legendre_clebsch(samples: list[PhaseSamples], tolerance: float) -> Condition
 
 
 def _least_curvature(s: PhaseSamples, among: Mask | bool = True) -> tuple[float, str | None]:
-    """The least curvature of H in controls between their bounds, (m, n_samples) among some, and where it is."""
+    """The least eigenvalue that lasts, in shares of H, and its place; none if no direction is free for long.
+
+    Of controls between their bounds, among some (m, n_samples).
+    """
     unit = s.control_span / np.sqrt(s.control_worth)
     scaled = s.control_hessian * unit[:, None, None] * unit[None, :, None]
-    least, place = np.inf, None
+    least = np.full(s.times.size, np.inf)
     for j, basis in enumerate(left_free(s, _inside(s) & among, unit)):
         if basis.size:
             reduced = basis.T @ scaled[:, :, j] @ basis
             finite = np.all(np.isfinite(reduced))  # with a missing number LAPACK would give up
-            curvature = np.linalg.eigvalsh(0.5 * (reduced + reduced.T))[0] if finite else -np.inf
-            if curvature < least:
-                least, place = float(curvature), s.place(j)
-    return least, place
+            least[j] = np.linalg.eigvalsh(0.5 * (reduced + reduced.T))[0] if finite else -np.inf
+    j = least_for_long(s.times, least)
+    return float(least[j]), s.place(j) if least[j] < np.inf else None
 
 
 def singular_arcs(samples: list[PhaseSamples], tolerance: float, told: Sequence[Mask] = ()) -> Condition:

@@ -34,7 +34,7 @@ import scipy
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.program_point import ProgramPoint
-from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.solution.samples import NEGLIGIBLE, PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.touches import with_touches
 from gnc_opt.tolerances import AT_LIMIT
@@ -101,10 +101,13 @@ class Curvature:
         return self.value < -steep and self.share < -CANCELLED
 
 
-def critical_cone(solution: Solution, samples: Sequence[PhaseSamples] = ()) -> CriticalCone:
+def critical_cone(
+    solution: Solution, samples: Sequence[PhaseSamples] = (), rounding: float = 0.0
+) -> CriticalCone:
     """Return what is free to vary along a solution, on a mesh with room for it.
 
-    In shares of what states and controls move along ``samples``; of their magnitudes in phases that have none.
+    In shares of what states and controls move along ``samples``; of their magnitudes in phases that have none. Costs
+    below ``rounding`` are that (`rounding_of_cost`).
     """
     meshes = {name: _rich(leg.mesh) for name, leg in solution.phases.items()}
     meshes |= {s.leg.name: _with_room(solution, s, meshes[s.leg.name]) for s in samples}
@@ -119,7 +122,13 @@ def critical_cone(solution: Solution, samples: Sequence[PhaseSamples] = ()) -> C
             found[part.times[part.times < transcription.n_variables]] = s.span
         return found
 
-    return in_gohs_variables(CriticalCone.of(ProgramPoint.of(solution, meshes, scales)), samples)
+    cone = CriticalCone.of(ProgramPoint.of(solution, meshes, scales, rounding))
+    return in_gohs_variables(cone, samples)
+
+
+def rounding_of_cost(samples: Sequence[PhaseSamples]) -> float:
+    """Return the cost below which differences are rounding: the share `NEGLIGIBLE` of what it amounts to."""
+    return NEGLIGIBLE * max((s.cost_magnitude for s in samples), default=0.0)
 
 
 def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: CriticalCone) -> Condition:
@@ -181,6 +190,7 @@ def _jumping_control(samples: list[PhaseSamples]) -> str:
         lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
         open_to_both = straight(s)
         jumps = np.any(lower & open_to_both, axis=1) & np.any(upper & open_to_both, axis=1)
+        jumps &= ~s.leg.control_bounds.fixed
         if np.any(jumps):
             label = s.leg.controls.labels[int(np.argmax(jumps))]
             return f"phase {s.leg.name}, {label}: switch times that are not variables of the mesh do not vary"
@@ -221,6 +231,7 @@ def least_curvature(point: ProgramPoint, held: Mask, unit: Any = None) -> Curvat
     sizes = np.sqrt(np.asarray((plain**2).sum(axis=1)))
     # The one row of a parameter far from its origin, however large, is not what variations are worth.
     typical = float(np.median(sizes[sizes > 0])) if np.any(sizes > 0) else 1.0
+    typical = max(typical, point.rounding)  # where costates vanish, no row is more than that
     direction = _least_direction(space, hessian / typical)
     if direction is None:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)

@@ -17,7 +17,7 @@ from gnc_opt.verify.kept import keep_verdict, kept_verdict
 from gnc_opt.verify.magnitude import Magnitudes
 from gnc_opt.verify.normality import normality
 from gnc_opt.verify.pushes import settle_edges
-from gnc_opt.verify.reduced_hessian import critical_cone, reduced_hessian
+from gnc_opt.verify.reduced_hessian import critical_cone, reduced_hessian, rounding_of_cost
 from gnc_opt.verify.singular import generalised_legendre_clebsch, of_first_order
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 
@@ -123,13 +123,14 @@ def _second_order(
     """By the switch times where they alone are left to vary, else on the mesh."""
     if not second_order.obstacle(samples):
         return second_order.second_order(solution, samples, ends, tolerance)
-    cone = critical_cone(solution, samples)
+    rounding = rounding_of_cost(samples)
+    cone = critical_cone(solution, samples, rounding)
     if not cone.point.is_finite:
         return [_untold("second order", "a derivative of the problem is no number", _CANNOT_VARY)]
     curvature = reduced_hessian(solution, samples, cone)
     smooth = [_agreed(c, curvature) for c in conjugate_points(solution, samples)]
     # Where constraints alone single out a trajectory, nothing moves: variations of the size of the magnitudes.
-    return [normality(critical_cone(solution)), *smooth, curvature]
+    return [normality(critical_cone(solution, rounding=rounding)), *smooth, curvature]
 
 
 def _agreed(conjugate: Condition, curvature: Condition) -> Condition:

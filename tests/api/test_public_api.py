@@ -27,18 +27,17 @@ EXPECTED = {
         Sensitivity Solution SolveError SolverOptions Status Sweep Table UnknownAttributeError
         UnknownNameError Verdict bryson continue_in design_ekf design_feedback_linearization
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
-        design_sliding_mode design_tvlqr design_ukf export_c feedforward guess_from_data guess_from_solution load
-        monte_carlo multistart output_feedback polish refine sensitivity simulate_guess smooth_abs solve sweep table
-        table_from_csv verify verify_trajectory
+        design_sliding_mode design_tvlqr design_ukf export_c export_fmu feedforward guess_from_data guess_from_solution
+        load monte_carlo multistart output_feedback polish refine sensitivity simulate_guess smooth_abs solve sweep
+        table table_from_csv verify verify_trajectory
     """,
     "gnc_opt.control": """
-        ConstantRate Controller Deviation Estimator Explanation ExponentialRate Fact FlightCode Measurement PowerRate
-        PredictiveReaching Reference SaturationLayer Sign SuperTwisting SuperTwistingObserver
+        ConstantRate Controller Deviation Estimator Explanation ExponentialRate Fact FlightCode Measurement MockupUnit
+        PowerRate PredictiveReaching Reference SaturationLayer Sign SuperTwisting SuperTwistingObserver
         TanhLayer bridge_dropouts bryson decoupling_matrix design_ekf design_feedback_linearization
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
-        design_sliding_mode design_tvlqr design_ukf export_c feedforward first_memory law lie_derivative output_errors
-        output_feedback
-        relative_degrees trim zero_dynamics
+        design_sliding_mode design_tvlqr design_ukf export_c export_fmu feedforward first_memory law
+        lie_derivative output_errors output_feedback relative_degrees trim zero_dynamics
     """,
     "gnc_opt.simulation": """
         Allocation Ball Bias Block Campaign Choice ClosedLoop Consistency Constant Deadband Delay Disturbance

@@ -32,6 +32,7 @@ NOT_OURS = {
     "docs/control.md": {
         "SeedSequence([seed, i])",
         "StateSpace",
+        "fmi2DoStep(t, h)",
         "control.feedback(plant, law.linearize(z, x), sign=1)",
     },
     "docs/formation_flying.md": {"J2 = 0"},

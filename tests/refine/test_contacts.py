@@ -283,3 +283,62 @@ def test_touches_stay_with_their_times() -> None:
     )
     arcs = [(a.channel, a.start, a.end) for a in held.arcs("leg", ("a", "x")) if a.channel == "x"]
     assert arcs == [("x", 0.5, 2.0), ("x", 3.0, 3.0)]
+
+
+def test_a_touch_in_any_piece_leaves_what_the_others_do() -> None:
+    mixed = PhaseStructure((0.0, 1.0, 3.0, 4.0), ((LOW, FREE), (FREE, FREE), (UP, FREE)), (), 1, 0, (0, 2))
+    for k, time in enumerate((0.5, 2.0, 3.5)):
+        touched = mixed.with_touch(1, time, UP)
+        assert touched.times == tuple(sorted((*mixed.times, time)))
+        assert touched.kinds == (*mixed.kinds[: k + 1], *mixed.kinds[k:])
+        assert touched.touches == (*[()] * (k + 1), ((1, UP),), *[()] * (3 - k))
+        held = mixed.with_arc(1, time - 0.25, time + 0.25, UP)
+        assert held.kinds == (*mixed.kinds[: k + 1], (mixed.kinds[k][0], UP), *mixed.kinds[k:])
+
+
+def test_what_vanishes_passes_its_touches_on() -> None:
+    """Inside both ends' touches go to the middle; at an end of the phase there is none; a contact leaves a touch."""
+    pieces = ((FREE, FREE), (LOW, FREE), (FREE, FREE))
+    touched = PhaseStructure(
+        (0.0, 1.0, 2.0, 4.0), pieces, (), 1, 0, (0, 2), ((), ((1, UP),), ((1, UP), (1, LOW)), ())
+    )
+    inner = touched.without(1)
+    assert (inner.times, inner.touches) == ((0.0, 1.5, 4.0), ((), ((1, UP), (1, LOW)), ()))
+    assert touched.without(0).touches == ((), ((1, UP), (1, LOW)), ())
+    assert touched.without(0).times == (0.0, 2.0, 4.0)
+    assert (touched.without(2).times, touched.without(2).touches) == ((0.0, 1.0, 4.0), ((), ((1, UP),), ()))
+    assert touched.emptied(1) == inner  # nothing was held along it
+    for order, left in ((1, ()), (2, ((1, UP),)), (3, ((1, UP),))):
+        held = PhaseStructure(
+            (0.0, 1.0, 2.0, 4.0), ((FREE, FREE), (FREE, UP), (FREE, FREE)), (), 1, 0, (0, order)
+        )
+        assert held.emptied(1).touching(1, UP) == ([1.5] if left else [])
+    start = PhaseStructure((0.0, 1.0, 4.0), ((FREE, UP), (FREE, FREE)), (), 1, 0, (0, 2))
+    assert start.emptied(0).touching(1, UP) == []
+    beside = PhaseStructure((0.0, 1.0, 2.0, 4.0), ((FREE, UP), (FREE, LOW), (FREE, FREE)), (), 1, 0, (0, 2))
+    assert beside.emptied(1).touching(1, LOW) == []
+
+
+def test_touches_change_places_with_their_switches() -> None:
+    kinds = ((LOW, LOW, FREE), (UP, LOW, FREE), (UP, UP, FREE))
+    before = PhaseStructure((0.0, 1.0, 2.0, 4.0), kinds, (), 2, 0, (0, 0, 2), ((), ((2, UP),), (), ()))
+    swapped = before.swapped(1)
+    assert swapped is not None and swapped.touches == ((), (), ((2, UP),), ())
+    assert before.touching(2, UP) == [1.0] and swapped.touching(2, UP) == [2.0]
+
+
+def test_kinks_are_where_limits_are_entered_or_left_without_a_touch() -> None:
+    held = PhaseStructure((0.0, 1.0, 2.0, 4.0), ((FREE, FREE), (FREE, UP), (FREE, FREE)), (), 1, 0, (0, 2))
+    assert [held.kinked(k) for k in (1, 2)] == [True, True] and [held.on_contact(k) for k in range(3)] == [
+        0,
+        1,
+        0,
+    ]
+    assert not PhaseStructure((0.0, 1.0, 2.0), ((FREE, LOW), (FREE, UP)), (), 1, 0, (0, 2)).kinked(1)
+    assert not PhaseStructure((0.0, 1.0, 2.0), ((FREE, FREE), (FREE, UP)), (), 1, 0, (0, 0)).kinked(1)
+    both = PhaseStructure((0.0, 1.0, 2.0), ((LOW, FREE), (UP, UP)), (), 1, 0, (0, 2))
+    assert not both.kinked(1)
+    touch = PhaseStructure(
+        (0.0, 1.0, 2.0), ((FREE, FREE), (FREE, UP)), (), 1, 0, (0, 2), ((), ((1, UP),), ())
+    )
+    assert not touch.kinked(1)

@@ -230,7 +230,8 @@ def test_states_that_are_not_measured_have_no_error():
 
 
 @pytest.mark.parametrize(
-    ("rate", "dt", "minor", "steps"), [(1.0, 1.0, 1, 1), (31.0, 1.0, 1, 11), (31.0, 1.0, 4, 3)]
+    ("rate", "dt", "minor", "steps"),
+    [(1.0, 1.0, 1, 1), (31.0, 1.0, 1, 11), (31.0, 1.0, 4, 3), (31.0, 0.25, 1, 3), (8.0, 2.0, 1, 6)],
 )
 def test_the_fastest_mode_is_integrated_stably(rate, dt, minor, steps):
     """Three times the inverse of the fastest rate to a step, here that of the second state; from rest, so no error."""

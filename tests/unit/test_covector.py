@@ -457,6 +457,43 @@ def test_a_start_from_a_solution_on_its_own_mesh_is_its_iterate(solved: Any) -> 
     assert np.delete(start.lam_g, arcs) == pytest.approx(np.delete(lam_g, arcs), abs=1e-6)
 
 
+def test_a_start_on_another_mesh_is_sampled(solved: Any) -> None:
+    """Signals at the new points from within their segments; impulses where a phase begins and ends, none between."""
+    attempt, _, solution = solved
+    meshes = {"first": Mesh((0.0, 0.3, 0.7, 1.0), (5, 3, 4)), "second": Mesh((0.0, 0.5, 1.0), (6, 6), (1,))}
+    other = Attempt.prepare(attempt.problem, meshes, solution.scheme, None, SolverOptions()).transcription
+    start = start_from_solution(other, attempt.problem, solution, np.zeros(other.n_variables))
+    assert start.lam_x is not None and start.lam_g is not None
+    for name, part in other.parts.items():
+        leg, there = solution.phases[name], part.collocation
+        t = leg.initial_time + there.fractions * leg.duration
+        ends = there.fractions == 1.0  # only there a point ends a segment where the old solution has a break
+
+        def at(signal: Any, t: Array = t, ends: Any = ends) -> Array:
+            return np.where(ends, signal(t, "left"), signal(t))
+
+        weights = there.quadrature * leg.duration * np.diff(arc_ends(part))[there.point_arcs]
+        assert start.x[there.point_states] == pytest.approx(leg.x(t), abs=1e-12)
+        assert start.x[there.point_controls] == pytest.approx(at(leg.flown.clipped))
+        assert start.x[part.times[-1]] == pytest.approx(leg.final_time)
+        assert start.lam_x[there.point_controls] == pytest.approx(at(leg.control_multiplier) * weights)
+        assert start.lam_g[there.path_rows] == pytest.approx(at(leg.path_multiplier) * weights)
+        if solution.scheme == "LG":
+            assert point_costates(there, start.lam_g) == pytest.approx(leg.lam(t))
+            impulses = start.lam_x[there.boundary_states]
+            assert impulses[:, [0, -1]] == pytest.approx(leg.state_impulses[:, [0, -1]])
+            assert not impulses[:, 1:-1].any()
+            assert start.lam_x[there.point_states] == pytest.approx(leg.state_multiplier(t) * weights)
+    (middle,) = other.parts["second"].times[1:-1]
+    second = solution.phases["second"]
+    assert start.x[middle] == pytest.approx(0.5 * (second.initial_time + second.final_time))
+
+
+def arc_ends(part: Any) -> Array:
+    """Shares of the phase at which its arcs begin and end."""
+    return np.asarray(part.collocation.mesh.breaks)[list(part.collocation.mesh.anchors)]
+
+
 def test_a_solution_in_the_problems_own_terms(solved: Any) -> None:
     _, result, solution = solved
     assert solution.statistics.iterations == result.iterations and not solution.statistics.build_reused
@@ -478,6 +515,7 @@ def test_a_solution_in_the_problems_own_terms(solved: Any) -> None:
         solution.provenance["mesh"].startswith("first 2x(4..5)")
         and solution.provenance["scheme"] == solution.scheme
     )
+    assert solution.constraint_values == pytest.approx(np.zeros(3), abs=1e-8)
     assert solution.multiplier("joined v") == pytest.approx(first.costate("v")(first.final_time), abs=1e-5)
     assert first.costate("v")(first.final_time, "left") == pytest.approx(
         second.costate("v")(second.initial_time), abs=1e-5

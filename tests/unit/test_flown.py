@@ -69,3 +69,14 @@ def test_rounding_beyond_a_bound_is_clipped_and_not_held() -> None:
     assert not signal.held.any()
     assert np.max(signal(np.linspace(0.0, 1.0, 50))) == 1.0
     assert np.min(signal(np.linspace(1.0, 3.0, 50), "left")) == 0.0
+
+
+@pytest.mark.parametrize("value", [0.0, 0.7, -3e5])
+def test_rounding_of_a_fixed_control_is_no_overshoot(value: float) -> None:
+    """A control with equal bounds has no range that its rounding could be a share of."""
+    off = 1e-15 * max(abs(value), 1.0)
+    signal = flown([[value, value + off, value], [value - off, value, value]], value, value)
+    assert not signal.held.any()
+    assert signal(np.linspace(0.0, 3.0, 31)) == pytest.approx(value, abs=0)
+    missed = flown([[value, value + 1e-3 * max(abs(value), 1.0), value], [value] * 3], value, value)
+    assert missed.held.tolist() == [[True, False]]

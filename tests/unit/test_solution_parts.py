@@ -4,6 +4,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.solution.solution import Statistics
+from gnc_opt.transcription.scheme import SCHEMES, Scheme
 
 
 def test_costs_of_tries_add_up() -> None:
@@ -55,3 +56,27 @@ def test_numbers_are_numbers_and_vectors_are_vectors() -> None:
     assert solution.multiplier("one") == pytest.approx(0.0, abs=1e-6)
     with pytest.raises(go.UnknownNameError, match="did you mean 'both'"):
         solution.multiplier("bth")
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_costs_at_both_ends(scheme: Scheme) -> None:
+    """(x_0 - 1)^2 + 3 (x_f - 2)^2 + int u^2 over 1 s with x' = u is least, 3/7, from 10/7 to 13/7.
+
+    A constraint that does not bind says what it is: x_0 x_f - 2 t_f.
+    """
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("both ends")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    first, last = leg.initial_state("x"), leg.final_state("x")
+    problem.constrain("product", first * last - 2 * leg.final_time, upper=5.0)
+    problem.minimize((first - 1) ** 2 + 3 * (last - 2) ** 2 + leg.integral(u**2))
+    solution = go.solve(problem, mesh="3x2", scheme=scheme, tol=None)
+    assert solution.objective == pytest.approx(3 / 7, rel=1e-7)
+    assert solution.phase().x([0.0, 1.0])[0] == pytest.approx([10 / 7, 13 / 7], rel=1e-6)
+    assert solution.constraint_values == pytest.approx([130 / 49 - 2.0], rel=1e-5)
+    assert solution.phase().lam(0.0) == pytest.approx(
+        [-6 / 7], rel=1e-5
+    )  # dJ*/dx_0 of what follows: -2 (x_0 - 1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.nlp import NlpPoint, NlpResult, NlpSolver, Status
-from gnc_opt.solution.solve_mesh import solve_mesh
+from gnc_opt.solution.solve_mesh import another_way, knows_trajectory, relative_gain, sharper, solve_mesh
 
 
 def regulator(weight: float = 1.0) -> go.Problem:
@@ -38,6 +39,7 @@ class Stumbling:
         self.endings, self.ways = list(endings), []  # type: list[Status | None], list[str]
         self.deadlines: list[float | None] = []
         self.costs = []  # type: list[int]
+        self.points, self.results = [], []  # type: list[NlpPoint], list[NlpResult]
         original = NlpSolver.solve
 
         def solve(solver: NlpSolver, point: NlpPoint, way: str | None = None, **more: object) -> NlpResult:
@@ -45,6 +47,8 @@ class Stumbling:
             self.ways.append(way or point.way)
             self.deadlines.append(more["deadline"])  # type: ignore[arg-type]
             self.costs.append(result.iterations)
+            self.points.append(point)
+            self.results.append(result)
             ending = self.endings.pop(0) if self.endings else None
             return result if ending is None else replace(result, status=ending)
 
@@ -81,6 +85,154 @@ def test_an_infeasible_ending_is_met_by_the_constraints_first(monkeypatch: pytes
     assert watch.ways == ["cold", "cold", "cold"], "the constraints alone, then the cost from there"
     assert solution.objective == pytest.approx(cost(), rel=1e-9)
     assert solution.statistics.iterations == sum(watch.costs)
+
+
+def hasty() -> go.Problem:
+    """1 m from rest to rest with |a| <= 1 in the least time, 2 s, of at most 9 s."""
+    model = go.Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("hasty")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(0.1, 9.0))
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    return problem
+
+
+def test_the_cost_is_lowered_from_where_the_constraints_are_met(monkeypatch: pytest.MonkeyPatch) -> None:
+    watch = Stumbling(monkeypatch, Status.INFEASIBLE)
+    solve_mesh(regulator(), "3x4")
+    first, second, third = watch.points
+    assert second.p[-1] == 0.0 < first.p[-1] == third.p[-1]  # the scale of the cost
+    assert second.x0 == pytest.approx(first.x0) and np.array_equal(second.lbx, first.lbx)
+    assert third.x0 == pytest.approx(watch.results[1].x)
+    assert np.max(np.abs(watch.results[1].x - watch.results[0].x)) > 1e-2
+
+
+def test_where_constraints_are_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With times free, held at multiples of the guess, each once (9 s is the most), and free from random starts."""
+    watch = Stumbling(monkeypatch, *[Status.INFEASIBLE] * 20)
+    failed = solve_mesh(hasty(), "3x4")
+    assert failed.status is Status.INFEASIBLE and failed.statistics.iterations == sum(watch.costs)
+    held = [set(np.flatnonzero(p.lbx == p.ubx)) - set(np.flatnonzero(watch.points[0].lbx == watch.points[0].ubx))
+            for p in watch.points[1:]]  # fmt: skip
+    assert [len(h) for h in held] == [0, 1, 1, 0, 0]
+    (time,) = set().union(*held)
+    scale = failed.phase().final_time / watch.results[0].x[time]
+    guess = watch.points[0].x0[time] * scale
+    stretched = [p.x0[time] * scale for p, h in zip(watch.points[1:], held, strict=True) if h]
+    wanted = list(dict.fromkeys(min(f * guess, 9.0) for f in (1.0, 4.0, 16.0, 64.0)))
+    assert stretched == pytest.approx(wanted) and all(p.p[-1] == 0 for p in watch.points[1:])
+    last, other = watch.points[-2:]
+    assert not np.allclose(last.x0, other.x0) and not np.allclose(last.x0, watch.points[1].x0)
+
+
+def test_a_failure_on_the_way_leads_to_the_next_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The constraints can be met, but not with the cost; the second start is met at once."""
+    watch = Stumbling(monkeypatch, Status.INFEASIBLE, None, Status.INFEASIBLE)
+    found = solve_mesh(hasty(), "3x4")
+    assert found.status.solved and found.objective == pytest.approx(2.0, rel=2e-2)
+    assert [p.p[-1] == 0 for p in watch.points] == [False, True, False, True, False]
+    assert found.statistics.iterations == sum(watch.costs)
+
+
+def test_an_interrupt_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    watch = Stumbling(monkeypatch, Status.INFEASIBLE, Status.INFEASIBLE, Status.INTERRUPTED)
+    assert solve_mesh(hasty(), "3x4").status is Status.INFEASIBLE and len(watch.ways) == 3
+    late = Stumbling(monkeypatch, Status.INFEASIBLE)
+    solve_mesh(hasty(), "3x4", deadline=time.perf_counter() - 1.0)
+    assert len(late.ways) == 1
+
+
+def test_another_solver_is_not_tried_in_ipopt_s_ways(monkeypatch: pytest.MonkeyPatch) -> None:
+    watch = Stumbling(monkeypatch, Status.ACCEPTABLE)
+    careful = go.SolverOptions(careful_pivoting=True)
+    assert solve_mesh(regulator(), "3x4", options=careful).status is Status.ACCEPTABLE and watch.ways == [
+        "cold"
+    ]
+
+
+def test_a_failure_of_the_adaptive_barrier_leaves_the_first_ending(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two endings without a verdict the first is told; another one is news."""
+    problem = regulator().with_guess("leg", time=[0.0, 0.5, 1.0], x=[[1.0, 0.8, 0.7]])
+    for second, told in (
+        (Status.RESTORATION_FAILED, Status.STEP_TOO_SMALL),
+        (Status.ITERATION_LIMIT, Status.ITERATION_LIMIT),
+    ):
+        watch = Stumbling(monkeypatch, Status.STEP_TOO_SMALL, Status.STEP_TOO_SMALL, second)
+        found = solve_mesh(problem, "3x4")
+        assert watch.ways == ["cold", "careful", "adaptive"] and found.status is told
+        monkeypatch.undo()
+
+
+# --- another solution ---------------------------------------------------------------------------------------
+
+
+def worth(objective: float, maximised: bool = False) -> Any:
+    return SimpleNamespace(objective=objective, maximised=maximised)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "maximised", "gain"),
+    [
+        (10.0, 9.0, False, 0.1), (9.0, 10.0, False, -0.1), (9.0, 10.0, True, 0.1), (-8.0, -10.0, False, 0.2),
+        (1.0, -4.0, False, 1.25), (0.0, 0.0, False, 0.0), (0.0, 2.0, True, 1.0),
+    ],
+)  # fmt: skip
+def test_gains_are_relative_to_the_larger_objective(
+    old: float, new: float, maximised: bool, gain: float
+) -> None:
+    assert relative_gain(worth(old, maximised), worth(new, maximised)) == pytest.approx(gain)
+
+
+@pytest.mark.parametrize("gain", [1e-2, 1e-4])
+def test_another_way_counts_if_it_is_clearly_better(gain: float) -> None:
+    problem = regulator()
+    first = solve_mesh(problem, "3x4")
+    worse = replace(first, objective=first.objective * (1 + gain))
+    second = another_way(problem, worse, "3x4", "LG", go.SolverOptions())
+    assert (second is not None) is (gain >= 1e-3)
+    if second is not None:
+        assert second.objective == pytest.approx(cost(), rel=1e-9)
+        assert "'ipopt.mu_strategy': 'adaptive'" in second.provenance["options"]
+    for chosen in ({"ipopt.mu_strategy": "adaptive"}, {"ipopt": {"mu_strategy": "monotone"}}):
+        assert another_way(problem, worse, "3x4", "LG", go.SolverOptions(extra=chosen)) is None
+
+
+def test_a_sharper_solution_is_the_same_one() -> None:
+    """Blunt to 1e-3, then sharp to the rounding of its own mesh."""
+    blunt = solve_mesh(regulator(), "3x4", options=go.SolverOptions(tolerance=1e-3))
+    sharp = sharper(blunt)
+    assert sharp.phase().mesh == blunt.phase().mesh and sharp.status.solved
+    assert "tolerance=1e-12" in sharp.provenance["options"]
+
+
+def test_a_solution_that_cannot_be_sharpened_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    blunt = solve_mesh(regulator(), "3x4")
+    Stumbling(monkeypatch, *[Status.ITERATION_LIMIT] * 5)
+    assert sharper(blunt) is blunt
+
+
+def test_a_guess_of_other_phases_does_not_give_its_mesh() -> None:
+    known = solve_mesh(regulator(0.1), "3x4")
+    assert solve_mesh(regulator(), guess=known).phase().mesh == known.phase().mesh
+    assert solve_mesh(regulator(), "2x5", guess=known).phase().mesh == go.Mesh.uniform(2, 5)
+
+
+@pytest.mark.parametrize(
+    ("guess", "knows"),
+    [
+        ({}, False),
+        ({"time": [0.0, 1.0], "x": [[1.0, 0.5]]}, False),
+        ({"time": [0.0, 0.5, 1.0], "x": [[1.0, 0.5, 0.1]]}, True),
+        ({"x": lambda t: 1 - t}, True),
+    ],
+)
+def test_a_trajectory_is_more_than_its_ends(guess: Any, knows: bool) -> None:
+    assert knows_trajectory(regulator().with_guess("leg", **guess) if guess else regulator()) is knows
 
 
 def test_a_trajectory_of_the_user_is_not_replaced(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -420,6 +420,24 @@ def test_costates_count_in_shares_of_the_cost() -> None:
     assert s._finer(pushed, plan, 1e-9) is None
 
 
+def test_multipliers_along_a_contact_are_rough_and_do_not_count() -> None:
+    """lam_q' = 1 where 0 is right, in both pieces; along the second one a state constraint is held. Dynamics count."""
+    contact = PhaseStructure(
+        (0.0, 0.5, 1.0),
+        ((FREE,) * 5, (FREE, FREE, FREE, UP, FREE)),
+        n_controls=1,
+        n_paths=2,
+        orders=(0, 0, 0, 2, 0),
+    )
+    plan = Plan(contact, (Resolution(1, 4), Resolution(1, 4)))
+    wrong = samples(CART, lam=lambda t, k: [-12 + t, -6 + 12 * t - 0.5 * t**2])
+    found = s._finer(wrong, plan, 1e-9)
+    assert found is not None and [r.degree for r in found.resolutions] == [7, 4]
+    bent = samples(CART, lambda t, k: [3 * t**2 - 2 * t**3, 6 * t - 6 * t**2 + 0.4 * k * (t - 0.5)])
+    found = s._finer(bent, plan, 1e-9)
+    assert found is not None and [r.degree for r in found.resolutions] == [4, 7]
+
+
 def test_an_open_gradient_of_a_singular_control_asks_for_a_higher_degree() -> None:
     plan = plan_of(
         Resolution(1, 4, 4),
@@ -436,6 +454,9 @@ def test_an_open_gradient_of_a_singular_control_asks_for_a_higher_degree() -> No
     assert finer.resolutions[1].gradient == pytest.approx(share, rel=1e-3)
     bang = plan_of(Resolution(1, 4), Resolution(1, 4))
     assert s._open_gradient(found, bang).tolist() == [0.0, 0.0]
+
+
+TWO_ROWS = PhaseStructure((0.0, 0.5, 1.0), ((LOW,) + (FREE,) * 4, (UP,) + (FREE,) * 4), (), 1, 2)
 
 
 # --- the loop ---------------------------------------------------------------------------------------------
@@ -463,6 +484,7 @@ def test_a_mesh_is_refined_once_beyond_a_small_error() -> None:
     assert not s._resolved([raised], 1e-9)
     assert not s._resolved([record(1e-8, s.RAISED), raised], 1e-9)
     assert not s._resolved([raised, record(1e-10, s.KINKS_MOVED)], 1e-9)
+    assert s._resolved([record(1.0, s.KINKS_MOVED), record(1.0, s.RAISED), raised, raised], 1e-9)
 
 
 @pytest.fixture
@@ -508,6 +530,35 @@ def test_how_the_loop_ends(scripted: Any, script: Any, passes: int, status: str,
     assert history.message == f"{status}: {actions[-1]}"
     if status == "converged":
         assert found.objective == len(script) and history.chosen == len(script) - 1
+
+
+@pytest.mark.parametrize(("tol", "asked"), [(1e-3, s.FINEST), (1e-12, 1e-12)])
+def test_what_was_detected_is_tried_after_a_structure_that_fails(
+    monkeypatch: pytest.MonkeyPatch, tol: float, asked: float
+) -> None:
+    problem = cart()
+    base, other = solution(problem, phase(problem)), solution(problem, phase(problem))
+    told, calls = {"leg": Plan.of(TWO_ROWS)}, []
+
+    def loop(
+        problem: Any, guess: Any, plans: Any, tol: float, limits: Any, options: SolverOptions, *_: Any
+    ) -> Any:
+        calls.append((guess, plans, tol, limits.passes, options.tolerance))
+        return RefinementStatus.FAILED
+
+    monkeypatch.setattr(s, "_settled", lambda *_: (other, told))
+    monkeypatch.setattr(s, "_loop", loop)
+    found, history = s.optimise_switches(base, tol=tol, max_passes=7, structures={"leg": TWO_ROWS})
+    assert found is base and history.status is RefinementStatus.FAILED and history.tolerance == tol
+    assert [(c[0] is other, c[0] is base, *c[2:]) for c in calls] == [
+        (True, False, asked, 7, s.TIGHT),
+        (False, True, asked, 7, s.TIGHT),
+    ]
+    assert calls[0][1] is told and calls[1][1]["leg"].structure == TWO_ROWS
+    monkeypatch.setattr(s, "_settled", lambda *_: (base, told))
+    calls.clear()
+    s.optimise_switches(base, structures={"leg": TWO_ROWS})
+    assert len(calls) == 1  # the same guess would fail again
 
 
 def test_solves_of_the_loop_are_sharp_and_brief(scripted: Any) -> None:

@@ -140,3 +140,31 @@ def test_friction_at_rest_is_that_of_the_motion(rest: float) -> None:
     assert {"dynamics", "Hamiltonian", "transversality"} <= {
         c.name for c in go.verify(sled(rest, 0.2002)).failed
     }
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-6, 1e6])
+@pytest.mark.parametrize("noise", [1e-30, 1e-9])
+def test_a_cost_that_many_controls_bring_to_zero_is_flat_and_not_a_maximum(noise: float, size: float) -> None:
+    """A pendulum can be brought to rest in many ways: costates and what they bend by are rounding, of any sign."""
+    model = go.Model("pendulum")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a - ca.sin(q)})
+    problem = go.Problem("pendulum")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    leg.initial(q=1.0, v=0.0)
+    leg.bounds(a=(-20.0, 20.0))
+    problem.minimize(size * (leg.final_state("q") ** 2 + leg.final_state("v") ** 2))
+    solution = go.solve(problem, mesh="4x4", tol=None)
+    assert solution.objective < 1e-12 * size
+    lam = solution.phase().lam
+    rough = tuple(
+        noise * size * np.cos(np.arange(v.size) + k).reshape(v.shape) for k, v in enumerate(lam.values)
+    )
+    leg_solution = replace(solution.phase(), lam=replace(lam, values=rough))
+    for sign in (1.0, -1.0):
+        values = tuple(sign * v for v in rough)
+        turned = replace(leg_solution, lam=replace(lam, values=values))
+        condition = go.verify(replace(solution, phases={"leg": turned}))["second order"]
+        assert condition.result is go.Result.CANNOT_TELL, condition
+        assert "flat" in condition.where

@@ -228,7 +228,7 @@ def program(
         )
 
     point: Any = SimpleNamespace(
-        x=x, lam=np.zeros(m), values=np.zeros(m),
+        x=x, lam=np.zeros(m), values=np.zeros(m), rounding=0.0,
         jacobian=sparse(jacobian), hessian=sparse(hessian), hessian_of=of_rows,
         scaling=SimpleNamespace(objective=0.25, variables=np.ones(n)),
         variables=Limits(box, np.zeros(n, dtype=bool), np.zeros(n), tuple(f"z{i}" for i in range(n))),
@@ -274,6 +274,9 @@ def test_least_curvature_of_what_curves_upwards_and_of_nothing(metric: Array) ->
     loose = least_curvature(point, np.array([False] * 5 + [False]))
     assert loose.value == pytest.approx(1.0 / 3.0, rel=1e-4)  # the rows are 1, 2, 3, 5 and 7
     assert np.argmax(np.abs(loose.direction)) == 4
+    point.rounding = 6.0  # rows of less than that are none
+    assert least_curvature(point, np.array([False] * 6)).value == pytest.approx(1.0 / 6.0, rel=1e-4)
+    point.rounding = 0.0
     assert loose.upwards and loose.gain < 0
     assert np.isnan(least_curvature(point, np.array([True] * 5 + [False])).value)
     one = least_curvature(

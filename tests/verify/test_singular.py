@@ -9,7 +9,7 @@ import pytest
 from wrong import singular_problem
 
 import gnc_opt as go
-from gnc_opt.verify.brief import without_switches
+from gnc_opt.verify.brief import least_for_long, without_switches
 from tests.unit import by_hand
 
 NAME = "generalised Legendre-Clebsch"
@@ -177,3 +177,18 @@ def test_a_switch_smeared_by_a_polynomial_is_no_arc() -> None:
     inside = np.array([(times > 0.3) & (times < 0.30005), (times > 0.3) & (times < 0.301)])
     assert not np.any(without_switches(times, inside)[0])
     np.testing.assert_array_equal(without_switches(times, inside)[1], inside[1])
+
+
+def test_a_dip_counts_if_it_lasts() -> None:
+    times = np.linspace(0.0, 1.0, 100_001)
+    values = 3.0 + np.abs(times - 0.5)
+    values[(times > 0.3) & (times < 0.30005)] = -2.0
+    lasting = np.abs(times - 0.7) < 1e-3
+    values[lasting] = -1.0 + 100.0 * np.abs(times[lasting] - 0.7)
+    k = least_for_long(times, values)
+    # Half of 1e-4 to either side of the trough it has risen by 0.005.
+    assert values[k] == pytest.approx(-0.995, abs=1e-3) and times[k] == pytest.approx(0.7, abs=1e-4)
+    coarse = np.linspace(0.0, 1.0, 11)
+    assert least_for_long(coarse, np.cos(2 * np.pi * coarse)) == 5
+    assert times[least_for_long(times, np.where(times > 0.99985, -1.0, 0.0))] > 0.99985
+    assert times[least_for_long(times, np.where(times > 0.99995, -1.0, 0.0))] < 0.99995

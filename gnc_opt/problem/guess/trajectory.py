@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array
+from gnc_opt.model.model import Model
 from gnc_opt.problem.guess.values import sample_guess
 from gnc_opt.problem.interval import Interval, intersect
 from gnc_opt.problem.phase import Phase
@@ -50,17 +51,23 @@ def start_phase(leg: Phase, fractions: Array, *, perturbed: bool = True) -> Phas
         controls += perturbation(numbers.controls, fractions)
     for name, value in numbers.guess.values.items():
         what = f"the guess of '{name}' in {leg.where}"
-        composed = model.composed_controls.get(name)
-        layout, rows = (model.states, states) if name in model.states else (model.controls, controls)
-        size = (composed.variable if composed else layout[name]).size
-        values = sample_guess(value, size, at, fractions, numbers.guess.time, what)
-        if composed is None:
-            rows[layout.slice(name)] = values
-            continue
-        for part, own in zip(composed.parts, composed.decompose(values), strict=True):
-            place = layout.slice(part)
-            rows[place] = np.where(np.isnan(own), rows[place], own)
+        values = sample_guess(value, leg.guessable[name].size, at, fractions, numbers.guess.time, what)
+        if name in model.states:
+            states[model.states.slice(name)] = values
+        else:
+            put_control(model, controls, name, values)
     return PhaseStart(times, states, controls)
+
+
+def put_control(model: Model, controls: Array, name: str, values: Array) -> None:
+    """Write values (size, N) of one control into those of all (m, N); of a composed one, into those of its parts."""
+    composed = model.composed_controls.get(name)
+    if composed is None:
+        controls[model.controls.slice(name)] = values
+        return
+    for part, own in zip(composed.parts, composed.decompose(values), strict=True):
+        place = model.controls.slice(part)
+        controls[place] = np.where(np.isnan(own), controls[place], own)
 
 
 def guess_times(leg: Phase) -> Array:

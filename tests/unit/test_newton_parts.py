@@ -1,0 +1,202 @@
+"""Newton's method on switch times, part by part: steps, arcs that stand in the way, arcs that are missing."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gnc_opt.refine.structure import newton as n
+from gnc_opt.verify.switches import Switches
+
+RNG = np.random.default_rng(4)
+
+
+def switches(
+    times: list[float], channels: list[int], first: Any = (-1.0, 4.0), ends: Any = (1.0, 11.0)
+) -> Switches:
+    """Of two controls, one from -1 to 1, one from 2 to 4."""
+    return Switches(
+        np.array(times, float), np.array(channels, int), np.array(first, float), np.array(ends, float),
+        np.array([0.0, 6.0]), (),
+    )  # fmt: skip
+
+
+def step(*change: float) -> Any:
+    return SimpleNamespace(change=np.array(change))
+
+
+# --- the quadratic model ----------------------------------------------------------------------------------
+
+
+def test_a_step_is_that_of_the_optimality_system() -> None:
+    rough = RNG.standard_normal((5, 5))
+    hessian, gradient = rough @ rough.T + np.eye(5), RNG.standard_normal(5)
+    rows, misses = RNG.standard_normal((2, 5)), RNG.standard_normal(2)
+    system = np.block([[hessian, rows.T], [rows, np.zeros((2, 2))]])
+    wanted = np.linalg.solve(system, -np.concatenate([gradient, misses]))[:5]
+    assert n._model_minimum(hessian, gradient, rows, misses) == pytest.approx(wanted)
+
+
+def test_where_conditions_leave_nothing_open_the_step_meets_them() -> None:
+    rows = RNG.standard_normal((3, 3))
+    wanted = np.array([1.0, -2.0, 3.0])
+    assert n._model_minimum(np.eye(3), np.ones(3), rows, -rows @ wanted) == pytest.approx(wanted)
+
+
+def test_negative_curvatures_are_reversed() -> None:
+    """x is held; along y and z, curvatures of -2 and 5 and slopes of 4 and -10: down both, by 2 and by 2."""
+    hessian, gradient = np.diag([7.0, -2.0, 5.0]), np.array([1.0, 4.0, -10.0])
+    found = n._model_minimum(hessian, gradient, np.array([[2.0, 0.0, 0.0]]), np.array([3.0]))
+    assert found == pytest.approx([-1.5, -2.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("rows", "independent"),
+    [
+        ([[1.0, 0.0], [1.0, 1.0]], True), ([[1.0, 0.0], [1e-8, 1e-8]], True), ([[1.0, 2.0], [-2.0, -4.0]], False),
+        ([[1.0, 0.0], [0.0, 0.0]], False), ([[1.0, 2.0]], True), ([[1.0, 1.0], [1.0, 1.0 + 1e-10]], False),
+        ([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], False),
+    ],
+)  # fmt: skip
+def test_conditions_are_independent_in_any_units(rows: Any, independent: bool) -> None:
+    assert n._independent(np.array(rows)) is independent
+
+
+# --- arcs -------------------------------------------------------------------------------------------------
+
+
+def test_arcs_of_every_control_from_end_to_end() -> None:
+    """The second control switches first, then the first one, twice: unknowns 1 to 3 between 0 and 4."""
+    assert n._arcs(switches([4.0, 3.0, 6.0], [0, 1, 0])) == [(0, 1), (1, 3), (3, 4), (0, 2), (2, 4)]
+    assert n._arcs(switches([6.0, 4.0], [0, 0])) == [(0, 2), (2, 1), (1, 3), (0, 3)]
+
+
+def test_a_step_may_move_no_switch_farther_than_a_share_of_the_phase() -> None:
+    there = switches([4.0, 6.0], [0, 0])
+    assert n._allowed(there, step(0, 0.1, -0.2, 0)) == (1.0, None)
+    assert n._allowed(there, step(0, 0.0, -1.6, 0)) == (pytest.approx(n.LONGEST * 10 / 1.6), None)
+    assert n._allowed(there, step(0, 0, 0, 0)) == (1.0, None)
+
+
+def test_an_arc_keeps_some_of_its_length() -> None:
+    """Arcs of 3, 0.2 and 6.8 s: the middle one may lose 0.16 s at once, growing is free."""
+    there = switches([4.0, 4.2], [0, 0])
+    share, arc = n._allowed(there, step(0, 0.15, -0.15, 0))
+    assert share == pytest.approx(n.SHRUNK * 0.2 / 0.3) and arc == (1, 2)
+    assert n._allowed(there, step(0, -0.15, 0.15, 0)) == (1.0, None)
+    assert n._allowed(there, step(0, 0.07, -0.07, 0)) == (1.0, None)
+    # The arcs of another control do not meet; the tightest one counts.
+    both = switches([4.0, 4.2, 4.1, 4.15], [0, 0, 1, 1])
+    share, arc = n._allowed(both, step(0, 0.15, -0.15, 0.1, -0.1, 0))
+    assert share == pytest.approx(n.SHRUNK * 0.05 / 0.2) and arc == (3, 4)
+    assert n._allowed(switches([4.0, 4.2], [0, 1]), step(0, 0.15, -0.15, 0)) == (1.0, None)
+    share, arc = n._allowed(switches([1.1], [0]), step(0.05, -0.15, 0))
+    assert share == pytest.approx(n.SHRUNK * 0.1 / 0.2) and arc == (0, 1)
+    share, arc = n._allowed(switches([10.9], [0]), step(0, 0.15, -0.05))
+    assert share == pytest.approx(n.SHRUNK * 0.1 / 0.2) and arc == (1, 2)
+
+
+def test_a_step_moves_switches_and_ends() -> None:
+    moved = n._moved(switches([4.0, 6.0], [0, 1]), np.array([0.1, 0.2, -0.3, -0.4]))
+    assert moved.times == pytest.approx([4.2, 5.7]) and moved.ends == pytest.approx([1.1, 10.6])
+    assert n._Step(np.array([0.1, -0.5, 0.2]), *[None] * 3, 0.0).share(moved) == pytest.approx(0.5 / 9.5)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("arc", "times", "channels", "first"),
+    [
+        ((1, 3), [3.0], [1], [-1.0, 4.0]),
+        ((0, 1), [3.0, 6.0], [1, 0], [1.0, 4.0]),  # the first control begins where it was after its switch
+        ((0, 2), [4.0, 6.0], [0, 0], [-1.0, 2.0]),
+        ((3, 4), [4.0, 3.0], [0, 1], [-1.0, 4.0]),
+        ((2, 4), [4.0, 6.0], [0, 0], [-1.0, 4.0]),
+    ],
+)
+def test_an_arc_that_vanishes_takes_its_switches_with_it(
+    arc: Any, times: Any, channels: Any, first: Any
+) -> None:
+    before = switches([4.0, 3.0, 6.0], [0, 1, 0])
+    left = n._without(before, arc)
+    assert (left.times.tolist(), left.channels.tolist(), left.first.tolist()) == (times, channels, first)
+    assert before.first.tolist() == [-1.0, 4.0]
+
+
+def test_a_phase_without_switches_has_nothing_to_lose() -> None:
+    left = n._without(switches([], []), (0, 1))
+    assert left.times.size == 0 and left.first.tolist() == [-1.0, 4.0]
+
+
+# --- arcs that are missing --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("wrong", "own", "left"),
+    [
+        ([-1, 2, 3, -1, 4, -1], [2], [-1, 0, 0, -1, 4, -1]),
+        ([1, 2, 3, 4], [1], [0, 0, 0, 0]),
+        ([1, 2, -1, 3, 4], [2], [0, 0, -1, 3, 4]),
+        ([1, 0, 2, 3, 0, 1], [3], [1, 0, 0, 0, 0, 1]),
+        ([1, 2, 3], [], [1, 2, 3]),
+    ],
+)
+def test_offences_that_reach_to_a_switch_are_its_own(wrong: Any, own: Any, left: Any) -> None:
+    values = np.array(wrong, float)
+    n._forgive(values, np.array(own, int))
+    assert values.tolist() == left
+
+
+def test_a_missing_arc_lies_between_the_zeros_a_quarter_inside() -> None:
+    """The sign is wrong from 1.5 s to 4.25 s by straight lines, or up to an end of the phase."""
+    times = np.array([0.0, 1.0, 2.0, 4.0, 5.0, 6.0])
+    wrong = np.array([-2.0, -1.0, 1.0, 1.0, -3.0, -1.0])
+    inset = n.INSET * 2.75
+    for j in (2, 3):
+        assert n._interval(times, wrong, j) == pytest.approx((1.5 + inset, 4.25 - inset))
+    assert n._interval(times, np.array([1.0, 1.0, 1.0, 1.0, -3.0, -1.0]), 1) == pytest.approx(
+        (0.0, 4.25 * 0.75)
+    )
+    assert n._interval(times, np.array([-2.0, -1.0, 1.0, 1.0, 1.0, 1.0]), 4) == pytest.approx(
+        (1.5 + 4.5 / 4, 6.0)
+    )
+    assert n._interval(times, np.ones(6), 3) == (0.0, 6.0)
+    assert n._interval(times, np.array([-1.0, 0.0, 1.0, 1.0, 0.0, 5.0]), 2) == pytest.approx((2.0, 4.0))
+
+
+def test_an_arc_is_added_between_two_switches_of_its_control() -> None:
+    before = switches([3.0], [1])
+    inner = n._with_arc(before, 0, 4.0, 6.0)
+    assert (inner.times.tolist(), inner.channels.tolist()) == ([3.0, 4.0, 6.0], [1, 0, 0])
+    assert inner.first.tolist() == [-1.0, 4.0]
+    early = n._with_arc(before, 1, 1.0, 2.0)
+    assert (early.times.tolist(), early.channels.tolist()) == ([3.0, 2.0], [1, 1])
+    assert early.first.tolist() == [-1.0, 2.0] and before.first.tolist() == [-1.0, 4.0]
+    late = n._with_arc(before, 0, 9.0, 11.0)
+    assert (late.times.tolist(), late.channels.tolist(), late.first.tolist()) == (
+        [3.0, 9.0],
+        [1, 0],
+        [-1.0, 4.0],
+    )
+    whole = n._with_arc(before, 0, 1.0, 11.0)
+    assert whole.times.tolist() == [3.0] and whole.first.tolist() == [1.0, 4.0]
+
+
+# --- as a guess -------------------------------------------------------------------------------------------
+
+
+def test_cubics_through_values_and_rates() -> None:
+    """t^3 - 2 t and 4 - t^2 over uneven segments come back, rates and all."""
+
+    def values(t: Any) -> Any:
+        return np.array([t**3 - 2 * t, 4 - t**2])
+
+    def rates(t: Any) -> Any:
+        return np.array([3 * t**2 - 2, -2 * t])
+
+    breaks = np.array([1.0, 1.5, 4.0])
+    left, right = breaks[:-1], breaks[1:]
+    found = n._cubics(breaks, values(left), rates(left), values(right), rates(right))
+    t = np.linspace(1.0, 4.0, 13)
+    assert found(t) == pytest.approx(values(t)) and found.derivative()(t) == pytest.approx(rates(t))
