@@ -7,6 +7,7 @@ phase. The module `costates` states the principle and its sources.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -75,27 +76,32 @@ def _worst_control(s: PhaseSamples, loss: Array) -> Worst:
     return Worst(float(loss[i, j]), s.place(j, s.leg.controls.labels[i]))
 
 
-def minimum(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """No other admissible control has a smaller H: told where H is affine or convex in it, searched for elsewhere."""
+def minimum(samples: list[PhaseSamples], tolerance: float, unit: str = "") -> Condition:
+    """No other admissible control has a smaller H: told where H is affine or convex in it, searched for elsewhere.
+
+    Its loss is the integral of H less its least value: what the cost changes to first order if the control is
+    replaced, in ``unit``.
+    """
     meaning = (
         "At every time the control must give the smallest H among all admissible ones, not only a stationary one "
         "(share of H's scale that could be gained)."
     )
-    worst, searched = NOTHING, False
+    worst, searched, loss = NOTHING, False, 0.0
     for s in samples:
         if s.leg.controls.size:
-            gain, here = _largest_gain(s, tolerance)
-            worst, searched = worst.or_worse(gain), searched or here
+            gain, lost, here = _largest_gain(s, tolerance)
+            worst, searched, loss = worst.or_worse(gain), searched or here, loss + lost
     if searched:
         meaning += (
             f" H is neither affine nor a convex quadratic function of all controls: its least value was searched "
             f"for among {POINTS} controls per phase, and a well of H that is narrower than these tell is not excluded."
         )
-    return judge("minimum principle", worst, tolerance, meaning)
+    found = judge("minimum principle", worst, tolerance, meaning)
+    return replace(found, loss=loss, unit=unit) if np.isfinite(loss) else found
 
 
-def _largest_gain(s: PhaseSamples, tolerance: float) -> tuple[Worst, bool]:
-    """Return what other controls gain, and whether they had to be searched for."""
+def _largest_gain(s: PhaseSamples, tolerance: float) -> tuple[Worst, float, bool]:
+    """Return what other controls gain at most and along the phase, and whether they had to be searched for."""
     apart = _separable_gain(s)
     elsewhere = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _scattered_controls(s), s.lam)
     gain = np.fmax(apart, np.where(np.isfinite(elsewhere), elsewhere, 0.0))
@@ -107,7 +113,7 @@ def _largest_gain(s: PhaseSamples, tolerance: float) -> tuple[Worst, bool]:
     share = np.maximum(gain / (s.joint_worth + gain), own)
     share = np.where(np.isnan(s.hamiltonian), np.inf, share)
     j = int(np.argmax(share))
-    return Worst(float(share[j]), s.place(j)), searched
+    return Worst(float(share[j]), s.place(j)), float(s.weights @ gain), searched
 
 
 def _separable_gain(s: PhaseSamples) -> Array:

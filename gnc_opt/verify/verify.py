@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.errors import GncOptError, ProblemError
+from gnc_opt.problem.cost_unit import cost_unit
 from gnc_opt.problem.functions import EndGradients
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
@@ -91,7 +92,7 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         costates.hamiltonian(lasting, tol),
         controls.stationarity(lasting, tol),
         controls.control_signs(lasting, tol),
-        controls.minimum(lasting, tol),
+        controls.minimum(lasting, tol, cost_unit(problem)),
         costates.complementarity(solution, lasting, ends, amounts.constraints, tol),
         controls.legendre_clebsch(lasting, tol),
         controls.singular_arcs(lasting, tol, [of_first_order(problem, s, tol) for s in lasting]),
@@ -147,7 +148,10 @@ def _untold(name: str, where: str, meaning: str) -> Condition:
 
 
 def _cannot_tell(condition: Condition, where: str, meaning: str) -> Condition:
-    return replace(condition, result=Result.CANNOT_TELL, value=float("nan"), where=where, meaning=meaning)
+    value = float("nan")
+    return replace(
+        condition, result=Result.CANNOT_TELL, value=value, where=where, meaning=meaning, loss=None, unit=""
+    )
 
 
 def _without_costates(condition: Condition) -> Condition:
