@@ -62,7 +62,7 @@ def singular_segments(s: PhaseSamples) -> Mask:
     singular = straight(s) & ~(lower | upper | s.idle)
     inside = s.weights > 0
     rows = [np.all(singular[:, inside & (s.segments == k)], axis=1) for k in range(s.leg.mesh.segments)]
-    return np.stack(rows, axis=1)
+    return np.stack(rows, axis=1) & s.has_length
 
 
 def cut(mesh: Mesh, singular: Mask) -> Mesh:

@@ -37,6 +37,7 @@ from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, RANK, TINY
 from gnc_opt.verify.goh import straight
 from gnc_opt.verify.induced import InducedProblem, Unknowns
+from gnc_opt.verify.normality import normality_of_switches
 from gnc_opt.verify.switches import GRAZES, Switches, inner_switches
 from gnc_opt.verify.verdict import Condition, Result
 
@@ -158,6 +159,14 @@ class SecondOrder:
         if self.least > self.error:
             return Result.PASS
         return Result.FAIL if self.least < -self.error and self.attained else Result.CANNOT_TELL
+
+
+def normality(solution: Solution, samples: list[PhaseSamples], ends: EndGradients) -> Condition:
+    """Judge the conditions of the induced problem, in any order of its switches."""
+    switches = {s.leg.name: Switches.of(s) for s in samples}
+    pieces = {name: found.pieces(next(found.orders())) for name, found in switches.items()}
+    unknowns = Unknowns.of(solution, samples, switches)
+    return normality_of_switches(InducedProblem.of(solution, samples, ends, unknowns, pieces))
 
 
 def second_order(

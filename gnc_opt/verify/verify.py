@@ -48,9 +48,8 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         CANNOT TELL per condition: dynamics, propagation, bounds, path constraints, boundary
         conditions, cost, stored numbers, adjoint equation, transversality, Hamiltonian, stationarity, control signs,
         minimum principle, complementarity, Legendre-Clebsch, singular arcs, generalised Legendre-Clebsch, parameters,
-        second order; for a solution whose switch times were optimised or that is bang-bang, strict switches; for the
-        latter, induced gradient; for all others, normality and,
-        along smooth phases, conjugate points.
+        normality, second order; for a solution whose switch times were optimised or that is bang-bang, strict switches;
+        for the latter, induced gradient; for all others, along smooth phases, conjugate points.
         A solution keeps its verdict: asked again, at the same tolerance, nothing is computed anew.
 
     Raises
@@ -123,7 +122,10 @@ def _second_order(
 ) -> list[Condition]:
     """By the switch times where they alone are left to vary, else on the mesh."""
     if not second_order.obstacle(samples):
-        return second_order.second_order(solution, samples, ends, tolerance)
+        return [
+            second_order.normality(solution, samples, ends),
+            *second_order.second_order(solution, samples, ends, tolerance),
+        ]
     rounding = rounding_of_cost(samples)
     cone = critical_cone(solution, samples, rounding)
     if not cone.point.is_finite:

@@ -292,9 +292,9 @@ def samples_of(solution: go.Solution) -> PhaseSamples:
 
 
 def test_every_condition_of_the_verdict_has_a_wrong_solution() -> None:
-    """Of those that can fail; 'singular arcs' can only be untold."""
+    """Of those that can fail; 'singular arcs' can only be untold, 'normality' is a matter of the problem."""
     names = {c.name for c in go.verify(bang_bang()).conditions}
-    assert names - {"singular arcs"} == {case.condition for case in CASES}
+    assert names - {"singular arcs", "normality"} == {case.condition for case in CASES}
 
 
 def test_barely_curved_hamiltonian_is_told_from_a_singular_one() -> None:
