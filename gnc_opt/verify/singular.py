@@ -26,6 +26,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import TINY
@@ -158,8 +159,8 @@ def _judge(
 def _evaluated(s: PhaseSamples, channels: Indices, here: Indices, function: Any) -> Array:
     """Matrices (n_samples, m, m) at samples of an arc, over ranges of controls and in shares of H."""
     numbers = np.concatenate([s.functions.weights, s.functions.p, s.functions.q])
-    columns = np.tile(numbers[:, None], here.size)
-    flat = function(s.times[None, here], s.x[:, here], s.u[:, here], s.lam[:, here], columns).full()
+    at = s.times[None, here], s.x[:, here], s.u[:, here], s.lam[:, here]
+    flat = evaluate_columns(function, here.size, *at, numbers)
     scale = s.control_scale[channels]
     matrices = flat.T.reshape(here.size, channels.size, channels.size)
     return np.asarray(matrices * np.outer(scale, scale) / max(s.hamiltonian_scale, TINY))

@@ -19,10 +19,15 @@ from gnc_opt.solution.touches import with_touches
 LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER
 
 
+DRIFT = 0.7
+"""Speed of the observer who sees the ceiling move, m/s."""
+
+
 def throw(limit: float, form: str = "bound", unit: float = 1.0) -> go.Problem:
     """Bryson and Denham's problem (Bryson & Ho 1975, p. 120), x <= limit; x in units of 1 / unit m.
 
-    "curved": the state is z with x = z + z^3 / 3, the limit a path constraint that is not linear in it.
+    "curved": the state is z with x = z + z^3 / 3, the limit a path constraint that is not linear in it; "moving": as
+    seen by an observer who moves at a constant speed.
     """
     model = go.Model("double integrator")
     x, v = model.state("x"), model.state("v")
@@ -31,9 +36,12 @@ def throw(limit: float, form: str = "bound", unit: float = 1.0) -> go.Problem:
     problem = go.Problem(f"throw, {form}")
     leg = problem.phase("leg", model)
     leg.time(initial=0.0, final=1.0)
-    leg.initial(x=0.0, v=1.0)
-    leg.final(x=0.0, v=-1.0)
-    if form == "bound":
+    drift = DRIFT if form == "moving" else 0.0
+    leg.initial(x=0.0, v=1.0 + drift)
+    leg.final(x=drift, v=-1.0 + drift)
+    if form == "moving":
+        leg.path("ceiling", x - drift * model.time, upper=limit)
+    elif form == "bound":
         leg.bounds(x=(None, unit * limit))
     else:
         leg.path("ceiling", x + x**3 / 3 if form == "curved" else x, upper=unit * limit)
@@ -152,6 +160,20 @@ def test_a_touch(limit: float, form: str) -> None:
     np.testing.assert_allclose(
         costate(np.array([0.2, 0.8])), 24 * (1 - 4 * limit) * np.array([1, -1]), atol=1e-6
     )
+
+
+@pytest.mark.parametrize("limit", [0.1, 0.2])
+def test_a_moving_limit(limit: float) -> None:
+    """The same flight; H differs by lam_x times the drift, and so jumps with lam_x, at the touch by -48 (1 - 4 l)."""
+    solution = thrown(limit, "moving")
+    assert solution.history.converged and go.verify(solution).ok
+    arc = limit < 1 / 6
+    exact = 4 / (9 * limit) if arc else 2 + 6 * (1 - 4 * limit) ** 2
+    assert solution.objective == pytest.approx(exact, abs=1e-9)
+    assert contact(solution) == pytest.approx((3 * limit, 1 - 3 * limit) if arc else (0.5, 0.5), abs=1e-7)
+    hamiltonian = solution.hamiltonian
+    lam_x = 2 / (9 * limit**2) if arc else 24 * (1 - 4 * limit)
+    assert hamiltonian(0.9) - hamiltonian(0.1) == pytest.approx(-2 * DRIFT * lam_x, rel=1e-6)
 
 
 def test_touches_of_third_order() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -592,6 +593,7 @@ def improved(monkeypatch: pytest.MonkeyPatch, **answers: Any) -> tuple[dict[str,
     monkeypatch.setattr(s, "_collapse", step("collapse", lambda *_: (None, "")))
     monkeypatch.setattr(s, "_adjust", step("adjust", lambda plan, tol: (plan, "")))
     monkeypatch.setattr(s, "_complete", step("complete", lambda *_: (None, "")))
+    monkeypatch.setattr(s, "_saturated", step("saturate", lambda *_: (None, "")))
     for contacts in ("_mended_contacts", "crossed_contact"):
         monkeypatch.setattr(s, contacts, lambda *_: (None, ""))
     return s._improve(there, plans, set(), 1e-9)
@@ -614,11 +616,39 @@ def test_what_vanishes_is_mended_first_then_kinks_and_points_then_what_is_missin
     assert plans["b"].points == 7.0
     plans, action = improved(monkeypatch, adjust=adjust, complete=add)
     assert (action, plans["b"]) == ("r", finer) and plans["a"].structure is THREE
+    plans, action = improved(monkeypatch, saturate={"a": (other, "saturated"), "b": None}, adjust=adjust)
+    assert (action, plans["a"].structure, plans["a"].points) == ("saturated", other, 7.0)
     plans, action = improved(monkeypatch, complete=add)
     assert (action, plans["a"].structure, plans["a"].points) == ("added", other, 7.0)
     both = {"a": (finer, "r"), "b": (finer, "r")}
     assert improved(monkeypatch, adjust=both)[1] == "r"
     assert improved(monkeypatch, adjust={"a": (finer, "r"), "b": (finer, "k")})[1] == "r, k"
+
+
+@pytest.mark.parametrize(
+    ("error", "gradient", "wanted"),
+    [
+        (1e-3, 1e-2, Resolution(3, 6, 8, 1e-2)),  # a polynomial that is no guess of the control comes first
+        (1e-2, 1e-3, Resolution(2, 9, 4)),
+        (1e-6, 1e-5, Resolution(2, 9, 4)),  # then the states,
+        (1e-10, 1e-5, Resolution(3, 6, 8, 1e-5)),  # then the last digits of the control
+        (1e-10, 1e-10, Resolution(2, 6, 4)),
+    ],
+)
+def test_what_is_worse_is_raised(error: float, gradient: float, wanted: Resolution) -> None:
+    assert s._next_resolution(Resolution(2, 6, 4), error, gradient, 1e-9) == wanted
+
+
+@pytest.mark.parametrize(
+    ("action", "error", "rests"),
+    [("resolution raised", 1e-9, True), ("resolution raised", 1e-7, False), ("kinks moved", 1e-9, False)],
+)
+def test_at_a_limit_a_structure_that_is_accurate_enough_rests(action: str, error: float, rests: bool) -> None:
+    limits = s._Limits(1e-8, 1, 1000, 1.0, math.inf)
+    record = Pass({}, {}, error, "", 1.0, True, 3, 0.1, action)
+    status = s._limited([record], limits, RefinementStatus.WORK_LIMIT)
+    assert status is (RefinementStatus.CONVERGED if rests else RefinementStatus.WORK_LIMIT)
+    assert s._limited([], limits, RefinementStatus.PASS_LIMIT) is RefinementStatus.PASS_LIMIT
 
 
 @pytest.mark.parametrize(
