@@ -345,4 +345,7 @@ def obstacle(samples: list[PhaseSamples]) -> str:
         worth = np.abs(s.leg.state_multipliers) * s.state_scale[:, None] * s.leg.duration
         if np.max(worth, initial=0.0) > ACTIVE_STATE * s.cost_scale:
             return f"phase {s.leg.name}: an active state bound"
+        jumps = np.abs(s.leg.lam_end[:, :-1] - s.leg.lam_start[:, 1:]) * s.state_scale[:, None]
+        if np.max(jumps, initial=0.0) > ACTIVE_STATE * s.cost_scale:
+            return f"phase {s.leg.name}: a state constraint that is touched"
     return ""

@@ -29,7 +29,7 @@ from gnc_opt.simulation import (
 from gnc_opt.simulation.block import Block, Step
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.integrate import dormand_prince
-from gnc_opt.simulation.kernel import Places
+from gnc_opt.simulation.places import Places
 
 DT = 0.1
 TWO = Layout("command", (Variable("a", 1, "N"), Variable("b", 2, "N m")))
@@ -93,7 +93,7 @@ def test_numbers_of_a_loop_are_given_by_keyword():
         n: default for n, (kind, default) in found.items() if kind is inspect.Parameter.KEYWORD_ONLY
     }
     assert by_keyword == {
-        "dt": None, "minor_steps": 1, "accuracy": 1e-9, "substeps": None, "plausible": 1e15
+        "dt": None, "minor_steps": 1, "accuracy": 1e-9, "substeps": None, "plausible": 1e15, "events": (),
     }  # fmt: skip
     assert [found[n][1] for n in ("actuators", "sensors", "disturbances")] == [(), (), ()]
     loop = ClosedLoop(double_integrator(), idle(double_integrator()), dt=DT)

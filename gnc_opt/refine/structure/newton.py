@@ -186,6 +186,7 @@ def _fits(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
         and s.functions.q.size == 0
         and all(kind.at_limit for row in structure.controls for kind in row)
         and not any(kind.at_limit for row in (*structure.paths, *structure.states) for kind in row)
+        and not any(structure.touches)
         and bool(np.all(leg.initial_bounds.fixed))
         and bool(np.all(problem.constraint_interval().fixed))
         and not any(np.any(side) for side in sided)
