@@ -172,7 +172,9 @@ class _Attempt:
     @property
     def final(self) -> bool:
         """Whether nothing else is worth trying: it has been stopped, or it came to rest and passes the verdict."""
-        rests = self.history.converged or self.begun is None  # a structure that fails leaves what it began from
+        rests = (
+            self.history.converged or self.begun is None
+        )  # a structure that fails leaves what it began from
         return self.stopped or (rests and verify(self.solution).ok)
 
 

@@ -174,7 +174,9 @@ def _fits(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
     """Whether everything is decided by switch times and end times, and all conditions are equalities."""
     leg = s.leg
     times = np.array([[leg.initial_time], [leg.final_time], [leg.duration]])
-    loose = ~leg.final_bounds.fixed & (np.isfinite(leg.final_bounds.lower) | np.isfinite(leg.final_bounds.upper))
+    loose = ~leg.final_bounds.fixed & (
+        np.isfinite(leg.final_bounds.lower) | np.isfinite(leg.final_bounds.upper)
+    )
     at_end = leg.final_bounds.near(s.x[:, -1], AT_LIMIT * s.state_scale) if np.any(loose) else (loose, loose)
     boxes = (leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
     sided = [np.logical_or(*at_end) & loose]
