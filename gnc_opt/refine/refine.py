@@ -32,7 +32,7 @@ UNASKED = 0.5
 """Share of the work that is left after which a control structure that nobody asked for is given up. What it costs
 comes on top of what the mesh may cost."""
 
-BRIEF = SolverOptions(tolerance=TIGHT, max_iterations=60)
+BRIEF = SolverOptions(tolerance=TIGHT, max_iterations=100)
 """For solves with such a structure: those that lead anywhere begin near their end."""
 
 LEAST_WORK = 7e4
