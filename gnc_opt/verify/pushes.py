@@ -6,7 +6,8 @@ A constraint without controls, :math:`c(t, x) \le 0` or a state bound, enters th
 .. math:: d\lambda = -\Big(\frac{\partial H}{\partial x}\Big)dt - \frac{\partial c}{\partial x}\,d\eta,
           \qquad d\eta \ge 0 \text{ at an upper, } \le 0 \text{ at a lower limit, } 0 \text{ away from both,}
 
-hence :math:`\lambda(t^-) = \lambda(t^+) + \eta\,\partial c/\partial x` where it has an atom, as at the ends of an arc
+hence :math:`\lambda(t^-) = \lambda(t^+) + \eta\,\partial c/\partial x` and
+:math:`H(t^-) = H(t^+) - \eta\,\partial c/\partial t` where it has an atom, as at the ends of an arc
 along the limit or where the limit is touched. Two things follow for the verifier.
 
 * At a segment boundary, a jump is right if the constraints that are active there explain it with the right signs.
@@ -41,10 +42,13 @@ class Pushers:
     ----------
     directions : array (n_states, n_sides, n_times)
         Gradient of each side of each constraint, outwards: a legitimate push moves lambda against it.
+    drifts : array (n_sides, n_times)
+        Its partial derivative with respect to time.
     active : bool array (n_sides, n_times)
     """
 
     directions: Array
+    drifts: Array
     active: Mask
 
     @classmethod
@@ -52,11 +56,14 @@ class Pushers:
         """Evaluate state bounds and the path constraints that do not depend on controls."""
         leg, n = s.leg, s.leg.states.size
         gradients = [np.repeat(np.eye(n)[:, :, None], times.size, axis=2)]
+        drifts = [np.zeros_like(x)]
         values, scales = [x], [s.state_scale]
         lower, upper = [leg.state_bounds.lower], [leg.state_bounds.upper]
         pure = s.pure_paths
         if pure.size:
-            gradients.append(_path_gradients(s, times, x, u)[:, pure])
+            by_state, by_time = _path_gradients(s, times, x, u)
+            gradients.append(by_state[:, pure])
+            drifts.append(by_time[pure])
             values.append(s.functions.paths(times, x, u)[pure])
             scales.append(s.path_scale[pure])
             lower.append(leg.path_bounds.lower[pure])
@@ -64,32 +71,45 @@ class Pushers:
         value, near = np.vstack(values), (AT_LIMIT * np.concatenate(scales))[:, None]
         at_upper = value >= np.concatenate(upper)[:, None] - near
         at_lower = value <= np.concatenate(lower)[:, None] + near
-        outward = np.concatenate(gradients, axis=1)
-        return cls(np.concatenate([outward, -outward], axis=1), np.vstack([at_upper, at_lower]))
+        outward, drift = np.concatenate(gradients, axis=1), np.vstack(drifts)
+        return cls(
+            np.concatenate([outward, -outward], axis=1),
+            np.vstack([drift, -drift]),
+            np.vstack([at_upper, at_lower]),
+        )
 
 
-def _path_gradients(s: PhaseSamples, times: Array, x: Array, u: Array) -> Array:
-    """dc/dx, (n_states, n_paths, n_times)."""
+def _path_gradients(s: PhaseSamples, times: Array, x: Array, u: Array) -> tuple[Array, Array]:
+    """dc/dx, (n_states, n_paths, n_times), and dc/dt, (n_paths, n_times)."""
     paths, zero = len(s.leg.path_labels), np.zeros_like(x)
     mu = np.zeros((paths, times.size))
     without = s.functions.state_gradient(times, x, u, zero, mu)
-    columns = []
+    idle = s.functions.time_gradient(times, x, u, zero, mu)
+    columns, drifts = [], []
     for i in range(paths):
         mu[i] = 1.0
         columns.append(s.functions.state_gradient(times, x, u, zero, mu) - without)
+        drifts.append(s.functions.time_gradient(times, x, u, zero, mu) - idle)
         mu[i] = 0.0
-    return np.stack(columns, axis=1)
+    return np.stack(columns, axis=1), np.stack(drifts)
 
 
-def unexplained_jumps(s: PhaseSamples) -> Array:
-    """Costate jumps at the inner segment boundaries (n_states, K - 1) that no active constraint explains.
+def jumps_explained(s: PhaseSamples) -> tuple[Array, Array]:
+    """What active constraints make of jumps at the inner segment boundaries.
 
     A jump the wrong way is explained as far as a push beside it makes up for it, see `pushed_beside`.
+
+    Returns
+    -------
+    unexplained : array (n_states, K - 1)
+        What is left of the jumps of costates.
+    hamiltonian : array (K - 1,)
+        By how much H rises with those that are explained.
     """
     breaks = s.leg.breaks[1:-1]
     jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
     pushers = Pushers.at(s, breaks, s.leg.x(breaks), s.leg.flown(breaks))
-    rest = jumps.copy()
+    rest, rises = jumps.copy(), np.zeros(breaks.size)
     scale, spare = s.state_scale, _spare_pushes(s)
     for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
         directions = pushers.directions[:, pushers.active[:, k], k]
@@ -98,7 +118,8 @@ def unexplained_jumps(s: PhaseSamples) -> Array:
             directions * scale[:, None], (jumps[:, k] - directions @ least) * scale
         )
         rest[:, k] -= directions @ (sizes + least)
-    return rest
+        rises[k] = pushers.drifts[pushers.active[:, k], k] @ (sizes + least)
+    return rest, rises
 
 
 def pushed_beside(s: PhaseSamples, densities: Array) -> Array:

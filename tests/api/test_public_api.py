@@ -61,9 +61,9 @@ EXPECTED = {
         total_momentum transpose us76 wheel_body_acceleration wheel_pyramid
     """,
     "gnc_opt.plot": """
-        plot_controls plot_costates plot_curves plot_dispersion plot_distributions plot_hamiltonian
+        View plot_controls plot_costates plot_curves plot_dispersion plot_distributions plot_hamiltonian
         plot_path plot_refinement plot_run_controls plot_run_errors plot_run_states plot_states
-        plot_verdict save_figure
+        plot_verdict save_figure save_film
     """,
     "gnc_opt.report": """
         search_dict summary summary_dict write_aem write_json write_oem write_report write_search

@@ -14,15 +14,21 @@ from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.constraint_order import constraint_order
 from gnc_opt.problem.held import Junction
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.solution.program_point import ProgramPoint
 from gnc_opt.solution.touches import with_touches
 
 LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER
 
 
+DRIFT = 0.7
+"""Speed of the observer who sees the ceiling move, m/s."""
+
+
 def throw(limit: float, form: str = "bound", unit: float = 1.0) -> go.Problem:
     """Bryson and Denham's problem (Bryson & Ho 1975, p. 120), x <= limit; x in units of 1 / unit m.
 
-    "curved": the state is z with x = z + z^3 / 3, the limit a path constraint that is not linear in it.
+    "curved": the state is z with x = z + z^3 / 3, the limit a path constraint that is not linear in it; "moving": as
+    seen by an observer who moves at a constant speed.
     """
     model = go.Model("double integrator")
     x, v = model.state("x"), model.state("v")
@@ -31,9 +37,12 @@ def throw(limit: float, form: str = "bound", unit: float = 1.0) -> go.Problem:
     problem = go.Problem(f"throw, {form}")
     leg = problem.phase("leg", model)
     leg.time(initial=0.0, final=1.0)
-    leg.initial(x=0.0, v=1.0)
-    leg.final(x=0.0, v=-1.0)
-    if form == "bound":
+    drift = DRIFT if form == "moving" else 0.0
+    leg.initial(x=0.0, v=1.0 + drift)
+    leg.final(x=drift, v=-1.0 + drift)
+    if form == "moving":
+        leg.path("ceiling", x - drift * model.time, upper=limit)
+    elif form == "bound":
         leg.bounds(x=(None, unit * limit))
     else:
         leg.path("ceiling", x + x**3 / 3 if form == "curved" else x, upper=unit * limit)
@@ -154,6 +163,20 @@ def test_a_touch(limit: float, form: str) -> None:
     )
 
 
+@pytest.mark.parametrize("limit", [0.1, 0.2])
+def test_a_moving_limit(limit: float) -> None:
+    """The same flight; H differs by lam_x times the drift, and so jumps with lam_x, at the touch by -48 (1 - 4 l)."""
+    solution = thrown(limit, "moving")
+    assert solution.history.converged and go.verify(solution).ok
+    arc = limit < 1 / 6
+    exact = 4 / (9 * limit) if arc else 2 + 6 * (1 - 4 * limit) ** 2
+    assert solution.objective == pytest.approx(exact, abs=1e-9)
+    assert contact(solution) == pytest.approx((3 * limit, 1 - 3 * limit) if arc else (0.5, 0.5), abs=1e-7)
+    hamiltonian = solution.hamiltonian
+    lam_x = 2 / (9 * limit**2) if arc else 24 * (1 - 4 * limit)
+    assert hamiltonian(0.9) - hamiltonian(0.1) == pytest.approx(-2 * DRIFT * lam_x, rel=1e-6)
+
+
 def test_touches_of_third_order() -> None:
     """Robbins (SIAM J. Control Optim. 18(4), 1980): least int 3 x + u^2 / 2, d3x/dt3 = u, x >= 0; touches, no arc.
 
@@ -204,6 +227,19 @@ def test_a_touch_is_held_where_it_pushes(form: str) -> None:
     stays = replace(leg, mesh=replace(leg.mesh, movable=()))
     for other in (pulled, stays):
         assert with_touches(replace(touched, phases={"leg": other})).phases["leg"].numbers.arcs is None
+
+
+@pytest.mark.parametrize("form", ["ceiling", "curved"])
+def test_a_touch_has_the_multiplier_of_its_jump(form: str) -> None:
+    """lam_x falls by 48 (1 - 4 l) = 9.6 at 1/2 s: with that the conditions of first order hold, without it not."""
+    point = ProgramPoint.of(thrown(0.2, form, 1.0, "11x4"))
+    assert np.max(np.abs(point.residual)) < 1e-5
+    ((_, junction, rows),) = point.transcription.junctions
+    assert junction.kind is UP and len(rows) == 2
+    multipliers = point.lam[rows] * point.scaling.rows[rows] / point.scaling.objective
+    assert multipliers == pytest.approx([9.6, 0.0], abs=1e-4)
+    bare = replace(point, lam=np.where(np.isin(np.arange(point.lam.size), rows), 0.0, point.lam))
+    assert np.max(np.abs(bare.residual)) > 0.1
 
 
 def test_a_saddle_beside_a_touch_fails() -> None:

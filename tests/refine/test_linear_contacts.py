@@ -8,7 +8,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.problem.arc import ArcKind
-from problems import reorientation
+from problems import quadrotor, reorientation
 
 LENGTH, BELOW, RADIUS = 6.0, 0.4, 1.0
 """The way; how far below its middle the disc's centre lies, and its radius, m."""
@@ -92,3 +92,16 @@ def test_touches_between_bangs() -> None:
     np.testing.assert_allclose(jumps, strength * gradients, atol=1e-7)
     # None of it is left to a programme without the touches.
     assert "induced gradient" not in {condition.name for condition in go.verify(solution).conditions}
+
+
+def test_a_bang_within_a_singular_arc() -> None:
+    """A mesh too coarse for it shows one singular arc, whose polynomial reaches the bound where the bang belongs.
+
+    The time is that of the structure that a mesh of twice the segments shows.
+    """
+    solution = go.refine(go.solve(quadrotor.build(), tol=None))
+    assert solution.converged and go.verify(solution).ok
+    assert solution.objective == pytest.approx(1.2313192852, abs=1e-9)
+    turns = [arc.kind for arc in solution.structure if arc.channel == "w"]
+    up, singular, low = ArcKind.UPPER, ArcKind.SINGULAR, ArcKind.LOWER
+    assert turns == [up, singular, low, singular, up]

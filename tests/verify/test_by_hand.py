@@ -26,7 +26,7 @@ from gnc_opt.verify.kept import keep_verdict, kept_verdict
 from gnc_opt.verify.magnitude import Magnitudes, integral_spans, parameter_scale
 from gnc_opt.verify.multipliers import _quadrature, _ranges, _state_rows, _variables
 from gnc_opt.verify.null_space import _metric
-from gnc_opt.verify.pushes import Pushers, _responses, _without_pushes, pushed_beside, unexplained_jumps
+from gnc_opt.verify.pushes import Pushers, _responses, _without_pushes, jumps_explained, pushed_beside
 from gnc_opt.verify.reduced_hessian import Curvature, _doubt, _place
 from gnc_opt.verify.second_order import least_squares
 from gnc_opt.verify.singular import generalised_legendre_clebsch
@@ -294,7 +294,7 @@ def test_jumps_that_active_limits_explain(jump: tuple[float, float], left: tuple
         lambda t, k: np.array([3 - t, 1 + t]) - k * np.array(jump)[:, None],
         weights=(), breaks=(0.0, 0.5, 2.0), state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]),
     )  # fmt: skip
-    np.testing.assert_allclose(unexplained_jumps(s)[:, 0], left, atol=1e-9)
+    np.testing.assert_allclose(jumps_explained(s)[0][:, 0], left, atol=1e-9)
 
 
 @pytest.mark.parametrize(("jump", "left"), [(-1.5, 0.0), (-3.0, -1.0), (1.0, 0.0)])
@@ -306,7 +306,7 @@ def test_jumps_the_wrong_way_are_explained_by_a_density_beside_them(jump: float,
         lambda t, k: np.array([3 - t - k * jump, 1 + t]), states=lambda t, k: np.array([200.0 + 0 * t, 0 * t]),
         weights=(), breaks=(0.0, 0.5, 2.0), state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]),
     )  # fmt: skip
-    np.testing.assert_allclose(unexplained_jumps(s)[:, 0], [left, 0.0], atol=1e-9)
+    np.testing.assert_allclose(jumps_explained(s)[0][:, 0], [left, 0.0], atol=1e-9)
 
 
 def test_costates_without_pushes_and_what_pushes_add() -> None:

@@ -216,10 +216,9 @@ class _Run:
 
     def _switch(self, structure: PhaseStructure, time: float, samples: PhaseSamples) -> float:
         """Where a control that holds the constraint switches close by, or the time itself: it does that to hold it."""
-        segment = int(
-            np.clip(np.searchsorted(samples.leg.breaks, time) - 1, 0, samples.leg.mesh.segments - 1)
-        )
-        reach = SHORT * float(np.diff(samples.leg.breaks)[segment])
+        breaks = samples.leg.breaks
+        segment = int(np.clip(np.searchsorted(breaks, time) - 1, 0, breaks.size - 2))
+        reach = SHORT * float(breaks[segment + 1] - breaks[segment])
         switches = [
             structure.times[k]
             for k in range(1, structure.pieces)

@@ -40,10 +40,10 @@ class PhaseStructure:
     n_paths : int
     orders : tuple of int
         For each row the order of the state constraint, if its contacts are looked for; else 0.
-    holders : tuple of tuple of int
-        For each of these rows the controls that can hold it on its limit.
     touches : tuple of A + 1 tuples of Touch
         What state constraints only touch, at each of the times.
+    holders : tuple of tuple of int
+        For each of the rows with an order the controls that can hold it on its limit.
     """
 
     times: tuple[float, ...]
@@ -52,8 +52,8 @@ class PhaseStructure:
     n_controls: int | None = None
     n_paths: int = 0
     orders: tuple[int, ...] = ()
-    holders: tuple[tuple[int, ...], ...] = ()
     touches: tuple[tuple[Touch, ...], ...] = ()
+    holders: tuple[tuple[int, ...], ...] = ()
 
     def __post_init__(self) -> None:
         if not self.orders:
