@@ -1,6 +1,7 @@
 """The command line.
 
-``gnc-opt new NAME`` and ``gnc-opt examples``; ``gnc-opt solve``, ``gnc-opt multistart`` and ``gnc-opt check FILE``.
+``gnc-opt new NAME`` and ``gnc-opt examples``; ``gnc-opt solve``, ``gnc-opt multistart`` and ``gnc-opt check FILE``;
+``gnc-opt film FILE``.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from gnc_opt.nlp import SolverOptions
     from gnc_opt.problem.problem import Problem
+    from gnc_opt.simulation import Run
     from gnc_opt.solution.solution import Solution
     from gnc_opt.verify.verdict import Verdict
 
@@ -162,6 +164,38 @@ def _examples(args: argparse.Namespace) -> int:
     print("\n".join(f"{each.name:{width}}  {each.title}" for each in found))
     print(f"run one with: gnc-opt examples NAME\nread them in: {found[0].path.parent}")
     return ExitCode.OK
+
+
+def _film(args: argparse.Namespace) -> ExitCode:
+    from gnc_opt.plot import View, save_film
+
+    view = View(
+        args.position if len(args.position) > 1 else args.position[0],
+        args.attitude,
+        args.force,
+        {f"keep-out {i + 1}": (sphere[:3], sphere[3]) for i, sphere in enumerate(args.keep_out)},
+        args.down,
+    )
+    others = [_moved(other) for other in args.others]
+    path = save_film(
+        _moved(args.file), args.output, view, others=others, seconds=args.seconds, rate=args.rate
+    )
+    print(f"written: {path}")
+    return ExitCode.OK
+
+
+def _moved(path: str) -> Solution | Run:
+    """Load a solution or a run."""
+    from gnc_opt.simulation import Run
+    from gnc_opt.solution import load
+
+    try:
+        return load(path)
+    except GncOptError as error:
+        try:
+            return Run.load(path)
+        except GncOptError:
+            raise error from None
 
 
 def _build(args: argparse.Namespace) -> tuple[ProblemFile, Problem]:
@@ -309,6 +343,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
     _add_new(commands)
     _add_examples(commands)
+    _add_film(commands)
     _add_solve(commands)
     _add_multistart(commands)
     check = commands.add_parser("check", help="look for mistakes in a problem without solving it")
@@ -338,6 +373,45 @@ def _add_examples(commands: Any) -> None:
         help="of the problem; try --help after its NAME",
     )
     command.set_defaults(run=_examples)
+
+
+def _add_film(commands: Any) -> None:
+    command = commands.add_parser("film", help="film a solution or a run that was saved")
+    add = command.add_argument
+    add("file", metavar="FILE", help="solution or run (.npz)")
+    add(
+        "--position",
+        metavar="STATE",
+        nargs="+",
+        required=True,
+        help="of two or three components, or as many states",
+    )
+    add(
+        "--attitude", metavar="STATE", help="modified Rodrigues parameters or a quaternion, scalar part first"
+    )
+    add("--force", metavar="CONTROL", help="whose plume is drawn; in body axes if there is an attitude")
+    add(
+        "--keep-out",
+        metavar=("X", "Y", "Z", "RADIUS"),
+        type=float,
+        nargs=4,
+        action="append",
+        default=[],
+        help="sphere to draw; may be given several times",
+    )
+    add("--down", action="store_true", help="draw z downwards")
+    add("--others", metavar="FILE", nargs="+", default=[], help="whose paths are drawn in grey")
+    add("--seconds", metavar="S", type=float, default=8.0, help="length of the film, default %(default)g")
+    add("--rate", metavar="N", type=float, default=20.0, help="pictures per second, default %(default)g")
+    add(
+        "-o",
+        "--output",
+        metavar="FILE",
+        default="film.gif",
+        help=".gif, or .mp4 by ffmpeg; default %(default)s",
+    )
+    add("--debug", action="store_true", help="show the traceback of an error")
+    command.set_defaults(run=_film)
 
 
 def number_or_none(text: str) -> float | None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from decimal import Decimal
@@ -19,6 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rich.console import Console
 from rich.table import Table
+
+from gnc_opt.errors import GncOptError
 
 _WIDTH = 170
 """Columns where the output is no terminal."""
@@ -182,6 +185,8 @@ def run_comparison(
     comparison: Callable[[], list[Row]],
     write_figures: Callable[[Path], list[Path]],
     arguments: Sequence[str] | None = None,
+    *,
+    flown: Callable[[Sequence[str]], list[Row]] | None = None,
 ) -> int:
     """Print the table of a published system, and write JSON and figures if asked to.
 
@@ -193,23 +198,36 @@ def run_comparison(
         The rows, and the figures in a folder.
     arguments : sequence of str, optional
         Of the command line, without the program's name; default ``sys.argv[1:]``.
+    flown : callable, optional
+        The rows of the flown comparison under other conditions, from the texts ``NAME=VALUE`` of ``--set``. Nothing
+        else is shown then, since what is known holds for the default conditions only.
 
     Returns
     -------
     int
-        0; 1 if a row does not pass.
+        0; 1 if a row does not pass; 2 if a setting is refused.
     """
     parser = argparse.ArgumentParser(prog=f"python -m problems.{name}", description=title)
     parser.add_argument("--report", type=Path, metavar="DIR", help="write the figures to a folder")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the table to a file")
+    if flown is not None:
+        parser.add_argument(
+            "--set", action="append", default=[], metavar="NAME=VALUE",
+            help="fly plans and published law under another law, gain, disturbance or seed, and show that only",
+        )  # fmt: skip
     options = parser.parse_args(arguments)
+    settings: list[str] = options.set if flown is not None else []
     console = Console(highlight=False)
     if not console.is_terminal:
         console.width = max(console.width, _WIDTH)
-    rows = comparison()
-    show(console, rows, title)
+    try:
+        rows = flown(settings) if flown is not None and settings else comparison()
+    except GncOptError as error:
+        print(error, file=sys.stderr)
+        return 2 if settings else 1
+    show(console, rows, f"{title}, {', '.join(settings)}" if settings else title)
     if options.json is not None:
-        write_json(options.json, rows)
+        write_json(options.json, rows, settings=settings)
     if options.report is not None:
         paths = write_figures(options.report)
         console.print(f"report: {len(paths)} figures in {options.report}", markup=False)

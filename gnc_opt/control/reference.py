@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Literal, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -111,13 +111,14 @@ class Reference(Strict):
     def from_functions(
         cls,
         model: Model,
-        x: Callable[[float], ArrayLike],
-        u: Callable[[float], ArrayLike],
+        x: Callable[[Any], ArrayLike],
+        u: Callable[[Any], ArrayLike],
         initial_time: float,
         final_time: float,
         *,
         jumps: Sequence[float] = (),
         tail: Tail = "hold",
+        vectorized: bool = False,
     ) -> Reference:
         """Return the reference of two functions of time.
 
@@ -132,6 +133,14 @@ class Reference(Strict):
             Times at which the control jumps, s.
         tail : {"trim", "hold", "none"}
             As in the class.
+        vectorized : bool
+            Whether the functions take times (n,) and return (n_states, n) and (n_controls, n), which is faster by far
+            where a controller asks for many; else they are called time by time.
+
+        Raises
+        ------
+        ArgumentError
+            The times do not increase, or a function returns what is no state or control.
         """
         reference = cls.__new__(cls)
         span = [float(initial_time), float(final_time)]
@@ -139,10 +148,11 @@ class Reference(Strict):
             raise ArgumentError(
                 f"a reference from {span[0]} s to {span[1]} s is none: give increasing times."
             )
+        over = _checked if vectorized else _over_times
         reference._set(
             model,
-            [_over_times(x, model.states)],
-            [_over_times(u, model.controls)],
+            [over(x, model.states)],
+            [over(u, model.controls)],
             span,
             np.unique([span[0], *jumps, span[1]]),
             tail,
@@ -284,6 +294,24 @@ def _over_times(function: Callable[[float], ArrayLike], layout: Layout) -> Calla
             as_vector(function(float(t)), layout.size, f"the {layout.kind}s of a reference") for t in times
         ]
         return np.stack(columns, axis=1)
+
+    return many
+
+
+def _checked(function: Callable[[Array], ArrayLike], layout: Layout) -> Callable[[Array], Array]:
+    def many(times: Array) -> Array:
+        values = np.asarray(function(times), dtype=float)
+        if values.shape != (layout.size, times.size):
+            raise ArgumentError(
+                f"the {layout.kind}s of a vectorized reference have the shape {values.shape} at {times.size} times, "
+                f"not {(layout.size, times.size)}: return a column for every time, or leave out vectorized."
+            )
+        if not np.all(np.isfinite(values)):
+            at = float(times[np.argmin(np.all(np.isfinite(values), axis=0))])
+            raise ArgumentError(
+                f"the {layout.kind}s of a reference are not finite at {at:g} s: correct the function."
+            )
+        return values
 
     return many
 

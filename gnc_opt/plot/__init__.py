@@ -1,6 +1,7 @@
 """Figures of solutions, runs and campaigns: over time and in space; none opens a window."""
 
 from gnc_opt.plot.campaign import plot_dispersion, plot_distributions
+from gnc_opt.plot.film import View, save_film
 from gnc_opt.plot.path import plot_curves, plot_path
 from gnc_opt.plot.refinement import plot_refinement
 from gnc_opt.plot.run import plot_run_controls, plot_run_errors, plot_run_states
@@ -9,6 +10,7 @@ from gnc_opt.plot.trajectory import plot_controls, plot_costates, plot_hamiltoni
 from gnc_opt.plot.verdict import plot_verdict
 
 __all__ = [
+    "View",
     "plot_controls",
     "plot_costates",
     "plot_curves",
@@ -23,4 +25,5 @@ __all__ = [
     "plot_states",
     "plot_verdict",
     "save_figure",
+    "save_film",
 ]

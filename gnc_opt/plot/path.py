@@ -97,7 +97,7 @@ def plot_path(
                 Line2D([], [], color=COLORS[i], linewidth=1.6, label=f"$b_{name}$")
                 for i, name in enumerate("xyz")
             ]
-        _frame(ax, np.hstack(tips), unit, axis_notes, down)
+        frame_space(ax, np.hstack(tips), unit, axis_notes, down)
         legend_on_top(figure, handles)
     return figure
 
@@ -112,7 +112,7 @@ def _draw_body_axes(ax: Any, r: Array, dcm: Array, at: Sequence[int], length: fl
     return tips
 
 
-def _frame(ax: Any, points: Array, unit: str, notes: Sequence[str], down: bool) -> None:
+def frame_space(ax: Any, points: Array, unit: str, notes: Sequence[str], down: bool) -> None:
     """Equal scales on all axes, limits around all points, labels with units."""
     low, high = points.min(axis=1), points.max(axis=1)
     room = 0.04 * float(np.max(high - low))

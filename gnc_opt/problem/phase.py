@@ -15,7 +15,7 @@ from gnc_opt.arguments import read_label
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.composed import SplitControl, VectorControl
-from gnc_opt.model.layout import Layout, as_vector
+from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol, as_expression
 from gnc_opt.problem.constraint import Constraint, make_constraint
@@ -29,6 +29,7 @@ class Owner(Protocol):
     """What a phase asks of its problem."""
 
     name: str
+    phases: dict[str, Phase]
 
     def refuse_if_frozen(self) -> None: ...
 
@@ -73,6 +74,7 @@ class Phase(Strict):
         "_ends",
         "_owner",
         "final_time",
+        "handed",
         "initial_time",
         "integrands",
         "model",
@@ -102,6 +104,7 @@ class Phase(Strict):
             for v in self.vectors
         }
         self._curved: set[str] = set()
+        self.handed: dict[str, tuple[str, Array]] = {}
         self.integrands: dict[str, tuple[Any, Any]] = {}
         self.initial_time: Any = ca.SX.sym(f"{name}_initial_time")
         self.final_time: Any = ca.SX.sym(f"{name}_final_time")
@@ -255,8 +258,8 @@ class Phase(Strict):
         merged = {**old.values, **values}
         ends = np.array([0.0, 1.0])
         for name, value in merged.items():
-            composed = self.model.composed_controls.get(name)
-            size = (composed.variable if composed else self._owner_layout(name, "guess")[name]).size
+            variable = self.guessable.get(name) or self._owner_layout(name, "guess")[name]
+            size = variable.size
             if not callable(value):  # those must wait until the phase's times are known
                 sample_guess(value, size, ends, ends, times, f"the guess of '{name}' in {self.where}")
         self._set(guess=PhaseGuess(times, merged))
@@ -358,6 +361,13 @@ class Phase(Strict):
         return initial, final
 
     @property
+    def guessable(self) -> dict[str, Variable]:
+        """All that a guess may name: states, controls, and the controls that are made of those."""
+        model = self.model
+        composed = (control.variable for control in model.composed_controls.values())
+        return {v.name: v for v in (*model.states.variables, *model.controls.variables, *composed)}
+
+    @property
     def path_labels(self) -> tuple[str, ...]:
         """Names of the rows of all path constraints, in order."""
         return tuple(label for c in self.paths.values() for label in c.labels)
@@ -398,11 +408,19 @@ class Phase(Strict):
         """Stacked SX symbols of all integrals."""
         return ca.vertcat(*[s for s, _ in self.integrands.values()]) if self.integrands else ca.SX(0, 1)
 
+    def handed_over(self, state: str) -> tuple[Phase, Array] | None:
+        """Return the earlier phase that a link takes a state from, and the jump (n,); None if it begins here."""
+        if state not in self.handed:
+            return None
+        first, jump = self.handed[state]
+        order = list(self._owner.phases)
+        return (self._owner.phases[first], jump) if order.index(first) < order.index(self.name) else None
+
     def clone(self, owner: Owner) -> Phase:
         """Return a copy for another problem, which shares the symbols and owns its numbers."""
         twin = copy.copy(self)
         twin.paths, twin.integrands = dict(self.paths), dict(self.integrands)
-        twin._curved = set(self._curved)
+        twin._curved, twin.handed = set(self._curved), dict(self.handed)
         twin._owner = owner
         return twin
 

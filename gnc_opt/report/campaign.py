@@ -58,7 +58,13 @@ def campaign_table(campaign: Campaign) -> str:
         content = share_below_maximum(runs)
         note += f"; as surely, {100 * content:.2f} % of all possible runs stay within each max"
     lines.append(note)
-    return "\n".join([*lines, *_causes(campaign)])
+    return "\n".join([*lines, *_events(campaign), *_causes(campaign)])
+
+
+def _events(campaign: Campaign) -> list[str]:
+    """Return one line on the events, if the loop has any."""
+    told = ", ".join(f"{name} in {count} runs" for name, count in campaign.event_totals.items())
+    return [f"  events: {told}"] if told else []
 
 
 def _causes(campaign: Campaign) -> list[str]:
@@ -92,6 +98,7 @@ def campaign_dict(campaign: Campaign) -> dict[str, Any]:
         "interrupted": campaign.interrupted,
         "confidence": CONFIDENCE,
         "outcomes": {status.value: count for status, count in campaign.counts.items()},
+        "events": campaign.event_totals,
         "failures": [
             {
                 "run": index,

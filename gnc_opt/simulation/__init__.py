@@ -20,6 +20,7 @@ from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.consistency import Consistency, InnovationTest, consistency
 from gnc_opt.simulation.dispersion import Ball, Choice, Normal, Sphere, Turn, Uniform
 from gnc_opt.simulation.disturbances import Constant, Disturbance, Expression, RandomHold, Sinusoid
+from gnc_opt.simulation.event import Event, Occurrence
 from gnc_opt.simulation.flight import Ending, Flight
 from gnc_opt.simulation.loop import ClosedLoop
 from gnc_opt.simulation.monte_carlo import monte_carlo
@@ -42,6 +43,7 @@ __all__ = [
     "Delay",
     "Disturbance",
     "Ending",
+    "Event",
     "Expression",
     "Flight",
     "Hold",
@@ -52,6 +54,7 @@ __all__ = [
     "Noise",
     "NonNegativeAllocation",
     "Normal",
+    "Occurrence",
     "Outage",
     "Outcome",
     "Pwm",

@@ -55,6 +55,9 @@ class Campaign(Strict):
     integration_error : array (m,)
     memory : array (n_memory, m)
         Of the controller at the end; (0, 0) in files of versions that did not store it.
+    event_counts, event_times : array (n_events, m)
+        How often each event happened, and the first time (s), not-a-number where it did not; (0, 0) in files of
+        versions without events.
     outcomes : tuple of m Outcome
     span : tuple of two floats
         First and last time, s.
@@ -65,7 +68,7 @@ class Campaign(Strict):
     interrupted : bool
         Whether Ctrl-C ended the campaign before its time.
     layouts : mapping
-        Names, sizes and units by kind: parameter, state, error, applied, command, memory.
+        Names, sizes and units by kind: parameter, state, error, applied, command, memory, event.
     flight : Flight or None
         What was flown; not stored in files.
     fingerprint : str
@@ -93,6 +96,8 @@ class Campaign(Strict):
     flight: Flight | None = field(default=None, repr=False)
     fingerprint: str = field(default="", repr=False)
     memory: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
+    event_counts: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
+    event_times: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
 
     def __len__(self) -> int:
         return len(self.outcomes)
@@ -116,6 +121,14 @@ class Campaign(Strict):
         """Return what was drawn for a parameter, (size, m)."""
         return self.parameters[self.layouts["parameter"].slice(name)]
 
+    @property
+    def _events(self) -> Layout:
+        return self.layouts.get("event", Layout("event", (), "the campaign"))  # older files know none
+
+    def happened(self, event: str) -> Any:
+        """Return whether an event happened in each run, bool array (m,)."""
+        return self.event_counts[self._events.slice(event)][0] > 0
+
     def measure(self, name: str) -> Array:
         """Return a number per run, (m,); not-a-number for runs that have none.
 
@@ -126,6 +139,7 @@ class Campaign(Strict):
             ``"angle(sigma)"``: angle between an attitude and its target at the end, rad.
             ``"effort(F_B)"``, ``"energy(F_B)"``: integral of \\|u\\| or u^2, summed over the components.
             ``"variation(F_B)"``: chattering, summed; ``"saturation(F_B)"``: saturation time of the worst component, s.
+            ``"time(touchdown)"``: when an event happened first, s.
             Or the name of one's own measure.
 
         Raises
@@ -154,6 +168,8 @@ class Campaign(Strict):
             return np.array(
                 [rotation_angle(c, self.target[place]) if np.isfinite(c).all() else np.nan for c in columns]
             )
+        if kind == "time":
+            return np.asarray(self.event_times[self._events.slice(subject)][0])
         if kind == "saturation":
             return np.asarray(np.max(self.saturation_time[self.layouts["command"].slice(subject)], axis=0))
         layout = self.layouts["command" if kind == "variation" else "applied"]
@@ -164,7 +180,7 @@ class Campaign(Strict):
         if name in self.measured:
             return ""
         kind, subject = self._parse(name)
-        if kind in ("angle", "saturation"):
+        if kind in ("angle", "saturation", "time"):
             return "rad" if kind == "angle" else "s"
         if kind == "error":
             return self.layouts["error"][subject].unit
@@ -180,7 +196,7 @@ class Campaign(Strict):
         own = tuple(self.measured)
         costs = [f"effort({n})" for n in controls] + [f"energy({n})" for n in controls]
         costs += [f"saturation({n})" for n in commands] + [f"variation({n})" for n in commands]
-        return (*states, *own, *costs)
+        return (*states, *own, *costs, *(f"time({n})" for n in self._events.names))
 
     def _has_target(self, name: str) -> bool:
         return bool(np.all(np.isfinite(self.target[self.layouts["state"].slice(name)])))
@@ -199,6 +215,7 @@ class Campaign(Strict):
         elif not (
             (kind in ("effort", "energy") and subject in self.layouts["applied"])
             or (kind in ("saturation", "variation") and subject in self.layouts["command"])
+            or (kind == "time" and subject in self._events)
         ):
             states = self.layouts["state"].names
             known = [*self.measures, *(n for n in states if n not in self.measures)]
@@ -252,6 +269,11 @@ class Campaign(Strict):
         """How many runs ended with each status."""
         found = Counter(outcome.status for outcome in self.outcomes)
         return {status: found[status] for status in RunStatus if found[status]}
+
+    @property
+    def event_totals(self) -> dict[str, int]:
+        """In how many runs each event happened."""
+        return {name: int(np.sum(self.happened(name))) for name in self._events.names}
 
     @property
     def failures(self) -> dict[int, Outcome]:
@@ -396,9 +418,9 @@ def _require_same(campaign: Campaign, flight: Flight, path: str | Path) -> None:
 CAMPAIGN_FILES = FileFormat(
     Campaign,
     "campaign",
-    4,
+    5,
     Packing((Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("flight",)}),
-    alike=(2, 3),  # 2 has no fingerprint, 3 no memory
+    alike=(2, 3, 4),  # 2 has no fingerprint, 3 no memory, 4 no events
     older={1: campaign_fields},
 )
 

@@ -74,5 +74,7 @@ def _flown(part: Campaign, count: int) -> Flown:
         integration_error=part.integration_error[:count],
         averaging_error=np.full(count, np.nan),
         outcomes=part.outcomes[:count],
+        event_counts=part.event_counts[:, :count],
+        event_times=part.event_times[:, :count],
     )
     return Flown(range(first, first + count), part.parameters[:, :count], ending)

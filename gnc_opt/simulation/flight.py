@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from gnc_opt.arguments import read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout
+from gnc_opt.simulation.event import MOST, Occurrence
 from gnc_opt.simulation.kernel import Kernel
 from gnc_opt.simulation.log import Log
 from gnc_opt.simulation.outcome import Outcome, RunStatus
@@ -23,6 +24,9 @@ from gnc_opt.simulation.run import Run
 
 LEG = 1000
 """Control steps that are flown in one call at most: what a call takes of memory does not grow with the run."""
+
+_ZENO = f"more than {MOST - 1} events in a control step (Zeno: let what they follow come to rest by another event)"
+"""What ended a run whose events do not let time pass."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,8 @@ class Ending:
     averaging_error : array (n,)
         What of it is owed to actuators that took the mean of a wave.
     outcomes : tuple of n Outcome
+    event_counts, event_times : array (n_events, n)
+        How often each event happened, and the first time (s), not-a-number where it did not.
     """
 
     states: Array
@@ -60,6 +66,8 @@ class Ending:
     integration_error: Array
     averaging_error: Array
     outcomes: tuple[Outcome, ...]
+    event_counts: Array
+    event_times: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +105,10 @@ class Flight:
         Asked of the integration, relative.
     minor_steps : int
         Per control step.
+    events : Layout
+        Names of the events.
+    failures : tuple of str
+        Those of them that are failures.
     growth : float
         By how much the errors of single integration steps grow until the end of the nominal run, at least 1.
     """
@@ -123,6 +135,8 @@ class Flight:
     accuracy: float
     minor_steps: int
     growth: float = 1.0
+    events: Layout = field(default_factory=lambda: Layout("event"))
+    failures: tuple[str, ...] = ()
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in vars(self).items() if not k.startswith("_")}
@@ -179,6 +193,8 @@ class Flight:
                 fly.set_res(0, memoryview(final[i].data))
                 evaluate()
                 X[:] = final[i]
+                if self._stopped(X):
+                    break
         return self._ending(final.T, refused)
 
     def run(self, P: Array, seed: Any, *, every: int = 1, folder: str | Path | None = None) -> Run:
@@ -216,28 +232,39 @@ class Flight:
         lengths = {name: kept.size - (name in ("measured", "commands", "applied")) for name in sizes}
         log = Log({name: (size, lengths[name]) for name, size in sizes.items()}, folder)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
+        events: list[Occurrence] = []
+        last = self.n_steps
         for first, rows in self._legs(seed, known):
             if first == 0:
                 X, C = self._begun(rows[0], P)
             after, logs = (o.full() for o in self._logged(len(rows))(X, rows.T, C))
-            parts = self.kernel.state.split(np.column_stack([X, after]))
+            parts, told = self.kernel.state.split(np.column_stack([X, after])), self.kernel.log.split(logs)
+            flown = len(rows) if not self.events.size else int(np.sum(parts["stop"][0, :-1] < 0.5))
+            if self.events.size:
+                events += self._occurrences(told, flown)
             # the states at the beginnings of the steps; that at the end of the run follows
-            at = np.arange(first + (-first) % every, first + len(rows), every) - first
+            at = np.arange(first + (-first) % every, first + flown, every) - first
             if at.size:
-                self._note(log, parts, self.kernel.log.split(logs[:, at]), at, first + at)
+                noted = {name: values[:, at] for name, values in told.items()}
+                self._note(log, parts, noted, at, self.times[first + at])
             X = np.ascontiguousarray(after[:, -1])
-        end = np.array([0])
-        self._note(log, self.kernel.state.split(X[:, None]), {}, end, np.array([self.n_steps]))
+            if self._stopped(X):
+                last = first + flown
+                break
+        final = self.kernel.state.split(X[:, None])
+        end = self._last_times(final)
+        self._note(log, final, {}, np.array([0]), end)
         ending = self._ending(X[:, None], {})
         arrays = log.close()
+        times = np.append(self.times[kept[kept < last]], end)
         return Run(
-            times=self.times[kept],
+            times=times,
             states=arrays["states"],
             measured=arrays["measured"],
             commands=arrays["commands"],
             applied=arrays["applied"],
             memory=arrays["memory"],
-            reference=None if self.reference is None else self.reference[:, kept],
+            reference=self._reference_at(times),
             errors=arrays.get("errors"),
             parameters=P.copy(),
             effort=ending.effort[:, 0],
@@ -247,6 +274,7 @@ class Flight:
             integration_error=float(ending.integration_error[0]),
             outcome=ending.outcomes[0],
             seed=str(seed),
+            events=tuple(events),
             layouts={
                 "state": self.states,
                 "measured": self.measured,
@@ -256,6 +284,7 @@ class Flight:
                 "memory": self.memory,
                 "error": self.error_layout,
                 "parameter": self.layout,
+                "event": self.events,
             },
         )
 
@@ -288,16 +317,40 @@ class Flight:
         X, C = self.kernel.start(known, P), self.kernel.constants(P)
         return np.asarray(X.full()[:, 0]), np.asarray(C.full()[:, 0])
 
-    def _note(self, log: Log, parts: dict[str, Array], logs: dict[str, Array], at: Any, steps: Any) -> None:
-        """Log the states of a leg at its columns ``at``, which are of these steps of the run."""
+    def _note(self, log: Log, parts: dict[str, Array], logs: dict[str, Array], at: Any, times: Array) -> None:
+        """Log the states of a leg at its columns ``at``, which are of these times of the run."""
         states = parts["plant"][:, at]
         log.add("states", states)
         log.add("memory", parts["memory"][:, at])
         if self.reference is not None:
-            log.add("errors", self._relative(states, steps))
+            log.add("errors", self._relative(states, times))
         for name, values in logs.items():
             if name in log.arrays:
                 log.add(name, values)
+
+    def _stopped(self, X: Array) -> bool:
+        """Whether an event has ended the run."""
+        return bool(self.events.size and self.kernel.state.split(X)["stop"][0] > 0)
+
+    def _last_times(self, parts: dict[str, Array]) -> Array:
+        """Return when runs ended (n,), s."""
+        if not self.events.size:
+            return np.full(parts["plant"].shape[1], self.times[-1])
+        return np.asarray(np.where(parts["stop"][0] > 0, parts["stop time"][0], self.times[-1]))
+
+    def _occurrences(self, told: dict[str, Array], steps: int) -> list[Occurrence]:
+        """Return the events in the logs of the first steps of a leg."""
+        shape = (MOST, self.states.size)
+        return [
+            Occurrence(
+                self.events.names[int(told["codes"][k, step]) - 1],
+                float(told["times"][k, step]),
+                told["before"][:, step].reshape(shape)[k],
+                told["after"][:, step].reshape(shape)[k],
+            )
+            for step in np.flatnonzero(told["number"][0, :steps])
+            for k in range(int(min(told["number"][0, step], MOST)))
+        ]
 
     def _fold(self, count: int) -> Any:
         """``(X, w of a leg, C) -> X at its end``, with the arrays that it reads and writes still to be told."""
@@ -334,9 +387,10 @@ class Flight:
             Outcome(RunStatus.REFUSED, refused[i]) if i in refused else self._outcome(parts, i)
             for i in range(final.shape[1])
         )
+        empty = np.empty((0, final.shape[1]))
         return Ending(
             parts["plant"],
-            self._relative(parts["plant"], [-1]),
+            self._relative(parts["plant"], self._last_times(parts)),
             parts["memory"],
             parts["effort"],
             parts["energy"],
@@ -345,6 +399,7 @@ class Flight:
             self._error(parts),
             parts["blur"][0],
             outcomes,
+            *((parts["count"], parts["first"]) if self.events.size else (empty, empty)),
         )
 
     def _outcome(self, parts: dict[str, Array], i: int) -> Outcome:
@@ -365,28 +420,44 @@ class Flight:
             return Outcome(
                 RunStatus.ALARM, self.alarms[int(parts["alarm"][0, i]) - 1], float(parts["alarm time"][0, i])
             )
+        name, time = self._stop(parts, i)
+        if name in self.failures or name == _ZENO:
+            return Outcome(RunStatus.STOPPED, name, time)
         error = float(self._error(parts)[i])
         if not error <= self.accuracy:
             return Outcome(RunStatus.INACCURATE, f"integration error {error:.2g}")
-        return Outcome(RunStatus.OK)
+        return Outcome(RunStatus.OK, name, time)
+
+    def _stop(self, parts: dict[str, Array], i: int) -> tuple[str, float]:
+        """Return the event that ended a run, and when."""
+        code = int(parts["stop"][0, i]) if self.events.size else 0
+        if not code:
+            return "", np.nan
+        return (*self.events.names, _ZENO)[code - 1], float(parts["stop time"][0, i])
 
     def _error(self, parts: dict[str, Array]) -> Array:
         """Return the estimated errors of runs: those of single steps, grown, and what averaging adds to them."""
         return np.asarray(self.growth * parts["error"][0] + parts["blur"][0])
 
-    def _relative(self, states: Array, columns: Any) -> Any:
-        """Return the errors of plant states relative to the reference at these times, or at the one time; else None.
+    def _reference_at(self, times: Array) -> Array | None:
+        """Return what is followed (n, n_times) at these times (s), linear between control steps."""
+        if self.reference is None:
+            return None
+        return np.stack([np.interp(times, self.times, row) for row in self.reference])
+
+    def _relative(self, states: Array, times: Array) -> Any:
+        """Return the errors of plant states relative to the reference at their times (s); None without one.
 
         States without a reference are not-a-number.
         """
-        if self.reference is None:
+        reference = self._reference_at(times)
+        if reference is None:
             return None
-        follow = np.full((self.states.size, self.times[columns].size), np.nan)
+        follow = np.full(states.shape, np.nan)
         for name in self.followed.names:
             if name in self.states:
-                follow[self.states.slice(name)] = self.reference[self.followed.slice(name)][:, columns]
-        wide = np.broadcast_to(follow, states.shape) if follow.shape[1] == 1 else follow
-        return np.asarray(self.errors(states, wide).full())
+                follow[self.states.slice(name)] = reference[self.followed.slice(name)]
+        return np.asarray(self.errors(states, follow).full())
 
 
 def _without_log(step: Any) -> Any:

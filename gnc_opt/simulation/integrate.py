@@ -13,7 +13,7 @@ table 2 (RK5(4)7M).
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 import casadi as ca
 
@@ -35,9 +35,18 @@ STAGES: tuple[tuple[float, ...], ...] = (
 ERROR_WEIGHTS = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
 """b - b_hat."""
 
+Seen: TypeAlias = Callable[[Any, tuple[Any, Any, Any], tuple[Any, Any, Any]], None]
+"""``seen(length, before, after)``: a step of a length (s), and time, state and its rate at both ends."""
+
 
 def dormand_prince(
-    f: Callable[[Any, Any, Any], Any], t: Any, x: Any, length: Any, steps: int = 1, u: Input | None = None
+    f: Callable[[Any, Any, Any], Any],
+    t: Any,
+    x: Any,
+    length: Any,
+    steps: int = 1,
+    u: Input | None = None,
+    seen: Seen | None = None,
 ) -> tuple[Any, Any]:
     """Integrate ``dx/dt = f(t, x, u)`` over ``length`` in equal steps.
 
@@ -52,6 +61,8 @@ def dormand_prince(
     steps : int
     u : callable, optional
         ``u(k, node)``, the input in the k-th step at ``node`` of it, see `Input`; it may jump between steps.
+    seen : callable, optional
+        Called after each step, see `Seen`.
 
     Returns
     -------
@@ -71,6 +82,8 @@ def dormand_prince(
             k.append(f(start + node * h, after, None if u is None else u(i, node)))
         error = h * _combine(ERROR_WEIGHTS, k)
         total = total + ca.mmax(ca.fabs(error) / ca.fmax(1.0, ca.fabs(after)))
+        if seen is not None:
+            seen(h, (start, x, k[0]), (start + h, after, k[-1]))
         # the last stage is the first of the next step, unless the input jumps there
         x, rate = after, k[-1] if u is None else None
     return x, total

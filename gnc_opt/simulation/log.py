@@ -10,9 +10,12 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 
+_HEADER = 192
+"""Bytes of the header of a file."""
+
 
 class Log:
-    """Arrays (size, n_times) that are filled column by column.
+    """Arrays (size, n_times) that are filled column by column; what is not filled is cut off at the end.
 
     Parameters
     ----------
@@ -37,25 +40,24 @@ class Log:
             self.arrays[name] = np.empty(shape if self._folder is None else (shape[0], 0))
             if self._folder is not None:
                 self._files[name] = file = (self._folder / f"{name}.npy").open("wb")
-                # columns one after the other: they are written as they come
-                header = {"descr": "<f8", "fortran_order": True, "shape": shape}
-                np.lib.format.write_array_header_1_0(file, header)
+                _write_header(file, shape)
 
     def add(self, name: str, columns: Any) -> None:
         """Append columns (size, n)."""
         columns = np.asarray(columns, dtype=float)
+        begin = self._filled[name]
+        self._filled[name] = begin + columns.shape[1]
         if self._folder is not None:
             self._files[name].write(columns.astype("<f8").tobytes(order="F"))
             return
-        begin = self._filled[name]
         self.arrays[name][:, begin : begin + columns.shape[1]] = columns
-        self._filled[name] = begin + columns.shape[1]
 
     def close(self) -> dict[str, Array]:
         """Return the arrays; those in files are read as they are needed."""
         if self._folder is None:
-            return self.arrays
-        for file in self._files.values():
+            return {name: array[:, : self._filled[name]] for name, array in self.arrays.items()}
+        for name, file in self._files.items():
+            _write_header(file, (self.arrays[name].shape[0], self._filled[name]))
             file.close()
         return {name: self._read(self._folder / f"{name}.npy") for name in self.arrays}
 
@@ -65,3 +67,14 @@ class Log:
             shape, _, _ = np.lib.format.read_array_header_1_0(file)
         # an empty file cannot be mapped
         return np.asarray(np.load(path, mmap_mode="r" if 0 not in shape else None))
+
+
+def _write_header(file: BinaryIO, shape: tuple[int, int]) -> None:
+    """Write the header of an array, columns one after the other: they are written as they come.
+
+    Its length does not depend on the shape, which is known only when the run has ended.
+    """
+    content = f"{{'descr': '<f8', 'fortran_order': True, 'shape': {shape}}}"
+    file.seek(0)
+    file.write(np.lib.format.magic(1, 0) + (_HEADER - 10).to_bytes(2, "little"))
+    file.write(content.ljust(_HEADER - 11).encode("latin1") + b"\n")

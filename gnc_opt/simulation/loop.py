@@ -19,6 +19,7 @@ from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.disturbances import Disturbance
+from gnc_opt.simulation.event import Event
 from gnc_opt.simulation.flight import LEG, Ending, Flight
 from gnc_opt.simulation.kernel import Kernel, alarm_labels, build_kernel, watched_labels
 from gnc_opt.simulation.run import Run
@@ -67,6 +68,8 @@ class ClosedLoop:
     actuators, sensors : sequence of Block
         In the order in which the signal passes them.
     disturbances : sequence of Disturbance
+    events : sequence of Event
+        What ends a run, or changes the plant's states, at an instant of its own.
     dt : float, optional
         Control step, s; default the controller's own.
     minor_steps : int
@@ -92,6 +95,7 @@ class ClosedLoop:
     actuators: Sequence[Block] = ()
     sensors: Sequence[Block] = ()
     disturbances: Sequence[Disturbance] = ()
+    events: Sequence[Event] = field(default=(), kw_only=True)
     dt: float = field(default=None, kw_only=True)  # type: ignore[assignment]
     minor_steps: int = field(default=1, kw_only=True)
     accuracy: float = field(default=1e-9, kw_only=True)
@@ -122,7 +126,12 @@ class ClosedLoop:
                     f"one of the {name} of a closed loop",
                     f"use those of gnc_opt.simulation.{name}",
                 )
-        blocks = Blocks(tuple(self.actuators), tuple(self.sensors), tuple(self.disturbances))
+        set_(self, "events", tuple([self.events] if isinstance(self.events, Event) else self.events))
+        for event in self.events:
+            expect(event, Event, "one of the events of a closed loop", "write Event(name, expression)")
+        blocks = Blocks(
+            tuple(self.actuators), tuple(self.sensors), tuple(self.disturbances), tuple(self.events)
+        )
         plausible = _read_plausible(self.plausible, self.plant.states)
         set_(self, "wiring", wire(self.plant, self.controller, blocks, self.dt, self.minor_steps, plausible))
 
@@ -330,6 +339,8 @@ class ClosedLoop:
             memory=self.controller.memory,
             errors=self._error_function(),
             error_layout=self.plant.errors,
+            events=self.wiring.events.layout,
+            failures=tuple(event.name for event in self.events if event.failure),
             watched=tuple(watched_labels(self.wiring)),
             alarms=tuple(alarm_labels(self.wiring)),
             plausible=self.wiring.plausible,

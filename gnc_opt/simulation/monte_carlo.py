@@ -224,8 +224,11 @@ def _campaign(mission: Mission, asked: int, goal: Array, flown: Sequence[Flown])
             "applied": flight.controls,
             "command": flight.commands,
             "memory": flight.memory,
+            "event": flight.events,
         },
         flight=flight,
         fingerprint=flight.fingerprint,
         memory=joined("memory", flight.memory.size),
+        event_counts=joined("event_counts", flight.events.size),
+        event_times=joined("event_times", flight.events.size),
     )

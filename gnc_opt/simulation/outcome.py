@@ -17,6 +17,7 @@ class RunStatus(Enum):
     ALARM : the controller reported that it could not keep its promise.
     DIVERGED : a state left its plausible size, see ``plausible`` of `ClosedLoop`.
     NOT_FINITE : a measurement, command, applied control or state is not a finite number.
+    STOPPED : an event that is a failure ended the run, or events followed each other faster than time (Zeno).
     REFUSED : a parameter is outside its permitted range; the run was not flown.
     LOST : the process that flew it died, or the run raised an exception.
     """
@@ -26,6 +27,7 @@ class RunStatus(Enum):
     ALARM = "alarm"
     DIVERGED = "diverged"
     NOT_FINITE = "not finite"
+    STOPPED = "stopped"
     REFUSED = "refused"
     LOST = "lost"
 
@@ -38,9 +40,10 @@ class Outcome:
     ----------
     status : RunStatus
     what : str
-        The culprit, e.g. ``"measured 'omega[1]'"`` or the name of the alarm.
+        The culprit, e.g. ``"measured 'omega[1]'"`` or the name of the alarm; of a run that an event ended, its name.
     time : float
-        Beginning of the control step at which it happened, s; not-a-number where it has no time.
+        Beginning of the control step at which it happened, s, or the instant of the event; not-a-number where it has no
+        time.
     """
 
     status: RunStatus

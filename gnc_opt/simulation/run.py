@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.records import Records, named
 from gnc_opt.packing import Packing
 from gnc_opt.simulation import metrics
+from gnc_opt.simulation.event import Occurrence
 from gnc_opt.simulation.first_files import run_fields
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.strict import Strict
@@ -66,7 +67,7 @@ class Run(Strict):
     Attributes
     ----------
     times : array (N + 1,)
-        Beginnings of the control steps and the end, s.
+        Beginnings of the control steps and the end, s: the last one may be cut short by an event.
     states : array (n_states, N + 1)
         Of the plant.
     measured : array (n, N)
@@ -91,7 +92,9 @@ class Run(Strict):
         Whether all is well; otherwise what went wrong first, and when.
     seed : str
     layouts : dict
-        Names, sizes and units by kind: state, measured, followed, command, applied, memory, error, parameter.
+        Names, sizes and units by kind: state, measured, followed, command, applied, memory, error, parameter, event.
+    events : tuple of Occurrence
+        What happened between the control steps, in the order of time.
     """
 
     times: Array
@@ -111,6 +114,7 @@ class Run(Strict):
     outcome: Outcome
     seed: str
     layouts: Mapping[str, Layout] = field(repr=False)
+    events: tuple[Occurrence, ...] = ()
 
     def __str__(self) -> str:
         lines = [
@@ -120,6 +124,8 @@ class Run(Strict):
         if self.errors is not None:
             ends = np.abs(self.errors[:, -1])
             lines.insert(1, "  final errors  " + _listed(self.layouts["error"], ends))
+        if self.events:
+            lines.insert(-1, "  events        " + _told(self.events))
         lines.insert(-1, "  effort        " + _listed(self.layouts["applied"], self.effort, " s"))
         lines.insert(-1, "  saturated     " + _listed(self.layouts["command"], self.saturation, None))
         return "\n".join(lines)
@@ -295,8 +301,21 @@ class Run(Strict):
 
 
 RUN_FILES = FileFormat(
-    Run, "run", 2, Packing((Run, Outcome, RunStatus, Layout, Variable)), older={1: run_fields}
+    Run,
+    "run",
+    3,
+    Packing((Run, Outcome, RunStatus, Layout, Variable, Occurrence)),
+    alike=(2,),  # knows no events
+    older={1: run_fields},
 )
+
+_MOST_TOLD = 4
+"""Events that are printed."""
+
+
+def _told(events: Sequence[Occurrence]) -> str:
+    more = f", ... ({len(events)})" if len(events) > _MOST_TOLD else ""
+    return ", ".join(str(event) for event in events[:_MOST_TOLD]) + more
 
 
 def _listed(layout: Layout, values: Array, suffix: str | None = "") -> str:

@@ -16,6 +16,7 @@ from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.disturbances import Disturbance
+from gnc_opt.simulation.event import Event, Events
 from gnc_opt.simulation.fit import check_applied, check_measured, check_names
 from gnc_opt.simulation.signals import Link, chain, kinds
 
@@ -35,6 +36,7 @@ class Wiring:
         Parts of a control step.
     plausible : array (n_states,)
         Size of the plant's states beyond which a run has diverged.
+    events : Events
     """
 
     plant: Model
@@ -45,6 +47,7 @@ class Wiring:
     dt: float
     minor_steps: int
     plausible: Array
+    events: Events
 
     @property
     def h(self) -> float:
@@ -108,11 +111,12 @@ class Wiring:
 
 @dataclass(frozen=True)
 class Blocks:
-    """The blocks of a loop, in the order in which the signal passes them."""
+    """The blocks of a loop, in the order in which the signal passes them, and its events."""
 
     actuators: tuple[Block, ...]
     sensors: tuple[Block, ...]
     disturbances: tuple[Disturbance, ...]
+    events: tuple[Event, ...] = ()
 
 
 def wire(
@@ -134,7 +138,10 @@ def wire(
         n: (size, f"{unit}/s") for n, (size, unit) in kinds(plant.states).items()
     }
     pushes = [chain([d], targets, "state or control")[0][0] for d in blocks.disturbances]
-    wiring = Wiring(plant, controller, tuple(actuators), sensors, tuple(pushes), dt, minor_steps, plausible)
+    events = Events.of(plant, blocks.events)
+    wiring = Wiring(
+        plant, controller, tuple(actuators), sensors, tuple(pushes), dt, minor_steps, plausible, events
+    )
     for link, step in wiring.steps_of_links:
         link.block.check(link.size, step, dt)
     _check_trim(wiring)

@@ -12,6 +12,7 @@ from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.interval import Interval
 from gnc_opt.solution.polynomial import PiecewisePolynomial, Side
+from gnc_opt.tolerances import magnitude
 from gnc_opt.transcription.quadrature import CollocationRule
 
 _SAMPLES = 33
@@ -32,7 +33,8 @@ class FlownControl:
     rules : tuple of CollocationRule
         One per segment; their points are the polynomial's nodes.
     tolerance : float
-        Overshoot, relative to the range of the bounds, that still counts as rounding and is clipped.
+        Overshoot, relative to the range of the bounds (to the value of a fixed control), that still counts as rounding
+        and is clipped.
     """
 
     polynomial: PiecewisePolynomial
@@ -44,7 +46,7 @@ class FlownControl:
     def held(self) -> Mask:
         """Which channel is held piecewise constant in which segment, shape (m, K)."""
         values = self.polynomial.within(np.linspace(-1.0, 1.0, _SAMPLES))
-        slack = self.tolerance * _finite_range(self.bounds)
+        slack = self.tolerance * _width(self.bounds)
         over = np.max(values, axis=2) - self.bounds.upper[:, None] > slack[:, None]
         under = self.bounds.lower[:, None] - np.min(values, axis=2) > slack[:, None]
         return np.asarray(over | under)
@@ -78,19 +80,17 @@ class FlownControl:
         values = self.clipped(times, side)
         breaks = self.polynomial.breaks
         segment = np.clip(np.searchsorted(breaks, times, side) - 1, 0, len(self.rules) - 1)
-        for k in np.unique(segment):
-            channels = np.flatnonzero(self.held[:, k])
-            if channels.size:
-                here = np.flatnonzero(segment == k)
-                cell = np.searchsorted(self._cells[k], times[here], side) - 1
-                cell = np.clip(cell, 0, self.rules[k].n - 1)
-                nodal = np.clip(
-                    self.polynomial.values[k], self.bounds.lower[:, None], self.bounds.upper[:, None]
-                )
-                values[np.ix_(channels, here)] = nodal[np.ix_(channels, cell)]
+        for k in np.unique(segment[np.any(self.held, axis=0)[segment]]):
+            channels, here = np.flatnonzero(self.held[:, k]), np.flatnonzero(segment == k)
+            cell = np.searchsorted(self._cells[k], times[here], side) - 1
+            cell = np.clip(cell, 0, self.rules[k].n - 1)
+            nodal = np.clip(self.polynomial.values[k], self.bounds.lower[:, None], self.bounds.upper[:, None])
+            values[np.ix_(channels, here)] = nodal[np.ix_(channels, cell)]
         return values if np.ndim(t) else values[:, 0]
 
 
-def _finite_range(bounds: Interval) -> Array:
+def _width(bounds: Interval) -> Array:
+    """Return the ranges of bounds; of fixed controls their size, and 1 where there is neither."""
     span = bounds.upper - bounds.lower
-    return np.where(np.isfinite(span), span, 1.0)
+    fixed = magnitude(np.where(bounds.fixed, np.abs(bounds.upper), 0.0))
+    return np.where(np.isfinite(span) & ~bounds.fixed, span, fixed)

@@ -100,9 +100,17 @@ def _right_hand_side(
     if np.all(values == values[:, :1]):  # on a bound, say: no polynomial to evaluate
         held = values[:, 0]
         return lambda t, x: fast(t, x, held)
-    coefficients = legendre.legfit(tau, values.T, degree)
+    coefficients = legendre.legfit(tau, values.T, degree).T
 
     def rate(t: float, x: Array) -> Array:
-        return fast(t, x, np.asarray(legendre.legval((t - middle) / half, coefficients)))
+        return fast(t, x, coefficients @ _legendre((t - middle) / half, degree))
 
     return rate
+
+
+def _legendre(tau: float, degree: int) -> list[float]:
+    """Legendre polynomials up to a degree at one place, in plain numbers: for one place arrays take far longer."""
+    values = [1.0, tau]
+    for k in range(1, degree):
+        values.append(((2 * k + 1) * tau * values[k] - k * values[k - 1]) / (k + 1))
+    return values[: degree + 1]

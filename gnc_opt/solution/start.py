@@ -15,7 +15,7 @@ from gnc_opt.problem.guess.trajectory import start_phase
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.covector import point_multipliers
-from gnc_opt.solution.phase_solution import PhaseSolution
+from gnc_opt.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.solution.polynomial import Side
 from gnc_opt.solution.solution import Solution
 from gnc_opt.transcription.collocation import PhaseCollocation
@@ -251,19 +251,19 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
 
 def _with_phase(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
     """Return the problem with one phase's trajectory as its guess; itself if they share no variable."""
-    model = problem.phases[name].model
-    values: dict[str, Callable[[Any], Array]] = {}
-    for mine, theirs, signal in (
-        (model.states, leg.states, leg.x),
-        (model.controls, leg.controls, leg.flown.clipped),
-    ):
-        for v in mine.variables:
-            if v.name in theirs and theirs[v.name].size == v.size:
-                values[v.name] = _function(leg, signal, theirs.slice(v.name))
+    signals = [leg.state(v) for v in leg.states.names]
+    signals += [leg.flown_control(v) for v in leg.controls.names]
+    signals += [leg.flown_control(c.name) for c in leg.composed_controls]
+    known = {signal.name: signal for signal in signals}
+    values: dict[str, Callable[[Any], Array]] = {
+        v.name: _function(leg, known[v.name])
+        for v in problem.phases[name].guessable.values()
+        if v.name in known and len(known[v.name].labels) == v.size
+    }
     return problem.with_guess(name, leg.breaks[[0, -1]], **values) if values else problem
 
 
-def _function(leg: PhaseSolution, signal: Callable[[float], Array], rows: slice) -> Callable[[Any], Array]:
-    """Return some rows of a signal as a guess, which may be asked for times just outside the phase."""
+def _function(leg: PhaseSolution, signal: Signal) -> Callable[[Any], Array]:
+    """Return a signal as a guess, which may be asked for times just outside the phase."""
     first, last = float(leg.breaks[0]), float(leg.breaks[-1])
-    return lambda t: signal(min(max(float(t), first), last))[rows]
+    return lambda t: np.asarray(signal(min(max(float(t), first), last)))

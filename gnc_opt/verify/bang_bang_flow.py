@@ -24,6 +24,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices
+from gnc_opt.model.evaluation import evaluate_chain, evaluate_columns
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.samples import PhaseSamples
 
@@ -111,7 +112,7 @@ def bang_bang_flow(
     n_times = int(np.max(pieces.unknowns)) + 1
     inputs, changes = _inputs(s, pieces, n_times, refinement)
     n, n_clock = inputs.shape[1], start.size - q.size - 1
-    states = np.column_stack([start, rates.step.mapaccum(n)(start, inputs).full()])
+    states = evaluate_chain(rates.step, start, inputs)
     steps = _Steps.of(rates, states[:, :-1], inputs)
     initial = np.zeros((start.size, n_times + free_start.size + q.size))
     initial[n_clock, pieces.unknowns[0]] = 1.0
@@ -181,7 +182,7 @@ class _Rates:
         after = state + width / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         hessian = ca.hessian(ca.dot(weights, k1), state)[0]
         return cls(
-            ca.Function("step", [state, inputs], [after]),
+            ca.Function("step", [state, inputs], [ca.densify(after)]),
             ca.Function("rate", [state, inputs], [ca.densify(k1)]),
             _Matrices.of("rate_jacobian", [state, inputs], ca.jacobian(k1, state)),
             _Matrices.of("rate_hessian", [state, inputs, weights], hessian),
@@ -205,8 +206,9 @@ class _Matrices:
 
     def __call__(self, *arguments: Array) -> Array:
         """Return the dense matrices (n, *shape) of n columns of every argument."""
-        found = np.zeros((arguments[0].shape[1], *self.shape))
-        found[:, self.rows, self.columns] = self.entries(*arguments).full().T
+        n = arguments[0].shape[1]
+        found = np.zeros((n, *self.shape))
+        found[:, self.rows, self.columns] = evaluate_columns(self.entries, n, *arguments).T
         return found
 
 
@@ -244,7 +246,7 @@ class _Steps:
         for reach, share in zip(_REACH, _SHARE, strict=True):
             place, moved = states + reach * h * slope, unmoved + (reach * h)[:, None, None] * change
             moved[:, :, -1] += reach * slope.T
-            slope = rates.rate(place, inputs).full()
+            slope = evaluate_columns(rates.rate, n_steps, place, inputs)
             jacobian = rates.jacobian(place, inputs)
             change = jacobian @ moved
             stages.append(_Stage(place, moved, jacobian, change))

@@ -248,16 +248,17 @@ def _never_moved(flows: Array) -> Array | None:
     """
     n = flows.shape[1] // 2
     basis, moved = np.eye(n), np.zeros((n, n))
-    for flow in flows:
+    for flow, size in zip(flows, np.linalg.norm(flows[:, :n, n:], axis=(1, 2)), strict=True):
         by_control = flow[:n, n:] @ basis
-        size = np.linalg.norm(flow[:n, n:])
         if size > 0:
             moved = moved + by_control.T @ by_control / size**2
         basis, growth = np.linalg.qr(flow[n:, n:] @ basis)
         shrunk = np.linalg.inv(growth)
-        shares, vectors = np.linalg.eigh(shrunk.T @ moved @ shrunk)
+        moved = shrunk.T @ moved @ shrunk
         # What has been moved enough need not grow beyond rounding of the rest.
-        moved = (vectors * np.clip(shares, 0.0, len(flows))) @ vectors.T
+        if not np.trace(moved) <= len(flows):
+            shares, vectors = np.linalg.eigh(moved)
+            moved = (vectors * np.clip(shares, 0.0, len(flows))) @ vectors.T
     shares, vectors = np.linalg.eigh(moved / len(flows))
     if np.any((shares > UNREACHABLE) & (shares < REACHABLE)):
         return None
@@ -289,13 +290,16 @@ def _angles(frame: Array, never: Array, flows: Array) -> Array:
     flows : array (n_times - 1, 2n, 2n)
     """
     n, k = never.shape
-    angles = np.zeros((len(flows) + 1, n - k))
+    frames, beside = np.empty((len(flows), 2 * n, n)), np.tile(np.eye(n)[:, k:], (len(flows), 1, 1))
     for j, flow in enumerate(flows):
-        frame, never = np.linalg.qr(flow @ frame)[0], np.linalg.qr(flow[n:, n:] @ never, mode="complete")[0]
-        unitary, beside = frame[:n] + 1j * frame[n:], never[:, k:]
-        never = never[:, :k]
-        product = beside.T @ unitary @ unitary.T @ beside
-        angles[j + 1] = np.angle(-np.linalg.eigvals(product)) % (2 * np.pi)
+        frames[j] = frame = np.linalg.qr(flow @ frame)[0]
+        if k:
+            never = np.linalg.qr(flow[n:, n:] @ never, mode="complete")[0]
+            beside[j], never = never[:, k:], never[:, :k]
+    unitary = frames[:, :n] + 1j * frames[:, n:]
+    product = beside.transpose(0, 2, 1) @ unitary @ unitary.transpose(0, 2, 1) @ beside
+    angles = np.zeros((len(flows) + 1, n - k))
+    angles[1:] = np.angle(-np.linalg.eigvals(product)) % (2 * np.pi)
     return angles
 
 

@@ -8,7 +8,7 @@ satisfies (Bryson & Ho, Applied Optimal Control, 1975, ch. 2-3; Hartl, Sethi & V
 * :math:`\lambda(t_0) = -\partial\tilde\Phi/\partial x_0` and :math:`\lambda(t_f) = \partial\tilde\Phi/\partial x_f`
   in components that are free there, :math:`H(t_f) = -\partial\tilde\Phi/\partial t_f` and
   :math:`H(t_0) = \partial\tilde\Phi/\partial t_0` at free times,
-* :math:`dH/dt = \partial H_a/\partial t`,
+* :math:`dH/dt = \partial H_a/\partial t`, with jumps where a state constraint that moves pushes,
 * u minimises H among the admissible controls (module `controls`).
 
 Offences are made dimensionless by what the terms of H and the products lambda x amount to along the phase, so
@@ -28,7 +28,7 @@ from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT
 from gnc_opt.verify.feasibility import judge
 from gnc_opt.verify.magnitude import parameter_scale
-from gnc_opt.verify.pushes import hamiltonian_drift, pushed_beside, unexplained_jumps
+from gnc_opt.verify.pushes import jumps_explained, pushed_beside
 from gnc_opt.verify.verdict import Condition
 
 
@@ -42,7 +42,7 @@ def adjoint(samples: list[PhaseSamples], tolerance: float) -> Condition:
             Worst(float(residual[i, k]), s.segment_place(k, f"costate of {s.leg.states.labels[i]}"))
         )
         if s.leg.mesh.segments > 1:
-            jumps = np.abs(unexplained_jumps(s)) * s.state_scale[:, None] / s.cost_scale
+            jumps = np.abs(jumps_explained(s)[0]) * s.state_scale[:, None] / s.cost_scale
             i, k = worst_index(jumps)
             place = f"phase {s.leg.name}, t = {s.leg.breaks[k + 1]:.6g} s, jump of the costate of "
             worst = worst.or_worse(Worst(float(jumps[i, k]), place + s.leg.states.labels[i]))
@@ -121,10 +121,14 @@ def _unexplained(multipliers: Array, values: Array, box: Interval, scale: Array)
 
 
 def hamiltonian(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """H is constant, or changes only as its explicit dependence on time says."""
+    """H is constant, or changes only as its explicit dependence on time, and that of constraints that push, says."""
     worst = NOTHING
     for s in samples:
-        levels = s.hamiltonian - hamiltonian_drift(s)
+        drift = s.functions.time_gradient(s.times, s.x, s.u, s.lam, s.mu)
+        expected = s.integral_from_start(drift)
+        if s.leg.mesh.segments > 1:
+            expected += np.append(0.0, np.cumsum(jumps_explained(s)[1]))[s.segments]
+        levels = s.hamiltonian - expected
         told = levels[np.isfinite(levels)]
         offset = float(np.median(told)) if told.size else 0.0
         band = np.abs(levels - offset) / s.hamiltonian_scale

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.samples import NEGLIGIBLE, PhaseSamples
 from gnc_opt.solution.spans import STILL
@@ -74,8 +75,7 @@ def _rows(s: PhaseSamples) -> Array:
     if chosen.size:
         gradients = _order_gradients(s.functions, chosen)
         numbers = np.concatenate([s.functions.weights, s.functions.p, s.functions.q])
-        columns = np.tile(numbers[:, None], s.times.size)
-        flat = gradients(s.times[None], s.x, s.u, columns).full()
+        flat = evaluate_columns(gradients, s.times.size, s.times[None], s.x, s.u, numbers)
         rows = flat.reshape(chosen.size, leg.controls.size, s.times.size)
         found.append(rows * beside[chosen][:, None])
     return np.concatenate(found)

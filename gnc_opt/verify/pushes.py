@@ -6,7 +6,8 @@ A constraint without controls, :math:`c(t, x) \le 0` or a state bound, enters th
 .. math:: d\lambda = -\Big(\frac{\partial H}{\partial x}\Big)dt - \frac{\partial c}{\partial x}\,d\eta,
           \qquad d\eta \ge 0 \text{ at an upper, } \le 0 \text{ at a lower limit, } 0 \text{ away from both,}
 
-hence :math:`\lambda(t^-) = \lambda(t^+) + \eta\,\partial c/\partial x` where it has an atom, as at the ends of an arc
+hence :math:`\lambda(t^-) = \lambda(t^+) + \eta\,\partial c/\partial x` and
+:math:`H(t^-) = H(t^+) - \eta\,\partial c/\partial t` where it has an atom, as at the ends of an arc
 along the limit or where the limit is touched. Two things follow for the verifier.
 
 * At a segment boundary, a jump is right if the constraints that are active there explain it with the right signs.
@@ -42,7 +43,7 @@ class Pushers:
     directions : array (n_states, n_sides, n_times)
         Gradient of each side of each constraint, outwards: a legitimate push moves lambda against it.
     drifts : array (n_sides, n_times)
-        Derivative of each side by time: what a push adds to H.
+        Its partial derivative with respect to time.
     active : bool array (n_sides, n_times)
     """
 
@@ -55,14 +56,14 @@ class Pushers:
         """Evaluate state bounds and the path constraints that do not depend on controls."""
         leg, n = s.leg, s.leg.states.size
         gradients = [np.repeat(np.eye(n)[:, :, None], times.size, axis=2)]
-        rates = [np.zeros((n, times.size))]
+        drifts = [np.zeros_like(x)]
         values, scales = [x], [s.state_scale]
         lower, upper = [leg.state_bounds.lower], [leg.state_bounds.upper]
         pure = s.pure_paths
         if pure.size:
             by_state, by_time = _path_gradients(s, times, x, u)
             gradients.append(by_state[:, pure])
-            rates.append(by_time[pure])
+            drifts.append(by_time[pure])
             values.append(s.functions.paths(times, x, u)[pure])
             scales.append(s.path_scale[pure])
             lower.append(leg.path_bounds.lower[pure])
@@ -70,11 +71,10 @@ class Pushers:
         value, near = np.vstack(values), (AT_LIMIT * np.concatenate(scales))[:, None]
         at_upper = value >= np.concatenate(upper)[:, None] - near
         at_lower = value <= np.concatenate(lower)[:, None] + near
-        outward = np.concatenate(gradients, axis=1)
-        drift = np.concatenate(rates)
+        outward, drift = np.concatenate(gradients, axis=1), np.vstack(drifts)
         return cls(
             np.concatenate([outward, -outward], axis=1),
-            np.concatenate([drift, -drift]),
+            np.vstack([drift, -drift]),
             np.vstack([at_upper, at_lower]),
         )
 
@@ -83,48 +83,33 @@ def _path_gradients(s: PhaseSamples, times: Array, x: Array, u: Array) -> tuple[
     """dc/dx, (n_states, n_paths, n_times), and dc/dt, (n_paths, n_times)."""
     paths, zero = len(s.leg.path_labels), np.zeros_like(x)
     mu = np.zeros((paths, times.size))
-    derivatives = s.functions.state_gradient, s.functions.time_gradient
-    by_state, by_time = ([f(times, x, u, zero, mu)] for f in derivatives)
+    without = s.functions.state_gradient(times, x, u, zero, mu)
+    idle = s.functions.time_gradient(times, x, u, zero, mu)
+    columns, drifts = [], []
     for i in range(paths):
         mu[i] = 1.0
-        by_state.append(derivatives[0](times, x, u, zero, mu) - by_state[0])
-        by_time.append(derivatives[1](times, x, u, zero, mu) - by_time[0])
+        columns.append(s.functions.state_gradient(times, x, u, zero, mu) - without)
+        drifts.append(s.functions.time_gradient(times, x, u, zero, mu) - idle)
         mu[i] = 0.0
-    return np.stack(by_state[1:], axis=1), np.stack(by_time[1:])
+    return np.stack(columns, axis=1), np.stack(drifts)
 
 
-def unexplained_jumps(s: PhaseSamples) -> Array:
-    """Costate jumps at the inner segment boundaries (n_states, K - 1) that no active constraint explains.
+def jumps_explained(s: PhaseSamples) -> tuple[Array, Array]:
+    """What active constraints make of jumps at the inner segment boundaries.
 
     A jump the wrong way is explained as far as a push beside it makes up for it, see `pushed_beside`.
+
+    Returns
+    -------
+    unexplained : array (n_states, K - 1)
+        What is left of the jumps of costates.
+    hamiltonian : array (K - 1,)
+        By how much H rises with those that are explained.
     """
-    return _jumps(s)[0]
-
-
-def hamiltonian_drift(s: PhaseSamples) -> Array:
-    """What H gains by time at the samples (n_samples,): by its own derivative and by pushes of constraints that move.
-
-    Where a constraint c(t, x) without controls has an atom eta, H(t+) = H(t-) + eta dc/dt.
-    """
-    mu = s.mu.copy()
-    for edge in s.edges:
-        mu[np.ix_(s.pure_paths, np.flatnonzero(s.segments == edge.segment))] = 0.0
-    total = s.integral_from_start(s.functions.time_gradient(s.times, s.x, s.u, s.lam, mu))
-    if s.leg.mesh.segments > 1 and s.pure_paths.size:
-        total = total + np.append(0.0, np.cumsum(_jumps(s)[1]))[s.segments]
-    for edge in s.edges:
-        here = s.segments == edge.segment
-        total[here] += edge.gains
-        total[s.segments > edge.segment] += edge.gains[-1]
-    return total
-
-
-def _jumps(s: PhaseSamples) -> tuple[Array, Array]:
-    """What no active constraint explains of jumps (n_states, K - 1), and what H gains by the others (K - 1,)."""
     breaks = s.leg.breaks[1:-1]
     jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
     pushers = Pushers.at(s, breaks, s.leg.x(breaks), s.leg.flown(breaks))
-    rest, gains = jumps.copy(), np.zeros(breaks.size)
+    rest, rises = jumps.copy(), np.zeros(breaks.size)
     scale, spare = s.state_scale, _spare_pushes(s)
     for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
         directions = pushers.directions[:, pushers.active[:, k], k]
@@ -133,8 +118,8 @@ def _jumps(s: PhaseSamples) -> tuple[Array, Array]:
             directions * scale[:, None], (jumps[:, k] - directions @ least) * scale
         )
         rest[:, k] -= directions @ (sizes + least)
-        gains[k] = pushers.drifts[pushers.active[:, k], k] @ (sizes + least)
-    return rest, gains
+        rises[k] = pushers.drifts[pushers.active[:, k], k] @ (sizes + least)
+    return rest, rises
 
 
 def pushed_beside(s: PhaseSamples, densities: Array) -> Array:
@@ -185,7 +170,7 @@ def _integrate_anew(s: PhaseSamples, k: int, tolerance: float) -> EdgeSegment | 
     times, x, u, lam = s.times[here], s.x[:, here], s.u[:, here], s.lam[:, here]
     free, fundamental = _without_pushes(s, k, here)
     pushers = Pushers.at(s, times, x, u)
-    responses, gained = _responses(pushers, fundamental)
+    responses = _responses(pushers, fundamental)
     if not responses.shape[2]:
         return None
     worth = s.state_scale / s.cost_scale
@@ -207,7 +192,7 @@ def _integrate_anew(s: PhaseSamples, k: int, tolerance: float) -> EdgeSegment | 
     reach = np.max(np.abs(responses) @ weights, axis=1)
     if np.any(np.abs(costates - lam) * worth[:, None] > (reach * worth + tolerance)[:, None]):
         return None
-    return EdgeSegment(k, costates, np.abs(costates[:, -1] - lam[:, -1]) * worth, gained @ weights)
+    return EdgeSegment(k, costates, np.abs(costates[:, -1] - lam[:, -1]) * worth)
 
 
 def _without_pushes(s: PhaseSamples, k: int, here: Indices) -> tuple[Array, Array]:
@@ -234,10 +219,10 @@ def _without_pushes(s: PhaseSamples, k: int, here: Indices) -> tuple[Array, Arra
     return every[:, :, -1].T, np.transpose(every[:, :, :-1], (1, 2, 0))
 
 
-def _responses(pushers: Pushers, fundamental: Array) -> tuple[Array, Array]:
-    """Costates (n, m, n_pushes) that a unit push between two neighbouring samples causes, and what H gains (m, ...)."""
+def _responses(pushers: Pushers, fundamental: Array) -> Array:
+    """Costates (n, m, n_pushes) that a unit push between two neighbouring samples causes."""
     n, _, m = fundamental.shape
-    columns, gains = [], []
+    columns = []
     at_start = np.stack(
         [np.linalg.solve(fundamental[:, :, j], pushers.directions[:, :, j]) for j in range(m)]
     )
@@ -247,7 +232,4 @@ def _responses(pushers: Pushers, fundamental: Array) -> tuple[Array, Array]:
             response = np.zeros((n, m))
             response[:, j + 1 :] = -np.einsum("abt,b->at", fundamental[:, :, j + 1 :], push)
             columns.append(response)
-            gains.append(np.where(np.arange(m) > j, np.mean(pushers.drifts[side, j : j + 2]), 0.0))
-    if not columns:
-        return np.zeros((n, m, 0)), np.zeros((m, 0))
-    return np.stack(columns, axis=2), np.stack(gains, axis=1)
+    return np.stack(columns, axis=2) if columns else np.zeros((n, m, 0))

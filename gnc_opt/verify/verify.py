@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.errors import GncOptError, ProblemError
+from gnc_opt.problem.cost_unit import cost_unit
 from gnc_opt.problem.functions import EndGradients
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.verify import controls, costates, feasibility, second_order
 from gnc_opt.verify.conjugate_points import conjugate_points
+from gnc_opt.verify.convex import is_convex
 from gnc_opt.verify.judged import ends_of, from_problem, has_costates, missing_number, stored_numbers
 from gnc_opt.verify.kept import keep_verdict, kept_verdict
 from gnc_opt.verify.magnitude import Magnitudes
@@ -24,7 +26,7 @@ from gnc_opt.verify.reduced_hessian import (
     rounding_of_cost,
     visible_spans,
 )
-from gnc_opt.verify.singular import generalised_legendre_clebsch
+from gnc_opt.verify.singular import generalised_legendre_clebsch, of_first_order
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 
 TOLERANCE = 1e-5
@@ -53,9 +55,8 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         CANNOT TELL per condition: dynamics, propagation, bounds, path constraints, boundary
         conditions, cost, stored numbers, adjoint equation, transversality, Hamiltonian, stationarity, control signs,
         minimum principle, complementarity, Legendre-Clebsch, singular arcs, generalised Legendre-Clebsch, parameters,
-        second order; for a solution whose switch times were optimised or that is bang-bang, strict switches; for the
-        latter, induced gradient; for all others, normality and,
-        along smooth phases, conjugate points.
+        normality, second order; for a solution whose switch times were optimised or that is bang-bang, strict switches;
+        for the latter, induced gradient; for all others, along smooth phases, conjugate points.
         A solution keeps its verdict: asked again, at the same tolerance, nothing is computed anew.
 
     Raises
@@ -90,18 +91,18 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         feasibility.cost(stored, samples, ends, told, tol),
         stored_numbers(stored, solution, missing, tol),
     ]
-    lasting = [s for s in samples if s.has_length]
+    lasting, problem = [s for s in samples if s.has_length], solution.need_problem("verify")
     along = [
         costates.adjoint(lasting, tol),
         costates.transversality(lasting, ends, tol),
         costates.hamiltonian(lasting, tol),
         controls.stationarity(lasting, tol),
         controls.control_signs(lasting, tol),
-        controls.minimum(lasting, tol),
+        controls.minimum(lasting, tol, cost_unit(problem)),
         costates.complementarity(solution, lasting, ends, amounts.constraints, tol),
         controls.legendre_clebsch(lasting, tol),
-        controls.singular_arcs(lasting, tol),
-        generalised_legendre_clebsch(solution.need_problem("verify"), lasting, tol),
+        controls.singular_arcs(lasting, tol, [of_first_order(problem, s, tol) for s in lasting]),
+        generalised_legendre_clebsch(problem, lasting, tol),
     ]
     switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
     names = ("strict switches", "second order") if switching else ("second order",)
@@ -127,8 +128,21 @@ def _second_order(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
 ) -> list[Condition]:
     """By the switch times where they alone are left to vary, else on the mesh."""
+    found = _second_variation(solution, samples, ends, tolerance)
+    downwards = any(c.result is Result.FAIL for c in found)
+    return (
+        [_of_convex(c) for c in found] if downwards and is_convex(solution.need_problem("verify")) else found
+    )
+
+
+def _second_variation(
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
+) -> list[Condition]:
     if not second_order.obstacle(samples):
-        return second_order.second_order(solution, samples, ends, tolerance)
+        return [
+            second_order.normality(solution, samples, ends),
+            *second_order.second_order(solution, samples, ends, tolerance),
+        ]
     rounding = rounding_of_cost(samples)
     cone = critical_cone(solution, samples, rounding, flown_spans)
     if not cone.point.is_finite:
@@ -140,10 +154,18 @@ def _second_order(
 
 def _normality(solution: Solution, samples: list[PhaseSamples], rounding: float) -> Condition:
     """By the magnitudes of the program and, where those may be too large, by what the flight moves."""
-    told = normality(critical_cone(solution, samples, rounding))
+    told = normality(critical_cone(solution, rounding=rounding))
     if told.result is Result.PASS:
         return told
     return normality(critical_cone(solution, samples, rounding, visible_spans))
+
+
+def _of_convex(condition: Condition) -> Condition:
+    """Where the first order suffices, what curves downwards on a mesh with movable boundaries is its own error."""
+    if condition.result is not Result.FAIL or not condition.sufficient:
+        return condition
+    where = f"{condition.where}; the problem is convex, nothing curves downwards, and the minimum may be one of many"
+    return replace(condition, result=Result.CANNOT_TELL, where=where)
 
 
 def _agreed(conjugate: Condition, curvature: Condition) -> Condition:
@@ -160,7 +182,10 @@ def _untold(name: str, where: str, meaning: str) -> Condition:
 
 
 def _cannot_tell(condition: Condition, where: str, meaning: str) -> Condition:
-    return replace(condition, result=Result.CANNOT_TELL, value=float("nan"), where=where, meaning=meaning)
+    value = float("nan")
+    return replace(
+        condition, result=Result.CANNOT_TELL, value=value, where=where, meaning=meaning, loss=None, unit=""
+    )
 
 
 def _without_costates(condition: Condition) -> Condition:

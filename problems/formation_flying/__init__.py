@@ -2,14 +2,15 @@
 
 A follower joins a circle of 1 km radius around its leader. The publication compares two laws by four
 numbers, which are reproduced; the same formation is then reached with the least Delta-V and in the least
-time, and both plans are flown by the publication's better law. The page is docs/formation_flying.md.
+time, and plans and law are flown under the same conditions. The page is docs/formation_flying.md.
 
 To be read in this order:
 
 * `model`: data, the dynamics in the leader's frame and in inertial space, the formation;
 * `laws`: the published laws and their runs;
 * `published`: the publication's numbers against ours;
-* `optimal`: least Delta-V and least time, their tracking, and what they are worth;
+* `optimal`: least Delta-V and least time;
+* `flown`: both plans and the published law on the same disturbed plant;
 * `plots`, `report`: what is drawn and printed.
 """
 

@@ -14,7 +14,7 @@ Neither knows of the oblateness. Delta-V is the sum over the axes of the integra
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -37,8 +37,6 @@ from problems.formation_flying.model import (
     PERIOD,
     START,
     build_model,
-    circle_control,
-    circle_state,
     formation,
     hill_model,
 )
@@ -82,27 +80,13 @@ def step_of(steps: int) -> float:
     return PERIOD / steps
 
 
-@dataclass(frozen=True, eq=False)
-class CircleSchedule:
-    """Rows of the circle's reference: states at the beginning of a step; the thrust that keeps it, at its middle.
-
-    The mean over the step, but for terms of second order in n dt; closed form, so that long tables cost nothing.
-    """
-
-    feedforward: bool
-
-    def __call__(self, times: Array, dt: float) -> Array:
-        thrust = circle_control(times + 0.5 * dt) if self.feedforward else np.zeros((3, times.size))
-        return np.vstack([circle_state(times), thrust])
-
-
 @cache
 def sliding_mode(
     dt: float, *, slope: float = SLOPE, gain: float = GAIN, layer: float | None = LAYER
 ) -> Controller:
     """Return the publication's sliding mode; ``layer=None`` is ideal switching."""
     model = build_model().with_parameters(J2=0.0)
-    law = design_sliding_mode(
+    return design_sliding_mode(
         model,
         formation(model),
         outputs="r",
@@ -111,9 +95,7 @@ def sliding_mode(
         boundary=_boundary(layer),
         bound=DISTURBANCE_BOUND,
         dt=dt,
-        start=START,
     )
-    return replace(law, schedule=CircleSchedule(True))
 
 
 @cache
@@ -127,8 +109,7 @@ def regulator() -> Array:
 def optimal_sliding_mode(dt: float, *, gain: float = ETA, layer: float | None = PHI) -> Controller:
     """Return the publication's optimal sliding mode around the circle; ``layer=None`` is ideal switching."""
     model = hill_model()
-    law = integral_law(model, formation(model, feedforward=False), dt, gain=gain, layer=layer)
-    return replace(law, schedule=CircleSchedule(False))
+    return integral_law(model, formation(model, feedforward=False), dt, gain=gain, layer=layer)
 
 
 def integral_law(
@@ -159,8 +140,7 @@ def integral_law(
 def linear_quadratic(dt: float) -> Controller:
     """Return the regulator alone, eta = 0."""
     model = hill_model()
-    law = design_lqr(model, formation(model, feedforward=False), Q=WEIGHTS, R=CONTROL_WEIGHT, name="LQ")
-    return replace(law, schedule=CircleSchedule(False))
+    return design_lqr(model, formation(model, feedforward=False), Q=WEIGHTS, R=CONTROL_WEIGHT, name="LQ")
 
 
 def fly(

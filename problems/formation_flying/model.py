@@ -182,8 +182,8 @@ def formation(model: go.Model, end: float = 2 * PERIOD, *, feedforward: bool = T
         With the thrust that keeps the circle on `build_model` without oblateness; otherwise with none, as Hill's
         equations ask for.
     """
-    control = circle_control if feedforward else lambda t: np.zeros(3)
-    return Reference.from_functions(model, circle_state, control, 0.0, end)
+    control = circle_control if feedforward else lambda t: np.zeros((3, t.size))
+    return Reference.from_functions(model, circle_state, control, 0.0, end, vectorized=True)
 
 
 def _stack(*rows: Any) -> Array:

@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 
 from gnc_opt.arrays import Array
 from gnc_opt.plot.style import axis_label, legend_on_top, line_look, new_figure, save_figure, style
+from problems.formation_flying.flown import away, flight
 from problems.formation_flying.model import PERIOD, circle, differential_oblateness
-from problems.formation_flying.optimal import LIMIT, RESERVE, plan, track
+from problems.formation_flying.optimal import LIMIT, plan
 from problems.formation_flying.published import LAWS, run
 
 _NAMES = ("x", "y", "z")
@@ -37,9 +38,7 @@ def errors_figure() -> Figure:
         for i, law in enumerate(LAWS):
             _norm(ax, i, law, run(law).times, run(law).error("r").values)
         for i, name in enumerate(("least Delta-V", "least time"), len(LAWS)):
-            flown = track(plan(name, RESERVE, False))
-            away = flown.states[:3] - circle(flown.times)[0]
-            _norm(ax, i, f"{name}, flown", flown.times, away)
+            ax.plot(flight(name).times, away(flight(name)), label=f"{name}, flown", **line_look(i))
         ax.set_yscale("log")
         ax.set_xlabel(axis_label("time", "s"))
         ax.set_ylabel(axis_label("distance from the circle's point", "m"))
@@ -116,8 +115,14 @@ def optimal_figure() -> Figure:
             for i in range(3):
                 ax = axes[i, column]
                 ax.plot(times, 1e3 * thrust[i], **line_look(0))
-                for bound in (-LIMIT, LIMIT):
-                    ax.axhline(1e3 * bound, color="0.5", linestyle=":", linewidth=0.8)
+                if name == "least Delta-V":
+                    for bound in (-LIMIT, LIMIT):
+                        ax.axhline(1e3 * bound, color="0.5", linestyle=":", linewidth=0.8)
+                else:  # limited in any direction, not per axis
+                    size = 1e3 * np.linalg.norm(thrust, axis=0)
+                    ax.plot(times, size, color="0.5", linestyle="--", linewidth=0.8, label="magnitude")
+                    if i == 0:
+                        ax.legend(loc="lower left")
                 if column == 0:
                     ax.set_ylabel(axis_label(f"thrust {_NAMES[i]}", "mm/s^2"))
             axes[0, column].set_title(name)

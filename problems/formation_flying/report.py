@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from problems.comparison import Row, run_comparison
+from problems.formation_flying.flown import flown, flown_rows
 from problems.formation_flying.optimal import optimal_rows
 from problems.formation_flying.published import (
     claim_rows,
@@ -17,13 +18,15 @@ from problems.formation_flying.published import (
 
 
 def comparison() -> list[Row]:
-    """Return every row: publication, courses, switching, inertial truth, phases, and the optima."""
+    """Return every row: publication, courses, switching, inertial truth, phases, the optima, and what is flown."""
     published = table_rows() + course_rows() + switching_rows() + truth_rows() + sweep_rows() + claim_rows()
-    return published + optimal_rows()
+    return published + optimal_rows() + flown_rows()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table; return 1 if a row does not pass."""
     from problems.formation_flying.plots import write_figures
 
-    return run_comparison("formation_flying", "Formation flying", comparison, write_figures, arguments)
+    return run_comparison(
+        "formation_flying", "Formation flying", comparison, write_figures, arguments, flown=flown
+    )

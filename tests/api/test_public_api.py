@@ -27,6 +27,7 @@ EXPECTED = {
         Sensitivity Solution SolveError SolverOptions Status Sweep Table UnknownAttributeError
         UnknownNameError Verdict bryson continue_in design_ekf design_feedback_linearization
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
+        design_neighbouring_optimal
         design_sliding_mode design_tvlqr design_ukf export_c export_fmu feedforward guess_from_data guess_from_solution
         load monte_carlo multistart output_feedback polish refine sensitivity simulate_guess smooth_abs solve sweep
         table table_from_csv verify verify_trajectory
@@ -36,13 +37,14 @@ EXPECTED = {
         PowerRate PredictiveReaching Reference SaturationLayer Sign SuperTwisting SuperTwistingObserver
         TanhLayer bridge_dropouts bryson decoupling_matrix design_ekf design_feedback_linearization
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
+        design_neighbouring_optimal
         design_sliding_mode design_tvlqr design_ukf export_c export_fmu feedforward first_memory law
         lie_derivative output_errors output_feedback relative_degrees trim zero_dynamics
     """,
     "gnc_opt.simulation": """
         Allocation Ball Bias Block Campaign Choice ClosedLoop Consistency Constant Deadband Delay Disturbance
-        Ending Expression Flight Hold InnovationTest Lag MinimumImpulse Mixer Noise NonNegativeAllocation Normal
-        Outage Outcome Pwm Pwpf Quantisation RandomHold RandomWalk RateLimit Run RunStatus Sampling
+        Ending Event Expression Flight Hold InnovationTest Lag MinimumImpulse Mixer Noise NonNegativeAllocation Normal
+        Occurrence Outage Outcome Pwm Pwpf Quantisation RandomHold RandomWalk RateLimit Run RunStatus Sampling
         Saturation Scale ScaleFactor SchmittTrigger SensorDelay Sinusoid Sphere ThrusterSet Turn
         Uniform WheelArray consistency monte_carlo
     """,
@@ -61,9 +63,9 @@ EXPECTED = {
         total_momentum transpose us76 wheel_body_acceleration wheel_pyramid
     """,
     "gnc_opt.plot": """
-        plot_controls plot_costates plot_curves plot_dispersion plot_distributions plot_hamiltonian
+        View plot_controls plot_costates plot_curves plot_dispersion plot_distributions plot_hamiltonian
         plot_path plot_refinement plot_run_controls plot_run_errors plot_run_states plot_states
-        plot_verdict save_figure
+        plot_verdict save_figure save_film
     """,
     "gnc_opt.report": """
         search_dict summary summary_dict write_aem write_json write_oem write_report write_search

@@ -72,6 +72,40 @@ def test_mean_control_of_functions_is_exact_across_jumps_and_the_end():
     assert trimmed.mean_control([0.9], 0.4)[0, 0] == pytest.approx(0.75, rel=1e-14)
 
 
+def test_vectorized_functions_are_the_reference_that_they_are_time_by_time():
+    def x(t):
+        return [np.sin(t), np.cos(t)]
+
+    def u(t):
+        return [np.where(t < 1.0, t**3, 2.0)]
+
+    options = {"jumps": [1.0], "tail": "hold"}
+    one = Reference.from_functions(cart(), x, u, 0, 1.5, **options)
+    many = Reference.from_functions(cart(), x, u, 0, 1.5, vectorized=True, **options)
+    times = np.array([0.0, 0.3, 1.0, 1.4, 2.0])
+    np.testing.assert_array_equal(many.x(times), one.x(times))
+    np.testing.assert_allclose(many.u(times), one.u(times), rtol=1e-14)
+    np.testing.assert_allclose(many.mean_control(times, 0.4), one.mean_control(times, 0.4), rtol=1e-14)
+    np.testing.assert_array_equal(many.x(0.3), one.x(0.3))
+
+
+def test_vectorized_functions_that_return_no_columns_are_refused():
+    with pytest.raises(
+        go.ArgumentError, match=r"states .* shape \(2,\) at 1 times, not \(2, 1\): return a column"
+    ):
+        Reference.from_functions(cart(), lambda t: [0, 0], lambda t: [0 * t], 0, 1, vectorized=True).x(0.5)
+    with pytest.raises(go.ArgumentError, match=r"controls of a reference are not finite at 0\.5 s"):
+        Reference.from_functions(
+            cart(),
+            lambda t: [t, t],
+            lambda t: [np.where(t == 0.5, np.nan, t)],
+            0,
+            1,
+            tail="none",
+            vectorized=True,
+        ).u([0.1, 0.5])
+
+
 def test_phases_are_followed_one_after_the_other():
     ocp = go.Problem("two legs")
     first, second = ocp.phase("first", cart()), ocp.phase("second", cart())

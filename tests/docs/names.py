@@ -32,6 +32,7 @@ INSTANCES: dict[str, type] = {
     "loop": go.ClosedLoop,
     "model": go.Model,
     "problem": go.Problem,
+    "run": go.Run,
     "solution": go.Solution,
     "vehicle": go.Model,
     "verdict": go.Verdict,

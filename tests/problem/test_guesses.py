@@ -73,6 +73,60 @@ def test_laws_are_expressions_numbers_and_functions_of_time_within_bounds() -> N
         np.testing.assert_allclose(start.controls[:, 5], wanted, atol=1e-12)
 
 
+def pushed(*, plain: bool = False) -> go.Problem:
+    """A point mass with a thrust vector, |T| <= 2, and a split torque, |q| <= 1; or with plain controls."""
+    model = go.Model("pushed")
+    v, w = model.state("v", 2), model.state("w")
+    T = model.control("T", 2) if plain else model.vector_control("T", 2)[0]
+    q = model.control("q") if plain else model.split_control("q")[0]
+    model.ode({v: T, w: q})
+    problem = go.Problem("pushed")
+    leg = problem.phase("burn", model)
+    leg.time(0.0, 1.0)
+    leg.initial(v=[0.0, 0.0], w=0.0)
+    if not plain:
+        leg.bounds_norm(T=(0.0, 2.0))
+        leg.bounds(q=(-1.0, 1.0))
+    problem.minimize(leg.integral(ca.sumsqr(T) + q**2))
+    return problem
+
+
+def composed(problem: go.Problem) -> np.ndarray:
+    """The guess of T and q (3, n_times), from their parts."""
+    u, layout = guessed(problem).controls, problem.phases["burn"].model.controls
+    part = {name: u[layout.slice(name)] for name in layout.names}
+    return np.vstack([part["T_magnitude"] * part["T_direction"], part["q_plus"] - part["q_minus"]])
+
+
+def test_laws_of_vector_and_split_controls() -> None:
+    """A law names what the user declared; it is clipped to its norm, or to its bounds."""
+    problem = pushed()
+    t = problem.phases["burn"].model.time
+    flown = go.simulate_guess(problem, {"T": ca.vertcat(3.0, 4.0) * t, "q": lambda t: -2.0 * t})
+    times = FRACTIONS[:, None]
+    norm = np.minimum(5.0 * FRACTIONS, 2.0)
+    wanted = np.vstack([0.6 * norm, 0.8 * norm, -np.minimum(2.0 * times[:, 0], 1.0)])
+    np.testing.assert_allclose(
+        composed(flown), wanted, atol=1e-2
+    )  # times of the kinks fall between two samples
+    # integral of min(5 t, 2): 0.4 until t = 0.4, and 1.2 more; of -min(2 t, 1): -3 / 4
+    np.testing.assert_allclose(guessed(flown).states[:, -1], [0.96, 1.28, -0.75], atol=1e-6)
+    with pytest.raises(go.GncOptError, match=r"law of 'T' .* 3 components: give 2"):
+        go.simulate_guess(problem, {"T": [1.0, 2.0, 3.0]})
+
+
+def test_vector_and_split_controls_from_data_and_solutions() -> None:
+    data = {"time": [0.0, 1.0], "T[0]": [0.3, 0.0], "T[1]": [0.0, 0.4], "q": [-0.5, 0.5]}
+    line = np.array([0.3 - 0.3 * FRACTIONS, 0.4 * FRACTIONS, FRACTIONS - 0.5])
+    np.testing.assert_allclose(composed(go.guess_from_data(pushed(), data)), line, atol=1e-12)
+    solution = go.solve(pushed(plain=True).with_final(v=[1.0, -2.0], w=-0.5), mesh="2x3", tol=None)
+    found = composed(go.guess_from_solution(pushed(), solution))
+    np.testing.assert_allclose(found, np.tile([[1.0], [-2.0], [-0.5]], 11), atol=1e-6)
+    there = pushed().with_final(v=[0.5, 0.0], w=0.5)
+    back = go.guess_from_solution(pushed(plain=True), go.solve(there, mesh="2x3", tol=None))
+    assert guessed(back).controls.shape == (3, 11)
+
+
 def test_open_initial_values_and_free_parameters() -> None:
     model = go.Model("decay")
     x, u, k = model.state("x"), model.control("u"), model.parameter("k", 0.0)

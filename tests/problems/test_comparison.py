@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
 
+import gnc_opt as go
 from problems.comparison import (
     Claim,
     Row,
@@ -21,6 +24,7 @@ from problems.comparison import (
     run_comparison,
     show,
 )
+from problems.flown import Flight, flight_rows, with_settings
 
 WHY = "the definition in print is unclear"
 RIGHT = compare("agility (rad s)", 72.87, 72.85, relative=0.01, published="172.7", reason=WHY)
@@ -154,3 +158,51 @@ def test_main_writes_the_rows_and_fails_with_one_of_them(tmp_path: Path) -> None
         "difference": "-57.8 %",
         "allowed": "0.058 %",
     }
+
+
+# --- flown comparisons ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Conditions:
+    gain: float = 0.5
+    law: str = "own"
+    seed: int = 1
+    push: tuple[float, float] = (1.0, 2.0)
+
+
+def test_settings_change_the_conditions_that_they_name() -> None:
+    changed = with_settings(Conditions(), ["gain=2", "law=other", "push=[3, 4]"])
+    assert changed == Conditions(2.0, "other", 1, (3.0, 4.0)) and type(changed.gain) is float
+    for setting, words in (
+        ("gian=1", "no condition 'gian': did you mean 'gain'"),
+        ("seed=1.5", "has to be like 1"),
+        ("gain=high", "has to be like 0.5"),
+        ("push=[1]", "has to be like"),
+        ("seed=true", "has to be like 1"),
+        ("seed", "write NAME=VALUE"),
+    ):
+        with pytest.raises(go.GncOptError, match=words):
+            with_settings(Conditions(), [setting])
+
+
+def test_flights_are_judged_by_both_and_by_their_ratio() -> None:
+    measures, law = ("time (s)", "effort", "miss"), Flight(10.0, 2.0, 0.1)
+    known = (Flight(5.0, 3.0, 0.02), law)
+    rows = flight_rows("plan", measures, Flight(5.0, 3.0, 0.0203), law, known)
+    assert [row.passes for row in rows] == [True, True, False]
+    assert rows[1].ours == pytest.approx((3.0, 2.0, 1.5))
+    assert all(row.independent is None for row in flight_rows("plan", measures, law, law, None))
+
+
+def test_main_shows_the_flown_rows_alone_under_other_conditions(capsys: pytest.CaptureFixture[str]) -> None:
+    def flown(settings: Sequence[str]) -> list[Row]:
+        return [remark(f"gain {with_settings(Conditions(), settings).gain}", 1.0)]
+
+    def run(*arguments: str) -> int:
+        return run_comparison("name", "title", lambda: [RIGHT], lambda _: [], arguments, flown=flown)
+
+    assert run("--set", "gain=3") == 0
+    assert "gain 3.0" in (shown := capsys.readouterr().out) and "agility" not in shown
+    assert run() == 0 and "agility" in capsys.readouterr().out
+    assert run("--set", "gain") == 2 and "NAME=VALUE" in capsys.readouterr().err

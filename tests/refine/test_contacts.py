@@ -14,15 +14,21 @@ from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.constraint_order import constraint_order
 from gnc_opt.problem.held import Junction
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.solution.program_point import ProgramPoint
 from gnc_opt.solution.touches import with_touches
 
 LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER
 
 
+DRIFT = 0.7
+"""Speed of the observer who sees the ceiling move, m/s."""
+
+
 def throw(limit: float, form: str = "bound", unit: float = 1.0) -> go.Problem:
     """Bryson and Denham's problem (Bryson & Ho 1975, p. 120), x <= limit; x in units of 1 / unit m.
 
-    "curved": the state is z with x = z + z^3 / 3, the limit a path constraint that is not linear in it.
+    "curved": the state is z with x = z + z^3 / 3, the limit a path constraint that is not linear in it; "moving": as
+    seen by an observer who moves at a constant speed.
     """
     model = go.Model("double integrator")
     x, v = model.state("x"), model.state("v")
@@ -31,9 +37,12 @@ def throw(limit: float, form: str = "bound", unit: float = 1.0) -> go.Problem:
     problem = go.Problem(f"throw, {form}")
     leg = problem.phase("leg", model)
     leg.time(initial=0.0, final=1.0)
-    leg.initial(x=0.0, v=1.0)
-    leg.final(x=0.0, v=-1.0)
-    if form == "bound":
+    drift = DRIFT if form == "moving" else 0.0
+    leg.initial(x=0.0, v=1.0 + drift)
+    leg.final(x=drift, v=-1.0 + drift)
+    if form == "moving":
+        leg.path("ceiling", x - drift * model.time, upper=limit)
+    elif form == "bound":
         leg.bounds(x=(None, unit * limit))
     else:
         leg.path("ceiling", x + x**3 / 3 if form == "curved" else x, upper=unit * limit)
@@ -154,6 +163,20 @@ def test_a_touch(limit: float, form: str) -> None:
     )
 
 
+@pytest.mark.parametrize("limit", [0.1, 0.2])
+def test_a_moving_limit(limit: float) -> None:
+    """The same flight; H differs by lam_x times the drift, and so jumps with lam_x, at the touch by -48 (1 - 4 l)."""
+    solution = thrown(limit, "moving")
+    assert solution.history.converged and go.verify(solution).ok
+    arc = limit < 1 / 6
+    exact = 4 / (9 * limit) if arc else 2 + 6 * (1 - 4 * limit) ** 2
+    assert solution.objective == pytest.approx(exact, abs=1e-9)
+    assert contact(solution) == pytest.approx((3 * limit, 1 - 3 * limit) if arc else (0.5, 0.5), abs=1e-7)
+    hamiltonian = solution.hamiltonian
+    lam_x = 2 / (9 * limit**2) if arc else 24 * (1 - 4 * limit)
+    assert hamiltonian(0.9) - hamiltonian(0.1) == pytest.approx(-2 * DRIFT * lam_x, rel=1e-6)
+
+
 def test_touches_of_third_order() -> None:
     """Robbins (SIAM J. Control Optim. 18(4), 1980): least int 3 x + u^2 / 2, d3x/dt3 = u, x >= 0; touches, no arc.
 
@@ -204,6 +227,19 @@ def test_a_touch_is_held_where_it_pushes(form: str) -> None:
     stays = replace(leg, mesh=replace(leg.mesh, movable=()))
     for other in (pulled, stays):
         assert with_touches(replace(touched, phases={"leg": other})).phases["leg"].numbers.arcs is None
+
+
+@pytest.mark.parametrize("form", ["ceiling", "curved"])
+def test_a_touch_has_the_multiplier_of_its_jump(form: str) -> None:
+    """lam_x falls by 48 (1 - 4 l) = 9.6 at 1/2 s: with that the conditions of first order hold, without it not."""
+    point = ProgramPoint.of(thrown(0.2, form, 1.0, "11x4"))
+    assert np.max(np.abs(point.residual)) < 1e-5
+    ((_, junction, rows),) = point.transcription.junctions
+    assert junction.kind is UP and len(rows) == 2
+    multipliers = point.lam[rows] * point.scaling.rows[rows] / point.scaling.objective
+    assert multipliers == pytest.approx([9.6, 0.0], abs=1e-4)
+    bare = replace(point, lam=np.where(np.isin(np.arange(point.lam.size), rows), 0.0, point.lam))
+    assert np.max(np.abs(bare.residual)) > 0.1
 
 
 def test_a_saddle_beside_a_touch_fails() -> None:
@@ -283,3 +319,62 @@ def test_touches_stay_with_their_times() -> None:
     )
     arcs = [(a.channel, a.start, a.end) for a in held.arcs("leg", ("a", "x")) if a.channel == "x"]
     assert arcs == [("x", 0.5, 2.0), ("x", 3.0, 3.0)]
+
+
+def test_a_touch_in_any_piece_leaves_what_the_others_do() -> None:
+    mixed = PhaseStructure((0.0, 1.0, 3.0, 4.0), ((LOW, FREE), (FREE, FREE), (UP, FREE)), (), 1, 0, (0, 2))
+    for k, time in enumerate((0.5, 2.0, 3.5)):
+        touched = mixed.with_touch(1, time, UP)
+        assert touched.times == tuple(sorted((*mixed.times, time)))
+        assert touched.kinds == (*mixed.kinds[: k + 1], *mixed.kinds[k:])
+        assert touched.touches == (*[()] * (k + 1), ((1, UP),), *[()] * (3 - k))
+        held = mixed.with_arc(1, time - 0.25, time + 0.25, UP)
+        assert held.kinds == (*mixed.kinds[: k + 1], (mixed.kinds[k][0], UP), *mixed.kinds[k:])
+
+
+def test_what_vanishes_passes_its_touches_on() -> None:
+    """Inside both ends' touches go to the middle; at an end of the phase there is none; a contact leaves a touch."""
+    pieces = ((FREE, FREE), (LOW, FREE), (FREE, FREE))
+    touched = PhaseStructure(
+        (0.0, 1.0, 2.0, 4.0), pieces, (), 1, 0, (0, 2), ((), ((1, UP),), ((1, UP), (1, LOW)), ())
+    )
+    inner = touched.without(1)
+    assert (inner.times, inner.touches) == ((0.0, 1.5, 4.0), ((), ((1, UP), (1, LOW)), ()))
+    assert touched.without(0).touches == ((), ((1, UP), (1, LOW)), ())
+    assert touched.without(0).times == (0.0, 2.0, 4.0)
+    assert (touched.without(2).times, touched.without(2).touches) == ((0.0, 1.0, 4.0), ((), ((1, UP),), ()))
+    assert touched.emptied(1) == inner  # nothing was held along it
+    for order, left in ((1, ()), (2, ((1, UP),)), (3, ((1, UP),))):
+        held = PhaseStructure(
+            (0.0, 1.0, 2.0, 4.0), ((FREE, FREE), (FREE, UP), (FREE, FREE)), (), 1, 0, (0, order)
+        )
+        assert held.emptied(1).touching(1, UP) == ([1.5] if left else [])
+    start = PhaseStructure((0.0, 1.0, 4.0), ((FREE, UP), (FREE, FREE)), (), 1, 0, (0, 2))
+    assert start.emptied(0).touching(1, UP) == []
+    beside = PhaseStructure((0.0, 1.0, 2.0, 4.0), ((FREE, UP), (FREE, LOW), (FREE, FREE)), (), 1, 0, (0, 2))
+    assert beside.emptied(1).touching(1, LOW) == []
+
+
+def test_touches_change_places_with_their_switches() -> None:
+    kinds = ((LOW, LOW, FREE), (UP, LOW, FREE), (UP, UP, FREE))
+    before = PhaseStructure((0.0, 1.0, 2.0, 4.0), kinds, (), 2, 0, (0, 0, 2), ((), ((2, UP),), (), ()))
+    swapped = before.swapped(1)
+    assert swapped is not None and swapped.touches == ((), (), ((2, UP),), ())
+    assert before.touching(2, UP) == [1.0] and swapped.touching(2, UP) == [2.0]
+
+
+def test_kinks_are_where_limits_are_entered_or_left_without_a_touch() -> None:
+    held = PhaseStructure((0.0, 1.0, 2.0, 4.0), ((FREE, FREE), (FREE, UP), (FREE, FREE)), (), 1, 0, (0, 2))
+    assert [held.kinked(k) for k in (1, 2)] == [True, True] and [held.on_contact(k) for k in range(3)] == [
+        0,
+        1,
+        0,
+    ]
+    assert not PhaseStructure((0.0, 1.0, 2.0), ((FREE, LOW), (FREE, UP)), (), 1, 0, (0, 2)).kinked(1)
+    assert not PhaseStructure((0.0, 1.0, 2.0), ((FREE, FREE), (FREE, UP)), (), 1, 0, (0, 0)).kinked(1)
+    both = PhaseStructure((0.0, 1.0, 2.0), ((LOW, FREE), (UP, UP)), (), 1, 0, (0, 2))
+    assert not both.kinked(1)
+    touch = PhaseStructure(
+        (0.0, 1.0, 2.0), ((FREE, FREE), (FREE, UP)), (), 1, 0, (0, 2), ((), ((1, UP),), ())
+    )
+    assert not touch.kinked(1)

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import gnc_opt as go
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure import switching
 from gnc_opt.refine.structure.detect import detect
-from gnc_opt.refine.structure.newton import _independent, settle
+from gnc_opt.refine.structure.newton import _independent, settle, settle_flow
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from problems.rendezvous import SWITCHES, build
 
@@ -165,3 +166,87 @@ def test_refinement_then_needs_one_pass() -> None:
     refined = go.refine(go.solve(oscillator(), mesh="20x3", tol=None))
     assert refined.history is not None and refined.history.converged
     assert len(refined.history.passes) <= 2
+
+
+# --- as a guess, and by itself ----------------------------------------------------------------------------
+
+
+def measured() -> go.Problem:
+    """A cart from 4 m in least time that adds up where it is: 8 m s."""
+    problem = carts(4.0)
+    leg = problem.phases["leg"]
+    leg.integral(leg.model.symbol("q")[0], name="area")
+    return problem
+
+
+def test_a_guess_has_the_integrals_costates_and_multipliers_of_the_flow() -> None:
+    solution = go.solve(measured(), mesh="8x3", tol=None)
+    _, guess = settle(solution, structure([0.0, 1.5, 4.5], LOWER, UPPER)) or pytest.fail("does not settle")
+    leg = guess.phase("leg")
+    assert leg.integral("area") == pytest.approx(8.0, abs=1e-5)
+    assert (leg.initial_time, leg.final_time) == pytest.approx((0.0, 4.0), abs=1e-6)
+    assert leg.breaks[[0, -1]] == pytest.approx([0.0, 4.0], abs=1e-6)
+    assert np.asarray(leg.mesh.breaks) * 4 == pytest.approx(leg.breaks, abs=1e-6)
+    middles = 0.5 * (leg.breaks[1:] + leg.breaks[:-1])
+    assert leg.u(middles)[0] == pytest.approx(np.where(middles < 2, -1.0, 1.0))
+    assert leg.lam_start == pytest.approx(leg.lam(leg.breaks[:-1]), abs=1e-9)
+    assert leg.lam_end == pytest.approx(leg.lam(leg.breaks[1:], "left"), abs=1e-9)
+    assert leg.point_costates == pytest.approx(leg.lam(leg.point_times), abs=1e-6)
+    assert leg.control_multipliers.shape == (1, leg.mesh.size) and not leg.state_impulses.any()
+    # Flown with its own control it ends where it says.
+    assert go.verify(guess)["dynamics"].result is go.Result.PASS
+
+
+def test_conditions_and_costs_at_the_ends_count() -> None:
+    """As far as possible from rest to rest in 6 s, where the rest is a constraint: lam_q = -1, lam_v = t - 3, nu = 3.
+
+    The integral of a^2, constant for |a| = 1, is there to be carried along.
+    """
+    model = go.Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("far")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 6.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.constrain("stop", leg.final_state("v"), equals=0.0)
+    problem.minimize(leg.integral(a**2) / 8 - leg.final_state("q"))
+    solution = go.solve(problem, mesh="9x3", tol=None)
+    start = structure([0.0, 2.0, 6.0], UPPER, LOWER)
+    found, guess = settle(solution, start) or pytest.fail("does not settle")
+    assert found.times == pytest.approx([0.0, 3.0, 6.0], abs=1e-6)
+    assert guess.constraint_multipliers == pytest.approx([3.0], abs=1e-5)
+    t = np.linspace(0.0, 6.0, 7)
+    assert guess.phase("leg").lam(t) == pytest.approx(np.stack([-1 + 0 * t, t - 3]), abs=1e-5)
+
+
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-9])
+def test_the_flow_itself_is_as_accurate_as_it_is_told_to_be(accuracy: float) -> None:
+    """v' = a - v^2 / 10, rest to rest over 1 m: SciPy's own answer, to the accuracy and its root."""
+    model = go.Model("dragged")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a - 0.1 * v**2})
+    problem = go.Problem("dragged")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    # v = r tanh(t / r) with r = sqrt(10), then v = r tan((t_f - t) / r), the top speed w being the same.
+    r = np.sqrt(10.0)
+
+    def length(w: float) -> float:
+        return float(-5 * np.log(1 - w**2 / 10) + 5 * np.log(1 + w**2 / 10))
+
+    w = float(brentq(lambda w: length(w) - 1.0, 0.1, 2.0, xtol=1e-15))
+    switch, end = r * np.arctanh(w / r), r * np.arctanh(w / r) + r * np.arctan(w / r)
+    solution = go.solve(problem, mesh="5x3", tol=None)
+    found, guess = settle_flow(solution, structure([0.0, 0.9, 2.1], UPPER, LOWER), accuracy) or pytest.fail()
+    assert found.times[2] == pytest.approx(end, rel=2 * accuracy)
+    assert found.times[1] == pytest.approx(switch, abs=2 * np.sqrt(accuracy) * end)
+    assert guess.phase().x(guess.phase().breaks[-1], "left") == pytest.approx(
+        [1.0, 0.0], abs=10 * np.sqrt(accuracy)
+    )
+    assert settle_flow(solution, structure([0.0, 0.9, 2.1], INTERIOR, LOWER), accuracy) is None

@@ -24,7 +24,7 @@ MESH = SimpleNamespace(leg=SimpleNamespace(breaks=np.array([0.0, 1.0, 10.0])))
 def free(order: int, pieces: int = 1, touches: Any = ()) -> PhaseStructure:
     """One control and one state from 0 to 10 s."""
     times = tuple(float(t) for t in np.linspace(0.0, 10.0, pieces + 1))
-    return PhaseStructure(times, ((FREE, FREE),) * pieces, (), 1, 0, (0, order), touches)
+    return PhaseStructure(times, ((FREE, FREE),) * pieces, (), 1, 0, (0, order), touches, ((), (0,)))
 
 
 def run(times: Any, worth: Any, kind: ArcKind = UP) -> c._Run:
@@ -158,13 +158,35 @@ def test_values_derivatives_and_gradients_of_rows() -> None:
 
 def test_orders_count_where_limits_and_regular_controls_are() -> None:
     here = constraints(falling, steady, jumping, state_bounds=interval([-np.inf, 3], [4, 3]))
-    regular = np.array([True])
-    assert [here.order(row, regular) for row in range(3)] == [1, 2, 0]  # what is fixed is no contact
-    assert [here.order(row, ~regular) for row in range(3)] == [0, 0, 0]
+    assert [here.order(row) for row in range(3)] == [1, 2, 0]  # what is fixed is no contact
+    assert [here.holders(row) for row in range(3)] == [(0,)] * 3
     free_ = constraints(falling, steady, jumping)
-    assert [free_.order(row, regular) for row in range(3)] == [1, 0, 0]
+    assert [free_.order(row) for row in range(3)] == [1, 0, 0]
     lower = constraints(falling, steady, jumping, state_bounds=interval([-1, -np.inf], [np.inf, 9]))
-    assert [lower.order(row, regular) for row in range(3)] == [1, 2, 1]
+    assert [lower.order(row) for row in range(3)] == [1, 2, 1]
+
+
+@pytest.mark.parametrize(("kind", "order", "stays"), [(FREE, 1, True), (UP, 1, False), (UP, 2, False)])
+def test_an_arc_takes_a_control_that_is_free(kind: ArcKind, order: int, stays: bool) -> None:
+    """With the control on its own limit a constraint of second order touches, and one of first order cannot."""
+    held = PhaseStructure((0.0, 10.0), ((kind, FREE),), (), 1, 0, (0, order), (), ((), (0,)))
+    pushes = run(np.linspace(2.0, 8.0, 7), [1, 1, 1, 1, 1, 1, 1])
+    assert pushes.possible(held) == (stays or order > 1)
+    if pushes.possible(held):
+        added = pushes.added(held, MESH)  # type: ignore[arg-type]
+        assert (ArcKind.UPPER in {kinds[1] for kinds in added.kinds}) == stays
+        assert bool(added.touching(1, UP)) != stays
+
+
+@pytest.mark.parametrize(("start", "begins"), [(2.0, 2.0), (2.9, 2.9), (1.0, 2.5)])
+def test_an_arc_begins_where_its_control_leaves_a_bound(start: float, begins: float) -> None:
+    """Within two segments of the mesh: there the control jumps to where it holds the limit."""
+    kinds = ((UP, FREE), (ArcKind.SINGULAR, FREE))
+    held = PhaseStructure((0.0, start, 10.0), kinds, (), 1, 0, (0, 1), (), ((), (0,)))
+    fine = SimpleNamespace(leg=SimpleNamespace(breaks=np.linspace(0.0, 10.0, 21)))
+    added = run([2.0, 3.0, 4.0, 5.0], [0, 1, 1, 1]).added(held, fine)  # type: ignore[arg-type]
+    (arc,) = [a for a in added.arcs("leg", ("u", "x")) if a.channel == "x"]
+    assert arc.start == begins
 
 
 def test_a_touch_whose_limit_would_have_to_pull_is_wrong() -> None:
@@ -207,7 +229,7 @@ def test_a_junction_moves_to_where_the_derivative_of_the_interior_arc_vanishes(
 def test_where_a_constraint_is_left() -> None:
     """h exceeds 3 m between 1 and 3 s, by a quarter of its 4 m at most."""
     here = constraints(falling, steady, jumping, state_bounds=interval([-1, -np.inf], [3, np.inf]))
-    structure = PhaseStructure((0.0, 4.0), ((FREE,) * 4,), (), 1, 1, (0, 1, 2, 0))
+    structure = PhaseStructure((0.0, 4.0), ((FREE,) * 4,), (), 1, 1, (0, 1, 2, 0), (), ((), (0,), (0,), ()))
     found = [r for r in c._excesses(here, structure) if r.row == 2]
     assert {r.kind for r in found} == {UP} and found[0].times[0] == pytest.approx(1.0, abs=0.05)
     times, worth = (np.concatenate([getattr(r, name) for r in found]) for name in ("times", "worth"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -420,6 +421,24 @@ def test_costates_count_in_shares_of_the_cost() -> None:
     assert s._finer(pushed, plan, 1e-9) is None
 
 
+def test_multipliers_along_a_contact_are_rough_and_do_not_count() -> None:
+    """lam_q' = 1 where 0 is right, in both pieces; along the second one a state constraint is held. Dynamics count."""
+    contact = PhaseStructure(
+        (0.0, 0.5, 1.0),
+        ((FREE,) * 5, (FREE, FREE, FREE, UP, FREE)),
+        n_controls=1,
+        n_paths=2,
+        orders=(0, 0, 0, 2, 0),
+    )
+    plan = Plan(contact, (Resolution(1, 4), Resolution(1, 4)))
+    wrong = samples(CART, lam=lambda t, k: [-12 + t, -6 + 12 * t - 0.5 * t**2])
+    found = s._finer(wrong, plan, 1e-9)
+    assert found is not None and [r.degree for r in found.resolutions] == [7, 4]
+    bent = samples(CART, lambda t, k: [3 * t**2 - 2 * t**3, 6 * t - 6 * t**2 + 0.4 * k * (t - 0.5)])
+    found = s._finer(bent, plan, 1e-9)
+    assert found is not None and [r.degree for r in found.resolutions] == [4, 7]
+
+
 def test_an_open_gradient_of_a_singular_control_asks_for_a_higher_degree() -> None:
     plan = plan_of(
         Resolution(1, 4, 4),
@@ -436,6 +455,9 @@ def test_an_open_gradient_of_a_singular_control_asks_for_a_higher_degree() -> No
     assert finer.resolutions[1].gradient == pytest.approx(share, rel=1e-3)
     bang = plan_of(Resolution(1, 4), Resolution(1, 4))
     assert s._open_gradient(found, bang).tolist() == [0.0, 0.0]
+
+
+TWO_ROWS = PhaseStructure((0.0, 0.5, 1.0), ((LOW,) + (FREE,) * 4, (UP,) + (FREE,) * 4), (), 1, 2)
 
 
 # --- the loop ---------------------------------------------------------------------------------------------
@@ -463,6 +485,7 @@ def test_a_mesh_is_refined_once_beyond_a_small_error() -> None:
     assert not s._resolved([raised], 1e-9)
     assert not s._resolved([record(1e-8, s.RAISED), raised], 1e-9)
     assert not s._resolved([raised, record(1e-10, s.KINKS_MOVED)], 1e-9)
+    assert s._resolved([record(1.0, s.KINKS_MOVED), record(1.0, s.RAISED), raised, raised], 1e-9)
 
 
 @pytest.fixture
@@ -510,6 +533,35 @@ def test_how_the_loop_ends(scripted: Any, script: Any, passes: int, status: str,
         assert found.objective == len(script) and history.chosen == len(script) - 1
 
 
+@pytest.mark.parametrize(("tol", "asked"), [(1e-3, s.FINEST), (1e-12, 1e-12)])
+def test_what_was_detected_is_tried_after_a_structure_that_fails(
+    monkeypatch: pytest.MonkeyPatch, tol: float, asked: float
+) -> None:
+    problem = cart()
+    base, other = solution(problem, phase(problem)), solution(problem, phase(problem))
+    told, calls = {"leg": Plan.of(TWO_ROWS)}, []
+
+    def loop(
+        problem: Any, guess: Any, plans: Any, tol: float, limits: Any, options: SolverOptions, *_: Any
+    ) -> Any:
+        calls.append((guess, plans, tol, limits.passes, options.tolerance))
+        return RefinementStatus.FAILED
+
+    monkeypatch.setattr(s, "_settled", lambda *_: (other, told))
+    monkeypatch.setattr(s, "_loop", loop)
+    found, history = s.optimise_switches(base, tol=tol, max_passes=7, structures={"leg": TWO_ROWS})
+    assert found is base and history.status is RefinementStatus.FAILED and history.tolerance == tol
+    assert [(c[0] is other, c[0] is base, *c[2:]) for c in calls] == [
+        (True, False, asked, 7, s.TIGHT),
+        (False, True, asked, 7, s.TIGHT),
+    ]
+    assert calls[0][1] is told and calls[1][1]["leg"].structure == TWO_ROWS
+    monkeypatch.setattr(s, "_settled", lambda *_: (base, told))
+    calls.clear()
+    s.optimise_switches(base, structures={"leg": TWO_ROWS})
+    assert len(calls) == 1  # the same guess would fail again
+
+
 def test_solves_of_the_loop_are_sharp_and_brief(scripted: Any) -> None:
     _, history, (options,) = scripted([(Status.OPTIMAL, "")])
     assert (options.tolerance, options.max_iterations) == (s.TIGHT, s.MOST_ITERATIONS)
@@ -541,8 +593,9 @@ def improved(monkeypatch: pytest.MonkeyPatch, **answers: Any) -> tuple[dict[str,
     monkeypatch.setattr(s, "_collapse", step("collapse", lambda *_: (None, "")))
     monkeypatch.setattr(s, "_adjust", step("adjust", lambda plan, tol: (plan, "")))
     monkeypatch.setattr(s, "_complete", step("complete", lambda *_: (None, "")))
-    for contacts in ("_mended_contacts", "crossed_contact"):
-        monkeypatch.setattr(s, contacts, lambda *_: (None, ""))
+    monkeypatch.setattr(s, "_saturated", step("saturate", lambda *_: (None, "")))
+    monkeypatch.setattr(s, "_mended_contacts", step("mended", lambda *_: (None, "")))
+    monkeypatch.setattr(s, "crossed_contact", step("crossed", lambda *_: (None, "")))
     return s._improve(there, plans, set(), 1e-9)
 
 
@@ -563,11 +616,53 @@ def test_what_vanishes_is_mended_first_then_kinks_and_points_then_what_is_missin
     assert plans["b"].points == 7.0
     plans, action = improved(monkeypatch, adjust=adjust, complete=add)
     assert (action, plans["b"]) == ("r", finer) and plans["a"].structure is THREE
+    plans, action = improved(monkeypatch, saturate={"a": (other, "saturated"), "b": None}, adjust=adjust)
+    assert (action, plans["a"].structure, plans["a"].points) == ("saturated", other, 7.0)
     plans, action = improved(monkeypatch, complete=add)
     assert (action, plans["a"].structure, plans["a"].points) == ("added", other, 7.0)
+    plans, action = improved(monkeypatch, collapse=drop, mended=add, adjust=adjust)
+    assert action == "dropped"
+    plans, action = improved(monkeypatch, mended=add, adjust=adjust, complete=drop)
+    assert (action, plans["a"].structure, plans["a"].points, plans["b"].structure) == (
+        "added",
+        other,
+        7.0,
+        THREE,
+    )
+    crossed = {"a": None, "b": (other, "crossed")}
+    plans, action = improved(monkeypatch, crossed=crossed)
+    assert (action, plans["b"].structure, plans["b"].points) == ("crossed", other, 7.0)
+    assert improved(monkeypatch, complete=add, crossed=crossed)[1] == "added"
+    assert improved(monkeypatch, adjust=adjust, crossed=crossed)[1] == "r"
     both = {"a": (finer, "r"), "b": (finer, "r")}
     assert improved(monkeypatch, adjust=both)[1] == "r"
     assert improved(monkeypatch, adjust={"a": (finer, "r"), "b": (finer, "k")})[1] == "r, k"
+
+
+@pytest.mark.parametrize(
+    ("error", "gradient", "wanted"),
+    [
+        (1e-3, 1e-2, Resolution(3, 6, 8, 1e-2)),  # a polynomial that is no guess of the control comes first
+        (1e-2, 1e-3, Resolution(2, 9, 4)),
+        (1e-6, 1e-5, Resolution(2, 9, 4)),  # then the states,
+        (1e-10, 1e-5, Resolution(3, 6, 8, 1e-5)),  # then the last digits of the control
+        (1e-10, 1e-10, Resolution(2, 6, 4)),
+    ],
+)
+def test_what_is_worse_is_raised(error: float, gradient: float, wanted: Resolution) -> None:
+    assert s._next_resolution(Resolution(2, 6, 4), error, gradient, 1e-9) == wanted
+
+
+@pytest.mark.parametrize(
+    ("action", "error", "rests"),
+    [("resolution raised", 1e-9, True), ("resolution raised", 1e-7, False), ("kinks moved", 1e-9, False)],
+)
+def test_at_a_limit_a_structure_that_is_accurate_enough_rests(action: str, error: float, rests: bool) -> None:
+    limits = s._Limits(1e-8, 1, 1000, 1.0, math.inf)
+    record = Pass({}, {}, error, "", 1.0, True, 3, 0.1, action)
+    status = s._limited([record], limits, RefinementStatus.WORK_LIMIT)
+    assert status is (RefinementStatus.CONVERGED if rests else RefinementStatus.WORK_LIMIT)
+    assert s._limited([], limits, RefinementStatus.PASS_LIMIT) is RefinementStatus.PASS_LIMIT
 
 
 @pytest.mark.parametrize(
@@ -598,3 +693,75 @@ def test_arcs_of_all_phases_have_the_names_of_their_rows() -> None:
     structure = PhaseStructure((0.0, 1.0), ((UP, FREE, LOW, FREE, FREE),), (), 1, 2)
     found = s._arcs(solution(problem, phase(problem)), {"leg": Plan.of(structure)})
     assert found == (Arc("leg", "a", UP, 0.0, 1.0), Arc("leg", "pure", LOW, 0.0, 1.0))
+
+
+TOUCHED = PhaseStructure(
+    (0.0, 1.0, 2.0, 4.0), ((LOW, FREE), (LOW, UP), (LOW, FREE)), (), 1, 0, (0, 2), ((), (), ((1, UP),), ())
+)
+
+
+@pytest.mark.parametrize(
+    ("loose", "moved", "touches", "action"),
+    [
+        (False, None, True, "limits beside touches released"), (True, None, True, "resolution raised"),
+        (False, (0.0, 1.5, 2.0, 4.0), True, "kinks moved, resolution raised"),
+        (False, None, False, "resolution raised"),
+    ],
+)  # fmt: skip
+def test_limits_beside_touches_are_released_before_a_mesh_is_refined(
+    monkeypatch: pytest.MonkeyPatch, loose: bool, moved: Any, touches: bool, action: str
+) -> None:
+    structure = TOUCHED if touches else replace(TOUCHED, touches=((),) * 4)
+    plan = Plan(structure, (Resolution(),) * 3, 7.0, loose)
+    raised = replace(plan, resolutions=(Resolution(2),) * 3)
+    monkeypatch.setattr(s, "move_kinks", lambda *_: None if moved is None else structure.at(moved))
+    monkeypatch.setattr(s, "_finer", lambda *_: raised)
+    found, what = s._adjust(SimpleNamespace(samples=LEG), plan, 1e-9)  # type: ignore[arg-type]
+    assert what == action and found.loose is (loose or action.startswith("limits"))
+    assert found.resolutions == (plan if action.startswith("limits") else raised).resolutions
+
+
+def test_an_arc_on_a_limit_that_shrinks_to_nothing_leaves_a_touch(monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = Plan(replace(TOUCHED, touches=((),) * 4), (Resolution(),) * 3, 7.0)
+    monkeypatch.setattr(s, "move_kinks", lambda *_: plan.structure.at((0.0, 1.5, 1.5, 4.0)))
+    monkeypatch.setattr(s, "_finer", lambda *_: None)
+    found, what = s._adjust(SimpleNamespace(samples=LEG), plan, 1e-9)  # type: ignore[arg-type]
+    assert what == "piece 2 dropped" and found.points == 7.0
+    assert found.structure.touching(1, UP) == [1.5] and found.structure.kinds == ((LOW, FREE),) * 2
+
+
+@pytest.mark.parametrize(
+    ("added", "wrong", "action"),
+    [
+        (True, (2, 1), "added"),
+        (True, None, "added"),
+        (False, (2, 1), "touch at 2 s dropped"),
+        (False, None, ""),
+    ],
+)
+def test_a_contact_that_is_missing_comes_before_a_touch_that_pulls(
+    monkeypatch: pytest.MonkeyPatch, added: bool, wrong: Any, action: str
+) -> None:
+    monkeypatch.setattr(s, "pushed_contact", lambda *_: (THREE, "added") if added else (None, ""))
+    monkeypatch.setattr(s, "wrong_touch", lambda *_: wrong)
+    found, what = s._mended_contacts(None, TOUCHED)  # type: ignore[arg-type]
+    assert what == action
+    assert found == (THREE if added else TOUCHED.without_touch(2, 1) if wrong else None)
+
+
+@pytest.mark.parametrize(("away", "settled"), [(5e-11, True), (5e-9, False)])
+def test_ends_of_contacts_are_told_more_sharply_than_kinks(
+    monkeypatch: pytest.MonkeyPatch, away: float, settled: bool
+) -> None:
+    """Both would rest within 1e-8 of the phase, a contact within 1e-10."""
+    contact = PhaseStructure((10.0, 10.5, 11.0), ((FREE,) * 5, (FREE, FREE, FREE, UP, FREE)), (True,) + (False,) * 4, 1,
+                             2, (0, 0, 0, 2, 0))  # fmt: skip
+    plan = Plan(contact, (Resolution(), Resolution()))
+    monkeypatch.setattr(j, "junction_time", lambda *_: 10.5 - away)
+    found = j.move_kinks(SimpleNamespace(samples=None), plan)  # type: ignore[arg-type]
+    assert (found is None) is settled and (settled or found.times == (10.0, 10.5 - away, 11.0))  # type: ignore[union-attr]
+    kink = PhaseStructure(
+        (10.0, 10.5, 11.0), ((FREE,) * 5, (UP, FREE, FREE, FREE, FREE)), (True,) + (False,) * 4, 1, 2
+    )
+    monkeypatch.setattr(j, "_wanted", lambda *_: 10.5 - away)
+    assert j.move_kinks(SimpleNamespace(samples=None), Plan(kink, plan.resolutions)) is None  # type: ignore[arg-type]

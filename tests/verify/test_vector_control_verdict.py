@@ -98,3 +98,25 @@ def test_optimum_passes_and_a_turned_thrust_fails_the_minimum_principle() -> Non
     values = tuple(np.vstack([u[:1], turn @ u[DIRECTION]]) for u in leg.u.values)
     wrong = replace(solution, phases={"leg": replace(leg, u=replace(leg.u, values=values))})
     assert go.verify(wrong)["minimum principle"].result is go.Result.FAIL
+
+
+def test_a_direction_alone_is_judged_to_second_order() -> None:
+    """Against a current, at speed 1 through the water: a magnitude that is fixed has no switch that could vary.
+
+    Across a river of unit speed v < 1 the least time is 1 / sqrt(1 - v^2), steering against the current: sin = v.
+    """
+    model = go.Model("boat")
+    r = model.state("r", 2)
+    u, _ = model.vector_control("u", 2)
+    model.ode({r: u + np.array([0.6, 0.0])})
+    problem = go.Problem("across")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(0.1, 10.0))
+    leg.initial(r=[0.0, 0.0])
+    leg.final(r=[0.0, 1.0])
+    leg.bounds_norm(u=(1.0, 1.0))
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem, mesh="3x4")
+    assert solution.objective == pytest.approx(1 / 0.8, abs=1e-9)
+    assert solution.control("u")(0.5) == pytest.approx([-0.6, 0.8], abs=1e-7)
+    assert go.verify(solution)["second order"].result is go.Result.PASS

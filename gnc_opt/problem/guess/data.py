@@ -53,7 +53,7 @@ def guess_from_data(
     """
     expect(problem, Problem, "what guess_from_data() got", "write guess_from_data(problem, data)")
     leg = problem.get_phase(phase)
-    labels = (*leg.model.states.labels, *leg.model.controls.labels)
+    labels = [label for variable in leg.guessable.values() for label in variable.labels]
     columns: Any = read_columns(Path(data), [time], labels) if isinstance(data, (str, Path)) else data
     if not hasattr(columns, "keys"):
         raise ArgumentError(
@@ -70,24 +70,23 @@ def guess_from_data(
         return read_numbers(columns[name], f"column '{name}' of the guess", ProblemError).reshape(-1)
 
     times, values = column(time), {}
-    for layout in (leg.model.states, leg.model.controls):
-        for variable in layout.variables:
-            given = [label for label in variable.labels if label in known]
-            if not given:
-                continue
-            missing = [label for label in variable.labels if label not in known]
-            if missing:
-                raise ProblemError(
-                    f"the data of guess_from_data() has a column '{given[0]}' and none '{missing[0]}': give all "
-                    f"components of '{variable.name}', or none."
-                )
-            rows = [column(label) for label in given]
-            if any(row.shape != times.shape for row in rows):
-                raise ProblemError(
-                    f"column '{given[0]}' of the guess and its times differ in length, {rows[0].size} and "
-                    f"{times.size}: give equal ones."
-                )
-            values[variable.name] = np.stack(rows)
+    for variable in leg.guessable.values():
+        given = [label for label in variable.labels if label in known]
+        if not given:
+            continue
+        missing = [label for label in variable.labels if label not in known]
+        if missing:
+            raise ProblemError(
+                f"the data of guess_from_data() has a column '{given[0]}' and none '{missing[0]}': give all "
+                f"components of '{variable.name}', or none."
+            )
+        rows = [column(label) for label in given]
+        if any(row.shape != times.shape for row in rows):
+            raise ProblemError(
+                f"column '{given[0]}' of the guess and its times differ in length, {rows[0].size} and "
+                f"{times.size}: give equal ones."
+            )
+        values[variable.name] = np.stack(rows)
     if not values:
         raise ProblemError(
             f"the data of guess_from_data() has no column of a state or control of {leg.where}: name them as "

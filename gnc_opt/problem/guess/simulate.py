@@ -15,7 +15,7 @@ from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.integration import Budget, EndedError, integrate
 from gnc_opt.model.layout import as_vector
 from gnc_opt.model.symbol import as_expression
-from gnc_opt.problem.guess.trajectory import end_values, guess_times
+from gnc_opt.problem.guess.trajectory import end_values, guess_times, put_control
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.tolerances import magnitude
@@ -127,27 +127,32 @@ def _initial(leg: Phase, given: Mapping[str, ArrayLike]) -> Array:
 
 def _law(problem: Problem, leg: Phase, controls: Mapping[str, Any]) -> Callable[[float, Array], Array]:
     """Return the controls as a function of t and x, within their bounds."""
-    layout, box = leg.model.controls, leg.numbers.controls
-    expressions = [ca.SX(value) for value in box.middle]
-    timed: list[tuple[slice, int, Callable[[float], Any], str]] = []
+    model, box = leg.model, leg.numbers.controls
+    sizes = {name: v.size for name, v in leg.guessable.items() if name not in model.states}
+    timed: dict[str, Callable[[float], Any]] = {}
+    expressions: dict[str, Any] = {}
     for name, value in controls.items():
-        if name not in layout:
-            raise unknown_name("control", name, f"the law of simulate_guess() for {leg.where}", layout.names)
-        rows, size = layout.slice(name), layout[name].size
+        if name not in sizes:
+            raise unknown_name("control", name, f"the law of simulate_guess() for {leg.where}", sizes)
         what = f"the law of '{name}' for {leg.where}"
         if callable(value) and not isinstance(value, ca.SX):
-            timed.append((rows, size, value, what))
+            timed[name] = value
             continue
         if not isinstance(value, (ca.SX, list)):
-            value = ca.SX(as_vector(value, size, what))
-        expressions[rows] = ca.vertsplit(as_expression(value, what, size, ProblemError))
-    function = _function(problem, leg, ca.vertcat(*expressions), "the law of simulate_guess()")
+            value = ca.SX(as_vector(value, sizes[name], what))
+        expressions[name] = as_expression(value, what, sizes[name], ProblemError)
+    stacked = ca.vertcat(ca.SX(0, 1), *expressions.values())
+    function = _function(problem, leg, stacked, "the law of simulate_guess()")
+    ends = np.cumsum([sizes[name] for name in expressions], dtype=int)
 
     def law(t: float, x: Array) -> Array:
-        u = function(t, x)
-        for rows, size, signal, what in timed:
-            u[rows] = as_vector(signal(t), size, f"{what} at t = {t:.4g} s")
-        return np.clip(u, box.lower, box.upper)
+        values = dict(zip(expressions, np.split(function(t, x), ends), strict=False))
+        for name, signal in timed.items():
+            values[name] = as_vector(signal(t), sizes[name], f"the law of '{name}' at t = {t:.4g} s")
+        u = box.middle[:, None].copy()
+        for name, value in values.items():
+            put_control(model, u, name, value[:, None])
+        return np.clip(u[:, 0], box.lower, box.upper)
 
     return law
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array
+from gnc_opt.model.model import Model
 from gnc_opt.problem.guess.values import sample_guess
 from gnc_opt.problem.interval import Interval, intersect
 from gnc_opt.problem.phase import Phase
@@ -50,17 +51,23 @@ def start_phase(leg: Phase, fractions: Array, *, perturbed: bool = True) -> Phas
         controls += perturbation(numbers.controls, fractions)
     for name, value in numbers.guess.values.items():
         what = f"the guess of '{name}' in {leg.where}"
-        composed = model.composed_controls.get(name)
-        layout, rows = (model.states, states) if name in model.states else (model.controls, controls)
-        size = (composed.variable if composed else layout[name]).size
-        values = sample_guess(value, size, at, fractions, numbers.guess.time, what)
-        if composed is None:
-            rows[layout.slice(name)] = values
-            continue
-        for part, own in zip(composed.parts, composed.decompose(values), strict=True):
-            place = layout.slice(part)
-            rows[place] = np.where(np.isnan(own), rows[place], own)
+        values = sample_guess(value, leg.guessable[name].size, at, fractions, numbers.guess.time, what)
+        if name in model.states:
+            states[model.states.slice(name)] = values
+        else:
+            put_control(model, controls, name, values)
     return PhaseStart(times, states, controls)
+
+
+def put_control(model: Model, controls: Array, name: str, values: Array) -> None:
+    """Write values (size, N) of one control into those of all (m, N); of a composed one, into those of its parts."""
+    composed = model.composed_controls.get(name)
+    if composed is None:
+        controls[model.controls.slice(name)] = values
+        return
+    for part, own in zip(composed.parts, composed.decompose(values), strict=True):
+        place = model.controls.slice(part)
+        controls[place] = np.where(np.isnan(own), controls[place], own)
 
 
 def guess_times(leg: Phase) -> Array:
@@ -79,7 +86,10 @@ def guess_times(leg: Phase) -> Array:
 
 
 def end_values(leg: Phase) -> tuple[Array, Array]:
-    """Return guessed initial and final states; a free end takes the value of the other one."""
+    """Return guessed initial and final states; a free end takes the value of the other one.
+
+    States that are free at both ends stay where a link takes them from, if one does.
+    """
     numbers = leg.numbers
     values = []
     for here, there in ((numbers.initial, numbers.final), (numbers.final, numbers.initial)):
@@ -87,7 +97,25 @@ def end_values(leg: Phase) -> tuple[Array, Array]:
         open_here = ~np.isfinite(here.lower) & ~np.isfinite(here.upper)
         known_there = np.isfinite(there.lower) | np.isfinite(there.upper)
         values.append(np.where(open_here & known_there, other.middle, box.middle))
+    _hand_over(leg, *values)
     return values[0], values[1]
+
+
+def _hand_over(leg: Phase, first: Array, last: Array) -> None:
+    """Write the guessed ends of earlier phases where a state is free at both ends."""
+    numbers = leg.numbers
+    ends = np.stack([numbers.initial.lower, numbers.initial.upper, numbers.final.lower, numbers.final.upper])
+    free = np.all(~np.isfinite(ends), axis=0)
+    for variable in leg.model.states.variables:
+        rows, handed = leg.model.states.slice(variable.name), leg.handed_over(variable.name)
+        if handed is None or not np.all(free[rows]):
+            continue
+        before, jump = handed
+        end = start_phase(before, np.ones(1), perturbed=False).states[
+            before.model.states.slice(variable.name), 0
+        ]
+        box = numbers.states
+        first[rows] = last[rows] = np.clip(end + jump, box.lower[rows], box.upper[rows])
 
 
 def perturbation(bounds: Interval, fractions: Array) -> Array:

@@ -14,6 +14,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean, unknown_name, warn_user
+from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.model.layout import Layout
 from gnc_opt.problem.functions import phase_functions
 from gnc_opt.problem.phase import Phase
@@ -372,13 +373,11 @@ def _rate_changes(
         time_changes[None, :],
         moved[collocation.point_states],
         moved[collocation.point_controls],
-        np.tile(change.numbers[offset : offset + p.size, None], times.size),
-        np.tile(moved[point.transcription.parameter_places][:, None], times.size),
+        change.numbers[offset : offset + p.size],
+        moved[point.transcription.parameter_places],
     ]
-    wide = [np.tile(v[:, None], times.size) for v in (p, q)]
-    change_of_f = np.asarray(
-        _rate_derivative(problem, own)(times[None, :], x, u, *wide, *directions).full()
-    ).reshape(x.shape)
+    derivative = _rate_derivative(problem, own)
+    change_of_f = evaluate_columns(derivative, times.size, times[None, :], x, u, p, q, *directions)
     return np.asarray(spans * change_of_f + stretch * functions.rates(times, x, u))
 
 

@@ -8,6 +8,11 @@ on the time; so an entry is kept where it is during a solve, in which the constr
 then moves to where :math:`S^{(q)}` of the interior arc vanishes. Since states and costates are wrong in second order
 only, repeating this converges quadratically.
 
+A control that enters H linearly jumps to where it holds the limit, and back (McDanell & Powers, SIAM J. Control 9(2),
+1971). The times of such an arc are variables, as those of switches; it begins with
+:math:`S = \dots = S^{(q-1)} = 0`. Where all controls of :math:`S^{(q)}` are on limits of their own there are touches
+only.
+
 The time of a touch, of order two or more, is a variable: with :math:`S = \dot S = 0` there the cost has a strict
 minimum at the time at which the multiplier of :math:`\dot S = 0` vanishes, so that the costate jumps along
 :math:`\partial S/\partial x` alone.
@@ -24,7 +29,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.evaluation import evaluate
 from gnc_opt.problem.arc import ArcKind
-from gnc_opt.problem.constraint_order import constraint_order
+from gnc_opt.problem.constraint_order import ConstraintOrder, constraint_order
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import states_at_points
@@ -43,6 +48,9 @@ PUSHING = 1e-3
 
 WORTH = 1e-5
 """... if that is worth this share of the cost."""
+
+SHORT = 2.0
+"""Closer than so many segments, an arc begins or ends where a control that holds it switches."""
 
 FEW = 5
 """A contact of second order over no more nodes than this is a touch to begin with."""
@@ -89,15 +97,21 @@ class StateConstraints:
         """How far each row moves."""
         return np.concatenate([self.samples.path_scale, self.samples.state_scale])
 
-    def order(self, row: int, regular: Mask) -> int:
-        """Return the order of a row if controls in which H is strictly convex (m,) hold it on its limit, else 0."""
+    def order(self, row: int) -> int:
+        """Return the order of a row whose contacts are looked for, else 0."""
         if not self.bounds.lower[row] < self.bounds.upper[row]:
             return 0
         if not np.isfinite([self.bounds.lower[row], self.bounds.upper[row]]).any():
             return 0
-        found = constraint_order(self.problem, self.problem.phases[self.samples.leg.name], row)
-        held = bool(found.controls) and all(regular[i] for i in found.controls)
-        return found.order if held and found.order and found.order <= MOST_ORDER else 0
+        order = self._found(row).order or 0
+        return order if order <= MOST_ORDER else 0
+
+    def holders(self, row: int) -> tuple[int, ...]:
+        """Return the controls that can hold a row on its limit."""
+        return self._found(row).controls
+
+    def _found(self, row: int) -> ConstraintOrder:
+        return constraint_order(self.problem, self.problem.phases[self.samples.leg.name], row)
 
     def values(self, times: Array, x: Array, u: Array) -> Array:
         """Return all rows, (n_rows, n_times)."""
@@ -136,12 +150,12 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
     simple junctions (Jacobson, Lele & Speyer, 1971).
     """
     constraints, first = StateConstraints(problem, samples), len(structure.controls)
-    regular = np.asarray(structure.regular[:first], dtype=bool)
     held = [any(kinds[first + row].at_limit for kinds in structure.kinds) for row in range(constraints.size)]
-    orders = [0 if held[row] else constraints.order(row, regular) for row in range(constraints.size)]
+    orders = [0 if held[row] else constraints.order(row) for row in range(constraints.size)]
     if not any(orders):
         return structure
-    structure = replace(structure, orders=(*(0,) * first, *orders))
+    holders = [constraints.holders(row) if order else () for row, order in enumerate(orders)]
+    structure = replace(structure, orders=(*(0,) * first, *orders), holders=(*((),) * first, *holders))
     for run in _runs_of_pushes(constraints, structure):
         structure = run.added(structure, samples)
     return structure
@@ -169,12 +183,16 @@ class _Run:
         """Return the structure with the contacts of the nodes."""
         runs, order = _runs(self.worth > 0), structure.orders[self.row]
         first, last = samples.leg.breaks[[0, -1]]
+        free = self._free(structure)
         beside = [t for t in structure.touching(self.row, self.kind) if self.times[0] <= t <= self.times[-1]]
-        if order == 2 and (runs[-1][1] - runs[0][0] > FEW or beside):  # between its ends an arc need not push
+        if (
+            order == 2 and free and (runs[-1][1] - runs[0][0] > FEW or beside)
+        ):  # between its ends an arc need not push
             runs, order = [(runs[0][0], runs[-1][1])], 1
         for a, b in runs:
             if order == 1:
                 start, end = self._between(a, first), self._between(b, last)
+                start, end = (self._switch(structure, t, samples) for t in (start, end))
                 structure = structure.with_arc(
                     self.row, float(min([start, *beside])), float(max([end, *beside])), self.kind
                 )
@@ -183,6 +201,30 @@ class _Run:
             if first < time < last:
                 structure = structure.with_touch(self.row, time, self.kind)
         return structure
+
+    def possible(self, structure: PhaseStructure) -> bool:
+        """Whether it can be a contact: one of first order stays on its limit, which takes a control that is free."""
+        return structure.orders[self.row] > 1 or bool(self._free(structure))
+
+    def _free(self, structure: PhaseStructure) -> list[int]:
+        """Controls that can hold the constraint and are on no limit of their own at the worst node."""
+        worst = self.times[int(np.argmax(self.worth))]
+        kinds = structure.kinds[
+            int(np.clip(np.searchsorted(structure.times, worst) - 1, 0, structure.pieces - 1))
+        ]
+        return [i for i in structure.holders[self.row] if not kinds[i].at_limit]
+
+    def _switch(self, structure: PhaseStructure, time: float, samples: PhaseSamples) -> float:
+        """Where a control that holds the constraint switches close by, or the time itself: it does that to hold it."""
+        breaks = samples.leg.breaks
+        segment = int(np.clip(np.searchsorted(breaks, time) - 1, 0, breaks.size - 2))
+        reach = SHORT * float(breaks[segment + 1] - breaks[segment])
+        switches = [
+            structure.times[k]
+            for k in range(1, structure.pieces)
+            if any(i in structure.holders[self.row] for i in structure.changes(k)) and not structure.kinked(k)
+        ]
+        return min((t for t in switches if abs(t - time) < reach), key=lambda t: abs(t - time), default=time)
 
     def _between(self, node: int, end: float) -> float:
         """Time between a node and the one before; beyond the first and last, the phase's end if that is next."""
@@ -199,7 +241,7 @@ def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) ->
     """Where constraints push that determine a control, but for the contacts of the structure."""
     s, first = constraints.samples, len(structure.controls)
     times, values, pushes = _at_nodes(constraints)
-    found = []
+    found: list[_Run] = []
     for row in np.flatnonzero(structure.orders[first:]):
         known = structure.contact(first + int(row), times)
         for kind, limit in (
@@ -212,7 +254,7 @@ def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) ->
             worth = np.where(counts, worth, 0.0)
             runs = [(a, b) for a, b in _runs(near) if np.any(worth[a:b] > 0)]
             found += [_Run(first + int(row), kind, times[a:b], worth[a:b]) for a, b in runs]
-    return found
+    return [run for run in found if run.possible(structure)]
 
 
 def _at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
@@ -311,7 +353,7 @@ def _excesses(constraints: StateConstraints, structure: PhaseStructure) -> list[
     """Samples at which constraints are left beside their arcs and between points."""
     s, first = constraints.samples, len(structure.controls)
     values = constraints.values(s.times, s.x, s.u_polynomial)
-    found = []
+    found: list[_Run] = []
     for row in np.flatnonzero(structure.orders[first:]):
         known = structure.contact(first + int(row), s.times)
         for kind, limit in (
@@ -322,4 +364,4 @@ def _excesses(constraints: StateConstraints, structure: PhaseStructure) -> list[
             found += [
                 _Run(first + int(row), kind, s.times[a:b], excess[a:b]) for a, b in _runs(excess > EXCEEDED)
             ]
-    return found
+    return [run for run in found if run.possible(structure)]

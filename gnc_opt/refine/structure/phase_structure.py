@@ -39,9 +39,11 @@ class PhaseStructure:
         interior; None: controls only.
     n_paths : int
     orders : tuple of int
-        For each row the order of the state constraint, if a control that H determines holds it on its limit; else 0.
+        For each row the order of the state constraint, if its contacts are looked for; else 0.
     touches : tuple of A + 1 tuples of Touch
         What state constraints only touch, at each of the times.
+    holders : tuple of tuple of int
+        For each of the rows with an order the controls that can hold it on its limit.
     """
 
     times: tuple[float, ...]
@@ -51,10 +53,13 @@ class PhaseStructure:
     n_paths: int = 0
     orders: tuple[int, ...] = ()
     touches: tuple[tuple[Touch, ...], ...] = ()
+    holders: tuple[tuple[int, ...], ...] = ()
 
     def __post_init__(self) -> None:
         if not self.orders:
             object.__setattr__(self, "orders", (0,) * len(self.kinds[0]))
+        if not self.holders:
+            object.__setattr__(self, "holders", ((),) * len(self.kinds[0]))
         if not self.touches:
             object.__setattr__(self, "touches", ((),) * (len(self.kinds) + 1))
         if not self.regular:
@@ -106,13 +111,21 @@ class PhaseStructure:
     def kinked(self, boundary: int) -> bool:
         """Whether controls only have a kink between a piece and the one before.
 
-        They do where they, mixed path constraints, or state constraints that determine them, enter or leave a limit.
+        They do where they, mixed path constraints, or state constraints that determine them, enter or leave a limit;
+        a control that enters H linearly jumps to where it holds a state constraint.
         """
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         return not self.touches[boundary] and all(
-            (self.regular[i] or self.orders[i]) and not (before[i].at_limit and after[i].at_limit)
+            (self.regular[i] or self._determines(i, boundary))
+            and not (before[i].at_limit and after[i].at_limit)
             for i in self.changes(boundary)
         )
+
+    def _determines(self, row: int, boundary: int) -> bool:
+        """Whether a state constraint determines, on one side of a boundary, none but controls that H determines."""
+        beside = (self.kinds[boundary - 1], self.kinds[boundary])
+        linear = any(kinds[i] is ArcKind.SINGULAR for kinds in beside for i in self.holders[row])
+        return bool(self.orders[row]) and not linear
 
     def beside_contacts(self, touches: bool) -> Mask:
         """In which pieces state constraints are beside an arc on their limit, or beside a touch, (n_rows, A)."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.nlp import SolverOptions
 from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.problem.problem import Problem
@@ -27,7 +27,7 @@ from gnc_opt.refine.structure.detect import affine_channels, structures_of
 from gnc_opt.refine.structure.junctions import move_kinks
 from gnc_opt.refine.structure.newton import settle
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose, signs_of
-from gnc_opt.refine.structure.plan import Plan, points_of
+from gnc_opt.refine.structure.plan import Plan, Resolution, points_of
 from gnc_opt.refine.structure.simultaneous import settle_costates
 from gnc_opt.solution.history import History, Pass, RefinementStatus
 from gnc_opt.solution.samples import PhaseSamples
@@ -54,6 +54,12 @@ VANISHED = 1e-6
 
 STATIONARY = 1e-9
 """First-order gain in H, in shares of H, that may be left along a singular arc."""
+
+ROUGH = 1e-4
+"""Gain in H beyond which the polynomial of a singular control is no guess of it yet."""
+
+SATURATED = 1e-3
+"""A singular control this close to a bound, relative to its range, has reached it."""
 
 WRONG_SIGN = 1e-7
 """First-order gain in H, in shares of H, beyond which a wrong sign asks for another arc."""
@@ -108,7 +114,7 @@ def optimise_switches(
     tries: list[_Try] = []
     with pass_meter(solution.problem_name, tol, progress) as show:
         try:
-            limits = _Limits(max_passes, max_points, max_work, deadline)
+            limits = _Limits(tol, max_passes, max_points, max_work, deadline)
             guess, settled = _settled(solution, plans)
             status = _loop(problem, guess, settled, min(tol, FINEST), limits, chosen, show, tries)
             if status is RefinementStatus.FAILED and guess is not solution:
@@ -129,8 +135,9 @@ def optimise_switches(
 
 @dataclass(frozen=True)
 class _Limits:
-    """Where the loop gives up."""
+    """Where the loop gives up, and what error was asked for."""
 
+    tol: float
     passes: int
     points: int
     work: float
@@ -182,10 +189,11 @@ def _loop(
         begin = time.perf_counter()
         if begin > limits.deadline:
             return RefinementStatus.INTERRUPTED
+        records = [t.record for t in tries]
         if any(plan.mesh().size > limits.points for plan in plans.values()):
-            return RefinementStatus.POINT_LIMIT
-        if sum(t.record.work for t in tries) > limits.work:
-            return RefinementStatus.WORK_LIMIT
+            return _limited(records, limits, RefinementStatus.POINT_LIMIT)
+        if sum(record.work for record in records) > limits.work:
+            return _limited(records, limits, RefinementStatus.WORK_LIMIT)
         found = _solve(problem, plans, solution, options, limits.deadline)
         if not found.status.solved:
             tries.append(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
@@ -201,7 +209,13 @@ def _loop(
             return RefinementStatus.CONVERGED
         if _restless([t.record for t in tries]):
             return RefinementStatus.STALLED
-    return RefinementStatus.PASS_LIMIT
+    return _limited([t.record for t in tries], limits, RefinementStatus.PASS_LIMIT)
+
+
+def _limited(records: list[Pass], limits: _Limits, status: RefinementStatus) -> RefinementStatus:
+    """How the loop ends at a limit: at rest if its last structure stands with the accuracy that was asked for."""
+    rests = bool(records) and records[-1].solved and records[-1].actions == RAISED
+    return RefinementStatus.CONVERGED if rests and records[-1].error <= limits.tol else status
 
 
 def _resolved(records: list[Pass], tol: float) -> bool:
@@ -230,6 +244,10 @@ def _improve(
             return {**plans, name: Plan.of(structure, plans[name].points)}, action
     for name, c in constraints.items():
         structure, action = _mended_contacts(c, plans[name].structure)
+        if structure is not None:
+            return {**plans, name: Plan.of(structure, plans[name].points)}, action
+    for name, s in samples.items():
+        structure, action = _saturated(s, plans[name], swapped)
         if structure is not None:
             return {**plans, name: Plan.of(structure, plans[name].points)}, action
     adjusted = {name: _adjust(c, plans[name], tol) for name, c in constraints.items()}
@@ -332,13 +350,19 @@ def _complete(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None,
     offence, asked = _offences(samples, plan.structure, kinds)
     for i in range(offence.shape[0]):
         _forgive_own_switches(offence[i], kinds[i])
+    return _with_worst(samples, plan.structure, offence, asked)
+
+
+def _with_worst(
+    samples: PhaseSamples, structure: PhaseStructure, offence: Array, asked: KindArray
+) -> tuple[PhaseStructure | None, str]:
+    """Return the structure with the arc that the worst offence asks for and what was done, or None."""
     if not offence.size or offence.max() < WRONG_SIGN:
         return None, ""
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
     start, end = _wrong_interval(samples, offence[i])
     label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
-    structure = plan.structure.with_arc(i, start, end, asked[i, j])
-    return structure, f"arc of {label} added at {start:.4g} s"
+    return structure.with_arc(i, start, end, asked[i, j]), f"arc of {label} added at {start:.4g} s"
 
 
 def _offences(samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray) -> tuple[Array, KindArray]:
@@ -367,6 +391,38 @@ def _offences(samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray
     opposite = choose(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
     crossed = choose(above > below, ArcKind.UPPER, ArcKind.LOWER)
     return offence, choose(judged, choose(regular, ArcKind.INTERIOR, opposite), crossed)
+
+
+def _saturated(
+    samples: PhaseSamples, plan: Plan, left: set[tuple[str, PhaseStructure]]
+) -> tuple[PhaseStructure | None, str]:
+    """Return the structure with the arc that a control asks for which reaches a bound along a singular arc, or None.
+
+    A polynomial that is held within its bounds, where the control of the optimum jumps to one and back, leaves a
+    switching function of that bound's sign. Structures that have been left are not tried again.
+    """
+    bounds, controls = samples.leg.control_bounds, plan.structure.controls
+    singular = controls[:, plan.segment_pieces[samples.segments]] == ArcKind.SINGULAR
+    gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
+    at_lower, at_upper = bounds.near(samples.u_polynomial, SATURATED * samples.control_scale)
+    reached = singular & affine_channels(samples)[:, None] & np.where(gain > 0, at_lower, at_upper)
+    offence = np.zeros_like(gain)
+    for i in np.flatnonzero(np.any(reached, axis=1)):
+        j = int(np.argmax(np.where(reached[i], np.abs(gain[i]), 0.0)))
+        here = _around(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j])), j)
+        offence[i, here] = np.abs(gain[i, here])
+    asked = choose(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
+    structure, action = _with_worst(samples, plan.structure, offence, asked)
+    if structure is None or (samples.leg.name, structure.at(())) in left:
+        return None, ""
+    return structure, action
+
+
+def _around(holds: Mask, j: int) -> slice:
+    """The run of samples around the j-th in which something holds."""
+    fails = np.flatnonzero(~holds)
+    before, after = fails[fails < j], fails[fails > j]
+    return slice(before[-1] + 1 if before.size else 0, after[0] if after.size else holds.size)
 
 
 def _forgive_own_switches(offence: Array, kinds: KindArray) -> None:
@@ -436,10 +492,17 @@ def _finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
     worst, open_gradient = np.zeros(plan.structure.pieces), _open_gradient(samples, plan)
     np.maximum.at(worst, plan.segment_pieces, per_segment)
     wanted = tuple(
-        r.finer() if e > tol else r.smoother(g) if g > STATIONARY else r
-        for r, e, g in zip(plan.resolutions, worst, open_gradient, strict=True)
+        _next_resolution(r, e, g, tol) for r, e, g in zip(plan.resolutions, worst, open_gradient, strict=True)
     )
     return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
+
+
+def _next_resolution(r: Resolution, error: float, gradient: float, tol: float) -> Resolution:
+    """Raise what is worse: finer states of a polynomial that cannot be the control are worth nothing."""
+    smoother = r.smoother(gradient) if gradient > STATIONARY else r
+    if smoother != r and gradient > max(error, ROUGH):
+        return smoother
+    return r.finer() if error > tol else smoother
 
 
 def _open_gradient(samples: PhaseSamples, plan: Plan) -> Array:

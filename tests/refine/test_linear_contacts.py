@@ -1,0 +1,107 @@
+"""Contacts of controls that enter the Hamiltonian linearly: arcs on limits and touches, in closed form."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.problem.arc import ArcKind
+from problems import quadrotor, reorientation
+
+LENGTH, BELOW, RADIUS = 6.0, 0.4, 1.0
+"""The way; how far below its middle the disc's centre lies, and its radius, m."""
+
+
+def way_past_a_disc() -> go.Problem:
+    """The shortest way of a car whose turns are bounded: its limit S = p.p - r^2 is of second order."""
+    car = go.Model("car")
+    p, heading = car.state("p", 2, unit="m"), car.state("heading", unit="rad")
+    turn = car.control("turn", unit="rad/s")
+    car.ode({p: ca.vertcat(ca.cos(heading), ca.sin(heading)), heading: turn})
+    problem = go.Problem("past a disc")
+    way = problem.phase("way", car)
+    way.time(initial=0.0, final=(LENGTH, 3 * LENGTH))
+    way.initial(p=[0.0, 0.0])
+    way.final(p=[LENGTH, 0.0])
+    way.bounds(turn=(-2.0, 2.0), heading=(-1.5, 1.5))
+    way.path("disc", (p[0] - LENGTH / 2) ** 2 + (p[1] + BELOW) ** 2, lower=RADIUS**2)
+    problem.minimize(way.final_time)
+    return problem
+
+
+@pytest.mark.parametrize("mesh", ["20x4", "40x4"])
+def test_an_arc_between_singular_arcs(mesh: str) -> None:
+    """Tangent, arc, tangent: a string around the disc. The turn jumps to where it holds the limit, and back."""
+    solution = go.refine(go.solve(way_past_a_disc(), mesh=mesh, tol=None))
+    assert solution.converged and go.verify(solution).ok
+    distance = np.hypot(LENGTH / 2, BELOW)
+    straight = np.sqrt(distance**2 - RADIUS**2)
+    bend = np.pi / 2 - np.arctan2(BELOW, LENGTH / 2) - np.arccos(RADIUS / distance)
+    assert solution.objective == pytest.approx(2 * (straight + RADIUS * bend), abs=1e-12)
+    (held,) = [arc for arc in solution.structure if arc.channel == "disc"]
+    assert held.kind is ArcKind.LOWER
+    assert (held.start, held.end) == pytest.approx((straight, straight + 2 * bend), abs=1e-8)
+    found = solution.phase().control("turn")(np.array([0.1, straight + bend, 6.0]))
+    np.testing.assert_allclose(found.ravel(), [0.0, -1.0 / RADIUS, 0.0], atol=1e-9)
+
+
+def test_an_arc_between_bangs() -> None:
+    """Least time of an axis whose jerk and speed are bounded (S curve): T = D / v + 2 sqrt(v / j)."""
+    axis = go.Model("axis")
+    x, v, a = axis.state("x"), axis.state("v"), axis.state("a")
+    jerk = axis.control("jerk")
+    axis.ode({x: v, v: a, a: jerk})
+    problem = go.Problem("S curve")
+    leg = problem.phase("leg", axis)
+    leg.time(initial=0.0, final=(0.5, 30.0))
+    leg.initial(x=0.0, v=0.0, a=0.0)
+    leg.final(x=6.0, v=0.0, a=0.0)
+    leg.bounds(jerk=(-2.0, 2.0), v=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    solution = go.refine(go.solve(problem, tol=None))
+    assert solution.converged and go.verify(solution).ok
+    assert solution.objective == pytest.approx(6 + np.sqrt(2), abs=1e-10)
+    (held,) = [arc for arc in solution.structure if arc.channel == "v"]
+    assert (held.start, held.end) == pytest.approx((np.sqrt(2), 6.0), abs=1e-9)
+    found = solution.phase().control("jerk")(np.array([0.3, 1.1, 3.0, 6.3, 7.1]))
+    np.testing.assert_allclose(found.ravel(), [2, -2, 0, -2, 2], atol=1e-9)
+
+
+def test_touches_between_bangs() -> None:
+    """Turning past a cone touches it twice with every torque on a bound; there costates jump along the gradient of S.
+
+    The time agrees with that of a refined mesh to the accuracy of the latter. The induced problem of switch times
+    alone knows nothing of touches; the second order is that of the programme which holds them.
+    """
+    solution = go.refine(go.solve(reorientation.build(70.0), tol=None))
+    assert solution.converged and go.verify(solution).ok
+    assert solution.objective == pytest.approx(29.57328, abs=2e-6)
+    touches = [arc for arc in solution.structure if arc.channel == "keep out"]
+    assert len(touches) == 2
+    assert all(arc.start == arc.end and arc.kind is ArcKind.UPPER for arc in touches)
+    leg = solution.phase()
+    functions, times = solution.functions("slew"), np.array([arc.start for arc in touches])
+    x, u = leg.x(times), leg.u(times)
+    np.testing.assert_allclose(functions.paths(times, x, u), np.cos(np.radians(70.0)), atol=1e-10)
+    jumps = leg.lam(times, "left") - leg.lam(times, "right")
+    gradients = functions.path_state_jacobian(times, x, u)[0]
+    strength = np.sum(jumps * gradients, axis=0) / np.sum(gradients**2, axis=0)
+    assert np.all(strength > 1e-3)
+    np.testing.assert_allclose(jumps, strength * gradients, atol=1e-7)
+    # None of it is left to a programme without the touches.
+    assert "induced gradient" not in {condition.name for condition in go.verify(solution).conditions}
+
+
+def test_a_bang_within_a_singular_arc() -> None:
+    """A mesh too coarse for it shows one singular arc, whose polynomial reaches the bound where the bang belongs.
+
+    The time is that of the structure that a mesh of twice the segments shows.
+    """
+    solution = go.refine(go.solve(quadrotor.build(), tol=None))
+    assert solution.converged and go.verify(solution).ok
+    assert solution.objective == pytest.approx(1.2313192852, abs=1e-9)
+    turns = [arc.kind for arc in solution.structure if arc.channel == "w"]
+    up, singular, low = ArcKind.UPPER, ArcKind.SINGULAR, ArcKind.LOWER
+    assert turns == [up, singular, low, singular, up]
