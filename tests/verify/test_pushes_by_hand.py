@@ -116,7 +116,7 @@ def test_gradients_and_sides_of_paths() -> None:
     )  # fmt: skip
     times = np.array([0.0, 1.0])
     x, u = s.leg.x(times), s.leg.flown(times)
-    found = _path_gradients(s, times, x, u)
+    found, _ = _path_gradients(s, times, x, u)
     np.testing.assert_allclose(found[:, 0], [[1.0, 1.0], [4.0, 2.0]])
     np.testing.assert_allclose(found[:, 1], [[4.0, 3.0], [-2.0, -1.0]])
     pushers = Pushers.at(s, times, x, u)
