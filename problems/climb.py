@@ -137,13 +137,11 @@ def build(method: Method = "bspline") -> go.Problem:
 
 
 REFERENCE = Reference(319.877591, "Gauss and Radau points on 120 segments agree to 1e-6 s", 1e-5, "s")
-MESH = "120x6"
-"""Refined to 1e-6 in about 3 s."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Solve, compare, judge; see ``python -m problems.climb --help``."""
-    return run(build, REFERENCE, arguments, mesh=MESH)
+    return run(build, REFERENCE, arguments)
 
 
 if __name__ == "__main__":

@@ -60,13 +60,11 @@ def build(duration: float = DURATION, limit: float = LIMIT) -> go.Problem:
 
 
 REFERENCE = Reference(3.913602, "linear programme of 8000 steps", 3e-6, "m/s")
-MESH = "60x4"
-"""Refined to 1e-8 in about 20 s."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Solve, compare with the linear programme, judge; see ``python -m problems.cw_fuel --help``."""
-    return run(build, REFERENCE, arguments, mesh=MESH)
+    return run(build, REFERENCE, arguments)
 
 
 if __name__ == "__main__":

@@ -151,13 +151,11 @@ def build() -> go.Problem:
 
 
 REFERENCE = Reference(0.2201791266, "Betts 2010, section 6.3", 1e-8, "lb")
-MESH = "60x8"
-"""Refinement to 1e-8 takes minutes."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Solve, compare with the publication, judge; see ``python -m problems.low_thrust --help``."""
-    return run(build, REFERENCE, arguments, mesh=MESH)
+    return run(build, REFERENCE, arguments)
 
 
 if __name__ == "__main__":

@@ -30,7 +30,6 @@ def run(
     arguments: Sequence[str] | None = None,
     *,
     explained: Mapping[str, str] | None = None,
-    mesh: str | None = None,
 ) -> int:
     """Solve a problem at default settings, refine, and say how the answer compares.
 
@@ -44,9 +43,6 @@ def run(
     explained : mapping, optional
         Conditions of the verdict that are known to fail, with the reason. They are shown as failed, with
         the reason beside them, but do not count in the exit code.
-    mesh : str, optional
-        Solve on this mesh and leave it at that, where refinement takes long. The verdict is shown, and does not count:
-        a mesh that is not refined has errors that it finds.
 
     Returns
     -------
@@ -56,7 +52,7 @@ def run(
     options = _parser(build).parse_args(arguments)
     console = _console()
     try:
-        solution = go.solve(build(), mesh=mesh, tol=TOLERANCE if mesh is None else None)
+        solution = go.solve(build(), tol=TOLERANCE)
     except go.SolveError as error:
         print(error, file=sys.stderr)
         return 1
@@ -70,8 +66,7 @@ def run(
         paths = write_report(solution, verdict, options.report)
         _say(console, f"report: {paths[0]}")
     unexplained = [condition for condition in verdict.failed if condition.name not in known]
-    judged = mesh is None
-    return 0 if reference.agrees(solution.objective) and not (judged and unexplained) else 1
+    return 0 if reference.agrees(solution.objective) and not unexplained else 1
 
 
 def comparison(objective: float, reference: Reference) -> str:

@@ -24,7 +24,8 @@ def linkages(
 ) -> Iterator[tuple[str, Any, Array]]:
     """Yield name, expression and value of each constraint that links two phases; see ``Problem.link``.
 
-    The names are ``link_<first>_<second>_<state>`` and ``..._time``.
+    The second phase notes what is handed over to it, for its guess. The names are ``link_<first>_<second>_<state>``
+    and ``..._time``.
     """
     label = f"link_{first.name}_{second.name}"
     if time and first is second:
@@ -42,6 +43,7 @@ def linkages(
                 f"one of {start.shape[0]}: leave it out of states=[...] and constrain() its components."
             )
         value = as_vector(jumps.get(name, 0.0), start.shape[0], f"the jump of '{name}' in {label}")
+        second.handed[name] = (first.name, value)
         yield f"{label}_{name}", start - end, value
     if time:
         yield f"{label}_time", second.initial_time - first.final_time, as_vector(0.0, 1, label)

@@ -29,6 +29,7 @@ class Owner(Protocol):
     """What a phase asks of its problem."""
 
     name: str
+    phases: dict[str, Phase]
 
     def refuse_if_frozen(self) -> None: ...
 
@@ -73,6 +74,7 @@ class Phase(Strict):
         "_ends",
         "_owner",
         "final_time",
+        "handed",
         "initial_time",
         "integrands",
         "model",
@@ -102,6 +104,7 @@ class Phase(Strict):
             for v in self.vectors
         }
         self._curved: set[str] = set()
+        self.handed: dict[str, tuple[str, Array]] = {}
         self.integrands: dict[str, tuple[Any, Any]] = {}
         self.initial_time: Any = ca.SX.sym(f"{name}_initial_time")
         self.final_time: Any = ca.SX.sym(f"{name}_final_time")
@@ -405,11 +408,19 @@ class Phase(Strict):
         """Stacked SX symbols of all integrals."""
         return ca.vertcat(*[s for s, _ in self.integrands.values()]) if self.integrands else ca.SX(0, 1)
 
+    def handed_over(self, state: str) -> tuple[Phase, Array] | None:
+        """Return the earlier phase that a link takes a state from, and the jump (n,); None if it begins here."""
+        if state not in self.handed:
+            return None
+        first, jump = self.handed[state]
+        order = list(self._owner.phases)
+        return (self._owner.phases[first], jump) if order.index(first) < order.index(self.name) else None
+
     def clone(self, owner: Owner) -> Phase:
         """Return a copy for another problem, which shares the symbols and owns its numbers."""
         twin = copy.copy(self)
         twin.paths, twin.integrands = dict(self.paths), dict(self.integrands)
-        twin._curved = set(self._curved)
+        twin._curved, twin.handed = set(self._curved), dict(self.handed)
         twin._owner = owner
         return twin
 

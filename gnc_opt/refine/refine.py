@@ -169,8 +169,9 @@ class _Attempt:
     @property
     def final(self) -> bool:
         """Whether nothing else is worth trying: it has been stopped, or it came to rest and passes the verdict."""
-        rests = self.history.converged or not self.solution.structure
-        return self.stopped or (rests and verify(self.solution).ok)
+        if self.stopped or not self.history.final.solved:  # whose solution is the one that it began with
+            return self.stopped
+        return (self.history.converged or not self.solution.structure) and verify(self.solution).ok
 
 
 @dataclass(frozen=True, eq=False)

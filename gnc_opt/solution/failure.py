@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.errors import GncOptError
+from gnc_opt.problem.check_norms import norms_by_hand
 from gnc_opt.solution.solution import Solution
 
 
@@ -26,13 +27,18 @@ class SolveError(GncOptError, RuntimeError):
 
 
 def failure_message(solution: Solution) -> str:
-    """Return what a failed solve raises: status, worst constraint and remedy."""
+    """Return what a failed solve raises: status, worst constraint, remedy, and norms that are written by hand."""
     worst = "all constraints hold at the last iterate"
     if solution.violations:
         first = solution.violations[0]
         amount = "" if np.isnan(first.amount) else f" ({first.amount:.2g} of its scale)"
         worst = f"worst: {first.name}{amount}"
+    problem = solution.problem
+    norms = (
+        [text for leg in problem.phases.values() for text in norms_by_hand(problem, leg)] if problem else []
+    )
     return (
         f"no solution of '{solution.problem_name}' after {solution.statistics.iterations} iterations, "
         f"status {solution.status.value}; {worst}. {solution.status.remedy}"
+        + "".join(f" And {text}." for text in norms)
     )

@@ -97,10 +97,11 @@ def control_spans(leg: PhaseSolution, flown: Array, pull: Array, curvature: Arra
         that is worth in H what the others are; if all that is rounding, its size, or 1.
     """
     extent, size = _width(leg.control_bounds), np.max(np.abs(flown), axis=1, initial=0.0)
-    moved = np.maximum(np.ptp(flown, axis=1), RESOLUTION * size) if flown.size else size
+    moved = np.ptp(flown, axis=1) if flown.size else size
     steepest, most = (np.max(np.abs(v), axis=1, initial=0.0) for v in (pull, curvature))
     pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)
-    spans = shared(_within_range(np.fmax(moved, pulled), extent), leg.controls)
+    spans = np.maximum(_within_range(np.fmax(moved, pulled), extent), RESOLUTION * size)
+    spans = shared(spans, leg.controls)
     worth = np.fmax(steepest * spans, most * spans**2)
     largest = np.max(worth, initial=0.0, where=np.isfinite(worth))
     alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))

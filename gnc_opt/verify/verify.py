@@ -12,6 +12,7 @@ from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.verify import controls, costates, feasibility, second_order
 from gnc_opt.verify.conjugate_points import conjugate_points
+from gnc_opt.verify.convex import is_convex
 from gnc_opt.verify.judged import ends_of, from_problem, has_costates, missing_number, stored_numbers
 from gnc_opt.verify.kept import keep_verdict, kept_verdict
 from gnc_opt.verify.magnitude import Magnitudes
@@ -121,6 +122,16 @@ def _second_order(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
 ) -> list[Condition]:
     """By the switch times where they alone are left to vary, else on the mesh."""
+    found = _second_variation(solution, samples, ends, tolerance)
+    downwards = any(c.result is Result.FAIL for c in found)
+    return (
+        [_of_convex(c) for c in found] if downwards and is_convex(solution.need_problem("verify")) else found
+    )
+
+
+def _second_variation(
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
+) -> list[Condition]:
     if not second_order.obstacle(samples):
         return second_order.second_order(solution, samples, ends, tolerance)
     rounding = rounding_of_cost(samples)
@@ -131,6 +142,14 @@ def _second_order(
     smooth = [_agreed(c, curvature) for c in conjugate_points(solution, samples)]
     # Where constraints alone single out a trajectory, nothing moves: variations of the size of the magnitudes.
     return [normality(critical_cone(solution, rounding=rounding)), *smooth, curvature]
+
+
+def _of_convex(condition: Condition) -> Condition:
+    """Where the first order suffices, what curves downwards on a mesh with movable boundaries is its own error."""
+    if condition.result is not Result.FAIL or not condition.sufficient:
+        return condition
+    where = f"{condition.where}; the problem is convex, nothing curves downwards, and the minimum may be one of many"
+    return replace(condition, result=Result.CANNOT_TELL, where=where)
 
 
 def _agreed(conjugate: Condition, curvature: Condition) -> Condition:

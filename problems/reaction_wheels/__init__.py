@@ -11,6 +11,7 @@ To be read in this order:
 * `runs`: the published slews; `limits`: null space, speed limit, singularity;
 * `published`: every number that is known of them, against ours;
 * `optimal`: the optimal control problems, their solutions and tracking;
+* `flown`: optimal slews and published law under the same errors and limits;
 * `plots`, `report`: what is drawn and printed.
 """
 

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gnc_opt.plot.style import QUIET, legend_above, line_look, new_figure, save_figure, style
+from problems.reaction_wheels.flown import FLOWN, flight, plan
 from problems.reaction_wheels.laws import Law
 from problems.reaction_wheels.model import (
     DESIGN_SPEED,
@@ -19,7 +20,7 @@ from problems.reaction_wheels.model import (
     WHEEL_INERTIA,
     paper_quaternion,
 )
-from problems.reaction_wheels.optimal import MANOEUVRE, SLEWS, TRACKED, Name, optimal_slew, track
+from problems.reaction_wheels.optimal import MANOEUVRE, SLEWS, Name, optimal_slew
 from problems.reaction_wheels.runs import Slew, published_slew
 from problems.reference import Array
 
@@ -117,12 +118,12 @@ def plot_optimal(name: Name) -> Figure:
 
 
 def plot_tracking() -> Figure:
-    """Draw attitude errors and fastest wheels of the tracked optimal slews."""
+    """Draw attitude errors and fastest wheels of the flown optimal slews."""
     with style():
         figure = new_figure(4.6)
         upper, lower = figure.subplots(2, 1, sharex=True)
-        for i, name in enumerate(TRACKED):
-            run, end = track(name)
+        for i, name in enumerate(FLOWN):
+            run, end = flight(name), plan(name).phase().final_time
             error = np.degrees(np.linalg.norm(run.error("q").values, axis=0))
             speed = np.max(np.abs(run.state("h").values), axis=0) / WHEEL_INERTIA / RPM
             upper.semilogy(run.times, error, label=f"{name} ({MANOEUVRE[name]})", **line_look(i))

@@ -70,6 +70,12 @@ def time_rows(case: int, equation: Equation, t_f: float) -> list[Row]:
     return rows
 
 
+def comparison() -> list[Row]:
+    """Return the rows of all cases and both equations on the paper's mesh."""
+    outcomes = solve_cases(list(CASES), EQUATIONS, PAPER_MESH)
+    return [row for o in outcomes for row in time_rows(o.case, o.equation, o.solution.objective)]
+
+
 def times_table(outcomes: Sequence[Outcome]) -> Table:
     """Return these solutions beside the best known minimum times, and what they cost."""
     table = _table(f"Minimum times (s), mesh {outcomes[0].mesh}")

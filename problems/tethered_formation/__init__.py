@@ -9,6 +9,7 @@ To be read in this order:
 * `laws`: the published structure: surface, observer, reaching laws; `runs`: its closed loop;
 * `published`: every number that is known of it, against ours;
 * `optimal`: the optimal control problems, their solutions and tracking;
+* `flown`: optima and published structure on the same disturbed plant;
 * `plots`, `report`: what is drawn and printed.
 """
 
@@ -28,7 +29,7 @@ from problems.tethered_formation.model import (
     reference,
     tether_model,
 )
-from problems.tethered_formation.optimal import REFERENCE, Goal, build, solve
+from problems.tethered_formation.optimal import MESH, REFERENCE, Goal, build, solve
 from problems.tethered_formation.report import main
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "FORCE",
     "MAX_ANGLE",
     "MAX_RATE",
+    "MESH",
     "PAIR",
     "RADIUS",
     "RATE",

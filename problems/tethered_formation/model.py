@@ -26,6 +26,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
+from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
 import gnc_opt as go
@@ -94,8 +95,11 @@ def first_state(swing: float = FIRST_SWING, swing_rate: float = 0.0) -> Array:
     return np.array([0.0, 0.0, 0.0, 0.0, swing, swing_rate, 0.0])
 
 
-def equilibrium(pair: TetheredPair, force: float, height: float, climb: float, drift: float) -> float:
-    """Return the swing angle (rad) at which the pair does not swing while the thrust is along the motion."""
+def equilibrium(pair: TetheredPair, force: float, height: Any, climb: Any, drift: Any) -> Any:
+    """Return the swing angle (rad) at which the pair does not swing while the thrust is along the motion.
+
+    Height (m), climb and drift (m/s) are numbers or arrays of one shape, and so is the angle.
+    """
     r, alpha_rate = RADIUS + height, RATE + drift / RADIUS
     stiffness = pair.kappa * force / (pair.reduced_mass * pair.length) - 3 * pair.mu / r**3
     theta = 0.0
@@ -126,15 +130,22 @@ class Orbit:
     coefficients: Array
 
     @classmethod
-    def of(cls, pair: TetheredPair = PAIR, force: float = FORCE, duration: float = DURATION) -> Orbit:
-        """Return the model's motion along its swing equilibrium, from the leader's own state."""
+    def of(
+        cls,
+        pair: TetheredPair = PAIR,
+        force: float = FORCE,
+        duration: float = DURATION,
+        start: ArrayLike = (0.0, 0.0, 0.0, 0.0),
+    ) -> Orbit:
+        """Return the model's motion along its swing equilibrium, from height, climb, lead and drift at the start."""
         law = tether_model(pair, force)
 
         def rate(t: float, y: Array) -> Array:
             return law.f(t, [*y, equilibrium(pair, force, y[0], y[1], y[3]), 0.0, 0.0], np.zeros(1))[:4]
 
+        first = np.asarray(start, dtype=float)
         nodes = 0.5 * duration * (1 - np.cos(np.pi * (np.arange(2 * _DEGREE) + 0.5) / (2 * _DEGREE)))
-        flown = solve_ivp(rate, (0.0, duration), np.zeros(4), "DOP853", nodes, rtol=1e-13, atol=1e-13)
+        flown = solve_ivp(rate, (0.0, duration), first, "DOP853", nodes, rtol=1e-13, atol=1e-13)
         curves = [Chebyshev.fit(nodes, row, _DEGREE, [0.0, duration]) for row in flown.y]
         powers = [c.convert(kind=Polynomial, domain=[0.0, duration], window=[0.0, 1.0]).coef for c in curves]
         return cls(pair, force, duration, np.array(powers))
@@ -146,15 +157,18 @@ class Orbit:
             values = [value * (t / self.duration) + c for value, c in zip(values, column, strict=True)]
         return values
 
-    def state(self, t: float) -> Array:
-        """Return the state (7,) of the reference at a time (s)."""
-        height, climb, lead, drift = self(float(t))
+    def state(self, t: ArrayLike) -> Array:
+        """Return the state of the reference, (7,) at a time (s), (7, n_times) at many."""
+        times = np.asarray(t, dtype=float)
+        height, climb, lead, drift = self(times)
         theta = equilibrium(self.pair, self.force, height, climb, drift)
-        return np.array([height, climb, lead, drift, theta, 0.0, 0.0])
+        return np.stack([height, climb, lead, drift, theta, 0.0 * times, 0.0 * times])
 
 
 def reference(pair: TetheredPair = PAIR, force: float = FORCE, duration: float = DURATION) -> go.Reference:
     """Return the orbit as a reference without feedforward: the thrust angle stays zero."""
     states = Orbit.of(pair, force, duration).state
     model = tether_model(pair, force)
-    return go.Reference.from_functions(model, states, lambda _: np.zeros(1), 0.0, duration)
+    return go.Reference.from_functions(
+        model, states, lambda t: np.zeros((1, t.size)), 0.0, duration, vectorized=True
+    )

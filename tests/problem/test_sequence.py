@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
+from gnc_opt.problem.guess.trajectory import end_values
 
 
 def cart(problem: go.Problem, name: str, limit: tuple[float, float]) -> go.Phase:
@@ -100,3 +101,41 @@ def test_mistakes_get_a_sentence(call: Any, message: str) -> None:
     rocket(problem, "a"), rocket(problem, "b")
     with pytest.raises(go.GncOptError, match=message):
         call(problem)
+
+
+def test_a_state_that_is_free_stays_where_a_link_takes_it_from() -> None:
+    """Masses of upper stages follow from what is left of the lower ones, through several links, bounds and guesses."""
+    problem = go.Problem("stages")
+    legs = []
+    for name in ("one", "two", "three"):
+        model = go.Model(name)
+        h, m, u = model.state("h"), model.state("m"), model.control("u")
+        model.ode({h: u / m, m: -u})
+        legs.append(problem.phase(name, model))
+    problem.sequence(*legs, drops={"one": {"m": 30.0}, "two": {"m": 5.0}})
+    legs[0].initial(h=0.0, m=100.0)
+    legs[2].final(h=10.0)
+    ends = {leg.name: [part.tolist() for part in end_values(leg)] for leg in legs}
+    assert ends == {
+        "one": [[0.0, 100.0], [0.0, 100.0]],
+        "two": [[0.0, 70.0], [0.0, 70.0]],
+        "three": [[10.0, 65.0], [10.0, 65.0]],
+    }
+    legs[0].guess(m=(100.0, 60.0))
+    legs[1].bounds(m=(40.0, None))
+    assert [end_values(leg)[0][1] for leg in legs] == [100.0, 40.0, 35.0]
+    assert end_values(problem.with_initial("two", m=50.0).phases["three"])[0][1] == 45.0
+
+
+def test_a_link_back_hands_nothing_over() -> None:
+    """A periodic flight is linked to itself: its guess begins where the phase says, and does not go round."""
+    model = go.Model("cart")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("round")
+    first, second = (problem.phase(name, model) for name in ("first", "second"))
+    first.time(initial=0.0, final=1.0)
+    second.time(initial=1.0, final=2.0)
+    problem.link(first, second)
+    problem.link(second, first, time=False)
+    assert [end_values(leg)[0].tolist() for leg in (first, second)] == [[0.0], [0.0]]

@@ -18,7 +18,7 @@ import problems
 from gnc_opt import cli
 
 FOLDER = Path(problems.__file__).parent
-SHARED = {"comparison", "flown", "reference", "run"}
+SHARED = {"all", "comparison", "flown", "reference", "run"}
 BASIC = sorted({path.stem for path in FOLDER.glob("*.py")} - {"__init__", *SHARED})
 SYSTEMS = sorted(path.parent.name for path in FOLDER.glob("*/__init__.py"))
 

@@ -14,6 +14,7 @@ from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.constraint_order import constraint_order
 from gnc_opt.problem.held import Junction
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.solution.program_point import ProgramPoint
 from gnc_opt.solution.touches import with_touches
 
 LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER
@@ -226,6 +227,19 @@ def test_a_touch_is_held_where_it_pushes(form: str) -> None:
     stays = replace(leg, mesh=replace(leg.mesh, movable=()))
     for other in (pulled, stays):
         assert with_touches(replace(touched, phases={"leg": other})).phases["leg"].numbers.arcs is None
+
+
+@pytest.mark.parametrize("form", ["ceiling", "curved"])
+def test_a_touch_has_the_multiplier_of_its_jump(form: str) -> None:
+    """lam_x falls by 48 (1 - 4 l) = 9.6 at 1/2 s: with that the conditions of first order hold, without it not."""
+    point = ProgramPoint.of(thrown(0.2, form, 1.0, "11x4"))
+    assert np.max(np.abs(point.residual)) < 1e-5
+    ((_, junction, rows),) = point.transcription.junctions
+    assert junction.kind is UP and len(rows) == 2
+    multipliers = point.lam[rows] * point.scaling.rows[rows] / point.scaling.objective
+    assert multipliers == pytest.approx([9.6, 0.0], abs=1e-4)
+    bare = replace(point, lam=np.where(np.isin(np.arange(point.lam.size), rows), 0.0, point.lam))
+    assert np.max(np.abs(bare.residual)) > 0.1
 
 
 def test_a_saddle_beside_a_touch_fails() -> None:

@@ -344,3 +344,14 @@ def test_progress_shows_the_tolerance_that_was_asked_for(
 ) -> None:
     go.refine(cart, tol=1e-4, structure=structure, progress=True)
     assert "refining to 1.0e-04" in capsys.readouterr().err
+
+
+def test_an_attempt_without_a_solution_convinces_nobody(cart: go.Solution) -> None:
+    """What it returns is what it began with, which may pass the verdict; what it tells is that it failed."""
+    import importlib
+
+    attempt = importlib.import_module("gnc_opt.refine.refine")._Attempt
+    good = replace(go.refine(cart, tol=1e-6), structure=())
+    assert attempt(good, told(good)).final
+    fruitless = replace(told(good), passes=(replace(told(good).final, solved=False),), chosen=0)
+    assert not attempt(good, fruitless).final

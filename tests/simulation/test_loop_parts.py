@@ -467,3 +467,53 @@ def test_plant_and_controller_must_fit():
             ClosedLoop(small, idle(small), actuators, dt=DT)
     with pytest.raises(ArgumentError, match="one of the disturbances of a closed loop is a Lag"):
         ClosedLoop(small, idle(small), disturbances=[Lag("x", 0.1)], dt=DT)
+
+
+def test_a_law_that_solves_equations_is_flown():
+    """A function of matrix symbols only: [[1 + t, 1/2], [1/2, 2]] u = (q, 1), of which the first component is -a."""
+    plant = memory_of_impulse()
+
+    def expression(t, x, r, z):
+        return -ca.solve(ca.blockcat([[1 + t, 0.5], [0.5, 2.0]]), ca.vertcat(x, 1.0))[0], z
+
+    law = controller(plant, expression, symbols=ca.MX)
+    run = ClosedLoop(plant, law, dt=0.25).simulate([5.0], tf=1.0)
+    q = 5.0
+    for k in range(4):
+        a = -np.linalg.solve([[1 + 0.25 * k, 0.5], [0.5, 2.0]], [q, 1.0])[0]
+        assert run.commands[0, k] == pytest.approx(a)
+        q += 0.25 * a
+    assert run.states[0, -1] == pytest.approx(q)
+
+
+def test_columns_of_a_step_have_one_place_for_everything():
+    """Two states, a memory of three, one command, two controls; a lag, and a walk of two random numbers a step."""
+    plant = Model("two")
+    q, a, b = plant.state("q", 2), plant.control("a"), plant.control("b")
+    plant.ode({q: ca.vertcat(a, b)})
+    signals, memory = Layout("signal", (Variable("r", 2),)), Layout("entry", (Variable("z", 3),))
+    commands = Layout("command", (Variable("a"),))
+    law = controller(plant, lambda t, x, r, z: (r[0], z), signals=signals, memory=memory, commands=commands)
+    blocks = [Lag("lag", 0.2), RandomHold("gust", 0.1, on="a")]
+    loop = ClosedLoop(plant, law, blocks[:1], [RandomWalk("drift", 0.1)], blocks[1:], dt=0.4, minor_steps=2)
+    kernel = loop.kernel(1)
+    once = (
+        "steps",
+        "error",
+        "blur",
+        "fault",
+        "fault time",
+        "divergence",
+        "divergence time",
+        "alarm",
+        "alarm time",
+    )
+    sizes = dict(kernel.state.parts)
+    assert {n: sizes[n] for n in once} == dict.fromkeys(once, 1)
+    assert {n: s for n, s in sizes.items() if n not in once} == {
+        "plant": 2, "sensor 0": 2, "actuator 0": 1, "push 0": 2, "memory": 3, "command": 1, "effort": 2, "energy": 2,
+        "saturation": 1, "variation": 1,
+    }  # fmt: skip
+    assert dict(kernel.known.parts) == {"t": 1, "r": 2, "sensor 0": 2, "actuator 0": 0, "push 0": 1}
+    assert dict(kernel.log.parts) == {"measured": 2, "commands": 1, "applied": 2, "error": 1}
+    assert kernel.step.size_in(0) == (sum(sizes.values()), 1) == kernel.start.size_out(0)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 import pytest
-from loops import scheduled
+from loops import feedback, scheduled
 
 from gnc_opt.model.model import Model
 from gnc_opt.simulation import ClosedLoop, Delay, Lag, RateLimit
@@ -301,3 +301,16 @@ def test_by_how_much_errors_grow():
     assert _growth(at(1.001), at(1.0), 0.01, 0.5) == 1.0
     assert _growth(at(2.0), at(1.0), 1e-14, 0.5) == 1.0 and _growth(at(2.0), at(1.0), 2e-14, 0.5) > 1.0
     assert _growth(at(1.5, 1.0), at(1.0, np.nan), 0.01, 0.5) == 1.0
+
+
+@pytest.mark.parametrize("options", [{"substeps": 1}, {"accuracy": 0.1}])
+def test_the_printed_error_is_that_of_the_end_where_errors_grow(options):
+    """x' = 4 x from 1/2 exp(-16), to 1/2 after 4 s: errors of the first steps are multiplied by millions."""
+    plant = Model("growing")
+    x, u = plant.state("x"), plant.control("u")
+    plant.ode({x: 4 * x + u})
+    loop = ClosedLoop(plant, feedback(plant, [[0.0]]), dt=0.5, **options)
+    flight = loop.flight([0.5 * np.exp(-16.0)], tf=4.0)
+    ending = flight.final(flight.nominal[:, None], [0])
+    assert flight.substeps == 1 and flight.growth > 5.0
+    assert ending.integration_error[0] == pytest.approx(abs(ending.states[0, 0] - 0.5), rel=0.15)

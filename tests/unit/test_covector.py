@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from by_hand import cart, phase
+from by_hand import cart, phase, solution
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
@@ -324,8 +325,8 @@ def test_a_path_is_mixed_if_any_control_moves_it_anywhere() -> None:
     assert np.max(np.abs(phases["leg"].path_multipliers[1] - densities)[3:5]) > 0.1
 
 
-@pytest.mark.parametrize("unit", [1e-6, 1e6])
-def test_what_pushes_does_not_depend_on_the_unit_of_the_cost(unit: float) -> None:
+@pytest.mark.parametrize(("unit", "second"), [(1e-6, 1.0), (1e6, 1.0), (1.0, 1e-3), (1.0, 1e3)])
+def test_what_pushes_does_not_depend_on_the_units_of_cost_and_time(unit: float, second: float) -> None:
     """Beside costates of all sizes, in a program of arbitrary numbers."""
     model = go.Model("one")
     x, a = model.state("x", 2), model.control("a")
@@ -340,12 +341,13 @@ def test_what_pushes_does_not_depend_on_the_unit_of_the_cost(unit: float) -> Non
     lam_g, x0 = random.normal(size=transcription.n_constraints), np.zeros(transcription.n_variables)
     gradient, push = random.normal(size=(2, 8)), 10.0 ** random.uniform(-9, 0, (2, 8))
 
-    def found(c: float) -> _CostatePieces:
+    def found(c: float, t: float) -> _CostatePieces:
+        weights = 2 * t * part.quadrature
         return _CostatePieces.of(
-            part, Iterate(x0, c * lam_x, c * lam_g), 2 * part.quadrature, c * gradient, c * push
+            part, Iterate(x0, c * lam_x, c * lam_g), weights, c / t * gradient, c / t * push
         )
 
-    usual, other = found(1.0), found(unit)
+    usual, other = found(1.0, 1.0), found(unit, second)
     assert np.sum(usual.pushed) > 0 and 0 < np.sum(usual.bounded) < usual.bounded.size
     np.testing.assert_array_equal(other.pushed, usual.pushed)
     np.testing.assert_array_equal(other.bounded, usual.bounded)
@@ -487,6 +489,138 @@ def test_a_start_on_another_mesh_is_sampled(solved: Any) -> None:
     (middle,) = other.parts["second"].times[1:-1]
     second = solution.phases["second"]
     assert start.x[middle] == pytest.approx(0.5 * (second.initial_time + second.final_time))
+
+
+def test_jumps_of_costates_and_impulses_come_back_on_their_mesh() -> None:
+    """Costates that fall at 2 s, and impulses of both states at all three boundaries."""
+    problem = guessed()
+    impulses = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    leg = phase(
+        problem, lambda t, k: [t, 2 * t], lambda t, k: 0.5 * t, lambda t, k: [t - 10 * k, 2 - k + 0 * t],
+        breaks=(1.0, 2.0, 5.0), degree=3, state_impulses=impulses,
+    )  # fmt: skip
+    transcription = transcribe(problem, {"leg": leg.mesh}, "LG")
+    start = start_from_solution(
+        transcription, problem, solution(problem, leg), np.zeros(transcription.n_variables)
+    )
+    part = transcription.parts["leg"].collocation
+    assert start.lam_x is not None and start.lam_g is not None
+    assert start.lam_x[part.boundary_states] == pytest.approx(impulses)
+    for k, end in enumerate(([2.0, 2.0], [-5.0, 1.0])):
+        assert start.lam_g[part.dynamics_rows[k]][:, -1] == pytest.approx(-np.array(end))
+    assert point_costates(part, start.lam_g) == pytest.approx(leg.point_costates)
+    assert _boundary_costates(part, start.lam_g, np.zeros((2, 6)))[1] == pytest.approx(leg.lam_end)
+
+
+def test_points_take_what_is_on_their_side_of_a_jump() -> None:
+    """Controls and costates jump at 2 s; a warm start has them as they were.
+
+    It has the costates of the points where mesh and scheme are the same, elsewhere those between the points.
+    """
+    problem = guessed()
+
+    def flown(scheme: Scheme) -> Any:
+        found = phase(
+            problem, lambda t, k: [t, 2 * t], lambda t, k: 0.1 * t - 0.5 * k,
+            lambda t, k: [t - 10 * k, 2 - k + 0 * t], breaks=(1.0, 2.0, 5.0), degree=3, scheme=scheme,
+        )  # fmt: skip
+        return replace(found, point_costates=found.point_costates + 0.25)
+
+    def started(leg: Any, scheme: Scheme, mesh: Mesh) -> tuple[Any, Array, Array]:
+        transcription = transcribe(problem, {"leg": mesh}, scheme)
+        start = start_from_solution(
+            transcription, problem, solution(problem, leg), np.zeros(transcription.n_variables)
+        )
+        part = transcription.parts["leg"].collocation
+        assert start.lam_g is not None
+        return part, start.x, point_costates(part, start.lam_g)
+
+    for scheme in SCHEMES:
+        leg = flown(scheme)
+        part, x, lam = started(leg, scheme, leg.mesh)
+        assert x[part.point_controls] == pytest.approx(np.hstack(leg.u.values))
+        if scheme != "LGL":
+            assert lam == pytest.approx(leg.point_costates)
+    leg = flown("LGR")
+    for scheme, mesh in (("LG", leg.mesh), ("LGR", Mesh(leg.mesh.breaks, (3, 4)))):
+        part, _, lam = started(leg, scheme, mesh)  # type: ignore[arg-type]
+        times = 1 + 4 * part.fractions
+        assert lam == pytest.approx(np.where(times >= 2, [times - 10, 1 + 0 * times], [times, 2 + 0 * times]))
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
+    """Of a thousand, one and a thousandth in size: held still, moved and pushed here and there, free; as one by one."""
+    mesh, random, count = Mesh((0.0, 0.2, 0.5, 1.0), (3, 2, 4)), np.random.default_rng(seed), 3
+    whole = collocation(scheme, mesh, count)
+    states = whole.point_states
+    sizes = np.array([1e3, 1.0, 1e-3])[:, None]
+    x, lam_x, lam_g = (random.normal(size=whole.n_variables) for _ in range(3))
+    lam_g = random.normal(size=whole.n_rows)
+    push = random.normal(size=states.shape) * (random.random(states.shape) < 0.1) / sizes
+    gradient = random.normal(size=states.shape) / sizes
+    for i in range(count):
+        for k in range(mesh.segments):
+            lam_g[whole.dynamics_rows[k][i]] /= sizes[i]
+        everywhere = np.unique(np.concatenate([whole.segment_nodes(k)[i] for k in range(mesh.segments)]))
+        x[everywhere] *= sizes[i]
+        lam_x[everywhere] *= (random.random(everywhere.size) < 0.2) / sizes[i]
+    x[whole.segment_nodes(0)[0]] = 1e3
+    weights, breaks = 5.0 * whole.quadrature, 5.0 * np.asarray(mesh.breaks)
+
+    def settled(part: PhaseCollocation, numbers: Iterate, gradient: Array, push: Array) -> _CostatePieces:
+        found = _CostatePieces.of(part, numbers, weights, gradient, push)
+        if scheme == "LG":
+            found.settle_redundant_rows()
+        else:
+            found.split_boundary_multipliers()
+        return found
+
+    together = settled(whole, Iterate(x, lam_x, lam_g), gradient, push)
+    assert together.still[0, 0] and not together.still[0].all() and not together.still[1:].any()
+    assert 0 < together.held.sum() < together.held.size and 0 < together.bounded.sum() < together.bounded.size
+    single = collocation(scheme, mesh, 1)
+    for i in range(count):
+        own = [np.zeros(single.n_variables), np.zeros(single.n_variables), np.zeros(single.n_rows)]
+        for k in range(mesh.segments):
+            for vector, given in zip(own, (x, lam_x), strict=False):
+                vector[single.segment_nodes(k)[0]] = given[whole.segment_nodes(k)[i]]
+            own[2][single.dynamics_rows[k][0]] = lam_g[whole.dynamics_rows[k][i]]
+        for vector, given in zip(own, (x, lam_x), strict=False):
+            vector[single.point_states[0]] = given[states[i]]
+        alone = settled(single, Iterate(*own), gradient[[i]], push[[i]])
+        for name in (
+            "held",
+            "still",
+            "pushed",
+            "bounded",
+            "lam",
+            "start",
+            "end",
+            "densities",
+            "impulses",
+            "pull",
+        ):
+            assert getattr(together, name)[i] == pytest.approx(getattr(alone, name)[0], rel=1e-9), name
+        t = np.linspace(0.0, 5.0, 31)
+        assert together.polynomial(breaks)(t)[i] == pytest.approx(alone.polynomial(breaks)(t)[0], rel=1e-9)
+    paths, mixed = (
+        random.normal(size=(3, 9)) * (random.random((3, 9)) < 0.7) * sizes,
+        np.array([False, True, False]),
+    )
+    shared_out = settle_doubled_paths(whole, paths, weights, mixed)
+    for i in range(3):
+        one = settle_doubled_paths(whole, paths[[i]], weights, mixed[[i]])
+        assert shared_out[i] == pytest.approx(one[0])
+
+
+def test_each_state_is_held_by_its_own_pushes() -> None:
+    """Of the trapezoidal rule, which has no points within: the first state is pushed at both, the second at one."""
+    part = collocation("LGL", Mesh((0.0, 0.3, 1.0), (2, 2)))
+    pushed = np.array([[True, True, False, True], [True, False, True, True]])
+    held = _held_segments(part, pushed, np.ones((2, 4), dtype=bool))
+    assert held.tolist() == [[True, False], [False, True]]
 
 
 def arc_ends(part: Any) -> Array:
@@ -663,12 +797,14 @@ def test_a_guess_of_another_problem_is_refused(solved: Any) -> None:
 def test_an_attempt_is_scaled_and_its_solver_kept() -> None:
     problem = guessed()
     meshes = {"leg": Mesh.uniform(2, 3)}
+    begin = time.perf_counter()
     first = Attempt.prepare(problem, meshes, "LG", None, SolverOptions())
+    assert 0 < first.build_s <= time.perf_counter() - begin
     second = Attempt.prepare(problem, meshes, "LG", None, SolverOptions())
     third = Attempt.prepare(problem, meshes, "LG", None, SolverOptions(tolerance=1e-6))
     assert (first.reused, second.reused, third.reused) == (False, True, False)
     assert first.solver is second.solver and first.solver is not third.solver
-    assert first.build_s > 0 and not first.progress
+    assert not first.progress
     point, scaling = first.point(first.start), first.scaling
     box = first.transcription.variable_interval(problem)
     assert point.x0 * scaling.variables == pytest.approx(first.start.x)

@@ -80,3 +80,31 @@ def test_rounding_of_a_fixed_control_is_no_overshoot(value: float) -> None:
     assert signal(np.linspace(0.0, 3.0, 31)) == pytest.approx(value, abs=0)
     missed = flown([[value, value + 1e-3 * max(abs(value), 1.0), value], [value] * 3], value, value)
     assert missed.held.tolist() == [[True, False]]
+
+
+def test_each_channel_is_held_by_itself() -> None:
+    """The first one overshoots at 1 in the first segment, the second one at -2 in the last, the third one nowhere."""
+    rules = (collocation_rule("LG", 3),) * 2
+    nodal = (
+        np.array([[0.0, 0.0, 1.0], [0.5, 0.4, 0.3], [0.1, 0.2, 0.3]]),
+        np.array([[0.5, 0.6, 0.7], [-2.0, 0.0, 0.0], [0.3, 0.2, 0.1]]),
+    )
+    polynomial = PiecewisePolynomial(BREAKS, tuple(r.points for r in rules), nodal)
+    bounds = Interval(np.array([0.0, -2.0, -np.inf]), np.array([1.0, 2.0, np.inf]))
+    signal = FlownControl(polynomial, bounds, rules)
+    assert signal.held.tolist() == [[True, False], [False, True], [False, False]]
+    cells = np.array([0.0, 5 / 18, 13 / 18, 1.0])
+    assert signal.jumps == pytest.approx([*cells, *(1 + 2 * cells[1:])], abs=1e-14)
+    middles = np.array([*(0.5 * (cells[1:] + cells[:-1])), *(1 + cells[1:] + cells[:-1])])
+    found, free = signal(middles), polynomial(middles)
+    assert found[0] == pytest.approx([0.0, 0.0, 1.0, *free[0, 3:]])
+    assert found[1] == pytest.approx([*free[1, :3], -2.0, 0.0, 0.0])
+    assert found[2] == pytest.approx(free[2])
+    shuffled = np.array([4, 0, 5, 3, 1, 2])
+    assert signal(middles[shuffled]) == pytest.approx(found[:, shuffled])
+
+
+def test_at_a_jump_the_right_hand_value_is_meant() -> None:
+    signal = flown([[0.25] * 3, [0.75] * 3], 0.0, 0.5)
+    assert signal(1.0).tolist() == [0.5] == signal.clipped(1.0).tolist()
+    assert signal(1.0, "left").tolist() == [0.25] == signal.clipped(1.0, "left").tolist()

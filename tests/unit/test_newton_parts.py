@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from by_hand import cart, interval, phase, samples, solution
 
+from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure import newton as n
+from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.verify.switches import Switches
 
 RNG = np.random.default_rng(4)
@@ -200,3 +204,91 @@ def test_cubics_through_values_and_rates() -> None:
     found = n._cubics(breaks, values(left), rates(left), values(right), rates(right))
     t = np.linspace(1.0, 4.0, 13)
     assert found(t) == pytest.approx(values(t)) and found.derivative()(t) == pytest.approx(rates(t))
+
+
+# --- what the method fits ---------------------------------------------------------------------------------
+
+LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER
+ENDS = {
+    "initial_bounds": interval([0, 0], [0, 0]), "final_bounds": interval([1, 0], [1, 0]),
+    "final_time_bounds": interval(0.5, 9.0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changes", "fits"),
+    [
+        ({}, True),
+        ({"initial_bounds": interval([0, -1], [0, 1])}, False),
+        ({"final_bounds": interval([0.5, 0], [2, 0])}, True),
+        ({"final_bounds": interval([0.5, 0], [1, 0])}, False),
+        ({"final_bounds": interval([1, 0], [2, 0])}, False),
+        ({"final_time_bounds": interval(1.0, 1.0)}, True),
+        ({"final_time_bounds": interval(0.5, 1.0)}, False),
+        ({"initial_time_bounds": interval(-1.0, 1.0)}, True),
+        ({"initial_time_bounds": interval(-1.0, 0.0)}, False),
+        ({"duration_bounds": interval(0.2, 5.0)}, True),
+        ({"duration_bounds": interval(1.0, 5.0)}, False),
+    ],
+)
+def test_everything_is_decided_by_equalities(changes: Any, fits: bool) -> None:
+    problem, structure = (
+        cart(),
+        PhaseStructure((0.0, 0.5, 1.0), ((UP,) + (FREE,) * 4, (LOW,) + (FREE,) * 4), (), 1, 2),
+    )
+    found = samples(problem, control_bounds=interval(-6.0, 6.0), **(ENDS | changes))
+    assert n._fits(problem, found, structure) is fits
+    if changes:
+        return
+    for kinds in ((FREE,) * 5, (UP, LOW, FREE, FREE, FREE), (UP, FREE, FREE, UP, FREE)):
+        assert not n._fits(problem, found, replace(structure, kinds=(structure.kinds[0], kinds)))
+    free: Any = SimpleNamespace(
+        leg=found.leg, x=found.x, span=found.span, state_scale=found.state_scale,
+        functions=SimpleNamespace(q=np.zeros(1)),
+    )  # fmt: skip
+    assert not n._fits(problem, free, structure)
+    held, limited, double = cart(), cart(), cart()
+    held.constrain("c", held.get_phase().final_state("q"), equals=1.0)
+    limited.constrain("c", limited.get_phase().final_state("q"), upper=3.0)
+    double.phase("other", held.get_phase().model)
+    assert n._fits(held, found, structure)
+    assert not n._fits(limited, found, structure) and not n._fits(double, found, structure)
+
+
+REST, FAR = (0.05, 0.0), (20.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("steps", "agree", "grids"),
+    [
+        ([REST], True, 1), ([(10.0, 0.0), REST], True, 1), ([(0.0, 1.0), (0.0, 5e-3)], True, 1),
+        ([FAR, REST, REST], True, 2), ([(0.0, 2.0), (0.0, -2.0), REST, (10.0, 0.0), REST], True, 2),
+        ([(10.0, 0.0)] * 3 + [REST], True, 1), ([(10.0, 0.0)] * 4, True, None),  # comes to rest, or does not
+        ([FAR, REST] * 3, True, None),  # off by every grid
+        ([(10.0, 0.0), REST], False, None),  # another arc is asked for
+        ([None], True, None), ([(10.0, 0.0), None], True, None),  # no flow
+        ([(1.0, 8.0), REST], True, None),  # a switch beyond the end
+    ],
+)  # fmt: skip
+def test_when_a_flow_is_accurate(
+    monkeypatch: pytest.MonkeyPatch, steps: Any, agree: bool, grids: Any
+) -> None:
+    """Steps worth so many accuracies each that move the switch by so much; one at 4 s, from 1 s to 11 s."""
+    accuracy, seen, left, base = 1e-4, [], list(steps), switches([4.0], [0])
+
+    def newton(problem: Any, s: Any, at: Any, refinement: int = 1) -> Any:
+        seen.append(refinement)
+        now = left.pop(0)
+        return now and n._Step(np.array([0.0, now[1], 0.0]), None, None, None, now[0] * accuracy)  # type: ignore[arg-type]
+
+    first = n._Step(np.zeros(3), None, None, None, 0.0)  # type: ignore[arg-type]
+    for name, answer in (
+        ("_fits", True), ("_switches", base), ("_optimum", (base, first)), ("_completed", None if agree else base),
+        ("_structure", "structure"), ("_guess", "guess"),
+    ):  # fmt: skip
+        monkeypatch.setattr(n, name, lambda *_, answer=answer: answer)
+    monkeypatch.setattr(n, "_newton_step", newton)
+    problem = cart()
+    found = n.settle_flow(solution(problem, phase(problem)), None, accuracy)  # type: ignore[arg-type]
+    assert found == (("structure", "guess") if grids else None) and seen[0] == n.REFINEMENTS[0]
+    assert not grids or (list(dict.fromkeys(seen)) == list(n.REFINEMENTS[:grids]) and not left)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.polynomial import legendre
 
 from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.transcription.quadrature import collocation_rule
 
@@ -213,3 +214,53 @@ def test_the_same_places_of_all_segments_are_evaluated_from_within_each() -> Non
     assert found[0] == pytest.approx(np.array([[-0.5, 0.5, 1.5], [1.0, 0.0, 1.0], [5.0, 5.0, 5.0]]))
     assert signal([0.5, 1.0, 2.5, 3.0])[0] == pytest.approx([0.5, 1.0, 0.25, 5.0])
     assert signal([1.0, 3.0], "left")[0] == pytest.approx([1.5, 1.0])
+
+
+def test_whole_numbers_are_numbers() -> None:
+    """t^2 on [0, 2] and 8 - 2 t on [2, 4], all given as integers."""
+    signal = PiecewisePolynomial(
+        [0, 2, 4],  # type: ignore[arg-type]
+        ([-1, 0, 1], [-1, 1]),  # type: ignore[arg-type]
+        ([[0, 1, 4]], [[4, 0]]),  # type: ignore[arg-type]
+    )
+    assert all(array.dtype == float for array in (signal.breaks, *signal.nodes, *signal.values))
+    for array in (signal.breaks, *signal.nodes, *signal.values):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 1.0
+    assert signal([0.5, 1.5, 3.0])[0] == pytest.approx([0.25, 2.25, 2.0])
+    assert signal.derivative()([0.5, 3.0])[0] == pytest.approx([1.0, -2.0])
+    assert signal.integral() == pytest.approx([8 / 3 + 4])
+
+
+@pytest.mark.parametrize("start", [-1e6, 1e6 - 1.0, 0.0])
+def test_rounding_of_times_is_a_share_of_their_size(start: float) -> None:
+    """t - start over 1 s: half a thousandth of a billionth of the times outside is rounding, five times that is not."""
+    size = max(abs(start), abs(start + 1.0))
+    signal = PiecewisePolynomial(
+        np.array([start, start + 1.0]), (np.array([-1.0, 1.0]),), (np.array([[0.0, 1.0]]),)
+    )
+    assert signal(start - 5e-13 * size)[0] == 0.0 and signal(start + 1.0 + 5e-13 * size)[0] == 1.0
+    for wrong in (start - 5e-12 * size, start + 1.0 + 5e-12 * size):
+        with pytest.raises(ArgumentError, match="outside the span"):
+            signal([start + 0.5, wrong])
+
+
+@pytest.mark.parametrize(
+    ("nodes", "good"),
+    [
+        (np.linspace(-1, 1, 128), True), (np.linspace(-1, 1, 129), False), (np.array([0.5]), True),
+        (np.array([-1.5, 0.0]), False), (np.array([0.0, 1.5]), False), (np.array([0.5, 0.5]), False),
+        (np.zeros(0), False),
+    ],
+)  # fmt: skip
+def test_nodes_are_few_distinct_and_within_their_segment(nodes: Array, good: bool) -> None:
+    def made() -> PiecewisePolynomial:
+        usual = np.array([-1.0, 1.0])
+        values = (np.zeros((1, 2)), np.ones((1, nodes.size)))
+        return PiecewisePolynomial(np.array([0.0, 1.0, 2.0]), (usual, nodes), values)
+
+    if good:
+        assert made()(1.75)[0] == pytest.approx(1.0)
+    else:
+        with pytest.raises(ArgumentError, match="segment 1: need 1 to 128 distinct nodes"):
+            made()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from by_hand import cart, costates, functions, interval, phase, push, rest, samples
@@ -34,7 +35,7 @@ from gnc_opt.solution.quality import (
     worst_path_violation,
     worst_terminal_error,
 )
-from gnc_opt.solution.samples import EXTRA, EdgeSegment, PhaseSamples, sampling_rule
+from gnc_opt.solution.samples import EDGE, EXTRA, EdgeSegment, PhaseSamples, sampling_rule
 
 CART = cart()
 
@@ -169,6 +170,229 @@ def test_what_the_hamiltonian_is_made_of(right: PhaseSamples) -> None:
     assert idle.span == 4.0
 
 
+# --- what controls are worth --------------------------------------------------------------------------------
+
+
+def test_a_control_is_worth_half_its_span_times_the_steepest_slope(right: PhaseSamples) -> None:
+    """Half of 12 times 6 of the cost's own slope, or of the costate's; what both together leave is nothing."""
+    assert right.control_span == pytest.approx([12.0]) and right.cost_slope[0] == pytest.approx(
+        6 - 12 * right.times
+    )
+    assert right.switching == pytest.approx(np.zeros((1, right.times.size)), abs=1e-12)
+    assert right.joint_worth == pytest.approx(36.0) and right.control_worth == pytest.approx([36.0])
+    pulled = samples(CART, u=lambda t, k: 0 * t, lam=lambda t, k: [0 * t, 5 + 0 * t])
+    assert pulled.control_span == pytest.approx([5.0])  # as far as the costate moves it against H's curvature
+    assert pulled.joint_worth == pytest.approx(2.5 * 5.0)
+    bent = samples(
+        CART, u=lambda t, k: 0 * t, lam=lambda t, k: [0 * t, 0 * t], control_bounds=interval(-4.0, 2.0)
+    )
+    assert bent.joint_worth == pytest.approx(0.5 * 3.0 * 3.0)  # a^2 / 2 over half the range
+    worthless = replace(bent, cost_magnitude=1e6)
+    assert worthless.least_worth == pytest.approx(100.0) == worthless.joint_worth
+    assert bent.least_worth == 1e-9
+
+
+def axes(weight: float = 1.0) -> go.Problem:
+    """x' = p_0, y' = p_1 + s: a vector and a number, which cost p_0^2 + weight p_1^2 + s."""
+    model = go.Model("axes")
+    x, y = model.state("x"), model.state("y")
+    p, s = model.control("p", 2), model.control("s")
+    model.ode({x: p[0], y: p[1] + s})
+    problem = go.Problem("axes")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    problem.minimize(leg.integral(p[0] ** 2 + weight * p[1] ** 2 + s))
+    return problem
+
+
+def test_components_share_what_they_are_worth_and_small_ones_have_a_hundredth_of_all() -> None:
+    """Half spans of 2, 2 and 1: 4, 4 w and 1 (of slopes or curvatures of 2, 2 w and 1)."""
+    box = interval([-2.0, -2.0, -1.0], [2.0, 2.0, 1.0])
+    for weight, slope, expected in ((0.25, 1.0, [4.0, 4.0, 1.0]), (0.25, 0.01, [4.0, 4.0, 0.05])):
+        problem = axes(weight)
+        found = samples(
+            problem, lambda t, k: [t, 0 * t], lambda t, k: [0 * t, 0 * t, 0 * t], lambda t, k: [0 * t, 0 * t],
+            weights=(1.0,), control_bounds=box,
+        )  # fmt: skip
+        if slope < 1:  # s is hardly worth anything
+            functions_ = found.functions
+            scaled = replace(found, functions=replace(functions_, weights=np.array([1.0])))
+            assert scaled.joint_worth == pytest.approx(4.0 + 1.0 + 1.0)
+            continue
+        assert found._single_worths == pytest.approx([4.0, 1.0, 1.0])
+        assert found.joint_worth == pytest.approx(6.0)
+        assert found.control_worth == pytest.approx(expected)
+    tiny = samples(
+        axes(), lambda t, k: [t, 0 * t], lambda t, k: [0 * t, 0 * t, 0 * t], lambda t, k: [0 * t, 0 * t],
+        weights=(1.0,), control_bounds=interval([-20.0, -20.0, -1.0], [20.0, 20.0, 1.0]),
+    )  # fmt: skip
+    assert tiny.joint_worth == pytest.approx(801.0) and tiny.control_worth == pytest.approx(
+        [400.0, 400.0, 8.01]
+    )
+
+
+def test_where_costates_vanish_controls_are_worth_the_terms_that_cancel() -> None:
+    """At q = 3 costates of nothing: q^2 / 2 would make T 3 of lam_q and T^2 3 of lam_v in T = 2 s, for half of 2 m/s^2.
+
+    Not if they are there, however small they are beside that: then they say what a control is worth. Another state
+    with its costate and a control that does nothing change nothing; only the middles of segments are looked at.
+    """
+    model = go.Model("cart")
+    q, v, y = model.state("q"), model.state("v"), model.state("y")
+    a, idle = model.control("a"), model.control("idle")
+    model.ode({q: -v, v: -a, y: 0 * idle})
+    problem = go.Problem("rest")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    problem.minimize(leg.integral(-0.5 * q**2))
+
+    def at(lam: float) -> PhaseSamples:
+        return samples(
+            problem, lambda t, k: [3 + (t - 0.25) * (t - 1.25), 0 * t, 1 + 0 * t], lambda t, k: [0 * t, 0 * t],
+            lambda t, k: [lam + 0 * t, -lam + 0 * t, 7 + 0 * t], weights=(1.0,), breaks=(0.0, 0.5, 2.0),
+            control_bounds=interval([-1.0, -1.0], [1.0, 1.0]),
+        )  # fmt: skip
+
+    assert at(0.0)._balanced_slopes == pytest.approx([12.0, 0.0])
+    assert at(0.0).joint_worth == pytest.approx(12.0)
+    assert at(5e-4)._balanced_slopes == pytest.approx([12.0, 0.0], rel=1e-3)
+    assert at(0.01)._balanced_slopes.tolist() == [0.0, 0.0] and at(0.01).joint_worth == pytest.approx(0.01)
+
+
+def test_controls_without_bounds_have_their_own_reach() -> None:
+    found = samples(
+        axes(), lambda t, k: [t, t], lambda t, k: [0.5 + 0 * t, -4 * t, 6 * t], lambda t, k: [0 * t, 0 * t],
+        weights=(1.0,), control_bounds=interval([-np.inf] * 3, [np.inf, np.inf, 9.0]),
+    )  # fmt: skip
+    assert found.control_scale == pytest.approx([0.5, 4.0, 6.0])
+
+
+def test_path_constraints_that_hardly_move_are_measured_by_what_could_move_them() -> None:
+    """At q = 1/2 and a = 4, their sizes: -2 q and q - a by both; what is far off by rounding, nothing by one."""
+    model = go.Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("paths")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    for label, value in (("down", -2 * q), ("far", 1e9 + 0 * q), ("none", 0 * q), ("both", q - a)):
+        leg.path(label, value, upper=9e9)
+    problem.minimize(leg.integral(a**2))
+    found = samples(
+        problem,
+        lambda t, k: [0.5 + 0 * t, 0 * t],
+        lambda t, k: 4 + 0 * t,
+        lambda t, k: [0 * t, 0 * t],
+        weights=(1.0,),
+    )
+    assert found.state_scale == pytest.approx([0.5, 1.0]) and found.control_scale == pytest.approx([4.0])
+    assert found.path_scale == pytest.approx([1e-4 * 1.0, 100.0, 1.0, 1e-4 * 4.5])
+
+
+def test_a_box_about_the_flight_is_as_wide_as_the_spans(right: PhaseSamples) -> None:
+    least, most = right.flown_box
+    assert least == pytest.approx([0.0, 0.0]) and most == pytest.approx([1.0, 1.5])
+    found = samples(
+        axes(), lambda t, k: [0.001 * t, 5 - 2 * t], lambda t, k: [0 * t] * 3, lambda t, k: [0 * t] * 2,
+        weights=(1.0,), control_bounds=interval([-2.0] * 3, [2.0] * 3),
+    )  # fmt: skip
+    span = found.state_scale
+    assert span == pytest.approx([0.001, 2.0])
+    still = replace(found)
+    object.__setattr__(still, "state_scale", np.array([0.5, 2.0]))  # cached
+    least, most = still.flown_box
+    assert least == pytest.approx([0.001 - 0.5, 3.0]) and most == pytest.approx([0.5, 5.0])
+
+
+def test_ends_are_measured_by_the_ranges_of_controls() -> None:
+    found = samples(CART, control_bounds=interval(-0.1, 0.1))
+    assert found.end_scale == pytest.approx([0.5 * 0.2, 0.2])
+
+
+@pytest.mark.parametrize(
+    ("initial", "final", "duration", "told"),
+    [
+        ((0, 0), (1, 1), (-9, 9), True), ((0, 0), (1, 2), (-9, 9), False), ((-1, 0), (1, 1), (-9, 9), False),
+        ((-1, 0), (0, 2), (1, 1), True), ((-1, 0), (1, 2), (0, 1), False),
+    ],
+)  # fmt: skip
+def test_constants_in_the_cost_count_where_the_duration_is_free(
+    initial: Any, final: Any, duration: Any, told: bool
+) -> None:
+    """The integrand a^2 of 9 all along, by half, and nothing else that H consists of."""
+    found = samples(
+        CART, u=lambda t, k: 3 + 0 * t, lam=lambda t, k: [0 * t, 0 * t], initial_time_bounds=interval(*initial),
+        final_time_bounds=interval(*final), duration_bounds=interval(*duration), control_bounds=interval(2.9, 3.1),
+    )  # fmt: skip
+    assert found.lasts_as_told is told
+    assert found.hamiltonian_scale == pytest.approx(0.1 * 3.0 if told else 4.5)
+
+
+def test_each_integrand_counts_above_its_own_least() -> None:
+    """4 u^2 + 2 (x + 3)^2 with u = 1 + t and x = t: from 4 to 16 and from 18 to 32, of which 12 and 14 count."""
+    model = go.Model("two costs")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("two costs")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    problem.minimize(4 * leg.integral(u**2) + 2 * leg.integral((x + 3) ** 2))
+    at = (problem, lambda t, k: [t], lambda t, k: 1 + t, lambda t, k: 0 * t)
+    assert samples(*at, weights=(4.0, 2.0)).hamiltonian_scale == pytest.approx(26.0)
+    free_end = samples(*at, weights=(4.0, 2.0), final_time_bounds=interval(0.5, 2.0))
+    assert free_end.hamiltonian_scale == pytest.approx(48.0)
+
+
+# --- where rates jump, and directions of nothing ------------------------------------------------------------
+
+
+def test_samples_keep_off_the_ends_of_segments_where_rates_jump(right: PhaseSamples) -> None:
+    """Friction at rest must not depend on how an end is rounded."""
+    model = go.Model("friction")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a - 0.1 * ca.sign(v)})
+    problem = go.Problem("friction")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    problem.minimize(leg.integral(a**2))
+    rough = samples(problem, weights=(1.0,), breaks=(0.0, 0.25, 1.0))
+    inside = np.diff(rough.times_within)
+    assert np.all(inside > 0)
+    n = rough.leg.mesh.degrees[0] + EXTRA
+    ends = rough.times_within[[0, n + 1, n + 2, -1]]
+    assert ends == pytest.approx(
+        [EDGE * 0.25, 0.25 - EDGE * 0.25, 0.25 + EDGE * 0.75, 1 - EDGE * 0.75], abs=1e-12
+    )
+    assert rough.times_within[1 : n + 1] == pytest.approx(rough.times[1 : n + 1])
+    assert rough.x == pytest.approx(np.array(rest(rough.times_within, 0)), abs=1e-12)
+    assert right.times_within is right.times
+
+
+def test_a_direction_is_idle_where_its_vector_has_no_magnitude() -> None:
+    model = go.Model("thrust")
+    x, other = model.state("x", 2), model.control("other")
+    thrust, magnitude = model.vector_control("T", 2)
+    model.ode({x: thrust + other})
+    problem = go.Problem("thrust")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.bounds_norm(T=(0.0, 4.0))
+    problem.minimize(leg.integral(magnitude))
+    box = leg.numbers.controls
+
+    def u(t: Array, k: int) -> Any:
+        return [0 * t, 2.0 * k + 3e-6 * (t < 0.25), 1 + 0 * t, 0 * t]
+
+    found = samples(
+        problem, lambda t, k: [t, t], u, lambda t, k: [0 * t, 0 * t], weights=(1.0,), breaks=(0.0, 0.25, 0.5, 1.0),
+        control_bounds=interval([-1.0, 0.0, -1.0, -1.0], [1.0, 4.0, 1.0, 1.0]),
+        composed_controls=tuple(model.composed_controls.values()),
+    )  # fmt: skip
+    assert box.upper.size == 4
+    at_rest = found.segments == 0
+    assert found.idle.tolist() == [[False] * at_rest.size] * 2 + [list(at_rest)] * 2
+
+
 def test_which_paths_depend_on_controls_and_how_large_they_are(right: PhaseSamples) -> None:
     assert right.pure_paths.tolist() == [1]
     # The control goes from 6 to -6, the position from 0 to 1; where the limits are does not matter.
@@ -236,11 +460,14 @@ def test_a_defect_is_an_integral_and_a_jump_counts_for_the_segment_before() -> N
     size = drifting.state_scale
     assert worst.value == pytest.approx(max(1.5 / size[1], (1.5 - 0.375) / size[0]))
     assert worst.where == "phase leg, segment 1 (0 to 0.5 s), v" if 1.5 / size[1] > 1.125 else worst.where
-    jump = samples(
-        CART, lambda t, k: rest(t, k) + np.array([[0.125 * (k > 0)], [0.0]]), breaks=(0, 0.25, 0.5, 1)
-    )
-    found = worst_defect(jump)
-    assert found.value == pytest.approx(0.125 / 1.125) and found.where.startswith("phase leg, segment 1")
+    for height, size in ((0.125, 1.125), (-0.125, 0.875)):
+        jump = samples(
+            CART,
+            lambda t, k, h=height: rest(t, k) + np.array([[h * (k > 0)], [0.0]]),
+            breaks=(0, 0.25, 0.5, 1),
+        )
+        found = worst_defect(jump)
+        assert found.value == pytest.approx(0.125 / size) and found.where.startswith("phase leg, segment 1")
     assert worst_defect(samples(CART)).value < 1e-14
     assert worst_defect(samples(CART, breaks=(0.0, 1.0))).value < 1e-14
 
@@ -467,6 +694,27 @@ def test_depth_beyond_a_circle_is_the_distance_to_it(
         np.zeros((1, 1)),
     )
     assert path_offences(point, found) == pytest.approx([depth], rel=1e-6)
+
+
+@pytest.mark.parametrize("limit", [-1.0, 1.0])
+def test_what_sits_on_its_limit_keeps_it(limit: float) -> None:
+    """limit + max(q - limit, 0)^2 <= limit: below it the value is the limit. From limit + 3/2, of a span of 2."""
+    model = go.Model("line")
+    q, a = model.state("q"), model.control("a")
+    model.ode({q: a})
+    problem = go.Problem("line")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.path("above", limit + ca.fmax(q - limit, 0) ** 2, upper=limit)
+    problem.minimize(leg.integral(a**2))
+    found = samples(
+        problem, lambda t, k: [limit + 2 * t], lambda t, k: 0 * t, lambda t, k: 0 * t, weights=(1.0,)
+    )
+    limits_ = Limits.of(found.functions.paths, leg.path_interval())
+    point = Violations(
+        limits_, np.array([0.75]), np.array([2.25]), np.array([[limit + 1.5]]), np.zeros((1, 1))
+    )
+    assert path_offences(point, found) == pytest.approx([0.75], rel=1e-6)
 
 
 def test_at_the_centre_of_a_circle_the_nearest_sample_shows_the_way_out() -> None:

@@ -77,6 +77,24 @@ def test_functions_along_a_solution_are_numbers_or_vectors(moved: Solution) -> N
     assert np.shape(moved.evaluate(both, 0.5)) == (2,)
 
 
+def test_at_a_boundary_between_segments_the_right_hand_side_is_meant() -> None:
+    """q = 1, v = 2, a = 3, lam = (4, 5) before 1/2 s, ten times that after it: H = a^2 + lam_q v + lam_v a."""
+    problem = cart()
+
+    def jump(*values: float) -> Any:
+        return lambda t, k: [value * (1 + 9 * k) + 0 * t for value in values]
+
+    found = solution(problem, phase(problem, jump(1, 2), jump(3), jump(4, 5)))
+    model = found.need_problem("evaluate").get_phase().model
+    for sides, factor in ((("left",), 1.0), (("right",), 10.0), ((), 10.0)):
+        side: dict[str, Any] = dict.fromkeys(("side",) if sides else (), sides[0] if sides else None)
+        assert found.hamiltonian(0.5, **side) == pytest.approx(factor**2 * (9 + 8 + 15))
+        assert found.switching_function("a", 0.5, **side) == pytest.approx(factor * (6 + 5))
+        assert found.evaluate(model.symbol("q"), 0.5, **side) == pytest.approx(factor)
+        for signal, value in ((found.state("v"), 2), (found.control("a"), 3), (found.costate("v"), 5)):
+            assert signal(0.5, *sides) == pytest.approx(factor * value)
+
+
 def test_vector_controls_have_a_switching_function_each() -> None:
     model = go.Model("plane")
     r, u = model.state("r", 2), model.control("u", 2)

@@ -13,6 +13,7 @@ def test_costs_of_tries_add_up() -> None:
         iterations=10, build_s=0.0, solve_s=4.0, function_s=0.5, linear_solver_s=3.0, build_reused=True
     )
     assert second.after(first) == Statistics(13, 0.5, 6.0, 0.75, 4.0, True)
+    assert not first.build_reused and not first.after(second).build_reused
 
 
 def test_integrals_by_name() -> None:

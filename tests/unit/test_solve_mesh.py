@@ -261,7 +261,9 @@ def test_without_a_limit_a_warm_start_is_the_only_one(monkeypatch: pytest.Monkey
 
 def test_all_tries_share_one_limit_of_wall_time(monkeypatch: pytest.MonkeyPatch) -> None:
     watch = Stumbling(monkeypatch, Status.RESTORATION_FAILED, Status.RESTORATION_FAILED, Status.ACCEPTABLE)
+    begin = time.perf_counter()
     solve_mesh(regulator(), "3x4", options=go.SolverOptions(max_wall_time=60.0))
+    assert all(deadline is not None and deadline >= begin + 60.0 for deadline in watch.deadlines)
     assert len(watch.deadlines) > 3 and len(set(watch.deadlines)) == 1
 
 

@@ -197,6 +197,7 @@ def controls(flown: Any, pull: Any, curvature: Any, bounds: Interval | None = No
         ([3.0, 3.0, 3.0], 0.0, 0.0, (1.0, 8.0), 7.0),  # idle: its range
         ([3.0, 3.0, 3.0 + 1e-4], 0.0, 0.0, (1.0, 8.0), 1e-4),  # not idle
         ([3.0, 3.0, 3.0 + 2e-6], 0.0, 0.0, (1.0, 8.0), 7.0),
+        ([3.0, 3.0, 3.0], 0.0, 0.0, (2.9, 3.1), 0.2),  # however narrow that is beside its size
         ([3.0, -3.0, -4.0], 0.0, 0.0, (5.0, 5.0), 7.0),  # a range without width is none
         ([-3.0, -3.0, -3.0], 0.0, 0.0, (-np.inf, np.inf), 3 * RESOLUTION),
         ([0.0, 0.0, 0.0], 0.0, 0.0, (-np.inf, np.inf), 1.0),

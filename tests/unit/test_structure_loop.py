@@ -594,8 +594,8 @@ def improved(monkeypatch: pytest.MonkeyPatch, **answers: Any) -> tuple[dict[str,
     monkeypatch.setattr(s, "_adjust", step("adjust", lambda plan, tol: (plan, "")))
     monkeypatch.setattr(s, "_complete", step("complete", lambda *_: (None, "")))
     monkeypatch.setattr(s, "_saturated", step("saturate", lambda *_: (None, "")))
-    for contacts in ("_mended_contacts", "crossed_contact"):
-        monkeypatch.setattr(s, contacts, lambda *_: (None, ""))
+    monkeypatch.setattr(s, "_mended_contacts", step("mended", lambda *_: (None, "")))
+    monkeypatch.setattr(s, "crossed_contact", step("crossed", lambda *_: (None, "")))
     return s._improve(there, plans, set(), 1e-9)
 
 
@@ -620,6 +620,20 @@ def test_what_vanishes_is_mended_first_then_kinks_and_points_then_what_is_missin
     assert (action, plans["a"].structure, plans["a"].points) == ("saturated", other, 7.0)
     plans, action = improved(monkeypatch, complete=add)
     assert (action, plans["a"].structure, plans["a"].points) == ("added", other, 7.0)
+    plans, action = improved(monkeypatch, collapse=drop, mended=add, adjust=adjust)
+    assert action == "dropped"
+    plans, action = improved(monkeypatch, mended=add, adjust=adjust, complete=drop)
+    assert (action, plans["a"].structure, plans["a"].points, plans["b"].structure) == (
+        "added",
+        other,
+        7.0,
+        THREE,
+    )
+    crossed = {"a": None, "b": (other, "crossed")}
+    plans, action = improved(monkeypatch, crossed=crossed)
+    assert (action, plans["b"].structure, plans["b"].points) == ("crossed", other, 7.0)
+    assert improved(monkeypatch, complete=add, crossed=crossed)[1] == "added"
+    assert improved(monkeypatch, adjust=adjust, crossed=crossed)[1] == "r"
     both = {"a": (finer, "r"), "b": (finer, "r")}
     assert improved(monkeypatch, adjust=both)[1] == "r"
     assert improved(monkeypatch, adjust={"a": (finer, "r"), "b": (finer, "k")})[1] == "r, k"
@@ -679,3 +693,75 @@ def test_arcs_of_all_phases_have_the_names_of_their_rows() -> None:
     structure = PhaseStructure((0.0, 1.0), ((UP, FREE, LOW, FREE, FREE),), (), 1, 2)
     found = s._arcs(solution(problem, phase(problem)), {"leg": Plan.of(structure)})
     assert found == (Arc("leg", "a", UP, 0.0, 1.0), Arc("leg", "pure", LOW, 0.0, 1.0))
+
+
+TOUCHED = PhaseStructure(
+    (0.0, 1.0, 2.0, 4.0), ((LOW, FREE), (LOW, UP), (LOW, FREE)), (), 1, 0, (0, 2), ((), (), ((1, UP),), ())
+)
+
+
+@pytest.mark.parametrize(
+    ("loose", "moved", "touches", "action"),
+    [
+        (False, None, True, "limits beside touches released"), (True, None, True, "resolution raised"),
+        (False, (0.0, 1.5, 2.0, 4.0), True, "kinks moved, resolution raised"),
+        (False, None, False, "resolution raised"),
+    ],
+)  # fmt: skip
+def test_limits_beside_touches_are_released_before_a_mesh_is_refined(
+    monkeypatch: pytest.MonkeyPatch, loose: bool, moved: Any, touches: bool, action: str
+) -> None:
+    structure = TOUCHED if touches else replace(TOUCHED, touches=((),) * 4)
+    plan = Plan(structure, (Resolution(),) * 3, 7.0, loose)
+    raised = replace(plan, resolutions=(Resolution(2),) * 3)
+    monkeypatch.setattr(s, "move_kinks", lambda *_: None if moved is None else structure.at(moved))
+    monkeypatch.setattr(s, "_finer", lambda *_: raised)
+    found, what = s._adjust(SimpleNamespace(samples=LEG), plan, 1e-9)  # type: ignore[arg-type]
+    assert what == action and found.loose is (loose or action.startswith("limits"))
+    assert found.resolutions == (plan if action.startswith("limits") else raised).resolutions
+
+
+def test_an_arc_on_a_limit_that_shrinks_to_nothing_leaves_a_touch(monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = Plan(replace(TOUCHED, touches=((),) * 4), (Resolution(),) * 3, 7.0)
+    monkeypatch.setattr(s, "move_kinks", lambda *_: plan.structure.at((0.0, 1.5, 1.5, 4.0)))
+    monkeypatch.setattr(s, "_finer", lambda *_: None)
+    found, what = s._adjust(SimpleNamespace(samples=LEG), plan, 1e-9)  # type: ignore[arg-type]
+    assert what == "piece 2 dropped" and found.points == 7.0
+    assert found.structure.touching(1, UP) == [1.5] and found.structure.kinds == ((LOW, FREE),) * 2
+
+
+@pytest.mark.parametrize(
+    ("added", "wrong", "action"),
+    [
+        (True, (2, 1), "added"),
+        (True, None, "added"),
+        (False, (2, 1), "touch at 2 s dropped"),
+        (False, None, ""),
+    ],
+)
+def test_a_contact_that_is_missing_comes_before_a_touch_that_pulls(
+    monkeypatch: pytest.MonkeyPatch, added: bool, wrong: Any, action: str
+) -> None:
+    monkeypatch.setattr(s, "pushed_contact", lambda *_: (THREE, "added") if added else (None, ""))
+    monkeypatch.setattr(s, "wrong_touch", lambda *_: wrong)
+    found, what = s._mended_contacts(None, TOUCHED)  # type: ignore[arg-type]
+    assert what == action
+    assert found == (THREE if added else TOUCHED.without_touch(2, 1) if wrong else None)
+
+
+@pytest.mark.parametrize(("away", "settled"), [(5e-11, True), (5e-9, False)])
+def test_ends_of_contacts_are_told_more_sharply_than_kinks(
+    monkeypatch: pytest.MonkeyPatch, away: float, settled: bool
+) -> None:
+    """Both would rest within 1e-8 of the phase, a contact within 1e-10."""
+    contact = PhaseStructure((10.0, 10.5, 11.0), ((FREE,) * 5, (FREE, FREE, FREE, UP, FREE)), (True,) + (False,) * 4, 1,
+                             2, (0, 0, 0, 2, 0))  # fmt: skip
+    plan = Plan(contact, (Resolution(), Resolution()))
+    monkeypatch.setattr(j, "junction_time", lambda *_: 10.5 - away)
+    found = j.move_kinks(SimpleNamespace(samples=None), plan)  # type: ignore[arg-type]
+    assert (found is None) is settled and (settled or found.times == (10.0, 10.5 - away, 11.0))  # type: ignore[union-attr]
+    kink = PhaseStructure(
+        (10.0, 10.5, 11.0), ((FREE,) * 5, (UP, FREE, FREE, FREE, FREE)), (True,) + (False,) * 4, 1, 2
+    )
+    monkeypatch.setattr(j, "_wanted", lambda *_: 10.5 - away)
+    assert j.move_kinks(SimpleNamespace(samples=None), Plan(kink, plan.resolutions)) is None  # type: ignore[arg-type]

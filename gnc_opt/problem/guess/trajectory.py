@@ -86,7 +86,10 @@ def guess_times(leg: Phase) -> Array:
 
 
 def end_values(leg: Phase) -> tuple[Array, Array]:
-    """Return guessed initial and final states; a free end takes the value of the other one."""
+    """Return guessed initial and final states; a free end takes the value of the other one.
+
+    States that are free at both ends stay where a link takes them from, if one does.
+    """
     numbers = leg.numbers
     values = []
     for here, there in ((numbers.initial, numbers.final), (numbers.final, numbers.initial)):
@@ -94,7 +97,25 @@ def end_values(leg: Phase) -> tuple[Array, Array]:
         open_here = ~np.isfinite(here.lower) & ~np.isfinite(here.upper)
         known_there = np.isfinite(there.lower) | np.isfinite(there.upper)
         values.append(np.where(open_here & known_there, other.middle, box.middle))
+    _hand_over(leg, *values)
     return values[0], values[1]
+
+
+def _hand_over(leg: Phase, first: Array, last: Array) -> None:
+    """Write the guessed ends of earlier phases where a state is free at both ends."""
+    numbers = leg.numbers
+    ends = np.stack([numbers.initial.lower, numbers.initial.upper, numbers.final.lower, numbers.final.upper])
+    free = np.all(~np.isfinite(ends), axis=0)
+    for variable in leg.model.states.variables:
+        rows, handed = leg.model.states.slice(variable.name), leg.handed_over(variable.name)
+        if handed is None or not np.all(free[rows]):
+            continue
+        before, jump = handed
+        end = start_phase(before, np.ones(1), perturbed=False).states[
+            before.model.states.slice(variable.name), 0
+        ]
+        box = numbers.states
+        first[rows] = last[rows] = np.clip(end + jump, box.lower[rows], box.upper[rows])
 
 
 def perturbation(bounds: Interval, fractions: Array) -> Array:

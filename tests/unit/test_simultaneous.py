@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
+from by_hand import interval, phase, solution
 
 import gnc_opt as go
+from gnc_opt.arrays import Array
 from gnc_opt.refine.structure.simultaneous import _backwards, settle_costates
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 
 WORTH = np.array([1.0, 2.0, 3.0])
-AREA, REST = 0, 1  # rows of the constraints
 
 
-@cache
-def together() -> go.Solution:
+def carts() -> go.Problem:
     """Three carts from rest to rest, as far as they get in at most 2 s, |a| <= 1; metres are worth 1, 2 and 3.
 
-    Each switches at T/2: lam_q = -w and lam_v = w (t - T/2). The first one is told to stop by the integral of its
-    acceleration, the second one by its final speed, the third one by a boundary constraint. One metre costs v at the
-    end of it, so T has the multiplier w T/2 of each.
+    The first one is told to stop by the integral of its acceleration, the second one by its final speed, the third one
+    by a boundary constraint.
     """
     model = go.Model("carts")
     q, v, a = model.state("q", 3), model.state("v", 3), model.control("a", 3)
@@ -37,13 +36,45 @@ def together() -> go.Solution:
     problem.constrain("rest", leg.final_state("v")[2], equals=0.0)
     end = leg.final_state("q")
     problem.minimize(-sum(WORTH[i] * end[i] for i in range(3)))
-    refined = go.refine(go.solve(problem, mesh="6x3", tol=None), structure="bang-bang")
-    assert refined.history is not None and refined.history.converged
-    return refined
+    return problem
 
 
-def check(solution: go.Solution) -> None:
-    leg = solution.phase()
+CARTS = carts()
+
+
+def together(push: float = 1.0) -> go.Solution:
+    """The optimum: each switches at T/2, lam_q = -w and lam_v = w (t - T/2), but -w where the integral has the rest.
+
+    One second more is worth w T/2 of each. A push of less than 1 is between the limits.
+    """
+
+    def x(t: Array, k: int) -> Any:
+        q, v = (t - 1 + 0.5 - (t - 1) ** 2 / 2, 2 - t) if k else (t**2 / 2, t)
+        return [q, q, q, v, v, v]
+
+    def lam(t: Array, k: int) -> Any:
+        return [*(-w + 0 * t for w in WORTH), t - 2, 2 * (t - 1), 3 * (t - 1)]
+
+    box = CARTS.get_phase().numbers
+    given: dict[str, Any] = {"initial_bounds": box.initial, "final_bounds": box.final}
+    bare = phase(
+        CARTS, x, lambda t, k: [push * (1 - 2 * k) + 0 * t] * 3, lam, breaks=(0.0, 1.0, 2.0), degree=3
+    )
+    impulses = np.zeros((6, 3))
+    impulses[:, 0], impulses[4, 2] = -bare.lam_start[:, 0], 2.0
+    leg = replace(
+        bare, **given, mesh=go.Mesh((0.0, 0.5, 1.0), (3, 3), (1,)), control_bounds=box.controls,
+        final_time_bounds=interval(0.5, 2.0), control_multipliers=-WORTH[:, None] * (bare.point_times - 1),
+        state_impulses=impulses, time_multipliers=np.array([0.0, 6.0]), integral_weights=np.ones(1),
+    )  # fmt: skip
+    return solution(
+        CARTS, leg, objective=-6.0, constraint_labels=("area", "rest"), constraint_values=np.zeros(2),
+        constraint_multipliers=np.array([1.0, 3.0]),
+    )  # fmt: skip
+
+
+def check(found: go.Solution) -> None:
+    leg = found.phase()
     t = np.linspace(0.0, 2.0, 9)
     slopes = WORTH[:, None] * (t - 1.0)
     slopes[0] -= 1.0  # what the integral's weight does for the first one: lam_v = 0 at the end
@@ -52,7 +83,7 @@ def check(solution: go.Solution) -> None:
     np.testing.assert_allclose(leg.lam_start, leg.lam(leg.breaks[:-1]), atol=2e-6)
     np.testing.assert_allclose(leg.lam_end, leg.lam(leg.breaks[1:], "left"), atol=2e-6)
     np.testing.assert_allclose(leg.point_costates, leg.lam(leg.point_times), atol=2e-6)
-    assert solution.constraint_multipliers == pytest.approx([1.0, 3.0], abs=2e-6)
+    assert found.constraint_multipliers == pytest.approx([1.0, 3.0], abs=2e-6)
     assert leg.integral_weights == pytest.approx([1.0], abs=2e-6)
     switching = WORTH[:, None] * (leg.point_times - 1.0)
     np.testing.assert_allclose(leg.control_multipliers, -switching, atol=1e-5)
@@ -63,9 +94,9 @@ def check(solution: go.Solution) -> None:
     np.testing.assert_allclose(leg.state_impulses[[0, 1, 2, 3, 5], -1], 0.0, atol=1e-5)
 
 
-def drifted(solution: go.Solution, change: np.ndarray) -> go.Solution:
+def drifted(found: go.Solution, change: np.ndarray) -> go.Solution:
     """What a program may return as well: changes of the three switching functions that add up to zero."""
-    leg = solution.phase()
+    leg = found.phase()
     rows = np.array([0.0, 0.0, 0.0, 0.0, change[1], change[2]])[:, None]
     impulses = leg.state_impulses.copy()
     impulses[:, 0] -= rows[:, 0]
@@ -80,13 +111,13 @@ def drifted(solution: go.Solution, change: np.ndarray) -> go.Solution:
         integral_weights=leg.integral_weights + change[0],
         state_impulses=impulses,
     )
-    nu = solution.constraint_multipliers + change[[0, 2]]
-    return replace(solution, phases={"leg": other}, constraint_multipliers=nu)
+    nu = found.constraint_multipliers + change[[0, 2]]
+    return replace(found, phases={"leg": other}, constraint_multipliers=nu)
 
 
-def test_every_switching_function_vanishes_at_its_switch() -> None:
-    assert together().objective == pytest.approx(-6.0, abs=1e-9)
+def test_costates_that_are_right_stay_so() -> None:
     check(together())
+    check(settle_costates(together()))
 
 
 @pytest.mark.parametrize("change", [(0.5, -0.5, 0.0), (0.5, 0.0, -0.5), (-0.25, 1.0, -0.75)])
@@ -97,21 +128,27 @@ def test_whatever_the_program_returned(change: tuple[float, ...]) -> None:
     check(settle_costates(wrong))
 
 
-def test_switches_one_by_one_are_left_as_they_are() -> None:
+def test_what_has_no_simultaneous_switches_is_left_as_it_is() -> None:
+    between = together(push=0.5)  # not bang-bang
+    assert settle_costates(between) is between
     model = go.Model("cart")
     q, v, a = model.state("q"), model.state("v"), model.control("a")
     model.ode({q: v, v: a})
     problem = go.Problem("alone")
     leg = problem.phase("leg", model)
-    leg.time(0.0, (0.5, 9.0))
-    leg.initial(q=1.0, v=0.0)
-    leg.final(q=0.0, v=0.0)
+    leg.time(0.0, 2.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(v=0.0)
     leg.bounds(a=(-1.0, 1.0))
-    problem.minimize(leg.final_time)
-    alone = go.refine(go.solve(problem, mesh="5x3", tol=None), structure="bang-bang")
+    problem.minimize(-leg.final_state("q"))
+    one = phase(
+        problem, lambda t, k: [t - 1 + 0.5 - (t - 1) ** 2 / 2, 2 - t] if k else [t**2 / 2, t],
+        lambda t, k: 1 - 2 * k + 0 * t, lambda t, k: [-1 + 0 * t, t - 1], breaks=(0.0, 1.0, 2.0), degree=3,
+        control_bounds=interval(-1.0, 1.0), initial_bounds=interval([0, 0], [0, 0]),
+        final_bounds=interval([-np.inf, 0], [np.inf, 0]),
+    )  # fmt: skip
+    alone = solution(problem, one, objective=-1.0)
     assert settle_costates(alone) is alone
-    regular = go.solve(problem, mesh="5x3", tol=None)  # switches within segments: not bang-bang
-    assert settle_costates(regular) is regular
 
 
 def test_the_adjoint_equation_backwards() -> None:

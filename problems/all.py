@@ -1,0 +1,132 @@
+"""All published systems in one run: a table and a page each, and what has changed since the pages were last written.
+
+A page is a reproducibility matrix: what the publication says, ours, what an independent computation says, and why they
+differ where they do.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from gnc_opt.errors import GncOptError
+from problems.comparison import Row, count, numbers, summary, write_json
+
+SYSTEMS = {
+    "rendezvous": "Time-optimal rendezvous",
+    "formation_flying": "Formation flying",
+    "reaction_wheels": "Reaction wheels",
+    "flexible_spacecraft": "Flexible spacecraft",
+    "tethered_formation": "Tethered pair",
+}
+"""Folders with their titles; each has ``report.comparison``, which returns its rows."""
+MOVED = 1e-6
+"""A number has changed if it moved by more than this share of itself."""
+
+
+def rows_of(name: str) -> list[Row]:
+    """Return the rows of a system."""
+    comparison: Callable[[], list[Row]] = import_module(f"problems.{name}.report").comparison
+    return comparison()
+
+
+def page(title: str, rows: Sequence[Row]) -> str:
+    """Return the matrix of a system, Markdown."""
+    lines = [
+        f"# {title}",
+        "",
+        count(rows) + ".",
+        "",
+        "| quantity | publication | ours | independent | |",
+        "|---|---|---|---|---|",
+    ]
+    for row in rows:
+        cells = [row.quantity, "", numbers(row.ours), "", "; ".join(filter(None, (row.reason, row.note)))]
+        for i, claim, otherwise in ((1, row.published, "differs"), (3, row.independent, "FAIL")):
+            if claim is not None:
+                cells[i] = f"{claim.text}: {'agrees' if claim.agrees else otherwise}"
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def changes(before: Sequence[dict[str, Any]], rows: Sequence[Row]) -> list[str]:
+    """Return what differs between the rows of a page's JSON and those of now, a line each."""
+    old, new = {row["quantity"]: row for row in before}, {r["quantity"]: r for r in summary(rows)["rows"]}
+    told = [f"gone: {name}" for name in old if name not in new]
+    for name, row in new.items():
+        if name not in old:
+            told.append(f"new: {name}")
+            continue
+        then = old[name]
+        if _marks(then) != _marks(row):
+            told.append(f"marks: {name}, {_marks(then)} to {_marks(row)}")
+        elif not _same(then["ours"], row["ours"]):
+            told.append(f"moved: {name}, {_list(then['ours'])} to {_list(row['ours'])}")
+    return told
+
+
+def _marks(row: dict[str, Any]) -> str:
+    claims = (("publication", row["published"]), ("independent", row["independent"]))
+    return (
+        ", ".join(f"{who} {'agrees' if claim['agrees'] else 'differs'}" for who, claim in claims if claim)
+        or "none"
+    )
+
+
+def _same(before: Sequence[float | None], now: Sequence[float | None]) -> bool:
+    def near(a: float | None, b: float | None) -> bool:
+        return a is b if a is None or b is None else abs(a - b) <= MOVED * max(abs(a), abs(b))
+
+    return len(before) == len(now) and all(near(a, b) for a, b in zip(before, now, strict=True))
+
+
+def _list(values: Sequence[float | None]) -> str:
+    return "(" + ", ".join("none" if v is None else f"{v:.7g}" for v in values) + ")"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Compute every system, write the pages, say what changed; see ``python -m problems.all --help``.
+
+    Returns
+    -------
+    int
+        0; 1 if a row of a system does not pass, or one cannot be computed.
+    """
+    parser = argparse.ArgumentParser(prog="python -m problems.all", description=__doc__.partition("\n")[0])
+    parser.add_argument(
+        "--pages",
+        type=Path,
+        default=Path("pages"),
+        metavar="DIR",
+        help="folder of pages and JSON, default pages",
+    )
+    parser.add_argument("--only", choices=list(SYSTEMS), action="append", help="this system; may be repeated")
+    options = parser.parse_args(arguments)
+    console, fine = Console(highlight=False), True
+    options.pages.mkdir(parents=True, exist_ok=True)
+    for name in options.only or SYSTEMS:
+        try:
+            rows = rows_of(name)
+        except GncOptError as error:
+            console.print(f"{name}: {error}", markup=False, soft_wrap=True)
+            fine = False
+            continue
+        fine = fine and all(row.passes for row in rows)
+        told = options.pages / f"{name}.json"
+        before = json.loads(told.read_text(encoding="utf-8"))["rows"] if told.exists() else None
+        write_json(told, rows)
+        (options.pages / f"{name}.md").write_text(page(SYSTEMS[name], rows), encoding="utf-8")
+        console.print(f"{name}: {count(rows)}", markup=False, soft_wrap=True)
+        for change in [] if before is None else changes(before, rows) or ["nothing has changed"]:
+            console.print(f"  {change}", markup=False, soft_wrap=True)
+    return 0 if fine else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,90 @@
+"""Convex problems: where the first order suffices, nothing may be told to curve downwards."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import pytest
+
+import gnc_opt as go
+from gnc_opt.verify.convex import is_convex
+from gnc_opt.verify.verify import _of_convex
+
+
+def stated(change: Any = None, rate: Any = None, cost: Any = None, final: Any = 2.0) -> go.Problem:
+    """A cart with a parameter k; the cost is the integral of u^2 if nothing else is asked for."""
+    model = go.Model("cart")
+    x, v, u = model.state("x"), model.state("v"), model.control("u")
+    k = model.parameter("k", 1.0)
+    model.ode({x: v, v: u + k if rate is None else rate(model.time, x, u, k)})
+    problem = go.Problem("move")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=final)
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=1.0, v=0.0)
+    leg.bounds(u=(-3.0, 3.0))
+    if change:
+        change(problem, leg, x, u)
+    if cost is None:
+        problem.minimize(leg.integral(u**2))
+    else:
+        cost(problem, leg, x, u)
+    return problem
+
+
+def free_k(problem: go.Problem, *_: Any) -> None:
+    problem.parameter("k", lower=0.0, upper=2.0)
+
+
+@pytest.mark.parametrize(
+    "convex",
+    [
+        {},
+        {"rate": lambda t, x, u, k: ca.sin(t) * x + ca.exp(k) * u},  # k is a number here
+        {"change": free_k},
+        {"change": lambda p, leg, x, u: leg.path("p", x + 2 * u, upper=4.0)},
+        {
+            "change": lambda p, leg, x, u: p.constrain(
+                "e", leg.integral(x, "i") + leg.final_state("v"), upper=4.0
+            )
+        },
+        {"cost": lambda p, leg, x, u: p.minimize(leg.integral(u))},
+        {"cost": lambda p, leg, x, u: p.maximize(-leg.integral((x - u) ** 2) - leg.final_state("x") ** 2)},
+        {"cost": lambda p, leg, x, u: p.minimize(2 * leg.integral(u**2) - 3 * leg.integral(x))},
+    ],
+)
+def test_what_is_convex(convex: dict[str, Any]) -> None:
+    assert is_convex(stated(**convex))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"final": (0.5, 4.0)},
+        {"rate": lambda t, x, u, k: u - x**2},
+        {"rate": lambda t, x, u, k: u * k, "change": free_k},
+        {"change": lambda p, leg, x, u: leg.path("p", x**2, lower=0.0)},
+        {"change": lambda p, leg, x, u: p.constrain("e", leg.integral(u**2, "i"), lower=4.0)},
+        {"change": lambda p, leg, x, u: p.constrain("e", leg.final_state("x") ** 2, equals=1.0)},
+        {"cost": lambda p, leg, x, u: p.maximize(leg.integral(u**2))},
+        {"cost": lambda p, leg, x, u: p.minimize(leg.integral(u**2 - x**2))},
+        {
+            "cost": lambda p, leg, x, u: p.minimize(leg.integral(ca.cosh(u)))
+        },  # convex, which no constant tells
+        {"cost": lambda p, leg, x, u: p.minimize(-leg.integral(u**2) + leg.final_state("v"))},
+        {"cost": lambda p, leg, x, u: p.minimize(leg.integral(u) * leg.final_state("x"))},
+    ],
+)
+def test_what_is_not_or_is_not_known_to_be(other: dict[str, Any]) -> None:
+    assert not is_convex(stated(**other))
+
+
+def test_only_a_failed_curvature_is_taken_back() -> None:
+    made = go.Condition("second order", go.Result.FAIL, 1.0, 0.0, "there", "meaning", sufficient=True)
+    assert _of_convex(made).result is go.Result.CANNOT_TELL
+    assert "there; the problem is convex" in _of_convex(made).where
+    passed, first = replace(made, result=go.Result.PASS), replace(made, sufficient=False)
+    assert _of_convex(passed) is passed
+    assert _of_convex(first) is first
