@@ -106,7 +106,7 @@ def test_an_arc_keeps_some_of_its_length() -> None:
 def test_a_step_moves_switches_and_ends() -> None:
     moved = n._moved(switches([4.0, 6.0], [0, 1]), np.array([0.1, 0.2, -0.3, -0.4]))
     assert moved.times == pytest.approx([4.2, 5.7]) and moved.ends == pytest.approx([1.1, 10.6])
-    assert n._Step(np.array([0.1, -0.5, 0.2]), *[None] * 3, 0.0).share(moved) == pytest.approx(0.5 / 9.5)  # type: ignore[arg-type]
+    assert n._Step(np.array([0.1, -0.5, 0.2]), *[None] * 4, 0.0).share(moved) == pytest.approx(0.5 / 9.5)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
