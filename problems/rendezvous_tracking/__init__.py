@@ -1,4 +1,4 @@
-"""The time-optimal rendezvous followed: open loop, TVLQR, integral sliding mode, MPC and guidance in the same campaign.
+"""The time-optimal rendezvous followed by open loop, TVLQR, integral sliding mode and MPC in one campaign; and guided.
 
     python -m problems.rendezvous_tracking [--case 1..5] [--runs N] [--seed S] [--json OUT] [--report DIR]
 
@@ -6,6 +6,7 @@ To be read in this order: `problems.rendezvous.model`, then here
 
 * `tracking`: the plan, the plant and what it differs by, the controllers, and how their runs are judged;
 * `guided`: the plan without reserve, its switches corrected on board;
+* `basilisk`: the plan and its regulator in another maker's plant;
 * `plots`, `report`: what is drawn and printed.
 """
 
