@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 
 from gnc_opt.arguments import expect, read_positive
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.structure.detect import detect
@@ -82,9 +83,9 @@ class Resolver:
         asked = solution.history.tolerance if tol is None and solution.history is not None else tol
         self.tol = None if asked is None else read_positive(asked, "the tolerance of Resolver()")
         self.solution = solution
-        self._structure: PhaseStructure | None = None
+        self._known: _Known | None = None
         if solution.structure and len(solution.phases) == 1:
-            self._structure = detect(next(iter(solution.samples().values())))
+            self._known = _Known.of(solution)
 
     def solve(self, problem: Problem) -> Solution:
         """Return the solution of a variation; ``solution.provenance["way"]`` names the `Way` it was found.
@@ -103,8 +104,8 @@ class Resolver:
                 "with_initial(), with_parameters() or their like, or make a Resolver of its own solution."
             )
         problem.check()
-        if self._structure is not None:
-            found = _by_switch_times(self.solution, self._structure, problem)
+        if self._known is not None:
+            found = _by_switch_times(self._known, problem)
             if found is not None:
                 return _named(found, Way.SWITCH_TIMES)
         elif self.tol is None:
@@ -118,17 +119,39 @@ def _named(solution: Solution, way: Way) -> Solution:
     return replace(solution, provenance={**solution.provenance, "way": way.value})
 
 
-def _by_switch_times(known: Solution, structure: PhaseStructure, problem: Problem) -> Solution | None:
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """What of a known solution serves all variations.
+
+    Attributes
+    ----------
+    solution : Solution
+    structure : PhaseStructure
+    state_scale : array (n_states,)
+        How far its states move: what those of its neighbours are measured against.
+    """
+
+    solution: Solution
+    structure: PhaseStructure
+    state_scale: Array
+
+    @classmethod
+    def of(cls, solution: Solution) -> _Known:
+        (s,) = solution.samples().values()
+        return cls(solution, detect(s), s.state_scale)
+
+
+def _by_switch_times(known: _Known, problem: Problem) -> Solution | None:
     """Fly a variation with its own switch times, from those of a known solution; None where that fails."""
-    begun = _begun(from_problem(replace(known, problem=problem.frozen(), structure=())))
+    begun = _begun(from_problem(replace(known.solution, problem=problem.frozen(), structure=())))
     if begun is None:
         return None
-    found = settle_flow(begun, structure, ACCURACY)
+    found = settle_flow(begun, known.structure, ACCURACY)
     if found is None:
         return None
     settled, flown = found
     (leg,) = flown.phases.values()
-    if not _keeps_limits(flown):
+    if not _keeps_limits(flown, known.state_scale):
         return None
     labels = (*leg.controls.labels, *leg.path_labels, *leg.states.labels)
     return replace(_completed(flown), structure=settled.arcs(leg.name, labels))
@@ -145,12 +168,12 @@ def _begun(known: Solution) -> Solution | None:
     return replace(known, phases={leg.name: replace(leg, x=x)})
 
 
-def _keeps_limits(flown: Solution) -> bool:
+def _keeps_limits(flown: Solution, state_scale: Array) -> bool:
     """Whether states, path constraints and ends are within their limits: the flow knows none but equalities."""
     (s,) = flown.samples().values()
     leg = s.leg
     ends = (
-        (leg.final_bounds, s.x[:, -1], s.state_scale),
+        (leg.final_bounds, leg.x(leg.final_time, "left"), state_scale),
         (leg.initial_time_bounds, leg.initial_time, s.span),
         (leg.final_time_bounds, leg.final_time, s.span),
         (leg.duration_bounds, leg.duration, s.span),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -34,3 +35,12 @@ def is_first(phase: Any) -> Any:
 def next_phase(phase: Any, count: int) -> Any:
     """Return the phase (SX) after a step: 0 again after ``count`` of them."""
     return ca.if_else(phase > count - 1.5, 0.0, phase + 1)
+
+
+def in_order(times: Sequence[Any]) -> list[Any]:
+    """Return SX scalars in ascending order."""
+    times = list(times)
+    for last in range(len(times) - 1, 0, -1):
+        for i in range(last):
+            times[i], times[i + 1] = ca.fmin(times[i], times[i + 1]), ca.fmax(times[i], times[i + 1])
+    return times

@@ -11,7 +11,7 @@ from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 
-BLOCK = 32
+BLOCK = 16
 """So many evaluations are one call of CasADi, at most."""
 
 

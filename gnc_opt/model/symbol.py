@@ -40,11 +40,22 @@ class Symbol(ca.SX):  # type: ignore[misc]
             f"math.sin({name})."
         )
 
+    def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        """Answer ``np.linalg.norm(v)`` and the like as CasADi does, which knows plain SX only."""
+        return function(*map(_plain, args), **{name: _plain(value) for name, value in kwargs.items()})
+
     # Keys are compared by identity: CasADi's == builds an expression instead of answering.
     __hash__ = object.__hash__
 
     def __repr__(self) -> str:
         return f"<{self.variable.name}[{self.variable.size}]>"
+
+
+def _plain(value: Any) -> Any:
+    """Return a value with a plain SX for every symbol in it."""
+    if isinstance(value, (list, tuple)):
+        return type(value)(map(_plain, value))
+    return ca.SX(value) if isinstance(value, Symbol) else value
 
 
 _OWNERS: WeakValueDictionary[int, Symbol] = WeakValueDictionary()

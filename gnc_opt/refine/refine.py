@@ -18,7 +18,7 @@ from gnc_opt.refine.hp.mesh_refinement import refine_mesh
 from gnc_opt.refine.passes import pass_record
 from gnc_opt.refine.structure.detect import affine_channels, regular_channels, structures_of
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.switching import optimise_switches
+from gnc_opt.refine.structure.switching import TIGHT, optimise_switches
 from gnc_opt.solution.history import History, RefinementStatus, work_of
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
@@ -31,6 +31,9 @@ StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]
 UNASKED = 0.5
 """Share of the work that is left after which a control structure that nobody asked for is given up. What it costs
 comes on top of what the mesh may cost."""
+
+BRIEF = SolverOptions(tolerance=TIGHT, max_iterations=100)
+"""For solves with such a structure: those that lead anywhere begin near their end."""
 
 LEAST_WORK = 7e4
 """What refining may cost in any case, in iterations at one collocation point (`Pass.work`): one to a few seconds."""
@@ -270,7 +273,7 @@ class _Task:
                 max_points=self.max_points,
                 max_work=share * self._left,
                 structures=found,
-                options=self.options,
+                options=self.options or (BRIEF if share < 1.0 else None),
                 deadline=self.deadline,
                 progress=self.progress,
             ),

@@ -106,7 +106,7 @@ def _condition(condition: Condition) -> str:
         f"<details{opened}><summary>{_chip(condition.result.value, _TONES[condition.result])}"
         f"<b>{escape(condition.name)}</b><span>{number_text(condition.value)}, tolerance "
         f"{condition.tolerance:.0e}</span></summary>"
-        f"<p>{escape(condition.where)}</p><p>{escape(condition.meaning)}</p></details>"
+        f"<p>{escape(condition.offence_text)}</p><p>{escape(condition.meaning)}</p></details>"
     )
 
 

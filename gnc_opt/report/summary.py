@@ -127,7 +127,7 @@ def _refinement(solution: Solution) -> Iterator[str]:
     else:
         yield _line("verdict", verdict.headline)
         for c in verdict.open[:WORST]:
-            yield _line("open", f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.where}")
+            yield _line("open", f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.offence_text}")
     final = history.final
     yield _line(
         "refinement",

@@ -114,6 +114,8 @@ def _condition(condition: Condition) -> dict[str, Any]:
         "where": condition.where,
         "meaning": condition.meaning,
         "sufficient": condition.sufficient,
+        "loss": condition.loss,
+        "unit": condition.unit,
     }
 
 

@@ -56,7 +56,7 @@ def _cells(condition: Condition) -> tuple[Text, ...]:
         Text(condition.result.value, _STYLES[condition.result]),
         Text(number_text(condition.value)),
         Text(f"{condition.tolerance:.0e}"),
-        Text(condition.where),
+        Text(condition.offence_text),
     )
 
 

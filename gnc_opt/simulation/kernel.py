@@ -18,13 +18,14 @@ from typing import Any
 
 import casadi as ca
 
+from gnc_opt.control.steps import in_order
 from gnc_opt.model.layout import Layout
 from gnc_opt.simulation.block import Step, Tick
 from gnc_opt.simulation.crossing import Watch, notes_of, passage, record_of
 from gnc_opt.simulation.integrate import Seen, dormand_prince
 from gnc_opt.simulation.places import Places
 from gnc_opt.simulation.signals import Link, put, put_wave, take, take_wave
-from gnc_opt.simulation.wave import Input, Wave, in_order
+from gnc_opt.simulation.wave import Input, Wave
 from gnc_opt.simulation.wiring import Wiring
 
 _LARGE = 1e300

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_integer, read_numbers
 from gnc_opt.control.steps import is_first, next_phase, whole_steps
+from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.block import (
     Block,
     Defaults,
@@ -52,6 +53,10 @@ class Noise(Block):
             return size
         return int(np.size(read_numbers(self.sigma, f"sigma of '{self.name}'")))
 
+    def check(self, size: int, h: float, dt: float) -> None:
+        if self.retraction is not None:
+            _check_retraction(self.retraction, size, self.noise(size), f"sigma of '{self.name}'")
+
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         error = p["sigma"] * noise
         return Step(signal + error if self.retraction is None else self.retraction(signal, error), state)
@@ -75,6 +80,11 @@ class Bias(Block):
     def parameters(self, size: int, unit: str) -> Defaults:
         count = size if self.retraction is None else int(np.size(read_numbers(self.bias, self.name)))
         return {"bias": (values(self.bias, count, f"the bias of '{self.name}'"), unit)}
+
+    def check(self, size: int, h: float, dt: float) -> None:
+        if self.retraction is not None:
+            count = int(np.size(read_numbers(self.bias, self.name)))
+            _check_retraction(self.retraction, size, count, f"the bias of '{self.name}'")
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         return Step(
@@ -205,3 +215,18 @@ class Outage(Block):
         begin, end = (p[name] - SAME_TIME * tick.dt for name in ("begin", "end"))
         out = ca.logic_and(tick.t >= begin, tick.t < end)
         return Step(ca.if_else(out, math.nan, signal), state)
+
+
+def _check_retraction(retraction: Callable[[Any, Any], Any], size: int, count: int, what: str) -> None:
+    """Refuse errors of so many components that the retraction does not take."""
+    try:
+        moved = ca.SX(retraction(ca.SX.sym("x", size), ca.SX.sym("e", count)))
+    except Exception as error:  # whatever a function of the user's raises
+        raise ArgumentError(
+            f"{what} has {count} component{'s' * (count > 1)}, which its retraction does not take: give one number per "
+            "component of the error."
+        ) from error
+    if moved.shape != (size, 1):
+        raise ArgumentError(
+            f"the retraction beside {what} returns the shape {moved.shape} where ({size}, 1) is needed: return a state."
+        )

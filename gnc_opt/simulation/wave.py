@@ -197,15 +197,6 @@ def cut(wave: Wave, begin: int, end: int) -> Wave:
     )
 
 
-def in_order(times: Sequence[Any]) -> list[Any]:
-    """Return SX scalars in ascending order."""
-    times = list(times)
-    for last in range(len(times) - 1, 0, -1):
-        for i in range(last):
-            times[i], times[i + 1] = ca.fmin(times[i], times[i + 1]), ca.fmax(times[i], times[i + 1])
-    return times
-
-
 class _Decay:
     """The projected exponential of a part in the integration steps of a piece."""
 

@@ -80,16 +80,12 @@ class FlownControl:
         values = self.clipped(times, side)
         breaks = self.polynomial.breaks
         segment = np.clip(np.searchsorted(breaks, times, side) - 1, 0, len(self.rules) - 1)
-        for k in np.unique(segment):
-            channels = np.flatnonzero(self.held[:, k])
-            if channels.size:
-                here = np.flatnonzero(segment == k)
-                cell = np.searchsorted(self._cells[k], times[here], side) - 1
-                cell = np.clip(cell, 0, self.rules[k].n - 1)
-                nodal = np.clip(
-                    self.polynomial.values[k], self.bounds.lower[:, None], self.bounds.upper[:, None]
-                )
-                values[np.ix_(channels, here)] = nodal[np.ix_(channels, cell)]
+        for k in np.unique(segment[np.any(self.held, axis=0)[segment]]):
+            channels, here = np.flatnonzero(self.held[:, k]), np.flatnonzero(segment == k)
+            cell = np.searchsorted(self._cells[k], times[here], side) - 1
+            cell = np.clip(cell, 0, self.rules[k].n - 1)
+            nodal = np.clip(self.polynomial.values[k], self.bounds.lower[:, None], self.bounds.upper[:, None])
+            values[np.ix_(channels, here)] = nodal[np.ix_(channels, cell)]
         return values if np.ndim(t) else values[:, 0]
 
 

@@ -103,6 +103,10 @@ def violations(samples: PhaseSamples, limits: Limits) -> Violations:
     A sample that no neighbour surpasses has a peak beside it. Unless that would have to rise far more above the sample
     than the samples change, it is found by narrowing the bracket between the neighbours.
     """
+    if not limits.rows.size:
+        leg, nothing = samples.leg, np.zeros(0)
+        x, u = np.zeros((leg.states.size, 0)), np.zeros((leg.controls.size, 0))
+        return Violations(limits, nothing, nothing, x, u)
     tops = _Tops.of(samples, limits)
     k, j, excess = tops.limits, tops.samples, tops.excess
     times, x, u = samples.times[j], samples.x[:, j], samples.u_polynomial[:, j]

@@ -50,8 +50,9 @@ class PiecewisePolynomial:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "breaks", _frozen(self.breaks))
-        object.__setattr__(self, "nodes", tuple(_frozen(x) for x in self.nodes))
-        object.__setattr__(self, "values", tuple(_frozen(v) for v in self.values))
+        frozen = {id(x): _frozen(x) for x in self.nodes}  # most segments share theirs
+        object.__setattr__(self, "nodes", tuple(frozen[id(x)] for x in self.nodes))
+        object.__setattr__(self, "values", tuple(np.asarray(v, dtype=float) for v in self.values))
         _check_breaks(self.breaks)
         _check_segments(self.breaks.size - 1, self.nodes, self.values)
         object.__setattr__(self, "values", self._shared())

@@ -80,12 +80,13 @@ def worst_defect(samples: PhaseSamples) -> Worst:
 def worst_bound_violation(samples: PhaseSamples) -> Worst:
     """Return the worst overshoot of state and control bounds by their polynomials, between samples too."""
     leg, worst = samples.leg, NOTHING
-    for signals, bounds, labels, scale in (
-        (_states, leg.state_bounds, leg.states.labels, samples.state_scale),
-        (_controls, leg.control_bounds, leg.controls.labels, samples.control_scale),
+    for signals, bounds, labels in (
+        (_states, leg.state_bounds, leg.states.labels),
+        (_controls, leg.control_bounds, leg.controls.labels),
     ):
         found = violations(samples, Limits.of(signals, bounds))
         if found.times.size:
+            scale = samples.state_scale if signals is _states else samples.control_scale
             offences = bound_offences(found, bounds, scale)
             i = int(np.argmax(offences))
             place = samples.place_at(found.times[i], labels[found.limits.rows[i]])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -76,15 +76,14 @@ class PhaseSamples:
     @classmethod
     def of(cls, leg: PhaseSolution, functions: PhaseFunctions) -> PhaseSamples:
         """Sample a phase."""
-        times, segments, weights = [], [], []
-        for k, degree in enumerate(leg.mesh.degrees):
-            rule = sampling_rule(degree)
-            half = 0.5 * (leg.breaks[k + 1] - leg.breaks[k])
-            inside = leg.breaks[k] + half * (1 + rule.points)
-            times.append(np.concatenate([[leg.breaks[k]], inside, [leg.breaks[k + 1]]]))
-            weights.append(np.concatenate([[0.0], half * rule.weights, [0.0]]))
-            segments.append(np.full(times[-1].size, k))
-        return cls(leg, functions, np.concatenate(times), np.concatenate(segments), np.concatenate(weights))
+        places = [_sampled(degree) for degree in leg.mesh.degrees]
+        segments = np.repeat(np.arange(len(places)), [tau.size for tau, _ in places])
+        tau, weights = (np.concatenate(part) for part in zip(*places, strict=True))
+        halves = 0.5 * np.diff(leg.breaks)[segments]
+        times = leg.breaks[segments] + halves * (1 + tau)
+        ends = np.append(np.flatnonzero(np.diff(segments)), segments.size - 1)
+        times[ends] = leg.breaks[1:]  # without rounding
+        return cls(leg, functions, times, segments, halves * weights)
 
     @cached_property
     def at_end(self) -> Mask:
@@ -381,6 +380,13 @@ class PhaseSamples:
         weighted = np.abs(values) * self.weights
         starts = np.searchsorted(self.segments, np.arange(self.leg.mesh.segments))
         return np.add.reduceat(weighted, starts, axis=1)
+
+
+@cache
+def _sampled(degree: int) -> tuple[Array, Array]:
+    """Places on [-1, 1] of a segment's samples, its ends among them, and their weights."""
+    rule = sampling_rule(degree)
+    return np.concatenate([[-1.0], rule.points, [1.0]]), np.concatenate([[0.0], rule.weights, [0.0]])
 
 
 def sampling_rule(degree: int) -> CollocationRule:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -178,13 +179,15 @@ def sweep(
     Raises
     ------
     ArgumentError
-        An empty grid, values that are no numbers, or outputs that are no functions.
+        An empty grid, values that are no numbers, a function that does not take the grid's parameters, or outputs that
+        are no functions.
     GncOptError
         The family cannot be sent to the executor's processes.
     """
     if not callable(problem_of):
         raise ArgumentError("sweep() got no function: write sweep(build, {...}), build returns a problem.")
     axes = _read_grid(grid)
+    _check_arguments(problem_of, axes)
     for name, output in (outputs or {}).items():
         if not callable(output):
             raise ArgumentError(
@@ -217,6 +220,21 @@ def sweep(
             for name, value in point.outputs.items():
                 line_of[name][k] = value
     return Sweep(axes, solutions, endings, found, interrupted)
+
+
+def _check_arguments(problem_of: Family, axes: Mapping[str, Array]) -> None:
+    """Raise `ArgumentError` if the family does not take the grid's parameters: at every point it would fail alike."""
+    try:
+        signature = inspect.signature(problem_of)
+    except ValueError:  # of a function that is not written in Python
+        return
+    try:
+        signature.bind(**dict.fromkeys(axes))
+    except TypeError as error:
+        raise ArgumentError(
+            f"the function of sweep() takes {signature} and the grid has {', '.join(axes)} ({error}): name its "
+            "arguments as in the grid."
+        ) from None
 
 
 def _read_grid(grid: Mapping[str, Sequence[float]]) -> dict[str, Array]:

@@ -6,6 +6,9 @@ phase. The module `costates` states the principle and its sources.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
@@ -73,27 +76,32 @@ def _worst_control(s: PhaseSamples, loss: Array) -> Worst:
     return Worst(float(loss[i, j]), s.place(j, s.leg.controls.labels[i]))
 
 
-def minimum(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """No other admissible control has a smaller H: told where H is affine or convex in it, searched for elsewhere."""
+def minimum(samples: list[PhaseSamples], tolerance: float, unit: str = "") -> Condition:
+    """No other admissible control has a smaller H: told where H is affine or convex in it, searched for elsewhere.
+
+    Its loss is the integral of H less its least value: what the cost changes to first order if the control is
+    replaced, in ``unit``.
+    """
     meaning = (
         "At every time the control must give the smallest H among all admissible ones, not only a stationary one "
         "(share of H's scale that could be gained)."
     )
-    worst, searched = NOTHING, False
+    worst, searched, loss = NOTHING, False, 0.0
     for s in samples:
         if s.leg.controls.size:
-            gain, here = _largest_gain(s, tolerance)
-            worst, searched = worst.or_worse(gain), searched or here
+            gain, lost, here = _largest_gain(s, tolerance)
+            worst, searched, loss = worst.or_worse(gain), searched or here, loss + lost
     if searched:
         meaning += (
             f" H is neither affine nor a convex quadratic function of all controls: its least value was searched "
             f"for among {POINTS} controls per phase, and a well of H that is narrower than these tell is not excluded."
         )
-    return judge("minimum principle", worst, tolerance, meaning)
+    found = judge("minimum principle", worst, tolerance, meaning)
+    return replace(found, loss=loss, unit=unit) if np.isfinite(loss) else found
 
 
-def _largest_gain(s: PhaseSamples, tolerance: float) -> tuple[Worst, bool]:
-    """Return what other controls gain, and whether they had to be searched for."""
+def _largest_gain(s: PhaseSamples, tolerance: float) -> tuple[Worst, float, bool]:
+    """Return what other controls gain at most and along the phase, and whether they had to be searched for."""
     apart = _separable_gain(s)
     elsewhere = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _scattered_controls(s), s.lam)
     gain = np.fmax(apart, np.where(np.isfinite(elsewhere), elsewhere, 0.0))
@@ -105,7 +113,7 @@ def _largest_gain(s: PhaseSamples, tolerance: float) -> tuple[Worst, bool]:
     share = np.maximum(gain / (s.joint_worth + gain), own)
     share = np.where(np.isnan(s.hamiltonian), np.inf, share)
     j = int(np.argmax(share))
-    return Worst(float(share[j]), s.place(j)), searched
+    return Worst(float(share[j]), s.place(j)), float(s.weights @ gain), searched
 
 
 def _separable_gain(s: PhaseSamples) -> Array:
@@ -131,22 +139,31 @@ def legendre_clebsch(samples: list[PhaseSamples], tolerance: float) -> Condition
         "In controls between their bounds the Hessian of H must be positive definite (value: smallest eigenvalue with "
         "its sign reversed, in shares of H's scale): negative curvature means a maximum, none leaves it open."
     )
-    places = [(value, place) for value, place in map(_least_curvature, samples) if place is not None]
+    found = [_least_curvature(s) for s in samples]
+    singular = [place is not None and abs(value) <= tolerance for value, place in found]
+    # Where the form vanishes since H is affine in controls, the generalised condition judges; here, the others.
+    found = [
+        _least_curvature(s, ~undetermined(s, tolerance)[0]) if affine else told
+        for s, told, affine in zip(samples, found, singular, strict=True)
+    ]
+    places = [(value, place) for value, place in found if place is not None]
     if not places:
-        return Condition(
-            name, Result.PASS, 0.0, 0.0, "no control between its bounds", meaning, sufficient=True
-        )
+        nowhere = "no control between its bounds" + (" but along singular arcs" if any(singular) else "")
+        return Condition(name, Result.PASS, 0.0, 0.0, nowhere, meaning, sufficient=True)
     least, place = min(places, key=lambda item: item[0])
     result = Result.PASS if least >= tolerance else Result.CANNOT_TELL if least > -tolerance else Result.FAIL
     return Condition(name, result, -least, -tolerance, place, meaning, sufficient=True)
 
 
-def _least_curvature(s: PhaseSamples) -> tuple[float, str | None]:
-    """The least eigenvalue that lasts, in shares of H, and its place; none if no direction is free for long."""
+def _least_curvature(s: PhaseSamples, among: Mask | bool = True) -> tuple[float, str | None]:
+    """The least eigenvalue that lasts, in shares of H, and its place; none if no direction is free for long.
+
+    Of controls between their bounds, among some (m, n_samples).
+    """
     unit = s.control_span / np.sqrt(s.control_worth)
     scaled = s.control_hessian * unit[:, None, None] * unit[None, :, None]
     least = np.full(s.times.size, np.inf)
-    for j, basis in enumerate(left_free(s, _inside(s), unit)):
+    for j, basis in enumerate(left_free(s, _inside(s) & among, unit)):
         if basis.size:
             reduced = basis.T @ scaled[:, :, j] @ basis
             finite = np.all(np.isfinite(reduced))  # with a missing number LAPACK would give up
@@ -155,20 +172,31 @@ def _least_curvature(s: PhaseSamples) -> tuple[float, str | None]:
     return float(least[j]), s.place(j) if least[j] < np.inf else None
 
 
-def singular_arcs(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """No control is between its bounds where H does not determine it."""
+def singular_arcs(samples: list[PhaseSamples], tolerance: float, told: Sequence[Mask] = ()) -> Condition:
+    """Every control between its bounds is determined, by H or by the second derivative of its switching function.
+
+    Parameters
+    ----------
+    samples : list of PhaseSamples
+    tolerance : float
+    told : sequence of bool array (m, n_samples)
+        Where the latter is so, phase by phase; by default nowhere.
+    """
     meaning = (
-        "Where a control is between its bounds, dH/du and the curvature of H both vanish: H does not determine the "
-        "control there, and first-order conditions alone do not suffice (a singular arc, or a chattering solution)."
+        "Where a control is between its bounds and dH/du and the curvature of H both vanish (a singular arc), the "
+        "second derivative of the switching function must determine it (value: share of the phase along which it does "
+        "not). Arcs of higher order are beyond the sufficient conditions known, and joined to bang arcs by chattering "
+        "only."
     )
     total, place = 0.0, "nowhere"
-    for s in samples:
+    for k, s in enumerate(samples):
         singular = undetermined(s, tolerance)[0]
-        lengths = np.sum(singular * s.weights, axis=1) / max(s.leg.duration, SHORTEST)
+        beyond = singular & ~told[k] if told else singular
+        lengths = np.sum(beyond * s.weights, axis=1) / max(s.leg.duration, SHORTEST)
         if lengths.size and lengths.max() > total:
             i = int(np.argmax(lengths))
             total = float(lengths[i])
-            j = int(np.flatnonzero(singular[i])[0])
+            j = int(np.flatnonzero(beyond[i])[0])
             place = f"from {s.place(j, s.leg.controls.labels[i])}, {100 * total:.1f} % of the phase"
     result = Result.PASS if total <= tolerance else Result.CANNOT_TELL
     return Condition("singular arcs", result, total, tolerance, place, meaning, sufficient=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -28,11 +29,14 @@ class CriticalCone:
     point : ProgramPoint
     strong, weak : bool array (n_variables + n_constraints,)
         Variables and rows that are held, and those at a limit that does not push: they may leave it to one side.
+    unit : sparse (n_variables, n_variations) or None
+        Scaled variables per variation of size 1, if it is not one for each (module `goh`).
     """
 
     point: ProgramPoint
     strong: Mask
     weak: Mask
+    unit: Any = None
 
     @classmethod
     def of(cls, point: ProgramPoint) -> CriticalCone:
@@ -71,9 +75,10 @@ class CriticalCone:
         """How far a direction leads states and path constraints beyond active limits, in shares of its largest."""
         part = self.point.transcription.parts[s.leg.name]
         change = direction * self.point.scaling.variables
-        dx = s.sample(_through_nodes(s, part.collocation, change))
+        breaks = np.interp(part.collocation.mesh.breaks, s.leg.mesh.breaks, s.leg.breaks)
+        dx = s.sample(_through_nodes(breaks, part.collocation, change))
         rules = part.collocation.rules
-        du = s.sample(piecewise(s.leg.breaks, rules, change[part.collocation.point_controls]))
+        du = s.sample(piecewise(breaks, rules, change[part.collocation.point_controls]))
         by_state = s.functions.path_state_jacobian(s.times, s.x, s.u)
         by_control = s.functions.path_control_jacobian(s.times, s.x, s.u)
         dc = np.einsum("ijk,jk->ik", by_state, dx) + np.einsum("ijk,jk->ik", by_control, du)
@@ -134,8 +139,8 @@ def _nodes(collocation: PhaseCollocation, k: int) -> Indices:
     return np.asarray(np.hstack([start, middle, end]))
 
 
-def _through_nodes(s: PhaseSamples, collocation: PhaseCollocation, change: Array) -> PiecewisePolynomial:
+def _through_nodes(breaks: Array, collocation: PhaseCollocation, change: Array) -> PiecewisePolynomial:
     """Return the polynomials through the varied states at the start, the points and the end of each segment."""
     values = tuple(change[_nodes(collocation, k)] for k in range(collocation.mesh.segments))
     nodes = tuple(np.union1d(rule.points, [-1.0, 1.0]) for rule in collocation.rules)
-    return PiecewisePolynomial(s.leg.breaks, nodes, values)
+    return PiecewisePolynomial(breaks, nodes, values)

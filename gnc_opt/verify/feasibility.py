@@ -56,11 +56,10 @@ def dynamics(samples: list[PhaseSamples], tolerance: float) -> Condition:
 
 def propagation(samples: list[PhaseSamples], tolerance: float) -> Condition:
     """Flying the bounded control from the initial state arrives at the final state."""
-    worst, growth = NOTHING, 1.0
-    for s in samples:
-        gap = _missing_number(s)
+    worst = NOTHING
+    gaps = [_missing_number(s) for s in samples]
+    for s, gap in zip(samples, gaps, strict=True):
         worst = worst.or_worse(gap or worst_terminal_error(s))
-        growth = growth if gap else max(growth, _growth(s))
     condition = judge(
         "propagation",
         worst,
@@ -68,7 +67,10 @@ def propagation(samples: list[PhaseSamples], tolerance: float) -> Condition:
         "The control as it can be flown (within bounds), integrated from the initial state by an independent "
         "integrator, must reach the final state; where it does not, the control is wrong between its nodes.",
     )
-    if condition.result is Result.FAIL and growth > UNSTABLE:
+    if condition.result is not Result.FAIL:
+        return condition
+    growth = max((_growth(s) for s, gap in zip(samples, gaps, strict=True) if not gap), default=1.0)
+    if growth > UNSTABLE:
         return Condition(
             condition.name,
             Result.CANNOT_TELL,

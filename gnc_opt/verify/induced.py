@@ -27,7 +27,7 @@ from gnc_opt.solution.samples import NEGLIGIBLE, PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, TINY
 from gnc_opt.verify.bang_bang_flow import BangBangFlow, Pieces, bang_bang_flow
-from gnc_opt.verify.magnitude import parameter_scale
+from gnc_opt.verify.magnitude import Magnitudes, parameter_scale
 from gnc_opt.verify.switches import Switches
 
 
@@ -111,6 +111,8 @@ class Conditions:
         By the unknowns, each measured by its scale.
     multipliers : array (k,)
         What the solution says of them; zero where it says nothing that matters here.
+    sizes : array (k,)
+        What the flight's spans change them by.
     """
 
     labels: tuple[str, ...]
@@ -118,6 +120,7 @@ class Conditions:
     limits: Interval
     jacobian: Array
     multipliers: Array
+    sizes: Array
 
     @property
     def active(self) -> tuple[Mask, Mask]:
@@ -255,23 +258,27 @@ def _conditions(
         start, end = changes[row : row + size], changes[row + size : row + 2 * size]
         labels = [f"phase {name}, final {label}" for label in leg.states.labels]
         limits = intersect(leg.final_bounds, leg.state_bounds)
-        at_end.append(_Rows(labels, s.x[:, -1], limits, end[:n], s.lam[:, -1] - ends.final_state[name]))
+        at_end.append(
+            _Rows(labels, s.x[:, -1], limits, end[:n], s.lam[:, -1] - ends.final_state[name], s.state_scale)
+        )
         rows, limits = unknowns.free_start[name], intersect(leg.initial_bounds, leg.state_bounds)
         labels = [f"phase {name}, initial {leg.states.labels[i]}" for i in rows]
         limits = Interval(limits.lower[rows], limits.upper[rows])
         multipliers = -(s.lam[:, 0] + ends.initial_state[name])[rows]
-        others.append(_Rows(labels, s.x[rows, 0], limits, start[rows], multipliers))
+        others.append(_Rows(labels, s.x[rows, 0], limits, start[rows], multipliers, s.state_scale[rows]))
         times = np.array([leg.initial_time, leg.final_time, leg.duration])
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
         jacobian = np.stack([start[-1], end[-1], end[-1] - start[-1]])
         boxes = (leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
-        others.append(_Rows(labels, times, _stacked(list(boxes)), jacobian, np.zeros(3)))
+        others.append(_Rows(labels, times, _stacked(list(boxes)), jacobian, np.zeros(3), np.full(3, s.span)))
         row += 2 * size
     labels = [f"constraint {label}" for label in solution.constraint_labels]
     nu, limits = solution.constraint_multipliers, problem.constraint_interval()
-    at_end.append(_Rows(labels, ends.constraints, limits, of_constraints, nu))
+    amounts = Magnitudes.of(solution, samples).constraints
+    at_end.append(_Rows(labels, ends.constraints, limits, of_constraints, nu, amounts))
     labels, q = [f"parameter {label}" for label in solution.free_parameters.labels], solution.parameter_values
-    others.append(_Rows(labels, q, problem.parameter_interval(), changes[row:], np.zeros(q.size)))
+    spans = parameter_scale(solution)
+    others.append(_Rows(labels, q, problem.parameter_interval(), changes[row:], np.zeros(q.size), spans))
     found = [*at_end, *others]
     return Conditions(
         tuple(label for rows in found for label in rows.labels),
@@ -279,6 +286,7 @@ def _conditions(
         _stacked([rows.limits for rows in found]),
         np.vstack([rows.jacobian for rows in found]),
         np.concatenate([rows.multipliers for rows in found]),
+        np.concatenate([rows.sizes for rows in found]),
     )
 
 
@@ -289,6 +297,7 @@ class _Rows:
     limits: Interval
     jacobian: Array
     multipliers: Array
+    sizes: Array
 
 
 def _stacked(boxes: list[Interval]) -> Interval:

@@ -17,8 +17,9 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
-from gnc_opt.tolerances import TINY
+from gnc_opt.tolerances import RANK, ROUNDING, TINY
 from gnc_opt.verify.critical_cone import CriticalCone
+from gnc_opt.verify.induced import InducedProblem
 from gnc_opt.verify.null_space import NullSpace, lanczos, quadratic
 from gnc_opt.verify.verdict import Condition, Result
 
@@ -32,14 +33,25 @@ CURVED = 1e-3
 OUTWARDS = 1e-6
 """A multiplier of this share of the largest, against the limit's sign, excludes an abnormal extremal."""
 
+DEPENDENT = 1e-4
+"""Gradients of conditions whose combination changes by less than this, in shares of their sizes, may depend on each
+other."""
+
 _ITERATIONS, _STEPS = 6, 30
+
+_MEANING = (
+    "The constraints must leave the cost a say (value: what their second order amounts to beside the first, for "
+    "variations of the size of the magnitudes). Where their gradients vanish or depend on each other, but they do not, "
+    "they determine the trajectory by themselves, multipliers are huge or not unique (an abnormal extremal), and the "
+    "minimum principle tells nothing: state the constraints otherwise."
+)
 
 
 def normality(cone: CriticalCone) -> Condition:
     """The gradients of what is active leave no multipliers without the cost."""
     where, value = "nowhere", 0.0
     space = NullSpace.of(cone.point, cone.strong)
-    if space.rows.size and space.free.size:
+    if space.rows.size and space.size:
         combined, slope = _least_dependent(space)
         multipliers = np.zeros(cone.point.lam.size)
         multipliers[space.rows] = combined
@@ -57,11 +69,43 @@ def normality(cone: CriticalCone) -> Condition:
         value,
         MOST,
         where,
-        "The constraints must leave the cost a say (value: what their second order amounts to beside the first, for "
-        "variations of the size of the magnitudes). Where their gradients vanish or depend on each other, but they do "
-        "not, they determine the trajectory by themselves, multipliers are huge or not unique (an abnormal extremal), "
-        "and the minimum principle tells nothing: state the constraints otherwise.",
+        _MEANING,
     )
+
+
+def normality_of_switches(induced: InducedProblem) -> Condition:
+    """The conditions on the ends leave no multipliers without the cost, where switch times alone are varied.
+
+    Their gradients by switch times, free times, start values and parameters may depend on each other (as they do where
+    there are more of them) if nothing is left that could vary or if they do not curve there.
+    """
+    conditions, free = induced.conditions, induced.unknowns.free
+    at_lower, at_upper = conditions.active
+    rows = conditions.jacobian / conditions.sizes[:, None]
+    own, every = np.linalg.norm(rows[:, free], axis=1), np.linalg.norm(rows, axis=1)
+    # What only given unknowns could change is no condition on the others.
+    active = np.flatnonzero((at_lower | at_upper) & ((own > RANK * every) | (every <= RANK)))
+    rows = rows[np.ix_(active, free)]
+    left, sizes, across = np.linalg.svd(rows)
+    slopes = np.append(sizes, np.zeros(max(0, active.size - sizes.size)))[: active.size]
+    unmoved = across[int(np.sum(sizes > DEPENDENT)) :].T
+    value, where = 0.0, "nowhere"
+    sides = np.where(at_lower & at_upper, 0.0, np.where(at_upper, 1.0, -1.0))[active]
+    nothing = np.zeros(conditions.values.size)
+    for combination, slope in zip(left.T, slopes, strict=True):
+        pushes = sides * combination
+        inwards = np.all(pushes >= -OUTWARDS) or np.all(pushes <= OUTWARDS)
+        if slope <= DEPENDENT and unmoved.shape[1] and inwards:
+            multipliers = nothing.copy()
+            multipliers[active] = combination / conditions.sizes[active]
+            bent = (induced.hessian(multipliers)[0] - induced.hessian(nothing)[0])[np.ix_(free, free)]
+            found = float(np.linalg.norm(unmoved.T @ bent @ unmoved, 2)) / max(slope, ROUNDING)
+            if found > value:
+                value, where = found, conditions.labels[active[int(np.argmax(np.abs(combination)))]]
+    if not value and np.any(slopes <= RANK):
+        where = f"nowhere; {active.size} conditions on {sizes.size} unknowns: multipliers are not unique"
+    result = Result.FAIL if value > MOST else Result.PASS
+    return Condition("normality", result, value, MOST, where, _MEANING)
 
 
 def _bend(cone: CriticalCone, space: NullSpace, row: int) -> float:
@@ -90,7 +134,7 @@ def _may_push(cone: CriticalCone, multipliers: Array) -> bool:
 
 def _least_dependent(space: NullSpace) -> tuple[Array, float]:
     """Multipliers of the rows whose combined gradient is smallest, by inverse iteration, and its size."""
-    n, m = space.free.size, space.rows.size
+    n, m = space.size, space.rows.size
     _, factors = space.factorised(scipy.sparse.eye_array(n))
     y = np.random.default_rng(0).standard_normal(m)
     for _ in range(_ITERATIONS):
@@ -103,7 +147,7 @@ def _least_dependent(space: NullSpace) -> tuple[Array, float]:
 
 def _curvature(cone: CriticalCone, space: NullSpace, multipliers: Array) -> float:
     """Largest curvature of the combined rows where they do not vary to first order, 0 if it is rounding."""
-    n = space.free.size
+    n = space.size
     hessian = space.in_shares(cone.point.hessian_of(0.0, multipliers))
     project = space.projected_inverse(scipy.sparse.eye_array(n))
     start = project(np.random.default_rng(1).standard_normal(n))

@@ -33,48 +33,58 @@ class NullSpace:
 
     Attributes
     ----------
-    free, rows : int array
-        Variables that vary, and rows that do not.
-    root : array (n_free,)
-        A scaled variable per variation.
+    unit : sparse (n_variables, n_variations)
+        Scaled variables per variation.
+    rows : int array
+        Rows of the program that do not vary.
     norms : array (n_rows,)
         Of the gradients of the rows.
-    jacobian : sparse (n_rows, n_free)
-        Of the rows by the variations, scaled to unit gradients.
+    jacobian : sparse (n_rows + n_held, n_variations)
+        Of the rows by the variations, scaled to unit gradients; then that of variables that do not vary, but that
+        variations would move.
     """
 
-    size: int
-    free: Indices
+    unit: Any
     rows: Indices
-    root: Array
     norms: Array
     jacobian: Any
 
     @classmethod
-    def of(cls, point: ProgramPoint, held: Mask) -> NullSpace:
-        """Return the space where ``held`` (n_variables + n_constraints,) do not vary."""
-        n = point.x.size
-        free, rows = np.flatnonzero(~held[:n]), np.flatnonzero(held[n:])
-        root = 1 / np.sqrt(_metric(point.transcription)[free])
-        jacobian = point.jacobian[rows][:, free] @ scipy.sparse.diags_array(root)
-        norms = np.sqrt(np.asarray((jacobian**2).sum(axis=1)))
-        norms = np.where(norms > 0, norms, 1.0)
-        return cls(n, free, rows, root, norms, scipy.sparse.diags_array(1 / norms) @ jacobian)
+    def of(cls, point: ProgramPoint, held: Mask, unit: Any = None) -> NullSpace:
+        """Return the space where ``held`` (n_variables + n_constraints,) do not vary.
+
+        Parameters
+        ----------
+        point : ProgramPoint
+        held : bool array (n_variables + n_constraints,)
+        unit : sparse (n_variables, n_variations), optional
+            Instead of a variation for each variable.
+        """
+        held, rows = held[: point.x.size], np.flatnonzero(held[point.x.size :])
+        if unit is None:
+            unit = unit_variations(variation_weights(point.transcription))
+        unit = unit[:, np.flatnonzero(abs(unit[~held]).sum(axis=0) > 0)]
+        moved = unit[held]
+        moved = moved[np.flatnonzero(abs(moved).sum(axis=1) > 0)]
+        jacobian, norms = _normed(point.jacobian[rows] @ unit)
+        return cls(unit, rows, norms, scipy.sparse.vstack([jacobian, _normed(moved)[0]], format="csc"))
+
+    @property
+    def size(self) -> int:
+        """Number of variations."""
+        return int(self.unit.shape[1])
 
     def in_shares(self, hessian: Any) -> Any:
         """Return a Hessian by all scaled variables as one by the variations."""
-        unit = scipy.sparse.diags_array(self.root)
-        return scipy.sparse.csc_array(unit @ hessian[self.free][:, self.free] @ unit)
+        return scipy.sparse.csc_array(self.unit.T @ hessian @ self.unit)
 
     def variables(self, variation: Array) -> Array:
         """Return the change of all scaled variables."""
-        change = np.zeros(self.size)
-        change[self.free] = self.root * variation
-        return change
+        return np.asarray(self.unit @ variation)
 
     def factorised(self, hessian: Any) -> tuple[Any, Any]:
         """Return the saddle matrix of a Hessian and of the rows, and its factors."""
-        n, m = self.free.size, self.rows.size
+        n, m = self.size, self.jacobian.shape[0]
         matrix = saddle_matrix(hessian, self.jacobian)
         slack = scipy.sparse.diags_array(np.where(np.arange(n + m) < n, 0.0, SLACK))
         return matrix, scipy.sparse.linalg.splu(scipy.sparse.csc_array(matrix - slack))
@@ -82,7 +92,7 @@ class NullSpace:
     def projected_inverse(self, hessian: Any) -> Callable[[Array], Array]:
         """Return the inverse of a Hessian restricted to the null space; of the identity, it is the projection."""
         matrix, factors = self.factorised(hessian)
-        rows = np.zeros(self.rows.size)
+        rows = np.zeros(self.jacobian.shape[0])
 
         def inverse(vector: Array) -> Array:
             right = np.concatenate([vector, rows])
@@ -140,11 +150,24 @@ def _settled(diagonal: list[float], beside: list[float], length: float) -> bool:
     return bool(np.max(length * np.abs(vectors[-1, [0, -1]])) <= SETTLED * np.max(np.abs(values)))
 
 
-def _metric(transcription: Transcription) -> Array:
+def _normed(rows: Any) -> tuple[Any, Array]:
+    """Rows scaled to unit length, and what they have been divided by."""
+    norms = np.sqrt(np.asarray((rows**2).sum(axis=1)))
+    norms = np.where(norms > 0, norms, 1.0)
+    return scipy.sparse.diags_array(1 / norms) @ rows, norms
+
+
+def unit_variations(squares: Array) -> Any:
+    """A variation of size 1 for each scaled variable (n_variables, n_variables), sparse."""
+    return scipy.sparse.diags_array(1 / np.sqrt(squares), format="csc")
+
+
+def variation_weights(transcription: Transcription) -> Array:
     """Weights of the squares of scaled variables in the size of a variation (n_variables,)."""
     weights, _ = quadrature_weights(transcription)
     for part in transcription.parts.values():
         collocation = part.collocation
-        # States at inner boundaries follow from the points; together they count once.
-        weights[collocation.boundary_states[:, 1:-1]] = 1.0 / collocation.mesh.segments
+        # States at inner boundaries follow from the points: they count by what lies beside them.
+        widths = collocation.mesh.widths
+        weights[collocation.boundary_states[:, 1:-1]] = 0.5 * (widths[:-1] + widths[1:])
     return weights

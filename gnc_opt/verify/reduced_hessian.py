@@ -36,11 +36,13 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.program_point import ProgramPoint
 from gnc_opt.solution.samples import NEGLIGIBLE, PhaseSamples
 from gnc_opt.solution.solution import Solution
+from gnc_opt.solution.touches import with_touches
 from gnc_opt.tolerances import AT_LIMIT
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.scaling import scale_variables
 from gnc_opt.transcription.transcription import Transcription
 from gnc_opt.verify.critical_cone import CriticalCone
+from gnc_opt.verify.goh import cut, in_gohs_variables, open_end, singular_segments, straight
 from gnc_opt.verify.null_space import FOUND, NullSpace, lanczos, quadratic
 from gnc_opt.verify.verdict import Condition, Result
 
@@ -108,6 +110,7 @@ def critical_cone(
     below ``rounding`` are that (`rounding_of_cost`).
     """
     meshes = {name: _rich(leg.mesh) for name, leg in solution.phases.items()}
+    meshes |= {s.leg.name: _with_room(solution, s, meshes[s.leg.name]) for s in samples}
 
     def scales(transcription: Transcription, problem: Problem, x: Array) -> Array:
         found = scale_variables(transcription, problem, x)
@@ -119,7 +122,8 @@ def critical_cone(
             found[part.times[part.times < transcription.n_variables]] = s.span
         return found
 
-    return CriticalCone.of(ProgramPoint.of(solution, meshes, scales, rounding))
+    cone = CriticalCone.of(ProgramPoint.of(solution, meshes, scales, rounding))
+    return in_gohs_variables(cone, samples)
 
 
 def rounding_of_cost(samples: Sequence[PhaseSamples]) -> float:
@@ -139,18 +143,17 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: Criti
     def judged(result: Result, value: float, where: str, tolerance: float = -UPWARDS) -> Condition:
         return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
 
-    steep = DOWNWARDS_SINGULAR if any(map(_has_singular_control, samples)) else DOWNWARDS
-    free = least_curvature(cone.point, cone.strong)
-    jumping = "" if solution.structure else _jumping_control(samples)
+    steep = DOWNWARDS_SINGULAR if any(map(_partly_singular, samples)) else DOWNWARDS
+    free = least_curvature(cone.point, cone.strong, cone.unit)
     if np.isnan(free.value) or free.upwards:
-        told = Result.CANNOT_TELL if jumping else Result.PASS
+        jumping = "" if solution.structure else _jumping_control(samples)
+        beyond = jumping or next(filter(None, (open_end(cone, s) for s in samples)), "")
+        told = Result.CANNOT_TELL if beyond else Result.PASS
         if np.isnan(free.value):
-            return judged(
-                told, 0.0, jumping or "as many conditions as unknowns, nothing is left to vary", 0.0
-            )
-        return judged(told, -free.value, jumping or _place(cone.point, solution, free.direction))
+            return judged(told, 0.0, beyond or "as many conditions as unknowns, nothing is left to vary", 0.0)
+        return judged(told, -free.value, beyond or _place(cone.point, solution, free.direction))
     # Where weakly active limits bind as well, less is left to vary; what is downwards there is so in the cone.
-    bound = least_curvature(cone.point, cone.strong | cone.weak) if np.any(cone.weak) else free
+    bound = least_curvature(cone.point, cone.strong | cone.weak, cone.unit) if np.any(cone.weak) else free
     for found in (free, bound):
         admitted = (cone.admits(sign * found.direction, samples) for sign in (1.0, -1.0))
         if found.downwards(steep) and any(admitted):
@@ -173,12 +176,20 @@ def _rich(mesh: Mesh) -> Mesh:
     return Mesh(mesh.breaks, tuple(max(n, least) for n in mesh.degrees), mesh.movable)
 
 
+def _with_room(solution: Solution, s: PhaseSamples, mesh: Mesh) -> Mesh:
+    """Return a mesh on which variations along singular arcs may jump, unless arcs are held segment by segment."""
+    singular = np.any(singular_segments(s), axis=0)
+    if not np.any(singular) or with_touches(solution).phases[s.leg.name].numbers.arcs is not None:
+        return mesh
+    return cut(mesh, singular)
+
+
 def _jumping_control(samples: list[PhaseSamples]) -> str:
     """Name a control that reaches both bounds without H curving in it: its switch times vary, and the mesh is fixed."""
     for s in samples:
         lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
-        straight = _straight(s)
-        jumps = np.any(lower & straight, axis=1) & np.any(upper & straight, axis=1)
+        open_to_both = straight(s)
+        jumps = np.any(lower & open_to_both, axis=1) & np.any(upper & open_to_both, axis=1)
         jumps &= ~s.leg.control_bounds.fixed
         if np.any(jumps):
             label = s.leg.controls.labels[int(np.argmax(jumps))]
@@ -186,16 +197,10 @@ def _jumping_control(samples: list[PhaseSamples]) -> str:
     return ""
 
 
-def _has_singular_control(s: PhaseSamples) -> bool:
-    """Whether a control is between its bounds where H does not curve in it."""
+def _partly_singular(s: PhaseSamples) -> bool:
+    """Whether a control is singular in a segment without being so all along it: no integral stands for it there."""
     lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
-    return bool(np.any(_straight(s) & ~lower & ~upper))
-
-
-def _straight(s: PhaseSamples) -> Mask:
-    """Where H does not curve upwards in a control (n_controls, n_samples)."""
-    curvature = np.einsum("iij->ij", s.control_hessian) * s.control_scale[:, None] ** 2
-    return np.asarray(curvature <= AT_LIMIT * s.hamiltonian_scale)
+    return bool(np.any(straight(s) & ~lower & ~upper & ~singular_segments(s)[:, s.segments]))
 
 
 def _place(point: ProgramPoint, solution: Solution, direction: Array) -> str:
@@ -210,17 +215,20 @@ def _place(point: ProgramPoint, solution: Solution, direction: Array) -> str:
     return point.variables.labels[int(np.argmax(size))]
 
 
-def least_curvature(point: ProgramPoint, held: Mask) -> Curvature:
+def least_curvature(point: ProgramPoint, held: Mask, unit: Any = None) -> Curvature:
     """Return the least curvature of the Lagrangian where some variables and rows do not vary.
 
     Parameters
     ----------
     point : ProgramPoint
     held : bool array (n_variables + n_constraints,)
+    unit : sparse (n_variables, n_variations), optional
+        As of `NullSpace`.
     """
-    space = NullSpace.of(point, held)
+    space = NullSpace.of(point, held, unit)
     hessian = space.in_shares(point.hessian)
-    sizes = np.sqrt(np.asarray((hessian**2).sum(axis=1)))
+    plain = hessian if unit is None else NullSpace.of(point, held).in_shares(point.hessian)
+    sizes = np.sqrt(np.asarray((plain**2).sum(axis=1)))
     # The one row of a parameter far from its origin, however large, is not what variations are worth.
     typical = float(np.median(sizes[sizes > 0])) if np.any(sizes > 0) else 1.0
     typical = max(typical, point.rounding)  # where costates vanish, no row is more than that
@@ -229,7 +237,9 @@ def least_curvature(point: ProgramPoint, held: Mask) -> Curvature:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
     curvature, share = quadratic(hessian, direction)
     whole = space.variables(direction)
-    largest = float(np.max(np.abs(whole)))
+    # What is varied by its integral may have peaks of any height.
+    single = np.diff(scipy.sparse.csr_array(space.unit).indptr) <= 1
+    largest = float(np.max(np.abs(whole[single])))
     gain = -0.5 * curvature * (STEP / largest) ** 2 / point.scaling.objective
     return Curvature(curvature / typical, share, whole / largest, gain)
 

@@ -35,7 +35,9 @@ from gnc_opt.solution.quality import worst_index
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, RANK, TINY
+from gnc_opt.verify.goh import straight
 from gnc_opt.verify.induced import InducedProblem, Unknowns
+from gnc_opt.verify.normality import normality_of_switches
 from gnc_opt.verify.switches import GRAZES, Switches, inner_switches
 from gnc_opt.verify.verdict import Condition, Result
 
@@ -104,16 +106,18 @@ def _least_slope(s: PhaseSamples) -> tuple[float, str]:
 
 
 def _touched(s: PhaseSamples) -> str:
-    """Where a switching function touches zero between two switches of a bang-bang control, or nothing."""
+    """Where a switching function touches zero along a bang arc, or nothing."""
     times, channels = inner_switches(s)
     worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
-    bounds = s.leg.control_bounds
-    for i in np.flatnonzero(np.all(_on_bound(s), axis=1) & (bounds.lower < bounds.upper)):
-        ends = np.concatenate([s.times[:1], times[channels == i], s.times[-1:]])
+    bounds, on_bound = s.leg.control_bounds, _on_bound(s)
+    affine = np.all(straight(s), axis=1) | np.all(on_bound, axis=1)
+    for i in np.flatnonzero(affine & (bounds.lower < bounds.upper)):
+        own = times[channels == i], s.times[~on_bound[i]]
+        ends = np.concatenate([s.times[:1], *own, s.times[-1:]])
         away = np.min(np.abs(s.times[:, None] - ends), axis=1) > OWN * s.span
         here = worth[i]
         lowest = (here[1:-1] <= here[:-2]) & (here[1:-1] <= here[2:]) & (here[1:-1] < GRAZES)
-        touching = np.flatnonzero(lowest & away[1:-1])
+        touching = np.flatnonzero(lowest & away[1:-1] & on_bound[i, 1:-1])
         if touching.size:
             return f"{s.place(int(touching[0]) + 1, s.leg.controls.labels[i])}: touches zero between switches"
     return ""
@@ -155,6 +159,14 @@ class SecondOrder:
         if self.least > self.error:
             return Result.PASS
         return Result.FAIL if self.least < -self.error and self.attained else Result.CANNOT_TELL
+
+
+def normality(solution: Solution, samples: list[PhaseSamples], ends: EndGradients) -> Condition:
+    """Judge the conditions of the induced problem, in any order of its switches."""
+    switches = {s.leg.name: Switches.of(s) for s in samples}
+    pieces = {name: found.pieces(next(found.orders())) for name, found in switches.items()}
+    unknowns = Unknowns.of(solution, samples, switches)
+    return normality_of_switches(InducedProblem.of(solution, samples, ends, unknowns, pieces))
 
 
 def second_order(

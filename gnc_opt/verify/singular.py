@@ -17,14 +17,15 @@ powers of the arc's length.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array, Indices
+from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.samples import PhaseSamples
@@ -55,12 +56,18 @@ class SingularArc:
         Smallest eigenvalue of K along the arc; or the largest derivative that should vanish, reversed.
     why : str
         Why nothing can be told, or empty.
+    channels : tuple of int
+        Its controls.
+    samples : (int, int)
+        First sample, and the one after the last.
     """
 
     place: str
     order: int
     least: float
     why: str = ""
+    channels: tuple[int, ...] = field(default=(), compare=False)
+    samples: tuple[int, int] = field(default=(0, 0), compare=False)
 
 
 def generalised_legendre_clebsch(
@@ -88,6 +95,16 @@ def generalised_legendre_clebsch(
     )
 
 
+def of_first_order(problem: Problem, s: PhaseSamples, tolerance: float) -> Mask:
+    """Where the second derivatives of the switching functions determine controls (m, n_samples)."""
+    found = np.zeros((s.leg.controls.size, s.times.size), dtype=bool)
+    for arc in singular_arcs(problem, s, tolerance):
+        found[list(arc.channels), slice(*arc.samples)] = (
+            arc.order == 1 and not arc.why and arc.least > tolerance
+        )
+    return found
+
+
 def singular_arcs(problem: Problem, s: PhaseSamples, tolerance: float) -> list[SingularArc]:
     """Judge the arcs of a phase along which controls are between their bounds without curvature of H."""
     singular, inside = undetermined(s, tolerance)
@@ -109,6 +126,9 @@ def _judge(
     labels = ", ".join(s.leg.controls.labels[i] for i in channels)
     first, last = s.times[here[[0, -1]]]
     place = f"phase {s.leg.name}, {labels} from {first:.6g} s to {last:.6g} s"
+    arc = partial(
+        SingularArc, place, channels=tuple(channels.tolist()), samples=(int(here[0]), int(here[-1]) + 1)
+    )
     key = (
         "derivatives of switching functions",
         s.leg.name,
@@ -117,27 +137,23 @@ def _judge(
     )
     derivatives = problem.once(key, lambda: Derivatives(s, channels, regular))
     if derivatives.coupled:
-        return SingularArc(place, 0, 0.0, "coupled in H with a control that H determines")
+        return arc(0, 0.0, "coupled in H with a control that H determines")
     for j in range(2 * MOST_ORDER + 1):
         function = derivatives.by_controls(j)
         if function is None:
-            return SingularArc(
-                place, 0, 0.0, f"the derivative of order {j} of the switching function is too large"
-            )
+            return arc(0, 0.0, f"the derivative of order {j} of the switching function is too large")
         matrices = _evaluated(s, channels, here, function) * (last - first) ** j
         size = float(np.max(np.abs(matrices), initial=0.0))
         if size <= tolerance:
             continue
         if j == 0:
-            return SingularArc(place, 0, 0.0, NOT_AFFINE)
+            return arc(0, 0.0, NOT_AFFINE)
         if j % 2:
-            return SingularArc(place, 0, -size)
+            return arc(0, -size)
         signed = (-1) ** (j // 2) * 0.5 * (matrices + matrices.transpose(0, 2, 1))
         least = float(np.min(np.linalg.eigvalsh(signed)))
-        return SingularArc(
-            place, j // 2, least, "" if abs(least) > tolerance else f"K of order {j // 2} is singular"
-        )
-    return SingularArc(place, 0, 0.0, f"no derivative up to order {2 * MOST_ORDER} determines the control")
+        return arc(j // 2, least, "" if abs(least) > tolerance else f"K of order {j // 2} is singular")
+    return arc(0, 0.0, f"no derivative up to order {2 * MOST_ORDER} determines the control")
 
 
 def _evaluated(s: PhaseSamples, channels: Indices, here: Indices, function: Any) -> Array:

@@ -37,6 +37,11 @@ class Condition:
         False: necessary for a minimum, and ``Verdict.ok`` needs it told. True: part of what suffices for a strict
         local minimum, so that only ``Verdict.minimum`` needs it told; FAIL says then that its necessary form is
         violated too, CANNOT TELL that the margin is missing or that there is no test.
+    loss : float or None
+        What the offences along the whole trajectory cost, to first order, in units of the cost; None where that is not
+        told.
+    unit : str
+        Of the loss; empty where it is not known.
     """
 
     name: str
@@ -46,6 +51,15 @@ class Condition:
     where: str
     meaning: str
     sufficient: bool = False
+    loss: float | None = None
+    unit: str = ""
+
+    @property
+    def offence_text(self) -> str:
+        """The place of the worst offence and, if it is told, the loss of cost: "phase leg, t = 1 s; costs 0.02 s"."""
+        return (
+            self.where if self.loss is None else f"{self.where}; costs {self.loss:.2g} {self.unit}".rstrip()
+        )
 
 
 @dataclass(frozen=True)
@@ -124,21 +138,24 @@ class Verdict:
         for c in self.conditions:
             if c.result is not Result.PASS:
                 lines.append(
-                    f"{c.result.value}  {c.name}: {c.value:.2e} (tolerance {c.tolerance:.0e}) at {c.where}. {c.meaning}"
+                    f"{c.result.value}  {c.name}: {c.value:.2e} (tolerance {c.tolerance:.0e}) at {c.offence_text}. "
+                    f"{c.meaning}"
                 )
         return "\n".join(lines)
 
     def __str__(self) -> str:
         width = max(len(c.name) for c in self.conditions)
         lines = [
-            f"{c.name:<{width}}  {c.result.value:<11}  {c.value:9.2e}  {c.where}" for c in self.conditions
+            f"{c.name:<{width}}  {c.result.value:<11}  {c.value:9.2e}  {c.offence_text}"
+            for c in self.conditions
         ]
         return "\n".join([*lines, f"verdict: {self.word}"])
 
     def _repr_html_(self) -> str:
         """For notebooks: every condition with its number and place, then what those that do not pass mean."""
         rows = [
-            (c.name, c.result.value, f"{c.value:.1e}", f"{c.tolerance:.0e}", c.where) for c in self.conditions
+            (c.name, c.result.value, f"{c.value:.1e}", f"{c.tolerance:.0e}", c.offence_text)
+            for c in self.conditions
         ]
         titles = ("condition", "result", "value", "tolerance", "worst at")
         shown = heading(f"verdict on '{self.problem_name}': {self.word}") + table(titles, rows)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.errors import GncOptError, ProblemError
+from gnc_opt.problem.cost_unit import cost_unit
 from gnc_opt.problem.functions import EndGradients
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
@@ -19,7 +20,7 @@ from gnc_opt.verify.magnitude import Magnitudes
 from gnc_opt.verify.normality import normality
 from gnc_opt.verify.pushes import settle_edges
 from gnc_opt.verify.reduced_hessian import critical_cone, reduced_hessian, rounding_of_cost
-from gnc_opt.verify.singular import generalised_legendre_clebsch
+from gnc_opt.verify.singular import generalised_legendre_clebsch, of_first_order
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 
 TOLERANCE = 1e-5
@@ -48,9 +49,8 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         CANNOT TELL per condition: dynamics, propagation, bounds, path constraints, boundary
         conditions, cost, stored numbers, adjoint equation, transversality, Hamiltonian, stationarity, control signs,
         minimum principle, complementarity, Legendre-Clebsch, singular arcs, generalised Legendre-Clebsch, parameters,
-        second order; for a solution whose switch times were optimised or that is bang-bang, strict switches; for the
-        latter, induced gradient; for all others, normality and,
-        along smooth phases, conjugate points.
+        normality, second order; for a solution whose switch times were optimised or that is bang-bang, strict switches;
+        for the latter, induced gradient; for all others, along smooth phases, conjugate points.
         A solution keeps its verdict: asked again, at the same tolerance, nothing is computed anew.
 
     Raises
@@ -85,18 +85,18 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         feasibility.cost(stored, samples, ends, told, tol),
         stored_numbers(stored, solution, missing, tol),
     ]
-    lasting = [s for s in samples if s.has_length]
+    lasting, problem = [s for s in samples if s.has_length], solution.need_problem("verify")
     along = [
         costates.adjoint(lasting, tol),
         costates.transversality(lasting, ends, tol),
         costates.hamiltonian(lasting, tol),
         controls.stationarity(lasting, tol),
         controls.control_signs(lasting, tol),
-        controls.minimum(lasting, tol),
+        controls.minimum(lasting, tol, cost_unit(problem)),
         costates.complementarity(solution, lasting, ends, amounts.constraints, tol),
         controls.legendre_clebsch(lasting, tol),
-        controls.singular_arcs(lasting, tol),
-        generalised_legendre_clebsch(solution.need_problem("verify"), lasting, tol),
+        controls.singular_arcs(lasting, tol, [of_first_order(problem, s, tol) for s in lasting]),
+        generalised_legendre_clebsch(problem, lasting, tol),
     ]
     switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
     names = ("strict switches", "second order") if switching else ("second order",)
@@ -133,7 +133,10 @@ def _second_variation(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
 ) -> list[Condition]:
     if not second_order.obstacle(samples):
-        return second_order.second_order(solution, samples, ends, tolerance)
+        return [
+            second_order.normality(solution, samples, ends),
+            *second_order.second_order(solution, samples, ends, tolerance),
+        ]
     rounding = rounding_of_cost(samples)
     cone = critical_cone(solution, samples, rounding)
     if not cone.point.is_finite:
@@ -166,7 +169,10 @@ def _untold(name: str, where: str, meaning: str) -> Condition:
 
 
 def _cannot_tell(condition: Condition, where: str, meaning: str) -> Condition:
-    return replace(condition, result=Result.CANNOT_TELL, value=float("nan"), where=where, meaning=meaning)
+    value = float("nan")
+    return replace(
+        condition, result=Result.CANNOT_TELL, value=value, where=where, meaning=meaning, loss=None, unit=""
+    )
 
 
 def _without_costates(condition: Condition) -> Condition:

@@ -115,8 +115,14 @@ def optimal_figure() -> Figure:
             for i in range(3):
                 ax = axes[i, column]
                 ax.plot(times, 1e3 * thrust[i], **line_look(0))
-                for bound in (-LIMIT, LIMIT):
-                    ax.axhline(1e3 * bound, color="0.5", linestyle=":", linewidth=0.8)
+                if name == "least Delta-V":
+                    for bound in (-LIMIT, LIMIT):
+                        ax.axhline(1e3 * bound, color="0.5", linestyle=":", linewidth=0.8)
+                else:  # limited in any direction, not per axis
+                    size = 1e3 * np.linalg.norm(thrust, axis=0)
+                    ax.plot(times, size, color="0.5", linestyle="--", linewidth=0.8, label="magnitude")
+                    if i == 0:
+                        ax.legend(loc="lower left")
                 if column == 0:
                     ax.set_ylabel(axis_label(f"thrust {_NAMES[i]}", "mm/s^2"))
             axes[0, column].set_title(name)

@@ -100,7 +100,8 @@ def plot_optimal(name: Name) -> Figure:
     leg = solution.phase()
     jumps = np.asarray(leg.flown.jumps)
     sides = np.concatenate([jumps * (1 - 1e-9), jumps * (1 + 1e-9)])
-    times = np.unique(np.clip(np.concatenate([leg.sample_times(24), sides]), 0.0, leg.final_time))
+    fine = np.linspace(0.0, leg.final_time, 2001)  # segments are long and curves of high degree
+    times = np.unique(np.clip(np.concatenate([fine, sides]), 0.0, leg.final_time))
     speeds = np.asarray(leg.state("h")(times)) / WHEEL_INERTIA / RPM
     panels: list[Panel] = [
         ("quaternion", paper_quaternion(leg.state("q")(times)), QUATERNION),

@@ -1,14 +1,17 @@
-"""The time-optimal rendezvous followed: open loop, TVLQR, integral sliding mode and MPC in the same campaign.
+"""The time-optimal rendezvous followed by open loop, TVLQR, integral sliding mode and MPC in one campaign; and guided.
 
     python -m problems.rendezvous_tracking [--case 1..5] [--runs N] [--seed S] [--json OUT] [--report DIR]
 
 To be read in this order: `problems.rendezvous.model`, then here
 
 * `tracking`: the plan, the plant and what it differs by, the controllers, and how their runs are judged;
+* `guided`: the plan without reserve, its switches corrected on board;
+* `basilisk`: the plan and its regulator in another maker's plant;
 * `plots`, `report`: what is drawn and printed.
 """
 
 from problems.rendezvous import CASES
+from problems.rendezvous_tracking.guided import Guided, settled
 from problems.rendezvous_tracking.report import main
 from problems.rendezvous_tracking.tracking import (
     ACCEPTED,
@@ -55,9 +58,11 @@ __all__ = [
     "RESERVE",
     "SETTLING",
     "TORQUE_STEP",
+    "Guided",
     "Tracking",
     "main",
     "plan",
     "price_of_robustness",
+    "settled",
     "turned",
 ]

@@ -82,6 +82,18 @@ def test_functions_of_math_on_symbols() -> None:
         cart(lambda t, x, u: 0.0, lambda x: x + math.exp(x - 1))
 
 
+def test_functions_of_numpy_on_symbols() -> None:
+    """CasADi answers for its own type only, and went round in circles with ours."""
+    model = go.Model("point")
+    v = model.state("v", 3)
+    made = ca.vertcat(
+        np.linalg.norm(v), np.max(v), np.clip(v, -1.0, 2.0), np.interp(v[0], [0.0, 4.0], [0.0, 1.0])
+    )
+    made = ca.vertcat(made, np.interp(v, [0.0, 4.0], [0.0, 1.0])[0])
+    found = ca.Function("made", [v], [made])([1.0, -2.0, 3.0]).full().ravel()
+    assert found == pytest.approx([math.sqrt(14.0), 3.0, 1.0, -1.0, 2.0, 0.25, 0.25], abs=1e-15)
+
+
 def test_smooth_absolute_value() -> None:
     x = ca.SX.sym("x")
     value = go.smooth_abs(x, 0.1)

@@ -151,7 +151,8 @@ def test_attitude_noise_turns_by_its_angle():
 
 
 @pytest.mark.slow
-def test_main_writes_statistics_and_figures(tmp_path, capsys, monkeypatch):
+def test_main_writes_statistics_and_figures(tracking, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("problems.rendezvous_tracking.report.plan", {1: tracking.solution}.__getitem__)
     monkeypatch.setattr(
         "problems.rendezvous_tracking.report.price_of_robustness", lambda case: [(1.0, 2.0), (0.5, 3.0)]
     )

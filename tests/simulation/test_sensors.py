@@ -82,3 +82,28 @@ def test_periods_that_are_no_multiples_are_refused():
         see([Sampling("slow", 0.25)])
     with pytest.raises(ArgumentError, match=r"delay of 'late' is 0\.05 s, not a multiple"):
         see([SensorDelay("late", 0.05)])
+
+
+def test_errors_that_a_retraction_does_not_take_are_refused():
+    from gnc_opt.model.model import Model
+    from gnc_opt.simulation import Bias, ClosedLoop, Noise
+    from gnc_opt.spacecraft import mrp_rate, mrp_retraction
+
+    body = Model("body")
+    sigma, omega = body.state("sigma", 3), body.control("omega", 3)
+    body.ode({sigma: mrp_rate(sigma, omega)})
+    law = scheduled(body, lambda t: np.zeros((3, 1)) + 0 * t)
+    for sensor, words in (
+        (Noise("tracker", 0.01, mrp_retraction, on="sigma"), "sigma of 'tracker' has 1 component, which its"),
+        (
+            Bias("mount", [0.01, 0.0], mrp_retraction, on="sigma"),
+            "the bias of 'mount' has 2 components, which",
+        ),
+        (
+            Noise("tracker", 0.01, lambda x, e: x[0] + e, on="sigma"),
+            r"returns the shape \(1, 1\) where \(3, 1\)",
+        ),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            ClosedLoop(body, law, sensors=[sensor], dt=0.1)
+    ClosedLoop(body, law, sensors=[Noise("tracker", [0.01] * 3, mrp_retraction, on="sigma")], dt=0.1)

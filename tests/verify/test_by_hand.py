@@ -25,7 +25,7 @@ from gnc_opt.verify.judged import _difference, ends_of, from_problem, has_costat
 from gnc_opt.verify.kept import keep_verdict, kept_verdict
 from gnc_opt.verify.magnitude import Magnitudes, integral_spans, parameter_scale
 from gnc_opt.verify.multipliers import _quadrature, _ranges, _state_rows, _variables
-from gnc_opt.verify.null_space import _metric
+from gnc_opt.verify.null_space import variation_weights
 from gnc_opt.verify.pushes import Pushers, _responses, _without_pushes, jumps_explained, pushed_beside
 from gnc_opt.verify.reduced_hessian import Curvature, _doubt, _place
 from gnc_opt.verify.second_order import least_squares
@@ -484,15 +484,15 @@ def test_arcs_on_a_limit_are_held_throughout() -> None:
 
 
 def test_metric_of_variations_is_an_integral() -> None:
-    """Along the phase weights add up to 1, inner boundaries together count once more, ends and parameters alone."""
+    """Along the phase weights add up to 1; inner boundaries count by what lies beside them, ends and parameters 1."""
     mesh = go.Mesh((0.0, 0.25, 0.5, 1.0), (3, 4, 2))
     transcription = transcribe(free_cart(), {"leg": mesh}, "LG")
-    weights = _metric(transcription)
+    weights = variation_weights(transcription)
     (part,) = transcription.parts.values()
     collocation = part.collocation
     for places in (collocation.point_states, collocation.point_controls):
         np.testing.assert_allclose(np.sum(weights[places], axis=1), 1.0)
-    np.testing.assert_allclose(weights[collocation.boundary_states], [[1.0, 1 / 3, 1 / 3, 1.0]] * 2)
+    np.testing.assert_allclose(weights[collocation.boundary_states], [[1.0, 0.25, 0.375, 1.0]] * 2)
     np.testing.assert_allclose(weights[transcription.parameter_places], 1.0)
 
 

@@ -199,10 +199,14 @@ def test_curvature_on_the_mesh(
         bound = replace(bound, direction=np.full(1, 2.0))
     strong, weak = np.array([True, False]), np.array([False, bound is not None])
     cone: Any = SimpleNamespace(
-        point=None, strong=strong, weak=weak, admits=lambda direction, samples: direction[0] in admitted
+        point=None,
+        unit=None,
+        strong=strong,
+        weak=weak,
+        admits=lambda direction, samples: direction[0] in admitted,
     )
 
-    def least(point: Any, held: Any) -> Curvature:
+    def least(point: Any, held: Any, unit: Any) -> Curvature:
         assert held[0] and (bound is not None or not held[1])
         return free if not held[1] or bound is None else bound
 
@@ -222,13 +226,15 @@ def test_curvature_on_the_mesh(
 
 def test_singular_controls_need_more_curvature(monkeypatch: pytest.MonkeyPatch) -> None:
     """One of several phases with such a control is enough."""
-    monkeypatch.setattr(reduced_hessian, "least_curvature", lambda point, held: curved(-5e-3))
+    monkeypatch.setattr(reduced_hessian, "least_curvature", lambda *given: curved(-5e-3))
     monkeypatch.setattr(reduced_hessian, "_place", lambda *given: "place")
     monkeypatch.setattr(reduced_hessian, "_jumping_control", lambda samples: "")
-    cone: Any = SimpleNamespace(point=None, strong=None, weak=np.zeros(1), admits=lambda *given: True)
+    cone: Any = SimpleNamespace(
+        point=None, unit=None, strong=None, weak=np.zeros(1), admits=lambda *given: True
+    )
     solution: Any = SimpleNamespace(structure=())
     samples: Any = [False, True]
-    monkeypatch.setattr(reduced_hessian, "_has_singular_control", lambda s: s)
+    monkeypatch.setattr(reduced_hessian, "_partly_singular", lambda s: s)
     assert reduced_hessian.reduced_hessian(solution, samples, cone).result is UNTOLD
     assert reduced_hessian.reduced_hessian(solution, samples[:1], cone).result is FAIL
 

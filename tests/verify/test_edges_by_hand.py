@@ -22,12 +22,13 @@ from gnc_opt.verify import Result, conjugate_points, controls, feasibility, null
 from gnc_opt.verify.brief import lasting
 from gnc_opt.verify.critical_cone import _close_arcs
 from gnc_opt.verify.feasibility import _worst_miss
+from gnc_opt.verify.goh import straight
 from gnc_opt.verify.induced import Unknowns
 from gnc_opt.verify.judged import ends_of, from_problem, has_costates, missing_number
 from gnc_opt.verify.magnitude import Magnitudes, integral_spans
 from gnc_opt.verify.multipliers import _or_one, estimate
 from gnc_opt.verify.null_space import FOUND, SETTLED, NullSpace, _settled, lanczos
-from gnc_opt.verify.reduced_hessian import _least_direction, _straight
+from gnc_opt.verify.reduced_hessian import _least_direction
 from gnc_opt.verify.second_order import _least_slope, _on_bound, _precedences, least_squares
 from gnc_opt.verify.switches import GRAZES, Switches, _vanishing
 from gnc_opt.verify.trajectory_fit import (
@@ -260,9 +261,8 @@ def test_lanczos_goes_on_past_a_vanishing_diagonal() -> None:
 def test_least_direction_where_everything_curves_downwards() -> None:
     """All inverse curvatures beside the shift are negative: that nearest to zero is the most negative curvature."""
     hessian = scipy.sparse.csc_array(np.diag([-3.0, -2.0, -5.0]))
-    space = NullSpace(
-        3, np.arange(3), np.zeros(0, dtype=int), np.ones(3), np.ones(0), scipy.sparse.csc_array((0, 3))
-    )
+    every = scipy.sparse.eye_array(3, format="csc")
+    space = NullSpace(every, np.zeros(0, dtype=int), np.ones(0), scipy.sparse.csc_array((0, 3)))
     direction = _least_direction(space, hessian)
     assert direction is not None
     # 1 / (-2 + 0.1) is the most negative: a curvature is found, not the least one; it is negative all the same.
@@ -561,9 +561,9 @@ def test_rows_without_a_gradient_have_the_norm_of_one(monkeypatch: pytest.Monkey
         transcription=None,
         jacobian=scipy.sparse.csr_array(np.array([[0.0, 0.0], [3.0, 4.0]])),
     )
-    monkeypatch.setattr(null_space, "_metric", lambda transcription: np.array([1.0, 4.0]))
+    monkeypatch.setattr(null_space, "variation_weights", lambda transcription: np.array([1.0, 4.0]))
     found = NullSpace.of(point, np.array([False, False, True, True]))
-    np.testing.assert_allclose(found.root, [1.0, 0.5])
+    np.testing.assert_allclose(found.unit.diagonal(), [1.0, 0.5])
     np.testing.assert_allclose(found.norms, [1.0, np.sqrt(9 + 4)])
     np.testing.assert_allclose(found.jacobian.toarray(), [[0, 0], [3 / np.sqrt(13), 2 / np.sqrt(13)]])
 
@@ -724,7 +724,7 @@ def test_interpolants_are_the_spline_and_the_modified_akima_spline() -> None:
 @pytest.mark.parametrize("cost", [1.0, 1e3])
 def test_straight_is_a_millionth_of_the_hamiltonian_over_the_range(cost: float) -> None:
     """bend u^2 / 2 over a range of 5."""
-    for factor, straight in ((0.9, True), (1.1, False), (-5.0, True)):
+    for factor, told in ((0.9, True), (1.1, False), (-5.0, True)):
         bend = 0.0
         for _ in range(2):  # H's scale depends on the curvature only a little
             model = go.Model("one")
@@ -740,4 +740,4 @@ def test_straight_is_a_millionth_of_the_hamiltonian_over_the_range(cost: float) 
                 control_bounds=by_hand.interval(-1.0, 4.0),
             )  # fmt: skip
             bend = factor * 1e-6 * s.hamiltonian_scale / cost / 25
-        assert bool(np.all(_straight(s))) is straight
+        assert bool(np.all(straight(s))) is told

@@ -29,7 +29,9 @@ def conditions(rows: Any, *, lower: Any = None, upper: Any = None, multipliers: 
     low = np.full(k, -9.0) if lower is None else np.asarray(lower, float)
     up = np.full(k, 9.0) if upper is None else np.asarray(upper, float)
     nu = np.zeros(k) if multipliers is None else np.asarray(multipliers, float)
-    return Conditions(tuple(f"row {i}" for i in range(k)), np.zeros(k), Interval(low, up), jacobian, nu)
+    return Conditions(
+        tuple(f"row {i}" for i in range(k)), np.zeros(k), Interval(low, up), jacobian, nu, np.ones(k)
+    )
 
 
 def judged(

@@ -85,3 +85,35 @@ def test_a_point_target_of_a_distance_is_degenerate() -> None:
         problem.minimize(leg.integral(u**2))
         solution = go.solve(problem, mesh="2x3", tol=None)
         assert go.verify(solution)["normality"].result is (Result.FAIL if degenerate else Result.PASS)
+
+
+def down_and_up(end: Callable[[go.Problem, Any], Any]) -> go.Verdict:
+    """x' = u with |u| <= 1 from 0 to an end at 0, the integral of x least: down for half of 1 s, then up."""
+    model = go.Model("one")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("down and up")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    end(problem, leg)
+    problem.minimize(leg.integral(x))
+    return go.verify(go.solve(problem, mesh="2x3", tol=None))
+
+
+def test_end_conditions_of_a_bang_bang_control() -> None:
+    """By the one switch time an end is left to first order, its square is not, and twice the end says nothing new."""
+    plain = down_and_up(lambda problem, leg: leg.final(x=0.0))
+    squared = down_and_up(lambda problem, leg: problem.constrain("sq", leg.final_state("x") ** 2, equals=0.0))
+
+    def twice(problem: go.Problem, leg: Any) -> None:
+        leg.final(x=0.0)
+        problem.constrain("again", 2 * leg.final_state("x"), equals=0.0)
+
+    again = down_and_up(twice)
+    assert all(any(c.name == "induced gradient" for c in v.conditions) for v in (plain, squared, again))
+    assert (plain["normality"].result, plain["normality"].where) == (Result.PASS, "nowhere")
+    assert squared["normality"].result is Result.FAIL and squared["normality"].where == "constraint sq"
+    assert again["normality"].result is Result.PASS
+    assert "2 conditions on 1 unknowns: multipliers are not unique" in again["normality"].where

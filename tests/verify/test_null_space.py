@@ -33,7 +33,8 @@ def space_of(jacobian: Array, root: Array, free: Array, size: int) -> NullSpace:
     """Rows scaled to unit gradients, as `NullSpace.of` leaves them."""
     norms = np.linalg.norm(jacobian, axis=1)
     rows = np.arange(jacobian.shape[0])
-    return NullSpace(size, free, rows, root, norms, sparse(jacobian / norms[:, None]))
+    unit = sparse(np.eye(size)[:, free] * root)
+    return NullSpace(unit, rows, norms, sparse(jacobian / norms[:, None]))
 
 
 def symmetric(n: int) -> Array:
@@ -240,7 +241,7 @@ def program(
 @pytest.fixture
 def metric(monkeypatch: pytest.MonkeyPatch) -> Array:
     weights = np.array([1.0, 4.0, 0.25, 1.0, 2.0])
-    monkeypatch.setattr(null_space, "_metric", lambda transcription: weights)
+    monkeypatch.setattr(null_space, "variation_weights", lambda transcription: weights)
     return weights
 
 

@@ -150,7 +150,9 @@ def test_rounding_of_costates_that_vanish_is_no_offence(gradient: float, right: 
     passed = [told[name] is go.Result.PASS for name in ("stationarity", "minimum principle")]
     assert all(passed) if right else not any(passed), verdict.explain()
     if right:
-        assert told["singular arcs"] is go.Result.CANNOT_TELL and told[NAME] is go.Result.PASS
+        assert told["singular arcs"] is told[NAME] is go.Result.PASS
+        # y = A cos t after a jump costs nothing for any A: the end is the focal point.
+        assert told["second order"] is go.Result.CANNOT_TELL
 
 
 @pytest.mark.parametrize("factor", [1e-8, 1.0, 1e8])

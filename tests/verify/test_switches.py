@@ -13,7 +13,7 @@ import gnc_opt as go
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.verify import Result
-from gnc_opt.verify.reduced_hessian import _has_singular_control, _jumping_control, _rich
+from gnc_opt.verify.reduced_hessian import _jumping_control, _partly_singular, _rich
 from gnc_opt.verify.second_order import is_bang_bang, obstacle, strict_switches
 from gnc_opt.verify.switches import GRAZES, Switches, _joined
 from gnc_opt.verify.verify_trajectory import _arcs
@@ -251,8 +251,8 @@ def test_controls_that_jump_from_bound_to_bound_are_named() -> None:
     assert _jumping_control([flight(STRAIGHT, FALLS, ((-1.0,) * 3, (-2.0,) * 3))]) == ""
     between = ((-1.0, 0.5, -1.0), (-2.0, 0.0, -2.0))
     assert _jumping_control([flight(STRAIGHT, FALLS, between)]) == ""
-    assert _has_singular_control(flight(STRAIGHT, FALLS, between))
-    assert not _has_singular_control(flight(STRAIGHT, FALLS))
+    assert not _partly_singular(flight(STRAIGHT, FALLS, between))  # but all along a segment
+    assert not _partly_singular(flight(STRAIGHT, FALLS))
 
 
 @pytest.mark.parametrize("cost", [1e-9, 1.0, 1e9])

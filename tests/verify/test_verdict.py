@@ -174,7 +174,7 @@ def test_maximum_of_the_hamiltonian_fails() -> None:
     assert failed(free) == {"minimum principle", "Legendre-Clebsch", "second order"}
 
 
-def test_singular_control_cannot_be_told() -> None:
+def test_singular_control_of_first_order_is_told() -> None:
     model = go.Model("integrator")
     x, u = model.state("x"), model.control("u")
     model.ode({x: u})
@@ -185,8 +185,8 @@ def test_singular_control_cannot_be_told() -> None:
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(leg.integral(x**2))  # u = -1 down to x = 0 at t = 0.5 s, then u = 0 is singular
     verdict = go.verify(go.solve(problem, mesh="4x4", tol=None), tol=1e-4)
-    assert verdict["singular arcs"].result is Result.CANNOT_TELL
-    assert verdict.ok and not verdict.minimum
+    assert verdict["generalised Legendre-Clebsch"].where.endswith("from 0.5 s to 2 s: order 1")
+    assert verdict.minimum
 
 
 def test_solution_without_costates_cannot_be_told(energy: go.Solution) -> None:

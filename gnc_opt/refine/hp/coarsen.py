@@ -2,7 +2,7 @@
 
 A trial segment is what collocation would make of the known trajectory there: interpolate the rates and the
 controls at the trial's points, integrate, and judge the result by the same errors as the solution itself.
-Dynamic programming then picks the cheapest way through a run of accurate segments.
+Dynamic programming then picks the cheapest way through the accurate segments.
 """
 
 from __future__ import annotations
@@ -54,11 +54,13 @@ def coarsened(
 ) -> list[Piece]:
     """Return the cheapest pieces on the given boundaries whose trial errors stay below ``tol``.
 
+    All are tried together: what a trial costs is mostly the call.
+
     Parameters
     ----------
     error : PhaseError
     run : sequence of Piece
-        Neighbouring segments in which the trajectory is known accurately.
+        Segments in which the trajectory is known accurately, in order; there may be others between them.
     tol : float
     max_degree : int
     departure : float
@@ -89,7 +91,8 @@ def _smallest_degrees(
 ) -> dict[Span, int]:
     """Return the smallest sufficient degree of each merger (first, last + 1) that saves points.
 
-    More points never make a trial worse, or hardly ever, so that the smallest degree is found by bisection.
+    More points never make a trial worse, or hardly ever: what does not do with the most points that save any is given
+    up at once, and of the rest the smallest degree is found by bisection.
     """
     found = {(i, i + 1): piece.degree for i, piece in enumerate(run)}
     left: dict[Span, tuple[int, int]] = {}  # places in the ladder where the smallest degree can be
@@ -97,17 +100,17 @@ def _smallest_degrees(
         now = sum(p.degree for p in run[i:j]) + (j - i - 1)
         most = now - 1 if j == i + 1 else min(now, max_degree)
         left[i, j] = (0, bisect.bisect_right(LADDER, most))
+    first = True
     while left := {span: ends for span, ends in left.items() if ends[0] < ends[1]}:
-        trials = [
-            Piece(run[i].start, run[j - 1].end, LADDER[(low + high) // 2])
-            for (i, j), (low, high) in left.items()
-        ]
+        tried = {span: high - 1 if first else (low + high) // 2 for span, (low, high) in left.items()}
+        trials = [Piece(run[i].start, run[j - 1].end, LADDER[place]) for (i, j), place in tried.items()]
         good = _acceptable(error, trials, tol, departure)
-        for (span, (low, high)), trial, fine in zip(list(left.items()), trials, good, strict=True):
-            middle = (low + high) // 2
-            left[span] = (low, middle) if fine else (middle + 1, high)
+        for (span, place), trial, fine in zip(tried.items(), trials, good, strict=True):
+            low, high = left[span]
+            left[span] = (low, place) if fine else (place + 1, high)
             if fine:
                 found[span] = trial.degree
+        first = False
     return found
 
 
@@ -120,9 +123,10 @@ def _mergeable(
     """
     spans = [(i, i + 1) for i in range(len(run))]
     shorter = set(spans)
+    beside = [a.end == b.start for a, b in itertools.pairwise(run)]
     for length in range(2, REACH + 1):
         ends = [(i, i + length) for i in range(len(run) - length + 1)]
-        hopeful = [(i, j) for i, j in ends if {(i, j - 1), (i + 1, j)} <= shorter]
+        hopeful = [(i, j) for i, j in ends if beside[i] and {(i, j - 1), (i + 1, j)} <= shorter]
         probes = [Piece(run[i].start, run[j - 1].end, max_degree) for i, j in hopeful]
         shorter = set(itertools.compress(hopeful, _acceptable(error, probes, tol, departure)))
         spans += sorted(shorter)

@@ -40,7 +40,7 @@ given up at once are worth nothing."""
 
 ROOMY = 300
 """Meshes with no more points than this are refined without making them smaller elsewhere: to find out what can go
-takes as long as solving."""
+takes as long as solving. Where nothing could, they grow by `GROWN` before it is tried again."""
 
 GROWN = 1.5
 """An accurate mesh that is that many times as large as the first one, or not `ROOMY`, ..."""
@@ -163,6 +163,7 @@ class _Refinement:
         self._past: dict[str, Past] = {}
         self._totals: list[float] = []
         self._trimmed_once, self._repairs = False, 0
+        self._lean = 0  # points of the last mesh of which nothing could go
         self._departure = DEPARTURE * math.sqrt(tol)
         self._confirming = False
         self._begin = time.perf_counter()
@@ -217,7 +218,10 @@ class _Refinement:
             last is not self._best.record and isinstance(last.actions, Actions) and last.actions.merged > 0
         )
         stage = max(self._tol, STAGE * min(self._state.finite_error, 1.0))
-        plan = self._finer(stage, last.points > ROOMY and not worse)
+        merging = last.points > max(ROOMY, GROWN * self._lean) and not worse
+        plan = self._finer(stage, merging)
+        if merging:
+            self._lean = 0 if plan[1].merged or plan[1].lowered else last.points
         while self._too_many(plan[0]):
             stage *= 10.0
             if stage > 0.5 * last.error:

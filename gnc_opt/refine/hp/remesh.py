@@ -84,33 +84,22 @@ class Remesh:
 
     def mesh(self) -> tuple[Mesh, Actions]:
         """Return the mesh and what was done."""
-        pieces: list[Piece] = []
-        run: list[Piece] = []
+        refined: list[Piece] = []
+        accurate: list[Piece] = []
         rates = decay_rates(self.error)
-        before = self._leg.mesh
-        lowered = merged = 0
-        for k, degree in enumerate(before.degrees):
+        for k, degree in enumerate(self._leg.mesh.degrees):
             own = Piece(float(self._leg.breaks[k]), float(self._leg.breaks[k + 1]), degree)
             if self._worst[k] <= self.tol:
-                run.append(own)
-                continue
-            merged, lowered = self._close(run, pieces, merged, lowered)
-            pieces += self._refined(k, own, float(rates[k]))
-        merged, lowered = self._close(run, pieces, merged, lowered)
-        return _mesh(pieces), Actions(self.raised, self.split, merged, lowered)
-
-    def _close(self, run: list[Piece], pieces: list[Piece], merged: int, lowered: int) -> tuple[int, int]:
-        """Add a run of accurate segments, as few and as low as they may be."""
-        if run:
-            slim = list(run)
-            if self.merge_tol is not None:
-                slim = coarsened(self.error, run, self.merge_tol, self.max_degree, self.departure)
-            pieces += slim
-            merged += len(run) - len(slim)
-            known = {(p.start, p.end): p.degree for p in run}
-            lowered += sum(p.degree < known.get((p.start, p.end), 0) for p in slim)
-            run.clear()
-        return merged, lowered
+                accurate.append(own)
+            else:
+                refined += self._refined(k, own, float(rates[k]))
+        slim = accurate
+        if accurate and self.merge_tol is not None:
+            slim = coarsened(self.error, accurate, self.merge_tol, self.max_degree, self.departure)
+        known = {(p.start, p.end): p.degree for p in accurate}
+        lowered = sum(p.degree < known.get((p.start, p.end), 0) for p in slim)
+        pieces = sorted([*refined, *slim], key=lambda piece: piece.start)
+        return _mesh(pieces), Actions(self.raised, self.split, len(accurate) - len(slim), lowered)
 
     def _refined(self, k: int, own: Piece, rate: float) -> list[Piece]:
         """Return what becomes of an inaccurate segment."""

@@ -130,7 +130,8 @@ def settle_flow(
         off = None
         for _ in range(MOST_POLISHING):
             switches = _moved(switches, step.change)
-            following = _newton_step(problem, s, switches, refinement)
+            # Near the optimum curvatures change little, and from grid to grid by the grid's error.
+            following = _newton_step(problem, s, switches, refinement, step.hessian)
             if following is None or np.any(np.diff(switches.pieces(_order(switches)).times) < 0):
                 return None
             step = following
@@ -173,9 +174,12 @@ def _fits(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
     """Whether everything is decided by switch times and end times, and all conditions are equalities."""
     leg = s.leg
     times = np.array([[leg.initial_time], [leg.final_time], [leg.duration]])
-    at_end = leg.final_bounds.near(s.x[:, -1], AT_LIMIT * s.state_scale)
+    loose = ~leg.final_bounds.fixed & (
+        np.isfinite(leg.final_bounds.lower) | np.isfinite(leg.final_bounds.upper)
+    )
+    at_end = leg.final_bounds.near(s.x[:, -1], AT_LIMIT * s.state_scale) if np.any(loose) else (loose, loose)
     boxes = (leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
-    sided = [np.logical_or(*at_end) & ~leg.final_bounds.fixed]
+    sided = [np.logical_or(*at_end) & loose]
     sided += [
         np.logical_or(*b.near(t, AT_LIMIT * s.span)) & ~b.fixed for b, t in zip(boxes, times, strict=True)
     ]
@@ -198,10 +202,12 @@ def _fits(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
 class _Step:
     """A Newton step in (start, switches, end), and the flow and multipliers that it comes from.
 
-    Its gain is by how much it changes the cost, to first order and relative to the cost's size.
+    Its gain is by how much it changes the cost, to first order and relative to the cost's size. The Hessian is the
+    Lagrangian's in the free unknowns.
     """
 
     change: Array
+    hessian: Array
     flow: BangBangFlow
     adjoint: Array
     multipliers: Array
@@ -212,8 +218,19 @@ class _Step:
         return float(np.max(np.abs(self.change)) / (switches.ends[1] - switches.ends[0]))
 
 
-def _newton_step(problem: Problem, s: PhaseSamples, switches: Switches, refinement: int = 1) -> _Step | None:
-    """Return the step, or None where the flow is no number or conditions depend on each other."""
+def _newton_step(
+    problem: Problem, s: PhaseSamples, switches: Switches, refinement: int = 1, hessian: Array | None = None
+) -> _Step | None:
+    """Return the step, or None where the flow is no number or conditions depend on each other.
+
+    Parameters
+    ----------
+    problem, s, switches
+    refinement : int
+        Of the grid.
+    hessian : array, optional
+        That of an earlier step to use again.
+    """
     leg, size = s.leg, s.leg.states.size + s.leg.integrals.size + 1
     flow = bang_bang_flow(problem, s, switches.pieces(_order(switches)), np.zeros(0, dtype=int), refinement)
     if not np.isfinite(flow.final_sensitivity).all():
@@ -238,11 +255,12 @@ def _newton_step(problem: Problem, s: PhaseSamples, switches: Switches, refineme
     adjoint = np.zeros(flow.final.size)
     adjoint[:size] = slope[size:, 0]
     adjoint[wanted] += on_states
-    hessian = (flow.curvature(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
+    if hessian is None:
+        hessian = (flow.curvature(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
     change = np.zeros(free.size)
     change[free] = _model_minimum(hessian, gradient, rows, misses)
     gain = abs(float(gradient @ change[free])) / max(abs(cost), TINY)
-    return _Step(change, flow, adjoint, nu, gain)
+    return _Step(change, hessian, flow, adjoint, nu, gain)
 
 
 def _independent(rows: Array) -> bool:

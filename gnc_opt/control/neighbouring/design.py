@@ -1,0 +1,309 @@
+r"""Neighbouring-optimal guidance: a bang-bang plan whose switches and end follow what is measured.
+
+At each control step that begins at t with the state x, for the switches that are still to come (and the end),
+
+.. math:: (S^T W S + \epsilon H + \lambda) \, \delta\tau = -(S^T W \psi + \epsilon \nabla_\tau L),
+
+with :math:`\psi` and :math:`\nabla_\tau L` of `Prediction` at the present :math:`\tau` and x, and S, H, :math:`\nu` of
+the plan (`Optimum`): a Newton step of fixed cost towards the neighbouring extremal, which meets the end conditions and
+among the ways to do so takes the fastest (Bryson and Ho, Applied Optimal Control, section 6.4, for switch times). While
+there are fewer switches left than conditions, the weights W decide what is missed. :math:`\lambda` keeps noise from
+moving switches that have little effect.
+
+In the last part of the flight a regulator follows what is left of the plan, with the reserve that the plan leaves it;
+the reference is flown backward from the end, so that what the switches could not correct is an error to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arguments import expect, read_integer, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.control.controller import Controller, first_memory, law
+from gnc_opt.control.dropout import bridge_dropouts
+from gnc_opt.control.explanation import Explanation, Fact
+from gnc_opt.control.linear.weights import Weight, read_weight, require_definite
+from gnc_opt.control.neighbouring.optimum import Optimum, find_optimum
+from gnc_opt.control.neighbouring.prediction import Ending, Prediction
+from gnc_opt.control.neighbouring.switching_plan import SwitchingPlan
+from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
+from gnc_opt.errors import ArgumentError, DesignError, shown
+from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.solution.solution import Solution
+
+OFF = 0.1
+"""Share of the accepted errors by which the predicted end of the plan may be off: more steps per arc are taken."""
+
+_MOST_STEPS = 64
+
+_TIME = 0.03
+"""Weight of the flight time: this duration counts as one accepted error, squared, per flight."""
+
+_SHIFT = 0.04
+"""A correction by this share of the flight weighs as much as an accepted error."""
+
+_TRIES = 15
+"""Corrections after which a deviation of the start has to be met."""
+
+_HALVINGS = 7
+"""Deviations of the start that are tried: the range of the state in the plan, and halves of it."""
+
+
+def design_neighbouring_optimal(
+    solution: Solution,
+    regulator: Controller,
+    *,
+    Q: Weight,
+    last: float,
+    reserve: float = 0.1,
+    delay: float = 0.0,
+    corrections: int = 1,
+    dt: float | None = None,
+    name: str = "neighbouring-optimal guidance",
+) -> Controller:
+    """Design the guidance that corrects the switch times and the end of a bang-bang plan of least time.
+
+    Parameters
+    ----------
+    solution : Solution
+        Refined, of one phase without constraints beside limits of controls (limits of states are not watched), all
+        states given at the end, which is free.
+    regulator : Controller
+        Holds the end and follows the last part; of a design that follows references, such as `design_lqr` about the
+        final state.
+    Q : weight
+        Of the errors at the end, 1 over the squares of what is accepted: `bryson` makes them.
+    last : float
+        Length of the last part, s; switches after its beginning are not corrected any more.
+    reserve : float
+        Share of the planned controls that the plan leaves to the regulator there, in [0, 1).
+    delay : float
+        By how much the actuators are late, s: commands are given so much earlier. A lag counts as its time constant.
+    corrections : int
+        Newton steps per control step.
+    dt : float, optional
+        Control step, s; default the regulator's.
+    name : str
+        For messages and reports.
+
+    Returns
+    -------
+    Controller
+        Its memory has ``switch_times`` and ``final_time`` (s) as they are planned now, ``tracking`` (1 in the last
+        part), ``miss`` (predicted, in shares of the accepted errors) and the memory of the regulator.
+
+    Raises
+    ------
+    DesignError
+        The plan is not bang-bang or not of least time, its switches cannot steer the end, or it fails the second-order
+        condition; the message names what to do.
+    ArgumentError
+        A regulator of another model or without a reference, or bad numbers.
+    """
+    expect(solution, Solution, "the plan of design_neighbouring_optimal()", "give a refined Solution")
+    expect(regulator, Controller, "the regulator of design_neighbouring_optimal()", "give design_lqr(...)")
+    plan = SwitchingPlan.of(solution)
+    inner = regulator.unbridged or regulator
+    step = inner.step_length(dt)
+    _check_regulator(inner, plan)
+    weight = read_weight(Q, plan.reference.model.errors, "the weight Q")
+    require_definite(weight, plan.reference.model.errors.labels, "the weight Q")
+    ending = _read_ending(last, reserve, plan)
+    late = read_positive(delay, "the delay of design_neighbouring_optimal()", or_zero=True)
+    count = read_integer(corrections, "the number of corrections of design_neighbouring_optimal()", 1)
+    prediction = _accurate(plan, ending, weight)
+    optimum = find_optimum(prediction)
+    guidance = _Guidance(prediction, optimum, weight, inner, step, late, count)
+    signals = reference_signals(plan.reference)
+    law_, start = guidance.functions(signals.size)
+    own = (
+        Variable("switch_times", plan.times.size - 1, "s"),
+        Variable("final_time", 1, "s"),
+        Variable("tracking"),
+        Variable("miss"),
+    )
+    controller = Controller(
+        name=name,
+        step=law_,
+        start=start,
+        states=inner.states,
+        commands=inner.commands,
+        signals=signals,
+        memory=Layout("memory", (*own, *inner.memory.variables), f"controller '{name}'"),
+        schedule=ReferenceSchedule(plan.reference),
+        dt=step,
+        alarms=inner.alarms,
+        span=(plan.reference.initial_time, plan.reference.final_time),
+        explanation=Explanation(f"{name} of '{plan.reference.model.name}'", tuple(guidance.facts())),
+    )
+    return bridge_dropouts(controller)
+
+
+def _check_regulator(regulator: Controller, plan: SwitchingPlan) -> None:
+    model = plan.reference.model
+    for what, found, needed in (
+        ("states", regulator.states, model.states),
+        ("commands", regulator.commands, model.controls),
+    ):
+        if found.labels != needed.labels:
+            raise ArgumentError(
+                f"the regulator '{regulator.name}' has the {what} {list(found.names)}, the plan {list(needed.names)}: "
+                "design it with the model of the plan."
+            )
+    if regulator.signals.labels != reference_signals(plan.reference).labels:
+        raise ArgumentError(
+            f"the regulator '{regulator.name}' takes {list(regulator.signals.names)} beside the state, where a "
+            "reference is given to it: use one with constant gains, such as design_lqr() about the final state."
+        )
+
+
+def _read_ending(last: float, reserve: float, plan: SwitchingPlan) -> Ending:
+    length = read_positive(last, "the last part of design_neighbouring_optimal()", or_zero=True)
+    duration = plan.times[-1] - plan.initial_time
+    if length >= duration:
+        raise ArgumentError(
+            f"the last part of {length:g} s is no part of a flight of {duration:g} s: shorten it."
+        )
+    share = read_positive(reserve, "the reserve of design_neighbouring_optimal()", or_zero=True)
+    if share >= 1:
+        raise ArgumentError(f"the reserve is {shown(reserve)}: give a share in [0, 1).")
+    return Ending(length, share)
+
+
+def _accurate(plan: SwitchingPlan, ending: Ending, weight: Array) -> Prediction:
+    """Return the prediction with so many steps per arc that it leads the plan to its end."""
+    nothing, steps = np.zeros(len(weight)), 1
+    while True:
+        psi = Prediction(plan, Ending(0.0, 0.0), steps).ends(
+            plan.initial_time, plan.initial, plan.times, nothing
+        )[0]
+        off = float(np.sqrt(psi.full()[:, 0] @ weight @ psi.full()[:, 0]))
+        if off <= OFF:
+            return Prediction(plan, ending, steps)
+        if steps >= _MOST_STEPS:
+            raise DesignError(
+                f"the plan of '{plan.reference.model.name}', flown by its switch times, misses its end by {off:.2g} "
+                "of the accepted errors: refine the solution."
+            )
+        steps *= 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Guidance:
+    prediction: Prediction
+    optimum: Optimum
+    weight: Array
+    regulator: Controller
+    dt: float
+    delay: float
+    corrections: int
+
+    @property
+    def plan(self) -> SwitchingPlan:
+        return self.prediction.plan
+
+    @cached_property
+    def correct(self) -> Any:
+        """``(t, x, tau) -> (tau, miss)``: one correction of what takes effect after t + delay."""
+        plan, best = self.plan, self.optimum
+        t, x, tau = ca.SX.sym("t"), ca.SX.sym("x", plan.initial.size), ca.SX.sym("tau", best.tau.size)
+        psi, slope = self.prediction.ends(t, x, tau, best.nu)
+        duration = plan.times[-1] - plan.initial_time
+        price = _TIME / duration
+        system = best.S.T @ self.weight @ best.S + price * best.H
+        right = (best.S.T @ self.weight) @ psi + price * (slope + ca.DM(np.eye(best.tau.size)[-1]))
+        open_ = ca.vertcat(*[tau[k] > t + self.delay for k in range(best.tau.size - 1)], 1)
+        matrix = (open_ @ open_.T) * system + ca.diag(ca.if_else(open_, (_SHIFT * duration) ** -2, 1))
+        step = -ca.ldl_solve(open_ * right, *ca.ldl(matrix, False))
+        miss = ca.sqrt(psi.T @ self.weight @ psi)
+        return ca.Function("correct", [t, x, tau], [self._in_turn(t, tau, open_, tau + open_ * step), miss])
+
+    def _in_turn(self, t: Any, tau: Any, open_: Any, new: Any) -> Any:
+        """Return corrected times: none that has passed, each switch of a control after the one before, the end last."""
+        soonest, found = t + self.delay, ca.vertsplit(new)
+        before: dict[int, Any] = {}
+        for k, channel in enumerate(self.plan.channels):
+            least = ca.fmax(soonest, before[channel]) if channel in before else soonest
+            found[k] = before[channel] = ca.if_else(open_[k], ca.fmax(new[k], least), tau[k])
+        found[-1] = ca.fmax(found[-1], soonest)
+        return ca.vertcat(*found)
+
+    def functions(self, n_signals: int) -> tuple[Any, Any]:
+        """Return the law and its first memory."""
+        n, inner = self.optimum.tau.size, self.regulator
+        t, x, r = ca.SX.sym("t"), ca.SX.sym("x", self.plan.initial.size), ca.SX.sym("r", n_signals)
+        z = ca.SX.sym("z", n + 2 + inner.memory.size)
+        planned, tracked, own = z[:n], z[n], z[n + 2 :]
+        tau = planned
+        for _ in range(self.corrections):
+            tau, miss = self.correct(t, x, tau)
+        # the last part begins with the step that it begins in; from then on the plan stays
+        tracking = ca.logic_or(tracked, t + self.dt / 2 >= planned[-1] - self.prediction.ending.length)
+        tau = ca.if_else(tracking, planned, tau)
+        means = self.prediction.mean_controls(t + self.delay, self.dt, tau)
+        row = ca.vertcat(self.prediction.reference(t, tau), means)
+        command, memory = inner.step(t, x, row, own)
+        u = ca.if_else(tracking, command, means)
+        after = ca.vertcat(tau, tracking, miss, ca.if_else(tracking, memory, own))
+        first = ca.vertcat(self.optimum.tau, 0, 0, inner.start(t, x, r))
+        return law(t, x, r, z, u, after), first_memory(t, x, r, first)
+
+    # --- what can be said -----------------------------------------------------------------------------------
+
+    def facts(self) -> list[Fact]:
+        """Return what the design says of itself."""
+        plan, best, ending = self.plan, self.optimum, self.prediction.ending
+        labels = ", ".join(plan.reference.states.labels)
+        return [
+            Fact("end", best.tau[-1], "s", f"with the reserve; {plan.times[-1]:.6g} s as planned"),
+            Fact("switches", str(len(plan.channels)), "", f"for {best.S.shape[0]} conditions at the end"),
+            Fact(
+                "least curvature", best.curvature, "", "of the flight time along what keeps the end, times it"
+            ),
+            Fact(
+                "last part",
+                ending.length,
+                "s",
+                f"a reserve of {100 * ending.reserve:g} % for '{self.regulator.name}'",
+            ),
+            Fact(
+                "steps per arc",
+                str(self.prediction.steps),
+                "",
+                "of the prediction on board, Runge-Kutta of order 4",
+            ),
+            Fact("operations", str(self.correct.n_instructions()), "", "of a correction"),
+            Fact(
+                "corrected at the start",
+                self.validity(),
+                "",
+                f"deviations, each alone and both ways, that {_TRIES} corrections meet: {labels}",
+            ),
+        ]
+
+    def validity(self) -> Array:
+        """Return the largest of the deviations tried of each state at the start that the corrections meet."""
+        plan = self.plan
+        times = np.linspace(plan.initial_time, plan.reference.final_time, 50)
+        ranges = np.ptp(plan.reference.x(times), axis=1)
+        found = np.zeros(ranges.size)
+        for i, size in enumerate(ranges):
+            for k in range(_HALVINGS):
+                off = size * 0.5**k * np.eye(ranges.size)[i]
+                if self._met(plan.initial + off) and self._met(plan.initial - off):
+                    found[i] = size * 0.5**k
+                    break
+        return found
+
+    def _met(self, x: Array) -> bool:
+        at, tau = self.plan.initial_time - self.delay, self.optimum.tau
+        allowed = OFF + float(self.correct(at, self.plan.initial, tau)[1])
+        for _ in range(_TRIES):
+            tau, miss = self.correct(at, x, tau)
+        return bool(float(miss) <= allowed)  # false for not-a-number
