@@ -276,12 +276,13 @@ def test_when_a_flow_is_accurate(
     """Steps worth so many accuracies each that move the switch by so much; one at 4 s, from 1 s to 11 s."""
     accuracy, seen, left, base = 1e-4, [], list(steps), switches([4.0], [0])
 
-    def newton(problem: Any, s: Any, at: Any, refinement: int = 1) -> Any:
+    def newton(problem: Any, s: Any, at: Any, refinement: int = 1, hessian: Any = None) -> Any:
         seen.append(refinement)
         now = left.pop(0)
-        return now and n._Step(np.array([0.0, now[1], 0.0]), None, None, None, now[0] * accuracy)  # type: ignore[arg-type]
+        change, nothing = np.array([0.0, now[1], 0.0]) if now else np.zeros(3), [None] * 4
+        return now and n._Step(change, *nothing, now[0] * accuracy)  # type: ignore[arg-type]
 
-    first = n._Step(np.zeros(3), None, None, None, 0.0)  # type: ignore[arg-type]
+    first = n._Step(np.zeros(3), *[None] * 4, 0.0)  # type: ignore[arg-type]
     for name, answer in (
         ("_fits", True), ("_switches", base), ("_optimum", (base, first)), ("_completed", None if agree else base),
         ("_structure", "structure"), ("_guess", "guess"),

@@ -1,8 +1,13 @@
 """Small parts of a solution: what tries cost together, named integrals."""
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 import gnc_opt as go
+from gnc_opt.solution.diagnosis import _running_off
+from gnc_opt.solution.history import History, Pass, RefinementStatus
 from gnc_opt.solution.solution import Statistics
 from gnc_opt.transcription.scheme import SCHEMES, Scheme
 
@@ -81,3 +86,29 @@ def test_costs_at_both_ends(scheme: Scheme) -> None:
     assert solution.phase().lam(0.0) == pytest.approx(
         [-6 / 7], rel=1e-5
     )  # dJ*/dx_0 of what follows: -2 (x_0 - 1)
+
+
+def test_a_record_after_an_earlier_one_has_the_passes_and_seconds_of_both() -> None:
+    def record(status: RefinementStatus, n: int, chosen: int, seconds: float) -> History:
+        passes = tuple(Pass({}, {}, 0.5**i, status.value, 0.0, True, i, 0.0, "") for i in range(n))
+        return History(status, 1e-6, passes, chosen, status.value, seconds)
+
+    earlier, later = (
+        record(RefinementStatus.STALLED, 3, 2, 1.5),
+        record(RefinementStatus.CONVERGED, 2, 0, 4.0),
+    )
+    both = later.after(earlier)
+    assert both.passes == (*earlier.passes, *later.passes) and both.seconds == 5.5
+    assert both.final is later.passes[0] and both.chosen == 3
+    assert both.converged and both.message == "converged" and not earlier.converged
+
+
+def test_what_runs_off_is_named_once_where_it_is_largest_and_first() -> None:
+    names = [f"{name}, t = {i}" for i in range(40) for name in ("x", "y", "z")]
+    scaled = np.full(120, -2e6)
+    scaled[3 * 7 + 1], scaled[2::3] = 3e6, 9e5
+    found = _running_off(SimpleNamespace(variable_labels=names), scaled)  # type: ignore[arg-type]
+    assert [(v.name, v.amount) for v in found] == [
+        ("y, t = 7 runs off to infinity", 3e6),
+        ("x, t = 0 runs off to infinity", 2e6),
+    ]
