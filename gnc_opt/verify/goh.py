@@ -87,7 +87,7 @@ def in_gohs_variables(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> Cr
     itself = np.ones(squares.size, dtype=bool)
     for s in samples:
         part = cone.point.transcription.parts[s.leg.name]
-        singular = singular_segments(s)[:, _coarse(s.leg.mesh, part.collocation.mesh)] & _free(cone, part)
+        singular = _singular_and_free(cone, s)
         strong[_junctions(s, part, singular)] = True
         for i in map(int, np.flatnonzero(np.any(singular, axis=1))):
             if singular[i, -1]:
@@ -101,6 +101,12 @@ def in_gohs_variables(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> Cr
     own = unit_variations(squares)[:, np.flatnonzero(itself)]
     unit = scipy.sparse.csc_array(scipy.sparse.hstack([own, *blocks]))
     return CriticalCone(cone.point, strong, cone.weak, unit)
+
+
+def _singular_and_free(cone: CriticalCone, s: PhaseSamples) -> Mask:
+    """Segments of the cone's mesh (n_controls, K) along which a control is singular and nothing determines it."""
+    part = cone.point.transcription.parts[s.leg.name]
+    return singular_segments(s)[:, _coarse(s.leg.mesh, part.collocation.mesh)] & _free(cone, part)
 
 
 def _coarse(mesh: Mesh, fine: Mesh) -> Indices:
@@ -138,7 +144,7 @@ def open_end(cone: CriticalCone, s: PhaseSamples) -> str:
     at the end (in coordinates that straighten out its vector field, h is then nowhere); or the form must curve in h by
     itself, :math:`h^T (B^T \ell'' B + H_{ux} B) h > 0` for what the conditions leave free.
     """
-    channels = np.flatnonzero(singular_segments(s)[:, -1])
+    channels = np.flatnonzero(_singular_and_free(cone, s)[:, -1])
     if not channels.size or not _felt(cone.point.problem, s, channels):
         return ""
     point, n, span = cone.point, cone.point.x.size, s.control_span[channels] * s.span
