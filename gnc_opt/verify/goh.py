@@ -35,6 +35,7 @@ from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.numbering import PhasePart
 from gnc_opt.transcription.quadrature import differentiation_matrix, points, weights
 from gnc_opt.verify.critical_cone import CriticalCone
+from gnc_opt.verify.held import left_free
 from gnc_opt.verify.null_space import unit_variations, variation_weights
 from gnc_opt.verify.switches import inner_switches
 
@@ -56,11 +57,19 @@ def straight(s: PhaseSamples) -> Mask:
     return np.asarray(curvature <= AT_LIMIT * s.hamiltonian_scale)
 
 
-def singular_segments(s: PhaseSamples) -> Mask:
-    """Segments (n_controls, K) along which a control is between its bounds and H does not curve in it."""
+def singular_samples(s: PhaseSamples) -> Mask:
+    """Where a control is between its bounds, H does not curve in it, and no active constraint determines it (m, n)."""
     lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
     singular = straight(s) & ~(lower | upper | s.idle)
-    inside = s.weights > 0
+    if not np.any(singular):
+        return singular
+    bases = left_free(s, ~(lower | upper), s.control_span)
+    return singular & np.stack([np.any(np.abs(basis) > RANK, axis=1) for basis in bases], axis=1)
+
+
+def singular_segments(s: PhaseSamples) -> Mask:
+    """Segments (n_controls, K) along which a control is singular."""
+    singular, inside = singular_samples(s), s.weights > 0
     rows = [np.all(singular[:, inside & (s.segments == k)], axis=1) for k in range(s.leg.mesh.segments)]
     return np.stack(rows, axis=1) & s.has_length
 

@@ -42,7 +42,7 @@ from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.scaling import scale_variables
 from gnc_opt.transcription.transcription import Transcription
 from gnc_opt.verify.critical_cone import CriticalCone
-from gnc_opt.verify.goh import cut, in_gohs_variables, open_end, singular_segments, straight
+from gnc_opt.verify.goh import cut, in_gohs_variables, open_end, singular_samples, singular_segments, straight
 from gnc_opt.verify.null_space import FOUND, NullSpace, lanczos, quadratic
 from gnc_opt.verify.verdict import Condition, Result
 
@@ -236,8 +236,7 @@ def _variable_times(s: PhaseSamples) -> Array:
 
 def _partly_singular(s: PhaseSamples) -> bool:
     """Whether a control is singular in a segment without being so all along it: no integral stands for it there."""
-    lower, upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
-    return bool(np.any(straight(s) & ~lower & ~upper & ~singular_segments(s)[:, s.segments]))
+    return bool(np.any(singular_samples(s) & ~singular_segments(s)[:, s.segments]))
 
 
 def _place(point: ProgramPoint, solution: Solution, direction: Array) -> str:

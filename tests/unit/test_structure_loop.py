@@ -385,6 +385,22 @@ def test_a_missing_arc_is_added_where_the_sign_is_wrong() -> None:
     )  # up to its own switch
 
 
+def test_a_singular_control_that_reaches_a_bound_asks_for_a_bang_if_no_higher_degree_helps() -> None:
+    """lam < 0 between 1.3 and 2.6 s, where the polynomial of u comes up to its bound and H wants it there."""
+    found = line(lambda t, k: [(t - 1.3) * (t - 2.6)], lambda t, k: [1 - 0.3 * (t - 1.95) ** 2])
+    structure = PhaseStructure((0.0, 4.0), ((SING, FREE),), n_controls=1)
+    stuck = Plan(structure, (Resolution(4, 3, MAX_SINGULAR_DEGREE, 1e-12),))
+    added, action = s._saturated(found, stuck, set())
+    assert added is not None and [kinds[0] for kinds in added.kinds] == [SING, UP, SING]
+    assert added.times == pytest.approx((0.0, 1.3, 2.6, 4.0), abs=0.12)  # to the next sample
+    assert action == f"arc of u added at {added.times[1]:.4g} s"
+    young = Plan(structure, (Resolution(4, 3, SINGULAR_DEGREE),))
+    assert s._saturated(found, young, set()) == (None, "")
+    assert s._saturated(found, stuck, {(found.leg.name, added.at(()))}) == (None, "")  # it has been left
+    inside = line(lambda t, k: [(t - 1.3) * (t - 2.6)], lambda t, k: [0.9 - 0.3 * (t - 1.95) ** 2])
+    assert s._saturated(inside, stuck, set()) == (None, "")
+
+
 # --- resolution -------------------------------------------------------------------------------------------
 
 

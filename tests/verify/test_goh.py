@@ -152,6 +152,27 @@ def test_a_segment_is_singular_as_a_whole_or_partly() -> None:
         assert _partly_singular(s) is partly
 
 
+@pytest.mark.parametrize(("limit", "push", "held"), [(1.0, 0.3, True), (1.0, 0.0, False), (2.0, 0.0, False)])
+def test_a_control_that_a_state_limit_determines_is_not_singular(
+    limit: float, push: float, held: bool
+) -> None:
+    """x' = u along x = 1: with a multiplier the limit x <= 1 keeps u at 0, without one H has to."""
+    model = go.Model("one")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("one")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    problem.minimize(leg.integral(-push * x))
+    s = by_hand.samples(
+        problem, lambda t, k: np.array([1.0 + 0 * t]), lambda t, k: np.array([0 * t]), lambda t, k: np.array([0 * t]),
+        weights=(1.0,), breaks=(0.0, 1.0, 2.0), control_bounds=by_hand.interval(-1.0, 1.0),
+        state_bounds=by_hand.interval(-1.0, limit), states=lambda t, k: np.array([push + 0 * t]),
+    )  # fmt: skip
+    np.testing.assert_array_equal(singular_segments(s), [[not held, not held]])
+    assert not _partly_singular(s)
+
+
 def test_singular_segments_are_cut_and_movable_boundaries_stay() -> None:
     mesh = go.Mesh((0.0, 0.2, 0.5, 1.0), (3, 8, 4), (1, 2))
     finer = cut(mesh, np.array([False, True, False]))

@@ -399,13 +399,18 @@ def _saturated(
     """Return the structure with the arc that a control asks for which reaches a bound along a singular arc, or None.
 
     A polynomial that is held within its bounds, where the control of the optimum jumps to one and back, leaves a
-    switching function of that bound's sign. Structures that have been left are not tried again.
+    switching function of that bound's sign, which a higher degree does not take away. Structures that have been left
+    are not tried again.
     """
     bounds, controls = samples.leg.control_bounds, plan.structure.controls
     singular = controls[:, plan.segment_pieces[samples.segments]] == ArcKind.SINGULAR
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
     at_lower, at_upper = bounds.near(samples.u_polynomial, SATURATED * samples.control_scale)
-    reached = singular & affine_channels(samples)[:, None] & np.where(gain > 0, at_lower, at_upper)
+    left_open = zip(plan.resolutions, _open_gradient(samples, plan), strict=True)
+    stuck = np.array([r.smoother(g).smooth == r.smooth for r, g in left_open])[
+        plan.segment_pieces[samples.segments]
+    ]
+    reached = singular & stuck & affine_channels(samples)[:, None] & np.where(gain > 0, at_lower, at_upper)
     offence = np.zeros_like(gain)
     for i in np.flatnonzero(np.any(reached, axis=1)):
         j = int(np.argmax(np.where(reached[i], np.abs(gain[i]), 0.0)))
