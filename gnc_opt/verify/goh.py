@@ -64,7 +64,8 @@ def singular_samples(s: PhaseSamples) -> Mask:
     if not np.any(singular):
         return singular
     bases = left_free(s, ~(lower | upper), s.control_span)
-    return singular & np.stack([np.any(np.abs(basis) > RANK, axis=1) for basis in bases], axis=1)
+    left = np.stack([np.any(np.abs(basis) > RANK, axis=1) for basis in bases], axis=1)
+    return np.asarray(singular & left)
 
 
 def singular_segments(s: PhaseSamples) -> Mask:
