@@ -270,7 +270,7 @@ def _handles(view: View) -> list[Line2D]:
         handles += [Line2D([], [], color=COLORS[i], label=f"$b_{name}$") for i, name in enumerate("xyz")]
     if view.force is not None:
         handles.append(Line2D([], [], color=COLORS[4], linewidth=3.0, label="plume"))
-    handles += [Line2D([], [], color=COLORS[1], linewidth=0.6, label=name) for name in view.keep_out]
+    handles += [Line2D([], [], color=COLORS[3], linewidth=0.6, label=name) for name in view.keep_out]
     return handles
 
 
@@ -279,5 +279,5 @@ def _draw_shell(ax: Any, centre: Array, radius: float) -> Array:
     around, up = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(-np.pi / 2, np.pi / 2, 13))
     unit = np.stack([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
     points = centre[:, None, None] + radius * unit
-    ax.plot_wireframe(*points, color=COLORS[1], linewidth=0.4, alpha=0.6)
+    ax.plot_wireframe(*points, color=COLORS[3], linewidth=0.4, alpha=0.6)
     return np.asarray(points.reshape(3, -1))

@@ -20,6 +20,7 @@ from problems.rendezvous_tracking import (
     plan,
     turned,
 )
+from problems.rendezvous_tracking.guided import Guided, settled
 
 RUNS, SEED = {"TVLQR": 1000, "integral sliding mode": 250}, 1
 FEW = 60
@@ -28,6 +29,26 @@ FEW = 60
 @pytest.fixture(scope="module")
 def tracking() -> Tracking:
     return Tracking(plan())
+
+
+@pytest.fixture(scope="module")
+def guided():
+    return Guided(plan(reserve=1.0))
+
+
+@pytest.mark.slow
+def test_guidance_arrives_earlier_than_a_plan_with_reserve(guided, tracking):
+    """Between the least time there is and that of the reserve, and at the target, not only by its own last plan."""
+    campaign = guided.campaign("neighbouring-optimal", 8, SEED, "serial")
+    arrivals, least = guided.arrivals(campaign), guided.solution.objective
+    assert campaign.pass_rate().rate == 1.0 and not campaign.failures
+    assert np.mean(arrivals) == pytest.approx(26.43, abs=0.05)
+    assert np.min(arrivals) > least + 0.1 and np.max(arrivals) < 26.8 < tracking.reference.final_time - 1.0
+    run, target = campaign.rerun(0), guided.reference.x(guided.reference.final_time)
+    error = run.states - target[:, None]
+    last = np.searchsorted(run.times, settled(run, target))
+    inside = np.linalg.norm(error[9:12], axis=0) < LIMITS["r_L"]
+    assert np.all(inside[last:]) and arrivals[0] - 2.0 < run.times[last] < arrivals[0] + 2.5
 
 
 @pytest.fixture(scope="module")
