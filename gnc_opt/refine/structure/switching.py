@@ -39,6 +39,7 @@ PATIENCE = 4
 """Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
 
 KINKS_MOVED, RAISED, LOOSENED = "kinks moved", "resolution raised", "limits beside touches released"
+SMOOTHED = "singular controls of higher degree"
 
 FINEST = 1e-9
 """Switch times are asked for at least this accurately: that costs a solve of a few iterations, if any."""
@@ -49,7 +50,7 @@ TIGHT, MOST_ITERATIONS = 1e-11, 200
 ROOM = 1e-3
 """Share of the phase that a swapped piece gets to start from."""
 
-VANISHED = 1e-6
+VANISHED = 1e-7
 """A piece shorter than this share of its phase has vanished."""
 
 STATIONARY = 1e-9
@@ -57,6 +58,12 @@ STATIONARY = 1e-9
 
 ROUGH = 1e-4
 """Gain in H beyond which the polynomial of a singular control is no guess of it yet."""
+
+LEFT_OPEN = 5e-6
+"""Gain in H beyond which a singular arc is left open at its ends: half of what `verify` forgives."""
+
+ENDS = 3.0
+"""Polynomials of degree n cannot follow what is shorter than this over n squared, at the ends of their piece."""
 
 SATURATED = 1e-3
 """A singular control this close to a bound, relative to its range, has reached it."""
@@ -203,9 +210,13 @@ def _loop(
         solution = found
         current = {name: _at_solution(plan, solution, name) for name, plan in plans.items()}
         plans, action = _improve(solution, current, swapped, tol)
-        tries.append(_Try(solution, current, _record(solution, begin, action or "structure stands")))
-        show(tries[-1].record)
-        if not action or _resolved([t.record for t in tries], tol):
+        record = _record(solution, begin, action or "structure stands")
+        resolved = _resolved([*(t.record for t in tries), record], tol)
+        if resolved and (smoother := _smoother(solution, current)) != current:
+            plans, resolved, record = smoother, False, replace(record, actions=SMOOTHED)
+        tries.append(_Try(solution, current, record))
+        show(record)
+        if not action or resolved:
             return RefinementStatus.CONVERGED
         if _restless([t.record for t in tries]):
             return RefinementStatus.STALLED
@@ -226,7 +237,7 @@ def _resolved(records: list[Pass], tol: float) -> bool:
 def _restless(records: list[Pass]) -> bool:
     """Whether the structure stays, but neither moving kinks nor finer meshes reduce the error."""
     last = records[-PATIENCE:]
-    adjusting = all(set(str(r.actions).split(", ")) <= {KINKS_MOVED, RAISED} for r in last)
+    adjusting = all(set(str(r.actions).split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED} for r in last)
     if not adjusting or len(records) <= PATIENCE:
         return False
     return min(r.error for r in last) > 0.5 * min(r.error for r in records[:-PATIENCE])
@@ -241,15 +252,15 @@ def _improve(
     for name, s in samples.items():
         structure, action = _collapse(s, plans[name].structure, swapped)
         if structure is not None:
-            return {**plans, name: Plan.of(structure, plans[name].points)}, action
+            return {**plans, name: plans[name].restructured(structure)}, action
     for name, c in constraints.items():
         structure, action = _mended_contacts(c, plans[name].structure)
         if structure is not None:
-            return {**plans, name: Plan.of(structure, plans[name].points)}, action
+            return {**plans, name: plans[name].restructured(structure)}, action
     for name, s in samples.items():
         structure, action = _saturated(s, plans[name], swapped)
         if structure is not None:
-            return {**plans, name: Plan.of(structure, plans[name].points)}, action
+            return {**plans, name: plans[name].restructured(structure)}, action
     adjusted = {name: _adjust(c, plans[name], tol) for name, c in constraints.items()}
     actions = dict.fromkeys(action for _, action in adjusted.values() if action)
     if actions:
@@ -259,7 +270,7 @@ def _improve(
         if structure is None:
             structure, action = crossed_contact(constraints[name], plans[name].structure)
         if structure is not None:
-            return {**plans, name: Plan.of(structure, plans[name].points)}, action
+            return {**plans, name: plans[name].restructured(structure)}, action
     return plans, ""
 
 
@@ -269,13 +280,13 @@ def _adjust(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan
     if moved is not None:
         emptied = np.flatnonzero(moved.lengths < VANISHED * (moved.times[-1] - moved.times[0]))
         if emptied.size:
-            return Plan.of(
-                plan.structure.emptied(int(emptied[0])), plan.points
-            ), f"piece {emptied[0] + 1} dropped"
+            left = plan.structure.emptied(int(emptied[0]))
+            return plan.restructured(left), f"piece {emptied[0] + 1} dropped"
     if finer and not moved and not plan.loose and any(plan.structure.touches):
         return replace(plan, loose=True), LOOSENED
     resolutions = finer.resolutions if finer else plan.resolutions
-    actions = (KINKS_MOVED if moved else "", RAISED if finer else "")
+    smoother = any(a.smooth > b.smooth for a, b in zip(resolutions, plan.resolutions, strict=True))
+    actions = (KINKS_MOVED if moved else "", SMOOTHED if smoother else RAISED if finer else "")
     return replace(plan, structure=moved or plan.structure, resolutions=resolutions), ", ".join(
         filter(None, actions)
     )
@@ -399,18 +410,19 @@ def _saturated(
     """Return the structure with the arc that a control asks for which reaches a bound along a singular arc, or None.
 
     A polynomial that is held within its bounds, where the control of the optimum jumps to one and back, leaves a
-    switching function of that bound's sign, which a higher degree does not take away. Structures that have been left
-    are not tried again.
+    switching function of that bound's sign, which a higher degree does not take away. At the ends of the arc, where it
+    meets other arcs, touches and given states, the jump may be too short for the polynomial to follow; there what is
+    left open is enough. Structures that have been left are not tried again.
     """
-    bounds, controls = samples.leg.control_bounds, plan.structure.controls
-    singular = controls[:, plan.segment_pieces[samples.segments]] == ArcKind.SINGULAR
+    bounds, pieces = samples.leg.control_bounds, plan.segment_pieces[samples.segments]
+    singular = plan.structure.controls[:, pieces] == ArcKind.SINGULAR
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
     at_lower, at_upper = bounds.near(samples.u_polynomial, SATURATED * samples.control_scale)
     left_open = zip(plan.resolutions, _open_gradient(samples, plan), strict=True)
-    stuck = np.array([r.smoother(g).smooth == r.smooth for r, g in left_open])[
-        plan.segment_pieces[samples.segments]
-    ]
-    reached = singular & stuck & affine_channels(samples)[:, None] & np.where(gain > 0, at_lower, at_upper)
+    stuck = np.array([r.smoother(g).smooth == r.smooth for r, g in left_open])[pieces]
+    unseen = (np.abs(gain) > LEFT_OPEN) & _unseen(samples, plan, gain)
+    jumps = np.where(gain > 0, at_lower, at_upper) | unseen
+    reached = singular & stuck & affine_channels(samples)[:, None] & jumps
     offence = np.zeros_like(gain)
     for i in np.flatnonzero(np.any(reached, axis=1)):
         j = int(np.argmax(np.where(reached[i], np.abs(gain[i]), 0.0)))
@@ -421,6 +433,23 @@ def _saturated(
     if structure is None or (samples.leg.name, structure.at(())) in left:
         return None, ""
     return structure, action
+
+
+def _unseen(samples: PhaseSamples, plan: Plan, gain: Array) -> Mask:
+    """Where each row keeps the sign that it has at an end of its piece, if the polynomials are too stiff to follow.
+
+    What is orthogonal to polynomials of degree n changes its sign that close to the ends.
+    """
+    pieces, found = plan.segment_pieces[samples.segments], np.zeros(gain.shape, dtype=bool)
+    for piece, (r, length) in enumerate(zip(plan.resolutions, plan.structure.lengths, strict=True)):
+        here = np.flatnonzero(pieces == piece)
+        for run in (here, here[::-1]) if r.smooth else ():
+            same = np.logical_and.accumulate(gain[:, run] * gain[:, run[:1]] > 0, axis=1)
+            reach = np.sum(same, axis=1)
+            last = samples.times[run[np.maximum(reach - 1, 0)]]
+            close = np.abs(last - samples.times[run[0]]) < ENDS / r.smooth**2 * length
+            found[:, run] |= same & close[:, None]
+    return found
 
 
 def _around(holds: Mask, j: int) -> slice:
@@ -508,6 +537,16 @@ def _next_resolution(r: Resolution, error: float, gradient: float, tol: float) -
     if smoother != r and gradient > max(error, ROUGH):
         return smoother
     return r.finer() if error > tol else smoother
+
+
+def _smoother(solution: Solution, plans: Mapping[str, Plan]) -> dict[str, Plan]:
+    """Return the plans with higher degrees where singular controls leave some of dH/du, as far as these help."""
+    found = {}
+    for name, s in solution.samples().items():
+        left_open = zip(plans[name].resolutions, _open_gradient(s, plans[name]), strict=True)
+        smoother = tuple(r.smoother(g) if g > STATIONARY else r for r, g in left_open)
+        found[name] = replace(plans[name], resolutions=smoother)
+    return found
 
 
 def _open_gradient(samples: PhaseSamples, plan: Plan) -> Array:
