@@ -44,7 +44,8 @@ EXPECTED = {
     "gnc_opt.simulation": """
         Allocation Ball Bias Block Campaign Choice ClosedLoop Consistency Constant Deadband Delay Disturbance
         Ending Event Expression Flight Hold InnovationTest Lag MinimumImpulse Mixer Noise NonNegativeAllocation Normal
-        Occurrence Outage Outcome Pwm Pwpf Quantisation RandomHold RandomWalk RateLimit Run RunStatus Sampling
+        Occurrence Outage Outcome Pwm Pwpf Quantisation RandomHold RandomWalk RateLimit Replan Replanner Run
+        RunStatus Sampling
         Saturation Scale ScaleFactor SchmittTrigger SensorDelay Sinusoid Sphere ThrusterSet Turn
         Uniform WheelArray consistency monte_carlo
     """,
