@@ -183,7 +183,7 @@ class Flight:
             if culprit:
                 refused[i] = culprit
                 continue
-            for first, rows in self._legs(seed, known):
+            for first, rows in self.legs(seed, known):
                 if first == 0:
                     X, C = self._begun(rows[0], P[:, i])
                 fly, evaluate = self._fold(len(rows))
@@ -234,7 +234,7 @@ class Flight:
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         events: list[Occurrence] = []
         last = self.n_steps
-        for first, rows in self._legs(seed, known):
+        for first, rows in self.legs(seed, known):
             if first == 0:
                 X, C = self._begun(rows[0], P)
             after, logs = (o.full() for o in self._logged(len(rows))(X, rows.T, C))
@@ -297,10 +297,15 @@ class Flight:
         i = int(bad[0])
         return f"'{self.layout.labels[i]}' is {P[i]:g}, outside [{lower[i]:g}, {upper[i]:g}]"
 
-    # --- internals ----------------------------------------------------------------------------------------
+    def legs(self, seed: Any, known: Array) -> Iterator[tuple[int, Array]]:
+        """Yield the first steps of the legs of a run, and what is known and drawn for their steps (n_steps, n_known).
 
-    def _legs(self, seed: Any, known: Array) -> Iterator[tuple[int, Array]]:
-        """Yield the first steps of the legs of a run, and what is known and drawn for their steps, in ``known``."""
+        Parameters
+        ----------
+        seed : int or sequence of int
+        known : array (at least `LEG` or all steps, n_known)
+            Whose rows are written and yielded.
+        """
         first_noise = 1 + self.schedule.shape[0]
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
         generator = np.random.Generator(np.random.Philox(sequence))
@@ -311,6 +316,8 @@ class Flight:
             rows[:, 1:first_noise] = self.schedule[:, first:last].T
             rows[:, first_noise:] = generator.standard_normal((last - first, known.shape[1] - first_noise))
             yield first, rows
+
+    # --- internals ----------------------------------------------------------------------------------------
 
     def _begun(self, known: Array, P: Array) -> tuple[Array, Array]:
         """Return X at the first step, and the constants of the run."""
