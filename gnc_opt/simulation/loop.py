@@ -18,10 +18,11 @@ from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.block import Block
+from gnc_opt.simulation.control_step import alarm_labels, watched_labels
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.event import Event
 from gnc_opt.simulation.flight import LEG, Ending, Flight
-from gnc_opt.simulation.kernel import Kernel, alarm_labels, build_kernel, watched_labels
+from gnc_opt.simulation.kernel import Kernel, build_kernel
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.wiring import Blocks, Wiring, wire
 
