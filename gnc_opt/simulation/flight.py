@@ -164,7 +164,7 @@ class Flight:
                 refused[i] = culprit
                 continue
             course = self._course()
-            for first, rows in self._legs(seed, known, course):
+            for first, rows in self.legs(seed, known, course):
                 if first == 0:
                     X, C = self._begun(rows[0], P[:, i])
                 elif self.replanner is not None:
@@ -219,7 +219,7 @@ class Flight:
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         events: list[Occurrence] = []
         course, last = self._course(), self.n_steps
-        for first, rows in self._legs(seed, known, course):
+        for first, rows in self.legs(seed, known, course):
             if first == 0:
                 X, C = self._begun(rows[0], P)
             elif self.replanner is not None:
@@ -286,19 +286,29 @@ class Flight:
         i = int(bad[0])
         return f"'{self.layout.labels[i]}' is {P[i]:g}, outside [{lower[i]:g}, {upper[i]:g}]"
 
-    # --- internals ----------------------------------------------------------------------------------------
+    def legs(self, seed: Any, known: Array, course: Course | None = None) -> Iterator[tuple[int, Array]]:
+        """Yield the first steps of the legs of a run, and what is known and drawn for their steps (n_steps, n_known).
 
-    def _legs(self, seed: Any, known: Array, course: Course) -> Iterator[tuple[int, Array]]:
-        """Yield the first steps of the legs of a run, and what is known and drawn for their steps, in ``known``."""
+        Parameters
+        ----------
+        seed : int or sequence of int
+        known : array (at least `LEG` or all steps, n_known)
+            Whose rows are written and yielded.
+        course : Course, optional
+            What is followed; default the schedule as planned before the flight.
+        """
+        followed = self.schedule if course is None else course.schedule
         first_noise = 1 + self.schedule.shape[0]
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
         generator = np.random.Generator(np.random.Philox(sequence))
         for first, last in itertools.pairwise(self._edges):
             rows = known[: last - first]
             rows[:, 0] = self.times[first:last]
-            rows[:, 1:first_noise] = course.schedule[:, first:last].T
+            rows[:, 1:first_noise] = followed[:, first:last].T
             rows[:, first_noise:] = generator.standard_normal((last - first, known.shape[1] - first_noise))
             yield first, rows
+
+    # --- internals ----------------------------------------------------------------------------------------
 
     @cached_property
     def _edges(self) -> list[int]:
