@@ -85,7 +85,7 @@ class Linearization:
     def __post_init__(self) -> None:
         if self.flight.replanner is not None:
             raise ArgumentError(
-                "the loop re-plans in flight, which has no derivative here: leave the replanner out, or fly monte_carlo()."
+                "the loop re-plans in flight, which has no derivative: leave the replanner out, or fly monte_carlo()."
             )
         if self.flight.events.size:
             raise ArgumentError(
