@@ -29,6 +29,9 @@ ACCURACY = 1e-9
 BEYOND = 1e-7
 """By how much a limit may be exceeded, in shares of what is limited; cubics between steps are not better."""
 
+WARM_ITERATIONS = 50
+"""After which a warm start has lost its way, and the trajectory alone is kept."""
+
 
 class Way(Enum):
     """How a problem was solved again."""
