@@ -17,6 +17,7 @@ from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.quality import worst_bound_violation, worst_path_violation
+from gnc_opt.solution.rest import rest_of
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
 from gnc_opt.solve import solve
@@ -63,6 +64,8 @@ class Resolver:
         A solved one, with its problem.
     tol : float, optional
         For solutions from the start; default: that which the solution was refined to; None if it was not.
+    cold : bool
+        Whether to solve from the start where the other ways fail, which takes its time.
 
     Raises
     ------
@@ -72,7 +75,7 @@ class Resolver:
         It is not solved.
     """
 
-    def __init__(self, solution: Solution, *, tol: float | None = None) -> None:
+    def __init__(self, solution: Solution, *, tol: float | None = None, cold: bool = True) -> None:
         expect(solution, Solution, "what Resolver() got", "write Resolver(solve(problem))")
         self._builds = solution.need_problem("solve").builds
         if not solution.status.solved:
@@ -82,13 +85,22 @@ class Resolver:
             )
         asked = solution.history.tolerance if tol is None and solution.history is not None else tol
         self.tol = None if asked is None else read_positive(asked, "the tolerance of Resolver()")
-        self.solution = solution
+        self.solution, self.cold = solution, cold
         self._known: _Known | None = None
         if solution.structure and len(solution.phases) == 1:
             self._known = _Known.of(solution)
 
-    def solve(self, problem: Problem) -> Solution:
+    def solve(self, problem: Problem, *, near: Solution | None = None) -> Solution:
         """Return the solution of a variation; ``solution.provenance["way"]`` names the `Way` it was found.
+
+        A variation may begin on the way of the known one, ``problem.with_time(initial=t).with_initial(...)``: what of
+        it lies after that time is the start.
+
+        Parameters
+        ----------
+        problem : Problem
+        near : Solution, optional
+            Of a variation, to start from; default the one that the resolver was made of.
 
         Raises
         ------
@@ -104,14 +116,24 @@ class Resolver:
                 "with_initial(), with_parameters() or their like, or make a Resolver of its own solution."
             )
         problem.check()
+        start = self.solution if near is None else near
         if self._known is not None:
-            found = _by_switch_times(self._known, problem)
+            known = self._known if near is None else _Known.of(near)
+            found = _by_switch_times(known, problem)
             if found is not None:
                 return _named(found, Way.SWITCH_TIMES)
         elif self.tol is None:
-            found = solve_mesh(problem, scheme=self.solution.scheme, guess=self.solution)
+            meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
+            found = solve_mesh(
+                problem, meshes, scheme=self.solution.scheme, guess=_on_the_way(start, problem)
+            )
             if found.status.solved:
                 return _named(found, Way.WARM)
+        if not self.cold:
+            raise ProblemError(
+                f"problem '{problem.name}' was not solved next to the known solution, and the resolver is not to begin "
+                "from the start: vary it less, or leave out cold=False."
+            )
         return _named(solve(problem, tol=self.tol), Way.COLD)
 
 
@@ -143,10 +165,12 @@ class _Known:
 
 def _by_switch_times(known: _Known, problem: Problem) -> Solution | None:
     """Fly a variation with its own switch times, from those of a known solution; None where that fails."""
-    begun = _begun(from_problem(replace(known.solution, problem=problem.frozen(), structure=())))
+    start = _on_the_way(known.solution, problem)
+    (leg,) = start.phases.values()
+    begun = _begun(from_problem(replace(start, problem=problem.frozen(), structure=())))
     if begun is None:
         return None
-    found = settle_flow(begun, known.structure, ACCURACY)
+    found = settle_flow(begun, known.structure.after(leg.initial_time), ACCURACY)
     if found is None:
         return None
     settled, flown = found
@@ -155,6 +179,17 @@ def _by_switch_times(known: _Known, problem: Problem) -> Solution | None:
         return None
     labels = (*leg.controls.labels, *leg.path_labels, *leg.states.labels)
     return replace(_completed(flown), structure=settled.arcs(leg.name, labels))
+
+
+def _on_the_way(known: Solution, problem: Problem) -> Solution:
+    """Return what of a known solution is left when a variation of its problem begins."""
+    if len(known.phases) != 1:
+        return known
+    ((name, leg),) = known.phases.items()
+    begins = problem.phases[name].numbers.initial_time
+    if begins is None or not begins.fixed[0] or not leg.initial_time < begins.lower[0] < leg.final_time:
+        return known
+    return rest_of(known, float(begins.lower[0]))
 
 
 def _begun(known: Solution) -> Solution | None:
