@@ -5,7 +5,7 @@ from __future__ import annotations
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.errors import ProblemError
 from gnc_opt.problem.problem import Problem
-from gnc_opt.refine.structure.variation import KnownFlight
+from gnc_opt.refine.structure.variation import KnownFlight, on_the_way
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
 from gnc_opt.solve import Way, said, solve
@@ -37,6 +37,8 @@ class Resolver:
         A solved one, with its problem.
     tol : float, optional
         For solutions from the start; default: that which the solution was refined to; None if it was not.
+    cold : bool
+        Whether to solve from the start where the other ways fail, which takes its time.
 
     Raises
     ------
@@ -46,7 +48,7 @@ class Resolver:
         It is not solved.
     """
 
-    def __init__(self, solution: Solution, *, tol: float | None = None) -> None:
+    def __init__(self, solution: Solution, *, tol: float | None = None, cold: bool = True) -> None:
         expect(solution, Solution, "what Resolver() got", "write Resolver(solve(problem))")
         self._builds = solution.need_problem("solve").builds
         if not solution.status.solved:
@@ -56,12 +58,21 @@ class Resolver:
             )
         asked = solution.history.tolerance if tol is None and solution.history is not None else tol
         self.tol = None if asked is None else read_positive(asked, "the tolerance of Resolver()")
-        self.solution = solution
+        self.solution, self.cold = solution, cold
         known = KnownFlight.of(solution)
         self._known = None if known is None else known.differentiated()
 
-    def solve(self, problem: Problem) -> Solution:
+    def solve(self, problem: Problem, *, near: Solution | None = None) -> Solution:
         """Return the solution of a variation; ``solution.provenance["way"]`` names the `Way` it was found.
+
+        A variation may begin on the way of the known one, ``problem.with_time(initial=t).with_initial(...)``: what of
+        it lies after that time is the start.
+
+        Parameters
+        ----------
+        problem : Problem
+        near : Solution, optional
+            Of a variation, to start from; default the one that the resolver was made of.
 
         Raises
         ------
@@ -77,12 +88,20 @@ class Resolver:
                 "with_initial(), with_parameters() or their like, or make a Resolver of its own solution."
             )
         problem.check()
+        start = self.solution if near is None else near
         if self._known is not None:
-            found = self._known.vary(problem)
+            known = self._known if near is None else KnownFlight.of(near)
+            found = None if known is None else known.vary(problem)
             if found is not None:
                 return said(found, Way.SWITCH_TIMES)
         elif self.tol is None:
-            found = solve_mesh(problem, scheme=self.solution.scheme, guess=self.solution)
+            meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
+            found = solve_mesh(problem, meshes, scheme=self.solution.scheme, guess=on_the_way(start, problem))
             if found.status.solved:
                 return said(found, Way.WARM)
+        if not self.cold:
+            raise ProblemError(
+                f"problem '{problem.name}' was not solved next to the known solution, and the resolver is not to begin "
+                "from the start: vary it less, or leave out cold=False."
+            )
         return said(solve(problem, tol=self.tol), Way.COLD)

@@ -231,4 +231,5 @@ def _campaign(mission: Mission, asked: int, goal: Array, flown: Sequence[Flown])
         memory=joined("memory", flight.memory.size),
         event_counts=joined("event_counts", flight.events.size),
         event_times=joined("event_times", flight.events.size),
+        replans=joined("replans", 2),
     )

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 import gnc_opt as go
 from gnc_opt.resolve import Resolver, Way
+from gnc_opt.solution.rest import rest_of
 
 
 def cart(cost: str = "time") -> go.Problem:
@@ -54,6 +56,52 @@ def test_parameters_change_the_flight(fast: Resolver) -> None:
     found = fast.solve(fast.solution.need_problem("").with_parameters(gain=4.0))
     assert found.provenance["way"] == Way.SWITCH_TIMES.value
     assert found.objective == pytest.approx(1.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("begin", [0.3, 1.6])
+def test_a_start_on_the_way_is_solved_from_the_rest(fast: Resolver, begin: float) -> None:
+    """From (q, v) the origin is reached after 2 s - v, s = sqrt(v^2/2 - q) the speed at the switch."""
+    known = fast.solution
+    q, v = known.phase().x(begin) + np.array([-0.01, 0.02])
+    speed = np.sqrt(0.5 * v**2 - q)
+    problem = known.need_problem("").with_time(initial=begin).with_initial(q=q, v=v)
+    if begin > 1.0:  # the switch has passed: no arc is left that could be moved, and v^2/2 + q is not 0
+        assert fast.solve(problem).provenance["way"] == Way.COLD.value
+        with pytest.raises(go.ProblemError, match="not to begin from the start"):
+            Resolver(known, cold=False).solve(problem)
+        return
+    found = fast.solve(problem)
+    assert found.provenance["way"] == Way.SWITCH_TIMES.value
+    assert found.objective == pytest.approx(begin + 2 * speed - v, rel=1e-9)
+    assert found.phase().initial_time == begin and found.phase().x(begin) == pytest.approx([q, v], abs=1e-12)
+    near = found.phase().x(begin + 0.1)
+    later = problem.with_time(initial=begin + 0.1).with_initial(q=near[0], v=near[1])
+    assert fast.solve(later, near=found).objective == pytest.approx(found.objective, rel=1e-9)
+
+
+def test_a_start_on_a_smooth_way_is_solved_from_the_rest() -> None:
+    """Least integral of u^2 from (q, v) in T = 0.6 s: 12 q^2/T^3 + 12 q v/T^2 + 4 v^2/T."""
+    first = go.solve(cart("effort"), mesh="4x3", tol=None)
+    problem = first.need_problem("").with_time(initial=0.4).with_initial(q=-0.7, v=1.5)
+    found = Resolver(first, cold=False).solve(problem)
+    assert found.provenance["way"] == Way.WARM.value
+    cost = 12 * 0.7**2 / 0.6**3 - 12 * 0.7 * 1.5 / 0.6**2 + 4 * 1.5**2 / 0.6
+    assert found.objective == pytest.approx(cost, rel=1e-8)
+
+
+@pytest.mark.parametrize("begin", [0.3, 0.5, 0.0])
+@pytest.mark.parametrize("scheme", ["LG", "LGR"])
+def test_the_rest_of_a_solution_is_the_same_flight(begin: float, scheme: Any) -> None:
+    first = go.solve(cart("effort"), mesh="4x3", scheme=scheme, tol=None)
+    rest = rest_of(first, begin).phase()
+    times = np.linspace(begin, 1.0, 57)
+    whole = first.phase()
+    assert rest.initial_time == begin and rest.final_time == 1.0
+    for name in ("x", "u", "lam", "flown"):
+        same = getattr(whole, name)(times, "left")[:, 1:]
+        assert getattr(rest, name)(times, "left")[:, 1:] == pytest.approx(same, abs=1e-9)
+    assert rest.lam_start[:, 0] == pytest.approx(whole.lam(begin), abs=1e-12)
+    assert rest.point_costates.shape == (2, rest.point_times.size)
 
 
 def test_a_limit_that_the_flight_would_exceed_is_kept(fast: Resolver) -> None:

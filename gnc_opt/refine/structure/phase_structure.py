@@ -99,6 +99,14 @@ class PhaseStructure:
         """The kinds as an object array (n_rows, A)."""
         return np.asarray(self.kinds, dtype=object).T
 
+    def after(self, time: float) -> PhaseStructure:
+        """Return what of it lies after a time (s)."""
+        if time <= self.times[0]:
+            return self
+        first = max(k for k, begin in enumerate(self.times[:-1]) if begin <= time)
+        times, touches = (time, *self.times[first + 1 :]), ((), *self.touches[first + 1 :])
+        return replace(self, times=times, kinds=self.kinds[first:], touches=touches)
+
     def constrained(self, piece: int) -> bool:
         """Whether a state bound or a path constraint is held in a piece."""
         return any(kind.at_limit for kind in self.kinds[piece][self._n_free :])

@@ -15,6 +15,7 @@ from gnc_opt.refine.structure.switch_step import Step
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.quality import worst_bound_violation, worst_path_violation
+from gnc_opt.solution.rest import rest_of
 from gnc_opt.solution.solution import Solution
 from gnc_opt.verify.judged import ends_of, from_problem
 
@@ -63,8 +64,12 @@ class KnownFlight:
 
         Its cost is right to `ACCURACY` by an estimate from two grids, and no limit is exceeded by more than `BEYOND`.
         """
-        begun = _begun(from_problem(replace(self.solution, problem=problem.frozen())))
-        found = None if begun is None else settle_flow(begun, self.structure, ACCURACY, self.step)
+        start = on_the_way(self.solution, problem)
+        (leg,) = start.phases.values()
+        left = self.structure.after(leg.initial_time)
+        step = self.step if left.pieces == self.structure.pieces else None
+        begun = _begun(from_problem(replace(start, problem=problem.frozen())))
+        found = None if begun is None else settle_flow(begun, left, ACCURACY, step)
         if begun is None or found is None:
             return None
         structure, flight = found
@@ -74,6 +79,17 @@ class KnownFlight:
             return None
         labels = (*leg.controls.labels, *leg.path_labels, *leg.states.labels)
         return replace(_completed(flown), structure=structure.arcs(leg.name, labels))
+
+
+def on_the_way(known: Solution, problem: Problem) -> Solution:
+    """Return what of a known solution is left when a variation of its problem begins."""
+    if len(known.phases) != 1:
+        return known
+    ((name, leg),) = known.phases.items()
+    begins = problem.phases[name].numbers.initial_time
+    if begins is None or not begins.fixed[0] or not leg.initial_time < begins.lower[0] < leg.final_time:
+        return known
+    return rest_of(known, float(begins.lower[0]))
 
 
 def _begun(known: Solution) -> Solution | None:
