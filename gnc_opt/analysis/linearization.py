@@ -75,7 +75,7 @@ class Linearization:
     Raises
     ------
     ArgumentError
-        The loop has events: what happens at scattered instants has no derivative at a fixed time.
+        The loop has events, whose instants scatter, or re-plans: neither has a derivative at a fixed time.
     """
 
     flight: Flight
@@ -83,10 +83,18 @@ class Linearization:
     columns: Sequence[int]
 
     def __post_init__(self) -> None:
+        if self.flight.replanner is not None:
+            raise ArgumentError(
+                "the loop re-plans in flight, which has no derivative: leave the replanner out, or fly monte_carlo()."
+            )
         if self.flight.events.size:
             raise ArgumentError(
                 f"the loop has events ('{self.flight.events.names[0]}'), whose instants scatter: a linearization knows "
                 "fixed times alone; leave the events out, or fly monte_carlo()."
+            )
+        if self.flight.replanner is not None:
+            raise ArgumentError(
+                "the loop re-plans on its way, and plans have no derivative here: fly monte_carlo()."
             )
 
     @cached_property

@@ -66,4 +66,5 @@ def gathered(flight: Flight, flown: Sequence[Flown], *, seed: int, asked: int, g
         memory=joined("memory", flight.memory.size),
         event_counts=joined("event_counts", flight.events.size),
         event_times=joined("event_times", flight.events.size),
+        replans=joined("replans", 2),
     )

@@ -36,6 +36,8 @@ class Kernel:
         ``(w, P) -> X`` at the first control step.
     step : casadi.Function
         ``(X, w, C) -> (X_next, log)``.
+    measure : casadi.Function
+        ``(X, w, C) -> y``: what the controller gets to see in that step.
     state, known, log : Places
         Of X, w and log.
     """
@@ -43,6 +45,7 @@ class Kernel:
     constants: Any
     start: Any
     step: Any
+    measure: Any
     state: Places
     known: Places
     log: Places
@@ -59,7 +62,9 @@ class _Builder(ControlStep):
     def kernel(self) -> Kernel:
         """Return the finished functions."""
         constants, step = self._step()
-        return Kernel(constants, self._start(), step, self.state, self.known, self.log)
+        return Kernel(
+            constants, self._start(), step, self._measure(constants), self.state, self.known, self.log
+        )
 
     def _start(self) -> Any:
         wiring = self.wiring
@@ -98,6 +103,12 @@ class _Builder(ControlStep):
         after, log = act(sensed, w_, c_, y, u, memory)
         step = ca.Function("step", [x_, w_, c_], [after, log], ["X", "w", "C"], ["X_next", "log"])
         return constants, until_the_end(self, step) if wiring.events else step
+
+    def _measure(self, constants: Any) -> Any:
+        x, w = ca.MX.sym("X", self.state.size), ca.MX.sym("w", self.known.size)
+        c = ca.MX.sym("C", constants.size1_out(0))
+        y, _ = self._sense_function()(x, w, c[: self.P.shape[0]])
+        return ca.Function("measure", [x, w, c], [y], ["X", "w", "C"], ["y"])
 
     def _sense_function(self) -> Any:
         x, column = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)

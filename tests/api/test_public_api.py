@@ -46,7 +46,8 @@ EXPECTED = {
     "gnc_opt.simulation": """
         Allocation Ball Bias Block Campaign Choice ClosedLoop Consistency Constant Deadband Delay Disturbance
         Ending Event Expression Flight Hold InnovationTest Lag MinimumImpulse Mixer Noise NonNegativeAllocation Normal
-        Occurrence Outage Outcome Pwm Pwpf Quantisation RandomHold RandomWalk RateLimit Run RunStatus Sampling
+        Occurrence Outage Outcome Pwm Pwpf Quantisation RandomHold RandomWalk RateLimit Replan Replanner Run
+        RunStatus Sampling
         Saturation Scale ScaleFactor SchmittTrigger SensorDelay Sinusoid Sphere ThrusterSet Turn
         Uniform WheelArray consistency monte_carlo
     """,
@@ -69,12 +70,13 @@ EXPECTED = {
         total_momentum transpose us76 wheel_body_acceleration wheel_pyramid
     """,
     "gnc_opt.plot": """
-        View plot_controls plot_costates plot_curves plot_dispersion plot_distributions plot_hamiltonian
+        Thruster View plot_controls plot_costates plot_curves plot_dispersion plot_distributions plot_hamiltonian
         plot_path plot_refinement plot_run_controls plot_run_errors plot_run_states plot_states
         plot_verdict save_figure save_film
     """,
     "gnc_opt.report": """
-        search_dict summary summary_dict write_aem write_json write_oem write_report write_search
+        search_dict summary summary_dict write_aem write_campaign_report write_json write_oem write_report
+        write_run_report write_search
     """,
 }
 """What users may rely on, by package; whoever changes it changes this list."""
