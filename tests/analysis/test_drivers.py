@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from loops import MISSION, SPREAD, loop_of
+from sled import MISSION, SPREAD, loop_of
 
 import gnc_opt as go
 from gnc_opt.analysis import correlations, drivers, sobol_indices

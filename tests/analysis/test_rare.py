@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import scipy
-from loops import MISSION, SPREAD, loop_of
+from sled import MISSION, SPREAD, loop_of
 
 import gnc_opt as go
 from gnc_opt.analysis import failure_probability, rare

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from loops import loop_of
+from sled import loop_of
 
 import gnc_opt as go
 from gnc_opt.analysis import worst_case
