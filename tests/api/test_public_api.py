@@ -52,7 +52,8 @@ EXPECTED = {
         Uniform WheelArray consistency monte_carlo
     """,
     "gnc_opt.analysis": """
-        Agreement LinearCovariance linear_covariance
+        Agreement Correlations FailureProbability LinearCovariance Share SobolIndices WorstCase correlations
+        failure_probability linear_covariance sobol_indices worst_case
     """,
     "gnc_opt.spacecraft": """
         FLATTENING_EARTH J2_EARTH MU_EARTH PYRAMID_ELEVATION RADIUS_EARTH RATE_EARTH FlexibleBody
@@ -69,12 +70,13 @@ EXPECTED = {
         total_momentum transpose us76 wheel_body_acceleration wheel_pyramid
     """,
     "gnc_opt.plot": """
-        View plot_controls plot_costates plot_curves plot_dispersion plot_distributions plot_hamiltonian
+        Thruster View plot_controls plot_costates plot_curves plot_dispersion plot_distributions plot_hamiltonian
         plot_path plot_refinement plot_run_controls plot_run_errors plot_run_states plot_states
         plot_verdict save_figure save_film
     """,
     "gnc_opt.report": """
-        search_dict summary summary_dict write_aem write_json write_oem write_report write_search
+        search_dict summary summary_dict write_aem write_campaign_report write_json write_oem write_report
+        write_run_report write_search
     """,
 }
 """What users may rely on, by package; whoever changes it changes this list."""

@@ -140,3 +140,43 @@ def test_what_is_not_solved_is_refused(fast: Resolver) -> None:
         Resolver(unsolved)
     with pytest.raises(go.GncOptError, match="tolerance of Resolver"):
         Resolver(fast.solution, tol=-1.0)
+
+
+def test_a_guess_of_a_variation_is_solved_by_its_switch_times(fast: Resolver) -> None:
+    """Unless a mesh, a tolerance or options are given, which ask for a collocated solution; all say how."""
+    known = fast.solution
+    problem = known.need_problem("").with_initial(q=-1.44)
+    found = go.solve(problem, guess=known)
+    assert found.provenance["way"] == Way.SWITCH_TIMES.value
+    assert found.objective == pytest.approx(2.4, rel=1e-9)
+    again = go.solve(problem.with_initial(q=-1.69), guess=found)
+    assert again.provenance["way"] == Way.SWITCH_TIMES.value and again.objective == pytest.approx(
+        2.6, rel=1e-9
+    )
+    for asked in (
+        {"mesh": "6x3"},
+        {"tol": 1e-6},
+        {"tol": None},
+        {"options": go.SolverOptions()},
+        {"structure": "none"},
+    ):
+        other = go.solve(problem, guess=known, **asked)
+        assert other.provenance["way"] == Way.WARM.value and other.objective == pytest.approx(2.4, rel=1e-3)
+    assert "way" not in go.solve(problem, mesh="6x3", tol=None).provenance
+
+
+def test_a_guess_of_another_problem_or_beyond_a_limit_is_a_start(fast: Resolver) -> None:
+    assert go.solve(cart(), guess=fast.solution).provenance["way"] == Way.WARM.value
+    limited = fast.solution.need_problem("").with_bounds(v=(-1.0, 0.8))
+    found = go.solve(limited, guess=fast.solution)
+    assert found.provenance["way"] == Way.WARM.value and found.objective == pytest.approx(2.05, abs=1e-2)
+
+
+def test_what_two_flights_have_in_common_does_not_depend_on_the_way(fast: Resolver) -> None:
+    """Forty variations: each by the known matrices and by matrices of its own, equal to the closed form."""
+    problem = fast.solution.need_problem("")
+    for k in range(40):
+        distance = 0.3 * 1.08**k
+        assert fast.solve(problem.with_initial(q=-distance)).objective == pytest.approx(
+            2 * distance**0.5, rel=1e-9
+        )
