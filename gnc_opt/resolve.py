@@ -10,6 +10,7 @@ import numpy as np
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError
+from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.structure.detect import detect
 from gnc_opt.refine.structure.newton import settle_flow
@@ -98,12 +99,13 @@ class Resolver:
             No way has led to a solution.
         """
         expect(problem, Problem, "what Resolver.solve() got", "give problem.with_initial(...), say")
+        stated, problem = problem, restated(problem)
         if problem.builds is not self._builds:
             raise ProblemError(
                 f"problem '{problem.name}' is no variation of the one that the resolver knows: make it by "
                 "with_initial(), with_parameters() or their like, or make a Resolver of its own solution."
             )
-        problem.check()
+        stated.check()
         if self._known is not None:
             found = _by_switch_times(self._known, problem)
             if found is not None:
