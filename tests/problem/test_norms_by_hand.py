@@ -115,7 +115,7 @@ def test_the_restated_phase_is_the_same_function(kind: str) -> None:
     n = np.array([np.cos(angle), np.sin(angle)])
     new = {vector.magnitude: size, vector.direction: n, "d": 0.3}
     if kind == "part":  # the vector has its components in the order of the control
-        n, new["u_rest"] = n[::-1], 0.9
+        new |= {vector.direction: n[::-1], "u_vector_rest": 0.9}
     T = size * n
     old = {"vector": {"T": T}, "scalars": {"T_x": T[0], "T_y": T[1]}, "part": {"u": [T[1], 0.9, T[0]]}}[kind]
     r = np.array([0.2, 0.4, 0.5, 0.6])
