@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.errors import ProblemError
+from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.structure.variation import KnownFlight, on_the_way
 from gnc_opt.solution.solution import Solution
@@ -85,12 +86,13 @@ class Resolver:
             No way has led to a solution.
         """
         expect(problem, Problem, "what Resolver.solve() got", "give problem.with_initial(...), say")
+        stated, problem = problem, restated(problem)
         if problem.builds is not self._builds:
             raise ProblemError(
                 f"problem '{problem.name}' is no variation of the one that the resolver knows: make it by "
                 "with_initial(), with_parameters() or their like, or make a Resolver of its own solution."
             )
-        problem.check()
+        stated.check()
         start = self.solution if near is None else near
         if self._known is not None:
             known = self._known if near is None else KnownFlight.of(near)
