@@ -19,6 +19,9 @@ from gnc_opt.transcription.quadrature import CollocationRule, gauss_rule
 EXTRA = 9
 """Samples per segment beyond the number of collocation points; segment ends come on top."""
 
+FINER = 32
+"""Steps in every segment, however short, where a phase is looked at evenly in time: what is fast is in short ones."""
+
 EDGE = 1e-7
 """Share of a segment by which samples keep from its ends: more than solvers miss an end by, less than would be seen."""
 
@@ -88,7 +91,7 @@ class PhaseSamples:
     def finer(self, count: int) -> PhaseSamples:
         """The phase at ``count`` evenly spread times at least, two Gauss points a step, and at its segments' ends."""
         widths = np.diff(self.leg.breaks)
-        steps = np.maximum(np.ceil(0.5 * count * widths / max(np.sum(widths), TINY)), 1).astype(int)
+        steps = np.maximum(np.ceil(0.5 * count * widths / max(np.sum(widths), TINY)), FINER).astype(int)
         pair = 0.5 + 0.5 / np.sqrt(3) * np.array([-1.0, 1.0])
         shares = [np.concatenate([[0.0], ((np.arange(n)[:, None] + pair) / n).ravel(), [1.0]]) for n in steps]
         weights = [np.concatenate([[0.0], np.full(2 * n, 0.5 / n), [0.0]]) for n in steps]
