@@ -2,5 +2,21 @@
 
 from gnc_opt.analysis.agreement import Agreement
 from gnc_opt.analysis.covariance import LinearCovariance, linear_covariance
+from gnc_opt.analysis.drivers import Correlations, Share, SobolIndices, correlations, sobol_indices
+from gnc_opt.analysis.rare import FailureProbability, failure_probability
+from gnc_opt.analysis.worst import WorstCase, worst_case
 
-__all__ = ["Agreement", "LinearCovariance", "linear_covariance"]
+__all__ = [
+    "Agreement",
+    "Correlations",
+    "FailureProbability",
+    "LinearCovariance",
+    "Share",
+    "SobolIndices",
+    "WorstCase",
+    "correlations",
+    "failure_probability",
+    "linear_covariance",
+    "sobol_indices",
+    "worst_case",
+]

@@ -75,7 +75,7 @@ class Linearization:
     Raises
     ------
     ArgumentError
-        The loop has events: what happens at scattered instants has no derivative at a fixed time.
+        The loop has events, whose instants scatter, or re-plans: neither has a derivative at a fixed time.
     """
 
     flight: Flight
@@ -91,6 +91,10 @@ class Linearization:
             raise ArgumentError(
                 f"the loop has events ('{self.flight.events.names[0]}'), whose instants scatter: a linearization knows "
                 "fixed times alone; leave the events out, or fly monte_carlo()."
+            )
+        if self.flight.replanner is not None:
+            raise ArgumentError(
+                "the loop re-plans on its way, and plans have no derivative here: fly monte_carlo()."
             )
 
     @cached_property

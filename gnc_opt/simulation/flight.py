@@ -164,7 +164,8 @@ class Flight:
         P : array (n_parameters, n)
             One column per run, in the order of `layout`.
         seeds : sequence of n seeds
-            Each anything that ``numpy.random.SeedSequence`` takes (an int, a list of ints), or one itself.
+            Each anything that ``numpy.random.SeedSequence`` takes (an int, a list of ints), or one itself; or the
+            standard normal numbers themselves, array (n_steps, n_numbers).
         """
         P = np.asarray(P, dtype=float)
         if P.shape != (self.layout.size, len(seeds)):
@@ -308,7 +309,8 @@ class Flight:
 
         Parameters
         ----------
-        seed : int or sequence of int
+        seed : int, sequence of int or array (n_steps, n_numbers)
+            Or the standard normal numbers themselves.
         known : array (at least `LEG` or all steps, n_known)
             Whose rows are written and yielded.
         course : Course, optional
@@ -316,16 +318,27 @@ class Flight:
         """
         followed = self.schedule if course is None else course.schedule
         first_noise = 1 + self.schedule.shape[0]
-        sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        generator = np.random.Generator(np.random.Philox(sequence))
+        numbers = self._numbers(seed, known.shape[1] - first_noise)
         for first, last in itertools.pairwise(self._edges):
             rows = known[: last - first]
             rows[:, 0] = self.times[first:last]
             rows[:, 1:first_noise] = followed[:, first:last].T
-            rows[:, first_noise:] = generator.standard_normal((last - first, known.shape[1] - first_noise))
+            rows[:, first_noise:] = numbers(first, last)
             yield first, rows
 
     # --- internals ----------------------------------------------------------------------------------------
+
+    def _numbers(self, seed: Any, size: int) -> Callable[[int, int], Array]:
+        """Return the standard normal numbers (n, size) from one control step to before another, in their order."""
+        if isinstance(seed, np.ndarray) and seed.ndim == 2:
+            if seed.shape != (self.n_steps, size):
+                raise ArgumentError(
+                    f"the random numbers of a run have the shape {seed.shape}: give ({self.n_steps}, {size})."
+                )
+            return lambda first, last: seed[first:last]
+        sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+        generator = np.random.Generator(np.random.Philox(sequence))
+        return lambda first, last: generator.standard_normal((last - first, size))
 
     @cached_property
     def _edges(self) -> list[int]:

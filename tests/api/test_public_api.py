@@ -52,7 +52,8 @@ EXPECTED = {
         Uniform WheelArray consistency monte_carlo
     """,
     "gnc_opt.analysis": """
-        Agreement LinearCovariance linear_covariance
+        Agreement Correlations FailureProbability LinearCovariance Share SobolIndices WorstCase correlations
+        failure_probability linear_covariance sobol_indices worst_case
     """,
     "gnc_opt.spacecraft": """
         FLATTENING_EARTH J2_EARTH MU_EARTH PYRAMID_ELEVATION RADIUS_EARTH RATE_EARTH FlexibleBody
