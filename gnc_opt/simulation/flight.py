@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -142,15 +142,12 @@ class Flight:
         return digest.hexdigest()
 
     def natively(self, runs: int) -> Flight:
-        """Return the same flight, as machine code where so many runs are worth it, it can be made and has the same bits."""
+        """Return the same flight; for so many runs as machine code if that pays, can be made and has the same bits."""
         if runs * self.n_steps < WORTH:
             return self
         quick = replace(self, library=native(self._folded.step))
-        known, ends = (
-            np.empty((min(self.n_steps, LEG), self.kernel.known.size)),
-            np.empty((2, self.kernel.state.size)),
-        )
-        _, rows = next(self.legs(0, known))
+        _, rows = next(self.legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
+        ends = np.empty((2, self.kernel.state.size))
         for flight, end in zip((self, quick), ends, strict=True):
             X, C = self._begun(rows[0], self.nominal)
             flight._folded.fly(X, rows, C, end)
