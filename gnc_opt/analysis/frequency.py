@@ -187,8 +187,8 @@ def loop_response(
     for sensor in loop.sensors:
         if isinstance(sensor, Sampling) and round(sensor.period / loop.dt) > 1:
             raise ArgumentError(
-                f"'{sensor.name}' is read every {sensor.period:g} s: a loop of two rates has no frequency response; leave "
-                "it out, or give the loop its period as dt."
+                f"'{sensor.name}' is read every {sensor.period:g} s: a loop of two rates has no frequency response; "
+                "leave it out, or give the loop its period as dt."
             )
     opened = replace(loop, actuators=(_Probe(_PROBE), *loop.actuators))
     flight = opened.flight(x0, t0=t0, tf=tf, parameters=parameters)
