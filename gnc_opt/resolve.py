@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.errors import ProblemError
+from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.structure.variation import KnownFlight, on_the_way
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
 from gnc_opt.solve import Way, said, solve
+
+WARM_ITERATIONS = 50
+"""After which a warm start has lost its way, and the trajectory alone is kept."""
 
 
 class Resolver:
@@ -82,12 +86,13 @@ class Resolver:
             No way has led to a solution.
         """
         expect(problem, Problem, "what Resolver.solve() got", "give problem.with_initial(...), say")
+        stated, problem = problem, restated(problem)
         if problem.builds is not self._builds:
             raise ProblemError(
                 f"problem '{problem.name}' is no variation of the one that the resolver knows: make it by "
                 "with_initial(), with_parameters() or their like, or make a Resolver of its own solution."
             )
-        problem.check()
+        stated.check()
         start = self.solution if near is None else near
         if self._known is not None:
             known = self._known if near is None else KnownFlight.of(near)
@@ -96,7 +101,8 @@ class Resolver:
                 return said(found, Way.SWITCH_TIMES)
         elif self.tol is None:
             meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
-            found = solve_mesh(problem, meshes, scheme=self.solution.scheme, guess=on_the_way(start, problem))
+            guess, scheme = on_the_way(start, problem), self.solution.scheme
+            found = solve_mesh(problem, meshes, scheme=scheme, guess=guess, warm_iterations=WARM_ITERATIONS)
             if found.status.solved:
                 return said(found, Way.WARM)
         if not self.cold:

@@ -10,6 +10,7 @@ from typing import Literal
 
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.nlp import SolverOptions, Status
+from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.refine import StructureChoice, refine
 from gnc_opt.refine.structure.variation import KnownFlight
@@ -105,6 +106,7 @@ def solve(
     elif tol is not None:
         tol = read_positive(tol, "the tolerance of solve()")
     problem.check()
+    problem = restated(problem)
     begin = time.perf_counter()
     if guess is not None and as_usual and scheme == guess.scheme:
         flown = _varied(problem, guess)

@@ -48,10 +48,18 @@ class Tab:
         for domain in ("Page", "Runtime", "Log", "Network"):
             self._call(f"{domain}.enable")
 
-    def open(self, page: Path, size: tuple[int, int], *, dark: bool = False) -> None:
-        """Open a file in a window of a size and wait until it is loaded."""
+    def open(self, page: Path | str, size: tuple[int, int], *, dark: bool = False) -> None:
+        """Open a file or an address in a window of a size and wait until it is loaded."""
         scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         self._call("Emulation.setEmulatedMedia", features=scheme)
+        self.resize(size)
+        self.said, self.asked, self._loaded = [], [], False
+        self._call("Page.navigate", url=page if isinstance(page, str) else page.as_uri())
+        while not self._loaded:
+            self._receive()
+
+    def resize(self, size: tuple[int, int]) -> None:
+        """Give the window another size."""
         self._call(
             "Emulation.setDeviceMetricsOverride",
             width=size[0],
@@ -59,10 +67,6 @@ class Tab:
             deviceScaleFactor=1,
             mobile=size == PHONE,
         )
-        self.said, self.asked, self._loaded = [], [], False
-        self._call("Page.navigate", url=page.as_uri())
-        while not self._loaded:
-            self._receive()
 
     def ask(self, expression: str) -> Any:
         """Return the value of an expression of JavaScript, or of its promise."""
@@ -70,9 +74,9 @@ class Tab:
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
-    def wait(self, condition: str) -> None:
-        """Wait until an expression of JavaScript is true."""
-        end = time.monotonic() + _PATIENCE
+    def wait(self, condition: str, patience: float = _PATIENCE) -> None:
+        """Wait until an expression of JavaScript is true, at most so many seconds."""
+        end = time.monotonic() + patience
         while not self.ask(f"!!({condition})"):
             assert time.monotonic() < end, f"waited in vain for {condition}; console: {self.said}"
             time.sleep(0.05)
