@@ -34,6 +34,7 @@ from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.verify import Condition, Result, Verdict, verify, verify_trajectory
 
 if TYPE_CHECKING:
+    from gnc_opt.analysis import LinearCovariance, linear_covariance
     from gnc_opt.control import (
         Controller,
         Explanation,
@@ -70,6 +71,7 @@ __all__ = [
     "Explanation",
     "GncOptError",
     "History",
+    "LinearCovariance",
     "Mesh",
     "Minimum",
     "Model",
@@ -114,6 +116,7 @@ __all__ = [
     "feedforward",
     "guess_from_data",
     "guess_from_solution",
+    "linear_covariance",
     "load",
     "monte_carlo",
     "multistart",
@@ -131,7 +134,7 @@ __all__ = [
     "verify_trajectory",
 ]
 
-_FOLLOWING = ("control", "simulation")
+_FOLLOWING = ("control", "simulation", "analysis")
 _ROOMS = (*_FOLLOWING, "plot", "report", "spacecraft")
 
 if not TYPE_CHECKING:  # Type checkers would take any name for one of the package.

@@ -267,7 +267,9 @@ def _write(
     elif args.json is not None:
         write_json(args.json, solution, verdict)
     if args.report is not None:
-        paths = write_report(solution, verdict, args.report, figures=file.figures, command=args.command)
+        paths = write_report(
+            solution, verdict, args.report, figures=file.figures, view=file.view, command=args.command
+        )
         _say(console, f"report: {paths[0]}")
 
 

@@ -1,7 +1,8 @@
 """Problem files: any Python file, or package, with ``build(**options) -> Problem``.
 
-Two more names are looked for: ``MESH`` (a mesh, ``"20x3"`` or a mapping from phase to mesh) is the default
-mesh, and ``figures(solution, directory)`` draws the problem's own figures for a report.
+Three more names are looked for: ``MESH`` (a mesh, ``"20x3"`` or a mapping from phase to mesh) is the default
+mesh, ``figures(solution, directory)`` draws the problem's own figures for a report, and ``VIEW``
+(a `gnc_opt.plot.View`) says what of the motion a report shows in three dimensions.
 """
 
 from __future__ import annotations
@@ -52,6 +53,26 @@ class ProblemFile:
     def figures(self) -> Any:
         """The file's ``figures(solution, directory)``, or None."""
         return getattr(self.module, "figures", None)
+
+    @property
+    def view(self) -> Any:
+        """The file's ``VIEW``, or None.
+
+        Raises
+        ------
+        ProblemFileError
+            It is something else than a View.
+        """
+        found = getattr(self.module, "VIEW", None)
+        if found is None:
+            return None
+        from gnc_opt.plot.view import View  # after the file, which may not need it
+
+        if not isinstance(found, View):
+            raise ProblemFileError(
+                f"{self.path}: VIEW is a {type(found).__name__}, not a View: write VIEW = View(position=...)."
+            )
+        return found
 
     @property
     def options(self) -> dict[str, inspect.Parameter]:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from enum import Enum
 from typing import Literal
 
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.nlp import SolverOptions, Status
+from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.refine import StructureChoice, refine
+from gnc_opt.refine.structure.variation import KnownFlight
 from gnc_opt.solution.failure import SolveError, failure_message
 from gnc_opt.solution.history import RefinementStatus
 from gnc_opt.solution.solution import Solution
@@ -17,6 +21,15 @@ from gnc_opt.solution.solve_mesh import another_way, relative_gain, solve_mesh
 from gnc_opt.tolerances import SHORTEST
 from gnc_opt.transcription.mesh import MeshLike
 from gnc_opt.transcription.scheme import GAUSS, Scheme, family_of
+
+
+class Way(Enum):
+    """How a problem was solved again, from a known solution; ``solution.provenance["way"]`` names it."""
+
+    SWITCH_TIMES = "switch times"
+    WARM = "warm start"
+    COLD = "from the start"
+
 
 TOLERANCE = 1e-6
 """What a solution is refined to where nobody says otherwise."""
@@ -48,7 +61,10 @@ def solve(
     scheme : {"LG", "LGR", "LGL"}
         Collocation points: Legendre-Gauss, -Radau or -Lobatto.
     guess : Solution, optional
-        Start from states, controls and multipliers of an earlier solution, on any mesh. Without it the
+        Start from states, controls and multipliers of an earlier solution, on any mesh; ``provenance["way"]`` of the
+        answer says how. If it is the refined bang-bang solution of a variation (`Problem.with_initial`, ...), and
+        neither mesh nor tolerance nor options are given, that is Newton's method on its switch times where they decide
+        everything: the flight itself, right to 1e-9, see `Resolver`. Without a guess the
         problem's own guess and straight lines are used; where these end as infeasible, the constraints are met
         first and the cost is lowered afterwards, see `gnc_opt.solution.solve_mesh`.
     tol : float, "auto" or None
@@ -82,6 +98,7 @@ def solve(
     family_of(scheme)
     if guess is not None:
         expect(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
+    as_usual = mesh is None and tol == "auto" and structure == "auto" and options is None
     options = SolverOptions() if options is None else options
     expect(options, SolverOptions, "the options of solve()", "write options=SolverOptions(tolerance=1e-9)")
     if tol == "auto":
@@ -89,8 +106,15 @@ def solve(
     elif tol is not None:
         tol = read_positive(tol, "the tolerance of solve()")
     problem.check()
+    problem = restated(problem)
     begin = time.perf_counter()
+    if guess is not None and as_usual and scheme == guess.scheme:
+        flown = _varied(problem, guess)
+        if flown is not None:
+            return flown
     solution = solve_mesh(problem, mesh, scheme=scheme, guess=guess, options=options, progress=progress)
+    if guess is not None:
+        solution = said(solution, Way.WARM)
     if throw and not (solution.status.solved or solution.status is Status.INTERRUPTED):
         raise SolveError(failure_message(solution), solution)
     if tol is None or not solution.status.solved:
@@ -99,7 +123,8 @@ def solve(
     def refined(found: Solution) -> Solution:
         limit = options.max_wall_time
         left = None if limit is None else max(limit - (time.perf_counter() - begin), SHORTEST)
-        return refine(found, tol=tol, structure=structure, max_wall_time=left, progress=progress)
+        found = refine(found, tol=tol, structure=structure, max_wall_time=left, progress=progress)
+        return found if guess is None else said(found, Way.WARM)
 
     final = refined(solution)
     if final.converged or guess is not None or _stopped(final):
@@ -108,6 +133,20 @@ def solve(
         return better_of_two(problem, solution, final, refined, options, mesh, scheme)
     except KeyboardInterrupt:
         return final
+
+
+def said(solution: Solution, way: Way) -> Solution:
+    """Return a solution that says how it was found."""
+    return replace(solution, provenance={**solution.provenance, "way": way.value})
+
+
+def _varied(problem: Problem, known: Solution) -> Solution | None:
+    """Return the solution of a variation by the switch times of a known one; None where they do not decide it all."""
+    if known.problem is None or known.problem.builds is not problem.builds or not known.status.solved:
+        return None
+    flight = KnownFlight.of(known)
+    flown = None if flight is None else flight.vary(problem)
+    return None if flown is None else said(flown, Way.SWITCH_TIMES)
 
 
 def _stopped(refined: Solution) -> bool:

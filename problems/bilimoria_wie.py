@@ -25,6 +25,7 @@ from collections.abc import Sequence
 import numpy as np
 
 import gnc_opt as go
+from gnc_opt.plot import View
 from gnc_opt.spacecraft import quaternion_rate
 from problems.reference import Reference
 from problems.run import run
@@ -62,6 +63,9 @@ def build(angle: float = np.pi) -> go.Problem:
 
 
 REFERENCE = Reference(3.2430832775, "independent, switch times optimised, best of many starts", 1e-8, "s")
+
+VIEW = View(attitude="q")
+"""What a report shows moving: it turns in place."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -20,6 +20,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 import gnc_opt as go
+from gnc_opt.plot import View
 from problems.reference import Reference
 from problems.run import run
 
@@ -60,6 +61,9 @@ def build(duration: float = DURATION, limit: float = LIMIT) -> go.Problem:
 
 
 REFERENCE = Reference(3.913602, "linear programme of 8000 steps", 3e-6, "m/s")
+
+VIEW = View("r", force="a")
+"""What a report shows moving."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 import gnc_opt as go
+from gnc_opt.plot import View
 from problems.reference import Reference
 from problems.run import run
 
@@ -59,6 +60,9 @@ def build(duration: float = DURATION, limit: float = LIMIT) -> go.Problem:
 
 
 REFERENCE = Reference(3.618759, "second-order cone programme", 2e-6, "m/s")
+
+VIEW = View("r", force="a")
+"""What a report shows moving."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -28,6 +28,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
+from gnc_opt.plot import View
 from gnc_opt.spacecraft.vector import cross
 from problems.reference import Array, Reference
 from problems.run import run
@@ -190,6 +191,9 @@ def _masses() -> dict[str, tuple[float, float]]:
 
 
 REFERENCE = Reference(7529.712295973, "independent collocation, two meshes agree", 1e-4, "kg")
+
+VIEW = View("r", force="direction", keep_out={"Earth": ((0.0, 0.0, 0.0), RADIUS)})
+"""What a report shows moving."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -23,6 +23,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
+from gnc_opt.plot import View
 from problems.reference import Reference
 from problems.run import run
 
@@ -79,6 +80,9 @@ def build(days: float = 348.79) -> go.Problem:
 
 
 REFERENCE = Reference(603.91838, "independent: magnitude times unit vector; 603.93 published", 1e-5, "kg")
+
+VIEW = View("r", force="T")
+"""What a report shows moving."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -24,6 +24,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
+from gnc_opt.plot import View
 from problems.reference import Reference
 from problems.run import run
 
@@ -81,6 +82,9 @@ VARIANTS = {
     ),
 }
 """Other data, with their references."""
+
+VIEW = View(("r[1]", "r[2]", "r[0]"), force=("T[1]", "T[2]", "T[0]"))
+"""What a report shows moving: east, north and up."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

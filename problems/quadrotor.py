@@ -21,6 +21,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 import gnc_opt as go
+from gnc_opt.plot import View
 from problems.reference import Reference
 from problems.run import run
 
@@ -79,6 +80,9 @@ VARIANTS = {
     ),
 }
 """Other data, with their references."""
+
+VIEW = View("p")
+"""What a report shows moving."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

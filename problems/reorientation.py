@@ -22,6 +22,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
+from gnc_opt.plot import View
 from problems.reference import Reference
 from problems.run import run
 
@@ -76,6 +77,9 @@ VARIANTS = {
     )
 }
 """Other data, with their references."""
+
+VIEW = View(attitude=("q[3]", "q[0]", "q[1]", "q[2]"))
+"""What a report shows moving: it turns in place; the scalar part is the last one."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

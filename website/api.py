@@ -14,7 +14,7 @@ import gnc_opt
 from website.sphinx_math import dollars, module_page
 
 ROOMS = (
-    *("model", "problem", "solution", "verify", "refine", "study", "control", "simulation"),
+    *("model", "problem", "solution", "verify", "refine", "study", "control", "simulation", "analysis"),
     *("spacecraft", "plot", "report", "nlp", "transcription", "workers"),
 )
 """In the order in which one meets them; what of `gnc_opt` belongs to none of them is on its own page."""

@@ -1,4 +1,4 @@
-"""Controls that are stated as one and optimised as two: a difference, or a magnitude times a direction."""
+"""Controls that are stated as one and optimised as others: a difference, or a magnitude times a direction."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from gnc_opt.model.layout import Variable
 
 @dataclass(frozen=True)
 class ComposedControl:
-    """A control u made of two.
+    """A control u made of others.
 
     Attributes
     ----------
     variable : Variable
         Name, size and unit of u.
-    parts : tuple of two str
+    parts : tuple of str
         Names of the controls that it is made of.
     """
 
     variable: Variable
-    parts: tuple[str, str]
+    parts: tuple[str, ...]
 
     @property
     def name(self) -> str:
         """Of u."""
         return self.variable.name
 
-    def compose(self, first: Any, second: Any) -> Any:
+    def compose(self, *parts: Any) -> Any:
         """Return u (size, ...), symbols or numbers, from its parts."""
         raise NotImplementedError
 
-    def decompose(self, u: Array) -> tuple[Array, Array]:
+    def decompose(self, u: Array) -> tuple[Array, ...]:
         """Return parts that u (size, n_times) is made of; NaN where any would do."""
         raise NotImplementedError
 
@@ -44,8 +44,9 @@ class ComposedControl:
 class SplitControl(ComposedControl):
     """The difference of two controls >= 0, of which an optimum that pays for both uses one at a time."""
 
-    def compose(self, first: Any, second: Any) -> Any:
+    def compose(self, *parts: Any) -> Any:
         """Return first - second."""
+        first, second = parts
         return first - second
 
     def decompose(self, u: Array) -> tuple[Array, Array]:
@@ -72,11 +73,34 @@ class VectorControl(ComposedControl):
         """Name of the path constraint that limits the length of the direction."""
         return f"{self.direction} squared"
 
-    def compose(self, first: Any, second: Any) -> Any:
+    def compose(self, *parts: Any) -> Any:
         """Return first * second."""
+        first, second = parts
         return first * second
 
     def decompose(self, u: Array) -> tuple[Array, Array]:
         """Return norm and direction."""
         norm = np.linalg.norm(u, axis=0, keepdims=True)
         return norm, np.divide(u, norm, out=np.full_like(u, np.nan), where=norm > 0)
+
+
+@dataclass(frozen=True)
+class AssembledControl(ComposedControl):
+    """Components of a vector that is a magnitude times a direction, and of other controls.
+
+    Attributes
+    ----------
+    rows : tuple of int
+        Places of the components of u in the vector, followed by the other controls.
+    """
+
+    rows: tuple[int, ...] = ()
+
+    def compose(self, *parts: Any) -> Any:
+        """Return components of (first * second, others)."""
+        first, second, *others = parts
+        return np.concatenate([first * second, *others])[list(self.rows)]
+
+    def decompose(self, u: Array) -> tuple[Array, ...]:
+        """Return NaN: other controls are needed, too."""
+        return tuple(np.full(u.shape[1:], np.nan) for _ in self.parts)

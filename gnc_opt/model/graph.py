@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import casadi as ca
@@ -20,6 +20,44 @@ def nodes_of(expression: Any) -> Iterator[Any]:
             seen.add(place)
             yield node
             waiting += [node.dep(i) for i in range(node.n_dep())]
+
+
+def rebuilt(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
+    """Return a column in which nodes are replaced; what is built of none of those stays the node that it is.
+
+    (So calls of tables, which are known by their nodes, are found again; ``casadi.substitute`` makes all nodes anew.)
+
+    Parameters
+    ----------
+    expression : casadi.SX
+        A column.
+    replacement : function
+        Returns what stands in place of a node, or None: then its operands are looked at.
+    """
+    done: dict[int, Any] = {}
+    elements = ca.vertsplit(ca.densify(expression)) if expression.numel() else []
+    waiting = list(elements)
+    while waiting:
+        node = waiting[-1]
+        place = node.element_hash()
+        if place not in done:
+            operands = [node.dep(i) for i in range(node.n_dep())]
+            new = replacement(node)
+            if new is None:
+                missing = [operand for operand in operands if operand.element_hash() not in done]
+                if missing:
+                    waiting += missing
+                    continue
+                new = _same_operation(node, operands, [done[o.element_hash()] for o in operands])
+            done[place] = new
+        waiting.pop()
+    return ca.vertcat(*(done[e.element_hash()] for e in elements)) if elements else expression
+
+
+def _same_operation(node: Any, old: list[Any], new: list[Any]) -> Any:
+    if all(a.element_hash() == b.element_hash() for a, b in zip(old, new, strict=True)):
+        return node
+    return ca.SX.unary(node.op(), *new) if len(new) == 1 else ca.SX.binary(node.op(), *new)
 
 
 def operations_in(expression: Any) -> set[int]:

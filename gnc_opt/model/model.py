@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -316,6 +316,32 @@ class Model(Strict):
         for name, value in values.items():
             changed._parameter_values[name] = self._finite(name, value, self.parameters[name].size)
         return changed
+
+    def in_controls(
+        self,
+        controls: Sequence[Symbol],
+        composed: Sequence[tuple[ComposedControl, Any]],
+        express: Callable[[Any], Any],
+    ) -> Model:
+        """Return the same dynamics in other controls: same states, same parameters.
+
+        Parameters
+        ----------
+        controls : sequence of Symbol
+            All of the new ones.
+        composed : sequence of (ComposedControl, casadi.SX)
+            Those that are stated no more, and what they are in the new ones.
+        express : function
+            Returns an expression of the old ones in the new ones.
+        """
+        twin = copy.copy(self)
+        twin._functions = {}
+        twin._symbols = {**self._symbols, "control": {c.variable.name: c for c in controls}}
+        twin._equations = {name: express(rate) for name, rate in self._equations.items()}
+        twin._outputs = {name: (v, express(y)) for name, (v, y) in self._outputs.items()}
+        twin._outputs |= {c.name: (c.variable, value) for c, value in composed}
+        twin._composed_controls = {**self._composed_controls, **{c.name: c for c, _ in composed}}
+        return twin
 
     # --- what it is -------------------------------------------------------------------------------
 

@@ -314,7 +314,7 @@ def _draw_control(ax: Axes, leg: PhaseSolution, name: str, i: int, shown: str) -
     for level in (lower, upper):
         if np.isfinite(level):
             ax.plot(leg.breaks[[0, -1]], [level, level], zorder=1.5, **_BOUND)
-    if np.isfinite(lower) and np.isfinite(upper):
+    if np.isfinite(lower) and np.isfinite(upper) and lower < upper:
         middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
         ax.set_ylim(middle - _ROOM * half, middle + _ROOM * half)
     ax.set_ylabel(axis_label(shown, signal.unit))

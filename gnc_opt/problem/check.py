@@ -13,6 +13,7 @@ from gnc_opt.problem.check_norms import warn_of_norms
 from gnc_opt.problem.check_smooth import check_guess_in_tables, warn_of_kinks
 from gnc_opt.problem.check_values import check_values
 from gnc_opt.problem.interval import Interval, intersect
+from gnc_opt.problem.norms import restated
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.statement import Statement
 from gnc_opt.tolerances import ROUNDING
@@ -38,8 +39,9 @@ def check_problem(problem: Statement) -> None:
         check_guess_in_tables(problem, leg, warn=first)
     check_values(problem)
     if first:
-        for leg in problem.phases.values():
-            warn_of_norms(problem, leg)
+        solved = restated(problem)
+        for leg in solved.phases.values():
+            warn_of_norms(solved, leg)
 
 
 # --- numbers ------------------------------------------------------------------------------------------

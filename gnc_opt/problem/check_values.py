@@ -121,8 +121,10 @@ def _check_along(problem: Statement, leg: Phase) -> list[Any]:
     bad = first_not_finite(problem, leg, times, states, controls, q)
     if bad:
         raise _not_finite(f"{bad.what} at the guess in {leg.where} at t = {bad.time:.4g} s", bad.point)
-    integrands = try_along(problem, leg, times, states, controls, q).get("integral")
-    integrals = np.zeros(0) if integrands is None else integrands.values.mean(axis=1) * span
+    integrals = np.zeros(0)
+    if leg.integrands:
+        integrands = try_along(problem, leg, times, states, controls, q)["integral"]
+        integrals = integrands.values.mean(axis=1) * span
     first = _inside(start.states[:, :1], intersect(numbers.initial, numbers.states), state_scales)
     last = _inside(start.states[:, -1:], intersect(numbers.final, numbers.states), state_scales)
     return [first, last, start.times[0], start.times[1], integrals, leg.model.parameter_values]

@@ -360,6 +360,7 @@ def evaluator(problem: Problem, phase: str, expression: Any) -> Callable[..., Ar
     t, x, u, p = leg.model.arguments()
     q = problem.parameter_symbols()
     value = as_expression(expression, "the expression to evaluate", None, ProblemError)
+    value = value if leg.restatement is None else leg.restatement.of(value)
     problem.refuse_foreign(leg, value, "the expression to evaluate")
     function = ca.Function("evaluate", [t, x, u, p, q], [problem.bind(leg, value)])
     return lambda *arguments: evaluate(function, *arguments)

@@ -22,6 +22,7 @@ from gnc_opt.problem.constraint import Constraint, make_constraint
 from gnc_opt.problem.guess.values import GuessValue, read_guess_times, sample_guess
 from gnc_opt.problem.held import Held, Junction, Smooth, read_kinds
 from gnc_opt.problem.interval import Interval, free, intersect, read_interval
+from gnc_opt.problem.restatement import Restatement
 from gnc_opt.strict import Strict
 
 
@@ -73,6 +74,7 @@ class Phase(Strict):
         "_curved",
         "_ends",
         "_owner",
+        "_told_on_sphere",
         "final_time",
         "handed",
         "initial_time",
@@ -81,6 +83,7 @@ class Phase(Strict):
         "name",
         "numbers",
         "paths",
+        "restatement",
     )
 
     def __init__(self, name: str, model: Model, owner: Owner) -> None:
@@ -92,18 +95,12 @@ class Phase(Strict):
             None, None, Interval(np.zeros(1), np.full(1, np.inf)), free(n), free(n), free(n), free(m)
         )
         self.numbers = replace(self.numbers, controls=self._without_negative_parts())
-        self.paths: dict[str, Constraint] = {
-            v.length: make_constraint(
-                v.length,
-                ca.sumsqr(model.symbol(v.direction)),
-                None,
-                1.0,
-                None,
-                f"the direction of '{v.name}'",
-            )
-            for v in self.vectors
-        }
+        self.paths: dict[str, Constraint] = {}
         self._curved: set[str] = set()
+        self._told_on_sphere: dict[str, bool] = {}
+        for vector in self.vectors:
+            self._limit_length(vector)
+        self.restatement: Restatement | None = None
         self.handed: dict[str, tuple[str, Array]] = {}
         self.integrands: dict[str, tuple[Any, Any]] = {}
         self.initial_time: Any = ca.SX.sym(f"{name}_initial_time")
@@ -393,8 +390,39 @@ class Phase(Strict):
         So it is where the norm is never zero, and where anything but affine functions of the vector could make
         shorter ones look better than they are.
         """
+        if vector.name in self._told_on_sphere:
+            return self._told_on_sphere[vector.name]
         least = self.numbers.controls.lower[self.model.controls.slice(vector.magnitude)]
         return bool(least[0] > 0) or vector.name in self._curved
+
+    def replace_controls(self, vector: VectorControl, *, on_sphere: bool | None) -> None:
+        """Take note that the model, the constraints and the integrands are those of a vector control now.
+
+        Parameters
+        ----------
+        vector : VectorControl
+        on_sphere : bool, optional
+            Whether its direction has the length 1; default: as `on_sphere` tells of others.
+        """
+        lengths = {v.length for v in self.vectors}
+        constraints = [c.expression for name, c in self.paths.items() if name not in lengths]
+        for expression in (self.model.derivative(), self.integrand_expression(), *constraints):
+            self._note_curved(expression)
+        self._limit_length(vector)
+        if on_sphere is not None:
+            self._told_on_sphere[vector.name] = on_sphere
+
+    def _limit_length(self, vector: VectorControl) -> None:
+        square = ca.sumsqr(self.model.symbol(vector.direction))
+        what = f"the direction of '{vector.name}'"
+        self.paths[vector.length] = make_constraint(vector.length, square, None, 1.0, None, what)
+
+    def _note_curved(self, expression: Any) -> None:
+        """Note in which vectors an expression is not affine."""
+        for vector in self.vectors:
+            direction = self.model.symbol(vector.direction)
+            if any(ca.which_depends(expression, direction, 2, True)):
+                self._curved.add(vector.name)
 
     def path_expression(self) -> Any:
         """Stacked SX expression of all path constraints."""
@@ -416,12 +444,13 @@ class Phase(Strict):
         order = list(self._owner.phases)
         return (self._owner.phases[first], jump) if order.index(first) < order.index(self.name) else None
 
-    def clone(self, owner: Owner) -> Phase:
-        """Return a copy for another problem, which shares the symbols and owns its numbers."""
+    def clone(self, owner: Owner | None = None) -> Phase:
+        """Return a copy, for another problem maybe, which shares the symbols and owns its numbers."""
         twin = copy.copy(self)
         twin.paths, twin.integrands = dict(self.paths), dict(self.integrands)
-        twin._curved, twin.handed = set(self._curved), dict(self.handed)
-        twin._owner = owner
+        twin._curved, twin._told_on_sphere = set(self._curved), dict(self._told_on_sphere)
+        twin.handed = dict(self.handed)
+        twin._owner = owner or self._owner
         return twin
 
     def _set(self, **numbers: Any) -> None:
@@ -453,13 +482,6 @@ class Phase(Strict):
         for name, value in values.items():
             (states if self._owner_layout(name, what).kind == "state" else controls)[name] = value
         return states, controls
-
-    def _note_curved(self, expression: Any) -> None:
-        """Note in which vectors an expression is not affine."""
-        for vector in self.vectors:
-            direction = self.model.symbol(vector.direction)
-            if any(ca.which_depends(expression, direction, 2, True)):
-                self._curved.add(vector.name)
 
     def _without_negative_parts(self) -> Interval:
         """Return the bounds of controls before any are stated: parts of split controls and magnitudes are >= 0."""

@@ -262,25 +262,25 @@ class Problem(Statement):
 
     def with_initial(self, phase: str | None = None, /, **values: Any) -> Problem:
         """Return a copy with other initial values; ``phase`` may be left out when there is one."""
-        twin = self._clone()
+        twin = self.clone()
         twin.get_phase(phase).initial(**values)
         return twin
 
     def with_final(self, phase: str | None = None, /, **values: Any) -> Problem:
         """Return a copy with other final values."""
-        twin = self._clone()
+        twin = self.clone()
         twin.get_phase(phase).final(**values)
         return twin
 
     def with_bounds(self, phase: str | None = None, /, **ranges: Any) -> Problem:
         """Return a copy with other bounds of states or controls."""
-        twin = self._clone()
+        twin = self.clone()
         twin.get_phase(phase).bounds(**ranges)
         return twin
 
     def with_time(self, phase: str | None = None, /, **times: Any) -> Problem:
         """Return a copy with other times: ``with_time(initial=..., final=..., duration=...)``."""
-        twin = self._clone()
+        twin = self.clone()
         leg = twin.get_phase(phase)
         old = leg.numbers
         shared = self.builds
@@ -302,13 +302,13 @@ class Problem(Statement):
         self, phase: str | None = None, /, time: ArrayLike | None = None, **values: GuessValue
     ) -> Problem:
         """Return a copy with another guess; see ``Phase.guess``."""
-        twin = self._clone()
+        twin = self.clone()
         twin.get_phase(phase).guess(time, **values)
         return twin
 
     def with_parameter_guess(self, **values: ArrayLike) -> Problem:
         """Return a copy with other starting values of free parameters."""
-        twin = self._clone()
+        twin = self.clone()
         for name, value in values.items():
             if name not in self._parameters:
                 raise unknown_name("parameter", name, f"problem '{self.name}'", self._parameters)
@@ -318,7 +318,7 @@ class Problem(Statement):
 
     def with_scale(self, phase: str | None = None, /, **magnitudes: ArrayLike) -> Problem:
         """Return a copy with other scales; see ``Phase.scale``."""
-        twin = self._clone()
+        twin = self.clone()
         twin.get_phase(phase).scale(**magnitudes)
         return twin
 
@@ -334,13 +334,13 @@ class Problem(Statement):
         junctions: tuple[Junction, ...] = (),
     ) -> Problem:
         """Return a copy whose controls are held on their bounds segment by segment; see ``Phase.hold``."""
-        twin = self._clone()
+        twin = self.clone()
         twin.get_phase(phase).hold(arcs, paths=paths, states=states, smooth=smooth, junctions=junctions)
         return twin
 
     def with_parameters(self, **values: ArrayLike) -> Problem:
         """Return a copy with other values of model parameters (in every model that has them)."""
-        twin = self._clone()
+        twin = self.clone()
         for name in values:
             if not any(name in leg.model.parameters for leg in twin.phases.values()):
                 known = {n for leg in twin.phases.values() for n in leg.model.parameters.names}
@@ -367,7 +367,7 @@ class Problem(Statement):
         """
         if self._frozen:
             return self
-        twin = self._clone()
+        twin = self.clone()
         twin._frozen = True
         return twin
 
@@ -398,7 +398,8 @@ class Problem(Statement):
     def _refuse_foreign_ends(self, expression: Any, what: str) -> None:
         refuse_foreign_ends(self.phases.values(), self.parameter_symbols(), expression, what)
 
-    def _clone(self) -> Problem:
+    def clone(self) -> Problem:
+        """Return a copy that may be changed; it owns its numbers and shares symbols and what was built."""
         twin = copy.copy(self)
         twin._frozen = False
         twin.phases = {name: leg.clone(twin) for name, leg in self.phases.items()}

@@ -18,6 +18,7 @@ from gnc_opt.problem.interval import Interval, free
 from gnc_opt.problem.phase import Phase
 from gnc_opt.strict import Strict
 
+S = TypeVar("S", bound="Statement")
 T = TypeVar("T")
 
 
@@ -124,6 +125,10 @@ class Statement(Strict):
     def constraint_labels(self) -> tuple[str, ...]:
         """Names of the boundary constraint rows."""
         return tuple(label for c in self.constraints.values() for label in c.labels)
+
+    def clone(self: S) -> S:
+        """Return a copy that may be changed; it owns its numbers and shares symbols and what was built."""
+        raise NotImplementedError
 
     def once(self, key: Any, build: Callable[[], T]) -> T:
         """Return what was built for this problem, or its variations with other numbers, before."""

@@ -1,6 +1,7 @@
 """Reports: the six-line summary, its JSON, the verdict as a table, progress, the report folder, CCSDS messages."""
 
 from gnc_opt.report.ccsds import write_aem, write_oem
+from gnc_opt.report.flights import write_campaign_report, write_run_report
 from gnc_opt.report.report import write_report
 from gnc_opt.report.search import search_dict, write_search
 from gnc_opt.report.summary import summary
@@ -11,8 +12,10 @@ __all__ = [
     "summary",
     "summary_dict",
     "write_aem",
+    "write_campaign_report",
     "write_json",
     "write_oem",
     "write_report",
+    "write_run_report",
     "write_search",
 ]

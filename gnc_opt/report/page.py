@@ -1,27 +1,29 @@
-"""One self-contained page about one solution: it needs no network and no other file."""
+"""The page about one solution."""
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
 from gnc_opt.markup import table
+from gnc_opt.report.document import again, chip, document, pictures
 from gnc_opt.report.summary import known_quality, mesh_text
 from gnc_opt.report.verdict_table import number_text, verdict_counts
 from gnc_opt.solution.history import History
 from gnc_opt.solution.solution import Solution
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 
-_KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
-"""What browsers draw inside a page."""
-
 _TONES = {Result.PASS: "good", Result.FAIL: "bad", Result.CANNOT_TELL: "open"}
 
 
 def page(
-    solution: Solution, verdict: Verdict | None, pictures: Sequence[Path], *, command: str | None = None
+    solution: Solution,
+    verdict: Verdict | None,
+    files: Sequence[Path],
+    *,
+    motion: str = "",
+    command: str | None = None,
 ) -> str:
     """Return the page as HTML.
 
@@ -29,32 +31,24 @@ def page(
     ----------
     solution : Solution
     verdict : Verdict or None
-    pictures : sequence of Path
-        SVG and PNG files, which become part of the page; others are left out.
+    files : sequence of Path
+        Figures, which become part of the page.
+    motion : str
+        The scene in three dimensions as HTML.
     command : str, optional
         What was typed to get here.
     """
     sections = {
         "Answer": _answer(solution),
+        "Motion": motion,
         "Verdict": _verdict(verdict),
         "Arcs": _arcs(solution),
         "Refinement": _refinement(solution.history),
-        "Figures": "".join(_picture(path) for path in pictures if path.suffix in _KINDS),
+        "Figures": pictures(files),
         "Multipliers": _multipliers(solution),
         "Provenance": _provenance(solution, command),
     }
-    shown = {title: body for title, body in sections.items() if body}
-    links = "".join(f'<a href="#{title.lower()}">{title}</a>' for title in shown)
-    bodies = "".join(
-        f'<section id="{title.lower()}"><h2>{title}</h2>{body}</section>' for title, body in shown.items()
-    )
-    name = escape(solution.problem_name)
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{name}</title><style>{_STYLE}</style></head>\n<body><header><h1>{name}</h1>"
-        f"<p>{_chips(solution, verdict)}</p><nav>{links}</nav></header>\n<main>{bodies}</main></body></html>\n"
-    )
+    return document(solution.problem_name, _chips(solution, verdict), sections)
 
 
 # --- sections -------------------------------------------------------------------------------------------
@@ -63,9 +57,9 @@ def page(
 def _chips(solution: Solution, verdict: Verdict | None) -> str:
     """Status, verdict and objective in one line."""
     solved = solution.status.solved
-    chips = _chip(f"solver: {solution.status.value.replace('_', ' ')}", "" if solved else "bad")
+    chips = chip(f"solver: {solution.status.value.replace('_', ' ')}", "" if solved else "bad")
     if verdict is not None:
-        chips += _chip(verdict.word, "good" if verdict.ok else "bad" if verdict.failed else "open")
+        chips += chip(verdict.word, "good" if verdict.ok else "bad" if verdict.failed else "open")
     sense = "maximised" if solution.maximised else "minimised"
     return f"{chips} objective <strong>{solution.objective:.12g}</strong> ({sense})"
 
@@ -103,7 +97,7 @@ def _verdict(verdict: Verdict | None) -> str:
 def _condition(condition: Condition) -> str:
     opened = " open" if condition.result is Result.FAIL else ""
     return (
-        f"<details{opened}><summary>{_chip(condition.result.value, _TONES[condition.result])}"
+        f"<details{opened}><summary>{chip(condition.result.value, _TONES[condition.result])}"
         f"<b>{escape(condition.name)}</b><span>{number_text(condition.value)}, tolerance "
         f"{condition.tolerance:.0e}</span></summary>"
         f"<p>{escape(condition.offence_text)}</p><p>{escape(condition.meaning)}</p></details>"
@@ -138,13 +132,6 @@ def _refinement(history: History | None) -> str:
     return f"<p>{escape(history.message)}</p>" + table(titles, rows)
 
 
-def _picture(path: Path) -> str:
-    data = base64.b64encode(path.read_bytes()).decode("ascii")
-    name = escape(path.stem.replace("_", " "))
-    source = f"data:{_KINDS[path.suffix]};base64,{data}"
-    return f'<figure><img alt="{name}" src="{source}"><figcaption>{name}</figcaption></figure>'
-
-
 def _multipliers(solution: Solution) -> str:
     rows = list(zip(solution.constraint_labels, map(_exact, solution.constraint_multipliers), strict=True))
     rows += zip(solution.free_parameters.labels, map(_exact, solution.parameter_multipliers), strict=True)
@@ -166,42 +153,11 @@ def _provenance(solution: Solution, command: str | None) -> str:
     rows.append(
         ("solver", f"{spent.iterations} iterations, build {spent.build_s:.3f} s, solve {spent.solve_s:.3f} s")
     )
-    again = f"<p>Again: <code>{escape(command)}</code></p>" if command else ""
-    return again + table(("", ""), rows)
+    return again(command) + table(("", ""), rows)
 
 
 # --- pieces ---------------------------------------------------------------------------------------------
 
 
-def _chip(word: str, tone: str) -> str:
-    return f'<span class="chip {tone}">{escape(word)}</span>'
-
-
 def _exact(value: float) -> str:
     return f"{value:.9g}"
-
-
-_STYLE = """
-:root { color-scheme: light dark; --ink: #1a1f24; --quiet: #5b6770; --paper: #fff; --line: #d8dde1;
-  --good: #1a7f4b; --bad: #c0341d; --open: #8a6100; }
-@media (prefers-color-scheme: dark) { :root { --ink: #e6e9ec; --quiet: #9aa7b1; --paper: #14181c; --line: #343c44;
-  --good: #4cc38a; --bad: #ff8a70; --open: #e3b341; } }
-* { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 62rem; padding: 1rem; font: 16px/1.5 system-ui, sans-serif; color: var(--ink);
-  background: var(--paper); }
-h1 { margin: 0; font-size: 1.6rem; } h2 { margin: 2rem 0 .5rem; font-size: 1.15rem; }
-nav { display: flex; flex-wrap: wrap; gap: .2rem 1.2rem; padding: .4rem 0; border-block: 1px solid var(--line); }
-a { color: inherit; } a:focus-visible, summary:focus-visible { outline: 2px solid var(--good); }
-.chip { display: inline-block; padding: 0 .55rem; margin-right: .5rem; border: 1px solid; border-radius: 1rem;
-  font-size: .85rem; font-weight: 600; }
-.good { color: var(--good); } .bad { color: var(--bad); } .open { color: var(--open); }
-.wide { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .2rem 1rem .2rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
-th, summary span:last-child, figcaption { color: var(--quiet); font-weight: normal; }
-details { padding: .3rem 0; border-bottom: 1px solid var(--line); } details p { margin: .3rem 0 .3rem 1rem; }
-summary { cursor: pointer; } summary b { margin-right: .8rem; }
-figure { margin: 0 0 1.5rem; } figcaption { font-size: .9rem; }
-img { max-width: 100%; padding: .5rem; background: #fff; border-radius: .3rem; }
-code { overflow-wrap: anywhere; }
-@media print { nav { display: none; } figure, details { break-inside: avoid; } }
-"""

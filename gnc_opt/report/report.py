@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from matplotlib.figure import Figure
 
-from gnc_opt.errors import GncOptError
+from gnc_opt.report.document import report_folder, save_figures
 from gnc_opt.report.page import page
 from gnc_opt.report.summary_json import write_json
 from gnc_opt.solution.solution import Solution
 from gnc_opt.verify.verdict import Verdict
+
+if TYPE_CHECKING:
+    from gnc_opt.plot.view import View
 
 Figures: TypeAlias = "Callable[[Solution, Path], Any]"
 
@@ -23,6 +26,7 @@ def write_report(
     directory: str | Path,
     *,
     figures: Figures | None = None,
+    view: View | None = None,
     command: str | None = None,
 ) -> list[Path]:
     """Write one page that shows everything, the solution itself, its summary as JSON, and the figures into a folder.
@@ -38,6 +42,8 @@ def write_report(
     figures : callable, optional
         ``figures(solution, directory)`` draws a problem's own figures. It either writes them and returns
         their path(s), or returns matplotlib figures: one, a list, or a dict by name.
+    view : gnc_opt.plot.View, optional
+        What of the motion is shown in three dimensions, over a slider of time, by plotly of the extra ``report``.
     command : str, optional
         How to get this report again, for the page.
 
@@ -54,19 +60,23 @@ def write_report(
     OSError
         A file cannot be written.
     """
-    folder = Path(directory)
-    if folder.exists() and not folder.is_dir():
-        raise GncOptError(f"cannot write the report to '{folder}', which is a file: name a folder.")
-    folder.mkdir(parents=True, exist_ok=True)
-    pictures = _save_figures(folder, _generic_figures(solution))
+    folder = report_folder(directory)
+    motion = "" if view is None else _motion(solution, view)
+    pictures = save_figures(folder, _generic_figures(solution))
     if verdict is not None:
-        pictures += _save_figures(folder, [("verdict", _verdict_figure(verdict))])
+        pictures += save_figures(folder, [("verdict", _verdict_figure(verdict))])
     if figures is not None:
         pictures += _own_figures(folder, figures(solution, folder))
     told = folder / "report.html"
-    told.write_text(page(solution, verdict, pictures, command=command), encoding="utf-8")
+    told.write_text(page(solution, verdict, pictures, motion=motion, command=command), encoding="utf-8")
     summary = write_json(folder / "summary.json", solution, verdict)
     return [told, summary, solution.save(folder / "solution.npz"), *pictures]
+
+
+def _motion(solution: Solution, view: View) -> str:
+    from gnc_opt.plot.scene import scene_html
+
+    return scene_html({solution.problem_name: solution}, view)
 
 
 def _verdict_figure(verdict: Verdict) -> Figure:
@@ -96,14 +106,8 @@ def _own_figures(folder: Path, result: Any) -> list[Path]:
     if result is None:
         return []
     if isinstance(result, dict):
-        return _save_figures(folder, result.items())
+        return save_figures(folder, result.items())
     items = list(result) if isinstance(result, Iterable) and not isinstance(result, (str, Path)) else [result]
     paths = [Path(item) for item in items if isinstance(item, (str, Path))]
     drawn = [item for item in items if not isinstance(item, (str, Path))]
-    return paths + _save_figures(folder, ((f"figure_{i}", item) for i, item in enumerate(drawn, 1)))
-
-
-def _save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> list[Path]:
-    from gnc_opt.plot.style import save_figure
-
-    return [save_figure(figure, folder / f"{stem}.svg") for stem, figure in figures]
+    return paths + save_figures(folder, ((f"figure_{i}", item) for i, item in enumerate(drawn, 1)))

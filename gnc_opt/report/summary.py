@@ -34,8 +34,9 @@ def summary(solution: Solution) -> str:
     Status and objective; times; mesh and cost of the solve; worst defect between nodes; worst bound violation
     between nodes; terminal miss when the flown control is integrated, each with its place. A refined solution tells
     its verdict and the error asked for and reached; a verdict that is ok speaks for defect and bounds. Further lines
-    name controls whose polynomial overshoots and tables that the trajectory leaves, say what to do after a failed
-    solve, and warn when the figures were not measured just now but when the solution was saved.
+    say which norms were restated, name controls whose polynomial overshoots and tables that the trajectory leaves, say
+    what to do after a failed solve, and warn when the figures were not measured just now but when the solution was
+    saved.
 
     Parameters
     ----------
@@ -51,6 +52,7 @@ def summary(solution: Solution) -> str:
         _headline(solution),
         *_failure(solution),
         *_refinement(solution),
+        *_restated(solution),
         _times(solution),
         _cost(solution),
     ]
@@ -135,6 +137,12 @@ def _refinement(solution: Solution) -> Iterator[str]:
         f"{len(history.passes)} pass{'es' * (len(history.passes) != 1)}, {history.seconds:.2f} s"
         + ("" if history.converged else f": {final.where}"),
     )
+
+
+def _restated(solution: Solution) -> Iterator[str]:
+    for leg in solution.problem.phases.values() if solution.problem is not None else ():
+        for text in leg.restatement.texts if leg.restatement is not None else ():
+            yield _line("norm", f"{text}{f', phase {leg.name}' * (len(solution.phases) > 1)}")
 
 
 def _times(solution: Solution) -> str:

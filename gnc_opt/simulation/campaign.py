@@ -28,6 +28,9 @@ from gnc_opt.strict import Strict
 _COMPONENT_SUMS = {"effort": " s", "energy": "^2 s", "variation": ""}
 """Costs that are summed over the components of a command or control, and what follows the unit."""
 
+_REPLANS = ("replans", "failed replans")
+"""Measures of runs that re-plan in flight."""
+
 
 @dataclass(frozen=True, eq=False)
 class Campaign(Strict):
@@ -58,6 +61,8 @@ class Campaign(Strict):
     event_counts, event_times : array (n_events, m)
         How often each event happened, and the first time (s), not-a-number where it did not; (0, 0) in files of
         versions without events.
+    replans : array (2, m)
+        How often was re-planned in flight, and how often in vain; (2, 0) in files of versions without it.
     outcomes : tuple of m Outcome
     span : tuple of two floats
         First and last time, s.
@@ -98,6 +103,7 @@ class Campaign(Strict):
     memory: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
     event_counts: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
     event_times: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
+    replans: Array = field(default_factory=lambda: np.empty((2, 0)), repr=False)
 
     def __len__(self) -> int:
         return len(self.outcomes)
@@ -140,6 +146,7 @@ class Campaign(Strict):
             ``"effort(F_B)"``, ``"energy(F_B)"``: integral of \\|u\\| or u^2, summed over the components.
             ``"variation(F_B)"``: chattering, summed; ``"saturation(F_B)"``: saturation time of the worst component, s.
             ``"time(touchdown)"``: when an event happened first, s.
+            ``"replans"``, ``"failed replans"``: how often was re-planned in flight, and in vain.
             Or the name of one's own measure.
 
         Raises
@@ -151,6 +158,8 @@ class Campaign(Strict):
         """
         if name in self.measured:
             return self.measured[name]
+        if name in _REPLANS:
+            return np.asarray(self.replans[_REPLANS.index(name)])
         if name not in self._values:
             self._values[name] = self._evaluate(*self._parse(name))
         return self._values[name]
@@ -177,7 +186,7 @@ class Campaign(Strict):
 
     def unit(self, name: str) -> str:
         """Return the unit of a measure."""
-        if name in self.measured:
+        if name in self.measured or name in _REPLANS:
             return ""
         kind, subject = self._parse(name)
         if kind in ("angle", "saturation", "time"):
@@ -196,7 +205,8 @@ class Campaign(Strict):
         own = tuple(self.measured)
         costs = [f"effort({n})" for n in controls] + [f"energy({n})" for n in controls]
         costs += [f"saturation({n})" for n in commands] + [f"variation({n})" for n in commands]
-        return (*states, *own, *costs, *(f"time({n})" for n in self._events.names))
+        again = _REPLANS if self.replans.any() else ()
+        return (*states, *own, *costs, *(f"time({n})" for n in self._events.names), *again)
 
     def _has_target(self, name: str) -> bool:
         return bool(np.all(np.isfinite(self.target[self.layouts["state"].slice(name)])))
@@ -418,9 +428,9 @@ def _require_same(campaign: Campaign, flight: Flight, path: str | Path) -> None:
 CAMPAIGN_FILES = FileFormat(
     Campaign,
     "campaign",
-    5,
+    6,
     Packing((Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("flight",)}),
-    alike=(2, 3, 4),  # 2 has no fingerprint, 3 no memory, 4 no events
+    alike=(2, 3, 4, 5),  # 2 has no fingerprint, 3 no memory, 4 no events, 5 no re-plans
     older={1: campaign_fields},
 )
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from gnc_opt.errors import GncOptError
 from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.flight import Ending
+from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.mission import Flown, Mission
 
 MOST_PER_FILE = 25
@@ -76,5 +76,6 @@ def _flown(part: Campaign, count: int) -> Flown:
         outcomes=part.outcomes[:count],
         event_counts=part.event_counts[:, :count],
         event_times=part.event_times[:, :count],
+        replans=part.replans[:, :count],
     )
     return Flown(range(first, first + count), part.parameters[:, :count], ending)

@@ -37,6 +37,12 @@ class Dispersion:
         """Return a dispersed value (size,)."""
         raise NotImplementedError
 
+    def moments(self, nominal: Array) -> tuple[Array, Array]:
+        """Return the mean (size,) and the covariance (size, size) of the deviation from the nominal value."""
+        raise ArgumentError(
+            f"{type(self).__name__}() does not tell its mean and covariance: give it a method moments(nominal)."
+        )
+
 
 @dataclass(frozen=True)
 class Normal(Dispersion):
@@ -81,6 +87,15 @@ class Normal(Dispersion):
             z = scipy.special.ndtri(tail + generator.random(nominal.size) * (1 - 2 * tail))
         return _deviated(nominal, np.asarray(self.mean) + np.asarray(self.std) * z, self.relative)
 
+    def moments(self, nominal: Array) -> tuple[Array, Array]:
+        kept = 1.0
+        if self.truncate is not None:  # variance of a standard normal number between -b and b
+            b = self.truncate
+            kept = 1 - 2 * b * np.exp(-0.5 * b * b) / np.sqrt(2 * np.pi) / (1 - 2 * scipy.special.ndtr(-b))
+        unit = nominal if self.relative else np.ones(nominal.size)
+        std = np.asarray(self.std, dtype=float) * unit
+        return np.asarray(self.mean, dtype=float) * unit, np.diag(kept * std**2)
+
 
 @dataclass(frozen=True)
 class Uniform(Dispersion):
@@ -113,6 +128,11 @@ class Uniform(Dispersion):
         deviation = low + (np.asarray(self.high) - low) * generator.random(nominal.size)
         return _deviated(nominal, deviation, self.relative)
 
+    def moments(self, nominal: Array) -> tuple[Array, Array]:
+        unit = nominal if self.relative else np.ones(nominal.size)
+        low, high = (np.asarray(end, dtype=float) * unit for end in (self.low, self.high))
+        return 0.5 * (low + high), np.diag((high - low) ** 2 / 12)
+
 
 @dataclass(frozen=True)
 class Choice(Dispersion):
@@ -138,6 +158,12 @@ class Choice(Dispersion):
         value = self.values[int(generator.integers(len(self.values)))]
         return as_vector(value, nominal.size, "a choice", ArgumentError)
 
+    def moments(self, nominal: Array) -> tuple[Array, Array]:
+        chosen = np.stack(
+            [as_vector(v, nominal.size, "a choice", ArgumentError) for v in self.values], axis=1
+        )
+        return chosen.mean(axis=1) - nominal, np.cov(chosen, bias=True).reshape(nominal.size, nominal.size)
+
 
 Magnitude: TypeAlias = float | Normal | Uniform
 """Always the same, or drawn as a deviation from zero."""
@@ -161,6 +187,9 @@ class Sphere(Dispersion):
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         return nominal + _magnitude(self.radius, generator) * _direction(generator, nominal.size)
 
+    def moments(self, nominal: Array) -> tuple[Array, Array]:
+        return np.zeros(nominal.size), _mean_square(self.radius) / nominal.size * np.eye(nominal.size)
+
 
 @dataclass(frozen=True)
 class Ball(Dispersion):
@@ -181,6 +210,9 @@ class Ball(Dispersion):
         direction = _direction(generator, nominal.size)
         length = self.radius * generator.random() ** (1 / nominal.size)
         return np.asarray(nominal + length * direction)
+
+    def moments(self, nominal: Array) -> tuple[Array, Array]:
+        return np.zeros(nominal.size), self.radius**2 / (nominal.size + 2) * np.eye(nominal.size)
 
 
 @dataclass(frozen=True)
@@ -216,6 +248,17 @@ class Turn(Dispersion):
         turned = np.asarray(quaternion_product(attitude, turn), dtype=float)
         # of the two sets of parameters this is the one of the nominal attitude
         return turned if nominal.size == 4 else turned[1:] / (1 + turned[0])
+
+    def moments(self, nominal: Array) -> tuple[Array, Array]:
+        """Of small angles, to first order in them."""
+        attitude = nominal if nominal.size == 4 else mrp_to_quaternion(nominal)
+        axes = np.hstack([np.zeros((3, 1)), 0.5 * np.eye(3)])  # half a radian about each axis
+        change = np.stack(
+            [np.asarray(quaternion_product(attitude, axis), dtype=float) for axis in axes], axis=1
+        )
+        if nominal.size == 3:
+            change = (change[1:] - np.outer(nominal, change[0])) / (1 + attitude[0])
+        return np.zeros(nominal.size), _mean_square(self.angle) / 3 * change @ change.T
 
 
 Dispersions: TypeAlias = Mapping[str, Dispersion]
@@ -284,6 +327,14 @@ def _check_magnitude(value: Any, what: str) -> None:
 
 def _magnitude(value: Magnitude, generator: np.random.Generator) -> float:
     return float(value.draw(generator, np.zeros(1))[0]) if isinstance(value, Dispersion) else float(value)
+
+
+def _mean_square(value: Magnitude) -> float:
+    """Return the mean of a magnitude's square."""
+    if not isinstance(value, Dispersion):
+        return float(value) ** 2
+    mean, variance = value.moments(np.zeros(1))
+    return float(mean[0] ** 2 + variance[0, 0])
 
 
 def _direction(generator: np.random.Generator, size: int) -> Array:

@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from gnc_opt.arguments import read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout
+from gnc_opt.simulation.course import Course
+from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.event import MOST, Occurrence
+from gnc_opt.simulation.folded import Folded
 from gnc_opt.simulation.kernel import Kernel
 from gnc_opt.simulation.log import Log
+from gnc_opt.simulation.native import WORTH, native
 from gnc_opt.simulation.outcome import Outcome, RunStatus
+from gnc_opt.simulation.replanner import Replanner
 from gnc_opt.simulation.run import Run
 
 LEG = 1000
@@ -27,47 +32,6 @@ LEG = 1000
 
 _ZENO = f"more than {MOST - 1} events in a control step (Zeno: let what they follow come to rest by another event)"
 """What ended a run whose events do not let time pass."""
-
-
-@dataclass(frozen=True)
-class Ending:
-    """How n runs ended, and what they cost.
-
-    Attributes
-    ----------
-    states : array (n_states, n)
-        At the last time.
-    errors : array (n_errors, n) or None
-        Of the states relative to the reference at the last time, by the plant's own difference.
-    memory : array (n_memory, n)
-        Of the controller.
-    effort, energy : array (n_controls, n)
-        Integrals of \\|u\\| and u^2 of what the actuators applied (unit s, unit^2 s).
-    saturation_time : array (n_commands, n)
-        Time in which a limit acted on a command, s.
-    variation : array (n_commands, n)
-        Sum of the changes of the commands: chattering.
-    integration_error : array (n,)
-        Estimated, relative to max(1, \\|x\\|).
-    averaging_error : array (n,)
-        What of it is owed to actuators that took the mean of a wave.
-    outcomes : tuple of n Outcome
-    event_counts, event_times : array (n_events, n)
-        How often each event happened, and the first time (s), not-a-number where it did not.
-    """
-
-    states: Array
-    errors: Array | None
-    memory: Array
-    effort: Array
-    energy: Array
-    saturation_time: Array
-    variation: Array
-    integration_error: Array
-    averaging_error: Array
-    outcomes: tuple[Outcome, ...]
-    event_counts: Array
-    event_times: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +48,16 @@ class Flight:
         Permitted values of P.
     times : array (n_steps + 1,)
         Beginnings of the control steps and the end, s.
-    reference : array (n, n_steps + 1) or None
-        What the controller follows, in its own states.
+    followed_rows : int array (n,) or None
+        Rows of the schedule that are the reference of the states that the controller follows.
     substeps : int
         Integration steps per minor step.
     kernel : Kernel
         The loop as a compiled function.
-    schedule : array (n_signals, n_steps)
-        Rows r of the controller.
+    schedule : array (n_signals, n_steps + 1)
+        Rows r of the controller, as planned before the flight; what stands at the end is for the errors there.
+    dt : float
+        Control step, s.
     states, measured, followed, commands, controls, memory : Layout
         Names, sizes and units; ``followed`` are the states that the reference is of.
     errors : casadi Function
@@ -111,6 +77,11 @@ class Flight:
         Those of them that are failures.
     growth : float
         By how much the errors of single integration steps grow until the end of the nominal run, at least 1.
+    replanner : Replanner or None
+    estimates : int array (n,) or None
+        Entries of the memory that are the estimated states that the controller follows; None: it measures them.
+    library : str
+        Path of the kernel's step as machine code, see `natively`; "" for the interpreter.
     """
 
     kernel: Kernel
@@ -120,7 +91,8 @@ class Flight:
     ranges: tuple[Array, Array]
     times: Array
     schedule: Array
-    reference: Array | None
+    dt: float
+    followed_rows: Any
     states: Layout
     measured: Layout
     followed: Layout
@@ -137,6 +109,9 @@ class Flight:
     growth: float = 1.0
     events: Layout = field(default_factory=lambda: Layout("event"))
     failures: tuple[str, ...] = ()
+    replanner: Replanner | None = None
+    estimates: Any = None
+    library: str = ""
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in vars(self).items() if not k.startswith("_")}
@@ -149,15 +124,34 @@ class Flight:
         """Number of control steps."""
         return int(self.times.size - 1)
 
+    @property
+    def reference(self) -> Array | None:
+        """What the controller follows (n, n_steps + 1), in its own states, as planned before the flight."""
+        return None if self.followed_rows is None else self.schedule[self.followed_rows]
+
     @cached_property
     def fingerprint(self) -> str:
         """Digest of everything that decides the bits of a run, beside its parameters and its seed."""
         digest = hashlib.sha256()
         for function in (self.kernel.start, self.kernel.constants, self.kernel.step):
             digest.update(function.serialize().encode())
-        for array in (self.times, self.schedule):
+        for array in (self.times, self.schedule[:, :-1]):
             digest.update(np.ascontiguousarray(array).tobytes())
+        if self.replanner is not None:
+            digest.update(self.replanner.description.encode())
         return digest.hexdigest()
+
+    def natively(self, runs: int) -> Flight:
+        """Return the same flight; for so many runs as machine code if that pays, can be made and has the same bits."""
+        if runs * self.n_steps < WORTH:
+            return self
+        quick = replace(self, library=native(self._folded.step))
+        _, rows = next(self.legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
+        ends = np.empty((2, self.kernel.state.size))
+        for flight, end in zip((self, quick), ends, strict=True):
+            X, C = self._begun(rows[0], self.nominal)
+            flight._folded.fly(X, rows, C, end)
+        return quick if ends[0].tobytes() == ends[1].tobytes() else self
 
     def final(self, P: Array, seeds: Sequence[Any]) -> Ending:
         """Fly n runs and return how they ended; failed ones are flagged, never dropped.
@@ -167,7 +161,8 @@ class Flight:
         P : array (n_parameters, n)
             One column per run, in the order of `layout`.
         seeds : sequence of n seeds
-            Each anything that ``numpy.random.SeedSequence`` takes (an int, a list of ints), or one itself.
+            Each anything that ``numpy.random.SeedSequence`` takes (an int, a list of ints), or one itself; or the
+            standard normal numbers themselves, array (n_steps, n_numbers).
         """
         P = np.asarray(P, dtype=float)
         if P.shape != (self.layout.size, len(seeds)):
@@ -178,24 +173,29 @@ class Flight:
         final = np.full((P.shape[1], self.kernel.state.size), np.nan)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         refused: dict[int, str] = {}
+        replans = np.zeros((2, P.shape[1]))
+        followed = np.full((self.followed.size, P.shape[1]), np.nan)
         for i, seed in enumerate(seeds):
             culprit = self.refusal(P[:, i])
             if culprit:
                 refused[i] = culprit
                 continue
-            for first, rows in self._legs(seed, known):
+            course = self._course()
+            for first, rows in self.legs(seed, known, course):
                 if first == 0:
                     X, C = self._begun(rows[0], P[:, i])
-                fly, evaluate = self._fold(len(rows))
-                # reads and writes these arrays themselves: no conversion per run
-                for k, array in enumerate((X, rows, C)):
-                    fly.set_arg(k, memoryview(array.data))
-                fly.set_res(0, memoryview(final[i].data))
-                evaluate()
+                elif self.replanner is not None:
+                    self._consider(course, first, X, rows, C)
+                self._folded.fly(X, rows, C, final[i])
                 X[:] = final[i]
                 if self._stopped(X):
                     break
-        return self._ending(final.T, refused)
+            if self.replanner is not None:
+                replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
+                followed[:, i] = self._followed_at_end(course, final[i : i + 1].T)[:, 0]
+        if self.replanner is None:
+            followed = self._followed_at_end(self._course(), final.T)
+        return self._ending(final.T, refused, followed, replans)
 
     def run(self, P: Array, seed: Any, *, every: int = 1, folder: str | Path | None = None) -> Run:
         """Fly one run and return all of it; its last state has the bits of `final`.
@@ -227,17 +227,19 @@ class Flight:
             "commands": self.commands.size,
             "applied": self.controls.size,
         }
-        if self.reference is not None:
+        if self.followed_rows is not None:
             sizes["errors"] = self.error_layout.size
         lengths = {name: kept.size - (name in ("measured", "commands", "applied")) for name in sizes}
         log = Log({name: (size, lengths[name]) for name, size in sizes.items()}, folder)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         events: list[Occurrence] = []
-        last = self.n_steps
-        for first, rows in self._legs(seed, known):
+        course, last = self._course(), self.n_steps
+        for first, rows in self.legs(seed, known, course):
             if first == 0:
                 X, C = self._begun(rows[0], P)
-            after, logs = (o.full() for o in self._logged(len(rows))(X, rows.T, C))
+            elif self.replanner is not None:
+                self._consider(course, first, X, rows, C)
+            after, logs = self._folded.logged(X, rows, C)
             parts, told = self.kernel.state.split(np.column_stack([X, after])), self.kernel.log.split(logs)
             flown = len(rows) if not self.events.size else int(np.sum(parts["stop"][0, :-1] < 0.5))
             if self.events.size:
@@ -246,15 +248,16 @@ class Flight:
             at = np.arange(first + (-first) % every, first + flown, every) - first
             if at.size:
                 noted = {name: values[:, at] for name, values in told.items()}
-                self._note(log, parts, noted, at, self.times[first + at])
+                self._note(log, parts, noted, at, course.reference_at(self.times[first + at]))
             X = np.ascontiguousarray(after[:, -1])
             if self._stopped(X):
                 last = first + flown
                 break
         final = self.kernel.state.split(X[:, None])
         end = self._last_times(final)
-        self._note(log, final, {}, np.array([0]), end)
-        ending = self._ending(X[:, None], {})
+        followed = self._followed_at_end(course, X[:, None])
+        self._note(log, final, {}, np.array([0]), followed)
+        ending = self._ending(X[:, None], {}, followed)
         arrays = log.close()
         times = np.append(self.times[kept[kept < last]], end)
         return Run(
@@ -264,7 +267,7 @@ class Flight:
             commands=arrays["commands"],
             applied=arrays["applied"],
             memory=arrays["memory"],
-            reference=self._reference_at(times),
+            reference=course.reference_at(times),
             errors=arrays.get("errors"),
             parameters=P.copy(),
             effort=ending.effort[:, 0],
@@ -275,6 +278,7 @@ class Flight:
             outcome=ending.outcomes[0],
             seed=str(seed),
             events=tuple(events),
+            replans=tuple(course.replans),
             layouts={
                 "state": self.states,
                 "measured": self.measured,
@@ -297,33 +301,80 @@ class Flight:
         i = int(bad[0])
         return f"'{self.layout.labels[i]}' is {P[i]:g}, outside [{lower[i]:g}, {upper[i]:g}]"
 
-    # --- internals ----------------------------------------------------------------------------------------
+    def legs(self, seed: Any, known: Array, course: Course | None = None) -> Iterator[tuple[int, Array]]:
+        """Yield the first steps of the legs of a run, and what is known and drawn for their steps (n_steps, n_known).
 
-    def _legs(self, seed: Any, known: Array) -> Iterator[tuple[int, Array]]:
-        """Yield the first steps of the legs of a run, and what is known and drawn for their steps, in ``known``."""
+        Parameters
+        ----------
+        seed : int, sequence of int or array (n_steps, n_numbers)
+            Or the standard normal numbers themselves.
+        known : array (at least `LEG` or all steps, n_known)
+            Whose rows are written and yielded.
+        course : Course, optional
+            What is followed; default the schedule as planned before the flight.
+        """
+        followed = self.schedule if course is None else course.schedule
         first_noise = 1 + self.schedule.shape[0]
-        sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        generator = np.random.Generator(np.random.Philox(sequence))
-        for first in range(0, self.n_steps, LEG):
-            last = min(first + LEG, self.n_steps)
+        numbers = self._numbers(seed, known.shape[1] - first_noise)
+        for first, last in itertools.pairwise(self._edges):
             rows = known[: last - first]
             rows[:, 0] = self.times[first:last]
-            rows[:, 1:first_noise] = self.schedule[:, first:last].T
-            rows[:, first_noise:] = generator.standard_normal((last - first, known.shape[1] - first_noise))
+            rows[:, 1:first_noise] = followed[:, first:last].T
+            rows[:, first_noise:] = numbers(first, last)
             yield first, rows
+
+    # --- internals ----------------------------------------------------------------------------------------
+
+    def _numbers(self, seed: Any, size: int) -> Callable[[int, int], Array]:
+        """Return the standard normal numbers (n, size) from one control step to before another, in their order."""
+        if isinstance(seed, np.ndarray) and seed.ndim == 2:
+            if seed.shape != (self.n_steps, size):
+                raise ArgumentError(
+                    f"the random numbers of a run have the shape {seed.shape}: give ({self.n_steps}, {size})."
+                )
+            return lambda first, last: seed[first:last]
+        sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+        generator = np.random.Generator(np.random.Philox(sequence))
+        return lambda first, last: generator.standard_normal((last - first, size))
+
+    @cached_property
+    def _edges(self) -> list[int]:
+        """Steps at which a leg ends and another begins: every `LEG` steps, and where a plan may be made."""
+        every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
+        starts = range(0, self.n_steps, every)
+        return [*(k for s in starts for k in range(s, min(s + every, self.n_steps), LEG)), self.n_steps]
+
+    def _course(self) -> Course:
+        return Course(self.replanner, self.times, self.schedule, self.dt, self.followed, self.followed_rows)
+
+    def _consider(self, course: Course, step: int, X: Array, rows: Array, C: Array) -> None:
+        """Re-plan at the first of the steps ``rows``, if that is asked for then, and put the new plan in them."""
+        if self.estimates is None:
+            x = self.kernel.measure(X, rows[0], C).full()[:, 0]
+        else:
+            x = self.kernel.state.split(X)["memory"][self.estimates]
+        course.consider(step, np.asarray(x))
+        rows[:, 1 : 1 + self.schedule.shape[0]] = course.schedule[:, step : step + len(rows)].T
 
     def _begun(self, known: Array, P: Array) -> tuple[Array, Array]:
         """Return X at the first step, and the constants of the run."""
         X, C = self.kernel.start(known, P), self.kernel.constants(P)
         return np.asarray(X.full()[:, 0]), np.asarray(C.full()[:, 0])
 
-    def _note(self, log: Log, parts: dict[str, Array], logs: dict[str, Array], at: Any, times: Array) -> None:
-        """Log the states of a leg at its columns ``at``, which are of these times of the run."""
+    def _note(
+        self,
+        log: Log,
+        parts: dict[str, Array],
+        logs: dict[str, Array],
+        at: Any,
+        followed: Array | None,
+    ) -> None:
+        """Log the states of a leg at its columns ``at``, beside what is followed there."""
         states = parts["plant"][:, at]
         log.add("states", states)
         log.add("memory", parts["memory"][:, at])
-        if self.reference is not None:
-            log.add("errors", self._relative(states, times))
+        if self.followed_rows is not None:
+            log.add("errors", self._relative(states, followed))
         for name, values in logs.items():
             if name in log.arrays:
                 log.add(name, values)
@@ -352,45 +403,28 @@ class Flight:
             for k in range(int(min(told["number"][0, step], MOST)))
         ]
 
-    def _fold(self, count: int) -> Any:
-        """``(X, w of a leg, C) -> X at its end``, with the arrays that it reads and writes still to be told."""
-        if count not in self._folds:
-            step = _without_log(self.kernel.step)
-            self._folds[count] = self._leg(lambda x, w, c: [step.fold(count)(x, w, c)], count).buffer()
-        return self._folds[count]
-
-    def _logged(self, count: int) -> Any:
-        """``(X, w of a leg, C) -> X after every step, log of every step``."""
-        if count not in self._logs:
-            step = self.kernel.step
-            self._logs[count] = self._leg(lambda x, w, c: list(step.mapaccum(count)(x, w, c)), count)
-        return self._logs[count]
-
-    def _leg(self, outputs: Callable[[Any, Any, Any], list[Any]], count: int) -> Any:
-        step = self.kernel.step
-        x, w, c = (ca.MX.sym(n, *size) for n, size in (
-            ("X", (self.kernel.state.size,)), ("w", (self.kernel.known.size, count)), ("C", (step.size1_in(2),))
-        ))  # fmt: skip
-        return ca.Function("leg", [x, w, c], outputs(x, w, ca.repmat(c, 1, count)))
-
     @cached_property
-    def _folds(self) -> dict[int, Any]:
-        return {}
+    def _folded(self) -> Folded:
+        return Folded(self.kernel, self.library)
 
-    @cached_property
-    def _logs(self) -> dict[int, Any]:
-        return {}
+    def _followed_at_end(self, course: Course, X: Array) -> Array:
+        """Return what runs follow when they end (n_followed, n); not-a-number where they follow nothing."""
+        found = course.reference_at(self._last_times(self.kernel.state.split(X)))
+        return np.full((self.followed.size, X.shape[1]), np.nan) if found is None else found
 
-    def _ending(self, final: Array, refused: dict[int, str]) -> Ending:
+    def _ending(
+        self, final: Array, refused: dict[int, str], followed: Array, replans: Array | None = None
+    ) -> Ending:
         parts = self.kernel.state.split(final)
         outcomes = tuple(
             Outcome(RunStatus.REFUSED, refused[i]) if i in refused else self._outcome(parts, i)
             for i in range(final.shape[1])
         )
         empty = np.empty((0, final.shape[1]))
+        counts, firsts = (parts["count"], parts["first"]) if self.events.size else (empty, empty)
         return Ending(
             parts["plant"],
-            self._relative(parts["plant"], self._last_times(parts)),
+            None if self.followed_rows is None else self._relative(parts["plant"], followed),
             parts["memory"],
             parts["effort"],
             parts["energy"],
@@ -399,7 +433,9 @@ class Flight:
             self._error(parts),
             parts["blur"][0],
             outcomes,
-            *((parts["count"], parts["first"]) if self.events.size else (empty, empty)),
+            counts,
+            firsts,
+            np.zeros((2, final.shape[1])) if replans is None else replans,
         )
 
     def _outcome(self, parts: dict[str, Array], i: int) -> Outcome:
@@ -439,28 +475,13 @@ class Flight:
         """Return the estimated errors of runs: those of single steps, grown, and what averaging adds to them."""
         return np.asarray(self.growth * parts["error"][0] + parts["blur"][0])
 
-    def _reference_at(self, times: Array) -> Array | None:
-        """Return what is followed (n, n_times) at these times (s), linear between control steps."""
-        if self.reference is None:
-            return None
-        return np.stack([np.interp(times, self.times, row) for row in self.reference])
-
-    def _relative(self, states: Array, times: Array) -> Any:
-        """Return the errors of plant states relative to the reference at their times (s); None without one.
+    def _relative(self, states: Array, reference: Any) -> Array:
+        """Return the errors of plant states relative to what is followed (n_followed, n).
 
         States without a reference are not-a-number.
         """
-        reference = self._reference_at(times)
-        if reference is None:
-            return None
         follow = np.full(states.shape, np.nan)
         for name in self.followed.names:
             if name in self.states:
                 follow[self.states.slice(name)] = reference[self.followed.slice(name)]
         return np.asarray(self.errors(states, follow).full())
-
-
-def _without_log(step: Any) -> Any:
-    """Return the step without its log, so that what only the log needs is not computed."""
-    symbols = step.sx_in() if step.is_a("SXFunction") else step.mx_in()
-    return ca.Function("only", symbols, [step(*symbols)[0]], ["X", "w", "C"], ["X_next"])

@@ -18,10 +18,13 @@ from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.block import Block
+from gnc_opt.simulation.control_step import alarm_labels, watched_labels
 from gnc_opt.simulation.disturbances import Disturbance
+from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.event import Event
-from gnc_opt.simulation.flight import LEG, Ending, Flight
-from gnc_opt.simulation.kernel import Kernel, alarm_labels, build_kernel, watched_labels
+from gnc_opt.simulation.flight import LEG, Flight
+from gnc_opt.simulation.kernel import Kernel, build_kernel
+from gnc_opt.simulation.replanner import Replanner
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.wiring import Blocks, Wiring, wire
 
@@ -70,6 +73,8 @@ class ClosedLoop:
     disturbances : sequence of Disturbance
     events : sequence of Event
         What ends a run, or changes the plant's states, at an instant of its own.
+    replanner : Replanner, optional
+        Solves the problem of the plan that the controller follows again in flight.
     dt : float, optional
         Control step, s; default the controller's own.
     minor_steps : int
@@ -96,6 +101,7 @@ class ClosedLoop:
     sensors: Sequence[Block] = ()
     disturbances: Sequence[Disturbance] = ()
     events: Sequence[Event] = field(default=(), kw_only=True)
+    replanner: Replanner | None = field(default=None, kw_only=True)
     dt: float = field(default=None, kw_only=True)  # type: ignore[assignment]
     minor_steps: int = field(default=1, kw_only=True)
     accuracy: float = field(default=1e-9, kw_only=True)
@@ -132,6 +138,15 @@ class ClosedLoop:
         blocks = Blocks(
             tuple(self.actuators), tuple(self.sensors), tuple(self.disturbances), tuple(self.events)
         )
+        if self.replanner is not None:
+            expect(
+                self.replanner,
+                Replanner,
+                "the replanner of a closed loop",
+                "write Replanner(resolver, every=...)",
+            )
+            followed, signals = self.controller.followed, self.controller.signals
+            self.replanner.check(followed, signals, self.dt, lambda t: self.controller.signal(t, self.dt))
         plausible = _read_plausible(self.plausible, self.plant.states)
         set_(self, "wiring", wire(self.plant, self.controller, blocks, self.dt, self.minor_steps, plausible))
 
@@ -223,6 +238,10 @@ class ClosedLoop:
         nominal = self.parameters(x0, parameters)
         times = self._times(t0, tf)
         rows = self._schedule(times)
+        return replace(self._accurate(nominal, times, rows), replanner=self.replanner)
+
+    def _accurate(self, nominal: Array, times: Array, rows: Array) -> Flight:
+        """Return the flight, as planned, with as many integration steps as its accuracy needs."""
         substeps = self.substeps or self._stable_substeps(nominal, times[0])
         coarse = None
         while True:
@@ -329,8 +348,9 @@ class ClosedLoop:
             layout=self.layout,
             ranges=self.ranges,
             times=times,
-            schedule=rows[:, :-1],
-            reference=self._followed(rows),
+            schedule=rows,
+            dt=self.dt,
+            followed_rows=self._followed_rows(),
             states=self.plant.states,
             measured=self.controller.states,
             followed=self.controller.followed,
@@ -346,6 +366,7 @@ class ClosedLoop:
             plausible=self.wiring.plausible,
             accuracy=self.accuracy,
             minor_steps=self.minor_steps,
+            estimates=self._estimates(),
         )
 
     def _times(self, t0: float, tf: float) -> Array:
@@ -378,16 +399,23 @@ class ClosedLoop:
             rows[:, first : first + LEG] = found
         return rows
 
-    def _followed(self, rows: Array) -> Array | None:
-        """Return the states the controller follows (n_states, n_times), if its schedule has them."""
+    def _followed_rows(self) -> Any:
+        """Return the rows of the schedule that are the reference of what the controller follows, if it has them."""
         signals, states = self.controller.signals, self.controller.followed
         if all(f"{n}_ref" in signals for n in states.names):
-            places = np.concatenate([np.r_[signals.slice(f"{n}_ref")] for n in states.names])
-        elif "x_ref" in signals and signals["x_ref"].size == states.size:
-            places = np.r_[signals.slice("x_ref")]
-        else:
-            return None
-        return np.asarray(rows[places])
+            return np.concatenate([np.r_[signals.slice(f"{n}_ref")] for n in states.names])
+        if "x_ref" in signals and signals["x_ref"].size == states.size:
+            return np.r_[signals.slice("x_ref")]
+        return None
+
+    def _estimates(self) -> Any:
+        """Return the entries of the memory that are the estimated states, where an estimator feeds the controller."""
+        memory, states = self.controller.memory, self.controller.estimated
+        return (
+            None
+            if states is None
+            else np.concatenate([np.r_[memory.slice(f"{n}_hat")] for n in states.names])
+        )
 
     def _error_function(self) -> Any:
         x, x_ref = (ca.SX.sym(n, self.plant.states.size) for n in ("x", "x_ref"))

@@ -14,7 +14,8 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.simulation.dispersion import Dispersions, dispersed
-from gnc_opt.simulation.flight import Ending, Flight
+from gnc_opt.simulation.ending import Ending
+from gnc_opt.simulation.flight import Flight
 from gnc_opt.workers import Done, WorkerDied
 
 MOST_PER_BATCH = 100

@@ -13,15 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_integer
-from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.checkpoint import MOST_PER_FILE, store, stored
 from gnc_opt.simulation.criteria import Criteria, Judge
 from gnc_opt.simulation.dispersion import Dispersions, check_dispersions
+from gnc_opt.simulation.gathering import gathered
 from gnc_opt.simulation.loop import ClosedLoop
 from gnc_opt.simulation.mission import Batch, Flown, Mission, batches, flown_parts, halves
-from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.workers import Done, Shared, WorkerPool
 
 
@@ -93,9 +92,10 @@ def monte_carlo(
     dispersions = {} if dispersions is None else dispersions
     flight = loop.flight(x0, t0=t0, tf=tf, parameters=parameters)
     check_dispersions(dispersions, flight.layout, flight.nominal)
+    flight = flight.natively(n)
     criteria = Criteria(target or {}, limits or {}, judge or {})
     mission = Mission(flight, dict(dispersions), int(seed))
-    empty = _campaign(mission, n, criteria.goal(flight), [])
+    empty = gathered(flight, [], seed=mission.seed, asked=n, goal=criteria.goal(flight))
     criteria.check(empty)
     folder = None if checkpoint is None else Path(checkpoint)
     before = [] if folder is None else stored(folder, mission, n)
@@ -107,7 +107,7 @@ def monte_carlo(
         def keep(batch: Done[Batch, list[Flown]]) -> None:
             for part in flown_parts(batch):
                 if folder is not None and part.ending is not None:
-                    store(folder, _campaign(mission, n, empty.target, [part]))
+                    store(folder, gathered(flight, [part], seed=mission.seed, asked=n, goal=empty.target))
             show(*_tally(flown_parts(batch)))
 
         if before:
@@ -118,7 +118,8 @@ def monte_carlo(
         [*before, *(part for batch in done for part in flown_parts(batch))], key=lambda part: part.batch.start
     )
     _refuse_total_loss(flown)
-    campaign = _campaign(mission, n, empty.target, _with_parameters(flown, mission))
+    flown = _with_parameters(flown, mission)
+    campaign = gathered(flight, flown, seed=mission.seed, asked=n, goal=empty.target)
     return criteria.applied(replace(campaign, interrupted=pool.interrupted))
 
 
@@ -176,59 +177,3 @@ def _with_parameters(flown: Sequence[Flown], mission: Mission) -> list[Flown]:
                 P = np.full((mission.flight.layout.size, len(part.batch)), np.nan)
         found.append(replace(part, parameters=P))
     return found
-
-
-def _campaign(mission: Mission, asked: int, goal: Array, flown: Sequence[Flown]) -> Campaign:
-    flight = mission.flight
-
-    def joined(attribute: str, size: int) -> Array:
-        parts = [
-            np.full((size, len(p.batch)), np.nan)
-            if p.ending is None
-            else np.asarray(getattr(p.ending, attribute)).reshape(size, len(p.batch))
-            for p in flown
-        ]
-        return np.hstack([np.empty((size, 0)), *parts])
-
-    states = joined("states", flight.states.size)
-    outcomes: list[Outcome] = []
-    for part in flown:
-        lost = [Outcome(RunStatus.LOST, part.mishap)] * len(part.batch)
-        outcomes += lost if part.ending is None else part.ending.outcomes
-    errors = np.full((flight.error_layout.size, states.shape[1]), np.nan)
-    if states.shape[1]:
-        errors = np.asarray(flight.errors(states, np.repeat(goal[:, None], states.shape[1], axis=1)).full())
-    drawn = [p.parameters for p in flown if p.parameters is not None]
-    return Campaign(
-        seed=mission.seed,
-        asked=asked,
-        indices=np.array([i for part in flown for i in part.batch], dtype=np.int64),
-        parameters=np.hstack([np.empty((flight.layout.size, 0)), *drawn]),
-        states=states,
-        errors=errors,
-        target=goal,
-        effort=joined("effort", flight.controls.size),
-        energy=joined("energy", flight.controls.size),
-        saturation_time=joined("saturation_time", flight.commands.size),
-        variation=joined("variation", flight.commands.size),
-        integration_error=joined("integration_error", 1)[0],
-        outcomes=tuple(outcomes),
-        span=(float(flight.times[0]), float(flight.times[-1])),
-        limits={},
-        measured={},
-        interrupted=False,
-        layouts={
-            "parameter": flight.layout,
-            "state": flight.states,
-            "error": flight.error_layout,
-            "applied": flight.controls,
-            "command": flight.commands,
-            "memory": flight.memory,
-            "event": flight.events,
-        },
-        flight=flight,
-        fingerprint=flight.fingerprint,
-        memory=joined("memory", flight.memory.size),
-        event_counts=joined("event_counts", flight.events.size),
-        event_times=joined("event_times", flight.events.size),
-    )

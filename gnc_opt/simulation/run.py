@@ -17,6 +17,7 @@ from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.records import Records, named
 from gnc_opt.packing import Packing
 from gnc_opt.simulation import metrics
+from gnc_opt.simulation.course import Replan
 from gnc_opt.simulation.event import Occurrence
 from gnc_opt.simulation.first_files import run_fields
 from gnc_opt.simulation.outcome import Outcome, RunStatus
@@ -95,6 +96,8 @@ class Run(Strict):
         Names, sizes and units by kind: state, measured, followed, command, applied, memory, error, parameter, event.
     events : tuple of Occurrence
         What happened between the control steps, in the order of time.
+    replans : tuple of Replan
+        What became of the re-plannings in flight, in the order of time.
     """
 
     times: Array
@@ -115,6 +118,7 @@ class Run(Strict):
     seed: str
     layouts: Mapping[str, Layout] = field(repr=False)
     events: tuple[Occurrence, ...] = ()
+    replans: tuple[Replan, ...] = ()
 
     def __str__(self) -> str:
         lines = [
@@ -126,6 +130,8 @@ class Run(Strict):
             lines.insert(1, "  final errors  " + _listed(self.layouts["error"], ends))
         if self.events:
             lines.insert(-1, "  events        " + _told(self.events))
+        if self.replans:
+            lines.insert(-1, "  re-plans      " + _replanned(self.replans))
         lines.insert(-1, "  effort        " + _listed(self.layouts["applied"], self.effort, " s"))
         lines.insert(-1, "  saturated     " + _listed(self.layouts["command"], self.saturation, None))
         return "\n".join(lines)
@@ -303,9 +309,9 @@ class Run(Strict):
 RUN_FILES = FileFormat(
     Run,
     "run",
-    3,
-    Packing((Run, Outcome, RunStatus, Layout, Variable, Occurrence)),
-    alike=(2,),  # knows no events
+    4,
+    Packing((Run, Outcome, RunStatus, Layout, Variable, Occurrence, Replan)),
+    alike=(2, 3),  # 2 knows no events, 3 no re-plans
     older={1: run_fields},
 )
 
@@ -316,6 +322,11 @@ _MOST_TOLD = 4
 def _told(events: Sequence[Occurrence]) -> str:
     more = f", ... ({len(events)})" if len(events) > _MOST_TOLD else ""
     return ", ".join(str(event) for event in events[:_MOST_TOLD]) + more
+
+
+def _replanned(replans: Sequence[Replan]) -> str:
+    failed, slowest = sum(r.failed for r in replans), max(r.solve_s for r in replans)
+    return f"{len(replans)}, {failed} of them failed; the slowest took {slowest:.2g} s here"
 
 
 def _listed(layout: Layout, values: Array, suffix: str | None = "") -> str:

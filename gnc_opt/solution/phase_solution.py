@@ -46,7 +46,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class ComposedSignal:
-    """A control over time that is made of two others."""
+    """A control over time that is made of others."""
 
     control: ComposedControl
     layout: Layout
@@ -55,8 +55,7 @@ class ComposedSignal:
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
         """Evaluate at times t (s): shape (size,) for a scalar, (size, n_times) for an array."""
         values = self.source(t, side)
-        first, second = (values[self.layout.slice(part)] for part in self.control.parts)
-        return np.asarray(self.control.compose(first, second))
+        return np.asarray(self.control.compose(*(values[self.layout.slice(p)] for p in self.control.parts)))
 
 
 @dataclass(frozen=True, eq=False)

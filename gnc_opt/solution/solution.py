@@ -16,13 +16,14 @@ from gnc_opt.arguments import expect
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError, ProblemError, unknown_name
 from gnc_opt.markup import preformatted
-from gnc_opt.model.composed import SplitControl, VectorControl
+from gnc_opt.model.composed import AssembledControl, SplitControl, VectorControl
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.nlp.status import Status
 from gnc_opt.packing import Packing
 from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.problem.functions import PhaseFunctions, evaluator, phase_functions
 from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
 from gnc_opt.problem.tables import OutsideTable, outside_tables, table_uses
 from gnc_opt.solution.export import records
@@ -399,6 +400,7 @@ class Solution:
             If the problem is not the one that was solved (its fingerprint differs).
         """
         expect(problem, Problem, "what with_problem() got", "give the problem that was solved")
+        problem = restated(problem)
         if problem.fingerprint() != self.provenance.get("fingerprint"):
             raise ProblemError(
                 f"problem '{problem.name}' is not the one that this solution of '{self.problem_name}' solves: "
@@ -434,7 +436,7 @@ SOLUTION_FILES = FileFormat(
     Packing(
         (
             *(Solution, PhaseSolution, PiecewisePolynomial, Layout, Variable, Interval, Mesh),
-            *(SplitControl, VectorControl),
+            *(SplitControl, VectorControl, AssembledControl),
             *(Statistics, Violation, Arc, ArcKind, Status, Quality),
             *(History, Pass, Actions, RefinementStatus),
         ),

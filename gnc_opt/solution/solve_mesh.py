@@ -30,6 +30,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.nlp import NlpPoint, NlpResult, NlpSolver, SolverOptions, Status
 from gnc_opt.problem.guess.random import with_random_guess
+from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.attempt import Attempt, ShowIteration
 from gnc_opt.solution.least_multipliers import least_multipliers
@@ -105,7 +106,7 @@ def solve_mesh(
     progress : bool
         Show iterations while solving.
     """
-    chosen = options or SolverOptions()
+    chosen, problem = options or SolverOptions(), restated(problem)
     if mesh is None and guess is not None and set(guess.phases) == set(problem.phases):
         meshes = {name: guess.phases[name].mesh for name in problem.phases}
     else:

@@ -9,6 +9,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError, ProblemWarning
+from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.sensitivity.kkt import Change, KktPoint
 from gnc_opt.solution.covector import Iterate
@@ -59,6 +60,7 @@ def predict(problem: Problem, last: Solution, before: Solution | None, ratio: fl
     ratio : float
         Length of this step over that of the last one.
     """
+    problem = restated(problem)
     transcription, start = _start(problem, last)
     change = _by_sensitivity(problem, last)
     if change is None and before is not None:

@@ -17,10 +17,13 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
+from gnc_opt.plot import View
 from gnc_opt.spacecraft import angular_acceleration, mrp_from_axis_angle, mrp_rate
 
 # The mesh to begin with: 8 segments of 5 points each.
 MESH = "8x5"
+# What the report shows moving in three dimensions (with plotly: pip install "gnc_opt[report]").
+VIEW = View(attitude="sigma")
 
 
 def build(

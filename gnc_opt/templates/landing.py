@@ -12,9 +12,12 @@ Options of build():      gnc-opt solve FILE --set height=2000
 from __future__ import annotations
 
 import gnc_opt as go
+from gnc_opt.plot import View
 
 # The mesh to begin with: 20 segments of 3 points each.
 MESH = "20x3"
+# What the report shows moving in three dimensions (with plotly: pip install "gnc_opt[report]").
+VIEW = View(position="h", force="thrust")
 
 
 def build(

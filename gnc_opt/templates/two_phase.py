@@ -15,9 +15,12 @@ from collections.abc import Sequence
 import casadi as ca
 
 import gnc_opt as go
+from gnc_opt.plot import View
 
 # The mesh to begin with, for each phase: 6 segments of 4 points.
 MESH = "6x4"
+# What the report shows moving in three dimensions (with plotly: pip install "gnc_opt[report]").
+VIEW = View(position="r", force="a")
 
 
 def build(

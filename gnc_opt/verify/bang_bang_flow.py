@@ -8,16 +8,21 @@ integrals, the time and the free parameters, and the width h of a step. With the
           \frac{d^2 (p^T y_N)}{d\theta^2} = \sum_j D_j^T (p_{j+1}^T M_j'') D_j, \qquad
           p_j = \Big(\frac{\partial M_j}{\partial y_j}\Big)^T p_{j+1}, \quad p_N = p
 
-(Bryson & Ho, Applied Optimal Control, 1975, ch. 2). A step in turn is a chain of four stages, differentiated alike:
-only the rates are differentiated symbolically, once per problem; the rest is arithmetic on all steps at once, and
-exact for the discretised flow.
+(Bryson & Ho, Applied Optimal Control, 1975, ch. 2). A step in turn is a chain of stages, differentiated alike: only the
+rates are differentiated symbolically, once per problem; the rest is arithmetic on all steps at once, and exact for the
+discretised flow. Its gradient alone is a sweep backwards, and costs as much as a few flights.
+
+Steps are those of the explicit Runge-Kutta method of order 8 with 11 stages by Cooper & Verner (SIAM J. Numer. Anal.
+9(3), 1972).
 
 A piece may have no length: it then tells what a control between two switches at one time would do if they came apart.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -28,10 +33,11 @@ from gnc_opt.model.evaluation import evaluate_chain, evaluate_columns
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.samples import PhaseSamples
 
-STEPS = 100
-"""Runge-Kutta steps over the phase on the coarsest grid, and at least `LEAST_STEPS` from switch to switch."""
+STEPS = 16
+"""Runge-Kutta steps over the phase on the coarsest grid, and at least one from switch to switch."""
 
-LEAST_STEPS = 2
+ORDER = 8
+"""Of the steps: half their width leaves 2 to the power of minus this of the error."""
 
 
 @dataclass(frozen=True)
@@ -66,28 +72,60 @@ class BangBangFlow:
         Derivatives of these by the unknowns.
     states : array (n_states + n_integrals + 1 + n_parameters, n_steps + 1)
         Before every step and at the end.
+    controls : array (n_controls, n_steps)
     """
 
     initial: Array
-    final: Array
     initial_sensitivity: Array
-    final_sensitivity: Array
     states: Array
-    _steps: _Steps
-    _directions: Array
+    controls: Array
+    _rates: _Rates
+    _inputs: Array
+    _widths: Array
+
+    @property
+    def final(self) -> Array:
+        return self.states[:, -1]
+
+    @property
+    def final_sensitivity(self) -> Array:
+        return self._sensitivities[1]
 
     def adjoints(self, adjoint: Array) -> Array:
         """Derivatives of ``adjoint @ final`` by the states before every step and at the end, (n, n_steps + 1)."""
-        adjoints = np.empty_like(self.states)
-        adjoints[:, -1] = adjoint
-        for j in reversed(range(self._steps.jacobians.shape[0])):
-            adjoints[:, j] = adjoints[:, j + 1] @ self._steps.jacobians[j, :, :-1]
-        return adjoints
+        return self._worths(adjoint)[:-1]
+
+    def gradient(self, adjoint: Array) -> Array:
+        """First derivative of ``adjoint @ final``, (n_unknowns,), without any sensitivity."""
+        worths, n_times = self._worths(adjoint), self._widths.shape[1]
+        found = worths[:-1, 0] @ self.initial_sensitivity
+        found[:n_times] += worths[-1, :-1] @ self._widths
+        return np.asarray(found)
 
     def curvature(self, adjoint: Array) -> Array:
         """Second derivative of ``adjoint @ final``, (n_unknowns, n_unknowns)."""
-        hessians = self._steps.hessians(self.adjoints(adjoint)[:, 1:])
-        return np.tensordot(self._directions, hessians @ self._directions, axes=((0, 1), (0, 1)))
+        hessians, directions = self._steps.hessians(self.adjoints(adjoint)[:, 1:]), self._sensitivities[0]
+        return np.tensordot(directions, hessians @ directions, axes=((0, 1), (0, 1)))
+
+    def _worths(self, adjoint: Array) -> Array:
+        """What the states before every step are worth and, last row, the widths of the steps; (n + 1, n_steps + 1)."""
+        places = np.vstack([self.states[:, :-1], self._inputs])[:, ::-1]
+        return evaluate_chain(self._rates.back, np.append(adjoint, 0.0), places)[:, ::-1]
+
+    @cached_property
+    def _steps(self) -> _Steps:
+        return _Steps.of(self._rates, self.states[:, :-1], self._inputs)
+
+    @cached_property
+    def _sensitivities(self) -> tuple[Array, Array]:
+        """Derivatives of (state, width) of every step by the unknowns, and of the final state."""
+        (n, n_times), sensitivity = self._widths.shape, self.initial_sensitivity
+        directions = np.zeros((n, self.initial.size + 1, sensitivity.shape[1]))
+        directions[:, -1, :n_times] = self._widths
+        for j, jacobian in enumerate(self._steps.jacobians):
+            directions[j, :-1] = sensitivity
+            sensitivity = jacobian @ directions[j]
+        return directions, sensitivity
 
 
 def bang_bang_flow(
@@ -110,33 +148,26 @@ def bang_bang_flow(
     rates = problem.once(("flow", leg.name), lambda: _Rates.of(s))
     start = np.concatenate([leg.x(leg.breaks[0]), np.zeros(leg.integrals.size), pieces.times[:1], q])
     n_times = int(np.max(pieces.unknowns)) + 1
-    inputs, changes = _inputs(s, pieces, n_times, refinement)
-    n, n_clock = inputs.shape[1], start.size - q.size - 1
-    states = evaluate_chain(rates.step, start, inputs)
-    steps = _Steps.of(rates, states[:, :-1], inputs)
+    inputs, widths = _inputs(s, pieces, n_times, refinement)
+    n_clock = start.size - q.size - 1
     initial = np.zeros((start.size, n_times + free_start.size + q.size))
     initial[n_clock, pieces.unknowns[0]] = 1.0
     initial[free_start, n_times + np.arange(free_start.size)] = 1.0
     initial[n_clock + 1 :, n_times + free_start.size :] = np.eye(q.size)
-    directions, sensitivity = np.zeros((n, start.size + 1, initial.shape[1])), initial
-    for j in range(n):
-        directions[j, :-1], directions[j, -1, :n_times] = sensitivity, changes[j]
-        sensitivity = steps.jacobians[j] @ directions[j]
-    return BangBangFlow(start, states[:, -1], initial, sensitivity, states, steps, directions)
+    states, controls = evaluate_chain(rates.step, start, inputs), inputs[1 : 1 + leg.controls.size]
+    return BangBangFlow(start, initial, states, controls, rates, inputs, widths)
 
 
 def _inputs(s: PhaseSamples, pieces: Pieces, n_times: int, refinement: int) -> tuple[Array, Array]:
     """Inputs of all steps (n_inputs, n_steps), and derivatives of their widths (n_steps, n_times)."""
-    inputs, changes = [], []
     widths = np.diff(pieces.times)
-    for k, width in enumerate(widths):
-        count = refinement * (LEAST_STEPS + int(np.ceil(STEPS * width / np.sum(widths))))
-        numbers = np.concatenate([[width / count], pieces.controls[:, k], s.functions.p])
-        change = np.zeros(n_times)
-        change[pieces.unknowns[k : k + 2]] = -1 / count, 1 / count
-        inputs.append(np.tile(numbers[:, None], count))
-        changes.append(np.tile(change, (count, 1)))
-    return np.hstack(inputs), np.vstack(changes)
+    counts = refinement * np.maximum(1, np.ceil(STEPS * widths / np.sum(widths)).astype(int))
+    every = np.arange(widths.size).repeat(counts)
+    parameters = np.tile(s.functions.p[:, None], every.size)
+    changes = np.zeros((widths.size, n_times))
+    changes[np.arange(widths.size), pieces.unknowns[:-1]] = -1 / counts
+    changes[np.arange(widths.size), pieces.unknowns[1:]] += 1 / counts
+    return np.vstack([(widths / counts)[every], pieces.controls[:, every], parameters]), changes[every]
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,15 +177,18 @@ class _Rates:
     Attributes
     ----------
     step : Function
-        One classical fourth-order step.
-    rate : Function
-        dz/dt.
+        Of z and inputs: z after one step.
+    back : Function
+        Of (worth of z after a step, anything) and (z, inputs): what z before it and its width are worth.
+    stages : Function
+        Of z and inputs: where the stages evaluate dz/dt, one after the other, and then what they find.
     jacobian, hessian : _Matrices
         The Jacobian of dz/dt in z; of z, of the inputs and of weights: the Hessian of weights @ dz/dt in z.
     """
 
     step: Any
-    rate: Any
+    back: Any
+    stages: Any
     jacobian: _Matrices
     hessian: _Matrices
 
@@ -175,16 +209,24 @@ class _Rates:
             here = (t, x, control, *unused, p, q)
             return ca.vertcat(rates(*here), integrands(*here), 1, np.zeros(n_q))
 
-        k1 = derivative(state)
-        k2 = derivative(state + 0.5 * width * k1)
-        k3 = derivative(state + 0.5 * width * k2)
-        k4 = derivative(state + width * k3)
-        after = state + width / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        hessian = ca.hessian(ca.dot(weights, k1), state)[0]
+        rate = ca.Function("rate", [state, inputs], [derivative(state)])
+        places: list[Any] = []
+        slopes: list[Any] = []
+        for reach in _REACHES:
+            moves = (a * slope for a, slope in zip(reach, slopes, strict=False) if a)
+            places.append(state + width * sum(moves, start=ca.SX(0)))
+            slopes.append(rate(places[-1], inputs))
+        after = state + width * sum(
+            (b * slope for b, slope in zip(_SHARES, slopes, strict=True) if b), ca.SX(0)
+        )
+        worth = ca.SX.sym("worth", state.shape[0] + 1)
+        before = ca.jtimes(after, ca.vertcat(state, width), worth[:-1], True)
+        hessian = ca.hessian(ca.dot(weights, slopes[0]), state)[0]
         return cls(
             ca.Function("step", [state, inputs], [ca.densify(after)]),
-            ca.Function("rate", [state, inputs], [ca.densify(k1)]),
-            _Matrices.of("rate_jacobian", [state, inputs], ca.jacobian(k1, state)),
+            ca.Function("back", [worth, ca.vertcat(state, inputs)], [ca.densify(before)]),
+            ca.Function("stages", [state, inputs], [ca.densify(ca.vertcat(*places, *slopes))]),
+            _Matrices.of("rate_jacobian", [state, inputs], ca.jacobian(slopes[0], state)),
             _Matrices.of("rate_hessian", [state, inputs, weights], hessian),
         )
 
@@ -212,16 +254,42 @@ class _Matrices:
         return found
 
 
-_REACH = (0.0, 0.5, 0.5, 1.0)
-"""Stage i begins at y + reach * h * k_(i-1)."""
+_ROOT = math.sqrt(21.0)
 
-_SHARE = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
+_REACHES: tuple[tuple[float, ...], ...] = (
+    (),
+    (1 / 2,),
+    (1 / 4, 1 / 4),
+    (1 / 7, -(7 + 3 * _ROOT) / 98, (21 + 5 * _ROOT) / 49),
+    ((11 + _ROOT) / 84, 0, (18 + 4 * _ROOT) / 63, (21 - _ROOT) / 252),
+    ((5 + _ROOT) / 48, 0, (9 + _ROOT) / 36, (14 * _ROOT - 231) / 360, (63 - 7 * _ROOT) / 80),
+    (
+        (10 - _ROOT) / 42, 0, (92 * _ROOT - 432) / 315, (633 - 145 * _ROOT) / 90, (115 * _ROOT - 504) / 70,
+        (63 - 13 * _ROOT) / 35,
+    ),
+    (1 / 14, 0, 0, 0, (14 - 3 * _ROOT) / 126, (13 - 3 * _ROOT) / 63, 1 / 9),
+    (
+        1 / 32, 0, 0, 0, (91 - 21 * _ROOT) / 576, 11 / 72, -(385 + 75 * _ROOT) / 1152,
+        (63 + 13 * _ROOT) / 128,
+    ),
+    (
+        1 / 14, 0, 0, 0, 1 / 9, -(733 + 147 * _ROOT) / 2205, (515 + 111 * _ROOT) / 504,
+        -(51 + 11 * _ROOT) / 56, (132 + 28 * _ROOT) / 245,
+    ),
+    (
+        0, 0, 0, 0, (7 * _ROOT - 42) / 18, (28 * _ROOT - 18) / 45, -(273 + 53 * _ROOT) / 72,
+        (301 + 53 * _ROOT) / 72, (28 - 28 * _ROOT) / 45, (49 - 7 * _ROOT) / 18,
+    ),
+)  # fmt: skip
+"""Stage i begins at y + h * sum of reach * k_j over the stages before it."""
+
+_SHARES = (1 / 20, 0, 0, 0, 0, 0, 0, 49 / 180, 16 / 45, 49 / 180, 1 / 20)
 """The step is y + h * sum of share * k_i."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """The derivatives of steps by w = (z, h), from those of their four stages; n_steps first.
+    """The derivatives of steps by w = (z, h), from those of their stages; n_stages, then n_steps first.
 
     Attributes
     ----------
@@ -232,60 +300,50 @@ class _Steps:
     jacobians: Array
     _rates: _Rates
     _inputs: Array
-    _stages: list[_Stage]
+    _places: Array
+    _moved: Array
+    _change: Array
+    _slope_jacobians: Array
 
     @classmethod
     def of(cls, rates: _Rates, states: Array, inputs: Array) -> _Steps:
         """Differentiate the steps from some states (n, n_steps) with some inputs."""
-        n, n_steps = states.shape
-        h = inputs[0]
-        unmoved = np.zeros((n_steps, n, n + 1))
-        unmoved[:, :, :n] = np.eye(n)
-        jacobians, slope, change = unmoved.copy(), np.zeros((n, n_steps)), np.zeros_like(unmoved)
-        stages: list[_Stage] = []
-        for reach, share in zip(_REACH, _SHARE, strict=True):
-            place, moved = states + reach * h * slope, unmoved + (reach * h)[:, None, None] * change
-            moved[:, :, -1] += reach * slope.T
-            slope = evaluate_columns(rates.rate, n_steps, place, inputs)
-            jacobian = rates.jacobian(place, inputs)
-            change = jacobian @ moved
-            stages.append(_Stage(place, moved, jacobian, change))
-            jacobians += (share * h)[:, None, None] * change
-            jacobians[:, :, -1] += share * slope.T
-        return cls(jacobians, rates, inputs, stages)
+        (n, n_steps), n_stages = states.shape, len(_SHARES)
+        h = inputs[0][:, None, None]
+        found = evaluate_columns(rates.stages, n_steps, states, inputs).reshape(2, n_stages, n, n_steps)
+        places = found[0].transpose(1, 0, 2).reshape(n, -1)
+        slopes = found[1].transpose(0, 2, 1)
+        slope_jacobians = rates.jacobian(places, np.tile(inputs, n_stages)).reshape(n_stages, n_steps, n, n)
+        moved, change = np.zeros((n_stages, n_steps, n, n + 1)), np.zeros((n_stages, n_steps, n, n + 1))
+
+        def moves(shares: Array, into: Array) -> Array:
+            """The derivatives of z + h * sum of share * k_i over the first stages."""
+            used = np.flatnonzero(shares)
+            into[:, :, :n] = np.eye(n)
+            into += h * np.tensordot(shares[used], change[used], 1)
+            into[:, :, n] += np.tensordot(shares[used], slopes[used], 1)
+            return into
+
+        for i, reach in enumerate(_REACHES):
+            np.matmul(slope_jacobians[i], moves(np.array(reach), moved[i]), out=change[i])
+        jacobians = moves(np.array(_SHARES), np.zeros((n_steps, n, n + 1)))
+        return cls(jacobians, rates, inputs, places, moved, change, slope_jacobians)
 
     def hessians(self, adjoints: Array) -> Array:
         """Hessians of ``adjoints @ step`` of every step, (n_steps, n + 1, n + 1), for adjoints (n, n_steps)."""
-        h, n_steps = self._inputs[0], adjoints.shape[1]
-        total = np.zeros((n_steps, adjoints.shape[0] + 1, adjoints.shape[0] + 1))
-        later, reach_later = np.zeros_like(adjoints), 0.0
-        for stage, reach, share in reversed(list(zip(self._stages, _REACH, _SHARE, strict=True))):
-            # What a slope is worth: by the step itself, and by the place of the next stage.
-            by_width = share * adjoints + reach_later * later
-            weights = h * by_width
-            bent = self._rates.hessian(stage.place, self._inputs, weights)
-            total += stage.moved.transpose(0, 2, 1) @ (bent @ stage.moved)
-            mixed = (by_width.T[:, None, :] @ stage.change)[:, 0]
-            total[:, -1] += mixed
-            total[:, :, -1] += mixed
-            later, reach_later = (weights.T[:, None, :] @ stage.jacobian)[:, 0].T, reach
-        return total
-
-
-@dataclass(frozen=True, eq=False)
-class _Stage:
-    """Where a stage evaluates the rates, and derivatives of that place and of its slope by w.
-
-    Attributes
-    ----------
-    place : array (n, n_steps)
-    moved, change : array (n_steps, n, n + 1)
-        Of the place, of the slope.
-    jacobian : array (n_steps, n, n)
-        Of the rates there.
-    """
-
-    place: Array
-    moved: Array
-    jacobian: Array
-    change: Array
+        (n, n_steps), n_stages = adjoints.shape, len(_SHARES)
+        h = self._inputs[0]
+        # What a slope times the width is worth: by the step itself, and by the places of the stages after it.
+        worth = np.multiply.outer(np.array(_SHARES), adjoints.T)
+        for i in reversed(range(n_stages)):
+            by_place = ((h[:, None] * worth[i])[:, None] @ self._slope_jacobians[i])[:, 0]
+            for j in np.flatnonzero(_REACHES[i]):
+                worth[j] += _REACHES[i][j] * by_place
+        weights = (h[:, None] * worth).transpose(2, 0, 1).reshape(n, -1)
+        bent = self._rates.hessian(self._places, np.tile(self._inputs, n_stages), weights)
+        bent = bent.reshape(n_stages, n_steps, n, n)
+        total = np.sum(self._moved.transpose(0, 1, 3, 2) @ (bent @ self._moved), axis=0)
+        mixed = np.sum(worth[:, :, None] @ self._change, axis=0)[:, 0]
+        total[:, -1] += mixed
+        total[:, :, -1] += mixed
+        return np.asarray(total)

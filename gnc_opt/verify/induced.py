@@ -274,7 +274,7 @@ def _conditions(
         row += 2 * size
     labels = [f"constraint {label}" for label in solution.constraint_labels]
     nu, limits = solution.constraint_multipliers, problem.constraint_interval()
-    amounts = Magnitudes.of(solution, samples).constraints
+    amounts = Magnitudes.of(solution, samples).constraints if nu.size else nu
     at_end.append(_Rows(labels, ends.constraints, limits, of_constraints, nu, amounts))
     labels, q = [f"parameter {label}" for label in solution.free_parameters.labels], solution.parameter_values
     spans = parameter_scale(solution)

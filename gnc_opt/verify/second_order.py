@@ -35,6 +35,7 @@ from gnc_opt.solution.quality import worst_index
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, RANK, TINY
+from gnc_opt.verify.bang_bang_flow import ORDER
 from gnc_opt.verify.goh import straight
 from gnc_opt.verify.induced import InducedProblem, Unknowns
 from gnc_opt.verify.normality import normality_of_switches
@@ -58,9 +59,6 @@ WEAK = 1e-6
 
 MOST_ORDERS = 24
 """Orders of simultaneous switches that are tried."""
-
-ORDER = 4
-"""Of the integration: halving its steps reduces errors by 2 to this power."""
 
 SLACK = 1e-6
 """A direction may break a half-space condition by this share and still counts as keeping it."""

@@ -82,6 +82,11 @@ class Switches:
         return found
 
     @property
+    def order(self) -> tuple[int, ...]:
+        """The order of time."""
+        return tuple(int(k) for k in np.argsort(self.times, kind="stable"))
+
+    @property
     def n_orders(self) -> int:
         """In how many orders the switches may come."""
         return math.prod(math.factorial(len(group)) for group in self.groups)

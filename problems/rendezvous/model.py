@@ -33,6 +33,7 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.errors import did_you_mean
+from gnc_opt.plot import Thruster, View
 from gnc_opt.spacecraft import (
     RADIUS_EARTH,
     angular_momentum,
@@ -80,6 +81,18 @@ PAPER_MESH = go.Mesh.uniform(20, 3)
 
 MESH = PAPER_MESH
 """The mesh to use unless another one is asked for."""
+
+
+VIEW = View(
+    position="r_L",
+    attitude="sigma",
+    force={
+        axis: Thruster(f"F_B[{i}]", np.eye(3)[i], -0.36 * np.eye(3)[i])  # a pair along each axis of the body
+        for i, axis in enumerate("xyz")
+    },
+    down=True,
+)
+"""What a report shows moving: the chaser's axes and its thrusters, z towards the Earth."""
 
 
 def chaser_model(equation: Equation = "printed") -> go.Model:

@@ -20,6 +20,7 @@ SHOWING = {
     ("gnc_opt.refine.search.multistart", "gnc_opt.report.progress"),
     ("gnc_opt.simulation.campaign", "gnc_opt.report.campaign"),
     ("gnc_opt.simulation.monte_carlo", "gnc_opt.report.progress"),
+    ("gnc_opt.analysis.covariance", "gnc_opt.report.analysis"),
 }
 """Imports upwards that are allowed, inside functions only: they draw or print."""
 

@@ -22,7 +22,7 @@ HEAVY = (
 
 
 @pytest.mark.parametrize(
-    "package", ["gnc_opt", "gnc_opt.control", "gnc_opt.simulation", "gnc_opt.spacecraft"]
+    "package", ["gnc_opt", "gnc_opt.control", "gnc_opt.simulation", "gnc_opt.analysis", "gnc_opt.spacecraft"]
 )
 def test_import_loads_nothing_heavy(package: str) -> None:
     program = f"import sys, {package}; print(*sorted(set({HEAVY!r}) & set(sys.modules)))"
@@ -32,8 +32,8 @@ def test_import_loads_nothing_heavy(package: str) -> None:
 
 def test_import_leaves_the_closed_loop_until_it_is_asked_for() -> None:
     program = (
-        "import sys, gnc_opt as go; rooms = {'gnc_opt.control', 'gnc_opt.simulation'};"
-        "print(rooms & set(sys.modules)); go.ClosedLoop, go.design_lqr; print(rooms <= set(sys.modules))"
+        "import sys, gnc_opt as go; rooms = {'gnc_opt.control', 'gnc_opt.simulation', 'gnc_opt.analysis'};"
+        "print(rooms & set(sys.modules)); go.linear_covariance; print(rooms <= set(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["set()", "True"]

@@ -21,7 +21,8 @@ import gnc_opt
 EXPECTED = {
     "gnc_opt": """
         Arc ArcKind ArgumentError Campaign ClosedLoop Condition Continuation ContinuationStatus Controller
-        DesignError Explanation GncOptError History Mesh Minimum Model ModelError Multistart Outcome Phase
+        DesignError Explanation GncOptError History LinearCovariance Mesh Minimum Model ModelError Multistart Outcome
+        Phase
         PhaseSolution Problem ProblemError ProblemWarning Reference RefinementStatus Resolver Result Run
         RunStatus
         Sensitivity Solution SolveError SolverOptions Status Sweep Table UnknownAttributeError
@@ -29,7 +30,8 @@ EXPECTED = {
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
         design_neighbouring_optimal
         design_sliding_mode design_tvlqr design_ukf export_c export_fmu feedforward guess_from_data guess_from_solution
-        load monte_carlo multistart output_feedback polish refine sensitivity simulate_guess smooth_abs solve sweep
+        linear_covariance load
+        monte_carlo multistart output_feedback polish refine sensitivity simulate_guess smooth_abs solve sweep
         table table_from_csv verify verify_trajectory
     """,
     "gnc_opt.control": """
@@ -44,9 +46,14 @@ EXPECTED = {
     "gnc_opt.simulation": """
         Allocation Ball Bias Block Campaign Choice ClosedLoop Consistency Constant Deadband Delay Disturbance
         Ending Event Expression Flight Hold InnovationTest Lag MinimumImpulse Mixer Noise NonNegativeAllocation Normal
-        Occurrence Outage Outcome Pwm Pwpf Quantisation RandomHold RandomWalk RateLimit Run RunStatus Sampling
+        Occurrence Outage Outcome Pwm Pwpf Quantisation RandomHold RandomWalk RateLimit Replan Replanner Run
+        RunStatus Sampling
         Saturation Scale ScaleFactor SchmittTrigger SensorDelay Sinusoid Sphere ThrusterSet Turn
         Uniform WheelArray consistency monte_carlo
+    """,
+    "gnc_opt.analysis": """
+        Agreement Correlations FailureProbability LinearCovariance LoopResponse Share SobolIndices WorstCase
+        correlations failure_probability linear_covariance loop_response sobol_indices worst_case
     """,
     "gnc_opt.spacecraft": """
         FLATTENING_EARTH J2_EARTH MU_EARTH PYRAMID_ELEVATION RADIUS_EARTH RATE_EARTH FlexibleBody
@@ -63,12 +70,14 @@ EXPECTED = {
         total_momentum transpose us76 wheel_body_acceleration wheel_pyramid
     """,
     "gnc_opt.plot": """
-        View plot_controls plot_costates plot_curves plot_dispersion plot_distributions plot_hamiltonian
-        plot_path plot_refinement plot_run_controls plot_run_errors plot_run_states plot_states
+        Thruster View plot_bode plot_controls plot_costates plot_curves plot_dispersion plot_distributions
+        plot_hamiltonian plot_margins plot_nyquist plot_path plot_refinement plot_run_controls plot_run_errors
+        plot_run_states plot_sensitivity plot_states
         plot_verdict save_figure save_film
     """,
     "gnc_opt.report": """
-        search_dict summary summary_dict write_aem write_json write_oem write_report write_search
+        search_dict summary summary_dict write_aem write_campaign_report write_json write_oem write_report
+        write_run_report write_search
     """,
 }
 """What users may rely on, by package; whoever changes it changes this list."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import warnings
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,6 @@ import pytest
 import scipy
 
 import gnc_opt as go
-from gnc_opt.problem.check_norms import norms_by_hand
 from gnc_opt.problem.guess.trajectory import start_phase
 
 DURATION, LEAST = 3.0, 0.5
@@ -215,135 +212,3 @@ def test_mistakes_are_named(mistake: Any, message: str) -> None:
     leg = go.Problem("p").phase("leg", model)
     with pytest.raises(go.GncOptError, match=message):
         mistake(model, leg)
-
-
-@pytest.mark.parametrize(
-    ("limit", "warning"),
-    [
-        (
-            lambda leg, T, d: leg.path("n", ca.dot(T, T) - d**2, upper=0.0),
-            "'n' .* has its limit, and no slope",
-        ),
-        (
-            lambda leg, T, d: leg.path("n", d**2 - ca.dot(T, T), lower=0.0),
-            "'n' .* has its limit, and no slope",
-        ),
-        (lambda leg, T, d: leg.path("n", ca.norm_2(T), upper=1.0), "'n' .* has no derivative where controls"),
-        (
-            lambda leg, T, d: leg.path("n", ca.norm_2(T) - d, upper=0.0),
-            "'n' .* has no derivative where controls",
-        ),
-        (lambda leg, T, d: leg.integral(ca.norm_2(T)), "'integral_1' .* has no derivative where controls"),
-        (lambda leg, T, d: leg.path("n", ca.dot(T, T), upper=1.0), None),
-        (lambda leg, T, d: leg.path("n", d**2, lower=-1.0, upper=4.0), None),
-        (lambda leg, T, d: leg.path("n", T[0] - d, upper=0.0), None),
-        (
-            lambda leg, T, d: (
-                leg.bounds(T=([0.5, 0.5], [2.0, 2.0])) or leg.path("n", ca.norm_2(T), upper=2.0)
-            ),
-            None,
-        ),
-    ],
-)
-def test_norms_by_hand_are_told_of(limit: Any, warning: str | None) -> None:
-    model = go.Model("cart")
-    r, v = model.state("r", 2), model.state("v", 2)
-    thrust, d = model.control("T", 2), model.control("d")
-    model.ode({r: v, v: thrust + d})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
-    leg.bounds(d=(0.0, 1.0))
-    limit(leg, thrust, d)
-    problem.minimize(leg.integral(d))
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        problem.check()
-    texts = [str(w.message) for w in caught if "vector_control" in str(w.message)]
-    assert len(texts) == (0 if warning is None else 1)
-    if warning is not None:
-        assert re.search(warning, texts[0])
-
-
-def thrust_by_hand(limit: Any, scalars: bool = False) -> go.Problem:
-    """A cart with a thrust T (two components of one control, or two controls) and its size d."""
-    model = go.Model("cart")
-    r, v = model.state("r", 2), model.state("v", 2)
-    T = ca.vertcat(model.control("T_x"), model.control("T_y")) if scalars else model.control("T", 2)
-    d = model.control("d")
-    model.ode({r: v, v: T})
-    problem = go.Problem("p")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=1.0)
-    leg.initial(r=[0.0, 0.0], v=[0.0, 0.0])
-    leg.bounds(d=(0.5, 3.0))
-    cost = limit(leg, T, d)
-    problem.minimize(leg.integral(d if cost is None else cost))
-    return problem
-
-
-@pytest.mark.parametrize(
-    ("limit", "remedies"),
-    [
-        # from |T|^2 <= d^2 with 0.5 <= d <= 3, four ways
-        (
-            lambda leg, T, d: leg.bounds(d=(0.0, 3.0)) or leg.path("n", T.T @ T - d**2, upper=0.0),
-            ["T, d|(0, 3)"],
-        ),
-        (
-            lambda leg, T, d: (
-                leg.bounds(d=(0.0, 3.0)) or leg.path("n", 4 * d**2 - 4 * ca.dot(T, T), lower=0.0)
-            ),
-            ["T, d|(0, 3)"],
-        ),
-        (lambda leg, T, d: leg.path("n", ca.norm_2(T) - d, upper=0.0), ["T, d|(0.5, 3)"]),
-        (lambda leg, T, d: leg.path("n", 2 * d - 2 * ca.norm_2(T), equals=0.0), ["T, d|(0.5, 3)"]),
-        # 2 |T|^2 + 1 from 9 to 33: |T| from 2 to 4; 5 - |T| from 1 to 3: the same
-        (lambda leg, T, d: leg.path("n", 2 * ca.sumsqr(T) + 1, lower=9.0, upper=33.0), ["T, T_norm|(2, 4)"]),
-        (lambda leg, T, d: leg.path("n", 5 - ca.norm_2(T), lower=1.0, upper=3.0), ["T, T_norm|(2, 4)"]),
-        # a limit that is no number, and a cost
-        (
-            lambda leg, T, d: leg.path("n", ca.norm_2(T) - d**2, upper=0.0),
-            ["T, T_norm|limit T_norm, its norm, in this"],
-        ),
-        (
-            lambda leg, T, d: leg.path("n", ca.norm_2(T) - leg.model.symbol("v")[0], upper=0.0),
-            ["T, T_norm|limit T_norm"],
-        ),
-        (lambda leg, T, d: ca.norm_2(T) + d, ["T, T_norm|T_norm where its norm stands"]),
-        # no ball: an ellipse, and a norm of what is not only controls
-        (
-            lambda leg, T, d: leg.path("n", T[0] ** 2 + 2 * T[1] ** 2, lower=1.0),
-            ["vector_control()|bounds_norm()"],
-        ),
-        (
-            lambda leg, T, d: leg.path("n", ca.norm_2(T + leg.model.symbol("r")), upper=1.0),
-            ["vector_control()|bounds_norm()"],
-        ),
-    ],
-)
-@pytest.mark.parametrize("scalars", [False, True])
-def test_remedies_are_lines_to_write(limit: Any, remedies: list[str], scalars: bool) -> None:
-    problem = thrust_by_hand(limit, scalars)
-    texts = norms_by_hand(problem, problem.phases["leg"])
-    assert len(texts) == len(remedies)
-    for text, remedy in zip(texts, remedies, strict=True):
-        for part in remedy.split("|"):
-            assert part in text
-        if "vector_control('T', 2)" in text:
-            assert ("in place of T_x, T_y" if scalars else "in place of control('T', ...)") in text
-
-
-def test_a_hole_is_told_of_where_the_guess_is_in_it() -> None:
-    problem = thrust_by_hand(lambda leg, T, d: leg.path("n", ca.dot(T, T), lower=1.0))
-    assert len(norms_by_hand(problem, problem.phases["leg"])) == 1
-    guessed = problem.with_guess("leg", T=[1.0, 1.0])
-    assert norms_by_hand(guessed, guessed.phases["leg"]) == []
-
-
-def test_a_failed_solve_names_norms_by_hand() -> None:
-    problem = thrust_by_hand(lambda leg, T, d: leg.path("n", ca.norm_2(T), lower=0.0, upper=4.0))
-    problem = problem.with_final(v=[5.0, 0.0])
-    with pytest.warns(go.ProblemWarning, match="norm"), pytest.raises(go.SolveError) as caught:
-        go.solve(problem, mesh="2x3", tol=None)
-    assert "leg.bounds_norm(T=(0, 4)) in place of this constraint." in str(caught.value)

@@ -12,8 +12,10 @@ import gnc_opt as go
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure import switching
 from gnc_opt.refine.structure.detect import detect
-from gnc_opt.refine.structure.newton import _independent, settle, settle_flow
+from gnc_opt.refine.structure.newton import settle, settle_flow
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.refine.structure.switch_step import chord_step, independent, newton_step
+from gnc_opt.verify.switches import Switches
 from problems.rendezvous import SWITCHES, build
 
 LOWER, UPPER, INTERIOR = ArcKind.LOWER, ArcKind.UPPER, ArcKind.INTERIOR
@@ -157,9 +159,9 @@ def test_a_structure_that_cannot_be_collocated_is_given_up(
 @pytest.mark.parametrize("unit", [1.0, 1e12, 1e-12])
 def test_dependence_of_conditions_is_none_of_units(unit: float) -> None:
     rows = np.array([[1.0, 2.0, 3.0], [2.0, 4.0, 6.1]]) * np.array([[1.0], [unit]])
-    assert _independent(rows)
-    assert not _independent(rows @ np.diag([1.0, 1.0, 0.0]))
-    assert not _independent(np.vstack([rows, np.zeros(3)]))
+    assert independent(rows)
+    assert not independent(rows @ np.diag([1.0, 1.0, 0.0]))
+    assert not independent(np.vstack([rows, np.zeros(3)]))
 
 
 def test_refinement_then_needs_one_pass() -> None:
@@ -243,10 +245,37 @@ def test_the_flow_itself_is_as_accurate_as_it_is_told_to_be(accuracy: float) -> 
     w = float(brentq(lambda w: length(w) - 1.0, 0.1, 2.0, xtol=1e-15))
     switch, end = r * np.arctanh(w / r), r * np.arctanh(w / r) + r * np.arctan(w / r)
     solution = go.solve(problem, mesh="5x3", tol=None)
-    found, guess = settle_flow(solution, structure([0.0, 0.9, 2.1], UPPER, LOWER), accuracy) or pytest.fail()
+    found, flight = settle_flow(solution, structure([0.0, 0.9, 2.1], UPPER, LOWER), accuracy) or pytest.fail()
+    guess = flight.solution(solution)
     assert found.times[2] == pytest.approx(end, rel=2 * accuracy)
     assert found.times[1] == pytest.approx(switch, abs=2 * np.sqrt(accuracy) * end)
     assert guess.phase().x(guess.phase().breaks[-1], "left") == pytest.approx(
         [1.0, 0.0], abs=10 * np.sqrt(accuracy)
     )
     assert settle_flow(solution, structure([0.0, 0.9, 2.1], INTERIOR, LOWER), accuracy) is None
+
+
+def test_a_step_with_its_own_matrices_is_newtons() -> None:
+    """Of the flight with one Newton step's multipliers, in a problem with an end constraint and a cost at both ends."""
+    known, problem = carts(4.0), go.Problem("otherwise")
+    leg = problem.phase("leg", known.phases["leg"].model)
+    leg.time(initial=0.0, final=(0.1, 100.0))
+    leg.initial(q=4.0, v=0.0)
+    leg.final(v=0.0)
+    leg.bounds(a=([-1.0], [1.0]))
+    q = leg.final_state("q")[0]
+    problem.constrain("there", q + 0.1 * leg.final_time**2, equals=1.0)
+    problem.minimize(leg.final_time + 0.3 * q**2)
+    solution = go.solve(known, mesh="8x3", tol=None)
+    (s,) = solution.samples().values()
+    at = Switches(np.array([1.9]), np.array([0]), np.array([-1.0]), np.array([0.0, 4.2]), np.zeros(1), ())
+    stated = replace(s, leg=replace(s.leg, final_bounds=leg.numbers.final))
+    own = newton_step(problem, stated, at) or pytest.fail("no step")
+    again = chord_step(problem, stated, at, own) or pytest.fail("no step")
+    assert again.change == pytest.approx(own.change, abs=1e-10) and np.max(np.abs(own.change)) > 0.01
+    assert again.gain == pytest.approx(own.gain) and own.cost == again.cost
+    # Twice: the second one begins with the multipliers of the first one.
+    moved = replace(at, times=at.times + own.change[1:-1], ends=at.ends + own.change[[0, -1]])
+    twice = chord_step(problem, stated, moved, again) or pytest.fail("no step")
+    newer = newton_step(problem, stated, moved) or pytest.fail("no step")
+    assert np.max(np.abs(twice.change - newer.change)) < 0.3 * np.max(np.abs(newer.change))

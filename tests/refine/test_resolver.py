@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 import gnc_opt as go
 from gnc_opt.resolve import Resolver, Way
+from gnc_opt.solution.rest import rest_of
 
 
 def cart(cost: str = "time") -> go.Problem:
@@ -56,6 +58,52 @@ def test_parameters_change_the_flight(fast: Resolver) -> None:
     assert found.objective == pytest.approx(1.0, rel=1e-9)
 
 
+@pytest.mark.parametrize("begin", [0.3, 1.6])
+def test_a_start_on_the_way_is_solved_from_the_rest(fast: Resolver, begin: float) -> None:
+    """From (q, v) the origin is reached after 2 s - v, s = sqrt(v^2/2 - q) the speed at the switch."""
+    known = fast.solution
+    q, v = known.phase().x(begin) + np.array([-0.01, 0.02])
+    speed = np.sqrt(0.5 * v**2 - q)
+    problem = known.need_problem("").with_time(initial=begin).with_initial(q=q, v=v)
+    if begin > 1.0:  # the switch has passed: no arc is left that could be moved, and v^2/2 + q is not 0
+        assert fast.solve(problem).provenance["way"] == Way.COLD.value
+        with pytest.raises(go.ProblemError, match="not to begin from the start"):
+            Resolver(known, cold=False).solve(problem)
+        return
+    found = fast.solve(problem)
+    assert found.provenance["way"] == Way.SWITCH_TIMES.value
+    assert found.objective == pytest.approx(begin + 2 * speed - v, rel=1e-9)
+    assert found.phase().initial_time == begin and found.phase().x(begin) == pytest.approx([q, v], abs=1e-12)
+    near = found.phase().x(begin + 0.1)
+    later = problem.with_time(initial=begin + 0.1).with_initial(q=near[0], v=near[1])
+    assert fast.solve(later, near=found).objective == pytest.approx(found.objective, rel=1e-9)
+
+
+def test_a_start_on_a_smooth_way_is_solved_from_the_rest() -> None:
+    """Least integral of u^2 from (q, v) in T = 0.6 s: 12 q^2/T^3 + 12 q v/T^2 + 4 v^2/T."""
+    first = go.solve(cart("effort"), mesh="4x3", tol=None)
+    problem = first.need_problem("").with_time(initial=0.4).with_initial(q=-0.7, v=1.5)
+    found = Resolver(first, cold=False).solve(problem)
+    assert found.provenance["way"] == Way.WARM.value
+    cost = 12 * 0.7**2 / 0.6**3 - 12 * 0.7 * 1.5 / 0.6**2 + 4 * 1.5**2 / 0.6
+    assert found.objective == pytest.approx(cost, rel=1e-8)
+
+
+@pytest.mark.parametrize("begin", [0.3, 0.5, 0.0])
+@pytest.mark.parametrize("scheme", ["LG", "LGR"])
+def test_the_rest_of_a_solution_is_the_same_flight(begin: float, scheme: Any) -> None:
+    first = go.solve(cart("effort"), mesh="4x3", scheme=scheme, tol=None)
+    rest = rest_of(first, begin).phase()
+    times = np.linspace(begin, 1.0, 57)
+    whole = first.phase()
+    assert rest.initial_time == begin and rest.final_time == 1.0
+    for name in ("x", "u", "lam", "flown"):
+        same = getattr(whole, name)(times, "left")[:, 1:]
+        assert getattr(rest, name)(times, "left")[:, 1:] == pytest.approx(same, abs=1e-9)
+    assert rest.lam_start[:, 0] == pytest.approx(whole.lam(begin), abs=1e-12)
+    assert rest.point_costates.shape == (2, rest.point_times.size)
+
+
 def test_a_limit_that_the_flight_would_exceed_is_kept(fast: Resolver) -> None:
     """At most 0.8 m/s: 0.8 s up and down each, and (1 - 0.64) / 0.8 = 0.45 s between."""
     found = Resolver(fast.solution, tol=1e-4).solve(fast.solution.need_problem("").with_bounds(v=(-1.0, 0.8)))
@@ -92,3 +140,43 @@ def test_what_is_not_solved_is_refused(fast: Resolver) -> None:
         Resolver(unsolved)
     with pytest.raises(go.GncOptError, match="tolerance of Resolver"):
         Resolver(fast.solution, tol=-1.0)
+
+
+def test_a_guess_of_a_variation_is_solved_by_its_switch_times(fast: Resolver) -> None:
+    """Unless a mesh, a tolerance or options are given, which ask for a collocated solution; all say how."""
+    known = fast.solution
+    problem = known.need_problem("").with_initial(q=-1.44)
+    found = go.solve(problem, guess=known)
+    assert found.provenance["way"] == Way.SWITCH_TIMES.value
+    assert found.objective == pytest.approx(2.4, rel=1e-9)
+    again = go.solve(problem.with_initial(q=-1.69), guess=found)
+    assert again.provenance["way"] == Way.SWITCH_TIMES.value and again.objective == pytest.approx(
+        2.6, rel=1e-9
+    )
+    for asked in (
+        {"mesh": "6x3"},
+        {"tol": 1e-6},
+        {"tol": None},
+        {"options": go.SolverOptions()},
+        {"structure": "none"},
+    ):
+        other = go.solve(problem, guess=known, **asked)
+        assert other.provenance["way"] == Way.WARM.value and other.objective == pytest.approx(2.4, rel=1e-3)
+    assert "way" not in go.solve(problem, mesh="6x3", tol=None).provenance
+
+
+def test_a_guess_of_another_problem_or_beyond_a_limit_is_a_start(fast: Resolver) -> None:
+    assert go.solve(cart(), guess=fast.solution).provenance["way"] == Way.WARM.value
+    limited = fast.solution.need_problem("").with_bounds(v=(-1.0, 0.8))
+    found = go.solve(limited, guess=fast.solution)
+    assert found.provenance["way"] == Way.WARM.value and found.objective == pytest.approx(2.05, abs=1e-2)
+
+
+def test_what_two_flights_have_in_common_does_not_depend_on_the_way(fast: Resolver) -> None:
+    """Forty variations: each by the known matrices and by matrices of its own, equal to the closed form."""
+    problem = fast.solution.need_problem("")
+    for k in range(40):
+        distance = 0.3 * 1.08**k
+        assert fast.solve(problem.with_initial(q=-distance)).objective == pytest.approx(
+            2 * distance**0.5, rel=1e-9
+        )

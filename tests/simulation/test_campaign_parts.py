@@ -18,6 +18,7 @@ from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.simulation import Campaign, ClosedLoop, Outcome, Run, RunStatus
 from gnc_opt.simulation.criteria import Criteria
 from gnc_opt.simulation.dispersion import Ball, Choice, Normal, Sphere, Turn, Uniform
+from gnc_opt.simulation.gathering import gathered
 from gnc_opt.simulation.metrics import rotation_angle, settling_time
 from gnc_opt.simulation.mission import (
     BATCHES,
@@ -29,7 +30,7 @@ from gnc_opt.simulation.mission import (
     halves,
     in_words,
 )
-from gnc_opt.simulation.monte_carlo import _campaign, _refuse_total_loss, _shared, _tally, _with_parameters
+from gnc_opt.simulation.monte_carlo import _refuse_total_loss, _shared, _tally, _with_parameters
 from gnc_opt.simulation.run import Logged
 from gnc_opt.simulation.statistics import pass_rate, percentile, share_below_maximum
 from gnc_opt.spacecraft.quaternion import quaternion_product
@@ -519,7 +520,7 @@ def test_a_campaign_joins_what_was_flown_and_what_was_lost():
     (flown,) = mission.fly(range(2))
     goal = np.array([0.5, np.nan])
     lost = Flown(range(2, 3), flight.nominal[:, None], None, "died")
-    campaign = _campaign(mission, 7, goal, [flown, lost])
+    campaign = gathered(mission.flight, [flown, lost], seed=mission.seed, asked=7, goal=goal)
     assert (campaign.seed, campaign.asked, campaign.span) == (4, 7, (2.0, 2.5))
     assert campaign.indices.tolist() == [0, 1, 2] and not campaign.interrupted
     assert (
@@ -531,7 +532,7 @@ def test_a_campaign_joins_what_was_flown_and_what_was_lost():
     assert campaign.outcomes[2].what == "died" and campaign.parameters.shape == (flight.layout.size, 3)
     for name, size in (("effort", 1), ("energy", 1), ("saturation_time", 1), ("variation", 1)):
         assert getattr(campaign, name).shape == (size, 3)
-    empty = _campaign(mission, 7, goal, [])
+    empty = gathered(mission.flight, [], seed=mission.seed, asked=7, goal=goal)
     assert (
         len(empty) == 0 and empty.errors.shape == (2, 0) and empty.parameters.shape == (flight.layout.size, 0)
     )

@@ -150,6 +150,18 @@ def test_figures_of_the_problem_file_are_drawn(cart: Path, tmp_path: Path) -> No
     assert (tmp_path / "report" / "own.txt").exists()
 
 
+@pytest.mark.usefixtures("without_generic_figures")
+def test_the_view_of_the_problem_file_is_shown(
+    cart: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cart.write_text(CART + "\nfrom gnc_opt.plot import View\nVIEW = View('q')\n")
+    assert run("solve", cart, "--quiet", "--no-verify", "--report", tmp_path) == 0
+    assert '<section id="motion">' in (tmp_path / "report.html").read_text()
+    cart.write_text(CART + "\nVIEW = 'q'\n")
+    assert run("solve", cart, "--quiet", "--report", tmp_path) == 2
+    assert "VIEW is a str, not a View" in capsys.readouterr().err
+
+
 # --- exit codes ---------------------------------------------------------------------------------------
 
 

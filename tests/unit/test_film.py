@@ -8,8 +8,8 @@ from PIL import Image
 
 import gnc_opt as go
 from gnc_opt import cli
-from gnc_opt.plot import View, save_film
-from gnc_opt.plot.film import _motion
+from gnc_opt.plot import Thruster, View, save_film
+from gnc_opt.plot.view import motion, span
 from gnc_opt.spacecraft import mrp_rate
 
 RATE = 0.5
@@ -37,6 +37,10 @@ def turning() -> go.Problem:
     return problem
 
 
+def sampled(moved, view, n):
+    return motion(moved, view, np.linspace(*span(moved, view), n))
+
+
 @pytest.fixture(scope="module")
 def solution():
     return go.solve(turning(), mesh="6x4", tol=None)
@@ -45,19 +49,20 @@ def solution():
 @pytest.mark.parametrize("attitude", ["sigma", "q"])
 def test_axes_and_force_are_those_of_the_motion(solution, attitude):
     times = np.linspace(0, 2, 9)
-    motion = _motion(solution, View("r", attitude, "F"), 9)
+    seen = sampled(solution, View("r", attitude, "F"), 9)
     turned = np.stack([np.cos(RATE * times), np.sin(RATE * times), 0 * times])
-    assert np.allclose(motion.times, times)
-    assert np.allclose(motion.dcm_BL[0], turned, atol=1e-6)  # the body's x in L
-    assert np.allclose(motion.force, turned, atol=1e-6)
-    assert motion.unit == "m"
+    assert np.allclose(seen.times, times)
+    assert np.allclose(seen.dcm_BL[0], turned, atol=1e-6)  # the body's x in L
+    assert np.allclose(seen.plumes["plume"].force(seen.dcm_BL), turned, atol=1e-6)
+    assert seen.unit == "m"
     # r'' = (cos, sin) of the angle, from rest
     expected = np.stack([1 - np.cos(RATE * times), RATE * times - np.sin(RATE * times), 0 * times]) / RATE**2
-    assert np.allclose(motion.position, expected, atol=1e-6)
+    assert np.allclose(seen.position, expected, atol=1e-6)
 
 
 def test_without_an_attitude_the_force_is_in_the_axes_drawn(solution):
-    assert np.allclose(_motion(solution, View("r", force="F"), 5).force, [[1.0] * 5, [0.0] * 5, [0.0] * 5])
+    seen = sampled(solution, View("r", force="F"), 5)
+    assert np.allclose(seen.plumes["plume"].force(None), [[1.0] * 5, [0.0] * 5, [0.0] * 5])
 
 
 def test_two_components_lie_in_a_plane_upright():
@@ -69,9 +74,11 @@ def test_two_components_lie_in_a_plane_upright():
     leg.time(initial=0.0, final=2.0)
     leg.initial(x=0.0, h=0.0)
     problem.minimize(leg.final_time)
-    motion = _motion(go.solve(problem, mesh="4x3", tol=None), View(("x", "h")), 3)
-    assert np.allclose(motion.position, [[0, 1, 2], [0, 0, 0], [0, 0.5, 0]], atol=1e-7)
-    assert motion.unit == "km"
+    solution = go.solve(problem, mesh="4x3", tol=None)
+    seen = sampled(solution, View(("x", "h")), 3)
+    assert np.allclose(seen.position, [[0, 1, 2], [0, 0, 0], [0, 0.5, 0]], atol=1e-7)
+    assert seen.unit == "km"
+    assert np.allclose(sampled(solution, View("h"), 3).position, [[0] * 3, [0] * 3, [0, 0.5, 0]], atol=1e-7)
 
 
 def test_phases_follow_one_another():
@@ -89,9 +96,9 @@ def test_phases_follow_one_another():
     legs[1].initial(r=[1, 5])
     legs[2].initial(tick=0)
     problem.minimize(legs[2].final_time)
-    motion = _motion(go.solve(problem, mesh="2x3", tol=None), View("r"), 5)
-    assert np.allclose(motion.times, [0, 0.5, 1, 1.5, 2])  # the pause has no position
-    assert np.allclose(motion.position[[0, 2]], [[0, 0.5, 1, 1.5, 2], [0, 0, 5, 5, 5]], atol=1e-7)
+    seen = sampled(go.solve(problem, mesh="2x3", tol=None), View("r"), 5)
+    assert np.allclose(seen.times, [0, 0.5, 1, 1.5, 2])  # the pause has no position
+    assert np.allclose(seen.position[[0, 2]], [[0, 0.5, 1, 1.5, 2], [0, 0, 5, 5, 5]], atol=1e-7)
 
 
 def test_film_of_a_solution_and_of_runs(solution, tmp_path):
@@ -127,8 +134,12 @@ def test_what_cannot_be_filmed_is_told(solution, tmp_path, monkeypatch):
         save_film(solution, film, View("speed"))
     with pytest.raises(go.UnknownNameError, match="G"):
         save_film(solution, film, View("r", force="G"))
-    with pytest.raises(go.ArgumentError, match="q has 4 components"):
+    with pytest.raises(go.ArgumentError, match="position q has 4 components"):
         save_film(solution, film, View("q"))
+    with pytest.raises(go.ArgumentError, match=r"r has no component r\[3\]: it has r\[0\]"):
+        save_film(solution, film, View("r[3]"))
+    with pytest.raises(go.ArgumentError, match=r"F of 3 components: name one of them, such as 'F\[0\]'"):
+        save_film(solution, film, View("r", force={"main": Thruster("F", (1, 0, 0))}))
     with pytest.raises(go.ArgumentError, match="position r, v has 6 components"):
         save_film(solution, film, View(("r", "v")))
     with pytest.raises(
@@ -143,6 +154,51 @@ def test_what_cannot_be_filmed_is_told(solution, tmp_path, monkeypatch):
     with pytest.raises(go.GncOptError, match="ffmpeg"):
         save_film(solution, tmp_path / "f.mp4", View("r"))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({}, "shows nothing that moves"),
+        ({"position": "r", "keep_out": {"rock": 1.0}}, "'rock' to keep out of is no"),
+        ({"position": "r", "keep_out": {"rock": ((0, 0), 1.0)}}, "the centre of 'rock' .* three finite"),
+        (
+            {"position": "r", "keep_out": {"rock": ((0, 0, 0), (1, 1, 0))}},
+            "the radius of 'rock' .* length > 0",
+        ),
+        ({"position": "r", "force": {"main": "F"}}, "thruster 'main' is a str"),
+        ({"position": "r", "force": {"main": Thruster("F[0]", (0, 0, 0))}}, "'main' has no direction"),
+        ({"position": "r", "force": {"main": Thruster("F[0]", (1, 0))}}, "direction of the thruster 'main'"),
+    ],
+)
+def test_views_that_cannot_be_meant_are_refused_where_they_are_written(wrong, message):
+    with pytest.raises(go.ArgumentError, match=message):
+        View(**wrong)
+
+
+def test_components_in_another_order():
+    """A quaternion with its scalar part last is named component by component."""
+    model = go.Model("turn")
+    p = model.state("p", 4)
+    u = model.control("u", unit="N")
+    model.ode({p: RATE / 2 * ca.vertcat(p[3], p[2], -p[1], -p[0]) + 0 * u})  # about the first axis
+    problem = go.Problem("turn")
+    leg = problem.phase("turn", model)
+    leg.time(initial=0.0, final=2.0)
+    leg.initial(p=[0, 0, 0, 1])
+    leg.bounds(u=(-3, -2))
+    problem.minimize(leg.integral(u, "push"))
+    pair = {"pair": Thruster("u", (0, 0, 5), (0, 0, -1))}
+    solution = go.solve(problem, mesh="3x4", tol=None)
+    seen = sampled(solution, View(attitude=("p[3]", "p[0]", "p[1]", "p[2]"), force=pair), 5)
+    angle = RATE * seen.times
+    z_of_body = np.stack([0 * angle, -np.sin(angle), np.cos(angle)])
+    assert np.allclose(seen.dcm_BL[0], [[1.0] * 5, [0.0] * 5, [0.0] * 5], atol=1e-6)
+    assert np.allclose(seen.dcm_BL[2], z_of_body, atol=1e-6)
+    assert not seen.position.any()
+    # u is negative: it pushes along -z from the other side, at full strength
+    assert np.allclose(seen.plumes["pair"].force(seen.dcm_BL), -z_of_body, atol=1e-6)
+    assert np.allclose(seen.plumes["pair"].root(seen.dcm_BL), z_of_body, atol=1e-6)
 
 
 def test_nothing_is_left_of_a_film_that_breaks_off(solution, tmp_path, monkeypatch):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +12,10 @@ from by_hand import cart, interval, phase, samples, solution
 
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure import newton as n
+from gnc_opt.refine.structure import switch_step
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.refine.structure.switch_flight import INSET, _interpolated, forgive, wrong_interval
+from gnc_opt.refine.structure.switch_step import Step, model_minimum
 from gnc_opt.verify.switches import Switches
 
 RNG = np.random.default_rng(4)
@@ -41,19 +44,19 @@ def test_a_step_is_that_of_the_optimality_system() -> None:
     rows, misses = RNG.standard_normal((2, 5)), RNG.standard_normal(2)
     system = np.block([[hessian, rows.T], [rows, np.zeros((2, 2))]])
     wanted = np.linalg.solve(system, -np.concatenate([gradient, misses]))[:5]
-    assert n._model_minimum(hessian, gradient, rows, misses) == pytest.approx(wanted)
+    assert model_minimum(hessian, gradient, rows, misses) == pytest.approx(wanted)
 
 
 def test_where_conditions_leave_nothing_open_the_step_meets_them() -> None:
     rows = RNG.standard_normal((3, 3))
     wanted = np.array([1.0, -2.0, 3.0])
-    assert n._model_minimum(np.eye(3), np.ones(3), rows, -rows @ wanted) == pytest.approx(wanted)
+    assert model_minimum(np.eye(3), np.ones(3), rows, -rows @ wanted) == pytest.approx(wanted)
 
 
 def test_negative_curvatures_are_reversed() -> None:
     """x is held; along y and z, curvatures of -2 and 5 and slopes of 4 and -10: down both, by 2 and by 2."""
     hessian, gradient = np.diag([7.0, -2.0, 5.0]), np.array([1.0, 4.0, -10.0])
-    found = n._model_minimum(hessian, gradient, np.array([[2.0, 0.0, 0.0]]), np.array([3.0]))
+    found = model_minimum(hessian, gradient, np.array([[2.0, 0.0, 0.0]]), np.array([3.0]))
     assert found == pytest.approx([-1.5, -2.0, 2.0])
 
 
@@ -66,7 +69,7 @@ def test_negative_curvatures_are_reversed() -> None:
     ],
 )  # fmt: skip
 def test_conditions_are_independent_in_any_units(rows: Any, independent: bool) -> None:
-    assert n._independent(np.array(rows)) is independent
+    assert switch_step.independent(np.array(rows)) is independent
 
 
 # --- arcs -------------------------------------------------------------------------------------------------
@@ -106,7 +109,7 @@ def test_an_arc_keeps_some_of_its_length() -> None:
 def test_a_step_moves_switches_and_ends() -> None:
     moved = n._moved(switches([4.0, 6.0], [0, 1]), np.array([0.1, 0.2, -0.3, -0.4]))
     assert moved.times == pytest.approx([4.2, 5.7]) and moved.ends == pytest.approx([1.1, 10.6])
-    assert n._Step(np.array([0.1, -0.5, 0.2]), *[None] * 4, 0.0).share(moved) == pytest.approx(0.5 / 9.5)  # type: ignore[arg-type]
+    assert Step(np.array([0.1, -0.5, 0.2]), *[None] * 7).share(moved) == pytest.approx(0.5 / 9.5)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -148,7 +151,7 @@ def test_a_phase_without_switches_has_nothing_to_lose() -> None:
 )
 def test_offences_that_reach_to_a_switch_are_its_own(wrong: Any, own: Any, left: Any) -> None:
     values = np.array(wrong, float)
-    n._forgive(values, np.array(own, int))
+    forgive(values, np.array(own, int))
     assert values.tolist() == left
 
 
@@ -156,17 +159,17 @@ def test_a_missing_arc_lies_between_the_zeros_a_quarter_inside() -> None:
     """The sign is wrong from 1.5 s to 4.25 s by straight lines, or up to an end of the phase."""
     times = np.array([0.0, 1.0, 2.0, 4.0, 5.0, 6.0])
     wrong = np.array([-2.0, -1.0, 1.0, 1.0, -3.0, -1.0])
-    inset = n.INSET * 2.75
+    inset = INSET * 2.75
     for j in (2, 3):
-        assert n._interval(times, wrong, j) == pytest.approx((1.5 + inset, 4.25 - inset))
-    assert n._interval(times, np.array([1.0, 1.0, 1.0, 1.0, -3.0, -1.0]), 1) == pytest.approx(
+        assert wrong_interval(times, wrong, j) == pytest.approx((1.5 + inset, 4.25 - inset))
+    assert wrong_interval(times, np.array([1.0, 1.0, 1.0, 1.0, -3.0, -1.0]), 1) == pytest.approx(
         (0.0, 4.25 * 0.75)
     )
-    assert n._interval(times, np.array([-2.0, -1.0, 1.0, 1.0, 1.0, 1.0]), 4) == pytest.approx(
+    assert wrong_interval(times, np.array([-2.0, -1.0, 1.0, 1.0, 1.0, 1.0]), 4) == pytest.approx(
         (1.5 + 4.5 / 4, 6.0)
     )
-    assert n._interval(times, np.ones(6), 3) == (0.0, 6.0)
-    assert n._interval(times, np.array([-1.0, 0.0, 1.0, 1.0, 0.0, 5.0]), 2) == pytest.approx((2.0, 4.0))
+    assert wrong_interval(times, np.ones(6), 3) == (0.0, 6.0)
+    assert wrong_interval(times, np.array([-1.0, 0.0, 1.0, 1.0, 0.0, 5.0]), 2) == pytest.approx((2.0, 4.0))
 
 
 def test_an_arc_is_added_between_two_switches_of_its_control() -> None:
@@ -190,18 +193,18 @@ def test_an_arc_is_added_between_two_switches_of_its_control() -> None:
 # --- as a guess -------------------------------------------------------------------------------------------
 
 
-def test_cubics_through_values_and_rates() -> None:
-    """t^3 - 2 t and 4 - t^2 over uneven segments come back, rates and all."""
+def test_polynomials_through_values_and_rates() -> None:
+    """t^7 - 2 t and 4 - t^2 over uneven segments come back, rates and all."""
 
     def values(t: Any) -> Any:
-        return np.array([t**3 - 2 * t, 4 - t**2])
+        return np.array([t**7 - 2 * t, 4 - t**2])
 
     def rates(t: Any) -> Any:
-        return np.array([3 * t**2 - 2, -2 * t])
+        return np.array([7 * t**6 - 2, -2 * t])
 
     breaks = np.array([1.0, 1.5, 4.0])
-    left, right = breaks[:-1], breaks[1:]
-    found = n._cubics(breaks, values(left), rates(left), values(right), rates(right))
+    given = (breaks[:-1, None] + np.diff(breaks)[:, None] * np.array([0, 1, 2, 3]) / 3).ravel()
+    found = _interpolated(breaks, values(given), rates(given))
     t = np.linspace(1.0, 4.0, 13)
     assert found(t) == pytest.approx(values(t)) and found.derivative()(t) == pytest.approx(rates(t))
 
@@ -255,41 +258,88 @@ def test_everything_is_decided_by_equalities(changes: Any, fits: bool) -> None:
     assert not n._fits(limited, found, structure) and not n._fits(double, found, structure)
 
 
-REST, FAR = (0.05, 0.0), (20.0, 0.0)
+@dataclass(frozen=True)
+class Planned:
+    """A flight that is off by so many accuracies, at these switches."""
+
+    error: float
+    missing_arc: Any = None
+    switches: Any = None
+    step: Any = None
 
 
 @pytest.mark.parametrize(
-    ("steps", "agree", "grids"),
+    ("lengths", "own", "rests"),
     [
-        ([REST], True, 1), ([(10.0, 0.0), REST], True, 1), ([(0.0, 1.0), (0.0, 5e-3)], True, 1),
-        ([FAR, REST, REST], True, 2), ([(0.0, 2.0), (0.0, -2.0), REST, (10.0, 0.0), REST], True, 2),
-        ([(10.0, 0.0)] * 3 + [REST], True, 1), ([(10.0, 0.0)] * 4, True, None),  # comes to rest, or does not
-        ([FAR, REST] * 3, True, None),  # off by every grid
-        ([(10.0, 0.0), REST], False, None),  # another arc is asked for
-        ([None], True, None), ([(10.0, 0.0), None], True, None),  # no flow
-        ([(1.0, 8.0), REST], True, None),  # a switch beyond the end
+        ([1e-9], 0, True),  # accuracy 1e-8: a share of 1e-6 at rest
+        ([1e-3, 1e-7], 0, True),
+        ([1e-3, 3e-4, 1e-9], 1, True),  # a third: too slow, matrices of its own
+        ([1e-3, 1e-4, 1e-5, 1e-9], 0, True),  # a tenth
+        ([1e-3, 1e-5, 1e-7], 0, True),  # a hundredth each time
+        ([0.1], 0, False),  # a switch that would move too far
+        ([None], 0, False),
+        ([1e-3, None], 0, False),
+        ([1e-5 * 0.99**k for k in range(40)], None, False),  # never
+    ],
+)
+def test_matrices_of_an_earlier_step_serve_as_long_as_they_are_worth_it(
+    monkeypatch: pytest.MonkeyPatch, lengths: Any, own: Any, rests: bool
+) -> None:
+    """Steps that move the switch by such shares; one at 6 s, from 1 s to 11 s."""
+    left, made = list(lengths), []
+
+    def planned(*_: Any) -> Any:
+        length = left.pop(0)
+        return None if length is None else Step(np.array([0, 10 * length, 0]), *[None] * 4, 0.0, None, None)  # type: ignore[arg-type]
+
+    def newton(_: Any, __: Any, at: Any, refinement: int) -> Any:
+        made.append(at.times[0])
+        return Step(np.array([0, 1e-6, 0]), *[None] * 4, 0.0, None, None)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(n, "chord_step", planned)
+    monkeypatch.setattr(n, "newton_step", newton)
+    monkeypatch.setattr(n.SwitchFlight, "of", classmethod(lambda _, *rest: rest))
+    found = n._at_rest(None, None, switches([6.0], [0]), None, 1e-8, 2)  # type: ignore[arg-type]
+    assert (found is not None) is rests
+    assert own is None or len(made) == own
+    if rests:
+        assert found[4] == 2 and found[2].times[0] >= 6.0 and not left  # type: ignore[index]
+
+
+@pytest.mark.parametrize(
+    ("errors", "arc", "grids"),
+    [
+        ([0.5], None, [1]), ([2.0, 0.5], None, [1, 2]), ([9.0, 3.0, 2.0, 0.5], None, [1, 2, 4, 8]),
+        ([9.0, 9.0, 9.0, 9.0], None, None), ([0.5], (0, 1.0, 2.0), None), ([2.0, None], None, None),
+        ([None], None, None),
     ],
 )  # fmt: skip
+@pytest.mark.parametrize("known", [None, "step"])
 def test_when_a_flow_is_accurate(
-    monkeypatch: pytest.MonkeyPatch, steps: Any, agree: bool, grids: Any
+    monkeypatch: pytest.MonkeyPatch, errors: Any, arc: Any, grids: Any, known: Any
 ) -> None:
-    """Steps worth so many accuracies each that move the switch by so much; one at 4 s, from 1 s to 11 s."""
-    accuracy, seen, left, base = 1e-4, [], list(steps), switches([4.0], [0])
+    """Flights off by so many accuracies; signs that do not agree send what is known to the longer way, once."""
+    accuracy, seen = 1e-4, []
+    left = [e if e is None else Planned(e * accuracy, arc) for e in errors]
 
-    def newton(problem: Any, s: Any, at: Any, refinement: int = 1, hessian: Any = None) -> Any:
+    def optimum(*_: Any) -> Any:
+        seen.append(1)
+        return left.pop(0)
+
+    def at_rest(_: Any, __: Any, ___: Any, step: Any, ____: float, refinement: int = 1) -> Any:
+        if step == "step":
+            return Planned(0.0, (0, 1.0, 2.0))
         seen.append(refinement)
-        now = left.pop(0)
-        change, nothing = np.array([0.0, now[1], 0.0]) if now else np.zeros(3), [None] * 4
-        return now and n._Step(change, *nothing, now[0] * accuracy)  # type: ignore[arg-type]
+        return left.pop(0)
 
-    first = n._Step(np.zeros(3), *[None] * 4, 0.0)  # type: ignore[arg-type]
     for name, answer in (
-        ("_fits", True), ("_switches", base), ("_optimum", (base, first)), ("_completed", None if agree else base),
-        ("_structure", "structure"), ("_guess", "guess"),
+        ("_fits", lambda *_: True), ("_switches", lambda *_: None), ("_optimum", optimum), ("_at_rest", at_rest),
+        ("_structure", lambda *_: "structure"),
     ):  # fmt: skip
-        monkeypatch.setattr(n, name, lambda *_, answer=answer: answer)
-    monkeypatch.setattr(n, "_newton_step", newton)
+        monkeypatch.setattr(n, name, answer)
     problem = cart()
-    found = n.settle_flow(solution(problem, phase(problem)), None, accuracy)  # type: ignore[arg-type]
-    assert found == (("structure", "guess") if grids else None) and seen[0] == n.REFINEMENTS[0]
-    assert not grids or (list(dict.fromkeys(seen)) == list(n.REFINEMENTS[:grids]) and not left)
+    found = n.settle_flow(solution(problem, phase(problem)), None, accuracy, known)  # type: ignore[arg-type]
+    assert (found is not None) is (grids is not None)
+    if grids:
+        assert found is not None and found[0] == "structure" and seen == grids
+        assert found[1].error == errors[-1] * accuracy

@@ -1,35 +1,21 @@
 """The report in a real browser, without a window: nothing missing, nothing out of the page, nothing on the console."""
 
-import json
-import re
-import shutil
-import subprocess
-from html import unescape
-
 import numpy as np
 import pytest
-from PIL import Image
+from browser import BROWSER, DESKTOP, PHONE, browser
 
 import gnc_opt as go
 from gnc_opt.report import write_report
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 pytestmark = [
     pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine"),
     pytest.mark.slow,
 ]
 
-PHONE, DESKTOP = (500, 844), (1280, 900)  # 500: no window of Chromium is narrower
-
-PROBE = """
-<script>
-const errors = [];
-addEventListener("error", event => errors.push(String(event.message || event.target.src)), true);
-addEventListener("load", () => {
+PROBE = """(() => {
   for (const fold of document.querySelectorAll("details")) fold.open = true;
   const all = selector => [...document.querySelectorAll(selector)];
-  const found = {
-    errors,
+  return {
     width: innerWidth,
     scroll: document.documentElement.scrollWidth,
     pictures: all("img").map(img => img.naturalWidth),
@@ -41,27 +27,7 @@ addEventListener("load", () => {
     sections: all("main > section").map(section => section.id),
     reachable: all("nav a, summary").every(e => e.tabIndex >= 0),
   };
-  const result = document.createElement("pre");
-  result.id = "probe";
-  result.hidden = true;
-  result.textContent = JSON.stringify(found);
-  document.body.append(result);
-});
-</script>
-"""
-
-
-def browse(page, profile, *options, size=DESKTOP):
-    """Open a page, return what Chromium prints."""
-    quiet = [
-        "--disable-background-networking",
-        "--disable-component-update",
-        "--disable-sync",
-        "--no-first-run",
-    ]
-    command = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", *quiet]
-    command += [f"--user-data-dir={profile}", f"--window-size={size[0]},{size[1]}", *options, page.as_uri()]
-    return subprocess.run(command, check=True, capture_output=True, text=True, timeout=120)
+})()"""
 
 
 @pytest.fixture(scope="module")
@@ -79,49 +45,40 @@ def page(tmp_path_factory):
     problem.minimize(leg.final_time)
     solution = go.solve(problem)
     folder = tmp_path_factory.mktemp("report")
-    write_report(solution, go.verify(solution), folder)
-    probed = folder / "probed.html"
-    text = (folder / "report.html").read_text(encoding="utf-8")
-    probed.write_text(text.replace("</title>", "</title>" + PROBE, 1), encoding="utf-8")
-    return probed
+    return write_report(solution, go.verify(solution), folder)[0]
+
+
+@pytest.fixture(scope="module")
+def tab():
+    with browser() as tab:
+        yield tab
 
 
 @pytest.mark.parametrize("size", [PHONE, DESKTOP], ids=["phone", "desktop"])
-def test_page_is_whole(page, tmp_path, size):
-    shown = browse(page, tmp_path, "--dump-dom", size=size).stdout
-    found = json.loads(unescape(re.search(r'<pre id="probe"[^>]*>(.*?)</pre>', shown, re.DOTALL)[1]))
-    assert found["errors"] == []
+def test_page_is_whole(tab, page, size):
+    tab.open(page, size)
+    found = tab.ask(PROBE)
     assert found["width"] == size[0]
     assert found["scroll"] <= found["width"]  # nothing sticks out to the side
     assert len(found["pictures"]) >= 4 and min(found["pictures"]) > 100
     assert found["described"] and found["reachable"]
     assert found["broken"] == []
-    assert found["outside"] == []  # needs no network
+    assert found["outside"] == [] and tab.asked == [page.as_uri()]  # needs no network
     assert found["folds"] >= 5
     assert {"answer", "verdict", "arcs", "figures", "multipliers", "provenance"} <= set(found["sections"])
+    assert tab.said == []
 
 
-def test_console_is_silent(page, tmp_path):
-    log = browse(page, tmp_path, "--enable-logging=stderr", "--dump-dom").stderr
-    assert not [line for line in log.splitlines() if ":CONSOLE" in line]
-
-
-def test_dark_mode_is_the_same_page_in_the_dark(page, tmp_path):
-    bright, dark = (look(page, tmp_path, scheme) for scheme in (1, 0))
-    assert bright.shape == dark.shape
-    assert bright.mean() > 200 > 80 > dark.mean()
+def test_dark_mode_is_the_same_page_in_the_dark(tab, page):
+    pictures = []
+    for dark in (False, True):
+        tab.open(page, DESKTOP, dark=dark)
+        pictures.append(tab.look())
+    bright, black = pictures
+    assert bright.shape == black.shape
+    assert bright.mean() > 200 > 80 > black.mean()
     # the same layout: where one has edges at a coarse look, so has the other
-    assert np.corrcoef(*(coarse_edges(picture).ravel() for picture in (bright, dark)))[0, 1] > 0.5
-
-
-def look(page, folder, scheme):
-    """A screenshot as an array of grey; scheme 0 is dark, 1 is light."""
-    picture = folder / f"{scheme}.png"
-    browse(
-        page, folder / "profile", f"--screenshot={picture}", f"--blink-settings=preferredColorScheme={scheme}"
-    )
-    with Image.open(picture) as image:
-        return np.asarray(image.convert("L"), dtype=float)
+    assert np.corrcoef(*(coarse_edges(picture).ravel() for picture in pictures))[0, 1] > 0.5
 
 
 def coarse_edges(picture):

@@ -13,7 +13,7 @@ import scipy
 import gnc_opt as go
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.verify.bang_bang_flow import BangBangFlow, Pieces, bang_bang_flow
+from gnc_opt.verify.bang_bang_flow import ORDER, BangBangFlow, Pieces, bang_bang_flow
 from problems import rendezvous
 
 DIFFERENCES = {
@@ -38,10 +38,10 @@ class Case:
         self.controls = leg.flown(0.5 * (self.times[1:] + self.times[:-1]))
         self.unknowns = np.concatenate([self.times, leg.x(self.times[0])[self.free_start]])
 
-    def flow(self) -> BangBangFlow:
+    def flow(self, refinement: int = 4) -> BangBangFlow:
         assert self.solution.problem is not None
         pieces = Pieces(self.times, self.controls, np.arange(self.times.size))
-        return bang_bang_flow(self.solution.problem, self.samples, pieces, self.free_start, 4)
+        return bang_bang_flow(self.solution.problem, self.samples, pieces, self.free_start, refinement)
 
     def flown_end(self, unknowns: Array) -> Array:
         """States, integrals and time at the end by DOP853."""
@@ -137,3 +137,14 @@ def test_derivatives_are_those_of_an_independent_integration(build: Callable[[],
     np.testing.assert_allclose(
         direction @ curvature @ direction, second, atol=1e-6 * np.max(np.abs(curvature))
     )
+    np.testing.assert_allclose(
+        flow.gradient(adjoint), adjoint @ slope, rtol=1e-10, atol=1e-12 * np.max(np.abs(slope))
+    )
+
+
+def test_half_the_width_of_steps_leaves_a_256th_of_the_error() -> None:
+    """On two grids that are not yet at rounding; half an order either way."""
+    case = van_der_pol()
+    coarse, fine, best = (case.flow(n).final for n in (1, 2, 8))
+    ratio = np.linalg.norm(coarse - best) / np.linalg.norm(fine - best)
+    assert 2 ** (ORDER - 0.7) < ratio < 2 ** (ORDER + 1.5)

@@ -99,8 +99,8 @@ def test_curvature_is_extrapolated_and_its_error_told(monkeypatch: pytest.Monkey
     """Half the step leaves a sixteenth of the error."""
     fine, coarse = np.diag([1.0, 2.0, 3.0]), np.diag([0.7, 2.4, 3.0])
     found = judged(monkeypatch, np.zeros(3), fine, coarse_hessian=coarse)
-    assert found.least == pytest.approx((1.0 + 0.3 / 15) / SIZE)
-    assert found.error == pytest.approx(0.5 / 15 / SIZE + EXACT)
+    assert found.least == pytest.approx((1.0 + 0.3 / 255) / SIZE)
+    assert found.error == pytest.approx(0.5 / 255 / SIZE + EXACT)
     lopsided = np.array([[1.0, 0.8, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 9.0]])
     assert judged(monkeypatch, np.zeros(3), lopsided).least == pytest.approx(0.6 / SIZE)
 
@@ -115,8 +115,8 @@ def test_gradient_in_shares_of_what_each_unknown_is_worth(monkeypatch: pytest.Mo
 
 def test_gradient_is_extrapolated_and_its_error_told(monkeypatch: pytest.MonkeyPatch) -> None:
     found = judged(monkeypatch, [0.0, 0.0, 0.8], np.eye(3), coarse=[0.0, 0.0, 0.2])
-    assert found.offence == pytest.approx((0.8 + 0.6 / 15) / 4.0) and found.where == "c"
-    assert found.offence_error == pytest.approx(0.6 / 15 / 4.0)
+    assert found.offence == pytest.approx((0.8 + 0.6 / 255) / 4.0) and found.where == "c"
+    assert found.offence_error == pytest.approx(0.6 / 255 / 4.0)
 
 
 @pytest.mark.parametrize(
@@ -160,12 +160,12 @@ def test_error_of_the_gradient_with_that_of_the_conditions(monkeypatch: pytest.M
     fine = conditions([[1.0, 0.0, 0.0]], lower=[0.0], upper=[0.0])
     coarse = conditions([[1.0, -0.3, 0.0]], lower=[0.0], upper=[0.0])
     found = judged(monkeypatch, [2.0, 0.1, 0.0], np.eye(3), fine, coarse=[2.0, 0.0, 0.0], coarse_rows=coarse)
-    jacobian = np.array([1.0, 0.3 / 15, 0.0])
-    gradient = np.array([2.0, 0.1 + 0.1 / 15, 0.0])
+    jacobian = np.array([1.0, 0.3 / 255, 0.0])
+    gradient = np.array([2.0, 0.1 + 0.1 / 255, 0.0])
     multiplier = -gradient @ jacobian / (jacobian @ jacobian)
     left = gradient + multiplier * jacobian
     assert found.offence == pytest.approx(np.max(np.abs(left) / [1.0, 2.0, 4.0]), rel=1e-9)
-    assert found.offence_error == pytest.approx(abs(0.1 + multiplier * 0.3) / 15 / 2.0, rel=1e-9)
+    assert found.offence_error == pytest.approx(abs(0.1 + multiplier * 0.3) / 255 / 2.0, rel=1e-9)
 
 
 @pytest.mark.parametrize(("tilt", "attained"), [(0.0, True), (1.0, True), (-1.0, True)])

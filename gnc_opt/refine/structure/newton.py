@@ -6,53 +6,49 @@ iteration costs as much as a few propagations, where a solve of the collocated p
 its points. The result is a structure to start from: pieces that vanish are dropped, arcs that the switching functions
 ask for are added, and the collocated problem, whose solution is what counts, is then solved near its optimum.
 
-A step minimises the quadratic model of the Lagrangian on the linearised end conditions, with multipliers of least
-squares; where the model is not convex, its negative curvatures are reversed (Nocedal & Wright, Numerical
-Optimization, 2006, ch. 3.4, 18.3).
+Far from the optimum every step has derivatives of its own; near it the matrices of the last one serve on, as long as
+steps shrink fast enough (module `switch_step`).
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Indices
+from gnc_opt.arrays import Array
 from gnc_opt.problem.arc import ArcKind
-from gnc_opt.problem.functions import end_function
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.structure.phase_structure import PhaseStructure, choose
-from gnc_opt.solution.polynomial import PiecewisePolynomial
+from gnc_opt.refine.structure.switch_flight import SwitchFlight
+from gnc_opt.refine.structure.switch_step import Step, chord_step, newton_step
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
-from gnc_opt.tolerances import AT_LIMIT, RANK, TINY
-from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.verify.bang_bang_flow import BangBangFlow, bang_bang_flow
-from gnc_opt.verify.induced import end_derivatives
+from gnc_opt.tolerances import AT_LIMIT, TINY
 from gnc_opt.verify.switches import Switches
 
 MOST_STEPS = 40
 """Newton steps of all structures together."""
 
-SETTLED = 1e-7
-"""Step, in shares of the phase, below which switch times have settled; the collocated problem does the rest."""
-
-REFINEMENTS = (2, 4, 8)
-"""Of the grid, where the flow itself is the answer."""
-
-MOST_POLISHING = 4
-"""Steps on each of these grids."""
-
-SPENT = 0.1
-"""Share of the accuracy that a last step on a grid may be worth."""
-
-FOURTH_ORDER = 15
-"""How many times its own error a grid of half the steps is off by against it."""
-
 NEAR = 1e-4
-"""Step, in shares of the phase, from which on finer grids are worth their price."""
+"""Step, in shares of the phase, from which on its matrices serve the following ones, too."""
+
+WORTH = 3
+"""So many steps with the matrices of another one cost as much as one with its own."""
+
+MOST_CHORDS = 12
+"""Steps until switch times are at rest, once they are near."""
+
+SPENT = 1e-2
+"""Share of the accuracy that the last step may be worth."""
+
+OF_A_GUESS = 1e-8
+"""Accuracy of a flight that a collocated problem starts from."""
+
+FINEST = 8
+"""Refinement of the grid that is tried last."""
 
 SHRUNK = 0.8
 """Share of its length that an arc may lose in one step."""
@@ -62,12 +58,6 @@ LONGEST = 0.04
 
 LEAST_SHARE = 0.2
 """Of a step that must be left after `SHRUNK`; if less is, the arc that stands in the way has vanished."""
-
-WRONG_SIGN = 1e-6
-"""Switching function of the wrong sign, in shares of the largest, that asks for another arc."""
-
-INSET = 0.25
-"""Share of an interval of the wrong sign that a new arc leaves at each side, to keep away from other switches."""
 
 
 def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructure, Solution] | None:
@@ -89,19 +79,16 @@ def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructur
     problem, s = solution.need_problem("refine"), next(iter(solution.samples().values()))
     if not _fits(problem, s, structure):
         return None
-    found = _optimum(problem, s, _switches(s, structure), SETTLED)
-    if found is None:
-        return None
-    switches, step = found
-    return _structure(structure, s, switches), _guess(solution, s, switches, step)
+    flight = _optimum(problem, s, _switches(s, structure), OF_A_GUESS)
+    return None if flight is None else (_structure(structure, s, flight.switches), flight.solution(solution))
 
 
 def settle_flow(
-    solution: Solution, structure: PhaseStructure, accuracy: float
-) -> tuple[PhaseStructure, Solution] | None:
+    solution: Solution, structure: PhaseStructure, accuracy: float, known: Step | None = None
+) -> tuple[PhaseStructure, SwitchFlight] | None:
     """Find the least cost to some accuracy, without any collocated problem.
 
-    The flow is integrated on finer grids until its own error, told from two grids (Richardson; fourth order), is
+    The grid is made finer until what it changes of the cost, told from a flight on a grid `PARTS` times as fine, is
     below the accuracy. Near an optimum the cost depends on the switch times in second order, so these are told to the
     root of it.
 
@@ -113,60 +100,67 @@ def settle_flow(
         To start from.
     accuracy : float
         Of the cost, relative to its size; its root is that of the switch times, in shares of the phase.
+    known : Step, optional
+        At the optimum of a neighbouring problem with this structure: its matrices are tried first.
 
     Returns
     -------
-    (PhaseStructure, Solution) or None
-        The structure; the flown trajectory with its costates and multipliers, on the grid of its integration; its
-        objective is that of the given solution, and limits between the ends are not looked at. None where the method
-        does not fit, or does not settle.
+    (PhaseStructure, SwitchFlight) or None
+        Limits between the ends are not looked at. None where the method does not fit, or does not settle.
     """
     problem, s = solution.need_problem("solve"), next(iter(solution.samples().values()))
-    found = _optimum(problem, s, _switches(s, structure), NEAR) if _fits(problem, s, structure) else None
-    if found is None:
+    if not _fits(problem, s, structure):
         return None
-    switches, step = found
-    for refinement in REFINEMENTS:
-        off = None
-        for _ in range(MOST_POLISHING):
-            switches = _moved(switches, step.change)
-            # Near the optimum curvatures change little, and from grid to grid by the grid's error.
-            following = _newton_step(problem, s, switches, refinement, step.hessian)
-            if following is None or np.any(np.diff(switches.pieces(_order(switches)).times) < 0):
-                return None
-            step = following
-            away = max(step.gain / accuracy, step.share(switches) / math.sqrt(accuracy))
-            off = away if off is None else off
-            if away < SPENT:
-                break
-        else:
-            return None
-        if off < FOURTH_ORDER:
-            if _completed(s, switches, step) is not None:
-                return None
-            return _structure(structure, s, switches), _guess(solution, s, switches, step)
-    return None
+    switches, refinement = _switches(s, structure), 1
+    flight = None if known is None else _at_rest(problem, s, switches, known, accuracy)
+    if flight is None or flight.missing_arc is not None:
+        flight = _optimum(problem, s, switches, accuracy)
+    while flight is not None and flight.error >= accuracy and refinement < FINEST:
+        refinement *= 2
+        flight = _at_rest(problem, s, flight.switches, flight.step, accuracy, refinement)
+    if flight is None or flight.error >= accuracy or flight.missing_arc is not None:
+        return None
+    return _structure(structure, s, flight.switches), flight
 
 
-def _optimum(
-    problem: Problem, s: PhaseSamples, switches: Switches, settled: float
-) -> tuple[Switches, _Step] | None:
-    """Return switches that have settled with signs that agree, and the step that is left there."""
+def _optimum(problem: Problem, s: PhaseSamples, switches: Switches, accuracy: float) -> SwitchFlight | None:
+    """Return the flight whose switches have come to rest with signs that agree."""
     for _ in range(MOST_STEPS):
-        step = _newton_step(problem, s, switches)
+        step = newton_step(problem, s, switches)
         if step is None:
             return None
         share, emptied = _allowed(switches, step)
         if emptied and share < LEAST_SHARE:
             switches = _without(switches, emptied)
-            continue
-        if step.share(switches) < settled:
-            completed = _completed(s, switches, step)
-            if completed is None:
-                return switches, step
-            switches = completed
-        else:
+        elif share < 1 or step.share(switches) > NEAR:
             switches = _moved(switches, share * step.change)
+        else:
+            flight = _at_rest(problem, s, switches, step, accuracy)
+            if flight is None or flight.missing_arc is None:
+                return flight
+            switches = _with_arc(flight.switches, *flight.missing_arc)
+    return None
+
+
+def _at_rest(
+    problem: Problem, s: PhaseSamples, switches: Switches, known: Step, accuracy: float, refinement: int = 1
+) -> SwitchFlight | None:
+    """Return the flight of switches near the given ones that the matrices of a step lead to."""
+    step, before = chord_step(problem, s, switches, known, refinement), math.inf  # length of the step before
+    for _ in range(MOST_CHORDS):
+        if step is None:
+            return None
+        length = step.share(switches)
+        away = max(step.gain / accuracy, length / math.sqrt(accuracy))
+        if away < SPENT:
+            return SwitchFlight.of(problem, s, switches, step, refinement)
+        if away * (length / before) ** WORTH > SPENT:
+            step, length = newton_step(problem, s, switches, refinement), math.inf
+        before = length
+        if step is None or _allowed(switches, step)[0] < 1:
+            return None
+        switches = _moved(switches, step.change)
+        step = chord_step(problem, s, switches, step, refinement)
     return None
 
 
@@ -195,103 +189,6 @@ def _fits(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
     )
 
 
-# --- one step -------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """A Newton step in (start, switches, end), and the flow and multipliers that it comes from.
-
-    Its gain is by how much it changes the cost, to first order and relative to the cost's size. The Hessian is the
-    Lagrangian's in the free unknowns.
-    """
-
-    change: Array
-    hessian: Array
-    flow: BangBangFlow
-    adjoint: Array
-    multipliers: Array
-    gain: float
-
-    def share(self, switches: Switches) -> float:
-        """Its largest entry, as a share of the phase."""
-        return float(np.max(np.abs(self.change)) / (switches.ends[1] - switches.ends[0]))
-
-
-def _newton_step(
-    problem: Problem, s: PhaseSamples, switches: Switches, refinement: int = 1, hessian: Array | None = None
-) -> _Step | None:
-    """Return the step, or None where the flow is no number or conditions depend on each other.
-
-    Parameters
-    ----------
-    problem, s, switches
-    refinement : int
-        Of the grid.
-    hessian : array, optional
-        That of an earlier step to use again.
-    """
-    leg, size = s.leg, s.leg.states.size + s.leg.integrals.size + 1
-    flow = bang_bang_flow(problem, s, switches.pieces(_order(switches)), np.zeros(0, dtype=int), refinement)
-    if not np.isfinite(flow.final_sensitivity).all():
-        return None
-    changes = np.vstack([flow.initial_sensitivity[:size], flow.final_sensitivity[:size]])
-    numbers = (flow.initial[:size], flow.final[:size], s.functions.p, s.functions.q)
-    derivatives = problem.once("end derivatives", lambda: end_derivatives(problem))
-    limits, wanted = problem.constraint_interval(), np.flatnonzero(leg.final_bounds.fixed)
-    slope, jacobian, _ = (v.full() for v in derivatives(*numbers, np.zeros(limits.lower.size)))
-    free = np.concatenate(
-        [~leg.initial_time_bounds.fixed, np.ones(switches.times.size, bool), ~leg.final_time_bounds.fixed]
-    )
-    rows = np.vstack([flow.final_sensitivity[wanted], jacobian @ changes])[:, free]
-    cost, constraints = _end_values(s, problem, flow)
-    misses = np.concatenate([flow.final[wanted] - leg.final_bounds.lower[wanted], constraints - limits.lower])
-    if not _independent(rows):
-        return None  # Their multipliers would run away in the collocated problem.
-    gradient = (slope[:, 0] @ changes)[free]
-    multipliers = np.linalg.lstsq(rows.T, -gradient, rcond=RANK)[0]
-    on_states, nu = np.split(multipliers, [wanted.size])
-    slope, _, curvature = (v.full() for v in derivatives(*numbers, nu))
-    adjoint = np.zeros(flow.final.size)
-    adjoint[:size] = slope[size:, 0]
-    adjoint[wanted] += on_states
-    if hessian is None:
-        hessian = (flow.curvature(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
-    change = np.zeros(free.size)
-    change[free] = _model_minimum(hessian, gradient, rows, misses)
-    gain = abs(float(gradient @ change[free])) / max(abs(cost), TINY)
-    return _Step(change, hessian, flow, adjoint, nu, gain)
-
-
-def _independent(rows: Array) -> bool:
-    """Whether gradients of conditions are linearly independent, in whatever units the conditions are."""
-    sizes = np.linalg.norm(rows, axis=1, keepdims=True)
-    return bool(np.all(sizes > 0) and np.linalg.matrix_rank(rows / sizes, RANK) == rows.shape[0])
-
-
-def _model_minimum(hessian: Array, gradient: Array, rows: Array, misses: Array) -> Array:
-    """Return the step to the minimum of a quadratic model on linear conditions, its negative curvatures reversed."""
-    back = np.linalg.lstsq(rows, -misses, rcond=RANK)[0]
-    null = np.linalg.qr(rows.T, mode="complete")[0][:, rows.shape[0] :]
-    if not null.shape[1]:
-        return np.asarray(back)
-    curvatures, directions = np.linalg.eigh(null.T @ hessian @ null)
-    least = RANK * np.max(np.abs(curvatures))
-    slopes = directions.T @ (null.T @ (gradient + hessian @ back))
-    return np.asarray(back - null @ (directions @ (slopes / np.maximum(np.abs(curvatures), least))))
-
-
-def _end_values(s: PhaseSamples, problem: Problem, flow: BangBangFlow) -> tuple[float, Array]:
-    """Cost and boundary constraints at the ends of the flow."""
-    n, n_integrals = s.leg.states.size, s.leg.integrals.size
-    start, final, clock = flow.initial[:n], flow.final[:n], n + n_integrals
-    nothing = np.zeros(problem.constraint_interval().lower.size)
-    times = (flow.initial[clock], flow.final[clock])
-    integrals = flow.final[n:clock]
-    found = end_function(problem)(start, final, *times, integrals, s.functions.p, s.functions.q, nothing)
-    return float(found[0]), np.asarray(found[1].full()[:, 0])
-
-
 # --- switches -------------------------------------------------------------------------------------------
 
 
@@ -307,7 +204,7 @@ def _switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
 
 def _structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> PhaseStructure:
     """The switches as pieces."""
-    pieces = switches.pieces(_order(switches))
+    pieces = switches.pieces(switches.order)
     at_upper = pieces.controls == s.leg.control_bounds.upper[:, None]
     kinds = choose(at_upper, ArcKind.UPPER, ArcKind.LOWER)
     others = np.full((len(old.regular) - kinds.shape[0], kinds.shape[1]), ArcKind.INTERIOR)
@@ -318,10 +215,6 @@ def _structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> Phas
             times.append(float(t))
             kept.append(tuple(column))
     return replace(old, times=(*times, float(pieces.times[-1])), kinds=tuple(kept), touches=()).merged()
-
-
-def _order(switches: Switches) -> tuple[int, ...]:
-    return tuple(int(k) for k in np.argsort(switches.times, kind="stable"))
 
 
 def _arcs(switches: Switches) -> list[tuple[int, int]]:
@@ -335,7 +228,7 @@ def _arcs(switches: Switches) -> list[tuple[int, int]]:
     return found
 
 
-def _allowed(switches: Switches, step: _Step) -> tuple[float, tuple[int, int] | None]:
+def _allowed(switches: Switches, step: Step) -> tuple[float, tuple[int, int] | None]:
     """The share of a step that leaves every arc some length, and the arc that limits it."""
     times = np.concatenate([switches.ends[:1], switches.times, switches.ends[1:]])
     longest = LONGEST * (switches.ends[1] - switches.ends[0])
@@ -363,114 +256,6 @@ def _without(switches: Switches, arc: tuple[int, int]) -> Switches:
         first[i] = switches.toggled[i] - first[i]
     times, channels = np.delete(switches.times, gone), np.delete(switches.channels, gone)
     return replace(switches, times=times, channels=channels, first=first)
-
-
-# --- as a guess -----------------------------------------------------------------------------------------
-
-
-def _guess(solution: Solution, s: PhaseSamples, switches: Switches, step: _Step) -> Solution:
-    """The flow as a solution on the grid of its integration: cubics through states, costates and their rates."""
-    leg, n = s.leg, s.leg.states.size
-    times, controls, x, lam = _along(s, switches, step)
-    kept = np.flatnonzero(np.diff(times) > 0)
-    breaks, controls = np.append(times[kept], times[-1]), controls[:, kept]
-    mesh = Mesh(tuple((breaks - breaks[0]) / (breaks[-1] - breaks[0])), (1,) * kept.size)
-    sides = []
-    for at in (kept, kept + 1):
-        nothing = np.zeros((len(leg.path_labels), kept.size))
-        rates = s.functions.rates(times[at], x[:, at], controls)
-        forces = -s.functions.state_gradient(times[at], x[:, at], controls, lam[:, at], nothing)
-        sides.append((x[:, at], rates, lam[:, at], forces))
-    (x0, v0, lam0, f0), (x1, v1, lam1, f1) = sides
-    middle = (np.zeros(1),) * kept.size
-    grown = replace(
-        leg,
-        mesh=mesh,
-        initial_time=float(breaks[0]),
-        final_time=float(breaks[-1]),
-        x=_cubics(breaks, x0, v0, x1, v1),
-        u=PiecewisePolynomial(breaks, middle, tuple(controls.T[:, :, None])),
-        lam=_cubics(breaks, lam0, f0, lam1, f1),
-        lam_start=lam0,
-        lam_end=lam1,
-        point_costates=0.5 * (lam0 + lam1),
-        path_multipliers=np.zeros((len(leg.path_labels), kept.size)),
-        state_multipliers=np.zeros((n, kept.size)),
-        control_multipliers=np.zeros(controls.shape),
-        state_impulses=np.zeros((n, kept.size + 1)),
-        integrals=step.flow.final[n : n + leg.integrals.size],
-    )
-    return replace(solution, phases={leg.name: grown}, constraint_multipliers=step.multipliers)
-
-
-def _cubics(
-    breaks: Array, left: Array, left_rate: Array, right: Array, right_rate: Array
-) -> PiecewisePolynomial:
-    """Cubic polynomials by values (n, K) and rates at both ends of every segment."""
-    nodes = np.array([-1.0, -1 / 3, 1 / 3, 1.0])
-    share = 0.5 * (1 + nodes)
-    width = np.diff(breaks)
-    ends = (1 + 2 * share) * (1 - share) ** 2, share**2 * (3 - 2 * share)
-    slopes = share * (1 - share) ** 2, -(share**2) * (1 - share)
-    values = np.multiply.outer(left, ends[0]) + np.multiply.outer(right, ends[1])
-    values += np.multiply.outer(left_rate * width, slopes[0]) + np.multiply.outer(
-        right_rate * width, slopes[1]
-    )
-    return PiecewisePolynomial(breaks, (nodes,) * width.size, tuple(values.transpose(1, 0, 2)))
-
-
-# --- arcs that are missing ------------------------------------------------------------------------------
-
-
-def _completed(s: PhaseSamples, switches: Switches, step: _Step) -> Switches | None:
-    """Switches with the arc that the worst sign of a switching function asks for, or None if all agree."""
-    times, controls, x, lam = _along(s, switches, step)
-    controls = np.column_stack([controls, controls[:, -1]])
-    values = s.functions.switching(times, x, controls, lam)
-    bounds = s.leg.control_bounds
-    wrong = np.where(controls == bounds.upper[:, None], values, -values)
-    wrong /= np.max(np.abs(values), axis=1, keepdims=True)
-    for i in range(wrong.shape[0]):
-        own = np.concatenate([[False], np.diff(controls[i]) != 0])
-        _forgive(wrong[i], np.flatnonzero(own))
-    i, j = (int(k) for k in np.unravel_index(int(np.argmax(wrong)), wrong.shape))
-    if wrong[i, j] < WRONG_SIGN:
-        return None
-    return _with_arc(switches, i, *_interval(times, wrong[i], j))
-
-
-def _along(s: PhaseSamples, switches: Switches, step: _Step) -> tuple[Array, Array, Array, Array]:
-    """Times (n_steps + 1,), controls of every step, states and costates of a flow."""
-    flow, n = step.flow, s.leg.states.size
-    times, pieces = flow.states[n + s.leg.integrals.size], switches.pieces(_order(switches))
-    middles = 0.5 * (times[1:] + times[:-1])
-    places = np.clip(np.searchsorted(pieces.times, middles) - 1, 0, pieces.controls.shape[1] - 1)
-    return times, pieces.controls[:, places], flow.states[:n], flow.adjoints(step.adjoint)[:n]
-
-
-def _forgive(wrong: Array, switches: Indices) -> None:
-    """Zero the offences that reach up to the control's own switches: it switches there, a little too late or early."""
-    for k in switches:
-        for side in (range(int(k), wrong.size), range(int(k) - 1, -1, -1)):
-            for j in side:
-                if wrong[j] <= 0:
-                    break
-                wrong[j] = 0.0
-
-
-def _interval(times: Array, wrong: Array, j: int) -> tuple[float, float]:
-    """Where the sign is wrong around a sample, by straight lines between the samples."""
-    fine = np.flatnonzero(wrong <= 0)
-    before, after = fine[fine < j], fine[fine > j]
-    start, end = times[0], times[-1]
-    if before.size:
-        k = before[-1]
-        start = times[k] - wrong[k] * (times[k + 1] - times[k]) / (wrong[k + 1] - wrong[k])
-    if after.size:
-        k = after[0]
-        end = times[k] - wrong[k] * (times[k] - times[k - 1]) / (wrong[k] - wrong[k - 1])
-    inset = INSET * (end - start)
-    return float(start + inset * (before.size > 0)), float(end - inset * (after.size > 0))
 
 
 def _with_arc(switches: Switches, i: int, start: float, end: float) -> Switches:

@@ -99,6 +99,14 @@ class PhaseStructure:
         """The kinds as an object array (n_rows, A)."""
         return np.asarray(self.kinds, dtype=object).T
 
+    def after(self, time: float) -> PhaseStructure:
+        """Return what of it lies after a time (s)."""
+        if time <= self.times[0]:
+            return self
+        first = max(k for k, begin in enumerate(self.times[:-1]) if begin <= time)
+        times, touches = (time, *self.times[first + 1 :]), ((), *self.touches[first + 1 :])
+        return replace(self, times=times, kinds=self.kinds[first:], touches=touches)
+
     def constrained(self, piece: int) -> bool:
         """Whether a state bound or a path constraint is held in a piece."""
         return any(kind.at_limit for kind in self.kinds[piece][self._n_free :])
@@ -128,14 +136,13 @@ class PhaseStructure:
         return bool(self.orders[row]) and not linear
 
     def beside_contacts(self, touches: bool) -> Mask:
-        """In which pieces state constraints are beside an arc on their limit, or beside a touch, (n_rows, A)."""
+        """Return where state constraints are beside an arc on their limit or, with touches, off them, (n_rows, A)."""
         held = np.array([[kind.at_limit for kind in row] for row in self.matrix()])
         beside = np.zeros_like(held)
         beside[:, :-1] |= held[:, 1:]
         beside[:, 1:] |= held[:, :-1]
-        for k in range(1, self.pieces if touches else 1):
-            for row, _ in self.touches[k]:
-                beside[row, k - 1 : k + 1] = True
+        if touches:
+            beside[[row for here in self.touches for row, _ in here]] = True
         return np.asarray(beside & ~held & (np.array(self.orders) > 0)[:, None])
 
     def on_contact(self, piece: int) -> bool:
@@ -252,8 +259,15 @@ class PhaseStructure:
             Of all rows.
         """
         found = []
+        # A control is constrained where another limit than its own determines it.
+        determined = [any(kind.at_limit for kind in kinds[self._n_free :]) for kinds in self.kinds]
         for i, label in enumerate(labels):
-            row = [self._shown(kinds, i) for kinds in self.kinds]
+            row = [kinds[i] for kinds in self.kinds]
+            if i < self._n_free:
+                row = [
+                    ArcKind.CONSTRAINED if d and not k.at_limit else k
+                    for k, d in zip(row, determined, strict=True)
+                ]
             starts = [0, *[k for k in range(1, self.pieces) if row[k] != row[k - 1]], self.pieces]
             for first, last in itertools.pairwise(starts):
                 kind = row[first]
@@ -262,11 +276,6 @@ class PhaseStructure:
             for time, touches in zip(self.times, self.touches, strict=True):
                 found += [Arc(phase, label, kind, time, time) for row, kind in touches if row == i]
         return tuple(found)
-
-    def _shown(self, kinds: tuple[ArcKind, ...], i: int) -> ArcKind:
-        """The kind of one row; a control is constrained where another limit than its own determines it."""
-        determined = any(kind.at_limit for kind in kinds[self._n_free :])
-        return ArcKind.CONSTRAINED if i < self._n_free and not kinds[i].at_limit and determined else kinds[i]
 
     def merged(self) -> PhaseStructure:
         """Return the structure with equal neighbouring pieces joined."""

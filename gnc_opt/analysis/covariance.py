@@ -1,0 +1,366 @@
+r"""Linear covariance analysis: how far the errors of a closed loop scatter, from one pass along its nominal run.
+
+With the derivatives of `Linearization`, the deviations due to a dispersion with covariance :math:`\Sigma_j` are
+:math:`\delta X_k = \Phi_{jk}\, \delta P_j` and those due to the noise of a block have the covariance S of
+
+.. math:: \Phi_{k+1} = A_k \Phi_k + H_k, \qquad S_{k+1} = A_k S_k A_k^T + G_k G_k^T,
+
+so that each source has its own share of every covariance. Where the loop bends within the dispersions (a limit that is
+met, a quantum, a large angle) none of this holds. That is measured: a few runs are flown with random numbers for which
+the linear prediction is computed as well, number by number. If r is the root mean square of what they differ by,
+standard deviations lie within :math:`\sigma \pm r`, by the triangle inequality (but for the small number of runs).
+
+References
+----------
+D. K. Geller, Linear covariance techniques for orbital rendezvous analysis and autonomous onboard mission planning,
+Journal of Guidance, Control, and Dynamics 29 (2006), section III.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.analysis.agreement import Agreement, agreement
+from gnc_opt.analysis.linearization import Linearization
+from gnc_opt.analysis.scatter import Scatter, Sources
+from gnc_opt.arguments import expect, read_integer, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError, unknown_name
+from gnc_opt.model.layout import Layout
+from gnc_opt.simulation.campaign import Campaign
+from gnc_opt.simulation.dispersion import Dispersions, check_dispersions, dispersed
+from gnc_opt.simulation.flight import LEG, Flight
+from gnc_opt.simulation.loop import ClosedLoop
+from gnc_opt.simulation.statistics import CONFIDENCE
+from gnc_opt.strict import Strict
+from gnc_opt.tolerances import TINY
+
+LINEAR = 0.05
+"""Share of a standard deviation by which it may be wrong at most, and the loop still counts as linear."""
+
+_CHECKS = 30
+"""Runs flown beside their linear predictions unless told otherwise."""
+
+_KINDS = {"command": "commands", "applied": "applied"}
+"""Signals beside the errors, and what they are called where they are logged."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearCovariance(Strict):
+    """Covariances along a nominal run, by source; see `linear_covariance`.
+
+    A *signal* is the name of a state (its error, relative to the nominal run), or ``command(F)``, ``applied(F)``: what
+    the controller asks for, and the mean over the step of what arrives.
+
+    Attributes
+    ----------
+    times : array (n_times,)
+        s; commands and applied controls have all but the last.
+    sources : tuple of str
+        Names of dispersions, then of blocks that draw random numbers.
+    nominal : array (n_states, n_times)
+        The plant without dispersions and noise.
+    mean : array (n_errors, n_times)
+        Of the errors; not zero where dispersions are not centred.
+    parts : mapping
+        Arrays (n_sources, n_times, n, n): covariances by source, of "error", "command" and "applied".
+    bends : mapping
+        Arrays (n, n_times) of the same: see `nonlinearity`.
+    checked : int
+        Number of these runs.
+    layouts : mapping
+        Names, sizes and units: error, command, applied.
+    flight : Flight
+        What was linearized.
+    """
+
+    times: Array
+    sources: tuple[str, ...]
+    nominal: Array
+    mean: Array
+    parts: Mapping[str, Array]
+    bends: Mapping[str, Array]
+    checked: int
+    layouts: Mapping[str, Layout] = field(repr=False)
+    flight: Flight = field(repr=False)
+
+    def __str__(self) -> str:
+        from gnc_opt.report.analysis import covariance_table
+
+        return covariance_table(self)
+
+    def covariance(self, signal: str) -> Array:
+        """Return the covariance of a signal over time, (n_times, size, size)."""
+        return np.asarray(self.by_source(signal).sum(axis=0))
+
+    def std(self, signal: str) -> Array:
+        """Return the standard deviations (1 sigma) of a signal over time, (size, n_times)."""
+        return _roots(self.covariance(signal))
+
+    def by_source(self, signal: str) -> Array:
+        """Return the covariances of a signal due to each of `sources`, (n_sources, n_times, size, size)."""
+        kind, name = self._parse(signal)
+        place = self.layouts[kind].slice(name)
+        return self.parts[kind][:, :, place, place]
+
+    def budget(self, signal: str, at: float | None = None) -> dict[str, float]:
+        """Return which share of a signal's variance each source has, the largest first.
+
+        The variance is the trace of the covariance; shares add up to 1, unless nothing scatters.
+
+        Parameters
+        ----------
+        signal : str
+        at : float, optional
+            Time (s), the logged one nearest to it; default the last.
+        """
+        parts = self.by_source(signal)
+        k = -1 if at is None else int(np.argmin(np.abs(self.times[: parts.shape[1]] - at)))
+        traces = np.trace(parts[:, k], axis1=1, axis2=2)
+        shares = traces / max(float(traces.sum()), TINY)
+        order = np.argsort(-shares, kind="stable")
+        return {self.sources[i]: float(shares[i]) for i in order}
+
+    def nonlinearity(self, signal: str) -> Array:
+        """Return what runs differ by from their linear prediction, (size, n_times), in standard deviations.
+
+        Root mean square of the runs; infinite where only they deviate, not-a-number without runs to compare with.
+        """
+        kind, name = self._parse(signal)
+        return self.bends[kind][self.layouts[kind].slice(name)]
+
+    def linear(self, signal: str, tolerance: float = LINEAR) -> bool:
+        """Whether the standard deviations of a signal at the end are right to ``tolerance``, as far as runs tell.
+
+        Raises
+        ------
+        ArgumentError
+            No runs were compared with.
+        """
+        if not self.checked:
+            raise ArgumentError(
+                "no run was compared with its linear prediction: give checks= a number of runs."
+            )
+        tolerance = read_positive(tolerance, "the tolerance of linear()")
+        return bool(np.all(self.nonlinearity(signal)[:, -1] <= tolerance))
+
+    def compare(self, campaign: Campaign, confidence: float = CONFIDENCE) -> Agreement:
+        """Return how the ends of a campaign's runs agree with the last covariance.
+
+        Parameters
+        ----------
+        campaign : Campaign
+            Of the same loop, nominal run and dispersions.
+        confidence : float
+            Of all bands together, in (0, 1).
+
+        Raises
+        ------
+        ArgumentError
+            The campaign flew another loop or span, or fewer than two runs ended.
+        """
+        return agreement(
+            self.flight,
+            self.nominal[:, -1],
+            (self.mean[:, -1], np.diag(self.parts["error"][:, -1].sum(axis=0))),
+            campaign,
+            confidence,
+        )
+
+    def _parse(self, signal: str) -> tuple[str, str]:
+        kind, _, rest = signal.partition("(") if isinstance(signal, str) else ("", "", "")
+        name = rest[:-1] if rest.endswith(")") else ""
+        if kind in _KINDS and name in self.layouts[kind]:
+            return kind, name
+        if signal in self.layouts["error"]:
+            return "error", signal
+        known = [*self.layouts["error"].names]
+        known += [f"{kind}({name})" for kind in _KINDS for name in self.layouts[kind].names]
+        raise unknown_name("signal", signal, "the linear covariance", known)
+
+
+def linear_covariance(
+    loop: ClosedLoop,
+    *,
+    x0: ArrayLike | Mapping[str, ArrayLike],
+    tf: float,
+    t0: float = 0.0,
+    dispersions: Dispersions | None = None,
+    parameters: Mapping[str, ArrayLike] | None = None,
+    every: int = 1,
+    checks: int = _CHECKS,
+    seed: int = 0,
+) -> LinearCovariance:
+    """Return the covariances of a closed loop's errors along its nominal run, by source.
+
+    The arguments are those of `monte_carlo`, whose runs it predicts; one pass takes as long as some dozens of them.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+        Without events.
+    x0 : array (n_states,) or mapping by name
+        Nominal initial state.
+    t0, tf : float
+        First and last time, s.
+    dispersions : mapping
+        By dotted name of ``loop.layout``, see `monte_carlo`; only their means and covariances matter here.
+    parameters : mapping
+        Nominal changes of parameters by dotted name.
+    every : int
+        Of so many control steps one is kept; the end always is.
+    checks : int
+        Runs that are flown beside their linear predictions, for `LinearCovariance.nonlinearity`; 0: none.
+    seed : int
+        Of these runs.
+
+    Returns
+    -------
+    LinearCovariance
+
+    Raises
+    ------
+    ArgumentError, UnknownNameError
+        Something does not fit, the loop has events, or a derivative is not finite; the message says which.
+    """
+    expect(loop, ClosedLoop, "what linear_covariance() got", "give a ClosedLoop")
+    every = read_integer(every, "the number of control steps of which one is kept", 1)
+    checks = read_integer(checks, "the number of runs to compare with", 0)
+    read_integer(seed, "the seed of linear_covariance()", 0)
+    dispersions = {} if dispersions is None else dispersions
+    flight = loop.flight(x0, t0=t0, tf=tf, parameters=parameters)
+    check_dispersions(dispersions, flight.layout, flight.nominal)
+    columns = [int(i) for name in dispersions for i in range(flight.layout.size)[flight.layout.slice(name)]]
+    return _Pass(Linearization(flight, loop.wiring, columns), dispersions, every, checks, seed).result()
+
+
+class _Pass:
+    """One pass along the nominal run, with everything that is carried along."""
+
+    def __init__(
+        self, linearization: Linearization, dispersions: Dispersions, every: int, checks: int, seed: int
+    ) -> None:
+        self.linearization, self.flight = linearization, linearization.flight
+        self.every, self.seed = every, seed
+        layout, nominal = self.flight.layout, self.flight.nominal
+        moments = {name: d.moments(nominal[layout.slice(name)]) for name, d in dispersions.items()}
+        self.shift = np.concatenate([np.empty(0), *[mean for mean, _ in moments.values()]])
+        columns = [dispersed(dispersions, layout, nominal, seed, i) for i in range(checks)]
+        self.drawn = np.reshape(columns, (checks, layout.size)).T
+        numbers = linearization.noises
+        units = [np.eye(place.stop - place.start) for place in numbers.values()]
+        chosen = linearization.columns
+        self.sources = Sources(
+            (*moments, *numbers),
+            (*(covariance for _, covariance in moments.values()), *units),
+            tuple(numbers.values()),
+            self.drawn[chosen] - nominal[chosen, None],
+        )
+        self.values: dict[str, list[Array]] = {kind: [] for kind in ("state", *_KINDS)}
+        self.scatters: dict[str, list[tuple[Array, Array]]] = {kind: [] for kind in ("error", *_KINDS)}
+        self.mean: list[Array] = []
+
+    def result(self) -> LinearCovariance:
+        X, g, h = self.linearization.start()
+        numbers = self._numbers()
+        n = next(numbers)
+        scatter = Scatter.first(self.sources, g, h, n)
+        for k, step in enumerate(self.linearization.steps(X)):
+            first = k == 0
+            n = n if first else next(numbers)
+            if k % self.every == 0:
+                self._keep_state(X, scatter)
+                self._keep_outputs(step.y, scatter.through(step.c, step.d, step.e, n, first=first))
+            scatter, X = scatter.through(step.a, step.g, step.h, n, first=first), step.X_next
+        self._keep_state(X, scatter)
+        return self._collected()
+
+    # --- internals ----------------------------------------------------------------------------------------
+
+    def _numbers(self) -> Iterator[Array]:
+        """Yield the random numbers (n, n_runs) of each step of the runs to compare with."""
+        flight, drawn = self.flight, self.linearization.drawn
+        known = [np.empty((min(flight.n_steps, LEG), flight.kernel.known.size)) for _ in self.drawn.T]
+        if not known:
+            yield from itertools.repeat(np.empty((len(drawn), 0)))
+        for legs in zip(*(flight.legs([self.seed, i], rows) for i, rows in enumerate(known)), strict=True):
+            yield from np.stack([rows[:, drawn] for _, rows in legs], axis=2)
+
+    def _keep_state(self, X: Array, scatter: Scatter) -> None:
+        places = self.linearization.state.split(np.arange(scatter.runs.shape[0]))["plant"]
+        x = self.flight.kernel.state.split(X)["plant"]
+        to_errors = np.zeros((self.flight.error_layout.size, scatter.runs.shape[0]))
+        to_errors[:, places] = self._error_jacobian(x).full()
+        errors = scatter.turned(to_errors)
+        self.values["state"].append(x)
+        self.scatters["error"].append((errors.covariances, errors.runs))
+        self.mean.append(errors.by_parameters[:, : self.shift.size] @ self.shift)
+
+    def _keep_outputs(self, y: Array, scatter: Scatter) -> None:
+        values = self.linearization.output.split(y)
+        places = self.linearization.output.split(np.eye(y.size))
+        for kind, name in _KINDS.items():
+            part = scatter.turned(places[name])
+            self.values[kind].append(values[name])
+            self.scatters[kind].append((part.covariances, part.runs))
+
+    @cached_property
+    def _error_jacobian(self) -> Any:
+        """Derivatives of the errors relative to the nominal state, there."""
+        x, x_ref = (ca.SX.sym(n, self.flight.states.size) for n in ("x", "x_ref"))
+        jacobian = ca.jacobian(self.flight.errors(x, x_ref), x)
+        return ca.Function("by_x", [x_ref], [ca.substitute(jacobian, x, x_ref)])
+
+    def _collected(self) -> LinearCovariance:
+        flight = self.flight
+        kept = np.append(np.arange(0, flight.n_steps, self.every), flight.n_steps)
+        parts = {kind: np.stack([c for c, _ in found], axis=1) for kind, found in self.scatters.items()}
+        return LinearCovariance(
+            times=flight.times[kept],
+            sources=self.sources.names,
+            nominal=np.stack(self.values["state"], axis=1),
+            mean=np.stack(self.mean, axis=1),
+            parts=parts,
+            bends=self._bends({kind: _roots(part.sum(axis=0)) for kind, part in parts.items()}),
+            checked=self.drawn.shape[1],
+            layouts={"error": flight.error_layout, "command": flight.commands, "applied": flight.controls},
+            flight=flight,
+        )
+
+    def _bends(self, sigma: dict[str, Array]) -> dict[str, Array]:
+        """Return the root mean square of what runs differ by from their predictions, in standard deviations."""
+        flight, checks = self.flight, self.drawn.shape[1]
+        if not checks:
+            return {kind: np.full(s.shape, np.nan) for kind, s in sigma.items()}
+        nominal = {kind: np.stack(values, axis=1) for kind, values in self.values.items()}
+        squares = {kind: np.zeros(s.shape) for kind, s in sigma.items()}
+        for i in range(checks):
+            run = flight.run(self.drawn[:, i], [self.seed, i], every=self.every)
+            moved = {kind: getattr(run, name) - nominal[kind] for kind, name in _KINDS.items()}
+            moved["error"] = np.asarray(flight.errors(run.states, nominal["state"]).full())
+            for kind, deviations in moved.items():
+                predicted = np.stack([runs[:, i] for _, runs in self.scatters[kind]], axis=1)
+                squares[kind] += np.nan_to_num((deviations - predicted) ** 2, nan=np.inf)
+        found = {}
+        for kind, s in sigma.items():
+            apart = np.sqrt(squares[kind] / checks)
+            values = nominal["state" if kind == "error" else kind]
+            quiet = flight.accuracy * (
+                1 + np.max(np.abs(values))
+            )  # what integration may err by is no scatter
+            bent = np.where(apart <= quiet, 0.0, np.inf)
+            found[kind] = np.divide(apart, s, out=bent, where=s > quiet)
+        return found
+
+
+def _roots(covariance: Array) -> Array:
+    """Return the standard deviations (size, n_times) in covariances (n_times, size, size)."""
+    return np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2).T, 0.0))

@@ -1,0 +1,93 @@
+"""Scatter: how a column of the closed loop deviates from its nominal value, carried along step by step."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Sources:
+    """What makes a loop scatter: parameters, and the random numbers of every step.
+
+    The numbers of the first step are in the first sample and in the step, so they count among the parameters.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the dispersions, then of the blocks that draw numbers.
+    spreads : tuple of arrays
+        Covariance of the parameters of each.
+    numbers : tuple of slices
+        Places of the numbers of each block in those of a step.
+    deviations : array (n_dispersed, n_runs)
+        What was drawn for the dispersed parameters of some runs.
+    """
+
+    names: tuple[str, ...]
+    spreads: tuple[Array, ...]
+    numbers: tuple[slice, ...]
+    deviations: Array
+
+    @property
+    def places(self) -> list[slice]:
+        """Places of the sources among all parameters."""
+        edges = [0, *np.cumsum([spread.shape[0] for spread in self.spreads])]
+        return [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """How a column (n,) scatters.
+
+    Attributes
+    ----------
+    sources : Sources
+    by_parameters : array (n, n_parameters)
+        Derivatives.
+    noise : sequence of arrays (n, n)
+        Covariances due to the numbers of each block since the first step.
+    runs : array (n, n_runs)
+        Linear predictions of its deviation in some runs.
+    """
+
+    sources: Sources
+    by_parameters: Array
+    noise: Sequence[Array]
+    runs: Array
+
+    @classmethod
+    def first(cls, sources: Sources, g: Array, h: Array, numbers: Array) -> Scatter:
+        """Return the scatter of a column with derivatives g, h by the first numbers and the dispersed parameters."""
+        quiet = [np.zeros((g.shape[0], g.shape[0])) for _ in sources.numbers]
+        return cls(sources, np.hstack([h, g]), quiet, h @ sources.deviations + g @ numbers)
+
+    def through(self, a: Array, g: Array, h: Array, numbers: Array, *, first: bool) -> Scatter:
+        """Return the scatter of a times the column, plus g times the numbers of a step, plus h times the parameters."""
+        added = np.hstack([h, g if first else np.zeros_like(g)])
+        noise = [a @ s @ a.T for s in self.noise]
+        if not first:
+            noise = [s + g[:, p] @ g[:, p].T for s, p in zip(noise, self.sources.numbers, strict=True)]
+        runs = a @ self.runs + g @ numbers + h @ self.sources.deviations
+        return Scatter(self.sources, a @ self.by_parameters + added, noise, runs)
+
+    def turned(self, matrix: Array) -> Scatter:
+        """Return the scatter of a matrix times the column."""
+        noise = [matrix @ s @ matrix.T for s in self.noise]
+        return Scatter(self.sources, matrix @ self.by_parameters, noise, matrix @ self.runs)
+
+    @property
+    def covariances(self) -> Array:
+        """By source, (n_sources, n, n)."""
+        parts = [
+            self.by_parameters[:, place] @ spread @ self.by_parameters[:, place].T
+            for place, spread in zip(self.sources.places, self.sources.spreads, strict=True)
+        ]
+        for i, s in enumerate(self.noise, start=len(parts) - len(self.noise)):
+            parts[i] = parts[i] + s
+        return np.reshape(parts, (len(parts), self.runs.shape[0], self.runs.shape[0]))

@@ -1,0 +1,127 @@
+"""Motion in three dimensions in a page: a vehicle, its path and its plumes over a slider of time.
+
+Plotly, of the extra ``report``, draws it; script and numbers are packed into the page, which needs no network.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+from collections.abc import Mapping
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.errors import GncOptError
+from gnc_opt.extras import imported
+from gnc_opt.plot.dispersion_tube import SHARE, tube
+from gnc_opt.plot.view import AXIS, PLUME, Motion, Moved, View, motion, span, sphere
+
+_INSTANTS = (41, 241)
+"""Fewest and most instants of a motion."""
+_SAMPLES = 60_000
+"""Instants of all motions together: what keeps a page of a thousand runs below five megabytes."""
+_DIGITS = 4
+"""Of positions, relative to the extent of what is drawn; of axes and plumes to the length of a unit vector."""
+_ROOM = 0.15
+"""Around what is drawn, share of its extent: room for the vehicle, its axes and its plumes."""
+_FEWEST_OF_A_TUBE = 10
+"""Runs below which dispersion is better shown by their paths."""
+
+
+def scene_html(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str, bool] | None = None) -> str:
+    """Return the scene as a piece of HTML, to be used once in a page; without Plotly, a line on how to get it.
+
+    Parameters
+    ----------
+    shown : mapping of str to Solution or Run
+        By the name to choose it by; the first is shown first. Of ten or more the tube of dispersion is shown, too.
+    view : View
+    regular : mapping of str to bool, optional
+        Which of them did as they should: others do not count for the tube and may fly out of the picture.
+
+    Returns
+    -------
+    str
+    """
+    data = _described(shown, view, regular or {})
+    try:
+        plotly = Path(imported("plotly", "report").__file__).parent / "package_data" / "plotly.min.js"
+    except GncOptError as error:
+        return f"<p>Not shown in 3-D: {escape(str(error))}</p>"
+    script = resources.files(__package__).joinpath("scene.js").read_text(encoding="utf-8")
+    text = json.dumps(data, allow_nan=False, separators=(",", ":"))
+    packed = {"plotly": plotly.read_bytes(), "motions": text.encode()}
+    return (
+        '<div id="scene"><div id="stage"></div><p id="film">'
+        '<button type="button">Play</button> <input type="range" min="0" value="0" aria-label="time"> '
+        '<output></output> <select aria-label="what moves"></select></p></div>'
+        + "".join(
+            f'<script type="text/plain" id="{name}">{_packed(part)}</script>' for name, part in packed.items()
+        )
+        + f"<script>{script}</script>"
+    )
+
+
+def _packed(data: bytes) -> str:
+    return base64.b64encode(gzip.compress(data, compresslevel=9, mtime=0)).decode("ascii")
+
+
+def _described(shown: Mapping[str, Moved], view: View, regular: Mapping[str, bool]) -> dict[str, Any]:
+    spans = np.array([span(moved, view) for moved in shown.values()])
+    n = int(np.clip(_SAMPLES // len(shown), *_INSTANTS))
+    times = np.linspace(spans[:, 0].min(), spans[:, 1].max(), n)
+    motions = {name: motion(moved, view, times) for name, moved in shown.items()}
+    motions = {name: each for name, each in motions.items() if np.all(np.isfinite(each.position))}
+    if not motions:
+        raise GncOptError("no motion has finite positions: there is nothing to show.")
+    usual = [each.position for name, each in motions.items() if regular.get(name, True)]
+    usual = usual or [each.position for each in motions.values()]
+    volumes = {name: sphere(*view.volume(name)) for name in view.keep_out}
+    low, high, size = _extent([*usual, *(v.reshape(3, -1) for v in volumes.values())], view)
+    digits = _DIGITS - int(np.floor(np.log10(size)))
+    first = next(iter(motions.values()))
+    many = len(usual) >= _FEWEST_OF_A_TUBE and view.position is not None
+    around = tube(np.stack(usual)) if many else None
+    return {
+        "times": np.round(times, 6).tolist(),
+        "unit": first.unit,
+        "down": view.down,
+        "moves": view.position is not None,
+        "turns": view.attitude is not None,
+        "low": low.tolist(),
+        "high": high.tolist(),
+        "axis": AXIS * size,
+        "plume": PLUME * size,
+        "volumes": {name: np.round(volume, digits).tolist() for name, volume in volumes.items()},
+        "tube": None if around is None else np.round(around, digits).tolist(),
+        "tube_name": f"holds {SHARE:.0%} of the runs",
+        "plumes": {
+            name: {"nozzle": p.nozzle.tolist(), "basis": p.basis.tolist()} for name, p in first.plumes.items()
+        },
+        "motions": {name: _sampled(each, digits) for name, each in motions.items()},
+    }
+
+
+def _sampled(each: Motion, digits: int) -> dict[str, Any]:
+    """Numbers of one motion; of the body's axes the first two, the third stands upright on them."""
+    axes = [] if each.dcm_BL is None else np.round(each.dcm_BL[:2], _DIGITS).tolist()
+    return {
+        "position": np.round(each.position, digits).tolist(),
+        "axes": axes,
+        "plumes": {name: np.round(p.values, _DIGITS).tolist() for name, p in each.plumes.items()},
+    }
+
+
+def _extent(points: list[Array], view: View) -> tuple[Array, Array, float]:
+    """Return lowest and highest corner of what is drawn, with room, and its largest extent."""
+    everything = np.hstack(points)
+    low, high = everything.min(axis=1), everything.max(axis=1)
+    size = float(np.max(high - low)) if view.position is not None else 1.0
+    size = size or 1.0
+    return low - _ROOM * size, high + _ROOM * size, size

@@ -1,0 +1,305 @@
+"""What of a motion is seen in space: position, attitude and thrust of a vehicle, sampled from a solution or a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_numbers
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError, UnknownNameError, shown, unknown_name
+from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.simulation.run import Run
+from gnc_opt.solution.solution import Solution
+from gnc_opt.spacecraft import mrp_to_dcm, quaternion_to_dcm
+
+Moved: TypeAlias = Solution | Run
+Names: TypeAlias = str | Sequence[str]
+
+AXIS, PLUME = 0.12, 0.2
+"""Lengths of the body's axes and of the plume at full thrust, shares of the largest extent of what is drawn."""
+
+
+@dataclass(frozen=True)
+class Thruster:
+    """An actuator that pushes the body along one line; its plume points the other way.
+
+    Attributes
+    ----------
+    control : str
+        A control or a state of one component, or a component, such as ``"F_B[0]"``. One that takes both signs is a
+        pair of thrusters on opposite sides: where it is negative, nozzle and plume are mirrored through the origin.
+    direction : array (3,)
+        In which it pushes the body where it is positive: in B if the view has an attitude, else in L.
+    position : array (3,)
+        Of the nozzle in the same axes, in lengths of the axes as drawn: vehicles are drawn larger than they are.
+    """
+
+    control: str
+    direction: ArrayLike
+    position: ArrayLike = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class View:
+    """What of a motion is seen in space, by the names of states and controls.
+
+    A name stands for a whole variable (``"r"``) or for one component (``"q[3]"``); several make one quantity.
+
+    Attributes
+    ----------
+    position : str or sequence of str, optional
+        States, one to three components: x, y and z in the frame that is drawn, L. Of two, the second is drawn upwards;
+        one is drawn upwards, too. None leaves the body at the origin, where its attitude turns it.
+    attitude : str or sequence of str, optional
+        Of the body B relative to L: modified Rodrigues parameters (3) or a quaternion (4, scalar part first).
+    force : str, sequence of str, or mapping of str to Thruster, optional
+        The resultant force: controls or states of one to three components as the position, in B if there is an
+        attitude, else in L. Or the actuators by name, each with a plume of its own.
+    keep_out : mapping of str to (centre, radius)
+        Spheres, or ellipsoids with three semi-axes along those of L, in the unit of the position.
+    down : bool
+        Draw z downwards (and y towards the viewer), as befits a z axis that points to the planet.
+
+    Raises
+    ------
+    ArgumentError
+        Neither a position nor an attitude, or a volume or a thruster that has not the numbers it must have.
+    """
+
+    position: Names | None = None
+    attitude: Names | None = None
+    force: Names | Mapping[str, Thruster] | None = None
+    keep_out: Mapping[str, tuple[ArrayLike, ArrayLike]] = field(default_factory=dict)
+    down: bool = False
+
+    def __post_init__(self) -> None:
+        if self.position is None and self.attitude is None:
+            raise ArgumentError(
+                "a view without position and attitude shows nothing that moves: name one of them."
+            )
+        for name in self.keep_out:
+            self.volume(name)
+        for name, thruster in self.thrusters.items():
+            if not isinstance(thruster, Thruster):
+                raise ArgumentError(f"the thruster '{name}' is a {type(thruster).__name__}: give a Thruster.")
+            _three(thruster.position, f"the position of the thruster '{name}'")
+            if not np.any(_three(thruster.direction, f"the direction of the thruster '{name}'")):
+                raise ArgumentError(f"the thruster '{name}' has no direction: say which way it pushes.")
+
+    @property
+    def thrusters(self) -> Mapping[str, Thruster]:
+        """The actuators, if they are named one by one."""
+        return self.force if isinstance(self.force, Mapping) else {}
+
+    def volume(self, name: str) -> tuple[Array, Array]:
+        """Return centre (3,) and semi-axes (3,) of a volume to keep out of."""
+        try:
+            centre, radius = self.keep_out[name]
+        except (TypeError, ValueError):
+            raise ArgumentError(f"'{name}' to keep out of is no (centre, radius): give both.") from None
+        axes = read_numbers(radius, f"the radius of '{name}'").reshape(-1)
+        axes = np.full(3, axes[0]) if axes.size == 1 else _three(axes, f"the radius of '{name}'")
+        if not np.all(axes > 0):
+            raise ArgumentError(f"the radius of '{name}' is {shown(radius)}: give a length > 0.")
+        return _three(centre, f"the centre of '{name}'"), axes
+
+
+@dataclass(frozen=True)
+class Plume:
+    """Of one actuator: its nozzle (3,), and its force ``basis @ values``, (3, k) by (k, n), shares of the largest."""
+
+    nozzle: Array
+    basis: Array
+    values: Array
+
+    def force(self, dcm_BL: Array | None) -> Array:
+        """Return the force in L, (3, n)."""
+        return _in_frame(self.basis @ self.values, dcm_BL)
+
+    def root(self, dcm_BL: Array | None) -> Array:
+        """Return where the plume begins, relative to the body, in L, (3, n)."""
+        sides = np.sign(self.values) if len(self.values) == 1 else np.ones((1, self.values.shape[1]))
+        return _in_frame(self.nozzle[:, None] * sides, dcm_BL)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Samples at times (n,): position (3, n), body's axes as rows (3, 3, n), plumes by name."""
+
+    times: Array
+    position: Array
+    dcm_BL: Array | None
+    plumes: Mapping[str, Plume]
+    unit: str
+
+
+def span(moved: Moved, view: View) -> tuple[float, float]:
+    """Return the first and the last time (s) at which there is something to see."""
+    parts = _parts(moved, view)
+    return parts[0].begin, parts[-1].end
+
+
+def motion(moved: Moved, view: View, times: Array) -> Motion:
+    """Sample a motion at times (n,), s; before its begin and after its end it stands still.
+
+    Raises
+    ------
+    UnknownNameError
+        There is no such state or control.
+    ArgumentError
+        A position, attitude or force does not have the components it must have.
+    """
+    parts = _parts(moved, view)
+    at = np.clip(times, parts[0].begin, parts[-1].end)
+    begins = [part.begin for part in parts]
+    owner = np.clip(np.searchsorted(begins, at, side="right") - 1, 0, len(parts) - 1)
+    groups = [(part, at[owner == k]) for k, part in enumerate(parts) if np.any(owner == k)]
+
+    def of(names: Names) -> Array:
+        return np.concatenate(
+            [np.vstack([part.values(n, t) for n in _each(names)]) for part, t in groups], axis=1
+        )
+
+    position, unit = np.zeros((3, times.size)), ""
+    if view.position is not None:
+        position = _in_space(of(view.position), f"the position {', '.join(_each(view.position))}")
+        unit = parts[0].unit(_each(view.position)[0])
+    dcm = None if view.attitude is None else _dcm(of(view.attitude), ", ".join(_each(view.attitude)))
+    return Motion(times, position, dcm, _plumes(view, of), unit)
+
+
+def track(moved: Moved, view: View, n: int) -> Array:
+    """Return n positions along the whole of a motion, (3, n); it needs no attitude and no force."""
+    seen = view if view.position is None else View(view.position)
+    return motion(moved, seen, np.linspace(*span(moved, seen), n)).position
+
+
+def _plumes(view: View, of: Any) -> dict[str, Plume]:
+    found: dict[str, Plume] = {}
+    if view.thrusters:
+        for name, thruster in view.thrusters.items():
+            values = of(thruster.control)
+            if len(values) != 1:
+                raise ArgumentError(
+                    f"the thruster '{name}' has the control {thruster.control} of {len(values)} components: name one "
+                    f"of them, such as '{thruster.control}[0]'."
+                )
+            along = np.asarray(thruster.direction, dtype=float)
+            basis = (along / np.linalg.norm(along))[:, None]
+            found[name] = Plume(np.asarray(thruster.position, dtype=float), basis, values)
+    elif view.force is not None and not isinstance(view.force, Mapping):
+        values = _in_space(of(view.force), f"the force {', '.join(_each(view.force))}")
+        found["plume"] = Plume(np.zeros(3), np.eye(3), values)
+    largest = max((float(np.max(np.linalg.norm(p.values, axis=0))) for p in found.values()), default=0.0)
+    scale = max(largest, np.finfo(float).tiny)
+    return {name: Plume(p.nozzle, p.basis, p.values / scale) for name, p in found.items()}
+
+
+# --- where the numbers come from ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A phase, or a run: from begin to end (s), with its states and controls by name."""
+
+    begin: float
+    end: float
+    source: Any
+    layouts: Mapping[str, Layout]
+
+    def values(self, name: str, t: Array) -> Array:
+        """Of a variable (size, n), or of one component (1, n)."""
+        whole, bracket, _ = name.partition("[")
+        values = np.atleast_2d(self._signal(whole)(t))
+        if not bracket:
+            return values
+        labels = Variable(whole, len(values)).labels
+        if name not in labels:
+            raise ArgumentError(f"{whole} has no component {name}: it has {', '.join(labels)}.")
+        k = labels.index(name)
+        return values[k : k + 1]
+
+    def _signal(self, name: str) -> Any:
+        if name in self.layouts["state"]:
+            return self.source.state(name)
+        try:
+            return self.source.control(name)  # knows composed controls, which no layout lists
+        except UnknownNameError:
+            known = [*self.layouts["state"].names, *self.layouts["control"].names]
+            raise unknown_name("state or control", name, "the motion", known) from None
+
+    def has(self, names: Names) -> bool:
+        return all(name.partition("[")[0] in self.layouts["state"] for name in _each(names))
+
+    def unit(self, name: str) -> str:
+        return self.layouts["state"][name.partition("[")[0]].unit
+
+
+def _parts(moved: Moved, view: View) -> list[_Part]:
+    if isinstance(moved, Run):
+        layouts = {"state": moved.layouts["state"], "control": moved.layouts["applied"]}
+        parts = [_Part(float(moved.times[0]), float(moved.times[-1]), moved, layouts)]
+    else:
+        parts = [
+            _Part(leg.initial_time, leg.final_time, leg, {"state": leg.states, "control": leg.controls})
+            for leg in moved.phases.values()
+        ]
+    names = view.position if view.position is not None else view.attitude or ()
+    found = [part for part in parts if part.has(names)]
+    if not found:  # say so in the words of what was given
+        for name in _each(names):
+            parts[0].source.state(name.partition("[")[0])
+    return sorted(found, key=lambda part: part.begin)
+
+
+def _each(names: Names) -> list[str]:
+    return [names] if isinstance(names, str) else list(names)
+
+
+# --- geometry -------------------------------------------------------------------------------------------
+
+
+def _in_frame(vector_B: Array, dcm_BL: Array | None) -> Array:
+    """Turn vectors (3, n) from B into L."""
+    return vector_B if dcm_BL is None else np.einsum("ijk,ik->jk", dcm_BL, vector_B)
+
+
+def sphere(centre: Array, semi_axes: Array) -> Array:
+    """Return points of an ellipsoid, (3, 13, 25): from pole to pole, and around."""
+    around, up = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(-np.pi / 2, np.pi / 2, 13))
+    unit = np.stack([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
+    return np.asarray(centre[:, None, None] + semi_axes[:, None, None] * unit)
+
+
+def _in_space(values: Array, what: str) -> Array:
+    """Three rows: of two components the second is drawn upwards, and one is."""
+    nothing = np.zeros(values.shape[1])
+    if len(values) == 1:
+        return np.vstack([nothing, nothing, values[0]])
+    if len(values) == 2:
+        return np.vstack([values[0], nothing, values[1]])
+    if len(values) != 3:
+        raise ArgumentError(f"{what} has {len(values)} components: one to three can be drawn.")
+    return values
+
+
+def _dcm(attitude: Array, name: str) -> Array:
+    kinds = {3: mrp_to_dcm, 4: quaternion_to_dcm}
+    if len(attitude) not in kinds:
+        raise ArgumentError(
+            f"the attitude {name} has {len(attitude)} components: give modified Rodrigues parameters (3) or a "
+            "quaternion (4)."
+        )
+    return np.asarray(kinds[len(attitude)](attitude), dtype=float)
+
+
+def _three(value: ArrayLike, what: str) -> Array:
+    numbers = read_numbers(value, what).reshape(-1)
+    if numbers.size != 3 or not np.all(np.isfinite(numbers)):
+        raise ArgumentError(f"{what} is {shown(value)}: give three finite numbers.")
+    return numbers

@@ -1,0 +1,76 @@
+"""Which norms of controls a phase has by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, TypeAlias
+
+import casadi as ca
+
+from gnc_opt.model.graph import nodes_of
+from gnc_opt.model.norms import ROOTS, NormNodes
+from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.norms.limits import limiting_control, limits_of
+from gnc_opt.problem.phase import Phase
+from gnc_opt.problem.tables import along
+
+Places: TypeAlias = tuple[int, ...]
+"""Of components among the controls."""
+
+
+def norm_by_hand(leg: Phase) -> Places | None:
+    """Return the components of the largest vector whose norm has to be restated; None if there is none."""
+    return max([*_under_roots(leg), *_squared(leg)], key=len, default=None)
+
+
+def stated_controls(leg: Phase) -> dict[int, int]:
+    """Return the places of the control components that are no parts of composed ones, by the hash of their symbols."""
+    model = leg.model
+    parts = {part for composed in model.composed_controls.values() for part in composed.parts}
+    taken = {i for part in parts for i in range(*model.controls.slice(part).indices(model.controls.size))}
+    symbols = ca.vertsplit(model.symbols("control"))
+    return {s.element_hash(): i for i, s in enumerate(symbols) if i not in taken}
+
+
+def _under_roots(leg: Phase) -> Iterator[Places]:
+    """Yield vectors of which a root is the norm: there it has no derivative at zero."""
+    stated, tried = stated_controls(leg), set()
+    controls = leg.model.symbols("control")
+    for node in nodes_of(along(leg)):
+        if node.op() not in ROOTS:
+            continue
+        hashes = [s.element_hash() for s in ca.symvar(node)]
+        places = tuple(sorted(stated[h] for h in hashes if h in stated))
+        if len(places) > 1 and places not in tried:
+            tried.add(places)
+            if NormNodes.of(node, controls[list(places)]).degrees.get(node.element_hash()) == 1:
+                yield places
+
+
+def _squared(leg: Phase) -> Iterator[Places]:
+    """Yield vectors whose squared norm is limited where its slope vanishes, or from below."""
+    stated, controls = set(stated_controls(leg).values()), leg.model.symbols("control")
+    box = leg.path_interval()
+    size = ca.SX.sym("size")
+    for row, expression in enumerate(ca.vertsplit(leg.path_expression()) if leg.paths else ()):
+        places = tuple(i for i in _equal_squares(expression, controls) if i in stated)
+        if len(places) < 2:
+            continue
+        of_size = NormNodes.of(expression, controls[list(places)]).replaced(expression, size, {})
+        limits = Interval(box.lower[row : row + 1], box.upper[row : row + 1])
+        own = limits_of(of_size, size, limits)
+        hole = own is not None and 0 < own[0] < own[1]
+        if hole or (own is None and limiting_control(leg, of_size, size, limits) is not None):
+            yield places
+
+
+def _equal_squares(expression: Any, controls: Any) -> Places:
+    """Return the controls whose squares an expression holds with one constant factor, and which are nowhere else."""
+    hessian, gradient = ca.hessian(expression, controls)
+    slopes = ca.substitute(gradient, controls, ca.SX.zeros(controls.numel()))
+    groups: dict[float, list[int]] = {}
+    for i in range(controls.numel()):
+        row = ca.sparsify(hessian[i, :])
+        if row.nnz() == 1 and row.is_constant() and slopes[i].is_zero():
+            groups.setdefault(float(ca.DM(row[0, i])), []).append(i)
+    return max((tuple(places) for factor, places in groups.items() if factor != 0), key=len, default=())

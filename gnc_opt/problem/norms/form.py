@@ -1,0 +1,335 @@
+"""The form of a phase whose norm is that of a vector control: all of it but the numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.model.composed import AssembledControl, ComposedControl, VectorControl
+from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.model.model import Model
+from gnc_opt.model.norms import NormNodes, degree_in
+from gnc_opt.model.symbol import Symbol
+from gnc_opt.problem.constraint import Constraint
+from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.norms.find import Places
+from gnc_opt.problem.norms.limits import allows_shorter, limiting_control, limits_of
+from gnc_opt.problem.phase import Phase
+from gnc_opt.problem.restatement import Restatement
+from gnc_opt.problem.tables import along
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """A row of a path constraint."""
+
+    label: str
+    expression: Any
+    limits: Interval
+
+
+@dataclass(frozen=True, eq=False)
+class Vector:
+    """The controls that a vector is of, and those that take their place.
+
+    Attributes
+    ----------
+    model : Model
+        As it was.
+    places : tuple of int
+        Of the components among the controls.
+    """
+
+    model: Model
+    places: Places
+
+    @cached_property
+    def stated(self) -> tuple[Variable, ...]:
+        """The controls that have components in it; they go."""
+        layout = self.model.controls
+        own = set(self.places)
+        return tuple(v for v in layout.variables if own & set(_range(layout, v.name)))
+
+    @cached_property
+    def rest(self) -> Places:
+        """Places of components of those that are not in it."""
+        every = [i for v in self.stated for i in _range(self.model.controls, v.name)]
+        return tuple(i for i in every if i not in self.places)
+
+    @property
+    def symbols(self) -> Any:
+        """Of its components, (k, 1)."""
+        return self.model.symbols("control")[list(self.places)]
+
+    @property
+    def name(self) -> str:
+        """Of the vector: of the control, if it is one."""
+        name = "_".join(v.name for v in self.stated)
+        return f"{name}_vector" if self.rest and len(self.stated) == 1 else name
+
+    @property
+    def nominal(self) -> tuple[float, ...] | None:
+        """Typical norm."""
+        known = [max(v.nominal) for v in self.stated if v.nominal is not None]
+        return (max(known),) if known else None
+
+    def new(self, what: str, size: int, nominal: tuple[float, ...] | None, unit: str = "") -> Symbol:
+        """Return the symbol of a control ``name_what``, with a name that is not taken."""
+        taken = {
+            n
+            for names in (self.model.states, self.model.controls, self.model.parameters, self.model.outputs)
+            for n in names.names
+        }
+        name = f"{self.name}_{what}"
+        while name in taken:
+            name += "_"
+        return Symbol(Variable(name, size, unit, nominal))
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """A phase without one of its norms.
+
+    Attributes
+    ----------
+    model : Model
+    paths : dict of Constraint
+    integrands : dict of (symbol, expression)
+    restatement : Restatement
+    vector : Vector
+    control : VectorControl
+    rest : Symbol or None
+        What is left of controls that were taken apart.
+    product : casadi.SX
+        The vector as magnitude times direction.
+    limits : tuple of float
+        Of the norm, by constraints that are no more.
+    on_sphere : bool or None
+        True if a shorter vector could break a limit, False if the norm may be less than the magnitude, which is then
+        what was stated, None where `Phase.on_sphere` tells.
+    """
+
+    model: Model
+    paths: dict[str, Constraint]
+    integrands: dict[str, tuple[Any, Any]]
+    restatement: Restatement
+    vector: Vector
+    control: VectorControl
+    rest: Symbol | None
+    product: Any
+    limits: tuple[float, float]
+    on_sphere: bool | None
+
+    @classmethod
+    def of(cls, leg: Phase, places: Places) -> Form:
+        """Restate a phase in the norm of some of its control components."""
+        old, vector = leg.model, Vector(leg.model, places)
+        outputs = [old.output_expression(name) for name in old.outputs.names]
+        norms = NormNodes.of(ca.vertcat(along(leg), *outputs), vector.symbols)
+        limits = _Limits.of(leg, norms)
+        unit = vector.stated[0].unit
+        magnitude = limits.magnitude
+        if magnitude is None:
+            magnitude = vector.new("magnitude", 1, vector.nominal, unit)
+        direction = vector.new("direction", len(places), (1.0,) * len(places))
+        rest = vector.new("rest", len(vector.rest), None) if vector.rest else None
+        product = magnitude * direction
+        pieces = [*ca.vertsplit(product), *(ca.vertsplit(rest) if rest is not None else ())]
+        controls = ca.vertsplit(old.symbols("control"))
+        instead = {
+            controls[i].element_hash(): e for i, e in zip((*places, *vector.rest), pieces, strict=True)
+        }
+
+        def express(expression: Any) -> Any:
+            return norms.replaced(expression, magnitude, instead)
+
+        parts = (magnitude.variable.name, direction.variable.name)
+        control = VectorControl(Variable(vector.name, len(places), unit), parts)
+        paths, on_sphere = _restated_paths(limits.kept, express, magnitude)
+        paths |= {v.length: leg.paths[v.length] for v in leg.vectors}
+        stated = ca.vertcat(*(old.symbol(v.name) for v in vector.stated))
+        return cls(
+            old.in_controls(
+                _new_controls(vector, magnitude, direction, rest),
+                [(c, express(_value(old, c, product))) for c in _composed(vector, control, rest)],
+                express,
+            ),
+            paths,
+            {name: (symbol, express(e)) for name, (symbol, e) in leg.integrands.items()},
+            Restatement(
+                stated,
+                express(stated),
+                (f"{_shown(vector)} is solved for as {' * '.join(parts)}{limits.text}",),
+            ),
+            vector,
+            control,
+            rest,
+            product,
+            limits.range,
+            False if limits.most_only else on_sphere or None,
+        )
+
+
+# --- controls ---------------------------------------------------------------------------------------------
+
+
+def _range(layout: Layout, name: str) -> range:
+    return range(*layout.slice(name).indices(layout.size))
+
+
+def _shown(vector: Vector) -> str:
+    labels = [vector.model.controls.labels[i] for i in vector.places]
+    whole = len(vector.stated) == 1 and not vector.rest
+    return vector.name if whole else f"[{', '.join(labels)}]"
+
+
+def _composed(vector: Vector, control: VectorControl, rest: Symbol | None) -> list[ComposedControl]:
+    """The vector, and what was stated where that is not the vector itself."""
+    if len(vector.stated) == 1 and rest is None:
+        return [control]
+    order = (*vector.places, *vector.rest)
+    parts = (*control.parts, *(() if rest is None else (rest.variable.name,)))
+    layout = vector.model.controls
+    return [
+        control,
+        *(
+            AssembledControl(v, parts, tuple(order.index(i) for i in _range(layout, v.name)))
+            for v in vector.stated
+        ),
+    ]
+
+
+def _value(old: Model, control: ComposedControl, product: Any) -> Any:
+    """What a composed control is: in terms of the old controls if it was one of them."""
+    return old.symbol(control.name) if control.name in old.controls else product
+
+
+def _new_controls(vector: Vector, magnitude: Symbol, direction: Symbol, rest: Symbol | None) -> list[Symbol]:
+    """All controls, the new ones where the first of the stated ones was, in the order of `Model.vector_control`."""
+    old = vector.model
+    new = [magnitude, direction, *(() if rest is None else (rest,))]
+    controls: list[Symbol] = []
+    for v in old.controls.variables:
+        if v not in vector.stated:
+            controls += [old.symbol(v.name)] if v is not magnitude.variable else []
+        elif v is vector.stated[0]:
+            controls += new
+    return controls
+
+
+# --- constraints ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Limits:
+    """What the path constraints of a phase say of a norm.
+
+    Attributes
+    ----------
+    kept : list of Row
+        The others.
+    range : tuple of float
+    magnitude : Symbol or None
+        The control that is the norm's largest value and can take its place.
+    most_only : bool
+        Whether the norm may be less than that.
+    text : str
+        Which constraints are gone, for people.
+    """
+
+    kept: list[Row]
+    range: tuple[float, float]
+    magnitude: Symbol | None
+    most_only: bool
+    text: str
+
+    @classmethod
+    def of(cls, leg: Phase, norms: NormNodes) -> _Limits:
+        size = ca.SX.sym("size")
+        least, most, gone, kept = 0.0, np.inf, [], []
+        by: dict[str, tuple[int, Row]] = {}
+        for row in _rows(leg):
+            of_size = norms.replaced(row.expression, size, {})
+            own = limits_of(of_size, size, row.limits)
+            place = None if own else limiting_control(leg, of_size, size, row.limits)
+            if own is not None:
+                least, most = max(least, own[0]), min(most, own[1])
+                gone.append(row.label)
+            elif place is not None:
+                by[row.label] = (place, row)
+            else:
+                kept.append(row)
+        elsewhere = ca.vertcat(
+            leg.model.derivative(), leg.integrand_expression(), *(r.expression for r in kept)
+        )
+        used = gone or ca.depends_on(norms.replaced(elsewhere, size, {}), size)
+        if len(by) != 1 or used:
+            return cls(kept + [row for _, row in by.values()], (least, most), None, False, _which(gone))
+        ((label, (place, row)),) = by.items()
+        symbol = leg.model.symbol(leg.model.controls.labels[place])
+        return cls(kept, (0.0, np.inf), symbol, not row.limits.fixed[0], _which([label]))
+
+
+def _which(labels: list[str]) -> str:
+    return (
+        f", whose magnitude {' and '.join(repr(n) for n in labels)} limit{'s' * (len(labels) == 1)}"
+        if labels
+        else ""
+    )
+
+
+def _rows(leg: Phase) -> Iterable[Row]:
+    """Yield the rows of the user's path constraints."""
+    lengths = {v.length for v in leg.vectors}
+    for name, c in leg.paths.items():
+        if name not in lengths:
+            for i, label in enumerate(c.labels):
+                box = Interval(c.interval.lower[i : i + 1], c.interval.upper[i : i + 1])
+                yield Row(label, c.expression[i], box)
+
+
+def _restated_paths(
+    rows: list[Row], express: Callable[[Any], Any], magnitude: Symbol
+) -> tuple[dict[str, Constraint], bool]:
+    """Return constraints of magnitude and direction, and whether one of them wants the norm to be the magnitude."""
+    paths: dict[str, Constraint] = {}
+    on_sphere = False
+    for row in rows:
+        expression = express(row.expression)
+        if ca.depends_on(expression, magnitude) and _is_cone(expression, row.limits, magnitude):
+            expression = ca.substitute(expression, magnitude, 1.0)
+        elif ca.depends_on(expression, magnitude):
+            on_sphere |= not allows_shorter(expression, magnitude, row.limits)
+        paths[row.label] = Constraint(row.label, expression, row.limits)
+    return paths, on_sphere
+
+
+def _is_cone(expression: Any, limits: Interval, magnitude: Any) -> bool:
+    """Whether the magnitude is a factor of what has to be above, below or at zero."""
+    ends = np.array([limits.lower[0], limits.upper[0]])
+    return bool(np.all((ends == 0) | ~np.isfinite(ends))) and degree_in(expression, magnitude) in (1, 2)
+
+
+def box_rows(form: Form, leg: Phase) -> dict[str, Constraint]:
+    """Return the bounds of components of the vector that its norm does not imply, as constraints of the product."""
+    box, labels = leg.numbers.controls, leg.model.controls.labels
+    most = form.limits[1]
+    if form.control.magnitude in leg.model.controls:
+        most = float(box.upper[leg.model.controls.slice(form.control.magnitude)][0])
+    magnitude = form.model.symbol(form.control.magnitude)
+    rows = {}
+    for i, value in zip(form.vector.places, ca.vertsplit(form.product), strict=True):
+        lower, upper = box.lower[i], box.upper[i]
+        lower, upper = (-np.inf if lower <= -most else lower), (np.inf if upper >= most else upper)
+        if np.isfinite(lower) or np.isfinite(upper):
+            limits = Interval(np.array([lower]), np.array([upper]))
+            if _is_cone(value, limits, magnitude):
+                value = ca.substitute(value, magnitude, 1.0)
+            name = f"bounds of {labels[i]}"
+            rows[name] = Constraint(name, value, limits)
+    return rows

@@ -1,0 +1,119 @@
+"""From a problem with norms by hand to one with vector controls."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.model.graph import operations_in
+from gnc_opt.model.norms import ROOTS
+from gnc_opt.problem.guess.trajectory import guess_times, start_phase
+from gnc_opt.problem.interval import Interval, free
+from gnc_opt.problem.norms.find import norm_by_hand
+from gnc_opt.problem.norms.form import Form, box_rows
+from gnc_opt.problem.phase import Phase, PhaseGuess, PhaseNumbers
+from gnc_opt.problem.statement import Statement
+from gnc_opt.problem.tables import along
+
+P = TypeVar("P", bound=Statement)
+
+
+def restated(problem: P) -> P:
+    """Return a problem without norms of controls that are written by hand; itself if it has none.
+
+    Both have the same states, costates and cost. Variations of a problem with other numbers are restated as variations
+    of one another.
+    """
+    if not any(_may_have_norms(problem, leg) for leg in problem.phases.values()):
+        return problem
+    twin, keys = problem.clone(), []
+    for leg in twin.phases.values():
+        key: tuple[Any, ...] = (leg.name, np.sign(leg.numbers.controls.lower).tobytes())
+        while (form := _form(problem, leg, key)) is not None:
+            key = (*key, form.vector.places, *_restate(leg, form))
+        keys.append(key)
+    if all(len(key) == 2 for key in keys):
+        return problem
+    twin.builds = problem.builds.setdefault(("restated", *keys), {})
+    return twin
+
+
+def _may_have_norms(problem: Statement, leg: Phase) -> bool:
+    if leg.model.controls.size < 2 or leg.numbers.arcs is not None:
+        return False
+    operations = problem.once(("operations", leg.name), lambda: operations_in(along(leg)))
+    return bool(operations & {*ROOTS, ca.OP_SQ, ca.OP_MUL})
+
+
+def _form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> Form | None:
+    """The next form of a phase, which is the same for all variations."""
+
+    def build() -> Form | None:
+        places = norm_by_hand(leg)
+        return None if places is None else Form.of(leg, places)
+
+    return problem.once(("form", *key), build)
+
+
+def _restate(leg: Phase, form: Form) -> tuple[str, ...]:
+    """Give a phase its new form with its own numbers; return the names of the constraints that are added."""
+    stated, rows = leg.clone(), box_rows(form, leg)
+    values = {
+        v.name: leg.model.parameter_values[leg.model.parameters.slice(v.name)]
+        for v in leg.model.parameters.variables
+    }
+    leg.numbers = _numbers(stated, form)
+    leg.model = form.model.with_parameters(**values)
+    leg.paths = {**form.paths, **rows}
+    leg.integrands = dict(form.integrands)
+    leg.restatement = form.restatement.after(stated.restatement)
+    leg.replace_controls(form.control, on_sphere=form.on_sphere)
+    return tuple(rows)
+
+
+def _numbers(stated: Phase, form: Form) -> PhaseNumbers:
+    """The numbers of a phase in its new controls."""
+    old, new, numbers = stated.model.controls, form.model.controls, stated.numbers
+    box = free(new.size)
+    for name in new.names:
+        if name in old:
+            box.lower[new.slice(name)] = numbers.controls.lower[old.slice(name)]
+            box.upper[new.slice(name)] = numbers.controls.upper[old.slice(name)]
+    if form.rest is not None:
+        place, rest = new.slice(form.rest.variable.name), list(form.vector.rest)
+        box.lower[place], box.upper[place] = numbers.controls.lower[rest], numbers.controls.upper[rest]
+    scales = {name: value for name, value in numbers.scales.items() if name in new or name not in old}
+    if form.control.magnitude not in old:
+        place = new.slice(form.control.magnitude)
+        box.lower[place], box.upper[place] = form.limits
+        own = [np.max(numbers.scales[v.name]) for v in form.vector.stated if v.name in numbers.scales]
+        scales |= {form.control.magnitude: np.array([max(own)])} if own else {}
+    return replace(
+        numbers, controls=Interval(box.lower, box.upper), scales=scales, guess=_guess(stated, form)
+    )
+
+
+def _guess(stated: Phase, form: Form) -> PhaseGuess:
+    """The guess, that of components of the vector as one of the vector."""
+    guess, gone = stated.numbers.guess, {v.name for v in form.vector.stated}
+    given = gone & guess.values.keys()
+    if not given or (len(gone) == 1 and form.rest is None):
+        return guess
+    kept = {name: value for name, value in guess.values.items() if name not in gone}
+
+    def component(places: tuple[int, ...]) -> Any:
+        def at(t: float) -> Array:
+            first, last = guess_times(stated)
+            fraction = np.array([(t - first) / (last - first)])
+            return start_phase(stated, fraction, perturbed=False).controls[list(places), 0]
+
+        return at
+
+    kept[form.control.name] = component(form.vector.places)
+    if form.rest is not None:
+        kept[form.rest.variable.name] = component(form.vector.rest)
+    return PhaseGuess(guess.time, kept)

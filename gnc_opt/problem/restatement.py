@@ -1,0 +1,41 @@
+"""What became of the controls of a phase that is solved in others than those it was stated in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+
+@dataclass(frozen=True, eq=False)
+class Restatement:
+    """Norms of controls, written by hand, as magnitudes of vector controls.
+
+    Attributes
+    ----------
+    stated : casadi.SX
+        The controls that were stated and are no more, stacked, (k, 1).
+    solved : casadi.SX
+        What they are in the controls that are solved for, (k, 1).
+    texts : tuple of str
+        What was restated, a clause per norm.
+    """
+
+    stated: Any
+    solved: Any
+    texts: tuple[str, ...]
+
+    def of(self, expression: Any) -> Any:
+        """Return an expression of what was stated in what is solved for."""
+        return ca.substitute(expression, self.stated, self.solved)
+
+    def after(self, earlier: Restatement | None) -> Restatement:
+        """Return this one and an earlier one, of whose controls it restates some, as one."""
+        if earlier is None:
+            return self
+        return Restatement(
+            ca.vertcat(earlier.stated, self.stated),
+            ca.vertcat(self.of(earlier.solved), self.solved),
+            (*earlier.texts, *self.texts),
+        )

@@ -1,0 +1,151 @@
+"""Variation: the optimum of a problem by its switch times, from those of a neighbouring problem."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.problem.problem import Problem
+from gnc_opt.refine.structure.detect import detect
+from gnc_opt.refine.structure.newton import settle_flow
+from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.refine.structure.switch_step import Step
+from gnc_opt.solution.phase_solution import PhaseSolution
+from gnc_opt.solution.polynomial import PiecewisePolynomial
+from gnc_opt.solution.quality import worst_bound_violation, worst_path_violation
+from gnc_opt.solution.rest import rest_of
+from gnc_opt.solution.solution import Solution
+from gnc_opt.verify.judged import ends_of, from_problem
+
+ACCURACY = 1e-9
+"""Of the cost, relative to its size."""
+
+BEYOND = 1e-7
+"""By how much a limit may be exceeded, in shares of what is limited."""
+
+
+@dataclass(frozen=True, eq=False)
+class KnownFlight:
+    """What of a known solution serves all variations of its problem.
+
+    Attributes
+    ----------
+    solution : Solution
+        Of one phase.
+    structure : PhaseStructure
+    state_scale : array (n_states,)
+        How far its states move: what those of its neighbours are measured against.
+    step : Step or None
+        At its optimum: its matrices are nearly those of its neighbours.
+    """
+
+    solution: Solution
+    structure: PhaseStructure
+    state_scale: Array
+    step: Step | None = None
+
+    @classmethod
+    def of(cls, solution: Solution) -> KnownFlight | None:
+        """Return what is known of a refined solution; None where no structure is."""
+        if not solution.structure or len(solution.phases) != 1:
+            return None
+        (s,) = solution.samples().values()
+        return cls(replace(solution, structure=()), detect(s), s.state_scale)
+
+    def differentiated(self) -> KnownFlight | None:
+        """Return the same with its step, for many variations; None where switch times do not decide everything."""
+        found = settle_flow(self.solution, self.structure, ACCURACY)
+        return None if found is None else replace(self, structure=found[0], step=found[1].step)
+
+    def vary(self, problem: Problem) -> Solution | None:
+        """Fly a variation with its own switch times; None where that fails.
+
+        Its cost is right to `ACCURACY` by an estimate from two grids, and no limit is exceeded by more than `BEYOND`.
+        """
+        start = on_the_way(self.solution, problem)
+        (leg,) = start.phases.values()
+        left = self.structure.after(leg.initial_time)
+        step = self.step if left.pieces == self.structure.pieces else None
+        begun = _begun(from_problem(replace(start, problem=problem.frozen())))
+        found = None if begun is None else settle_flow(begun, left, ACCURACY, step)
+        if begun is None or found is None:
+            return None
+        structure, flight = found
+        flown = flight.solution(begun)
+        (leg,) = flown.phases.values()
+        if not _keeps_limits(flown, self.state_scale):
+            return None
+        labels = (*leg.controls.labels, *leg.path_labels, *leg.states.labels)
+        return replace(_completed(flown), structure=structure.arcs(leg.name, labels))
+
+
+def on_the_way(known: Solution, problem: Problem) -> Solution:
+    """Return what of a known solution is left when a variation of its problem begins."""
+    if len(known.phases) != 1:
+        return known
+    ((name, leg),) = known.phases.items()
+    begins = problem.phases[name].numbers.initial_time
+    if begins is None or not begins.fixed[0] or not leg.initial_time < begins.lower[0] < leg.final_time:
+        return known
+    return rest_of(known, float(begins.lower[0]))
+
+
+def _begun(known: Solution) -> Solution | None:
+    """The trajectory moved to where its problem says that it starts; None if it has other times there."""
+    (leg,) = known.phases.values()
+    for bounds, t in ((leg.initial_time_bounds, leg.initial_time), (leg.final_time_bounds, leg.final_time)):
+        if bounds.fixed[0] and bounds.lower[0] != t:
+            return None
+    moved = np.where(leg.initial_bounds.fixed, leg.initial_bounds.lower - leg.x(leg.breaks[0]), 0.0)
+    x = PiecewisePolynomial(leg.x.breaks, leg.x.nodes, tuple(v + moved[:, None] for v in leg.x.values))
+    return replace(known, phases={leg.name: replace(leg, x=x)})
+
+
+def _keeps_limits(flown: Solution, state_scale: Array) -> bool:
+    """Whether states, path constraints and ends are within their limits: the flow knows none but equalities."""
+    (s,) = flown.samples().values()
+    leg = s.leg
+    ends = (
+        (leg.final_bounds, leg.x(leg.final_time, "left"), state_scale),
+        (leg.initial_time_bounds, leg.initial_time, s.span),
+        (leg.final_time_bounds, leg.final_time, s.span),
+        (leg.duration_bounds, leg.duration, s.span),
+    )
+    inside = all(
+        np.all((value >= box.lower - BEYOND * scale) & (value <= box.upper + BEYOND * scale))
+        for box, value, scale in ends
+    )
+    return inside and worst_bound_violation(s).or_worse(worst_path_violation(s)).value < BEYOND
+
+
+def _completed(flown: Solution) -> Solution:
+    """The flight with its cost, and the multipliers of limits that follow from its costates."""
+    (leg,) = flown.phases.values()
+    ends, functions = ends_of(flown), flown.functions(leg.name)
+    at, lam = leg.breaks[[0, -1]], np.stack([leg.lam_start[:, 0], leg.lam_end[:, -1]], axis=1)
+    x = np.stack([leg.x(at[0]), leg.x(at[1], "left")], axis=1)
+    u = np.stack([leg.flown(at[0]), leg.flown(at[1], "left")], axis=1)
+    worth = functions.hamiltonian(at, x, u, lam) - np.array(
+        [ends.initial_time[leg.name], -ends.final_time[leg.name]]
+    )
+    fixed = np.concatenate([leg.initial_time_bounds.fixed, leg.final_time_bounds.fixed])
+    impulses = np.zeros_like(leg.state_impulses)
+    impulses[:, 0] = -lam[:, 0] - ends.initial_state[leg.name]
+    impulses[:, -1] = lam[:, 1] - ends.final_state[leg.name]
+    times, nothing = leg.point_times, np.zeros((len(leg.path_labels), leg.point_times.size))
+    gradient = functions.control_gradient(times, leg.x(times), leg.flown(times), leg.point_costates, nothing)
+    told: PhaseSolution = replace(
+        leg,
+        time_multipliers=np.where(fixed, worth * np.array([1.0, -1.0]), 0.0),
+        state_impulses=impulses,
+        control_multipliers=-gradient,
+    )
+    return replace(
+        flown,
+        phases={leg.name: told},
+        objective=ends.cost,
+        constraint_values=ends.constraints,
+        history=None,
+    )

@@ -1,0 +1,340 @@
+"""ControlStep: the symbols and the pieces of one control step of a closed loop, which `kernel` puts together."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+
+from gnc_opt.control.steps import in_order
+from gnc_opt.model.layout import Layout
+from gnc_opt.simulation.block import Step, Tick
+from gnc_opt.simulation.crossing import Watch, notes_of, record_of
+from gnc_opt.simulation.integrate import Seen, dormand_prince
+from gnc_opt.simulation.places import Places
+from gnc_opt.simulation.signals import Link, put, put_wave, take, take_wave
+from gnc_opt.simulation.wave import Input, Wave
+from gnc_opt.simulation.wiring import Wiring
+
+_LARGE = 1e300
+"""What is not below this in size counts as not finite."""
+
+
+class ControlStep:
+    """Makes the symbols, then the pieces of a step in order; SX."""
+
+    def __init__(self, wiring: Wiring, substeps: int) -> None:
+        self.wiring, self.substeps = wiring, substeps
+        self.h = wiring.h
+        self.P = ca.SX.sym("P", wiring.layout.size)
+        self.p = {name: self.P[wiring.layout.slice(name)] for name in wiring.layout.names}
+        self.plant_p = take(self.p, [f"plant.{n}" for n in wiring.plant.parameters.names])
+        self.measured = Layout("state", wiring.controller.states.variables)
+        groups = (
+            ("sensor", wiring.sensors),
+            ("actuator", wiring.actuators),
+            ("push", wiring.disturbances),
+        )
+        zero = {k: self._memory_sizes(links, k) for k, links in groups}
+        m = wiring.minor_steps
+        noises = {
+            k: [link.block.noise(link.size) * (m if k == "actuator" else 1) for link in links]
+            for k, links in groups
+        }
+        controls, commands = wiring.plant.controls.size, wiring.controller.commands.size
+        self.state = Places(
+            (
+                ("plant", wiring.plant.states.size),
+                *((f"{k} {i}", n) for k, sizes in zero.items() for i, n in enumerate(sizes)),
+                ("memory", wiring.controller.memory.size),
+                ("command", commands),
+                ("effort", controls),
+                ("energy", controls),
+                ("saturation", commands),
+                ("variation", commands),
+                ("steps", 1),
+                ("error", 1),
+                ("blur", 1),
+                ("fault", 1),
+                ("fault time", 1),
+                ("divergence", 1),
+                ("divergence time", 1),
+                ("alarm", 1),
+                ("alarm time", 1),
+                *self._if_events(("armed", len(wiring.events.owners)), *record_of(len(wiring.events))),
+            )
+        )
+        self.known = Places(
+            (
+                ("t", 1),
+                ("r", wiring.controller.signals.size),
+                *((f"{k} {i}", n) for k, sizes in noises.items() for i, n in enumerate(sizes)),
+            )
+        )
+        self.log = Places(
+            (
+                ("measured", self.measured.size),
+                ("commands", commands),
+                ("applied", controls),
+                ("error", 1),
+                *self._if_events(*notes_of(wiring.plant.states.size)),
+            )
+        )
+
+    # --- pieces -------------------------------------------------------------------------------------------
+
+    def _if_events(self, *parts: tuple[str, int]) -> tuple[tuple[str, int], ...]:
+        return parts if self.wiring.events else ()
+
+    def _memory_sizes(self, links: Sequence[Link], kind: str) -> list[int]:
+        x = ca.SX.zeros(self.wiring.plant.states.size)
+        length = self.h if kind == "actuator" else self.wiring.dt
+        tick = Tick(0.0, length, self.wiring.dt, 0, self.by_state(x))
+        return [
+            link.block.start(ca.SX.zeros(link.size), self.parameters_of(link), tick).shape[0]
+            for link in links
+        ]
+
+    def parameters_of(self, link: Link) -> dict[str, Any]:
+        prefix = f"{link.block.name}."
+        return {n[len(prefix) :]: s for n, s in self.p.items() if n.startswith(prefix)}
+
+    def by_state(self, x: Any) -> dict[str, Any]:
+        states = self.wiring.plant.states
+        return {n: x[states.slice(n)] for n in states.names}
+
+    def sense(
+        self, x: Any, t: Any, memory: dict[str, Any] | None, w: dict[str, Any]
+    ) -> tuple[Any, dict[str, Any]]:
+        """Return the measured state and the sensors' memories; without memories they begin."""
+        by_name = self.by_state(x)
+        signals = {n: by_name[n] if n in by_name else self._output(n, t, x) for n in self.measured.names}
+        tick = Tick(t, self.wiring.dt, self.wiring.dt, 0, by_name)
+        after = {}
+        for i, link in enumerate(self.wiring.sensors):
+            key, p, signal = f"sensor {i}", self.parameters_of(link), take(signals, link.on)
+            before = link.block.start(signal, p, tick) if memory is None else memory[key]
+            step = link.block.step(tick, signal, before, p, w[key])
+            signals = put(signals, link, step.signal)
+            after[key] = before if memory is None else step.state
+        return take(signals, self.measured.names), after
+
+    def _output(self, name: str, t: Any, x: Any) -> Any:
+        """Return an output of the plant; it depends on no control."""
+        plant = self.wiring.plant
+        time, xs, _, ps = plant.arguments()
+        expression = plant.output_expression(name)
+        return ca.substitute(expression, ca.vertcat(time, xs, ps), ca.vertcat(t, x, self.plant_p))
+
+    def actuate(
+        self, tick: Tick, u: Any, memory: dict[str, Any], w: dict[str, Any], minor: int
+    ) -> tuple[list[Wave], Any]:
+        """Return what is applied to the plant's controls and which commands are saturated; updates ``memory``."""
+        commands, controls = self.wiring.controller.commands, self.wiring.plant.controls
+        waves = {n: Wave(u[commands.slice(n)]) for n in commands.names}
+        origin = {n: {n} for n in commands.names}
+        saturated = {n: ca.SX.zeros(commands[n].size) for n in commands.names}
+        for i, link in enumerate(self.wiring.actuators):
+            key, count = f"actuator {i}", link.block.noise(link.size)
+            noise = w[key][minor * count : (minor + 1) * count]
+            wave = take_wave(waves, link.on, tick.h)
+            wave, step = link.block.flow(tick, wave, memory[key], self.parameters_of(link), noise)
+            memory[key] = step.state
+            _mark(saturated, step, link, origin)
+            waves = put_wave(waves, link, wave)
+            sources = set().union(*(origin[n] for n in link.on))
+            origin.update({n: origin[n] if n in link.on else sources for n in link.outputs})
+        nothing = {n: Wave(ca.SX.zeros(controls[n].size)) for n in controls.names}
+        return [waves.get(n, nothing[n]) for n in controls.names], take(saturated, commands.names)
+
+    def first_outputs(self, tick: Tick, r: Any) -> dict[str, Any]:
+        """Return the memories with which the actuators begin; the feedforward passes them where one begins in trim."""
+        wiring, memory = self.wiring, {}
+        signals = wiring.feedforward(r) if wiring.in_trim else {}
+        for i, link in enumerate(wiring.actuators):
+            block, p = link.block, self.parameters_of(link)
+            signal = take(signals, link.on) if wiring.in_trim else ca.SX.zeros(link.size)
+            memory[f"actuator {i}"] = first = block.start(signal, p, tick)
+            if wiring.in_trim:
+                quiet = ca.SX.zeros(block.noise(link.size))
+                signals = put(signals, link, block.flow(tick, Wave(signal), first, p, quiet)[1].signal)
+        return memory
+
+    def first_record(self, t: Any, x: Any) -> dict[str, Any]:
+        """Return what is kept of events as a run begins: rows that are not below zero can cross it."""
+        y = self.wiring.events.rows(t, x, ca.SX.zeros(x.shape[0]), self.plant_p)[0]
+        return {"armed": y >= 0, "first": ca.SX.nan(len(self.wiring.events))}
+
+    def _rate(self, pushes: dict[str, Any]) -> Any:
+        """Return f(t, x, u) of the plant under applied controls and disturbances."""
+        plant, links = self.wiring.plant, self.wiring.disturbances
+
+        def f(t: Any, x: Any, u: Any) -> Any:
+            by_name = self.by_state(x)
+            extra_u, extra_x = ca.SX.zeros(plant.controls.size), ca.SX.zeros(plant.states.size)
+            for i, link in enumerate(links):
+                value = link.block.value(t, by_name, pushes[f"push {i}"], self.parameters_of(link))  # type: ignore[attr-defined]
+                if link.on[0] in plant.controls:
+                    extra_u[plant.controls.slice(link.on[0])] += value
+                else:
+                    extra_x[plant.states.slice(link.on[0])] += value
+            return plant.function(t, x, u + extra_u, self.plant_p) + extra_x
+
+        return f
+
+    def fly(
+        self,
+        t: Any,
+        x: Any,
+        waves: list[Wave],
+        pushes: dict[str, Any],
+        span: tuple[Any, Any] | None = None,
+        seen: Seen | None = None,
+    ) -> tuple[Any, Any, Any]:
+        """Integrate the plant over a minor step that begins at t, anew wherever an actuator bends or jumps.
+
+        ``span`` is the part of it that is flown, two times (s) since it began. Returns the state, the error of the
+        integration, and what waves that were taken at their mean may add to it.
+        """
+        f, error, held = self._rate(pushes), ca.SX(0), all(wave.held for wave in waves)
+        first, last = span or (ca.SX(0), ca.SX(self.h))
+        breaks = in_order(_distinct([b for wave in waves for b in wave.breaks]))
+        if span is not None:
+            breaks = [ca.fmin(ca.fmax(b, first), last) for b in breaks]
+        mean, before = ca.vertcat(*[wave.mean for wave in waves]), x
+        for begin, end in itertools.pairwise([first, *breaks, last]):
+            if held:
+                x, estimate = dormand_prince(
+                    lambda t, x, _: f(t, x, mean), t + begin, x, end - begin, self.substeps, seen=seen
+                )
+            else:
+                inputs = [wave.input(begin, end, self.substeps) for wave in waves]
+
+                def u(k: int, node: float, inputs: list[Input] = inputs) -> Any:
+                    return ca.vertcat(*[value(k, node) for value in inputs])
+
+                x, estimate = dormand_prince(f, t + begin, x, end - begin, self.substeps, u, seen)
+            error += estimate
+        if all(wave.blur is None for wave in waves):
+            return x, error, 0.0
+        far = ca.vertcat(*[ca.SX.zeros(w.mean.shape[0]) if w.blur is None else w.blur for w in waves])
+        change = (last - first) * ca.fabs(f(t, before, mean + far) - f(t, before, mean))
+        return x, error, ca.mmax(change / ca.fmax(1.0, ca.fabs(x)))
+
+    def tick_of(self, i: int, w: dict[str, Any], state: dict[str, Any]) -> Tick:
+        return Tick(w["t"] + i * self.h, self.h, self.wiring.dt, i, self.by_state(state["plant"]))
+
+    def pushed(self, state: dict[str, Any], w: dict[str, Any]) -> dict[str, Any]:
+        """Return the state with the memories of the disturbances during this control step."""
+        new = dict(state)
+        for i, link in enumerate(self.wiring.disturbances):
+            key = f"push {i}"
+            tick = Tick(w["t"], self.wiring.dt, self.wiring.dt, 0, self.by_state(state["plant"]))
+            new[key] = link.block.update(tick, state[key], self.parameters_of(link), w[key])  # type: ignore[attr-defined]
+        return new
+
+    def tally(self, new: dict[str, Any], applied: Any, saturated: Any, time: Any) -> None:
+        """Sum up what was applied for a time (s)."""
+        new["effort"] += time * ca.fabs(applied)
+        new["energy"] += time * applied**2
+        new["saturation"] += time * saturated
+
+    def close(
+        self,
+        new: dict[str, Any],
+        state: dict[str, Any],
+        t: Any,
+        told: dict[str, Any],
+        error: Any,
+        blur: Any,
+        z: Any,
+    ) -> Any:
+        """Complete the state after a control step, and return its log."""
+        y, u, mean = told["measured"], told["commands"], told["applied"]
+        new |= {
+            "memory": z,
+            "command": u,
+            "steps": state["steps"] + 1,
+            "error": state["error"] + error,
+            "blur": state["blur"] + blur,
+        }
+        new["variation"] += ca.if_else(state["steps"] > 0.5, ca.fabs(u - state["command"]), 0.0)
+        self._watch(new, state, t, ca.vertcat(*watched(self.wiring, y), u, mean, new["plant"]), z)
+        nothing = {name: ca.SX.zeros(size) for name, size in self.log.parts}
+        return self.log.join({**nothing, **told, "error": error + blur})
+
+    def watch_rows(self, state: dict[str, Any], begin: Any) -> Watch:
+        return Watch(self.wiring.events, state["armed"], self.plant_p, begin)
+
+    def _watch(self, new: dict[str, Any], state: dict[str, Any], t: Any, seen: Any, z: Any) -> None:
+        """Keep the first thing that is not finite, the first state too large, the first alarm, and their times."""
+        wiring = self.wiring
+        fault = ca.SX(0)
+        for i in reversed(range(seen.shape[0])):
+            fault = ca.if_else(ca.fabs(seen[i]) < _LARGE, fault, i + 1.0)
+        places = [wiring.controller.memory.slice(name) for name in wiring.controller.alarms]
+        flags = [z[k] for place in places for k in range(place.start, place.stop)]
+        alarm = ca.SX(0)
+        for i, flag in reversed(list(enumerate(flags))):
+            alarm = ca.if_else(
+                ca.fabs(flag) <= 0, alarm, i + 1.0
+            )  # not "!= 0": that is false for NaN in some VMs
+        divergence = ca.SX(0)
+        for i, largest in reversed(list(enumerate(wiring.plausible))):
+            divergence = ca.if_else(ca.fabs(new["plant"][i]) > largest, i + 1.0, divergence)
+        for name, code in (("fault", fault), ("divergence", divergence), ("alarm", alarm)):
+            fresh = ca.logic_and(state[name] < 0.5, code > 0.5)
+            new[name] = ca.if_else(fresh, code, state[name])
+            new[f"{name} time"] = ca.if_else(fresh, t, state[f"{name} time"])
+
+
+def _distinct(breaks: list[Any]) -> list[Any]:
+    """Return SX scalars without those that are the same expression."""
+    found: list[Any] = []
+    for b in breaks:
+        if not any(ca.is_equal(b, other, 0) for other in found):
+            found.append(b)
+    return found
+
+
+def watched(wiring: Wiring, measured: Any) -> tuple[Any, ...]:
+    """Return the measurement, unless the controller or its estimator does without lost samples: then nothing."""
+    controller = wiring.controller
+    return (measured,) if controller.unbridged is None and controller.estimated is None else ()
+
+
+def watched_labels(wiring: Wiring) -> list[str]:
+    """Return what the codes of the first non-finite quantity mean, code 1 first."""
+    groups = (
+        *watched(wiring, ("measured", wiring.controller.states)),
+        ("command", wiring.controller.commands),
+        ("applied", wiring.plant.controls),
+        ("state", wiring.plant.states),
+    )
+    return [f"{kind} '{label}'" for kind, layout in groups for label in layout.labels]
+
+
+def alarm_labels(wiring: Wiring) -> list[str]:
+    """Return the controller's alarms by code, code 1 first."""
+    memory = wiring.controller.memory
+    return [label for name in wiring.controller.alarms for label in memory[name].labels]
+
+
+def _mark(saturated: dict[str, Any], step: Step, link: Link, origin: Mapping[str, set[str]]) -> None:
+    """Note where a limit acts: at the same component, or at every component that led to it."""
+    if step.saturated is None:
+        return
+    at = 0
+    sizes = {n: saturated[n].shape[0] for n in saturated}
+    straight = link.size == step.saturated.shape[0] and all(n in sizes for n in link.on)
+    if straight:
+        for name in link.on:
+            part = step.saturated[at : at + sizes[name]]
+            saturated[name] = ca.fmax(saturated[name], part)
+            at += sizes[name]
+        return
+    any_at_all = ca.mmax(step.saturated)
+    for name in set().union(*(origin[n] for n in link.on)):
+        saturated[name] = ca.fmax(saturated[name], any_at_all)

@@ -1,0 +1,52 @@
+"""Ending: how runs ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gnc_opt.arrays import Array
+from gnc_opt.simulation.outcome import Outcome
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How n runs ended, and what they cost.
+
+    Attributes
+    ----------
+    states : array (n_states, n)
+        At the last time.
+    errors : array (n_errors, n) or None
+        Of the states relative to the reference at the last time, by the plant's own difference.
+    memory : array (n_memory, n)
+        Of the controller.
+    effort, energy : array (n_controls, n)
+        Integrals of \\|u\\| and u^2 of what the actuators applied (unit s, unit^2 s).
+    saturation_time : array (n_commands, n)
+        Time in which a limit acted on a command, s.
+    variation : array (n_commands, n)
+        Sum of the changes of the commands: chattering.
+    integration_error : array (n,)
+        Estimated, relative to max(1, \\|x\\|).
+    averaging_error : array (n,)
+        What of it is owed to actuators that took the mean of a wave.
+    outcomes : tuple of n Outcome
+    event_counts, event_times : array (n_events, n)
+        How often each event happened, and the first time (s), not-a-number where it did not.
+    replans : array (2, n)
+        How often was re-planned, and how often in vain.
+    """
+
+    states: Array
+    errors: Array | None
+    memory: Array
+    effort: Array
+    energy: Array
+    saturation_time: Array
+    variation: Array
+    integration_error: Array
+    averaging_error: Array
+    outcomes: tuple[Outcome, ...]
+    event_counts: Array
+    event_times: Array
+    replans: Array

@@ -1,0 +1,232 @@
+r"""Replanner: solving the problem of a plan again in flight, from the estimated state.
+
+At a control step that begins at t the state :math:`\hat x(t)` is what the controller would see, or what its estimator
+predicts. The new plan is to begin at :math:`t + \lambda`, :math:`\lambda` the latency, with the state that the model
+reaches until then under the controls of the old plan,
+
+.. math:: x_0 = \hat x(t) + \int_t^{t + \lambda} f(s, x, u_{\mathrm{old}}(s)) \, ds ,
+
+so that the vehicle, which flies the old plan meanwhile, meets the new one where it begins (R. Findeisen and
+F. Allgoewer, Computational delay in nonlinear model predictive control, IFAC Proc. 37 (1), 2004). A solve that fails
+leaves the old plan in force.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arguments import expect, read_positive
+from gnc_opt.arrays import Array
+from gnc_opt.control.controller import Schedule
+from gnc_opt.control.reference import Reference
+from gnc_opt.control.schedule import ReferenceSchedule
+from gnc_opt.errors import ArgumentError
+from gnc_opt.model.layout import Layout
+from gnc_opt.model.model import Model
+from gnc_opt.problem.problem import Problem
+from gnc_opt.simulation.integrate import dormand_prince
+from gnc_opt.solution.solution import Solution
+
+_REHEARSALS = 3
+"""Solves of which the slowest is the latency where none is stated."""
+
+_PREDICTED = 4
+"""Integration steps of the prediction per control step."""
+
+
+class Solver(Protocol):
+    """What solves variations of a problem again, see `gnc_opt.Resolver`."""
+
+    @property
+    def solution(self) -> Solution:
+        """The plan, with its problem."""
+
+    def solve(self, problem: Problem, *, near: Solution | None = None) -> Solution:
+        """Return the solution of a variation."""
+
+
+def follow_plan(plan: Solution) -> Schedule:
+    """Return the schedule of a law with constant gains that follows a plan."""
+    return ReferenceSchedule(Reference(plan))
+
+
+@dataclass(frozen=True, eq=False)
+class Replanner:
+    """Solve the problem of the plan again while flying.
+
+    Parameters
+    ----------
+    resolver : callable
+        Without arguments, returns the `gnc_opt.Resolver` that knows the plan; called once in every process. For
+        campaigns on several processes a function at the top of a module.
+    every : float
+        Time between two re-plannings, s, a multiple of the control step.
+    when : callable, optional
+        ``when(t, x, x_ref) -> bool``: whether to re-plan at such a time t (s), the estimated states x (n,) and those of
+        the plan x_ref (n,) in the order of what the controller follows. Default: always.
+    latency : float, optional
+        How long solving takes on board, s; it is rounded up to control steps. Default: measured here, the slowest of
+        three solves.
+    slowdown : float
+        How many times slower the computer on board is than this one; for a latency that is measured.
+    last : float
+        Before the end of the plan in which it stays as it is, s.
+    follow : callable
+        ``follow(plan) -> schedule``: what the controller's law needs to know of a plan. Default: states and controls of
+        the plan, for laws with constant gains; for others what their design makes of it, such as ``lambda plan:
+        design_tvlqr(model, Reference(plan), ...).schedule``.
+
+    Raises
+    ------
+    ArgumentError
+        Bad numbers, a plan of several phases, or one that does not begin at a fixed time.
+    """
+
+    resolver: Callable[[], Solver]
+    every: float
+    when: Callable[[float, Array, Array], bool] | None = field(default=None, kw_only=True)
+    latency: float = field(default=None, kw_only=True)  # type: ignore[assignment]
+    slowdown: float = field(default=1.0, kw_only=True)
+    last: float = field(default=0.0, kw_only=True)
+    follow: Callable[[Solution], Schedule] = field(default=follow_plan, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if not callable(self.resolver):
+            raise ArgumentError("the resolver of a Replanner is no function: write lambda: Resolver(plan).")
+        for name in ("when", "follow"):
+            given = getattr(self, name)
+            if given is not None and not callable(given):
+                raise ArgumentError(f"{name} of a Replanner is no function: see its description.")
+        set_ = object.__setattr__
+        set_(self, "every", read_positive(self.every, "the time between two re-plannings"))
+        set_(self, "last", read_positive(self.last, "the last part without re-planning", or_zero=True))
+        set_(self, "slowdown", read_positive(self.slowdown, "the slowdown of a Replanner"))
+        self._check_plan()
+        if self.latency is None:
+            set_(self, "latency", self.slowdown * self._measured())
+        set_(self, "latency", read_positive(self.latency, "the latency of a Replanner", or_zero=True))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in vars(self).items() if not k.startswith("_")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+
+    @property
+    def solver(self) -> Solver:
+        """What solves again, made when it is needed for the first time."""
+        if "_solver" not in vars(self):
+            object.__setattr__(self, "_solver", self.resolver())
+        return self._solver  # type: ignore[attr-defined,no-any-return]
+
+    @property
+    def plan(self) -> Solution:
+        """The plan as it was before the flight."""
+        return self.solver.solution
+
+    @cached_property
+    def _drift(self) -> Any:
+        """``(t, x, u, dt) -> x`` after a control step under held controls."""
+        model = self.model
+        t, x, u = ca.SX.sym("t"), ca.SX.sym("x", model.states.size), ca.SX.sym("u", model.controls.size)
+        dt, p = ca.SX.sym("dt"), model.parameter_values
+
+        def rate(t: Any, x: Any, _: Any) -> Any:
+            return model.function(t, x, u, p)
+
+        return ca.Function("drift", [t, x, u, dt], [dormand_prince(rate, t, x, dt, _PREDICTED)[0]])
+
+    @property
+    def description(self) -> str:
+        """What decides the plans that it makes, for the fingerprint of a flight."""
+        about = (self.plan.need_problem("solve again").fingerprint(), repr(self.plan.objective))
+        return " ".join(
+            (*about, repr((self.every, self.latency, self.last)), _named(self.follow), _named(self.when))
+        )
+
+    @property
+    def model(self) -> Model:
+        """Of the plan."""
+        (leg,) = self.plan.need_problem("solve again").phases.values()
+        return leg.model
+
+    def check(self, followed: Layout, signals: Layout, dt: float, row: Callable[[float], Array]) -> None:
+        """Refuse a controller that does not follow the plan.
+
+        Parameters
+        ----------
+        followed, signals : Layout
+            Of the controller.
+        dt : float
+            Control step, s.
+        row : callable
+            ``row(t)`` returns the controller's own row of its schedule (n_signals,).
+        """
+        for v in self.model.states.variables:
+            if v.name not in followed or followed[v.name].size != v.size:
+                raise ArgumentError(
+                    f"the plan of the Replanner begins with '{v.name}' ({v.size}), which the controller does not know: "
+                    f"it has {list(followed.names)}; estimate it, or feed it back."
+                )
+        if not math.isclose(self.every / dt, round(self.every / dt), rel_tol=1e-6) or self.every < dt / 2:
+            raise ArgumentError(
+                f"the time between two re-plannings is {self.every:g} s: give a multiple of the control step {dt:g} s."
+            )
+        (leg,) = self.plan.phases.values()
+        schedule = self.follow(self.plan)
+        for share in (0.0, 0.5):
+            t = leg.initial_time + share * leg.duration
+            own, found = row(t), np.asarray(schedule(np.array([t]), dt), dtype=float)
+            if found.shape != (signals.size, 1) or not np.allclose(found[:, 0], own, rtol=1e-6, atol=1e-9):
+                raise ArgumentError(
+                    "the controller of the loop follows something else than the plan of its Replanner: design it for "
+                    "this plan, and give follow= a function that makes its schedule of a plan."
+                )
+
+    def predicted(self, plan: Reference, t: float, x: Array, until: float, dt: float) -> Array:
+        """Return the state (n_states,) to which the controls of a plan lead from x at t until then (s)."""
+        for begin in t + dt * np.arange(round((until - t) / dt)):
+            u = plan.mean_control([begin], dt)
+            x = np.asarray(self._drift(float(begin), x, u, dt).full()[:, 0])
+        return x
+
+    def solved(self, begin: float, x: Array, near: Solution) -> Solution:
+        """Return the plan from a time (s) and a state (n_states,) on."""
+        names = self.model.states
+        start = {name: x[names.slice(name)] for name in names.names}
+        problem = self.plan.need_problem("solve again").with_time(initial=begin).with_initial(**start)
+        return self.solver.solve(problem, near=near)
+
+    def _check_plan(self) -> None:
+        plan = self.plan
+        expect(plan, Solution, "the plan of a Replanner", "write lambda: Resolver(solve(problem))")
+        if len(plan.phases) != 1:
+            raise ArgumentError(f"the plan of a Replanner has {len(plan.phases)} phases: plan in one.")
+        (leg,) = plan.phases.values()
+        if not leg.initial_time_bounds.fixed[0]:
+            raise ArgumentError(
+                "the plan of a Replanner does not begin at a fixed time: give time(initial=...)."
+            )
+
+    def _measured(self) -> float:
+        """Return the longest time (s) that a solve from a state of the plan takes."""
+        (leg,) = self.plan.phases.values()
+        found = []
+        for k in range(1, _REHEARSALS + 1):
+            t = leg.initial_time + k / (_REHEARSALS + 1) * leg.duration
+            begun = time.perf_counter()
+            self.solved(t, leg.x(t), self.plan)
+            found.append(time.perf_counter() - begun)
+        return max(found)
+
+
+def _named(function: Any) -> str:
+    return str(getattr(function, "__qualname__", type(function).__qualname__))

@@ -1,0 +1,147 @@
+"""The whole site in a real browser, without a window: every link leads somewhere, at no width is anything cut off."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from functools import partial
+from html.parser import HTMLParser
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import numpy as np
+import pytest
+from browser import BROWSER, DESKTOP, PHONE, Tab, browser
+from pages import ROOT
+
+pytest.importorskip("mkdocs", reason="the site is built with the extra docs")
+pytest.importorskip("latex2mathml")
+pytestmark = pytest.mark.slow
+needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+
+LOOSE = "[...document.images].filter(i => !i.naturalWidth || !i.alt).map(i => i.src)"
+"""Pictures that are not there, or that nothing is said of."""
+
+
+class Links(HTMLParser):
+    """What a page refers to, and what in it can be referred to."""
+
+    def __init__(self, page: Path) -> None:
+        super().__init__()
+        self.targets: list[str] = []
+        self.anchors: set[str] = set()
+        self.feed(page.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        for key, value in attrs:
+            if key in ("href", "src") and value:
+                self.targets.append(value)
+            if key in ("id", "name") and value:
+                self.anchors.add(value)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site without the gallery's pictures; SITE names one that is built already."""
+    built = os.environ.get("SITE")
+    folder = Path(built) if built else tmp_path_factory.mktemp("site")
+    if not built:
+        build = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(folder)]
+        subprocess.run(build, cwd=ROOT, env={**os.environ, "FIGURES": "false"}, check=True, timeout=600)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def address(site: Path) -> Iterator[str]:
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(site))) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+@pytest.fixture(scope="module")
+def tab() -> Iterator[Tab]:
+    with browser() as tab:
+        yield tab
+
+
+def test_links_resolve(site: Path) -> None:
+    pages = {page: Links(page) for page in site.rglob("*.html")}
+    assert len(pages) > 80
+    lost = []
+    for page, links in pages.items():
+        for target in links.targets:
+            url = urlsplit(target)
+            if url.scheme or url.netloc:
+                continue
+            root = site if url.path.startswith("/") else page.parent
+            there = (root / unquote(url.path).lstrip("/")).resolve() if url.path else page
+            there = there / "index.html" if there.is_dir() else there
+            if not there.is_file() or (
+                url.fragment and there in pages and unquote(url.fragment) not in pages[there].anchors
+            ):
+                lost.append(f"{page.relative_to(site)}: {target}")
+    assert not lost, "\n".join(lost)
+
+
+def chosen(site: Path) -> list[Path]:
+    """The two largest pages of each folder, where something cut off is likeliest; all of them by SITE_PAGES=all."""
+    pages = sorted(site.rglob("*.html"), key=lambda page: (page.parent, -page.stat().st_size))
+    if os.environ.get("SITE_PAGES") == "all":
+        return pages
+    return [page for page in pages if page in [p for p in pages if p.parent == page.parent][:2]]
+
+
+@needs_browser
+def test_pages_at_both_widths(site: Path, address: str, tab: Tab) -> None:
+    wrong = []
+    for page in chosen(site):
+        name = page.relative_to(site).as_posix()
+        tab.open(f"{address}/{name}", PHONE)
+        for size in (PHONE, DESKTOP):
+            tab.resize(size)
+            try:
+                tab.wait(
+                    "document.documentElement.scrollWidth <= innerWidth", 3.0
+                )  # parts of the theme glide
+            except AssertionError:
+                wrong.append(f"{name}: {tab.ask('document.documentElement.scrollWidth')} wide of {size[0]}")
+        elsewhere = [asked for asked in tab.asked if not asked.startswith(address)]
+        wrong += [f"{name}: {what}" for what in (*tab.said, *elsewhere, *tab.ask(LOOSE))]
+    assert not wrong, "\n".join(wrong)
+
+
+@needs_browser
+@pytest.mark.parametrize("size", [PHONE, DESKTOP], ids=["phone", "desktop"])
+def test_first_page_in_light_and_dark(address: str, tab: Tab, size: tuple[int, int]) -> None:
+    pictures = []
+    for dark in (False, True):
+        tab.open(f"{address}/index.html", size, dark=dark)
+        pictures.append(tab.look())
+    light, black = pictures
+    assert np.median(light) > 200 > 80 > np.median(black)
+    headings = tab.ask(
+        "[...document.querySelectorAll('article h2')].map(h => h.firstChild.textContent.trim())"
+    )
+    assert {"Start", "Read on"} <= set(headings)
+
+
+@needs_browser
+@pytest.mark.parametrize("word", ["costate", "design_tvlqr"])
+def test_search_finds(address: str, tab: Tab, word: str) -> None:
+    """A word of the text that also stands within code, and a name."""
+    tab.open(f"{address}/index.html", DESKTOP)
+    tab.ask(
+        f"(i => {{ i.focus(); i.value = '{word}'; i.dispatchEvent(new Event('keyup', {{bubbles: true}})); }})"
+        "(document.querySelector('.md-search__input'))"
+    )
+    tab.wait("document.querySelectorAll('.md-search-result__item').length > 3", 20.0)
+    assert not tab.said

@@ -1,0 +1,256 @@
+"""Norms of controls written by hand are those of vector controls: the same program, the same answers."""
+
+from __future__ import annotations
+
+import warnings
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.model.norms import NormNodes, degree_in
+from gnc_opt.problem.norms import restated
+
+DURATION = 3.0
+FUEL = DURATION - np.sqrt(DURATION**2 - 4)
+"""Of one unit, rest to rest, with an acceleration of at most 1: two burns of half of it (problems/minimum_fuel.py)."""
+
+State = dict[str, float]
+
+
+def by_hand(limit: Any, kind: str = "vector") -> go.Problem:
+    """A unit of travel with a thrust (T_x, T_y) and another control d in [0, 1], that costs unless a cost is returned.
+
+    The thrust is one control, two, or part of one of three, whose last component costs, too.
+    """
+    model = go.Model("cart")
+    r, v = model.state("r", 2), model.state("v", 2)
+    extra: Any = 0.0
+    if kind == "vector":
+        T: Any = model.control("T", 2, unit="N")
+    elif kind == "scalars":
+        T = ca.vertcat(model.control("T_x", unit="N"), model.control("T_y", unit="N"))
+    else:
+        u = model.control("u", 3, unit="N")
+        T, extra = ca.vertcat(u[2], u[0]), u[1]
+    d = model.control("d")
+    model.ode({r: v, v: T})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=DURATION)
+    leg.initial(r=[0.0, 0.0], v=[0.0, 0.0])
+    leg.final(r=[0.6, -0.8], v=[0.0, 0.0])
+    leg.bounds(d=(0.0, 1.0))
+    cost = limit(leg, T, d)
+    problem.minimize(leg.integral((d if cost is None else cost) + extra**2))
+    return problem
+
+
+def leg_of(limit: Any, kind: str = "vector") -> Any:
+    """The phase that is solved."""
+    return restated(by_hand(limit, kind)).phases["leg"]
+
+
+SLACK = {
+    "squared": lambda leg, T, d: leg.path("n", T.T @ T - d**2, upper=0.0),
+    "four times": lambda leg, T, d: leg.path("n", 4 * d**2 - 4 * ca.dot(T, T), lower=0.0),
+    "root": lambda leg, T, d: leg.path("n", ca.norm_2(T) - d, upper=0.0),
+    "hypot": lambda leg, T, d: leg.path("n", 2 * d - 2 * ca.hypot(T[0], T[1]), lower=0.0),
+    "equal": lambda leg, T, d: leg.path("n", (T.T @ T) ** 0.5 - d, equals=0.0),
+}
+RANGE = {
+    "squared": lambda leg, T, d: (
+        leg.path("n", 2 * ca.sumsqr(T) + 1, lower=9.0, upper=33.0) or d + ca.norm_2(T)
+    ),
+    "root": lambda leg, T, d: leg.path("n", 5 - ca.norm_2(T), lower=1.0, upper=3.0) or d,
+    "twice": lambda leg, T, d: (
+        leg.path("low", ca.norm_2(T) / 2, lower=1.0) or leg.path("high", T.T @ T, upper=16.0) or d
+    ),
+    "without a root": lambda leg, T, d: leg.path("n", T.T @ T, lower=4.0, upper=16.0) or d,
+}
+
+
+@pytest.mark.parametrize("kind", ["vector", "scalars", "part"])
+@pytest.mark.parametrize("limit", SLACK.values(), ids=SLACK)
+def test_a_control_that_limits_the_norm_becomes_the_magnitude(limit: Any, kind: str) -> None:
+    leg = leg_of(limit, kind)
+    (vector,) = leg.vectors
+    assert vector.magnitude == "d"
+    assert list(leg.paths) == [vector.length]
+    assert not leg.on_sphere(vector)
+    place = leg.model.controls.slice("d")
+    assert (leg.numbers.controls.lower[place], leg.numbers.controls.upper[place]) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize("kind", ["vector", "scalars", "part"])
+@pytest.mark.parametrize("limit", RANGE.values(), ids=RANGE)
+def test_limits_of_a_norm_become_those_of_the_magnitude(limit: Any, kind: str) -> None:
+    leg = leg_of(limit, kind)
+    (vector,) = leg.vectors
+    place = leg.model.controls.slice(vector.magnitude)
+    assert leg.numbers.controls.lower[place] == pytest.approx(2.0, rel=1e-15)
+    assert leg.numbers.controls.upper[place] == pytest.approx(4.0, rel=1e-15)
+    assert list(leg.paths) == [vector.length]
+    assert leg.on_sphere(vector)  # a hole
+
+
+@pytest.mark.parametrize("kind", ["vector", "scalars", "part"])
+def test_the_restated_phase_is_the_same_function(kind: str) -> None:
+    """At controls that both know, dynamics, constraints and integrands are equal."""
+    problem = by_hand(
+        lambda leg, T, d: (
+            leg.path("mass", ca.norm_2(T) - 1 - leg.model.symbol("r")[0] ** 2, upper=0.0)
+            or leg.path("side", T[1] - 0.3 * T[0], upper=2.0)
+            or ca.norm_2(T) ** 3 + ca.sqrt(T.T @ T + 2) + 2 * T.T @ T
+        ),
+        kind,
+    )
+    stated, solved = problem.phases["leg"], restated(problem).phases["leg"]
+    (vector,) = solved.vectors
+    size, angle = 1.7, 0.4
+    n = np.array([np.cos(angle), np.sin(angle)])
+    new = {vector.magnitude: size, vector.direction: n, "d": 0.3}
+    if kind == "part":  # the vector has its components in the order of the control
+        new |= {vector.direction: n[::-1], "u_vector_rest": 0.9}
+    T = size * n
+    old = {"vector": {"T": T}, "scalars": {"T_x": T[0], "T_y": T[1]}, "part": {"u": [T[1], 0.9, T[0]]}}[kind]
+    r = np.array([0.2, 0.4, 0.5, 0.6])
+
+    def values(leg: Any, controls: dict[str, Any]) -> np.ndarray:
+        _, x, u, _ = leg.model.arguments()
+        lengths = {v.length for v in leg.vectors}
+        rows = [c.expression for name, c in leg.paths.items() if name not in lengths]
+        function = ca.Function(
+            "all", [x, u], [ca.vertcat(leg.model.derivative(), leg.integrand_expression(), *rows)]
+        )
+        return np.asarray(function(r, leg.model.controls.stack(controls))).ravel()
+
+    np.testing.assert_allclose(values(solved, new), values(stated, {**old, "d": 0.3}), rtol=1e-14)
+
+
+def test_cones_about_a_direction_are_limits_of_the_direction() -> None:
+    leg = leg_of(lambda leg, T, d: leg.path("cone", T[1] - 0.3 * ca.norm_2(T), lower=0.0) or ca.norm_2(T) + d)
+    n = leg.model.symbol("T_direction")
+    assert ca.is_equal(leg.paths["cone"].expression, n[1] - 0.3, 5)
+
+
+def test_bounds_of_components_within_the_norm_are_gone_and_others_are_kept() -> None:
+    def limit(leg: Any, T: Any, d: Any) -> None:
+        leg.path("n", ca.norm_2(T) - d, upper=0.0)
+        leg.bounds(T_x=(-1.0, 0.5), T_y=(0.0, 2.0))
+
+    leg = leg_of(limit, "scalars")
+    (vector,) = leg.vectors
+    assert set(leg.paths) == {"bounds of T_x", "bounds of T_y", vector.length}
+    box = leg.paths["bounds of T_x"].interval
+    assert (box.lower[0], box.upper[0]) == (-np.inf, 0.5)
+    assert not ca.depends_on(leg.paths["bounds of T_y"].expression, leg.model.symbol("d"))
+
+
+@pytest.mark.parametrize(
+    "limit",
+    [
+        lambda leg, T, d: leg.path("n", ca.dot(T, T), upper=1.0),  # smooth, and inactive at zero
+        lambda leg, T, d: leg.path("n", T[0] - d, upper=0.0),
+        lambda leg, T, d: leg.path("n", T[0] ** 2 + 2 * T[1] ** 2, upper=1.0),
+        lambda leg, T, d: leg.path("n", ca.norm_2(leg.model.symbol("r")), upper=5.0),
+    ],
+)
+def test_what_needs_no_restatement_stays_as_it_is(limit: Any) -> None:
+    problem = by_hand(limit)
+    assert restated(problem) is problem
+
+
+@pytest.mark.parametrize(
+    "limit",
+    [
+        lambda leg, T, d: leg.path("n", T[0] ** 2 + 2 * T[1] ** 2, lower=1.0),  # an ellipse
+        lambda leg, T, d: leg.path("n", ca.sqrt(T[0] ** 2 + 2 * T[1] ** 2), upper=1.0),
+    ],
+)
+def test_what_is_not_known_as_a_norm_is_warned_of(limit: Any) -> None:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        by_hand(limit).check()
+    assert any("vector_control()" in str(w.message) for w in caught)
+
+
+def test_what_is_restated_is_not_warned_of() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        by_hand(SLACK["root"]).check()
+
+
+def test_functions_that_only_look_like_norms_at_some_points_are_none() -> None:
+    T = ca.SX.sym("T", 2)
+    assert not NormNodes.of(ca.if_else(T[0] > 9, 0, T.T @ T), T).degrees.keys() & {
+        ca.if_else(T[0] > 9, 0, T.T @ T).element_hash()
+    }
+    s, m = ca.SX.sym("s"), ca.SX.sym("m")
+    assert degree_in(s * m - 3 * s, s) == 1
+    assert degree_in(s * m - 3, s) is None
+
+
+@cache
+def flown() -> go.Solution:
+    return go.solve(by_hand(SLACK["root"], "scalars"), mesh="10x3")
+
+
+def test_fuel_by_hand_meets_its_closed_form_in_the_users_names() -> None:
+    solution = flown()
+    assert solution.converged
+    assert solution.objective == pytest.approx(FUEL, rel=1e-9)
+    burn = FUEL / 2
+    at = np.array([0.5 * burn, 1.5, DURATION - 0.5 * burn])
+    np.testing.assert_allclose(solution.flown_control("T_x")(at), [0.6, 0.0, -0.6], atol=1e-7)
+    np.testing.assert_allclose(solution.flown_control("T_y")(at), [-0.8, 0.0, 0.8], atol=1e-7)
+    model = by_hand(SLACK["root"], "scalars").phases["leg"].model
+    assert "T_x" in solution.to_pandas().columns if _pandas() else model
+    assert "whose magnitude 'n' limits" in str(solution)
+
+
+def _pandas() -> bool:
+    try:
+        import pandas  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+def test_the_stated_symbols_evaluate_along_a_restated_solution(tmp_path: Path) -> None:
+    problem = by_hand(SLACK["root"], "scalars")
+    solution = go.solve(problem, mesh="4x3", tol=None)
+    model = problem.phases["leg"].model
+    size = ca.hypot(model.symbol("T_x"), model.symbol("T_y"))
+    known = np.hypot(solution.control("T_x")(0.1), solution.control("T_y")(0.1))
+    assert solution.evaluate(size, 0.1) == pytest.approx(known, rel=1e-12)
+    assert solution.evaluate("T_x", 0.1) == pytest.approx(solution.control("T_x")(0.1))
+    path = solution.save(tmp_path / "s.npz")
+    again = go.load(path, by_hand(SLACK["root"], "scalars"))
+    assert again.evaluate("T_y", 0.1) == pytest.approx(solution.evaluate("T_y", 0.1))
+
+
+def test_variations_share_what_was_built() -> None:
+    problem = by_hand(SLACK["root"])
+    assert restated(problem).builds is restated(problem.with_final(r=[1.0, 0.0])).builds
+    free = problem.with_bounds(d=(-1.0, 1.0))  # d may not be a magnitude then
+    assert restated(free).builds is not restated(problem).builds
+
+
+def test_guesses_and_scales_of_components_are_those_of_the_vector() -> None:
+    problem = by_hand(SLACK["root"], "scalars")
+    leg = problem.phases["leg"]
+    leg.guess(T_x=3.0, T_y=(0.0, -8.0))
+    leg.scale(T_x=2.0, T_y=7.0)
+    solved = restated(problem).phases["leg"]
+    from gnc_opt.problem.guess.trajectory import start_phase
+
+    start = start_phase(solved, np.array([0.0, 0.5, 1.0]), perturbed=False)
+    layout = solved.model.controls
+    (vector,) = solved.vectors
+    np.testing.assert_allclose(start.controls[layout.slice("d")][0], [3.0, 5.0, np.hypot(3, 8)])
+    np.testing.assert_allclose(start.controls[layout.slice(vector.direction)][:, 1], [0.6, -0.8])
