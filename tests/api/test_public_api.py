@@ -52,8 +52,8 @@ EXPECTED = {
         Uniform WheelArray consistency monte_carlo
     """,
     "gnc_opt.analysis": """
-        Agreement Correlations FailureProbability LinearCovariance Share SobolIndices WorstCase correlations
-        failure_probability linear_covariance sobol_indices worst_case
+        Agreement Correlations FailureProbability LinearCovariance LoopResponse Share SobolIndices WorstCase
+        correlations failure_probability linear_covariance loop_response sobol_indices worst_case
     """,
     "gnc_opt.spacecraft": """
         FLATTENING_EARTH J2_EARTH MU_EARTH PYRAMID_ELEVATION RADIUS_EARTH RATE_EARTH FlexibleBody
@@ -70,8 +70,9 @@ EXPECTED = {
         total_momentum transpose us76 wheel_body_acceleration wheel_pyramid
     """,
     "gnc_opt.plot": """
-        Thruster View plot_controls plot_costates plot_curves plot_dispersion plot_distributions plot_hamiltonian
-        plot_path plot_refinement plot_run_controls plot_run_errors plot_run_states plot_states
+        Thruster View plot_bode plot_controls plot_costates plot_curves plot_dispersion plot_distributions
+        plot_hamiltonian plot_margins plot_nyquist plot_path plot_refinement plot_run_controls plot_run_errors
+        plot_run_states plot_sensitivity plot_states
         plot_verdict save_figure save_film
     """,
     "gnc_opt.report": """

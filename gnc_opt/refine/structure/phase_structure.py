@@ -136,7 +136,7 @@ class PhaseStructure:
         return bool(self.orders[row]) and not linear
 
     def beside_contacts(self, touches: bool) -> Mask:
-        """Return where state constraints are beside an arc on their limit or, with touches, are off one, (n_rows, A)."""
+        """Return where state constraints are beside an arc on their limit or, with touches, off them, (n_rows, A)."""
         held = np.array([[kind.at_limit for kind in row] for row in self.matrix()])
         beside = np.zeros_like(held)
         beside[:, :-1] |= held[:, 1:]
