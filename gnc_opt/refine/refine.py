@@ -28,12 +28,15 @@ from gnc_opt.verify.verify import TOLERANCE, verify
 
 StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]
 
-UNASKED = 0.5
-"""Share of the work that is left after which a control structure that nobody asked for is given up. What it costs
+UNASKED, AGAIN = 0.5, 0.25
+"""Shares of the work after which a control structure that nobody asked for is given up, first and later. What it costs
 comes on top of what the mesh may cost."""
 
 BRIEF = SolverOptions(tolerance=TIGHT, max_iterations=100)
 """For solves with such a structure: those that lead anywhere begin near their end."""
+
+EARLY = 3
+"""Passes of the mesh after which it is asked for a structure again, where the first one did not lead anywhere."""
 
 LEAST_WORK = 7e4
 """What refining may cost in any case, in iterations at one collocation point (`Pass.work`): one to a few seconds."""
@@ -69,7 +72,7 @@ def refine(
         The same for kinks, where controls enter and leave their bounds or mixed path constraints, and for singular
         arcs and arcs on state bounds.
         ``"auto"``: the latter where the structure has more than one piece, if the result passes the verdict; else hp,
-        and the structure once more from there if that does not pass.
+        and the structure again after a few passes and at the end if that does not pass.
     max_passes : int
         At most so many solves (of each attempt, where structure and mesh are tried in turn).
     max_points : int
@@ -78,7 +81,7 @@ def refine(
         No pass on a mesh begins when these have cost this many times what the given solution did, counted in
         iterations at one collocation point (`Pass.work`), so that it ends in the same place on every machine. What
         costs a few seconds (`LEAST_WORK`) is allowed in any case; ``math.inf`` allows everything. A structure that is
-        tried unasked may cost half as much before.
+        tried unasked may cost half as much before, and a quarter each time that a finer mesh shows another.
     max_wall_time : float, optional
         Limit in s on all of it; then, and after Ctrl-C, the best solution so far is returned, without a verdict.
     options : SolverOptions, optional
@@ -202,21 +205,25 @@ class _Task:
                 )
             yield from self._by_structure(self.solution, found)
             return
-        if structure == "auto":
-            yield from self._unasked(self.solution)
-        by_mesh = self._by_mesh()
-        yield by_mesh
-        # A fine mesh shows arcs that the first one was too coarse for.
-        if structure == "auto":
-            yield from self._unasked(by_mesh.solution)
-
-    def _unasked(self, start: Solution) -> Iterator[_Attempt]:
-        """Try a structure that nobody asked for, if there is one, and work left."""
-        if not self._left:
+        if structure == "none":
+            yield self._by_mesh(self.solution, self.max_passes)
             return
+        yield from self._unasked(self.solution, UNASKED)
+        # A finer mesh shows arcs that the first one was too coarse for.
+        early = min(EARLY, self.max_passes) if self.attempted else self.max_passes
+        by_mesh = self._by_mesh(self.solution, early)
+        yield by_mesh
+        yield from self._unasked(by_mesh.solution, AGAIN)
+        if early < self.max_passes and by_mesh.history.status is RefinementStatus.PASS_LIMIT:
+            by_mesh = self._by_mesh(by_mesh.solution, self.max_passes - early)
+            yield by_mesh
+            yield from self._unasked(by_mesh.solution, AGAIN)
+
+    def _unasked(self, start: Solution, share: float) -> Iterator[_Attempt]:
+        """Try a structure that nobody asked for, if there is one."""
         found = structures_of(start)
         if _switches(start, found, at_least=1) and not self._known(found):
-            yield from self._by_structure(start, found, UNASKED)
+            yield from self._by_structure(start, found, share)
 
     def _known(self, found: Mapping[str, PhaseStructure]) -> bool:
         """Whether the same arcs in the same order have been tried and had a solution."""
@@ -258,12 +265,6 @@ class _Task:
             deadline=self.deadline,
         )
 
-    @property
-    def _left(self) -> float:
-        """Work that is left."""
-        spent = sum(p.work for a in self.attempted for p in a.history.passes)
-        return max(self.max_work - spent, 0.0)
-
     def _structured(self, start: Solution, found: Mapping[str, PhaseStructure], share: float) -> _Attempt:
         return _Attempt(
             *optimise_switches(
@@ -271,7 +272,7 @@ class _Task:
                 tol=self.tol,
                 max_passes=self.max_passes,
                 max_points=self.max_points,
-                max_work=share * self._left,
+                max_work=share * self.max_work,
                 structures=found,
                 options=self.options or (BRIEF if share < 1.0 else None),
                 deadline=self.deadline,
@@ -280,14 +281,15 @@ class _Task:
             begun=found,
         )
 
-    def _by_mesh(self) -> _Attempt:
+    def _by_mesh(self, start: Solution, max_passes: int) -> _Attempt:
+        spent = sum(p.work for a in self.attempted if a.begun is None for p in a.history.passes)
         return _Attempt(
             *refine_mesh(
-                self.solution,
+                start,
                 tol=self.tol,
-                max_passes=self.max_passes,
+                max_passes=max_passes,
                 max_points=self.max_points,
-                max_work=self.max_work,  # however much a structure that nobody asked for has cost
+                max_work=self.max_work - spent,  # however much a structure that nobody asked for has cost
                 options=self.options,
                 deadline=self.deadline,
                 progress=self.progress,
@@ -323,8 +325,8 @@ def _result(given: Solution, attempts: Sequence[_Attempt], tol: float, begin: fl
     elif attempts[-1].final:
         chosen = len(attempts) - 1
     else:  # a structure that nobody asked for is not worth more than the mesh if it does not convince
-        meshes = (k for k, a in enumerate(attempts) if not a.solution.structure and a.history.final.solved)
-        chosen = next(meshes, len(attempts) - 1)
+        meshes = [k for k, a in enumerate(attempts) if not a.solution.structure and a.history.final.solved]
+        chosen = meshes[-1] if meshes else len(attempts) - 1
     solution, history = attempts[chosen].solution, attempts[chosen].history
     verdict = None if attempts[-1].stopped else verify(solution)
     status = RefinementStatus.INTERRUPTED if verdict is None else history.status

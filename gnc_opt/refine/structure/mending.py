@@ -45,6 +45,9 @@ SATURATED = 1e-3
 WRONG_SIGN = 1e-7
 """First-order gain in H, in shares of H, beyond which a wrong sign asks for another arc."""
 
+WRONG_SLOPE = 1e-5
+"""The same up to a switch of the same control, which the error of the mesh may have moved."""
+
 
 def improve(
     solution: Solution, plans: dict[str, Plan], swapped: set[tuple[str, PhaseStructure]], tol: float
@@ -233,19 +236,17 @@ def _around(holds: Mask, j: int) -> slice:
 
 
 def _forgive_own_switches(offence: Array, kinds: KindArray) -> None:
-    """Zero the offences that reach up to one of the channel's own switches.
+    """Zero the small offences that reach up to one of the channel's own switches.
 
-    There the switching function vanishes at the optimum, and what is left of it is rounding and mesh error.
+    There the switching function vanishes at the optimum, and what is left of it is rounding and mesh error. Large ones
+    mean that it has the wrong slope there: the cost is the largest, not the least, for that time of the switch.
     """
     for j in np.flatnonzero(kinds[1:] != kinds[:-1]):
-        for k in range(int(j), -1, -1):
-            if offence[k] <= 0:
-                break
-            offence[k] = 0.0
-        for k in range(int(j) + 1, offence.size):
-            if offence[k] <= 0:
-                break
-            offence[k] = 0.0
+        for reach in (np.arange(int(j), -1, -1), np.arange(int(j) + 1, offence.size)):
+            fine = np.flatnonzero(offence[reach] <= 0)
+            run = reach[: fine[0]] if fine.size else reach
+            if np.max(offence[run], initial=0.0) < WRONG_SLOPE:
+                offence[run] = 0.0
 
 
 def _wrong_interval(samples: PhaseSamples, offence: Array) -> tuple[float, float]:
