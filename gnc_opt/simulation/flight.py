@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from gnc_opt.simulation.event import MOST, Occurrence
 from gnc_opt.simulation.kernel import Kernel
 from gnc_opt.simulation.log import Log
 from gnc_opt.simulation.outcome import Outcome, RunStatus
+from gnc_opt.simulation.quantity import Quantities, Recorder
 from gnc_opt.simulation.replanner import Replanner
 from gnc_opt.simulation.run import Run
 
@@ -77,6 +78,8 @@ class Flight:
     growth : float
         By how much the errors of single integration steps grow until the end of the nominal run, at least 1.
     replanner : Replanner or None
+    quantities : Quantities or None
+        What is kept of the way.
     estimates : int array (n,) or None
         Entries of the memory that are the estimated states that the controller follows; None: it measures them.
     """
@@ -108,6 +111,7 @@ class Flight:
     failures: tuple[str, ...] = ()
     replanner: Replanner | None = None
     estimates: Any = None
+    quantities: Quantities | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in vars(self).items() if not k.startswith("_")}
@@ -135,6 +139,8 @@ class Flight:
             digest.update(np.ascontiguousarray(array).tobytes())
         if self.replanner is not None:
             digest.update(self.replanner.description.encode())
+        if self.quantities is not None:
+            digest.update(self.quantities.values.serialize().encode())
         return digest.hexdigest()
 
     def final(self, P: Array, seeds: Sequence[Any]) -> Ending:
@@ -156,6 +162,7 @@ class Flight:
             )
         final = np.full((P.shape[1], self.kernel.state.size), np.nan)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
+        recorder = None if self.quantities is None else Recorder(self.quantities, self.times, P.shape[1])
         refused: dict[int, str] = {}
         replans = np.zeros((2, P.shape[1]))
         followed = np.full((self.followed.size, P.shape[1]), np.nan)
@@ -170,18 +177,19 @@ class Flight:
                     X, C = self._begun(rows[0], P[:, i])
                 elif self.replanner is not None:
                     self._consider(course, first, X, rows, C)
-                fly, evaluate = self._fold(len(rows))
-                # reads and writes these arrays themselves: no conversion per run
-                for k, array in enumerate((X, rows, C)):
-                    fly.set_arg(k, memoryview(array.data))
-                fly.set_res(0, memoryview(final[i].data))
-                evaluate()
+                if recorder is None:
+                    self._fly(X, rows, C, final[i])
+                else:
+                    columns = np.column_stack([X, self._logged(len(rows))(X, rows.T, C)[0].full()])
+                    recorder.add(i, first, self.kernel.state.split(columns), P[self._plant_parameters, i])
+                    final[i] = columns[:, -1]
                 X[:] = final[i]
                 if self._stopped(X):
                     break
             replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
             followed[:, i] = self._followed_at_end(course, X)
-        return self._ending(final.T, refused, followed, replans)
+        ending = self._ending(final.T, refused, followed, replans)
+        return ending if recorder is None else replace(ending, sums=recorder.sums, samples=recorder.samples)
 
     def run(self, P: Array, seed: Any, *, every: int = 1, folder: str | Path | None = None) -> Run:
         """Fly one run and return all of it; its last state has the bits of `final`.
@@ -322,6 +330,21 @@ class Flight:
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
         generator = np.random.Generator(np.random.Philox(sequence))
         return lambda first, last: generator.standard_normal((last - first, size))
+
+    def _fly(self, X: Array, rows: Array, C: Array, end: Array) -> None:
+        """Fly a leg, and write X at its end to ``end``."""
+        fly, evaluate = self._fold(len(rows))
+        # reads and writes these arrays themselves: no conversion per run
+        for k, array in enumerate((X, rows, C)):
+            fly.set_arg(k, memoryview(array.data))
+        fly.set_res(0, memoryview(end.data))
+        evaluate()
+
+    @cached_property
+    def _plant_parameters(self) -> list[int]:
+        """Places in P of the plant's parameters."""
+        names = [name for name in self.layout.names if name.startswith("plant.")]
+        return [int(i) for name in names for i in range(self.layout.size)[self.layout.slice(name)]]
 
     @cached_property
     def _edges(self) -> list[int]:
