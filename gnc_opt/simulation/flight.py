@@ -10,7 +10,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from gnc_opt.arguments import read_integer
@@ -20,8 +19,10 @@ from gnc_opt.model.layout import Layout
 from gnc_opt.simulation.course import Course
 from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.event import MOST, Occurrence
+from gnc_opt.simulation.folded import Folded
 from gnc_opt.simulation.kernel import Kernel
 from gnc_opt.simulation.log import Log
+from gnc_opt.simulation.native import WORTH, native
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.quantity import Quantities, Recorder
 from gnc_opt.simulation.replanner import Replanner
@@ -82,6 +83,8 @@ class Flight:
         What is kept of the way.
     estimates : int array (n,) or None
         Entries of the memory that are the estimated states that the controller follows; None: it measures them.
+    library : str
+        Path of the kernel's step as machine code, see `natively`; "" for the interpreter.
     """
 
     kernel: Kernel
@@ -112,6 +115,7 @@ class Flight:
     replanner: Replanner | None = None
     estimates: Any = None
     quantities: Quantities | None = None
+    library: str = ""
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in vars(self).items() if not k.startswith("_")}
@@ -142,6 +146,18 @@ class Flight:
         if self.quantities is not None:
             digest.update(self.quantities.values.serialize().encode())
         return digest.hexdigest()
+
+    def natively(self, runs: int) -> Flight:
+        """Return the same flight; for so many runs as machine code if that pays, can be made and has the same bits."""
+        if runs * self.n_steps < WORTH:
+            return self
+        quick = replace(self, library=native(self._folded.step))
+        _, rows = next(self.legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
+        ends = np.empty((2, self.kernel.state.size))
+        for flight, end in zip((self, quick), ends, strict=True):
+            X, C = self._begun(rows[0], self.nominal)
+            flight._folded.fly(X, rows, C, end)
+        return quick if ends[0].tobytes() == ends[1].tobytes() else self
 
     def final(self, P: Array, seeds: Sequence[Any]) -> Ending:
         """Fly n runs and return how they ended; failed ones are flagged, never dropped.
@@ -178,16 +194,19 @@ class Flight:
                 elif self.replanner is not None:
                     self._consider(course, first, X, rows, C)
                 if recorder is None:
-                    self._fly(X, rows, C, final[i])
+                    self._folded.fly(X, rows, C, final[i])
                 else:
-                    columns = np.column_stack([X, self._logged(len(rows))(X, rows.T, C)[0].full()])
+                    columns = np.column_stack([X, self._folded.logged(X, rows, C)[0]])
                     recorder.add(i, first, self.kernel.state.split(columns), P[self._plant_parameters, i])
                     final[i] = columns[:, -1]
                 X[:] = final[i]
                 if self._stopped(X):
                     break
-            replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
-            followed[:, i] = self._followed_at_end(course, X)
+            if self.replanner is not None:
+                replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
+                followed[:, i] = self._followed_at_end(course, final[i : i + 1].T)[:, 0]
+        if self.replanner is None:
+            followed = self._followed_at_end(self._course(), final.T)
         ending = self._ending(final.T, refused, followed, replans)
         return ending if recorder is None else replace(ending, sums=recorder.sums, samples=recorder.samples)
 
@@ -233,7 +252,7 @@ class Flight:
                 X, C = self._begun(rows[0], P)
             elif self.replanner is not None:
                 self._consider(course, first, X, rows, C)
-            after, logs = (o.full() for o in self._logged(len(rows))(X, rows.T, C))
+            after, logs = self._folded.logged(X, rows, C)
             parts, told = self.kernel.state.split(np.column_stack([X, after])), self.kernel.log.split(logs)
             flown = len(rows) if not self.events.size else int(np.sum(parts["stop"][0, :-1] < 0.5))
             if self.events.size:
@@ -249,7 +268,7 @@ class Flight:
                 break
         final = self.kernel.state.split(X[:, None])
         end = self._last_times(final)
-        followed = self._followed_at_end(course, X)[:, None]
+        followed = self._followed_at_end(course, X[:, None])
         self._note(log, final, {}, np.array([0]), followed)
         ending = self._ending(X[:, None], {}, followed)
         arrays = log.close()
@@ -331,15 +350,6 @@ class Flight:
         generator = np.random.Generator(np.random.Philox(sequence))
         return lambda first, last: generator.standard_normal((last - first, size))
 
-    def _fly(self, X: Array, rows: Array, C: Array, end: Array) -> None:
-        """Fly a leg, and write X at its end to ``end``."""
-        fly, evaluate = self._fold(len(rows))
-        # reads and writes these arrays themselves: no conversion per run
-        for k, array in enumerate((X, rows, C)):
-            fly.set_arg(k, memoryview(array.data))
-        fly.set_res(0, memoryview(end.data))
-        evaluate()
-
     @cached_property
     def _plant_parameters(self) -> list[int]:
         """Places in P of the plant's parameters."""
@@ -412,40 +422,14 @@ class Flight:
             for k in range(int(min(told["number"][0, step], MOST)))
         ]
 
-    def _fold(self, count: int) -> Any:
-        """``(X, w of a leg, C) -> X at its end``, with the arrays that it reads and writes still to be told."""
-        if count not in self._folds:
-            step = _without_log(self.kernel.step)
-            self._folds[count] = self._leg(lambda x, w, c: [step.fold(count)(x, w, c)], count).buffer()
-        return self._folds[count]
-
-    def _logged(self, count: int) -> Any:
-        """``(X, w of a leg, C) -> X after every step, log of every step``."""
-        if count not in self._logs:
-            step = self.kernel.step
-            self._logs[count] = self._leg(lambda x, w, c: list(step.mapaccum(count)(x, w, c)), count)
-        return self._logs[count]
-
-    def _leg(self, outputs: Callable[[Any, Any, Any], list[Any]], count: int) -> Any:
-        step = self.kernel.step
-        x, w, c = (ca.MX.sym(n, *size) for n, size in (
-            ("X", (self.kernel.state.size,)), ("w", (self.kernel.known.size, count)), ("C", (step.size1_in(2),))
-        ))  # fmt: skip
-        return ca.Function("leg", [x, w, c], outputs(x, w, ca.repmat(c, 1, count)))
-
     @cached_property
-    def _folds(self) -> dict[int, Any]:
-        return {}
-
-    @cached_property
-    def _logs(self) -> dict[int, Any]:
-        return {}
+    def _folded(self) -> Folded:
+        return Folded(self.kernel, self.library)
 
     def _followed_at_end(self, course: Course, X: Array) -> Array:
-        """Return what a run follows when it ends (n_followed,); not-a-number where it follows nothing."""
-        end = self._last_times(self.kernel.state.split(X[:, None]))
-        found = course.reference_at(end)
-        return np.full(self.followed.size, np.nan) if found is None else found[:, 0]
+        """Return what runs follow when they end (n_followed, n); not-a-number where they follow nothing."""
+        found = course.reference_at(self._last_times(self.kernel.state.split(X)))
+        return np.full((self.followed.size, X.shape[1]), np.nan) if found is None else found
 
     def _ending(
         self, final: Array, refused: dict[int, str], followed: Array, replans: Array | None = None
@@ -520,9 +504,3 @@ class Flight:
             if name in self.states:
                 follow[self.states.slice(name)] = reference[self.followed.slice(name)]
         return np.asarray(self.errors(states, follow).full())
-
-
-def _without_log(step: Any) -> Any:
-    """Return the step without its log, so that what only the log needs is not computed."""
-    symbols = step.sx_in() if step.is_a("SXFunction") else step.mx_in()
-    return ca.Function("only", symbols, [step(*symbols)[0]], ["X", "w", "C"], ["X_next"])
