@@ -239,6 +239,8 @@ class _Run:
             order == 2 and free and (runs[-1][1] - runs[0][0] > FEW or beside)
         ):  # between its ends an arc need not push
             runs, order = [(runs[0][0], runs[-1][1])], 1
+        if order == 1:
+            runs = _joined(runs)
         for a, b in runs:
             if order == 1:
                 start, end = self._between(a, first), self._between(b, last)
@@ -334,6 +336,17 @@ def _at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
     order = np.argsort(times, kind="stable")
     pushes = np.hstack([densities, atoms])[:, order]
     return times[order], constraints.values(times, x, u)[:, order], pushes
+
+
+def _joined(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Join runs with one node between them: a boundary of the mesh, where a limit held at the points may be left."""
+    joined = runs[:1]
+    for a, b in runs[1:]:
+        if a - joined[-1][1] == 1:
+            joined[-1] = (joined[-1][0], b)
+        else:
+            joined.append((a, b))
+    return joined
 
 
 def _runs(here: Mask) -> list[tuple[int, int]]:

@@ -14,6 +14,8 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from gnc_opt.nlp import SolverOptions
 from gnc_opt.problem.arc import Arc
 from gnc_opt.problem.problem import Problem
@@ -34,6 +36,9 @@ PATIENCE = 4
 
 FINEST = 1e-9
 """Switch times are asked for at least this accurately: that costs a solve of a few iterations, if any."""
+
+SAME = 1e-7
+"""Share of a phase below which two times are the same for a loop that runs in a circle."""
 
 TIGHT, MOST_ITERATIONS = 1e-11, 200
 """Of each solve: switch times are as good as the solver's optimality, and a warm start needs few iterations."""
@@ -185,7 +190,7 @@ def _loop(
         show(record)
         if not action or resolved:
             return RefinementStatus.CONVERGED
-        if _restless([t.record for t in tries]):
+        if _restless([t.record for t in tries]) or _returned(tries):
             return RefinementStatus.STALLED
     return _limited([t.record for t in tries], limits, RefinementStatus.PASS_LIMIT)
 
@@ -204,10 +209,32 @@ def _resolved(records: list[Pass], tol: float) -> bool:
 def _restless(records: list[Pass]) -> bool:
     """Whether the structure stays, but neither moving kinks nor finer meshes reduce the error."""
     last = records[-PATIENCE:]
-    adjusting = all(set(str(r.actions).split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED} for r in last)
-    if not adjusting or len(records) <= PATIENCE:
+    if not all(map(_adjusting, last)) or len(records) <= PATIENCE:
         return False
     return min(r.error for r in last) > 0.5 * min(r.error for r in records[:-PATIENCE])
+
+
+def _returned(tries: list[_Try]) -> bool:
+    """Whether the structure has been changed into one that the last pass has led back from."""
+    last = tries[-1]
+    return not _adjusting(last.record) and any(_same(last.plans, earlier.plans) for earlier in tries[:-1])
+
+
+def _adjusting(record: Pass) -> bool:
+    """Whether a solution asked for nothing but other kinks and resolutions."""
+    return set(str(record.actions).split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED}
+
+
+def _same(plans: Mapping[str, Plan], others: Mapping[str, Plan]) -> bool:
+    """Whether structures and degrees are the same, and the switch times nearly."""
+    for plan, other in ((plan, others[name]) for name, plan in plans.items()):
+        ours, theirs = plan.structure, other.structure
+        smooth = [[r.smooth for r in p.resolutions] for p in (plan, other)]
+        if ours.at(()) != theirs.at(()) or smooth[0] != smooth[1]:
+            return False
+        if not np.allclose(ours.times, theirs.times, rtol=0.0, atol=SAME * (ours.times[-1] - ours.times[0])):
+            return False
+    return True
 
 
 def _solve(
