@@ -265,9 +265,16 @@ def test_offences_beside_own_switches_are_forgiven() -> None:
         ([1, 2, 3, 4, 5, 0, 7], [0, 0, 0, 0, 0, 0, 7]), ([1, 0, 3, 4, -1, 6, 7], [1, 0, 0, 0, -1, 6, 7]),
         ([1, 2, -3, -4, 5, 6, 7], [1, 2, -3, -4, 5, 6, 7]), ([1, 2, 3, -4, 5, 6, 7], [0, 0, 0, -4, 5, 6, 7]),
     ):  # fmt: skip
-        offence = np.array(before, dtype=float)
+        offence = np.array(before, dtype=float) * 1e-6
         m._forgive_own_switches(offence, kinds)
-        assert offence.tolist() == after
+        np.testing.assert_allclose(offence, np.array(after) * 1e-6, rtol=1e-14)
+    for before, after in (
+        ([0, 1e-6, 2e-5, 2e-5, 1e-7, 0, 1], [0, 1e-6, 2e-5, 2e-5, 1e-7, 0, 1]),  # the wrong slope
+        ([0, 1, 2, 9e-6, 1e-7, 0, 0], [0] * 7), ([0, 1e-7, 9e-6, 1, 2, 0, 0], [0] * 7),  # moved
+    ):  # fmt: skip
+        wrong = np.array(before)
+        m._forgive_own_switches(wrong, kinds)
+        assert wrong.tolist() == after
     alone = np.ones(3)
     m._forgive_own_switches(alone, np.array([LOW] * 3, dtype=object))
     assert alone.tolist() == [1, 1, 1]
@@ -516,6 +523,21 @@ def test_the_loop_is_restless_if_adjusting_does_not_help() -> None:
     assert not s._restless([moved, moved, moved, moved, record(0.5, s.RAISED)])
     assert s._restless([moved, moved, moved, moved, record(0.51, s.RAISED)])
     assert s._restless([record(0.1, "x"), *[record(0.1, s.RAISED)] * 4])
+
+
+def test_a_loop_in_a_circle_is_noticed() -> None:
+    def attempt(switch: float, action: str, smooth: int = 4, last: ArcKind = UP) -> Any:
+        structure = PhaseStructure((0.0, switch, 2.0), ((LOW,), (last,)), (False,), 1)
+        return s._Try(None, {"leg": Plan(structure, (Resolution(smooth=smooth),))}, record(1.0, action))  # type: ignore[arg-type]
+
+    added = "arc of u added at 1 s"
+    first = attempt(1.0, added)
+    assert s._returned([first, attempt(0.5, added), attempt(1.0 + 1e-7, added)])
+    assert not s._returned([first, attempt(1.0 + 1e-6, added)]) and not s._returned([first])
+    assert not s._returned([first, attempt(1.0, "piece 1 dropped")])
+    assert not s._returned([attempt(1.0, s.RAISED), attempt(1.0, s.RAISED)])
+    assert not s._returned([first, attempt(1.0, added, smooth=8)])
+    assert not s._returned([first, attempt(1.0, added, last=FREE)])
 
 
 def test_a_mesh_is_refined_once_beyond_a_small_error() -> None:

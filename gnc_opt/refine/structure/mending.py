@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -46,7 +47,7 @@ WRONG_SIGN = 1e-7
 """First-order gain in H, in shares of H, beyond which a wrong sign asks for another arc."""
 
 WRONG_SLOPE = 1e-5
-"""The same up to a switch of the same control, which the error of the mesh may have moved."""
+"""The same on both sides of a switch of the same control."""
 
 
 def improve(
@@ -236,17 +237,24 @@ def _around(holds: Mask, j: int) -> slice:
 
 
 def _forgive_own_switches(offence: Array, kinds: KindArray) -> None:
-    """Zero the small offences that reach up to one of the channel's own switches.
+    """Zero the offences that reach up to one of the channel's own switches, but for those on both sides of it.
 
-    There the switching function vanishes at the optimum, and what is left of it is rounding and mesh error. Large ones
-    mean that it has the wrong slope there: the cost is the largest, not the least, for that time of the switch.
+    There the switching function vanishes at the optimum, and what is left of it is rounding and mesh error. On both
+    sides it has the wrong slope: the cost is the largest, not the least, for that time of the switch.
     """
     for j in np.flatnonzero(kinds[1:] != kinds[:-1]):
-        for reach in (np.arange(int(j), -1, -1), np.arange(int(j) + 1, offence.size)):
-            fine = np.flatnonzero(offence[reach] <= 0)
-            run = reach[: fine[0]] if fine.size else reach
-            if np.max(offence[run], initial=0.0) < WRONG_SLOPE:
+        sides = (
+            _run_of(offence > 0, range(int(j), -1, -1)),
+            _run_of(offence > 0, range(int(j) + 1, offence.size)),
+        )
+        if min(np.max(offence[run], initial=0.0) for run in sides) < WRONG_SLOPE:
+            for run in sides:
                 offence[run] = 0.0
+
+
+def _run_of(holds: Mask, places: range) -> list[int]:
+    """The places, one after the other, up to the first at which it does not hold."""
+    return list(itertools.takewhile(lambda k: bool(holds[k]), places))
 
 
 def _wrong_interval(samples: PhaseSamples, offence: Array) -> tuple[float, float]:

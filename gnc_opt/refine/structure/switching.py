@@ -215,9 +215,12 @@ def _restless(records: list[Pass]) -> bool:
 
 
 def _returned(tries: list[_Try]) -> bool:
-    """Whether the structure has been changed into one that the last pass has led back from."""
+    """Whether the last pass asks a structure for what has led back to it already."""
     last = tries[-1]
-    return not _adjusting(last.record) and any(_same(last.plans, earlier.plans) for earlier in tries[:-1])
+    return not _adjusting(last.record) and any(
+        _same(last.plans, earlier.plans) and last.record.actions == earlier.record.actions
+        for earlier in tries[:-1]
+    )
 
 
 def _adjusting(record: Pass) -> bool:
