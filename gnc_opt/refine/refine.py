@@ -218,7 +218,9 @@ class _Task:
         if structure == "auto":
             yield from self._unasked(by_mesh.solution)
         for k in range(1, FURTHER + 1):
-            left = self.max_work - sum(p.work for a in self.attempted if a.begun is None for p in a.history.passes)
+            left = self.max_work - sum(
+                p.work for a in self.attempted if a.begun is None for p in a.history.passes
+            )
             if not by_mesh.history.converged or not _resolvable(by_mesh.solution) or left <= 0:
                 return
             by_mesh = self._by_mesh(by_mesh.solution, self.tol * TIGHTER**k, left)
