@@ -155,7 +155,8 @@ class Problem(Statement):
         name : str
             Unique in the problem; appears in reports and names the multiplier.
         expression : casadi.SX or list
-            In end-point symbols (``leg.final_state("m")``), times, integrals and parameters.
+            In end-point symbols (``leg.final_state("m")``), times, integrals and parameters; or an inequality or
+            equation of these, ``leg.final_state("m") >= 300.0``, without limits.
         lower, upper : float or array, optional
             At least one of them, unless ``equals`` is given.
         equals : float or array, optional
