@@ -11,6 +11,9 @@ from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
 from gnc_opt.solve import Way, said, solve
 
+WARM_ITERATIONS = 50
+"""After which a warm start has lost its way, and the trajectory alone is kept."""
+
 
 class Resolver:
     """Solve variations of a problem (`Problem.with_initial`, `with_parameters`, ...) from one solution of it.
@@ -98,7 +101,8 @@ class Resolver:
                 return said(found, Way.SWITCH_TIMES)
         elif self.tol is None:
             meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
-            found = solve_mesh(problem, meshes, scheme=self.solution.scheme, guess=on_the_way(start, problem))
+            guess, scheme = on_the_way(start, problem), self.solution.scheme
+            found = solve_mesh(problem, meshes, scheme=scheme, guess=guess, warm_iterations=WARM_ITERATIONS)
             if found.status.solved:
                 return said(found, Way.WARM)
         if not self.cold:

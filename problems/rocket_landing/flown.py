@@ -1,0 +1,184 @@
+"""The loops, what their runs differ by, and how they are judged.
+
+Every run differs from the plan in
+
+* initial position and velocity: normal, 1 sigma 20 m and 2 m/s per axis; initial mass: 1 sigma 0.5 %;
+* wind: normal, 1 sigma 10 m/s to the east and to the north; gusts: an acceleration of 0.05 m/s^2 per axis at 0.2 rad/s
+  with a random phase; drag area: uniform within 30 %;
+* engines: thrust factor normal, 1 sigma 1 %; lag of 150 ms, uniform within 30 %, in trim when the engines burn already;
+* measurements, every 0.1 s, with white noise (1 sigma, per axis): 0.1 m, 0.02 m/s, and a mass that is off by 1 sigma
+  0.5 % for the whole flight.
+
+A run ends where the lander meets the ground: as *touchdown*, or as *crash* if it is faster than 2.5 m/s downward; or
+where the tanks are empty. It has to be within 5 m of the target, below 0.5 m/s across and below 2 m/s downward.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Literal
+
+import numpy as np
+
+import gnc_opt as go
+from gnc_opt.arrays import Array
+from gnc_opt.control import Controller, Reference
+from gnc_opt.control.controller import Schedule
+from gnc_opt.control.schedule import ReferenceSchedule
+from gnc_opt.simulation import (
+    Bias,
+    Campaign,
+    ClosedLoop,
+    Event,
+    Lag,
+    Noise,
+    Normal,
+    Replanner,
+    ScaleFactor,
+    Sinusoid,
+    Uniform,
+    monte_carlo,
+)
+from gnc_opt.simulation.dispersion import Dispersion
+from problems.rocket_landing.laws import DT, regulator, zem_zev
+from problems.rocket_landing.model import MESH, START, build, descent, plant
+
+EVERY, LATENCY, LAST = 3.0, 0.5, 3.0
+"""Of the re-planning, s: how often, how long a solve takes on board, and before which end the plan stays."""
+LAG = 0.15
+"""Of the engines, s."""
+GUST, GUST_RATE = 0.05, 0.2
+"""m/s^2 and rad/s."""
+HARD, EMPTY = 2.5, 1305.0
+"""Speed (m/s) at which the ground is met as a crash, and mass without propellant (kg)."""
+LATEST = 80.0
+"""End of the runs, s, where no event has ended them."""
+
+LIMITS = {"miss": 5.0, "speed across": 0.5, "speed downward": 2.0}
+"""m, m/s, m/s."""
+
+DISPERSIONS: dict[str, Dispersion] = {
+    "initial.r": Normal(20.0),
+    "initial.v": Normal(2.0),
+    "initial.mass": Normal(0.005, relative=True),
+    "plant.wind": Normal([0.0, 10.0, 10.0]),
+    "plant.drag_area": Uniform(-0.3, 0.3, relative=True),
+    "gusts.phase": Uniform(-np.pi, np.pi),
+    "engines.factor": Normal(0.01),
+    "engine lag.tau": Uniform(-0.3, 0.3, relative=True),
+    "mass gauge.bias": Normal(0.005 * 1905.0),
+}
+
+CONTROLLERS = ("as planned", "planned again", "ZEM/ZEV")
+
+
+@cache
+def resolver() -> go.Resolver:
+    """Return what knows the plan; one per process."""
+    return go.Resolver(go.solve(build(), mesh=MESH, tol=None), cold=False)
+
+
+def follow(plan: go.Solution) -> Schedule:
+    """Return the schedule of the regulator."""
+    return ReferenceSchedule(descent(plan))
+
+
+@dataclass(frozen=True)
+class Landing:
+    """The plan and the loops that fly it."""
+
+    @property
+    def plan(self) -> go.Solution:
+        """The descent of `problems.rocket_landing.model`."""
+        return resolver().solution
+
+    @cached_property
+    def reference(self) -> Reference:
+        """The plan, and what follows it."""
+        return descent(self.plan)
+
+    def controller(self, name: str) -> Controller:
+        """Return the law of one of `CONTROLLERS`."""
+        if name == "ZEM/ZEV":
+            return zem_zev(self.reference, self.plan.phase().final_time)
+        return regulator(self.reference)
+
+    def loop(self, name: str) -> ClosedLoop:
+        """Return the loop of one of `CONTROLLERS`, before it is dispersed."""
+        lander = plant()
+        height, downward = lander.symbol("r")[0], -lander.symbol("v")[0]
+        again = Replanner(resolver, EVERY, latency=LATENCY, last=LAST, follow=follow)
+        return ClosedLoop(
+            lander,
+            self.controller(name),
+            [ScaleFactor("engines", np.ones(3), on="T"), Lag("engine lag", LAG, on="T", initial="trim")],
+            [
+                Noise("radar", 0.1, on="r"),
+                Noise("Doppler radar", 0.02, on="v"),
+                Bias("mass gauge", 0.0, on="mass"),
+            ],
+            [Sinusoid("gusts", np.full(3, GUST), GUST_RATE, np.zeros(3), on="v")],
+            events=[
+                Event("touchdown", height, "falling", where=downward <= HARD),
+                Event("crash", height, "falling", where=downward > HARD, failure=True),
+                Event("empty", lander.symbol("mass") - EMPTY, "falling", failure=True),
+            ],
+            replanner=again if name == "planned again" else None,
+            dt=DT,
+            accuracy=1e-6,
+            substeps=2,
+        )
+
+    def campaign(
+        self,
+        name: str,
+        runs: int,
+        seed: int,
+        executor: Executor | Literal["serial"] | None = None,
+        *,
+        progress: bool = False,
+    ) -> Campaign:
+        """Fly one of `CONTROLLERS`; the same seed gives all of them the same landers, winds and starts."""
+        return monte_carlo(
+            self.loop(name),
+            runs,
+            x0=START,
+            tf=LATEST,
+            seed=seed,
+            dispersions=DISPERSIONS,
+            target={"r": np.zeros(3), "v": np.zeros(3)},
+            limits=LIMITS,
+            judge={
+                "miss": _miss,
+                "speed across": _across,
+                "speed downward": _downward,
+                "propellant": _propellant,
+            },
+            executor=executor,
+            progress=progress,
+        )
+
+
+def _miss(campaign: Campaign) -> Array:
+    """m, of the runs that have met the ground."""
+    return _landed(campaign, np.linalg.norm(campaign.state("r")[1:], axis=0))
+
+
+def _across(campaign: Campaign) -> Array:
+    return _landed(campaign, np.linalg.norm(campaign.state("v")[1:], axis=0))
+
+
+def _downward(campaign: Campaign) -> Array:
+    return _landed(campaign, -campaign.state("v")[0])
+
+
+def _propellant(campaign: Campaign) -> Array:
+    return _landed(campaign, campaign.parameter("initial.mass")[0] - campaign.state("mass")[0])
+
+
+def _landed(campaign: Campaign, values: Array) -> Array:
+    """Return values of runs that have met the ground, not-a-number of the others."""
+    met = campaign.happened("touchdown") | campaign.happened("crash")
+    return np.where(met, values, np.nan)
