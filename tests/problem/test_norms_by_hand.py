@@ -213,6 +213,13 @@ def test_fuel_by_hand_meets_its_closed_form_in_the_users_names() -> None:
     assert "whose magnitude 'n' limits" in str(solution)
 
 
+def test_a_reference_commands_the_controls_as_stated() -> None:
+    reference = go.Reference(flown(), tail="hold")
+    assert reference.controls.names == ("T_x", "T_y", "d")
+    np.testing.assert_allclose(reference.u(0.1), [0.6, -0.8, 1.0], atol=1e-7)
+    np.testing.assert_allclose(reference.u(np.array([0.1, 1.5]))[:, 1], 0.0, atol=1e-7)
+
+
 def _pandas() -> bool:
     try:
         import pandas  # noqa: F401
