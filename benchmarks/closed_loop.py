@@ -7,12 +7,14 @@ plain loop states the same closed loop in NumPy, step by step, and integrates th
 solve_ivp (RK45). It gets the same gains, parameters and random numbers, so the states at the end have to agree; both
 sides have an error per step far below the tolerance of that comparison.
 
-Three questions:
+Four questions:
 
 1. Time per run on one processor, plain loop over campaign. The plain loop's time leaves design, gains and random
    numbers out; the campaign's has random numbers and parameters in. With building the loop, too: "built".
 2. Do the states at the end agree?
-3. How long do the campaigns take with one process per processor, everything included (TVLQR, integral sliding mode,
+3. How many runs a second does one processor fly, design, building and compiling not counted (TVLQR, integral sliding
+   mode)?
+4. How long do the campaigns take with one process per processor, everything included (TVLQR, integral sliding mode,
    open loop), and do they have the bits of the campaign on one?
 
 Exit code 1 if a target is missed.
@@ -55,6 +57,8 @@ from problems.rendezvous_tracking import DISPERSIONS, DT, FORCE_STEP, NOISE, TOR
 
 SPEED_UP = 50.0
 """Least accepted ratio of times per run."""
+RATES = {"TVLQR": 800.0, "integral sliding mode": 300.0}
+"""Least accepted runs per second of processor time."""
 LONGEST = 60.0
 """Of the campaigns together, s."""
 AGREEMENT = 1e-6
@@ -164,6 +168,7 @@ def measure(runs: int, plain_runs: int, seed: int) -> dict[str, Any]:
         end = plain_run(flight, parameters, normal, rows)
         apart = max(apart, float(np.max(np.abs(end - serial.states[:, index]))))
 
+    rates = {name: rate(tracking, name, runs, seed) for name in RATES}
     campaigns, same = {}, True
     for name in TOGETHER:
         begin = time.perf_counter()
@@ -182,6 +187,7 @@ def measure(runs: int, plain_runs: int, seed: int) -> dict[str, Any]:
         "speed_up": plain * runs / flying,
         "speed_up_built": plain * runs / built,
         "apart": apart,
+        "runs_per_s": rates,
         "campaigns_s": campaigns,
         "together_s": sum(campaigns.values()),
         "same_bits": same,
@@ -190,6 +196,19 @@ def measure(runs: int, plain_runs: int, seed: int) -> dict[str, Any]:
         "python": platform.python_version(),
         "versions": {name: version(name) for name in ("casadi", "numpy", "scipy")},
     }
+
+
+def rate(tracking: Tracking, name: str, runs: int, seed: int) -> float:
+    """Return how many runs are flown in a second of processor time."""
+    few = tracking.campaign(name, min(runs, 20), seed, "serial")
+    assert few.flight is not None
+    flight, P = few.flight.natively(1000), np.tile(few.parameters, 5)
+    seconds = []
+    for _ in range(7):
+        begin = time.process_time()
+        flight.final(P, [[seed, i] for i in range(P.shape[1])])
+        seconds.append(time.process_time() - begin)
+    return P.shape[1] / float(np.median(seconds))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -209,6 +228,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             f">= {SPEED_UP:g}",
             told["speed_up"] >= SPEED_UP,
         ),
+        **{
+            f"{name}, runs per second": (
+                told["runs_per_s"][name],
+                f">= {least:g}",
+                told["runs_per_s"][name] >= least,
+            )
+            for name, least in RATES.items()
+        },
         "states at the end apart by": (told["apart"], f"<= {AGREEMENT:g}", told["apart"] <= AGREEMENT),
         "campaigns together (s)": (told["together_s"], f"<= {LONGEST:g}", told["together_s"] <= LONGEST),
         "same bits on all processors": (float(told["same_bits"]), "1", told["same_bits"]),

@@ -1,7 +1,8 @@
 """Figures of solutions, runs and campaigns: over time and in space; none opens a window."""
 
-from gnc_opt.plot.campaign import plot_dispersion, plot_distributions
+from gnc_opt.plot.campaign import plot_dispersion, plot_distributions, plot_envelope
 from gnc_opt.plot.film import save_film
+from gnc_opt.plot.frequency import plot_bode, plot_margins, plot_nyquist, plot_sensitivity
 from gnc_opt.plot.path import plot_curves, plot_path
 from gnc_opt.plot.refinement import plot_refinement
 from gnc_opt.plot.run import plot_run_controls, plot_run_errors, plot_run_states
@@ -13,17 +14,22 @@ from gnc_opt.plot.view import Thruster, View
 __all__ = [
     "Thruster",
     "View",
+    "plot_bode",
     "plot_controls",
     "plot_costates",
     "plot_curves",
     "plot_dispersion",
     "plot_distributions",
+    "plot_envelope",
     "plot_hamiltonian",
+    "plot_margins",
+    "plot_nyquist",
     "plot_path",
     "plot_refinement",
     "plot_run_controls",
     "plot_run_errors",
     "plot_run_states",
+    "plot_sensitivity",
     "plot_states",
     "plot_verdict",
     "save_figure",

@@ -5,12 +5,11 @@ from __future__ import annotations
 import hashlib
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from gnc_opt.arguments import read_integer
@@ -20,9 +19,12 @@ from gnc_opt.model.layout import Layout
 from gnc_opt.simulation.course import Course
 from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.event import MOST, Occurrence
+from gnc_opt.simulation.folded import Folded
 from gnc_opt.simulation.kernel import Kernel
 from gnc_opt.simulation.log import Log
+from gnc_opt.simulation.native import WORTH, native
 from gnc_opt.simulation.outcome import Outcome, RunStatus
+from gnc_opt.simulation.quantity import Quantities, Recorder
 from gnc_opt.simulation.replanner import Replanner
 from gnc_opt.simulation.run import Run
 
@@ -77,8 +79,12 @@ class Flight:
     growth : float
         By how much the errors of single integration steps grow until the end of the nominal run, at least 1.
     replanner : Replanner or None
+    quantities : Quantities or None
+        What is kept of the way.
     estimates : int array (n,) or None
         Entries of the memory that are the estimated states that the controller follows; None: it measures them.
+    library : str
+        Path of the kernel's step as machine code, see `natively`; "" for the interpreter.
     """
 
     kernel: Kernel
@@ -108,6 +114,8 @@ class Flight:
     failures: tuple[str, ...] = ()
     replanner: Replanner | None = None
     estimates: Any = None
+    quantities: Quantities | None = None
+    library: str = ""
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in vars(self).items() if not k.startswith("_")}
@@ -135,7 +143,21 @@ class Flight:
             digest.update(np.ascontiguousarray(array).tobytes())
         if self.replanner is not None:
             digest.update(self.replanner.description.encode())
+        if self.quantities is not None:
+            digest.update(self.quantities.values.serialize().encode())
         return digest.hexdigest()
+
+    def natively(self, runs: int) -> Flight:
+        """Return the same flight; for so many runs as machine code if that pays, can be made and has the same bits."""
+        if runs * self.n_steps < WORTH:
+            return self
+        quick = replace(self, library=native(self._folded.step))
+        _, rows = next(self.legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
+        ends = np.empty((2, self.kernel.state.size))
+        for flight, end in zip((self, quick), ends, strict=True):
+            X, C = self._begun(rows[0], self.nominal)
+            flight._folded.fly(X, rows, C, end)
+        return quick if ends[0].tobytes() == ends[1].tobytes() else self
 
     def final(self, P: Array, seeds: Sequence[Any]) -> Ending:
         """Fly n runs and return how they ended; failed ones are flagged, never dropped.
@@ -156,6 +178,7 @@ class Flight:
             )
         final = np.full((P.shape[1], self.kernel.state.size), np.nan)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
+        recorder = None if self.quantities is None else Recorder(self.quantities, self.times, P.shape[1])
         refused: dict[int, str] = {}
         replans = np.zeros((2, P.shape[1]))
         followed = np.full((self.followed.size, P.shape[1]), np.nan)
@@ -170,18 +193,22 @@ class Flight:
                     X, C = self._begun(rows[0], P[:, i])
                 elif self.replanner is not None:
                     self._consider(course, first, X, rows, C)
-                fly, evaluate = self._fold(len(rows))
-                # reads and writes these arrays themselves: no conversion per run
-                for k, array in enumerate((X, rows, C)):
-                    fly.set_arg(k, memoryview(array.data))
-                fly.set_res(0, memoryview(final[i].data))
-                evaluate()
+                if recorder is None:
+                    self._folded.fly(X, rows, C, final[i])
+                else:
+                    columns = np.column_stack([X, self._folded.logged(X, rows, C)[0]])
+                    recorder.add(i, first, self.kernel.state.split(columns), P[self._plant_parameters, i])
+                    final[i] = columns[:, -1]
                 X[:] = final[i]
                 if self._stopped(X):
                     break
-            replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
-            followed[:, i] = self._followed_at_end(course, X)
-        return self._ending(final.T, refused, followed, replans)
+            if self.replanner is not None:
+                replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
+                followed[:, i] = self._followed_at_end(course, final[i : i + 1].T)[:, 0]
+        if self.replanner is None:
+            followed = self._followed_at_end(self._course(), final.T)
+        ending = self._ending(final.T, refused, followed, replans)
+        return ending if recorder is None else replace(ending, sums=recorder.sums, samples=recorder.samples)
 
     def run(self, P: Array, seed: Any, *, every: int = 1, folder: str | Path | None = None) -> Run:
         """Fly one run and return all of it; its last state has the bits of `final`.
@@ -225,7 +252,7 @@ class Flight:
                 X, C = self._begun(rows[0], P)
             elif self.replanner is not None:
                 self._consider(course, first, X, rows, C)
-            after, logs = (o.full() for o in self._logged(len(rows))(X, rows.T, C))
+            after, logs = self._folded.logged(X, rows, C)
             parts, told = self.kernel.state.split(np.column_stack([X, after])), self.kernel.log.split(logs)
             flown = len(rows) if not self.events.size else int(np.sum(parts["stop"][0, :-1] < 0.5))
             if self.events.size:
@@ -241,7 +268,7 @@ class Flight:
                 break
         final = self.kernel.state.split(X[:, None])
         end = self._last_times(final)
-        followed = self._followed_at_end(course, X)[:, None]
+        followed = self._followed_at_end(course, X[:, None])
         self._note(log, final, {}, np.array([0]), followed)
         ending = self._ending(X[:, None], {}, followed)
         arrays = log.close()
@@ -324,6 +351,12 @@ class Flight:
         return lambda first, last: generator.standard_normal((last - first, size))
 
     @cached_property
+    def _plant_parameters(self) -> list[int]:
+        """Places in P of the plant's parameters."""
+        names = [name for name in self.layout.names if name.startswith("plant.")]
+        return [int(i) for name in names for i in range(self.layout.size)[self.layout.slice(name)]]
+
+    @cached_property
     def _edges(self) -> list[int]:
         """Steps at which a leg ends and another begins: every `LEG` steps, and where a plan may be made."""
         every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
@@ -389,40 +422,14 @@ class Flight:
             for k in range(int(min(told["number"][0, step], MOST)))
         ]
 
-    def _fold(self, count: int) -> Any:
-        """``(X, w of a leg, C) -> X at its end``, with the arrays that it reads and writes still to be told."""
-        if count not in self._folds:
-            step = _without_log(self.kernel.step)
-            self._folds[count] = self._leg(lambda x, w, c: [step.fold(count)(x, w, c)], count).buffer()
-        return self._folds[count]
-
-    def _logged(self, count: int) -> Any:
-        """``(X, w of a leg, C) -> X after every step, log of every step``."""
-        if count not in self._logs:
-            step = self.kernel.step
-            self._logs[count] = self._leg(lambda x, w, c: list(step.mapaccum(count)(x, w, c)), count)
-        return self._logs[count]
-
-    def _leg(self, outputs: Callable[[Any, Any, Any], list[Any]], count: int) -> Any:
-        step = self.kernel.step
-        x, w, c = (ca.MX.sym(n, *size) for n, size in (
-            ("X", (self.kernel.state.size,)), ("w", (self.kernel.known.size, count)), ("C", (step.size1_in(2),))
-        ))  # fmt: skip
-        return ca.Function("leg", [x, w, c], outputs(x, w, ca.repmat(c, 1, count)))
-
     @cached_property
-    def _folds(self) -> dict[int, Any]:
-        return {}
-
-    @cached_property
-    def _logs(self) -> dict[int, Any]:
-        return {}
+    def _folded(self) -> Folded:
+        return Folded(self.kernel, self.library)
 
     def _followed_at_end(self, course: Course, X: Array) -> Array:
-        """Return what a run follows when it ends (n_followed,); not-a-number where it follows nothing."""
-        end = self._last_times(self.kernel.state.split(X[:, None]))
-        found = course.reference_at(end)
-        return np.full(self.followed.size, np.nan) if found is None else found[:, 0]
+        """Return what runs follow when they end (n_followed, n); not-a-number where they follow nothing."""
+        found = course.reference_at(self._last_times(self.kernel.state.split(X)))
+        return np.full((self.followed.size, X.shape[1]), np.nan) if found is None else found
 
     def _ending(
         self, final: Array, refused: dict[int, str], followed: Array, replans: Array | None = None
@@ -497,9 +504,3 @@ class Flight:
             if name in self.states:
                 follow[self.states.slice(name)] = reference[self.followed.slice(name)]
         return np.asarray(self.errors(states, follow).full())
-
-
-def _without_log(step: Any) -> Any:
-    """Return the step without its log, so that what only the log needs is not computed."""
-    symbols = step.sx_in() if step.is_a("SXFunction") else step.mx_in()
-    return ca.Function("only", symbols, [step(*symbols)[0]], ["X", "w", "C"], ["X_next"])

@@ -92,6 +92,7 @@ def monte_carlo(
     dispersions = {} if dispersions is None else dispersions
     flight = loop.flight(x0, t0=t0, tf=tf, parameters=parameters)
     check_dispersions(dispersions, flight.layout, flight.nominal)
+    flight = flight.natively(n)
     criteria = Criteria(target or {}, limits or {}, judge or {})
     mission = Mission(flight, dict(dispersions), int(seed))
     empty = gathered(flight, [], seed=mission.seed, asked=n, goal=criteria.goal(flight))

@@ -45,15 +45,16 @@ EXPECTED = {
     """,
     "gnc_opt.simulation": """
         Allocation Ball Bias Block Campaign Choice ClosedLoop Consistency Constant Deadband Delay Disturbance
-        Ending Event Expression Flight Hold InnovationTest Lag MinimumImpulse Mixer Noise NonNegativeAllocation Normal
-        Occurrence Outage Outcome Pwm Pwpf Quantisation RandomHold RandomWalk RateLimit Replan Replanner Run
+        Ending Envelope Event Expression Flight Hold InnovationTest Lag MinimumImpulse Mixer Noise
+        NonNegativeAllocation Normal Occurrence Outage Outcome Pwm Pwpf Quantisation Quantity RandomHold
+        RandomWalk RateLimit Replan Replanner Run
         RunStatus Sampling
         Saturation Scale ScaleFactor SchmittTrigger SensorDelay Sinusoid Sphere ThrusterSet Turn
         Uniform WheelArray consistency monte_carlo
     """,
     "gnc_opt.analysis": """
-        Agreement Correlations FailureProbability LinearCovariance Share SobolIndices WorstCase correlations
-        failure_probability linear_covariance sobol_indices worst_case
+        Agreement Correlations FailureProbability LinearCovariance LoopResponse Share SobolIndices WorstCase
+        correlations failure_probability linear_covariance loop_response sobol_indices worst_case
     """,
     "gnc_opt.spacecraft": """
         FLATTENING_EARTH J2_EARTH MU_EARTH PYRAMID_ELEVATION RADIUS_EARTH RATE_EARTH FlexibleBody
@@ -70,8 +71,9 @@ EXPECTED = {
         total_momentum transpose us76 wheel_body_acceleration wheel_pyramid
     """,
     "gnc_opt.plot": """
-        Thruster View plot_controls plot_costates plot_curves plot_dispersion plot_distributions plot_hamiltonian
-        plot_path plot_refinement plot_run_controls plot_run_errors plot_run_states plot_states
+        Thruster View plot_bode plot_controls plot_costates plot_curves plot_dispersion plot_distributions
+        plot_envelope plot_hamiltonian plot_margins plot_nyquist plot_path plot_refinement plot_run_controls
+        plot_run_errors plot_run_states plot_sensitivity plot_states
         plot_verdict save_figure save_film
     """,
     "gnc_opt.report": """

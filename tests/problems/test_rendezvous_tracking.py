@@ -15,6 +15,7 @@ from problems.rendezvous_tracking import (
     LIMITS,
     RESERVE,
     SETTLING,
+    Conditions,
     Tracking,
     main,
     plan,
@@ -171,9 +172,40 @@ def test_attitude_noise_turns_by_its_angle():
     np.testing.assert_allclose(found, angle, atol=1e-7)
 
 
+def test_settings_change_law_gains_and_what_the_runs_differ_by(tracking, tmp_path, capsys, monkeypatch):
+    """A push of 1600 N on 3200 kg is 0.5 m/s^2; without noise the regulator sees the state."""
+    where = "problems.rendezvous_tracking.report."
+    monkeypatch.setattr(where + "plan", lambda case, share: tracking.solution)
+    monkeypatch.setattr(where + "price_of_robustness", lambda case: [(1.0, 2.0)])
+    out = tmp_path / "out.json"
+    settings = ["law=open loop", "push=1600", "share=0.8"]
+    arguments = [argument for text in settings for argument in ("--set", text)]
+    assert main(["--runs", "2", "--json", str(out), *arguments]) == 0
+    told = json.loads(out.read_text())
+    assert list(told["controllers"]) == ["open loop"] and told["share"] == 0.8
+    assert told["conditions"]["push"] == 1600.0
+    capsys.readouterr()
+    for text, words in (("law=PID", "no law 'PID'"), ("push=far", "like 1.0"), ("lag=-1", "lag")):
+        assert main(["--runs", "1", "--set", text]) == 2
+        assert words in capsys.readouterr().err
+    pushed = Tracking(tracking.solution, Conditions(push=1600.0)).campaign("open loop", 2, SEED, "serial")
+    level = np.linalg.norm(pushed.parameter("differential force.level"), axis=0)
+    np.testing.assert_allclose(level, 0.5, rtol=1e-12)
+    soft = Tracking(tracking.solution, Conditions(feedback=0.5)).tvlqr
+    off, rest = tracking.initial + 1e-3, tracking.reference.u(0.0)
+    weak, strong = (np.linalg.norm(law(0.0, off)[0] - rest) for law in (soft, tracking.tvlqr))
+    assert weak < 0.8 * strong
+    exact = Tracking(tracking.solution, Conditions(noise=0.0))
+    run = exact.loop(exact.controller("open loop")).simulate(tracking.initial, tf=1.0)
+    np.testing.assert_allclose(run.measured, run.states[:, :-1], atol=1e-15)
+
+
 @pytest.mark.slow
 def test_main_writes_statistics_and_figures(tracking, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("problems.rendezvous_tracking.report.plan", {1: tracking.solution}.__getitem__)
+    monkeypatch.setattr(
+        "problems.rendezvous_tracking.report.plan",
+        lambda case, share: {(1, RESERVE): tracking.solution}[case, share],
+    )
     monkeypatch.setattr(
         "problems.rendezvous_tracking.report.price_of_robustness", lambda case: [(1.0, 2.0), (0.5, 3.0)]
     )

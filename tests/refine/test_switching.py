@@ -11,8 +11,9 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.problem.arc import ArcKind
+from gnc_opt.refine.structure.mending import _collapse
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.switching import _collapse, optimise_switches
+from gnc_opt.refine.structure.switching import optimise_switches
 from gnc_opt.solution.samples import PhaseSamples
 from problems import rendezvous
 

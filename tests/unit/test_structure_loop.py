@@ -16,6 +16,7 @@ from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.problem.held import Smooth
 from gnc_opt.refine.structure import junctions as j
+from gnc_opt.refine.structure import mending as m
 from gnc_opt.refine.structure import switching as s
 from gnc_opt.refine.structure.contacts import StateConstraints
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
@@ -227,32 +228,32 @@ LEG: Any = SimpleNamespace(leg=SimpleNamespace(name="leg"))
 
 def test_a_piece_without_length_is_dropped() -> None:
     vanished = PhaseStructure((0.0, 1.0, 1.0 + 1e-7, 2.0), ((LOW,), (UP,), (LOW,)))
-    found, action = s._collapse(LEG, vanished, set())
+    found, action = m._collapse(LEG, vanished, set())
     assert found is not None and found.kinds == ((LOW,),) and action == "piece 2 dropped"
     for structure in (
         replace(vanished, times=(0.0, 1.0, 1.0 + 1e-5, 2.0)),
         PhaseStructure((0.0, 1e-9), ((LOW,),)),
     ):
-        assert s._collapse(LEG, structure, set()) == (None, "")
+        assert m._collapse(LEG, structure, set()) == (None, "")
 
 
 def test_switches_of_two_controls_are_swapped_once() -> None:
     crossed = PhaseStructure((0.0, 1.0, 1.0, 3.0), ((LOW, LOW), (UP, LOW), (UP, UP)))
     seen: set[Any] = set()
-    found, action = s._collapse(LEG, crossed, seen)
+    found, action = m._collapse(LEG, crossed, seen)
     assert found is not None and found.kinds[1] == (LOW, UP) and action == "switches 1 and 2 swapped"
     assert found.times == pytest.approx((0.0, 1 - 0.0015, 1 + 0.0015, 3.0))
-    again, action = s._collapse(LEG, replace(found, times=(0.0, 1.0, 1.0, 3.0)), seen)
+    again, action = m._collapse(LEG, replace(found, times=(0.0, 1.0, 1.0, 3.0)), seen)
     assert again is not None and again.kinds == ((LOW, LOW), (UP, UP)) and action == "piece 2 dropped"
     other = SimpleNamespace(leg=SimpleNamespace(name="other"))
-    assert s._collapse(other, crossed, seen)[1].endswith("swapped")  # type: ignore[arg-type]
+    assert m._collapse(other, crossed, seen)[1].endswith("swapped")  # type: ignore[arg-type]
 
 
 def test_a_swapped_piece_gets_room_but_never_more_than_half_of_its_neighbours() -> None:
     near = PhaseStructure((0.0, 1.0, 1.0, 1.0004, 4.0), ((LOW, LOW), (LOW, UP), (UP, UP), (LOW, UP)))
-    assert s._spread(near, 1).times == pytest.approx((0.0, 1 - 0.002, 1.0002, 1.0004, 4.0))
+    assert m._spread(near, 1).times == pytest.approx((0.0, 1 - 0.002, 1.0002, 1.0004, 4.0))
     close = PhaseStructure((0.0, 0.9996, 1.0, 1.0, 4.0), ((LOW, LOW), (LOW, UP), (UP, UP), (LOW, UP)))
-    assert s._spread(close, 2).times == pytest.approx((0.0, 0.9996, 0.9998, 1.002, 4.0))
+    assert m._spread(close, 2).times == pytest.approx((0.0, 0.9996, 0.9998, 1.002, 4.0))
 
 
 # --- arcs that are missing --------------------------------------------------------------------------------
@@ -265,10 +266,10 @@ def test_offences_beside_own_switches_are_forgiven() -> None:
         ([1, 2, -3, -4, 5, 6, 7], [1, 2, -3, -4, 5, 6, 7]), ([1, 2, 3, -4, 5, 6, 7], [0, 0, 0, -4, 5, 6, 7]),
     ):  # fmt: skip
         offence = np.array(before, dtype=float)
-        s._forgive_own_switches(offence, kinds)
+        m._forgive_own_switches(offence, kinds)
         assert offence.tolist() == after
     alone = np.ones(3)
-    s._forgive_own_switches(alone, np.array([LOW] * 3, dtype=object))
+    m._forgive_own_switches(alone, np.array([LOW] * 3, dtype=object))
     assert alone.tolist() == [1, 1, 1]
 
 
@@ -279,8 +280,8 @@ def test_a_wrong_interval_lies_between_zeros_around_the_worst_place() -> None:
         ([-3, -1, -1, 3, 4, 5], (2.25, 5.0)),
         ([1, 2, 3, 4, 5, 6], (0.0, 5.0)), ([5, -1, 1, 0, 7, -7], (3.0, 4.5)),
     ):  # fmt: skip
-        assert s._wrong_interval(there, np.array(offence, dtype=float)) == pytest.approx(interval_)
-    assert s._zero(np.array([1.0, 3.0]), np.array([-1.0, 3.0]), 0, 1) == 1.5
+        assert m._wrong_interval(there, np.array(offence, dtype=float)) == pytest.approx(interval_)
+    assert m._zero(np.array([1.0, 3.0]), np.array([-1.0, 3.0]), 0, 1) == 1.5
 
 
 def line(lam: Any, u: Any, **changes: Any) -> PhaseSamples:
@@ -305,14 +306,14 @@ def rows(found: PhaseSamples, kinds: list[ArcKind]) -> Any:
 def test_a_bang_of_the_wrong_sign_offends_by_its_gain_and_asks_for_the_other_bound() -> None:
     found = line(lambda t, k: [t - 1.5], lambda t, k: [1.0 + 0 * t])
     structure = PhaseStructure((0.0, 4.0), ((UP, FREE),), n_controls=1)
-    offence, asked = s._offences(found, structure, rows(found, [UP] * 4))
+    offence, asked = m._offences(found, structure, rows(found, [UP] * 4))
     gain = 2 * (found.times - 1.5) / found.hamiltonian_scale
     assert offence == pytest.approx(gain[None, :]) and set(asked.ravel()) == {LOW}
-    offence, asked = s._offences(found, structure, rows(found, [LOW] * 4))
+    offence, asked = m._offences(found, structure, rows(found, [LOW] * 4))
     assert offence == pytest.approx(-gain[None, :]) and set(asked.ravel()) == {UP}
-    offence, _ = s._offences(found, structure, rows(found, [SING] * 4))
+    offence, _ = m._offences(found, structure, rows(found, [SING] * 4))
     assert not offence.any()
-    offence, _ = s._offences(found, structure, rows(found, [FREE] * 4))
+    offence, _ = m._offences(found, structure, rows(found, [FREE] * 4))
     assert not offence.any()
 
 
@@ -325,18 +326,18 @@ def test_a_convex_control_offends_at_its_bound_or_beyond_it() -> None:
     kinds = (FREE, FREE, FREE, FREE, FREE)
     structure = PhaseStructure((0.0, 1.0), (kinds,), (True, False, False, False, False), 1, 2)
     every = np.array([[FREE] * found.times.size] * 5, dtype=object)
-    offence, asked = s._offences(found, structure, every)
+    offence, asked = m._offences(found, structure, every)
     u = found.u_polynomial[0]
     assert offence[0] == pytest.approx(np.maximum(u - 5, -4 - u) / 9) and not offence[1:].any()
     assert offence.shape[0] == 3
     out = offence[0] > 0
     assert np.all(asked[0][out & (u > 0)] == UP) and np.all(asked[0][out & (u < 0)] == LOW)
     every[0] = UP
-    offence, asked = s._offences(found, structure, every)
+    offence, asked = m._offences(found, structure, every)
     pull = found.control_gradient[0] * 9 / found.hamiltonian_scale
     assert offence[0] == pytest.approx(pull) and set(asked[0]) == {FREE}
     other = replace(structure, regular=(False,) * 5)
-    assert not s._offences(found, other, every)[0].any()
+    assert not m._offences(found, other, every)[0].any()
 
 
 def test_a_mixed_constraint_offends_by_its_multiplier_or_its_value() -> None:
@@ -350,15 +351,15 @@ def test_a_mixed_constraint_offends_by_its_multiplier_or_its_value() -> None:
     every = np.array([[FREE] * found.times.size] * 5, dtype=object)
     values = found.functions.paths(found.times, found.x, found.u_polynomial)[0]
     size = np.max(np.abs(values))
-    offence, asked = s._offences(found, structure, every)
+    offence, asked = m._offences(found, structure, every)
     assert offence[1] == pytest.approx(np.maximum(values - 5, -3 - values) / size)
     assert np.all(asked[1][values > 5] == UP) and np.all(asked[1][values < -3] == LOW)
     every[1] = UP
-    offence, asked = s._offences(found, structure, every)
+    offence, asked = m._offences(found, structure, every)
     assert offence[1] == pytest.approx(-(found.times - 0.4) * size / found.hamiltonian_scale)
     assert set(asked[1]) == {FREE}
     every[1] = LOW
-    assert s._offences(found, structure, every)[0][1] == pytest.approx(
+    assert m._offences(found, structure, every)[0][1] == pytest.approx(
         (found.times - 0.4) * size / found.hamiltonian_scale
     )
 
@@ -366,7 +367,7 @@ def test_a_mixed_constraint_offends_by_its_multiplier_or_its_value() -> None:
 def test_a_missing_arc_is_added_where_the_sign_is_wrong() -> None:
     found = line(lambda t, k: [(t - 1.3) * (t - 2.6)], lambda t, k: [-1.0 + 0 * t])
     plan = Plan(PhaseStructure((0.0, 4.0), ((LOW, FREE),), n_controls=1), (Resolution(4, 3),))
-    structure, action = s._complete(found, plan)
+    structure, action = m._complete(found, plan)
     assert structure is not None and [kinds[0] for kinds in structure.kinds] == [LOW, UP, LOW]
     assert structure.times == pytest.approx((0.0, 1.3, 2.6, 4.0), abs=0.02)
     assert action == f"arc of u added at {structure.times[1]:.4g} s"
@@ -374,12 +375,12 @@ def test_a_missing_arc_is_added_where_the_sign_is_wrong() -> None:
         PhaseStructure((0.0, 1.0, 4.0), ((LOW, FREE), (UP, FREE)), n_controls=1),
         (Resolution(1, 3), Resolution(3, 3)),
     )
-    assert s._complete(line(lambda t, k: [1 - t], lambda t, k: [0 * t]), agreed) == (None, "")
+    assert m._complete(line(lambda t, k: [1 - t], lambda t, k: [0 * t]), agreed) == (None, "")
     nearly = Plan(
         PhaseStructure((0.0, 1.0, 4.0), ((LOW, FREE), (UP, FREE)), n_controls=1),
         (Resolution(1, 3), Resolution(3, 3)),
     )
-    assert s._complete(line(lambda t, k: [0.9 - t], lambda t, k: [0 * t]), nearly) == (
+    assert m._complete(line(lambda t, k: [0.9 - t], lambda t, k: [0 * t]), nearly) == (
         None,
         "",
     )  # up to its own switch
@@ -390,15 +391,38 @@ def test_a_singular_control_that_reaches_a_bound_asks_for_a_bang_if_no_higher_de
     found = line(lambda t, k: [(t - 1.3) * (t - 2.6)], lambda t, k: [1 - 0.3 * (t - 1.95) ** 2])
     structure = PhaseStructure((0.0, 4.0), ((SING, FREE),), n_controls=1)
     stuck = Plan(structure, (Resolution(4, 3, MAX_SINGULAR_DEGREE, 1e-12),))
-    added, action = s._saturated(found, stuck, set())
+    added, action = m._saturated(found, stuck, set())
     assert added is not None and [kinds[0] for kinds in added.kinds] == [SING, UP, SING]
     assert added.times == pytest.approx((0.0, 1.3, 2.6, 4.0), abs=0.12)  # to the next sample
     assert action == f"arc of u added at {added.times[1]:.4g} s"
     young = Plan(structure, (Resolution(4, 3, SINGULAR_DEGREE),))
-    assert s._saturated(found, young, set()) == (None, "")
-    assert s._saturated(found, stuck, {(found.leg.name, added.at(()))}) == (None, "")  # it has been left
+    assert m._saturated(found, young, set()) == (None, "")
+    assert m._saturated(found, stuck, {(found.leg.name, added.at(()))}) == (None, "")  # it has been left
     inside = line(lambda t, k: [(t - 1.3) * (t - 2.6)], lambda t, k: [0.9 - 0.3 * (t - 1.95) ** 2])
-    assert s._saturated(inside, stuck, set()) == (None, "")
+    assert m._saturated(inside, stuck, set()) == (None, "")
+
+
+@pytest.mark.parametrize(("width", "asked"), [(0.5, [UP, SING]), (1.2, None)])
+def test_a_singular_control_asks_for_a_bang_at_an_end_where_its_polynomial_cannot_follow(
+    width: float, asked: Any
+) -> None:
+    """lam < 0 up to a time at which degree 4 may still turn (3 / 16 of 4 s), or not any more; u stays inside."""
+    found = line(lambda t, k: [1e-3 * np.minimum(t - width, 0.0)], lambda t, k: [0.1 + 0 * t])
+    structure = PhaseStructure((0.0, 4.0), ((SING, FREE),), n_controls=1)
+    added, _ = m._saturated(found, Plan(structure, (Resolution(4, 3, SINGULAR_DEGREE, 1e-12),)), set())
+    assert (added and [kinds[0] for kinds in added.kinds]) == asked
+    if added:
+        assert added.times[1] == pytest.approx(width, abs=0.12)  # to the next sample
+
+
+def test_a_mended_plan_stays_loose_while_the_same_is_touched() -> None:
+    touched = PhaseStructure((0.0, 4.0), ((SING, FREE),), n_controls=1, orders=(0, 2)).with_touch(1, 2.0, UP)
+    plan = replace(Plan.of(touched, 7.0), loose=True)
+    with_bang = touched.with_arc(0, 1.0, 2.0, UP)
+    assert plan.restructured(with_bang).loose and plan.restructured(with_bang).points == 7.0
+    assert plan.restructured(with_bang).resolutions == Plan.of(with_bang, 7.0).resolutions
+    assert not plan.restructured(touched.with_touch(1, 3.0, UP)).loose
+    assert not Plan.of(touched).restructured(with_bang).loose
 
 
 # --- resolution -------------------------------------------------------------------------------------------
@@ -414,11 +438,11 @@ def plan_of(*resolutions: Resolution, kinds: Any = None) -> Plan:
 
 def test_only_inaccurate_pieces_are_solved_more_finely() -> None:
     plan = plan_of(Resolution(1, 4), Resolution(1, 4))
-    assert s._finer(samples(CART), plan, 1e-9) is None
+    assert m._finer(samples(CART), plan, 1e-9) is None
     bent = samples(CART, lambda t, k: np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2 + 0.4 * k * (t - 0.5)]))
-    found = s._finer(bent, plan, 1e-2)
+    found = m._finer(bent, plan, 1e-2)
     assert found is not None and [r.degree for r in found.resolutions] == [4, 7]
-    assert s._finer(bent, plan, 0.2 / 1.45) is None  # 0.2 m/s beside a size of at least 1.45 m/s
+    assert m._finer(bent, plan, 0.2 / 1.45) is None  # 0.2 m/s beside a size of at least 1.45 m/s
 
 
 def test_costates_count_in_shares_of_the_cost() -> None:
@@ -430,11 +454,11 @@ def test_costates_count_in_shares_of_the_cost() -> None:
     plan = plan_of(Resolution(1, 4), Resolution(1, 4))
     wrong = samples(CART, lam=lam)
     share = 0.25 / 12.25
-    found = s._finer(wrong, plan, 0.99 * share)
+    found = m._finer(wrong, plan, 0.99 * share)
     assert found is not None and [r.degree for r in found.resolutions] == [4, 7]
-    assert s._finer(wrong, plan, 1.01 * share) is None
+    assert m._finer(wrong, plan, 1.01 * share) is None
     pushed = samples(CART, lam=lam, states=lambda t, k: [0.5 * k + 0 * t, 0 * t])
-    assert s._finer(pushed, plan, 1e-9) is None
+    assert m._finer(pushed, plan, 1e-9) is None
 
 
 def test_multipliers_along_a_contact_are_rough_and_do_not_count() -> None:
@@ -448,10 +472,10 @@ def test_multipliers_along_a_contact_are_rough_and_do_not_count() -> None:
     )
     plan = Plan(contact, (Resolution(1, 4), Resolution(1, 4)))
     wrong = samples(CART, lam=lambda t, k: [-12 + t, -6 + 12 * t - 0.5 * t**2])
-    found = s._finer(wrong, plan, 1e-9)
+    found = m._finer(wrong, plan, 1e-9)
     assert found is not None and [r.degree for r in found.resolutions] == [7, 4]
     bent = samples(CART, lambda t, k: [3 * t**2 - 2 * t**3, 6 * t - 6 * t**2 + 0.4 * k * (t - 0.5)])
-    found = s._finer(bent, plan, 1e-9)
+    found = m._finer(bent, plan, 1e-9)
     assert found is not None and [r.degree for r in found.resolutions] == [4, 7]
 
 
@@ -465,12 +489,12 @@ def test_an_open_gradient_of_a_singular_control_asks_for_a_higher_degree() -> No
         CART, lam=lambda t, k: [-12 + 0 * t, -6 + 12 * t + 1e-6 * k], control_bounds=interval(-10.0, 10.0)
     )
     share = 1e-6 * 20 / found.hamiltonian_scale
-    assert s._open_gradient(found, plan) == pytest.approx([0.0, share], rel=1e-3, abs=1e-12)
-    finer = s._finer(found, plan, 1e-3)
+    assert m._open_gradient(found, plan) == pytest.approx([0.0, share], rel=1e-3, abs=1e-12)
+    finer = m._finer(found, plan, 1e-3)
     assert finer is not None and [r.smooth for r in finer.resolutions] == [4, 8]
     assert finer.resolutions[1].gradient == pytest.approx(share, rel=1e-3)
     bang = plan_of(Resolution(1, 4), Resolution(1, 4))
-    assert s._open_gradient(found, bang).tolist() == [0.0, 0.0]
+    assert m._open_gradient(found, bang).tolist() == [0.0, 0.0]
 
 
 TWO_ROWS = PhaseStructure((0.0, 0.5, 1.0), ((LOW,) + (FREE,) * 4, (UP,) + (FREE,) * 4), (), 1, 2)
@@ -522,7 +546,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
 
         monkeypatch.setattr(s, "_solve", solve)
         monkeypatch.setattr(s, "_at_solution", lambda plan, found, name: plan)
-        monkeypatch.setattr(s, "_improve", lambda found, plans, swapped, tol: (plans, now["action"]))
+        monkeypatch.setattr(s, "improve", lambda found, plans, swapped, tol: (plans, now["action"]))
         return *s.optimise_switches(base, **more), asked
 
     return run
@@ -606,13 +630,13 @@ def improved(monkeypatch: pytest.MonkeyPatch, **answers: Any) -> tuple[dict[str,
             answers.get(name, nothing)[getattr(of, "samples", of).name] or otherwise(*more)
         )
 
-    monkeypatch.setattr(s, "_collapse", step("collapse", lambda *_: (None, "")))
-    monkeypatch.setattr(s, "_adjust", step("adjust", lambda plan, tol: (plan, "")))
-    monkeypatch.setattr(s, "_complete", step("complete", lambda *_: (None, "")))
-    monkeypatch.setattr(s, "_saturated", step("saturate", lambda *_: (None, "")))
-    monkeypatch.setattr(s, "_mended_contacts", step("mended", lambda *_: (None, "")))
-    monkeypatch.setattr(s, "crossed_contact", step("crossed", lambda *_: (None, "")))
-    return s._improve(there, plans, set(), 1e-9)
+    monkeypatch.setattr(m, "_collapse", step("collapse", lambda *_: (None, "")))
+    monkeypatch.setattr(m, "_adjust", step("adjust", lambda plan, tol: (plan, "")))
+    monkeypatch.setattr(m, "_complete", step("complete", lambda *_: (None, "")))
+    monkeypatch.setattr(m, "_saturated", step("saturate", lambda *_: (None, "")))
+    monkeypatch.setattr(m, "_mended_contacts", step("mended", lambda *_: (None, "")))
+    monkeypatch.setattr(m, "crossed_contact", step("crossed", lambda *_: (None, "")))
+    return m.improve(there, plans, set(), 1e-9)
 
 
 def test_what_vanishes_is_mended_first_then_kinks_and_points_then_what_is_missing(
@@ -666,7 +690,7 @@ def test_what_vanishes_is_mended_first_then_kinks_and_points_then_what_is_missin
     ],
 )
 def test_what_is_worse_is_raised(error: float, gradient: float, wanted: Resolution) -> None:
-    assert s._next_resolution(Resolution(2, 6, 4), error, gradient, 1e-9) == wanted
+    assert m._next_resolution(Resolution(2, 6, 4), error, gradient, 1e-9) == wanted
 
 
 @pytest.mark.parametrize(
@@ -694,10 +718,10 @@ def test_kinks_and_resolutions_are_adjusted_together(
 ) -> None:
     plan = Plan(THREE, (Resolution(),) * 3, 7.0)
     raised = replace(plan, resolutions=(Resolution(2),) * 3)
-    monkeypatch.setattr(s, "move_kinks", lambda *_: None if moved is None else THREE.at(moved))
-    monkeypatch.setattr(s, "_finer", lambda *_: raised if finer else None)
+    monkeypatch.setattr(m, "move_kinks", lambda *_: None if moved is None else THREE.at(moved))
+    monkeypatch.setattr(m, "_finer", lambda *_: raised if finer else None)
     constraints: Any = SimpleNamespace(samples=LEG)
-    found, what = s._adjust(constraints, plan, 1e-9)
+    found, what = m._adjust(constraints, plan, 1e-9)
     assert what == action and found.structure.pieces == pieces and found.points == 7.0
     if pieces == 3:
         assert found.structure.times == (moved or THREE.times)
@@ -730,18 +754,18 @@ def test_limits_beside_touches_are_released_before_a_mesh_is_refined(
     structure = TOUCHED if touches else replace(TOUCHED, touches=((),) * 4)
     plan = Plan(structure, (Resolution(),) * 3, 7.0, loose)
     raised = replace(plan, resolutions=(Resolution(2),) * 3)
-    monkeypatch.setattr(s, "move_kinks", lambda *_: None if moved is None else structure.at(moved))
-    monkeypatch.setattr(s, "_finer", lambda *_: raised)
-    found, what = s._adjust(SimpleNamespace(samples=LEG), plan, 1e-9)  # type: ignore[arg-type]
+    monkeypatch.setattr(m, "move_kinks", lambda *_: None if moved is None else structure.at(moved))
+    monkeypatch.setattr(m, "_finer", lambda *_: raised)
+    found, what = m._adjust(SimpleNamespace(samples=LEG), plan, 1e-9)  # type: ignore[arg-type]
     assert what == action and found.loose is (loose or action.startswith("limits"))
     assert found.resolutions == (plan if action.startswith("limits") else raised).resolutions
 
 
 def test_an_arc_on_a_limit_that_shrinks_to_nothing_leaves_a_touch(monkeypatch: pytest.MonkeyPatch) -> None:
     plan = Plan(replace(TOUCHED, touches=((),) * 4), (Resolution(),) * 3, 7.0)
-    monkeypatch.setattr(s, "move_kinks", lambda *_: plan.structure.at((0.0, 1.5, 1.5, 4.0)))
-    monkeypatch.setattr(s, "_finer", lambda *_: None)
-    found, what = s._adjust(SimpleNamespace(samples=LEG), plan, 1e-9)  # type: ignore[arg-type]
+    monkeypatch.setattr(m, "move_kinks", lambda *_: plan.structure.at((0.0, 1.5, 1.5, 4.0)))
+    monkeypatch.setattr(m, "_finer", lambda *_: None)
+    found, what = m._adjust(SimpleNamespace(samples=LEG), plan, 1e-9)  # type: ignore[arg-type]
     assert what == "piece 2 dropped" and found.points == 7.0
     assert found.structure.touching(1, UP) == [1.5] and found.structure.kinds == ((LOW, FREE),) * 2
 
@@ -758,9 +782,9 @@ def test_an_arc_on_a_limit_that_shrinks_to_nothing_leaves_a_touch(monkeypatch: p
 def test_a_contact_that_is_missing_comes_before_a_touch_that_pulls(
     monkeypatch: pytest.MonkeyPatch, added: bool, wrong: Any, action: str
 ) -> None:
-    monkeypatch.setattr(s, "pushed_contact", lambda *_: (THREE, "added") if added else (None, ""))
-    monkeypatch.setattr(s, "wrong_touch", lambda *_: wrong)
-    found, what = s._mended_contacts(None, TOUCHED)  # type: ignore[arg-type]
+    monkeypatch.setattr(m, "pushed_contact", lambda *_: (THREE, "added") if added else (None, ""))
+    monkeypatch.setattr(m, "wrong_touch", lambda *_: wrong)
+    found, what = m._mended_contacts(None, TOUCHED)  # type: ignore[arg-type]
     assert what == action
     assert found == (THREE if added else TOUCHED.without_touch(2, 1) if wrong else None)
 

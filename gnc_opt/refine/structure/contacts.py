@@ -20,6 +20,7 @@ minimum at the time at which the multiplier of :math:`\dot S = 0` vanishes, so t
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -54,6 +55,12 @@ SHORT = 2.0
 
 FEW = 5
 """A contact of second order over no more nodes than this is a touch to begin with."""
+
+LASTING = 3
+"""So many nodes in a row at which a constraint pushes say that a control holds it there."""
+
+SWINGING = 0.05
+"""A control is between its bounds on average if the mean is this far from them, relative to its range."""
 
 BESIDE = 1e-4
 """Distance from a junction, in shares of the segment beside it, over which a slope is taken."""
@@ -91,6 +98,11 @@ class StateConstraints:
             np.concatenate([leg.path_bounds.lower, leg.state_bounds.lower]),
             np.concatenate([leg.path_bounds.upper, leg.state_bounds.upper]),
         )
+
+    def limits(self, row: int) -> tuple[tuple[ArcKind, float], tuple[ArcKind, float]]:
+        """Return both limits of a row, infinite where there is none."""
+        bounds = self.bounds
+        return (ArcKind.LOWER, float(bounds.lower[row])), (ArcKind.UPPER, float(bounds.upper[row]))
 
     @property
     def scales(self) -> Array:
@@ -137,6 +149,44 @@ class StateConstraints:
         return ca.Function(
             "derivative", [t, x, u, p, self.problem.parameter_symbols()], [ca.densify(expression)]
         )
+
+
+# --- controls that are determined -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Determined:
+    """A control between its bounds, from ``start`` to ``end`` (s), because it holds a state constraint on its limit."""
+
+    control: int
+    start: float
+    end: float
+
+
+def determined(problem: Problem, samples: PhaseSamples) -> list[Determined]:
+    """Return the controls that hold state constraints on their limits.
+
+    On a mesh such a control swings about what holds the constraint, and so does its switching function about zero: at
+    single times neither says anything. Their means do, and the pushes of the constraint.
+    """
+    constraints, leg = StateConstraints(problem, samples), samples.leg
+    points, u = leg.point_times, np.hstack(leg.u.values)
+    found = []
+    rows = [row for row in range(constraints.size) if constraints.order(row)]
+    for run in _pushing_runs(constraints, rows):
+        held = np.flatnonzero(run.worth > 0)
+        start, end = run.times[held[[0, -1]]]
+        inside = (points >= start) & (points <= end)
+        if held.size < LASTING or np.sum(inside) < LASTING:
+            continue
+        mean = np.mean(u[:, inside], axis=1)
+        at_lower, at_upper = leg.control_bounds.near(mean, SWINGING * samples.control_scale)
+        found += [
+            Determined(i, float(start), float(end))
+            for i in constraints.holders(run.row)
+            if not at_lower[i] and not at_upper[i]
+        ]
+    return found
 
 
 # --- found on a mesh ------------------------------------------------------------------------------------------
@@ -207,12 +257,14 @@ class _Run:
         return structure.orders[self.row] > 1 or bool(self._free(structure))
 
     def _free(self, structure: PhaseStructure) -> list[int]:
-        """Controls that can hold the constraint and are on no limit of their own at the worst node."""
-        worst = self.times[int(np.argmax(self.worth))]
-        kinds = structure.kinds[
-            int(np.clip(np.searchsorted(structure.times, worst) - 1, 0, structure.pieces - 1))
+        """Controls that can hold the constraint and are on no limit of their own where it pushes, for the most part."""
+        pushing = self.times[self.worth > 0]
+        pieces = np.clip(np.searchsorted(structure.times, pushing) - 1, 0, structure.pieces - 1)
+        return [
+            i
+            for i in structure.holders[self.row]
+            if np.mean([structure.kinds[k][i].at_limit for k in pieces]) < 0.5
         ]
-        return [i for i in structure.holders[self.row] if not kinds[i].at_limit]
 
     def _switch(self, structure: PhaseStructure, time: float, samples: PhaseSamples) -> float:
         """Where a control that holds the constraint switches close by, or the time itself: it does that to hold it."""
@@ -239,22 +291,28 @@ class _Run:
 
 def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) -> list[_Run]:
     """Where constraints push that determine a control, but for the contacts of the structure."""
-    s, first = constraints.samples, len(structure.controls)
+    first, found = len(structure.controls), []
+    for run in _pushing_runs(constraints, np.flatnonzero(structure.orders[first:])):
+        worth = np.where(structure.contact(first + run.row, run.times), 0.0, run.worth)
+        if np.any(worth > 0):
+            found.append(replace(run, row=first + run.row, worth=worth))
+    return [run for run in found if run.possible(structure)]
+
+
+def _pushing_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[_Run]:
+    """Where constraints of some rows push."""
+    s = constraints.samples
     times, values, pushes = _at_nodes(constraints)
     found: list[_Run] = []
-    for row in np.flatnonzero(structure.orders[first:]):
-        known = structure.contact(first + int(row), times)
-        for kind, limit in (
-            (ArcKind.LOWER, constraints.bounds.lower[row]),
-            (ArcKind.UPPER, constraints.bounds.upper[row]),
-        ):
+    for row in rows:
+        for kind, limit in constraints.limits(int(row)):
             near = np.abs(values[row] - limit) < NEAR * constraints.scales[row]
             worth = kind.sign * pushes[row] * constraints.scales[row] / s.cost_scale
-            counts = near & ~known & (worth > max(PUSHING * float(np.max(worth)), WORTH))
-            worth = np.where(counts, worth, 0.0)
+            worth = np.where(near & (worth > max(PUSHING * float(np.max(worth)), WORTH)), worth, 0.0)
+            near[1:-1] |= near[:-2] & near[2:]  # between two nodes on the limit a polynomial may swing
             runs = [(a, b) for a, b in _runs(near) if np.any(worth[a:b] > 0)]
-            found += [_Run(first + int(row), kind, times[a:b], worth[a:b]) for a, b in runs]
-    return [run for run in found if run.possible(structure)]
+            found += [_Run(int(row), kind, times[a:b], worth[a:b]) for a, b in runs]
+    return found
 
 
 def _at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
@@ -356,10 +414,7 @@ def _excesses(constraints: StateConstraints, structure: PhaseStructure) -> list[
     found: list[_Run] = []
     for row in np.flatnonzero(structure.orders[first:]):
         known = structure.contact(first + int(row), s.times)
-        for kind, limit in (
-            (ArcKind.LOWER, constraints.bounds.lower[row]),
-            (ArcKind.UPPER, constraints.bounds.upper[row]),
-        ):
+        for kind, limit in constraints.limits(int(row)):
             excess = np.where(known, 0.0, kind.sign * (values[row] - limit) / constraints.scales[row])
             found += [
                 _Run(first + int(row), kind, s.times[a:b], excess[a:b]) for a, b in _runs(excess > EXCEEDED)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.composed import VectorControl
 from gnc_opt.problem.arc import ArcKind
-from gnc_opt.refine.structure.contacts import with_contacts
+from gnc_opt.refine.structure.contacts import Determined, determined, with_contacts
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
@@ -50,11 +50,14 @@ CONVEX = 1e-6
 def structures_of(solution: Solution) -> dict[str, PhaseStructure]:
     """Return the structures of all phases, contacts with state constraints included."""
     problem = solution.need_problem("refine")
-    return {name: with_contacts(detect(s), problem, s) for name, s in solution.samples().items()}
+    return {
+        name: with_contacts(detect(s, determined(problem, s)), problem, s)
+        for name, s in solution.samples().items()
+    }
 
 
-def detect(samples: PhaseSamples) -> PhaseStructure:
-    """Return the structure of a phase.
+def detect(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> PhaseStructure:
+    """Return the structure of a phase; what state constraints determine, if known, lies between its bounds.
 
     Controls that enter H linearly follow the sign of their switching function, except where it stays near
     zero over whole segments with the control between its bounds (a singular arc, or one on a state
@@ -62,8 +65,9 @@ def detect(samples: PhaseSamples) -> PhaseStructure:
     by their multipliers.
     """
     leg, regular, affine = samples.leg, regular_channels(samples), affine_channels(samples)
+    held = [[(d.start, d.end) for d in determined if d.control == i] for i in range(leg.controls.size)]
     rows = [
-        _linear_labels(samples, i) if affine[i] else _nonlinear_labels(samples, i)
+        _linear_labels(samples, i, held[i]) if affine[i] else _nonlinear_labels(samples, i)
         for i in range(leg.controls.size)
     ]
     changes = _change_times(samples, rows)
@@ -111,12 +115,14 @@ def switching(samples: PhaseSamples, times: Array) -> Array:
     return samples.functions.control_gradient(times, leg.x(times), leg.flown(times), leg.lam(times), mu)
 
 
-def _linear_labels(samples: PhaseSamples, i: int) -> KindArray:
-    """LOWER, UPPER or SINGULAR at each sample for a control that enters H linearly."""
+def _linear_labels(samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]]) -> KindArray:
+    """LOWER, UPPER or SINGULAR at each sample for a control that enters H linearly and is determined at times."""
     gradient = samples.control_gradient[i] * samples.control_scale[i] / samples.hamiltonian_scale
     labels = choose(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
     for k in _singular_segments(samples, i, gradient):
         labels[samples.segments == k] = ArcKind.SINGULAR
+    for start, end in held:
+        labels[(samples.times >= start) & (samples.times <= end)] = ArcKind.SINGULAR
     _absorb(samples, i, labels, gradient)
     return labels
 

@@ -136,14 +136,13 @@ class PhaseStructure:
         return bool(self.orders[row]) and not linear
 
     def beside_contacts(self, touches: bool) -> Mask:
-        """In which pieces state constraints are beside an arc on their limit, or beside a touch, (n_rows, A)."""
+        """Return where state constraints are beside an arc on their limit or, with touches, off them, (n_rows, A)."""
         held = np.array([[kind.at_limit for kind in row] for row in self.matrix()])
         beside = np.zeros_like(held)
         beside[:, :-1] |= held[:, 1:]
         beside[:, 1:] |= held[:, :-1]
-        for k in range(1, self.pieces if touches else 1):
-            for row, _ in self.touches[k]:
-                beside[row, k - 1 : k + 1] = True
+        if touches:
+            beside[[row for here in self.touches for row, _ in here]] = True
         return np.asarray(beside & ~held & (np.array(self.orders) > 0)[:, None])
 
     def on_contact(self, piece: int) -> bool:

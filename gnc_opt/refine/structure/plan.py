@@ -111,6 +111,11 @@ class Plan:
         plan = cls.of(structure, points)
         return replace(plan, resolutions=tuple(replace(r, degree=9) for r in plan.resolutions))
 
+    def restructured(self, structure: PhaseStructure) -> Plan:
+        """Return the plan of another structure, as coarse as at first; as loose if nothing else is touched."""
+        same = [t for t in structure.touches if t] == [t for t in self.structure.touches if t]
+        return replace(Plan.of(structure, self.points), loose=self.loose and same)
+
     @property
     def segment_pieces(self) -> Indices:
         """The piece of every segment (K,)."""

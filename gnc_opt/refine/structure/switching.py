@@ -14,55 +14,29 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from gnc_opt.arrays import Array, Mask
 from gnc_opt.nlp import SolverOptions
-from gnc_opt.problem.arc import Arc, ArcKind
+from gnc_opt.problem.arc import Arc
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.passes import pass_meter, pass_record
-from gnc_opt.refine.structure.contacts import StateConstraints, crossed_contact, pushed_contact, wrong_touch
-from gnc_opt.refine.structure.detect import affine_channels, structures_of
-from gnc_opt.refine.structure.junctions import move_kinks
+from gnc_opt.refine.structure.detect import structures_of
+from gnc_opt.refine.structure.mending import KINKS_MOVED, RAISED, SMOOTHED, improve, smoother
 from gnc_opt.refine.structure.newton import settle
-from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose, signs_of
-from gnc_opt.refine.structure.plan import Plan, Resolution, points_of
+from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.refine.structure.plan import Plan, points_of
 from gnc_opt.refine.structure.simultaneous import settle_costates
 from gnc_opt.solution.history import History, Pass, RefinementStatus
-from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
-from gnc_opt.tolerances import VANISHED as NO_MAGNITUDE
 
 PATIENCE = 4
 """Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
-
-KINKS_MOVED, RAISED, LOOSENED = "kinks moved", "resolution raised", "limits beside touches released"
 
 FINEST = 1e-9
 """Switch times are asked for at least this accurately: that costs a solve of a few iterations, if any."""
 
 TIGHT, MOST_ITERATIONS = 1e-11, 200
 """Of each solve: switch times are as good as the solver's optimality, and a warm start needs few iterations."""
-
-ROOM = 1e-3
-"""Share of the phase that a swapped piece gets to start from."""
-
-VANISHED = 1e-6
-"""A piece shorter than this share of its phase has vanished."""
-
-STATIONARY = 1e-9
-"""First-order gain in H, in shares of H, that may be left along a singular arc."""
-
-ROUGH = 1e-4
-"""Gain in H beyond which the polynomial of a singular control is no guess of it yet."""
-
-SATURATED = 1e-3
-"""A singular control this close to a bound, relative to its range, has reached it."""
-
-WRONG_SIGN = 1e-7
-"""First-order gain in H, in shares of H, beyond which a wrong sign asks for another arc."""
 
 
 def optimise_switches(
@@ -202,10 +176,14 @@ def _loop(
             return RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
         solution = found
         current = {name: _at_solution(plan, solution, name) for name, plan in plans.items()}
-        plans, action = _improve(solution, current, swapped, tol)
-        tries.append(_Try(solution, current, _record(solution, begin, action or "structure stands")))
-        show(tries[-1].record)
-        if not action or _resolved([t.record for t in tries], tol):
+        plans, action = improve(solution, current, swapped, tol)
+        record = _record(solution, begin, action or "structure stands")
+        resolved = _resolved([*(t.record for t in tries), record], tol)
+        if resolved and (finer := smoother(solution, current)) != current:
+            plans, resolved, record = finer, False, replace(record, actions=SMOOTHED)
+        tries.append(_Try(solution, current, record))
+        show(record)
+        if not action or resolved:
             return RefinementStatus.CONVERGED
         if _restless([t.record for t in tries]):
             return RefinementStatus.STALLED
@@ -226,59 +204,10 @@ def _resolved(records: list[Pass], tol: float) -> bool:
 def _restless(records: list[Pass]) -> bool:
     """Whether the structure stays, but neither moving kinks nor finer meshes reduce the error."""
     last = records[-PATIENCE:]
-    adjusting = all(set(str(r.actions).split(", ")) <= {KINKS_MOVED, RAISED} for r in last)
+    adjusting = all(set(str(r.actions).split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED} for r in last)
     if not adjusting or len(records) <= PATIENCE:
         return False
     return min(r.error for r in last) > 0.5 * min(r.error for r in records[:-PATIENCE])
-
-
-def _improve(
-    solution: Solution, plans: dict[str, Plan], swapped: set[tuple[str, PhaseStructure]], tol: float
-) -> tuple[dict[str, Plan], str]:
-    """Mend the structure of one phase, or kinks and resolution of all; return the plans and what was done."""
-    problem, samples = solution.need_problem("refine"), solution.samples()
-    constraints = {name: StateConstraints(problem, s) for name, s in samples.items()}
-    for name, s in samples.items():
-        structure, action = _collapse(s, plans[name].structure, swapped)
-        if structure is not None:
-            return {**plans, name: Plan.of(structure, plans[name].points)}, action
-    for name, c in constraints.items():
-        structure, action = _mended_contacts(c, plans[name].structure)
-        if structure is not None:
-            return {**plans, name: Plan.of(structure, plans[name].points)}, action
-    for name, s in samples.items():
-        structure, action = _saturated(s, plans[name], swapped)
-        if structure is not None:
-            return {**plans, name: Plan.of(structure, plans[name].points)}, action
-    adjusted = {name: _adjust(c, plans[name], tol) for name, c in constraints.items()}
-    actions = dict.fromkeys(action for _, action in adjusted.values() if action)
-    if actions:
-        return {name: plan for name, (plan, _) in adjusted.items()}, ", ".join(actions)
-    for name, s in samples.items():
-        structure, action = _complete(s, plans[name])
-        if structure is None:
-            structure, action = crossed_contact(constraints[name], plans[name].structure)
-        if structure is not None:
-            return {**plans, name: Plan.of(structure, plans[name].points)}, action
-    return plans, ""
-
-
-def _adjust(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan, str]:
-    """Move kinks and raise resolutions where the solution asks for it."""
-    moved, finer = move_kinks(constraints, plan), _finer(constraints.samples, plan, tol)
-    if moved is not None:
-        emptied = np.flatnonzero(moved.lengths < VANISHED * (moved.times[-1] - moved.times[0]))
-        if emptied.size:
-            return Plan.of(
-                plan.structure.emptied(int(emptied[0])), plan.points
-            ), f"piece {emptied[0] + 1} dropped"
-    if finer and not moved and not plan.loose and any(plan.structure.touches):
-        return replace(plan, loose=True), LOOSENED
-    resolutions = finer.resolutions if finer else plan.resolutions
-    actions = (KINKS_MOVED if moved else "", RAISED if finer else "")
-    return replace(plan, structure=moved or plan.structure, resolutions=resolutions), ", ".join(
-        filter(None, actions)
-    )
 
 
 def _solve(
@@ -309,212 +238,3 @@ def _arcs(solution: Solution, plans: Mapping[str, Plan]) -> tuple[Arc, ...]:
         labels = (*s.leg.controls.labels, *s.leg.path_labels, *s.leg.states.labels)
         arcs += plans[name].structure.arcs(name, labels)
     return tuple(arcs)
-
-
-# --- arcs that vanish -----------------------------------------------------------------------------------
-
-
-def _collapse(
-    samples: PhaseSamples, structure: PhaseStructure, swapped: set[tuple[str, PhaseStructure]]
-) -> tuple[PhaseStructure | None, str]:
-    """Return the structure after a piece has vanished and what was done, or None if none has."""
-    lengths = structure.lengths
-    shortest = int(np.argmin(lengths))
-    if structure.pieces == 1 or lengths[shortest] >= VANISHED * lengths.sum():
-        return None, ""
-    other = structure.swapped(shortest)
-    swapped.add((samples.leg.name, structure.at(())))
-    # Only an order that has been left before is not tried again.
-    if other is not None and (samples.leg.name, other.at(())) not in swapped:
-        return _spread(other, shortest), f"switches {shortest} and {shortest + 1} swapped"
-    return structure.emptied(shortest), f"piece {shortest + 1} dropped"
-
-
-def _spread(structure: PhaseStructure, piece: int) -> PhaseStructure:
-    """Give a swapped piece some length to start from."""
-    times = np.asarray(structure.times)
-    room = ROOM * (times[-1] - times[0])
-    middle = 0.5 * (times[piece] + times[piece + 1])
-    left = max(middle - 0.5 * room, 0.5 * (times[piece - 1] + middle))
-    right = min(middle + 0.5 * room, 0.5 * (times[piece + 2] + middle))
-    times[piece], times[piece + 1] = left, right
-    return structure.at(tuple(float(t) for t in times))
-
-
-# --- arcs that are missing --------------------------------------------------------------------------------
-
-
-def _complete(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None, str]:
-    """Return the structure with the arc that a wrong sign asks for and what was done, or None if all agree."""
-    kinds = plan.structure.matrix()[:, plan.segment_pieces[samples.segments]]
-    offence, asked = _offences(samples, plan.structure, kinds)
-    for i in range(offence.shape[0]):
-        _forgive_own_switches(offence[i], kinds[i])
-    return _with_worst(samples, plan.structure, offence, asked)
-
-
-def _with_worst(
-    samples: PhaseSamples, structure: PhaseStructure, offence: Array, asked: KindArray
-) -> tuple[PhaseStructure | None, str]:
-    """Return the structure with the arc that the worst offence asks for and what was done, or None."""
-    if not offence.size or offence.max() < WRONG_SIGN:
-        return None, ""
-    i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
-    start, end = _wrong_interval(samples, offence[i])
-    label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
-    return structure.with_arc(i, start, end, asked[i, j]), f"arc of {label} added at {start:.4g} s"
-
-
-def _offences(samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray) -> tuple[Array, KindArray]:
-    """How much each control and path constraint offends where it is, and the place that it asks for.
-
-    A control on a bound with a switching function of the wrong sign offends by the gain in H; it asks for the other
-    bound, or to become interior where H is strictly convex in it. An interior control offends by the share of
-    its range by which it leaves its bounds, and asks for the bound. Mixed path constraints likewise.
-    """
-    bounds, paths = samples.leg.control_bounds, samples.leg.path_bounds
-    values = samples.functions.paths(samples.times, samples.x, samples.u_polynomial)
-    scales = np.concatenate(
-        [samples.control_scale, np.maximum(np.max(np.abs(values), axis=1, initial=0.0), NO_MAGNITUDE)]
-    )
-    # At an upper limit both the switching function and the reversed multiplier must be negative.
-    pull = np.vstack([samples.control_gradient, -samples.mu]) * scales[:, None] / samples.hamiltonian_scale
-    above = np.vstack([samples.u_polynomial - bounds.upper[:, None], values - paths.upper[:, None]])
-    below = np.vstack([bounds.lower[:, None] - samples.u_polynomial, paths.lower[:, None] - values])
-    kinds = kinds[: pull.shape[0]]
-    signs = signs_of(kinds)
-    regular = np.asarray(structure.regular[: pull.shape[0]], dtype=bool)[:, None]
-    affine = np.append(affine_channels(samples), np.zeros(len(values), dtype=bool))[:, None]
-    judged = (affine | regular) & (signs != 0)
-    excess = np.maximum(above, below) / scales[:, None]
-    offence = np.where(judged, signs * pull, np.where(regular & (kinds == ArcKind.INTERIOR), excess, 0.0))
-    opposite = choose(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
-    crossed = choose(above > below, ArcKind.UPPER, ArcKind.LOWER)
-    return offence, choose(judged, choose(regular, ArcKind.INTERIOR, opposite), crossed)
-
-
-def _saturated(
-    samples: PhaseSamples, plan: Plan, left: set[tuple[str, PhaseStructure]]
-) -> tuple[PhaseStructure | None, str]:
-    """Return the structure with the arc that a control asks for which reaches a bound along a singular arc, or None.
-
-    A polynomial that is held within its bounds, where the control of the optimum jumps to one and back, leaves a
-    switching function of that bound's sign, which a higher degree does not take away. Structures that have been left
-    are not tried again.
-    """
-    bounds, controls = samples.leg.control_bounds, plan.structure.controls
-    singular = controls[:, plan.segment_pieces[samples.segments]] == ArcKind.SINGULAR
-    gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
-    at_lower, at_upper = bounds.near(samples.u_polynomial, SATURATED * samples.control_scale)
-    left_open = zip(plan.resolutions, _open_gradient(samples, plan), strict=True)
-    stuck = np.array([r.smoother(g).smooth == r.smooth for r, g in left_open])[
-        plan.segment_pieces[samples.segments]
-    ]
-    reached = singular & stuck & affine_channels(samples)[:, None] & np.where(gain > 0, at_lower, at_upper)
-    offence = np.zeros_like(gain)
-    for i in np.flatnonzero(np.any(reached, axis=1)):
-        j = int(np.argmax(np.where(reached[i], np.abs(gain[i]), 0.0)))
-        here = _around(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j])), j)
-        offence[i, here] = np.abs(gain[i, here])
-    asked = choose(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
-    structure, action = _with_worst(samples, plan.structure, offence, asked)
-    if structure is None or (samples.leg.name, structure.at(())) in left:
-        return None, ""
-    return structure, action
-
-
-def _around(holds: Mask, j: int) -> slice:
-    """The run of samples around the j-th in which something holds."""
-    fails = np.flatnonzero(~holds)
-    before, after = fails[fails < j], fails[fails > j]
-    return slice(before[-1] + 1 if before.size else 0, after[0] if after.size else holds.size)
-
-
-def _forgive_own_switches(offence: Array, kinds: KindArray) -> None:
-    """Zero the offences that reach up to one of the channel's own switches.
-
-    There the switching function vanishes at the optimum, and what is left of it is rounding and mesh error.
-    """
-    for j in np.flatnonzero(kinds[1:] != kinds[:-1]):
-        for k in range(int(j), -1, -1):
-            if offence[k] <= 0:
-                break
-            offence[k] = 0.0
-        for k in range(int(j) + 1, offence.size):
-            if offence[k] <= 0:
-                break
-            offence[k] = 0.0
-
-
-def _wrong_interval(samples: PhaseSamples, offence: Array) -> tuple[float, float]:
-    """Return where there is an offence around the worst one: its zeros, from the samples beside them."""
-    times, j = samples.times, int(np.argmax(offence))
-    fine = np.flatnonzero(offence <= 0)
-    before, after = fine[fine < j], fine[fine > j]
-    start = _zero(times, offence, before[-1], before[-1] + 1) if before.size else times[0]
-    end = _zero(times, offence, after[0] - 1, after[0]) if after.size else times[-1]
-    return float(start), float(end)
-
-
-def _zero(times: Array, values: Array, left: int, right: int) -> float:
-    """Zero of a straight line between two samples whose values do not have the same sign."""
-    return float(times[left] - values[left] * (times[right] - times[left]) / (values[right] - values[left]))
-
-
-# --- contacts with state constraints --------------------------------------------------------------------------
-
-
-def _mended_contacts(
-    constraints: StateConstraints, structure: PhaseStructure
-) -> tuple[PhaseStructure | None, str]:
-    """Return the structure with a contact that pushes unseen, else without a touch that pulls, and what was done.
-
-    A touch may pull because another is missing beside it.
-    """
-    added, action = pushed_contact(constraints, structure)
-    wrong = wrong_touch(constraints, structure)
-    if added is not None or wrong is None:
-        return added, action
-    return structure.without_touch(*wrong), f"touch at {structure.times[wrong[0]]:.4g} s dropped"
-
-
-# --- resolution ---------------------------------------------------------------------------------------------
-
-
-def _finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
-    """Return higher resolutions where dynamics or costates are not met between the nodes, or None."""
-    rates = samples.functions.rates(samples.times, samples.x, samples.u_polynomial)
-    errors = samples.per_segment(samples.x_rate - rates) / samples.state_scale[:, None]
-    gradient = samples.functions.state_gradient(
-        samples.times, samples.x, samples.u_polynomial, samples.lam, samples.mu
-    )
-    residual = samples.per_segment(samples.lam_rate + gradient + samples.state_multiplier)
-    worth = samples.state_scale[:, None] / samples.cost_scale
-    # Multipliers along a state constraint are differences of what the solver leaves: rougher, the finer the piece.
-    contact = np.array([plan.structure.on_contact(k) for k in range(plan.structure.pieces)])
-    residual = np.where(contact[plan.segment_pieces], 0.0, residual)
-    per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
-    worst, open_gradient = np.zeros(plan.structure.pieces), _open_gradient(samples, plan)
-    np.maximum.at(worst, plan.segment_pieces, per_segment)
-    wanted = tuple(
-        _next_resolution(r, e, g, tol) for r, e, g in zip(plan.resolutions, worst, open_gradient, strict=True)
-    )
-    return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
-
-
-def _next_resolution(r: Resolution, error: float, gradient: float, tol: float) -> Resolution:
-    """Raise what is worse: finer states of a polynomial that cannot be the control are worth nothing."""
-    smoother = r.smoother(gradient) if gradient > STATIONARY else r
-    if smoother != r and gradient > max(error, ROUGH):
-        return smoother
-    return r.finer() if error > tol else smoother
-
-
-def _open_gradient(samples: PhaseSamples, plan: Plan) -> Array:
-    """The largest |dH/du| of singular controls in every piece (A,), in shares of H."""
-    kinds = plan.structure.controls[:, plan.segment_pieces[samples.segments]]
-    gain = np.abs(samples.control_gradient) * samples.control_scale[:, None] / samples.hamiltonian_scale
-    per_sample = np.max(np.where(kinds == ArcKind.SINGULAR, gain, 0.0), axis=0, initial=0.0)
-    worst = np.zeros(plan.structure.pieces)
-    np.maximum.at(worst, plan.segment_pieces[samples.segments], per_sample)
-    return worst

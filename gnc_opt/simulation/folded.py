@@ -1,0 +1,74 @@
+"""Folded: the step of a kernel, many control steps in one call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.simulation.kernel import Kernel
+from gnc_opt.simulation.native import loaded
+
+
+class Folded:
+    """The step of a kernel, folded.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    library : str
+        Of the step without its log as machine code; "" for the interpreter.
+    """
+
+    def __init__(self, kernel: Kernel, library: str = "") -> None:
+        self.kernel, self.library = kernel, library
+        self._buffers: dict[int, Any] = {}
+        self._logs: dict[int, Any] = {}
+
+    def fly(self, X: Array, rows: Array, C: Array, final: Array) -> None:
+        """Write the state after the steps of a leg to ``final``.
+
+        Parameters
+        ----------
+        X : array (n_state,)
+        rows : array (n_steps, n_known)
+        C : array (n_constants,)
+        final : array (n_state,)
+        """
+        if len(rows) not in self._buffers:
+            step = loaded(self.step, self.library)
+            self._buffers[len(rows)] = self._leg(
+                lambda x, w, c, n: [step.fold(n)(x, w, c)], len(rows)
+            ).buffer()
+        buffer, evaluate = self._buffers[len(rows)]
+        # reads and writes these arrays themselves: no conversion per run
+        for k, array in enumerate((X, rows, C)):
+            buffer.set_arg(k, memoryview(array.data))
+        buffer.set_res(0, memoryview(final.data))
+        evaluate()
+
+    def logged(self, X: Array, rows: Array, C: Array) -> tuple[Array, Array]:
+        """Return the states after every step of a leg, and the logs of the steps, by columns."""
+        if len(rows) not in self._logs:
+            step = self.kernel.step
+            self._logs[len(rows)] = self._leg(lambda x, w, c, n: list(step.mapaccum(n)(x, w, c)), len(rows))
+        after, logs = (np.asarray(o.full()) for o in self._logs[len(rows)](X, rows.T, C))
+        return after, logs
+
+    @cached_property
+    def step(self) -> Any:
+        """The step without its log, so that what only the log needs is not computed."""
+        step = self.kernel.step
+        symbols = step.sx_in() if step.is_a("SXFunction") else step.mx_in()
+        return ca.Function("only", symbols, [step(*symbols)[0]], ["X", "w", "C"], ["X_next"])
+
+    def _leg(self, outputs: Callable[[Any, Any, Any, int], list[Any]], count: int) -> Any:
+        step = self.kernel.step
+        x, w, c = (ca.MX.sym(n, *size) for n, size in (
+            ("X", (self.kernel.state.size,)), ("w", (self.kernel.known.size, count)), ("C", (step.size1_in(2),))
+        ))  # fmt: skip
+        return ca.Function("leg", [x, w, c], outputs(x, w, ca.repmat(c, 1, count), count))

@@ -1,0 +1,80 @@
+"""Controls that state constraints determine, and bangs shorter than a mesh shows: closed forms from coarse meshes."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.problem.arc import ArcKind
+
+
+def lift(distance: float, speed: float, acceleration: float, jerk: float) -> go.Problem:
+    """Least time from rest to rest with limits on speed, acceleration and jerk."""
+    model = go.Model("lift")
+    x, v, a = (model.state(name) for name in "xva")
+    j = model.control("j")
+    model.ode({x: v, v: a, a: j})
+    problem = go.Problem("lift")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(0.5, 60.0))
+    leg.initial(x=0.0, v=0.0, a=0.0)
+    leg.final(x=distance, v=0.0, a=0.0)
+    leg.bounds(j=(-jerk, jerk), a=(-acceleration, acceleration), v=(-speed, speed))
+    problem.minimize(leg.final_time)
+    return problem
+
+
+@pytest.mark.parametrize(
+    ("numbers", "mesh"),
+    [((6.0, 1.0, 0.5, 2.0), "20x4"), ((30.0, 3.0, 1.2, 1.0), "20x4"), ((6.0, 1.0, 1.0, 2.0), "11x5")],
+)
+def test_a_jerk_limited_lift(numbers: tuple[float, float, float, float], mesh: str) -> None:
+    """With both limits reached it takes D / V + V / A + A / J; the jerk is between its limits on three arcs.
+
+    Kinematics: the mean speed of an S-shaped rise of the speed, which lasts V / A + A / J, is V / 2.
+    """
+    distance, speed, acceleration, jerk = numbers
+    solution = go.solve(lift(*numbers), mesh=mesh)
+    assert solution.converged and go.verify(solution).ok
+    rise, ramp = speed / acceleration + acceleration / jerk, acceleration / jerk
+    duration = distance / speed + rise
+    assert solution.objective == pytest.approx(duration, rel=1e-10)
+    arcs = [(a.start, a.end) for a in solution.structure if a.channel == "j" and not a.kind.at_limit]
+    half = [(ramp, rise - ramp), (rise, duration - rise), (duration - rise + ramp, duration - ramp)]
+    np.testing.assert_allclose(arcs, half, atol=1e-8)
+    held = {(a.channel, a.kind) for a in solution.structure if a.channel in "va"}
+    assert held == {("a", ArcKind.LOWER), ("a", ArcKind.UPPER), ("v", ArcKind.UPPER)}
+
+
+def test_a_car_touches_a_disc_that_is_narrower_than_its_turn() -> None:
+    """Straight on, a turn of radius R = 1/2 about a disc of radius 0.3 that it touches at the top, straight on.
+
+    The straight parts are tangents of the circle of radius R from start and goal, which lie on the axis of x; its
+    centre is R - 0.3 nearer to the axis than the lowest point of the disc, on the other side. The turn lasts a
+    thirtieth of a second of six: shorter than any segment of the mesh.
+    """
+    radius, turn, length, offset = 0.3, 0.5, 6.0, 0.2
+    car = go.Model("car")
+    p, heading, w = car.state("p", 2), car.state("heading"), car.control("w")
+    car.ode({p: ca.vertcat(ca.cos(heading), ca.sin(heading)), heading: w})
+    problem = go.Problem("past a disc")
+    leg = problem.phase("way", car)
+    leg.time(initial=0.0, final=(length, 3 * length))
+    leg.initial(p=[0, 0])
+    leg.final(p=[length, 0])
+    leg.bounds(w=(-1 / turn, 1 / turn), heading=(-1.5, 1.5))
+    leg.path("disc", (p[0] - length / 2) ** 2 + (p[1] - offset) ** 2, lower=radius**2)
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem)
+    assert solution.converged and go.verify(solution).ok
+    centre = offset - radius + turn
+    distance = np.hypot(length / 2, centre)
+    angle = np.arctan2(centre, length / 2) - np.arcsin(turn / distance)
+    expected = 2 * (np.sqrt(distance**2 - turn**2) - turn * angle)
+    assert solution.objective == pytest.approx(expected, rel=1e-11)
+    (bang,) = [a for a in solution.structure if a.channel == "w" and a.kind.at_limit]
+    assert bang.end - bang.start == pytest.approx(-2 * turn * angle, abs=1e-7)
+    (touch,) = [a for a in solution.structure if a.channel == "disc"]
+    assert touch.start == touch.end == pytest.approx(expected / 2, abs=1e-8)

@@ -1,0 +1,115 @@
+"""Machine code of a loop: the interpreter's bits, or the interpreter."""
+
+from __future__ import annotations
+
+import pickle
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from loops import double_integrator
+
+import gnc_opt.simulation.flight as flight_module
+from gnc_opt.control import design_lqr
+from gnc_opt.simulation import ClosedLoop, Event, Flight, Lag, Noise, RandomHold, monte_carlo
+from gnc_opt.simulation import native as module
+
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(flight_module, "WORTH", 100)
+    return tmp_path / "gnc_opt"
+
+
+def loop(through: float | None = None, weight: float = 1) -> ClosedLoop:
+    plant = double_integrator()
+    events = [] if through is None else [Event("through", plant.symbol("q") - through, "falling")]
+    regulator = design_lqr(plant, [0, 0], Q=weight, R=1, dt=0.1, integral={"q": 0.1})
+    noise, gust = Noise("gauge", 1e-3, on="q"), RandomHold("gust", 0.1, 0.7, on="a")
+    return ClosedLoop(plant, regulator, [Lag("lag", 0.2)], [noise], [gust], events=events)
+
+
+def flown(through: float | None = None, weight: float = 1) -> Flight:
+    return loop(through, weight).flight([1.0, 0.0], t0=0.0, tf=5.0)
+
+
+def bits(flight: Flight) -> list[bytes]:
+    P = flight.nominal[:, None] * np.array([1.0, 1.01, np.nan])
+    ending = flight.final(P, [1, 2, 3])
+    return [
+        np.asarray(v).tobytes()
+        for v in (ending.states, ending.memory, ending.effort, ending.variation, ending.errors)
+    ]
+
+
+@needs_compiler
+@pytest.mark.parametrize("through", [None, 0.5])
+def test_machine_code_has_the_bits_of_the_interpreter(cache: Path, through: float | None) -> None:
+    flight = flown(through)
+    quick = flight.natively(2)
+    assert Path(quick.library).parent == cache and not flight.library
+    assert bits(quick) == bits(flight) and quick.fingerprint == flight.fingerprint
+    assert bits(pickle.loads(pickle.dumps(quick))) == bits(flight)
+
+
+@needs_compiler
+def test_a_function_is_compiled_once(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, other = flown().natively(2).library, flown()
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: pytest.fail("compiled again"))
+    assert other.natively(2).library == first
+    assert [path.suffix for path in cache.iterdir()] == [".so"]
+
+
+def test_few_steps_are_not_worth_it(cache: Path) -> None:
+    assert flown().natively(1).library == "" and not cache.exists()
+
+
+@pytest.mark.parametrize("why", ["no compiler", "it fails", "no place", "no C"])
+def test_without_machine_code_the_interpreter_flies(
+    cache: Path, monkeypatch: pytest.MonkeyPatch, why: str
+) -> None:
+    flight = flown()
+    if why == "no compiler":
+        monkeypatch.setattr(shutil, "which", lambda _: None)
+    elif why == "it fails":
+        broken = shutil.which("false")
+        monkeypatch.setattr(shutil, "which", lambda _: broken)
+    elif why == "no place":
+        cache.write_text("a file")
+    else:
+        monkeypatch.setattr(module, "_compile", _refuse)
+    quick = flight.natively(2)
+    assert quick.library == "" and bits(quick) == bits(flight)
+
+
+def _refuse(*_: Any) -> None:
+    raise RuntimeError("no code generation for this operation")
+
+
+def test_a_library_of_another_machine_is_not_missed(tmp_path: Path) -> None:
+    assert bits(replace(flown(), library=str(tmp_path / "gone.so"))) == bits(flown())
+
+
+@needs_compiler
+def test_machine_code_of_other_bits_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    library = module.native(flown(weight=2)._folded.step)
+    monkeypatch.setattr(flight_module, "native", lambda _: library)
+    assert library and flown().natively(2).library == ""
+
+
+@needs_compiler
+def test_campaigns_use_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    mission: dict[str, Any] = {"x0": [1.0, 0.0], "tf": 5.0, "seed": 3, "executor": "serial"}
+    quick = monte_carlo(loop(), 4, **mission)
+    assert quick.flight is not None and quick.flight.library
+    monkeypatch.setattr(flight_module, "WORTH", 10_000)
+    plain = monte_carlo(loop(), 4, **mission)
+    assert plain.flight is not None and not plain.flight.library
+    assert quick.states.tobytes() == plain.states.tobytes()
