@@ -155,7 +155,8 @@ class Problem(Statement):
         name : str
             Unique in the problem; appears in reports and names the multiplier.
         expression : casadi.SX or list
-            In end-point symbols (``leg.final_state("m")``), times, integrals and parameters.
+            In end-point symbols (``leg.final_state("m")``), times, integrals and parameters; or an inequality or
+            equation of these, ``leg.final_state("m") >= 300.0``, without limits.
         lower, upper : float or array, optional
             At least one of them, unless ``equals`` is given.
         equals : float or array, optional
@@ -355,7 +356,8 @@ class Problem(Statement):
 
         Checks times, costs, boundary values against bounds, unused controls and parameters, foreign symbols,
         and evaluates every function and Jacobian along the guess, naming the state, phase and time of a NaN.
-        Warns of operations without derivatives (`fabs`, `sign`, `floor`, `fmin`, `fmax`, comparisons), of linear
+        Warns of operations without derivatives (`fabs`, `sign`, `floor`, `fmin`, `fmax`, comparisons) that are not
+        restated when the problem is solved, of linear
         tables, and of a guess outside of a table.
         """
         check_problem(self)

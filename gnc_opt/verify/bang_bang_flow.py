@@ -33,8 +33,9 @@ from gnc_opt.model.evaluation import evaluate_chain, evaluate_columns
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.samples import PhaseSamples
 
-STEPS = 16
-"""Runge-Kutta steps over the phase on the coarsest grid, and at least one from switch to switch."""
+STEPS = 36
+"""Runge-Kutta steps over the phase on the coarsest grid, and at least one from switch to switch: ten revolutions of an
+oscillator are still told to some digits."""
 
 ORDER = 8
 """Of the steps: half their width leaves 2 to the power of minus this of the error."""
@@ -161,7 +162,7 @@ def bang_bang_flow(
 def _inputs(s: PhaseSamples, pieces: Pieces, n_times: int, refinement: int) -> tuple[Array, Array]:
     """Inputs of all steps (n_inputs, n_steps), and derivatives of their widths (n_steps, n_times)."""
     widths = np.diff(pieces.times)
-    counts = refinement * np.maximum(1, np.ceil(STEPS * widths / np.sum(widths)).astype(int))
+    counts = refinement * np.maximum(1, np.rint(STEPS * widths / np.sum(widths)).astype(int))
     every = np.arange(widths.size).repeat(counts)
     parameters = np.tile(s.functions.p[:, None], every.size)
     changes = np.zeros((widths.size, n_times))

@@ -1,4 +1,4 @@
-"""Norms of controls written by hand are those of vector controls: the same program, the same answers."""
+"""Norms of controls written by hand are those of vector controls, absolute values those of split ones."""
 
 from __future__ import annotations
 
@@ -254,3 +254,75 @@ def test_guesses_and_scales_of_components_are_those_of_the_vector() -> None:
     (vector,) = solved.vectors
     np.testing.assert_allclose(start.controls[layout.slice("d")][0], [3.0, 5.0, np.hypot(3, 8)])
     np.testing.assert_allclose(start.controls[layout.slice(vector.direction)][:, 1], [0.6, -0.8])
+
+
+# --- absolute values: norms of one component -----------------------------------------------------------
+
+
+def with_absolute(cost: Any, limit: Any = None, rate: Any = None) -> go.Problem:
+    """A unit of travel, rest to rest, with an acceleration u within 1 (and a fuel tank, if it has a rate)."""
+    model = go.Model("cart")
+    x, v, u = model.state("x"), model.state("v"), model.control("u")
+    equations = {x: v, v: u}
+    if rate is not None:
+        equations[model.state("m")] = rate(u)
+    model.ode(equations)
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=DURATION)
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=1.0, v=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    if limit is not None:
+        leg.path("n", limit(u), upper=4.0)
+    problem.minimize(leg.integral(cost(u)))
+    return problem
+
+
+ABSOLUTE = {
+    "fabs": ca.fabs,
+    "in other units": lambda u: 2 * ca.fabs(u / 2),
+    "root": lambda u: ca.sqrt(u**2),
+    "fmax": lambda u: ca.fmax(u, -u),
+}
+
+
+@pytest.mark.parametrize("cost", ABSOLUTE.values(), ids=ABSOLUTE)
+def test_absolute_values_that_cost_are_split(cost: Any) -> None:
+    leg = restated(with_absolute(cost, lambda u: cost(u) * 3)).phases["leg"]
+    assert leg.model.controls.names == ("u_plus", "u_minus")
+    np.testing.assert_array_equal(leg.numbers.controls.lower, 0.0)
+    np.testing.assert_array_equal(leg.numbers.controls.upper, 1.0)
+    _, x, u, _ = leg.model.arguments()
+    value = ca.Function(
+        "all", [x, u], [leg.model.derivative(), leg.integrand_expression(), leg.path_expression()]
+    )
+    rates, costs, limits = value([0.0, 0.5], [0.3, 0.7])
+    np.testing.assert_allclose(rates.full()[:, 0], [0.5, 0.3 - 0.7])
+    np.testing.assert_allclose([float(costs), float(limits)], [1.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        lambda: with_absolute(lambda u: -ca.fabs(u)),  # both parts at once would be better than they are
+        lambda: with_absolute(ca.fabs, lambda u: -ca.fabs(u)),
+        lambda: with_absolute(ca.fabs, rate=lambda u: -ca.fabs(u)),
+        lambda: with_absolute(lambda u: 1.0 / (0.1 + ca.fabs(u))),
+        lambda: with_absolute(lambda u: u**2),
+    ],
+)
+def test_absolute_values_of_which_more_may_be_better_stay(problem: Any) -> None:
+    stated = problem()
+    assert restated(stated) is stated
+
+
+def test_fuel_of_opposed_thrusters_meets_its_closed_form() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # of the kink
+        solution = go.solve(with_absolute(ca.fabs), mesh="10x3")
+    assert solution.converged
+    assert solution.objective == pytest.approx(FUEL, rel=1e-9)
+    at = np.array([0.25 * FUEL, 1.5, DURATION - 0.25 * FUEL])
+    np.testing.assert_allclose(solution.flown_control("u")(at), [1.0, 0.0, -1.0], atol=1e-7)
+    assert "u is solved for as u_plus - u_minus" in str(solution)

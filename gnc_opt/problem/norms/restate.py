@@ -15,6 +15,7 @@ from gnc_opt.problem.guess.trajectory import guess_times, start_phase
 from gnc_opt.problem.interval import Interval, free
 from gnc_opt.problem.norms.find import norm_by_hand
 from gnc_opt.problem.norms.form import Form, box_rows
+from gnc_opt.problem.norms.split import CORNERS, SplitForm, absolute_controls
 from gnc_opt.problem.phase import Phase, PhaseGuess, PhaseNumbers
 from gnc_opt.problem.statement import Statement
 from gnc_opt.problem.tables import along
@@ -35,6 +36,8 @@ def restated(problem: P) -> P:
         key: tuple[Any, ...] = (leg.name, np.sign(leg.numbers.controls.lower).tobytes())
         while (form := _form(problem, leg, key)) is not None:
             key = (*key, form.vector.places, *_restate(leg, form))
+        if (split := _split_form(problem, leg, key)) is not None:
+            key = (*key, split.key, *split.apply(leg))
         keys.append(key)
     if all(len(key) == 2 for key in keys):
         return problem
@@ -43,10 +46,10 @@ def restated(problem: P) -> P:
 
 
 def _may_have_norms(problem: Statement, leg: Phase) -> bool:
-    if leg.model.controls.size < 2 or leg.numbers.arcs is not None:
+    if leg.numbers.arcs is not None:
         return False
     operations = problem.once(("operations", leg.name), lambda: operations_in(along(leg)))
-    return bool(operations & {*ROOTS, ca.OP_SQ, ca.OP_MUL})
+    return bool(operations & {*ROOTS, *CORNERS, ca.OP_SQ, ca.OP_MUL})
 
 
 def _form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> Form | None:
@@ -57,6 +60,16 @@ def _form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> Form | None:
         return None if places is None else Form.of(leg, places)
 
     return problem.once(("form", *key), build)
+
+
+def _split_form(problem: P, leg: Phase, key: tuple[Any, ...]) -> SplitForm | None:
+    """The form of a phase without absolute values, which is the same for all variations."""
+
+    def build() -> SplitForm | None:
+        names = absolute_controls(problem, leg)
+        return SplitForm.of(leg, names) if names else None
+
+    return problem.once(("split", *key), build)
 
 
 def _restate(leg: Phase, form: Form) -> tuple[str, ...]:
