@@ -11,8 +11,8 @@ is left out. The rest is whitened and taken component by component, in Joseph's 
 .. math:: k = \frac{P h}{h^T P h + 1}, \qquad P \leftarrow (1 - k h^T) P (1 - k h^T)^T + k k^T,
 
 so that P stays a covariance also where a good sensor meets a bad guess. Where h has one entry only, as for states that
-are measured as they are, this is :math:`P h = k` put in its place, at half of the cost. In the end the state moves by the error found.
-A turn of an attitude turns the axes of its error, too; that is of second order and left out.
+are measured as they are, this is :math:`P h = k` put in its place, at half of the cost. In the end the state moves by
+the error found. A turn of an attitude turns the axes of its error, too; that is of second order and left out.
 
 **Prediction** over a step h: the state by the classical Runge-Kutta method; with A the Jacobian of the dynamics
 halfway, R and D of `space`,
