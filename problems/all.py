@@ -1,14 +1,15 @@
 """All published systems in one run: a table and a page each, and what has changed since the pages were last written.
 
 A page is a reproducibility matrix: what the publication says, ours, what an independent computation says, and why they
-differ where they do.
+differ where they do; below it the front of what less time costs, and plans beside the published law over many
+dispersed runs.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from rich.console import Console
 
 from gnc_opt.errors import GncOptError
 from problems.comparison import Row, count, numbers, summary, write_json
+from problems.dispersed import RUNS, Rivals, dispersed_rows
+from problems.fronts import Front, front_figure, front_rows
 
 SYSTEMS = {
     "rendezvous": "Time-optimal rendezvous",
@@ -25,24 +28,38 @@ SYSTEMS = {
     "flexible_spacecraft": "Flexible spacecraft",
     "tethered_formation": "Tethered pair",
 }
-"""Folders with their titles; each has ``report.comparison``, which returns its rows."""
+"""Folders with their titles; each has ``report.comparison``, which returns its rows, and ``report.front``; those in
+which laws are flown have ``flown.rivals``."""
+FLOWN = ("formation_flying", "reaction_wheels", "flexible_spacecraft", "tethered_formation")
+PAGES = Path("pages")
 MOVED = 1e-6
 """A number has changed if it moved by more than this share of itself."""
 
 
-def rows_of(name: str) -> list[Row]:
-    """Return the rows of a system."""
-    comparison: Callable[[], list[Row]] = import_module(f"problems.{name}.report").comparison
-    return comparison()
+def rows_of(name: str, folder: Path, runs: int) -> list[Row]:
+    """Return the rows of a system, with those of its front and of dispersed runs; draw the front into a folder."""
+    from gnc_opt.plot.style import save_figure
+
+    report = import_module(f"problems.{name}.report")
+    front: Front = report.front()
+    save_figure(front_figure(front), folder / f"{name}.png")
+    rows: list[Row] = report.comparison() + front_rows(front)
+    if name in FLOWN and runs > 0:
+        rivals: Rivals = import_module(f"problems.{name}.flown").rivals()
+        rows += dispersed_rows(rivals, rivals.fly(runs))
+    return rows
 
 
-def page(title: str, rows: Sequence[Row]) -> str:
-    """Return the matrix of a system, Markdown."""
+def page(title: str, rows: Sequence[Row], figure: str = "") -> str:
+    """Return the matrix of a system, Markdown, with the figure of its front."""
     lines = [
         f"# {title}",
         "",
+        "Written by `python -m problems.all`; the two marks are those of docs/problems.md.",
+        "",
         count(rows) + ".",
         "",
+        *([f"![what less time costs]({figure})", ""] if figure else []),
         "| quantity | publication | ours | independent | |",
         "|---|---|---|---|---|",
     ]
@@ -102,17 +119,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--pages",
         type=Path,
-        default=Path("pages"),
+        default=PAGES,
         metavar="DIR",
-        help="folder of pages and JSON, default pages",
+        help=f"folder of pages and JSON, default {PAGES}",
     )
+    parser.add_argument("--runs", type=int, default=RUNS, help=f"dispersed runs of each loop, default {RUNS}")
     parser.add_argument("--only", choices=list(SYSTEMS), action="append", help="this system; may be repeated")
     options = parser.parse_args(arguments)
     console, fine = Console(highlight=False), True
     options.pages.mkdir(parents=True, exist_ok=True)
     for name in options.only or SYSTEMS:
         try:
-            rows = rows_of(name)
+            rows = rows_of(name, options.pages, options.runs)
         except GncOptError as error:
             console.print(f"{name}: {error}", markup=False, soft_wrap=True)
             fine = False
@@ -121,7 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         told = options.pages / f"{name}.json"
         before = json.loads(told.read_text(encoding="utf-8"))["rows"] if told.exists() else None
         write_json(told, rows)
-        (options.pages / f"{name}.md").write_text(page(SYSTEMS[name], rows), encoding="utf-8")
+        (options.pages / f"{name}.md").write_text(page(SYSTEMS[name], rows, f"{name}.png"), encoding="utf-8")
         console.print(f"{name}: {count(rows)}", markup=False, soft_wrap=True)
         for change in [] if before is None else changes(before, rows) or ["nothing has changed"]:
             console.print(f"  {change}", markup=False, soft_wrap=True)

@@ -1,6 +1,6 @@
 """Figures of solutions, runs and campaigns: over time and in space; none opens a window."""
 
-from gnc_opt.plot.campaign import plot_dispersion, plot_distributions
+from gnc_opt.plot.campaign import plot_dispersion, plot_distributions, plot_envelope
 from gnc_opt.plot.film import save_film
 from gnc_opt.plot.frequency import plot_bode, plot_margins, plot_nyquist, plot_sensitivity
 from gnc_opt.plot.path import plot_curves, plot_path
@@ -20,6 +20,7 @@ __all__ = [
     "plot_curves",
     "plot_dispersion",
     "plot_distributions",
+    "plot_envelope",
     "plot_hamiltonian",
     "plot_margins",
     "plot_nyquist",

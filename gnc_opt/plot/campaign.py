@@ -13,7 +13,17 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from gnc_opt.errors import ArgumentError
-from gnc_opt.plot.style import COLORS, QUIET, axis_label, legend_on_top, name_text, new_figure, style
+from gnc_opt.plot.style import (
+    COLORS,
+    QUIET,
+    axis_label,
+    legend_above,
+    legend_on_top,
+    line_look,
+    name_text,
+    new_figure,
+    style,
+)
 from gnc_opt.report.campaign import LEVELS, shown_measures
 from gnc_opt.simulation.campaign import Campaign
 
@@ -200,6 +210,41 @@ def _draw_limit(ax: Axes, limit: float | None, finite: Any, height: float) -> No
             )
             return
     ax.axvline(limit, zorder=2, **_LIMIT)
+
+
+def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01, 0.5, 0.99)) -> Figure:
+    """Draw between which values a quantity of the loop stays over time, over all runs.
+
+    Lines are percentiles, areas about them the intervals of order statistics (95 % at each time).
+
+    Parameters
+    ----------
+    campaign : Campaign
+    name : str
+        A quantity of the loop.
+    levels : sequence of float
+        In (0, 1).
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    found = campaign.envelope(name, levels)
+    with style():
+        figure = new_figure(3.4)
+        ax = figure.subplots()
+        for i, level in enumerate(found.levels):
+            look = line_look(i)
+            low, high = (
+                np.where(np.isfinite(end[i]), end[i], found.values[i]) for end in (found.low, found.high)
+            )
+            ax.fill_between(found.times, low, high, color=look["color"], alpha=0.25, linewidth=0)
+            ax.plot(found.times, found.values[i], label=f"{100 * level:g} %", **look)
+        ax.set_xlabel(axis_label("time", "s"))
+        ax.set_ylabel(axis_label(name_text(name), found.unit))
+        ax.set_xlim(found.times[0], found.times[-1])
+        legend_above(ax)
+    return figure
 
 
 def measure_text(name: str) -> str:

@@ -107,6 +107,12 @@ def refine(
         The solution has no problem or is not solved.
     ProblemError
         ``structure`` is none of the three, or it is ``"bang-bang"`` and no control can be.
+
+    Examples
+    --------
+    >>> coarse = go.solve(problem, mesh="5x3", tol=None)
+    >>> print(abs(coarse.objective - 2) < 1e-6, abs(go.refine(coarse).objective - 2) < 1e-8)
+    False True
     """
     expect(solution, Solution, "what refine() got", "write refine(solve(problem))")
     read_positive(tol, "the tolerance of refine()")

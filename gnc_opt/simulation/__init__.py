@@ -22,11 +22,13 @@ from gnc_opt.simulation.course import Replan
 from gnc_opt.simulation.dispersion import Ball, Choice, Normal, Sphere, Turn, Uniform
 from gnc_opt.simulation.disturbances import Constant, Disturbance, Expression, RandomHold, Sinusoid
 from gnc_opt.simulation.ending import Ending
+from gnc_opt.simulation.envelope import Envelope
 from gnc_opt.simulation.event import Event, Occurrence
 from gnc_opt.simulation.flight import Flight
 from gnc_opt.simulation.loop import ClosedLoop
 from gnc_opt.simulation.monte_carlo import monte_carlo
 from gnc_opt.simulation.outcome import Outcome, RunStatus
+from gnc_opt.simulation.quantity import Quantity
 from gnc_opt.simulation.replanner import Replanner
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.sensors import Bias, Noise, Outage, RandomWalk, Sampling, Scale, SensorDelay
@@ -46,6 +48,7 @@ __all__ = [
     "Delay",
     "Disturbance",
     "Ending",
+    "Envelope",
     "Event",
     "Expression",
     "Flight",
@@ -63,6 +66,7 @@ __all__ = [
     "Pwm",
     "Pwpf",
     "Quantisation",
+    "Quantity",
     "RandomHold",
     "RandomWalk",
     "RateLimit",

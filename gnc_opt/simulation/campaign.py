@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,13 +14,16 @@ import numpy as np
 from gnc_opt.archive import FileFormat
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
+from gnc_opt.markup import preformatted
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.records import Records, named
 from gnc_opt.packing import Packing
+from gnc_opt.simulation.envelope import Envelope, envelope
 from gnc_opt.simulation.first_files import campaign_fields
 from gnc_opt.simulation.flight import Flight
 from gnc_opt.simulation.metrics import rotation_angle
 from gnc_opt.simulation.outcome import Outcome, RunStatus
+from gnc_opt.simulation.quantity import KEPT
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.statistics import CONFIDENCE, PassRate, Percentile, pass_rate, percentile
 from gnc_opt.strict import Strict
@@ -61,6 +64,12 @@ class Campaign(Strict):
     event_counts, event_times : array (n_events, m)
         How often each event happened, and the first time (s), not-a-number where it did not; (0, 0) in files of
         versions without events.
+    sums : array (3 n_quantities, m)
+        Largest values, least values and integrals of the loop's quantities.
+    samples : array (n_quantities, n_samples, m)
+        Of them, at ``sample_times``; not-a-number after a run has ended.
+    sample_times : array (n_samples,)
+        s.
     replans : array (2, m)
         How often was re-planned in flight, and how often in vain; (2, 0) in files of versions without it.
     outcomes : tuple of m Outcome
@@ -104,6 +113,9 @@ class Campaign(Strict):
     event_counts: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
     event_times: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
     replans: Array = field(default_factory=lambda: np.empty((2, 0)), repr=False)
+    sums: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
+    samples: Array = field(default_factory=lambda: np.empty((0, 0, 0)), repr=False)
+    sample_times: Array = field(default_factory=lambda: np.empty(0), repr=False)
 
     def __len__(self) -> int:
         return len(self.outcomes)
@@ -112,6 +124,10 @@ class Campaign(Strict):
         from gnc_opt.report.campaign import campaign_table
 
         return campaign_table(self)
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        return preformatted(str(self))
 
     # --- values per run -----------------------------------------------------------------------------------
 
@@ -131,6 +147,10 @@ class Campaign(Strict):
     def _events(self) -> Layout:
         return self.layouts.get("event", Layout("event", (), "the campaign"))  # older files know none
 
+    @property
+    def _quantities(self) -> Layout:
+        return self.layouts.get("quantity", Layout("quantity", (), "the campaign"))
+
     def happened(self, event: str) -> Any:
         """Return whether an event happened in each run, bool array (m,)."""
         return self.event_counts[self._events.slice(event)][0] > 0
@@ -146,6 +166,7 @@ class Campaign(Strict):
             ``"effort(F_B)"``, ``"energy(F_B)"``: integral of \\|u\\| or u^2, summed over the components.
             ``"variation(F_B)"``: chattering, summed; ``"saturation(F_B)"``: saturation time of the worst component, s.
             ``"time(touchdown)"``: when an event happened first, s.
+            ``"max(tilt)"``, ``"min(tilt)"``, ``"integral(tilt)"``: of a quantity of the loop over the run.
             ``"replans"``, ``"failed replans"``: how often was re-planned in flight, and in vain.
             Or the name of one's own measure.
 
@@ -179,6 +200,10 @@ class Campaign(Strict):
             )
         if kind == "time":
             return np.asarray(self.event_times[self._events.slice(subject)][0])
+        if kind in KEPT:
+            return np.asarray(
+                self.sums[KEPT.index(kind) * self._quantities.size + self._quantities.slice(subject).start]
+            )
         if kind == "saturation":
             return np.asarray(np.max(self.saturation_time[self.layouts["command"].slice(subject)], axis=0))
         layout = self.layouts["command" if kind == "variation" else "applied"]
@@ -189,6 +214,9 @@ class Campaign(Strict):
         if name in self.measured or name in _REPLANS:
             return ""
         kind, subject = self._parse(name)
+        if kind in KEPT:
+            unit = self._quantities[subject].unit
+            return f"{unit} s".strip() if kind == "integral" else unit
         if kind in ("angle", "saturation", "time"):
             return "rad" if kind == "angle" else "s"
         if kind == "error":
@@ -205,8 +233,9 @@ class Campaign(Strict):
         own = tuple(self.measured)
         costs = [f"effort({n})" for n in controls] + [f"energy({n})" for n in controls]
         costs += [f"saturation({n})" for n in commands] + [f"variation({n})" for n in commands]
+        way = [f"{kind}({n})" for n in self._quantities.names for kind in KEPT]
         again = _REPLANS if self.replans.any() else ()
-        return (*states, *own, *costs, *(f"time({n})" for n in self._events.names), *again)
+        return (*states, *own, *costs, *(f"time({n})" for n in self._events.names), *way, *again)
 
     def _has_target(self, name: str) -> bool:
         return bool(np.all(np.isfinite(self.target[self.layouts["state"].slice(name)])))
@@ -226,6 +255,7 @@ class Campaign(Strict):
             (kind in ("effort", "energy") and subject in self.layouts["applied"])
             or (kind in ("saturation", "variation") and subject in self.layouts["command"])
             or (kind == "time" and subject in self._events)
+            or (kind in KEPT and subject in self._quantities)
         ):
             states = self.layouts["state"].names
             known = [*self.measures, *(n for n in states if n not in self.measures)]
@@ -236,6 +266,28 @@ class Campaign(Strict):
                 f"the controller follows no reference of '{subject}': give target={{'{subject}': ...}}."
             )
         return kind, subject
+
+    def envelope(
+        self, quantity: str, levels: Sequence[float] = (0.05, 0.5, 0.95), confidence: float = CONFIDENCE
+    ) -> Envelope:
+        """Return percentiles of a quantity of the loop over time, with their intervals at each time.
+
+        Parameters
+        ----------
+        quantity : str
+        levels : sequence of float
+            In (0, 1).
+        confidence : float
+            Of each interval, in (0, 1).
+
+        Raises
+        ------
+        UnknownNameError
+            The loop had no such quantity.
+        """
+        place = self._quantities.slice(quantity).start
+        unit = self._quantities[quantity].unit
+        return envelope(quantity, unit, self.sample_times, self.samples[place], levels, confidence)
 
     # --- what passed --------------------------------------------------------------------------------------
 
@@ -428,9 +480,9 @@ def _require_same(campaign: Campaign, flight: Flight, path: str | Path) -> None:
 CAMPAIGN_FILES = FileFormat(
     Campaign,
     "campaign",
-    6,
+    7,
     Packing((Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("flight",)}),
-    alike=(2, 3, 4, 5),  # 2 has no fingerprint, 3 no memory, 4 no events, 5 no re-plans
+    alike=(2, 3, 4, 5, 6),  # 2 has no fingerprint, 3 no memory, 4 no events, 5 no re-plans, 6 no quantities
     older={1: campaign_fields},
 )
 

@@ -77,5 +77,7 @@ def _flown(part: Campaign, count: int) -> Flown:
         event_counts=part.event_counts[:, :count],
         event_times=part.event_times[:, :count],
         replans=part.replans[:, :count],
+        sums=part.sums[:, :count],
+        samples=part.samples[:, :, :count],
     )
     return Flown(range(first, first + count), part.parameters[:, :count], ending)

@@ -35,6 +35,10 @@ class Ending:
         How often each event happened, and the first time (s), not-a-number where it did not.
     replans : array (2, n)
         How often was re-planned, and how often in vain.
+    sums : array (3 n_quantities, n) or None
+        Largest values, least values and integrals of the loop's quantities.
+    samples : array (n_quantities, n_samples, n) or None
+        Of them, at some control steps.
     """
 
     states: Array
@@ -50,3 +54,5 @@ class Ending:
     event_counts: Array
     event_times: Array
     replans: Array
+    sums: Array | None = None
+    samples: Array | None = None

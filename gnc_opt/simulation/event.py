@@ -18,7 +18,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, did_you_mean, shown
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
-from gnc_opt.model.symbol import as_expression, foreign_symbols
+from gnc_opt.simulation.plant_expression import plant_expression
 
 MOST = 20
 """Events in a control step at most; more are a sequence that time cannot follow (Zeno)."""
@@ -167,18 +167,7 @@ class Events:
 
 
 def _read(event: Event, value: Any, what: str, plant: Model, size: int = 1) -> Any:
-    """Return an expression of time, states and parameters of the plant."""
-    what = f"{what} of event '{event.name}'"
-    expression = as_expression(value, what, size, ArgumentError)
-    t, x, _, p = plant.arguments()
-    foreign = foreign_symbols(expression, [t, x, p])
-    if foreign:
-        known = [*plant.states.names, *plant.parameters.names]
-        raise ArgumentError(
-            f"{what} uses '{foreign[0]}', which is no state or parameter of the plant '{plant.name}': "
-            f"{did_you_mean(foreign[0], known)}"
-        )
-    return expression
+    return plant_expression(value, f"{what} of event '{event.name}'", plant, size)
 
 
 def _after(event: Event, plant: Model) -> Any:

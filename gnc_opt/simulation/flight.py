@@ -24,6 +24,7 @@ from gnc_opt.simulation.kernel import Kernel
 from gnc_opt.simulation.log import Log
 from gnc_opt.simulation.native import WORTH, native
 from gnc_opt.simulation.outcome import Outcome, RunStatus
+from gnc_opt.simulation.quantity import Quantities, Recorder
 from gnc_opt.simulation.replanner import Replanner
 from gnc_opt.simulation.run import Run
 
@@ -78,6 +79,8 @@ class Flight:
     growth : float
         By how much the errors of single integration steps grow until the end of the nominal run, at least 1.
     replanner : Replanner or None
+    quantities : Quantities or None
+        What is kept of the way.
     estimates : int array (n,) or None
         Entries of the memory that are the estimated states that the controller follows; None: it measures them.
     library : str
@@ -111,6 +114,7 @@ class Flight:
     failures: tuple[str, ...] = ()
     replanner: Replanner | None = None
     estimates: Any = None
+    quantities: Quantities | None = None
     library: str = ""
 
     def __getstate__(self) -> dict[str, Any]:
@@ -139,6 +143,8 @@ class Flight:
             digest.update(np.ascontiguousarray(array).tobytes())
         if self.replanner is not None:
             digest.update(self.replanner.description.encode())
+        if self.quantities is not None:
+            digest.update(self.quantities.values.serialize().encode())
         return digest.hexdigest()
 
     def natively(self, runs: int) -> Flight:
@@ -172,6 +178,7 @@ class Flight:
             )
         final = np.full((P.shape[1], self.kernel.state.size), np.nan)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
+        recorder = None if self.quantities is None else Recorder(self.quantities, self.times, P.shape[1])
         refused: dict[int, str] = {}
         replans = np.zeros((2, P.shape[1]))
         followed = np.full((self.followed.size, P.shape[1]), np.nan)
@@ -186,7 +193,12 @@ class Flight:
                     X, C = self._begun(rows[0], P[:, i])
                 elif self.replanner is not None:
                     self._consider(course, first, X, rows, C)
-                self._folded.fly(X, rows, C, final[i])
+                if recorder is None:
+                    self._folded.fly(X, rows, C, final[i])
+                else:
+                    columns = np.column_stack([X, self._folded.logged(X, rows, C)[0]])
+                    recorder.add(i, first, self.kernel.state.split(columns), P[self._plant_parameters, i])
+                    final[i] = columns[:, -1]
                 X[:] = final[i]
                 if self._stopped(X):
                     break
@@ -195,7 +207,8 @@ class Flight:
                 followed[:, i] = self._followed_at_end(course, final[i : i + 1].T)[:, 0]
         if self.replanner is None:
             followed = self._followed_at_end(self._course(), final.T)
-        return self._ending(final.T, refused, followed, replans)
+        ending = self._ending(final.T, refused, followed, replans)
+        return ending if recorder is None else replace(ending, sums=recorder.sums, samples=recorder.samples)
 
     def run(self, P: Array, seed: Any, *, every: int = 1, folder: str | Path | None = None) -> Run:
         """Fly one run and return all of it; its last state has the bits of `final`.
@@ -336,6 +349,12 @@ class Flight:
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
         generator = np.random.Generator(np.random.Philox(sequence))
         return lambda first, last: generator.standard_normal((last - first, size))
+
+    @cached_property
+    def _plant_parameters(self) -> list[int]:
+        """Places in P of the plant's parameters."""
+        names = [name for name in self.layout.names if name.startswith("plant.")]
+        return [int(i) for name in names for i in range(self.layout.size)[self.layout.slice(name)]]
 
     @cached_property
     def _edges(self) -> list[int]:

@@ -11,6 +11,7 @@ from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.flight import Flight
 from gnc_opt.simulation.mission import Flown
 from gnc_opt.simulation.outcome import Outcome, RunStatus
+from gnc_opt.simulation.quantity import sample_steps
 
 
 def gathered(flight: Flight, flown: Sequence[Flown], *, seed: int, asked: int, goal: Array) -> Campaign:
@@ -33,6 +34,11 @@ def gathered(flight: Flight, flown: Sequence[Flown], *, seed: int, asked: int, g
     errors = np.full((flight.error_layout.size, states.shape[1]), np.nan)
     if states.shape[1]:
         errors = np.asarray(flight.errors(states, np.repeat(goal[:, None], states.shape[1], axis=1)).full())
+    way = {}
+    if flight.quantities is not None:
+        count, at = len(flight.quantities), sample_steps(flight.n_steps)
+        samples = joined("samples", count * at.size).reshape(count, at.size, -1)
+        way = {"sums": joined("sums", 3 * count), "samples": samples, "sample_times": flight.times[at]}
     drawn = [p.parameters for p in flown if p.parameters is not None]
     return Campaign(
         seed=seed,
@@ -60,6 +66,7 @@ def gathered(flight: Flight, flown: Sequence[Flown], *, seed: int, asked: int, g
             "command": flight.commands,
             "memory": flight.memory,
             "event": flight.events,
+            **({} if flight.quantities is None else {"quantity": flight.quantities.layout}),
         },
         flight=flight,
         fingerprint=flight.fingerprint,
@@ -67,4 +74,5 @@ def gathered(flight: Flight, flown: Sequence[Flown], *, seed: int, asked: int, g
         event_counts=joined("event_counts", flight.events.size),
         event_times=joined("event_times", flight.events.size),
         replans=joined("replans", 2),
+        **way,
     )

@@ -24,6 +24,7 @@ from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.event import Event
 from gnc_opt.simulation.flight import LEG, Flight
 from gnc_opt.simulation.kernel import Kernel, build_kernel
+from gnc_opt.simulation.quantity import Quantities, Quantity
 from gnc_opt.simulation.replanner import Replanner
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.wiring import Blocks, Wiring, wire
@@ -73,6 +74,8 @@ class ClosedLoop:
     disturbances : sequence of Disturbance
     events : sequence of Event
         What ends a run, or changes the plant's states, at an instant of its own.
+    quantities : sequence of Quantity
+        What campaigns keep of the way: extremes, integrals and envelopes of expressions of the plant.
     replanner : Replanner, optional
         Solves the problem of the plan that the controller follows again in flight.
     dt : float, optional
@@ -93,6 +96,13 @@ class ClosedLoop:
     ------
     ArgumentError, UnknownNameError
         Something does not fit; the message names it.
+
+    Examples
+    --------
+    >>> regulator = go.design_lqr(cart, [0.0, 0.0], Q=1, R=1, dt=0.1)
+    >>> run = go.ClosedLoop(cart, regulator, dt=0.1).simulate(x0=[1.0, 0.0], tf=10.0)
+    >>> print(run.outcome, run.miss("q") < 1e-3)
+    ok True
     """
 
     plant: Model
@@ -102,6 +112,7 @@ class ClosedLoop:
     disturbances: Sequence[Disturbance] = ()
     events: Sequence[Event] = field(default=(), kw_only=True)
     replanner: Replanner | None = field(default=None, kw_only=True)
+    quantities: Sequence[Quantity] = field(default=(), kw_only=True)
     dt: float = field(default=None, kw_only=True)  # type: ignore[assignment]
     minor_steps: int = field(default=1, kw_only=True)
     accuracy: float = field(default=1e-9, kw_only=True)
@@ -138,6 +149,19 @@ class ClosedLoop:
         blocks = Blocks(
             tuple(self.actuators), tuple(self.sensors), tuple(self.disturbances), tuple(self.events)
         )
+        set_(
+            self,
+            "quantities",
+            tuple([self.quantities] if isinstance(self.quantities, Quantity) else self.quantities),
+        )
+        for quantity in self.quantities:
+            expect(
+                quantity,
+                Quantity,
+                "one of the quantities of a closed loop",
+                "write Quantity(name, expression)",
+            )
+        Quantities.of(self.plant, tuple(self.quantities))
         if self.replanner is not None:
             expect(
                 self.replanner,
@@ -361,6 +385,7 @@ class ClosedLoop:
             error_layout=self.plant.errors,
             events=self.wiring.events.layout,
             failures=tuple(event.name for event in self.events if event.failure),
+            quantities=Quantities.of(self.plant, tuple(self.quantities)) if self.quantities else None,
             watched=tuple(watched_labels(self.wiring)),
             alarms=tuple(alarm_labels(self.wiring)),
             plausible=self.wiring.plausible,

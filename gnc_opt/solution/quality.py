@@ -66,10 +66,14 @@ def measure_quality(samples: Iterable[PhaseSamples]) -> Quality:
     return Quality(defect.value, defect.where, bound.value, bound.where, terminal.value, terminal.where)
 
 
-def worst_defect(samples: PhaseSamples) -> Worst:
-    """Return the worst defect between nodes, along the control polynomial, or jump between segments."""
-    rates = samples.functions.rates(samples.times, samples.x, samples.u_polynomial)
-    errors = samples.per_segment(samples.x_rate - rates) / samples.state_scale[:, None]
+def worst_defect(samples: PhaseSamples, at: PhaseSamples | None = None) -> Worst:
+    """Return the worst defect between nodes, along the control polynomial, or jump between segments.
+
+    It is looked for at ``samples``, or ``at`` others of the same phase.
+    """
+    at = samples if at is None else at
+    rates = at.functions.rates(at.times, at.x, at.u_polynomial)
+    errors = at.per_segment(at.x_rate - rates) / samples.state_scale[:, None]
     leg, inner = samples.leg, samples.leg.breaks[1:-1]
     if inner.size:
         errors[:, :-1] += np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / samples.state_scale[:, None]
@@ -94,12 +98,15 @@ def worst_bound_violation(samples: PhaseSamples) -> Worst:
     return worst
 
 
-def worst_path_violation(samples: PhaseSamples) -> Worst:
-    """Return the worst violation of a path constraint along the control polynomial, between samples too."""
+def worst_path_violation(samples: PhaseSamples, at: PhaseSamples | None = None) -> Worst:
+    """Return the worst violation of a path constraint along the control polynomial, between samples too.
+
+    It is looked for from ``samples``, or from others of the same phase (``at``).
+    """
     leg = samples.leg
     if not leg.path_labels:
         return NOTHING
-    found = violations(samples, Limits.of(samples.functions.paths, leg.path_bounds))
+    found = violations(samples if at is None else at, Limits.of(samples.functions.paths, leg.path_bounds))
     if not found.times.size:
         return NOTHING
     offences = path_offences(found, samples)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -13,11 +13,14 @@ from gnc_opt.model.composed import VectorControl
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.spans import RESOLUTION, STILL, control_spans, end_spans, shared, state_spans
-from gnc_opt.tolerances import AT_LIMIT, SHORTEST, magnitude
+from gnc_opt.tolerances import AT_LIMIT, SHORTEST, TINY, magnitude
 from gnc_opt.transcription.quadrature import CollocationRule, gauss_rule
 
 EXTRA = 9
 """Samples per segment beyond the number of collocation points; segment ends come on top."""
+
+FINER = 32
+"""Steps in every segment, however short, where a phase is looked at evenly in time: what is fast is in short ones."""
 
 EDGE = 1e-7
 """Share of a segment by which samples keep from its ends: more than solvers miss an end by, less than would be seen."""
@@ -84,6 +87,20 @@ class PhaseSamples:
         ends = np.append(np.flatnonzero(np.diff(segments)), segments.size - 1)
         times[ends] = leg.breaks[1:]  # without rounding
         return cls(leg, functions, times, segments, halves * weights)
+
+    def finer(self, count: int) -> PhaseSamples:
+        """The phase at ``count`` evenly spread times at least, two Gauss points a step, and at its segments' ends."""
+        widths = np.diff(self.leg.breaks)
+        steps = np.maximum(np.ceil(0.5 * count * widths / max(np.sum(widths), TINY)), FINER).astype(int)
+        pair = 0.5 + 0.5 / np.sqrt(3) * np.array([-1.0, 1.0])
+        shares = [np.concatenate([[0.0], ((np.arange(n)[:, None] + pair) / n).ravel(), [1.0]]) for n in steps]
+        weights = [np.concatenate([[0.0], np.full(2 * n, 0.5 / n), [0.0]]) for n in steps]
+        segments = np.repeat(np.arange(steps.size), [share.size for share in shares])
+        times = self.leg.breaks[segments] + np.concatenate(shares) * widths[segments]
+        times[np.flatnonzero(np.diff(segments, append=steps.size))] = self.leg.breaks[1:]  # without rounding
+        return replace(
+            self, times=times, segments=segments, weights=np.concatenate(weights) * widths[segments]
+        )
 
     @cached_property
     def at_end(self) -> Mask:

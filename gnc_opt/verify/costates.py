@@ -28,7 +28,7 @@ from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT
 from gnc_opt.verify.feasibility import judge
 from gnc_opt.verify.magnitude import parameter_scale
-from gnc_opt.verify.pushes import jumps_explained, pushed_beside
+from gnc_opt.verify.pushes import end_push, jumps_explained, pushed_beside
 from gnc_opt.verify.verdict import Condition
 
 
@@ -65,16 +65,20 @@ def transversality(samples: list[PhaseSamples], ends: EndGradients, tolerance: f
         finals = s.lam[:, -1] - ends.final_state[name]
         worth = s.state_scale / s.cost_scale
         # The multiplier that would explain the gap must be one that the end's bounds can exert.
-        for end, gap, values, box in (
-            ("start", starts, s.x[:, 0], _both(leg.initial_bounds, leg.state_bounds)),
-            ("end", finals, s.x[:, -1], _both(leg.final_bounds, leg.state_bounds)),
+        pushes = np.zeros(2)
+        for k, (end, gap, values, box) in enumerate(
+            (
+                ("start", starts, s.x[:, 0], _both(leg.initial_bounds, leg.state_bounds)),
+                ("end", finals, s.x[:, -1], _both(leg.final_bounds, leg.state_bounds)),
+            )
         ):
-            offence = _unexplained(gap * worth, values, box, s.state_scale)
+            explained, pushes[k] = end_push(s, -k, gap, *box.near(values, AT_LIMIT * s.state_scale))
+            offence = _unexplained((gap - explained) * worth, values, box, s.state_scale)
             i = int(np.argmax(offence))
             worst = worst.or_worse(
                 Worst(float(offence[i]), f"phase {name}, {end}, costate of {leg.states.labels[i]}")
             )
-        worst = worst.or_worse(_time_transversality(s, ends))
+        worst = worst.or_worse(_time_transversality(s, ends, pushes))
     return judge(
         "transversality",
         worst,
@@ -84,7 +88,8 @@ def transversality(samples: list[PhaseSamples], ends: EndGradients, tolerance: f
     )
 
 
-def _time_transversality(s: PhaseSamples, ends: EndGradients) -> Worst:
+def _time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Array) -> Worst:
+    """Of free times; ``pushes`` is what path constraints that depend on time do at both ends (module `pushes`)."""
     leg, name = s.leg, s.leg.name
     limits, lasts = leg.duration_bounds, np.array([leg.duration])
     # A multiplier of the duration counts only if a bound of the duration can exert it.
@@ -96,6 +101,7 @@ def _time_transversality(s: PhaseSamples, ends: EndGradients) -> Worst:
             -s.hamiltonian[-1] - ends.final_time[name] - duration,
         ]
     )
+    gaps -= pushes
     box = Interval(
         np.concatenate([leg.initial_time_bounds.lower, leg.final_time_bounds.lower]),
         np.concatenate([leg.initial_time_bounds.upper, leg.final_time_bounds.upper]),

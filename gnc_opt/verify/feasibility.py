@@ -30,6 +30,11 @@ from gnc_opt.verify.verdict import Condition, Result
 UNSTABLE = 1e6
 """Growth of integration errors beyond which propagating a whole phase in one go says nothing."""
 
+SCANNED, SCANNED_PATHS = 4096, 32768
+"""Times at which the dynamics and integrands of a phase, and its path constraints, are looked at beside the samples:
+what is narrow in time or place, as a gust or a small keep-out whose constraint is flat elsewhere, leaves no hint there.
+"""
+
 _DRAWN = 1e-8
 """A phase without length is drawn a little longer than it lasts (s)."""
 
@@ -44,7 +49,7 @@ def dynamics(samples: list[PhaseSamples], tolerance: float) -> Condition:
     """The trajectory satisfies the differential equation between the nodes."""
     worst = NOTHING
     for s in samples:
-        worst = worst.or_worse(worst_defect(s))
+        worst = worst.or_worse(worst_defect(s)).or_worse(worst_defect(s, s.finer(SCANNED)))
     return judge(
         "dynamics",
         worst,
@@ -135,6 +140,8 @@ def paths(samples: list[PhaseSamples], tolerance: float) -> Condition:
     worst = NOTHING
     for s in samples:
         worst = worst.or_worse(worst_path_violation(s))
+        if s.leg.path_labels:
+            worst = worst.or_worse(worst_path_violation(s, s.finer(SCANNED_PATHS)))
     return judge(
         "path constraints",
         worst,
@@ -203,7 +210,12 @@ def cost(
         if not leg.integral_labels:
             continue
         reach = np.abs(s.functions.integrands(s.times, s.x, s.u)) @ s.weights
-        rows = [("integral", leg.integral_weights * (kept.integrals - leg.integrals))]
+        finer = s.finer(SCANNED)
+        again = s.functions.integrands(finer.times, finer.x, finer.u) @ finer.weights
+        rows = [
+            ("integral", leg.integral_weights * (kept.integrals - leg.integrals)),
+            ("narrow part of integral", leg.integral_weights * (again - leg.integrals)),
+        ]
         if told:
             rows.append(("weight of integral", reach * (kept.integral_weights - leg.integral_weights)))
         for what, off in rows:

@@ -15,9 +15,10 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.extract import model_parameters
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import PiecewisePolynomial
-from gnc_opt.solution.quality import NOTHING, Worst
+from gnc_opt.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.solution.samples import NEGLIGIBLE, PhaseSamples
 from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import TINY
 from gnc_opt.verify.feasibility import judge
 from gnc_opt.verify.verdict import Condition
 
@@ -98,9 +99,11 @@ def stored_numbers(stored: Solution, judged: Solution, missing: Worst, tolerance
     stored, judged : Solution
         As it is, and by `from_problem`.
     missing : Worst
-        By `missing_number`.
+        By `missing_number`, or `costates_at_ends` where that is worse.
     """
     worst = missing
+    if stored.maximised != (judged.need_problem("verify").sense < 0):
+        worst = worst.or_worse(Worst(np.inf, "whether the objective is maximised"))
     for name, leg in judged.phases.items():
         for what in _EXACT:
             for a, b in zip(_vectors(stored.phases[name], what), _vectors(leg, what), strict=True):
@@ -111,9 +114,26 @@ def stored_numbers(stored: Solution, judged: Solution, missing: Worst, tolerance
         "stored numbers",
         worst,
         tolerance,
-        "The numbers stored with the trajectory must be finite, and limits and model parameters those of the problem "
-        "(relative); a failure means that the solution is another problem's, or has been changed.",
+        "The numbers stored with the trajectory must be finite, limits and model parameters those of the problem, and "
+        "costates at the ends of segments those of their polynomials (relative); a failure means that the solution is "
+        "another problem's, or has been changed.",
     )
+
+
+def costates_at_ends(samples: list[PhaseSamples]) -> Worst:
+    """The worst difference between one-sided costates at segment boundaries and their polynomials, as of the cost."""
+    worst = NOTHING
+    for s in samples:
+        leg, worth = s.leg, s.state_scale / max(s.cost_scale, TINY)
+        for what, values, polynomial in (
+            ("start", leg.lam_start, leg.lam(leg.breaks[:-1], "right")),
+            ("end", leg.lam_end, leg.lam(leg.breaks[1:], "left")),
+        ):
+            off = np.abs(values - polynomial) * worth[:, None]
+            i, k = worst_index(np.nan_to_num(off))  # a missing one is told as missing
+            place = f"phase {leg.name}, {leg.states.labels[i]}, costate at the {what} of segment {k + 1}"
+            worst = worst.or_worse(Worst(float(off[i, k]), place))
+    return worst
 
 
 def has_costates(samples: list[PhaseSamples], ends: EndGradients, amount: float) -> bool:

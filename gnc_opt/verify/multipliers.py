@@ -4,7 +4,8 @@ Transcribed on the trajectory's own mesh (Legendre-Gauss), stationarity with res
 parameters and jump times of the controls reads :math:`\nabla f + g'^T\lambda_g + \lambda_x = 0`: the adjoint equation,
 :math:`\partial H/\partial u = 0`, transversality, and a Hamiltonian that is continuous where a control jumps. It is
 linear in the multipliers. Those of limits that are not active vanish; a variable on its limit frees its row, unless
-the multiplier that is left there would have the wrong sign. The least-squares solution is mapped to costates as a
+the multiplier that is left there would have the wrong sign. Path constraints without controls push at segment
+boundaries too (module `atoms`). The least-squares solution is mapped to costates as a
 solver's multipliers are (module `covector`), and judged like those.
 """
 
@@ -22,10 +23,8 @@ from gnc_opt.solution.covector import Iterate
 from gnc_opt.solution.start import with_integrals
 from gnc_opt.tolerances import ROUNDING, TINY
 from gnc_opt.transcription.transcription import Transcription
+from gnc_opt.verify.atoms import ACTIVE, Atoms
 from gnc_opt.verify.trajectory_fit import FittedPhase
-
-ACTIVE = 1e-5
-"""Distance from a limit, scaled, at which it may push."""
 
 _WRONG = 1e-7
 """A multiplier of the wrong sign, relative to the largest, that is none."""
@@ -63,9 +62,16 @@ def estimate(
     )
     limits = _Limits.of(transcription.variable_interval(problem), x, scales)
     row_limits = _Limits.of(transcription.row_interval(problem), values, 1 / row_scales)
-    exact = _state_rows(transcription)
-    scaled = _sort_out(matrix, gradient * weights * worth, exact, limits, row_limits)
-    lam_g = scaled * row_scales / worth
+    atoms = Atoms.of(transcription, problem, fitted, q, scales)
+    pushes = (
+        scipy.sparse.diags_array(weights)
+        @ atoms.gradients
+        @ scipy.sparse.diags_array(1 / _or_one(atoms.sizes))
+    )
+    with_atoms = scipy.sparse.hstack([matrix, pushes], format="csc")
+    pushing = row_limits.with_more(_Limits(atoms.at_lower, atoms.at_upper))
+    scaled = _sort_out(with_atoms, gradient * weights * worth, _state_rows(transcription), limits, pushing)
+    lam_g = scaled[: values.size] * row_scales / worth
     residual = gradient + scipy.sparse.csc_array((nonzeros, (columns, rows)), shape=shape) @ lam_g
     return Iterate(x, np.where(limits.anywhere, -residual, 0.0), lam_g)
 
@@ -80,6 +86,10 @@ class _Limits:
     def of(cls, box: Interval, values: Array, scales: Array) -> _Limits:
         slack = ACTIVE * scales
         return cls((values <= box.lower + slack) | box.fixed, (values >= box.upper - slack) | box.fixed)
+
+    def with_more(self, other: _Limits) -> _Limits:
+        """These, then others."""
+        return _Limits(np.append(self.lower, other.lower), np.append(self.upper, other.upper))
 
     @property
     def anywhere(self) -> Mask:

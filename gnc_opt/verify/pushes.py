@@ -26,6 +26,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.samples import EdgeSegment, PhaseSamples, sampling_rule
 from gnc_opt.tolerances import AT_LIMIT
 from gnc_opt.verify.brief import BRIEF
@@ -61,7 +62,7 @@ class Pushers:
         lower, upper = [leg.state_bounds.lower], [leg.state_bounds.upper]
         pure = s.pure_paths
         if pure.size:
-            by_state, by_time = _path_gradients(s, times, x, u)
+            by_state, by_time = path_gradients(s.functions, len(leg.path_labels), times, x, u)
             gradients.append(by_state[:, pure])
             drifts.append(by_time[pure])
             values.append(s.functions.paths(times, x, u)[pure])
@@ -79,19 +80,20 @@ class Pushers:
         )
 
 
-def _path_gradients(s: PhaseSamples, times: Array, x: Array, u: Array) -> tuple[Array, Array]:
+def path_gradients(
+    functions: PhaseFunctions, n_paths: int, times: Array, x: Array, u: Array
+) -> tuple[Array, Array]:
     """dc/dx, (n_states, n_paths, n_times), and dc/dt, (n_paths, n_times)."""
-    paths, zero = len(s.leg.path_labels), np.zeros_like(x)
-    mu = np.zeros((paths, times.size))
-    without = s.functions.state_gradient(times, x, u, zero, mu)
-    idle = s.functions.time_gradient(times, x, u, zero, mu)
-    columns, drifts = [], []
-    for i in range(paths):
+    zero, mu = np.zeros_like(x), np.zeros((n_paths, times.size))
+    without = functions.state_gradient(times, x, u, zero, mu)
+    idle = functions.time_gradient(times, x, u, zero, mu)
+    by_state, by_time = np.zeros((x.shape[0], n_paths, times.size)), np.zeros((n_paths, times.size))
+    for i in range(n_paths):
         mu[i] = 1.0
-        columns.append(s.functions.state_gradient(times, x, u, zero, mu) - without)
-        drifts.append(s.functions.time_gradient(times, x, u, zero, mu) - idle)
+        by_state[:, i] = functions.state_gradient(times, x, u, zero, mu) - without
+        by_time[i] = functions.time_gradient(times, x, u, zero, mu) - idle
         mu[i] = 0.0
-    return np.stack(columns, axis=1), np.stack(drifts)
+    return by_state, by_time
 
 
 def jumps_explained(s: PhaseSamples) -> tuple[Array, Array]:
@@ -120,6 +122,36 @@ def jumps_explained(s: PhaseSamples) -> tuple[Array, Array]:
         rest[:, k] -= directions @ (sizes + least)
         rises[k] = pushers.drifts[pushers.active[:, k], k] @ (sizes + least)
     return rest, rises
+
+
+def end_push(s: PhaseSamples, at: int, gap: Array, at_lower: Mask, at_upper: Mask) -> tuple[Array, float]:
+    """What path constraints without controls that are active at an end of the phase make of a gap in its costate.
+
+    Parameters
+    ----------
+    at : int
+        The sample: 0 at the start, -1 at the end.
+    gap : array (n_states,)
+        What transversality leaves.
+    at_lower, at_upper : bool array (n_states,)
+        Where states are on limits of their own, which push too.
+
+    Returns
+    -------
+    explained : array (n_states,)
+    drift : float
+        What the same push does to the gap of H.
+    """
+    sides = s.leg.states.size + np.arange(s.pure_paths.size)
+    sides = np.concatenate([sides, sides + s.leg.states.size + s.pure_paths.size])
+    pushers = Pushers.at(s, s.times[[at]], s.x[:, [at]], s.u[:, [at]])
+    sides = sides[pushers.active[sides, 0]]
+    if not sides.size or not np.all(np.isfinite(gap)):
+        return np.zeros(gap.size), 0.0
+    own = np.eye(gap.size)
+    every = np.hstack([pushers.directions[:, sides, 0], own[:, at_upper], -own[:, at_lower]])
+    sizes = scipy.optimize.nnls(every * s.state_scale[:, None], gap * s.state_scale)[0][: sides.size]
+    return every[:, : sides.size] @ sizes, float(pushers.drifts[sides, 0] @ sizes)
 
 
 def pushed_beside(s: PhaseSamples, densities: Array) -> Array:

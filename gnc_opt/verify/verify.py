@@ -9,12 +9,20 @@ import numpy as np
 from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.problem.cost_unit import cost_unit
 from gnc_opt.problem.functions import EndGradients
+from gnc_opt.solution.quality import NOTHING
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.verify import controls, costates, feasibility, second_order
 from gnc_opt.verify.conjugate_points import conjugate_points
 from gnc_opt.verify.convex import is_convex
-from gnc_opt.verify.judged import ends_of, from_problem, has_costates, missing_number, stored_numbers
+from gnc_opt.verify.judged import (
+    costates_at_ends,
+    ends_of,
+    from_problem,
+    has_costates,
+    missing_number,
+    stored_numbers,
+)
 from gnc_opt.verify.kept import keep_verdict, kept_verdict
 from gnc_opt.verify.magnitude import Magnitudes
 from gnc_opt.verify.normality import normality
@@ -63,6 +71,12 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
     ------
     GncOptError
         The solution has no problem or one of other sizes, or is no solution.
+
+    Examples
+    --------
+    >>> verdict = go.verify(solution)
+    >>> print(verdict.ok, verdict.minimum, verdict["Hamiltonian"].result.value)
+    True True PASS
     """
     if not isinstance(solution, Solution):
         raise GncOptError(f"verify() needs a Solution, as solve() returns it, not {type(solution).__name__}.")
@@ -89,7 +103,9 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         feasibility.paths(samples, tol),
         feasibility.boundary(solution, samples, ends, amounts.constraints, tol),
         feasibility.cost(stored, samples, ends, told, tol),
-        stored_numbers(stored, solution, missing, tol),
+        stored_numbers(
+            stored, solution, missing.or_worse(costates_at_ends(samples) if told else NOTHING), tol
+        ),
     ]
     lasting, problem = [s for s in samples if s.has_length], solution.need_problem("verify")
     along = [

@@ -10,6 +10,7 @@ To be read in this order:
 * `laws`: the quasi-sliding-mode law; `runs`: its closed loop, and what is measured of a run;
 * `published`: the publication's numbers against ours; `studies`: what the law itself does;
 * `optimal`: least time and least vibration, and their tracking;
+* `flown`: both beside the published law, at equal torque and at equal effort;
 * `plots`, `report`: what is drawn and printed.
 """
 

@@ -21,9 +21,10 @@ from gnc_opt.plot.style import (
     style,
 )
 from gnc_opt.simulation import Run
+from problems.flexible_spacecraft.laws import INERTIAL_ROBUST, UNIT_ROBUST
 from problems.flexible_spacecraft.model import MAX_TORQUE
 from problems.flexible_spacecraft.optimal import modal_energy, solved, tracked
-from problems.flexible_spacecraft.runs import attitude_error, disturbed, standard
+from problems.flexible_spacecraft.runs import attitude_error, disturbed, standard, surface
 
 _AXES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("q", r"$q_{v}$", "", ("x", "y", "z")),
@@ -41,6 +42,7 @@ def write_figures(folder: Path) -> list[Path]:
     """Write all figures; return their paths."""
     figures = {
         "flexible_published": published_figure(),
+        "flexible_robust": robust_figure(),
         "flexible_chattering": chattering_figure(),
         "flexible_optimal": optimal_figure(),
         "flexible_tracking": tracking_figure(),
@@ -52,6 +54,22 @@ def published_figure() -> Figure:
     """Draw attitude, rate, modes and torque of QSMC by configuration U and J over the publication's 200 s."""
     columns = [("U: $G = 1$, printed gains", standard("U")), ("J: $G = J$, gains retuned", standard("J"))]
     return _grid([(title, *_of_run(run)) for title, run in columns], _AXES + _TORQUE, 7.6)
+
+
+def robust_figure() -> Figure:
+    """Draw the same of RQSMC with the scalar part of the attitude and the surface over its first size, by U and J."""
+    columns = []
+    for title, name, c in (
+        ("U: $k = 0.07$", "U robust", UNIT_ROBUST.c),
+        ("J: $k = 0.05$", "J robust", INERTIAL_ROBUST.c),
+    ):
+        run = standard(name)
+        times, values = _of_run(run)
+        s = surface(run, c)
+        more = {"q0": run.state("q_BO").values[:1], "S": s / np.max(np.abs(s[:, 0]))}
+        columns.append((title, times, {**values, **more}))
+    scalar = (("q0", "$q_0$", "", ("",)),)
+    return _grid(columns, scalar + _AXES + _TORQUE + (("S", "$S$ / $|S(0)|$", "", ("x", "y", "z")),), 10.0)
 
 
 def optimal_figure() -> Figure:

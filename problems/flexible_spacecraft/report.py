@@ -5,19 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from problems.comparison import Row, run_comparison
-from problems.flexible_spacecraft.optimal import optimal_rows
+from problems.flexible_spacecraft.flown import flown, flown_rows
+from problems.flexible_spacecraft.optimal import front, optimal_rows
 from problems.flexible_spacecraft.plant import plant_rows
 from problems.flexible_spacecraft.published import configuration_rows
 from problems.flexible_spacecraft.studies import law_rows
 
+__all__ = ["comparison", "front", "main"]
+
 
 def comparison() -> list[Row]:
-    """Return every row: plant, configurations, what the law does, optimal slews and their tracking."""
-    return plant_rows() + configuration_rows() + law_rows() + optimal_rows()
+    """Return every row: plant, configurations, what the law does, optimal slews and tracking, and what is flown."""
+    return plant_rows() + configuration_rows() + law_rows() + optimal_rows() + flown_rows()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table; return 1 if a row does not pass."""
     from problems.flexible_spacecraft.plots import write_figures
 
-    return run_comparison("flexible_spacecraft", "Flexible spacecraft", comparison, write_figures, arguments)
+    return run_comparison(
+        "flexible_spacecraft", "Flexible spacecraft", comparison, write_figures, arguments, flown=flown
+    )

@@ -17,7 +17,7 @@ from gnc_opt.control import Controller
 from gnc_opt.errors import GncOptError
 from gnc_opt.simulation import ClosedLoop, Disturbance, Run, Saturation
 from gnc_opt.simulation.block import Defaults, Parameters, Tick, scalar
-from gnc_opt.spacecraft import FlexibleBody, quaternion_angle
+from gnc_opt.spacecraft import FlexibleBody, quaternion_angle, quaternion_to_dcm
 from problems.flexible_spacecraft.laws import (
     INERTIAL,
     INERTIAL_ROBUST,
@@ -30,6 +30,7 @@ from problems.flexible_spacecraft.model import (
     BODY,
     DISTURBANCE,
     MAX_TORQUE,
+    ORBITAL_RATE,
     build_model,
     initial_state,
     target,
@@ -117,12 +118,13 @@ def fly(
     tf: float = SPAN,
     disturbances: tuple[Disturbance, ...] = (),
     body: FlexibleBody = BODY,
+    believed: FlexibleBody | None = None,
     x0: Array | None = None,
     substeps: int | None = None,
 ) -> Run:
-    """Return the run of the publication's manoeuvre."""
+    """Return the run of the publication's manoeuvre; the law believes in another body, if one is given."""
     model = build_model(body)
-    controller = quasi_sliding_mode(model, target(model), gains, body=body)
+    controller = quasi_sliding_mode(model, target(model), gains, body=believed or body)
     start = initial_state(model) if x0 is None else x0
     closed = loop(model, controller, dt=dt, disturbances=disturbances, substeps=substeps)
     return fly_loop(closed, start, tf)
@@ -165,6 +167,20 @@ def attitude_error(run: Run) -> Array:
 def largest_component(run: Run) -> Array:
     """Return max |q_i| of the vector part (n_times,), the publication's measure of settling."""
     return np.asarray(np.max(np.abs(run.state("q_BO").values[1:]), axis=0))
+
+
+def surface(run: Run, c: float) -> Array:
+    """Return S (3, n_times), rad/s, of the true attitude and rate against the target, at slope c (1/s)."""
+    q, omega = run.state("q_BO").values, run.state("omega").values
+    frame = np.stack([-ORBITAL_RATE * quaternion_to_dcm(column)[:, 1] for column in q.T], axis=1)
+    sign = np.where(q[0] < 0, -1.0, 1.0)
+    v, relative = sign * q[1:], omega - frame
+    return -(np.abs(q[0]) * relative + np.cross(v, relative, axis=0)) - 2 * c * v
+
+
+def on_surface(run: Run, c: float, width: float) -> float:
+    """Return the last time (s) at which a component of S is beyond ``width`` (rad/s)."""
+    return float(run.times[np.flatnonzero(np.max(np.abs(surface(run, c)), axis=0) > width)[-1]])
 
 
 def settling(run: Run, band: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from gnc_opt.simulation import Sinusoid
 from problems.comparison import Row, compare, printed, require
 from problems.flexible_spacecraft.laws import INERTIAL, INERTIAL_ROBUST, UNIT
-from problems.flexible_spacecraft.model import DAMPING, FREQUENCIES, FULL, build_model, flexible_body
+from problems.flexible_spacecraft.model import BODY, DAMPING, FREQUENCIES, FULL, build_model, flexible_body
 from problems.flexible_spacecraft.runs import (
     DISTURBED_STEP,
     SPAN,
@@ -25,7 +25,14 @@ from problems.flexible_spacecraft.runs import (
 
 def law_rows() -> list[Row]:
     """Return the rows about the gain k, chattering, disturbances and the printed sign."""
-    return _gain_rows() + _chattering_rows() + _disturbance_rows() + _sign_rows() + _sensitivity_rows()
+    return (
+        _gain_rows()
+        + _chattering_rows()
+        + _disturbance_rows()
+        + _sign_rows()
+        + _inertia_rows()
+        + _sensitivity_rows()
+    )
 
 
 def _gain_rows() -> list[Row]:
@@ -114,6 +121,26 @@ def _sign_rows() -> list[Row]:
         require("printed sign: 5.7 deg grow in 100 s to (deg)", "> 100", wrong.max(), wrong.max() > 100),
         require("corrected sign: 5.7 deg after 100 s (deg)", "< 0.1", right[-1], right[-1] < 0.1),
     ]
+
+
+def _inertia_rows() -> list[Row]:
+    """Moments of the true hub 20 % off those that the law knows: with them the effort goes as the moments do."""
+    rows, nominal = [], measure(standard("J robust"))
+    for factor in (0.8, 1.2):
+        hub = replace(BODY, inertia=factor * BODY.inertia)
+        found = measure(fly(INERTIAL_ROBUST, body=hub, believed=BODY, dt=DISTURBED_STEP, tf=100.0))
+        what = f"RQSMC, J, k = 0.05, moments {factor:g} times those believed:"
+        late = abs(found.settling - nominal.settling)
+        rows += [
+            require(f"{what} settling to 0.01 moves by (s)", "< 5", late, late < 5.0),
+            require(
+                f"{what} effort over the nominal one (1)",
+                "between 1 and the moments' ratio",
+                found.effort / nominal.effort,
+                bool(min(1.0, factor) < found.effort / nominal.effort < max(1.0, factor)),
+            ),
+        ]
+    return rows
 
 
 def _sensitivity_rows() -> list[Row]:

@@ -17,8 +17,9 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.control import Controller
-from gnc_opt.simulation import ClosedLoop, Noise, Run, Saturation
+from gnc_opt.simulation import Ball, ClosedLoop, Noise, Run, Saturation
 from problems.comparison import Row, at_most, require
+from problems.dispersed import Rivals
 from problems.flown import Flight, flight_rows, with_settings
 from problems.formation_flying.laws import ETA, PHI, integral_law, sliding_mode
 from problems.formation_flying.model import (
@@ -27,6 +28,7 @@ from problems.formation_flying.model import (
     START,
     build_model,
     circle,
+    circle_state,
     formation,
     hill_model,
 )
@@ -88,6 +90,11 @@ KNOWN = {
 
 def follow(flown: Plan, conditions: Conditions, duration: float = PERIOD) -> Run:
     """Fly a plan, and the circle after its end, by the optimal sliding mode for ``duration`` (s)."""
+    loop = _loop(_following(flown, conditions, duration), conditions)
+    return loop.simulate(START, tf=duration, seed=conditions.seed)
+
+
+def _following(flown: Plan, conditions: Conditions, duration: float = PERIOD) -> Controller:
     model, end = build_model().with_parameters(J2=0.0), flown.final_time
     circling = formation(model, max(duration, end))
 
@@ -102,27 +109,30 @@ def follow(flown: Plan, conditions: Conditions, duration: float = PERIOD) -> Run
         model, states, thrust, 0.0, max(duration, end), jumps=[*jumps, end], vectorized=True
     )
     dt, limits = PERIOD / conditions.steps, (-conditions.limit, conditions.limit)
-    law = integral_law(model, reference, dt, gain=conditions.eta, layer=conditions.phi, limits=limits)
-    return _fly(law, conditions, duration)
+    return integral_law(model, reference, dt, gain=conditions.eta, layer=conditions.phi, limits=limits)
+
+
+def closed(name: str, conditions: Conditions = Conditions()) -> ClosedLoop:
+    """Return the loop of the "published" law, or of a plan, "least Delta-V" or "least time"."""
+    if name != "published":
+        return _loop(_following(plan(name, conditions.reserve, False), conditions), conditions)
+    dt = PERIOD / conditions.steps
+    if conditions.law == "SMC":
+        return _loop(sliding_mode(dt), conditions)
+    model = hill_model()
+    circling = formation(model, feedforward=False)
+    law = integral_law(model, circling, dt, gain=conditions.eta, layer=conditions.phi)
+    return _loop(law, conditions)
 
 
 @cache
 def flight(name: str, conditions: Conditions = Conditions()) -> Run:
-    """Return the run of the "published" law, or of a plan, "least Delta-V" or "least time"."""
-    if name != "published":
-        return follow(plan(name, conditions.reserve, False), conditions)
-    dt = PERIOD / conditions.steps
-    if conditions.law == "SMC":
-        return _fly(sliding_mode(dt), conditions, PERIOD)
-    model = hill_model()
-    circling = formation(model, feedforward=False)
-    return _fly(
-        integral_law(model, circling, dt, gain=conditions.eta, layer=conditions.phi), conditions, PERIOD
-    )
+    """Return the run of `closed` over a period."""
+    return closed(name, conditions).simulate(START, tf=PERIOD, seed=conditions.seed)
 
 
-def _fly(law: Controller, conditions: Conditions, duration: float) -> Run:
-    loop = ClosedLoop(
+def _loop(law: Controller, conditions: Conditions) -> ClosedLoop:
+    return ClosedLoop(
         build_model().with_parameters(J2=conditions.oblateness),
         law,
         actuators=[Saturation("thrusters", -conditions.limit, conditions.limit)],
@@ -133,7 +143,19 @@ def _fly(law: Controller, conditions: Conditions, duration: float) -> Run:
         dt=PERIOD / conditions.steps,
         substeps=1,
     )
-    return loop.simulate(START, tf=duration, seed=conditions.seed)
+
+
+def rivals(conditions: Conditions = Conditions(steps=2000)) -> Rivals:
+    """Return both plans and the published law, started up to 20 m and 2 cm/s off."""
+    names = {"least Delta-V": "least Delta-V", "least time": "least time", conditions.law: "published"}
+    end = circle_state(PERIOD)
+    return Rivals(
+        {who: (closed(name, conditions), START) for who, name in names.items()},
+        PERIOD,
+        {"initial.r": Ball(20.0), "initial.v": Ball(0.02)},
+        {"r": end[:3]},
+        {"effort(a)": ("Delta-V (m/s)", 1.0), "r": ("|e(T)| (m)", 1.0)},
+    )
 
 
 def away(run: Run) -> Array:

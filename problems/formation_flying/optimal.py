@@ -25,6 +25,7 @@ from problems.comparison import Row, compare, require
 from problems.formation_flying.laws import delta_v
 from problems.formation_flying.model import PERIOD, START, build_model, circle, circle_state
 from problems.formation_flying.published import run
+from problems.fronts import Front, certified
 from problems.reference import Reference
 
 LIMIT = 3e-3
@@ -35,8 +36,8 @@ FAR, FAST = 5000.0, 10.0
 """Bounds on the states (m, m/s), far from the optimum: without, the first iterates run away."""
 
 
-def build(limit: float = LIMIT, j2: bool = True) -> go.Problem:
-    """Return the acquisition of the formation in one period with least Delta-V.
+def build(limit: float = LIMIT, j2: bool = True, duration: float = PERIOD) -> go.Problem:
+    """Return the acquisition of the formation with least Delta-V.
 
     Parameters
     ----------
@@ -44,12 +45,14 @@ def build(limit: float = LIMIT, j2: bool = True) -> go.Problem:
         Thrust acceleration on every axis, m/s^2.
     j2 : bool
         With differential oblateness.
+    duration : float
+        s; the end is the circle's point at that time.
     """
     model = build_model(one_sided=True)
     problem = go.Problem("formation, least Delta-V")
     leg = problem.phase("acquisition", model if j2 else model.with_parameters(J2=0.0))
-    end = circle_state(PERIOD)
-    leg.time(initial=0.0, final=PERIOD)
+    end = circle_state(duration)
+    leg.time(initial=0.0, final=duration)
     leg.initial(r=START[:3], v=START[3:])
     leg.final(r=end[:3], v=end[3:])
     leg.bounds(push=(0.0, limit), pull=(0.0, limit), r=(-FAR, FAR), v=(-FAST, FAST))
@@ -127,6 +130,21 @@ def plan(name: str, reserve: float = 0.0, j2: bool = True) -> Plan:
     builder = {"least Delta-V": build, "least time": build_fast}[name]
     solution = go.solve(builder((1 - reserve) * LIMIT, j2), tol=1e-8)
     return Plan(name, solution)
+
+
+DURATIONS = (900.0, 1200.0, 1600.0, 2000.0, 3000.0, 4500.0)
+"""Of the front, s; a whole period ends in a dearer point of the circle, 1.1843 m/s."""
+
+
+def front() -> Front:
+    """Return what less time costs: the least Delta-V of several durations."""
+    points = certified(
+        DURATIONS,
+        lambda duration: go.solve(build(duration=duration), tol=1e-8),
+        lambda solution: (solution.phase().final_time, solution.objective),
+    )
+    law = run("optimal SMC")
+    return Front("Delta-V (m/s)", points, (law.settling_time("r", 1.0), delta_v(law)), "optimal SMC, to 1 m")
 
 
 # --- against the publication ----------------------------------------------------------------------------

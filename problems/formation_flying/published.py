@@ -12,10 +12,17 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.simulation import Run
-from problems.comparison import Row, compare, remark, require
+from problems.comparison import Claim, Row, compare, remark, require
 from problems.formation_flying.laws import (
+    CONTROL_WEIGHT,
+    DISTURBANCE_BOUND,
+    ETA,
     FEW_STEPS,
+    LAYER,
+    PHI,
+    SLOPE,
     STEPS,
+    WEIGHTS,
     Outcome,
     closed_loop,
     delta_v,
@@ -27,10 +34,18 @@ from problems.formation_flying.laws import (
     sliding_mode,
     step_of,
 )
+from problems.formation_flying.laws import (
+    GAIN as GAIN_K,
+)
 from problems.formation_flying.model import (
+    EARTH_RADIUS,
+    J2,
+    LEADER_RADIUS,
+    MU,
     PERIOD,
     START,
     build_model,
+    circle,
     differential_oblateness,
     inertial_model,
     leader_orbit,
@@ -57,6 +72,43 @@ def run(law: str, *, oblate: bool = True, steps: int = STEPS) -> Run:
     """Return one period of a law."""
     plant = build_model() if oblate else build_model().with_parameters(J2=0.0)
     return fly(LAWS[law](step_of(steps)), plant, steps=steps)
+
+
+def data_rows() -> list[Row]:
+    """The publication's data beside those that are used."""
+    place, _, _ = circle(np.array([0.0]))
+    return [
+        remark("data: gravitational parameter (km^3/s^2)", MU / 1e9, published="398600"),
+        remark("data: radius of the leader's orbit (km)", LEADER_RADIUS / 1e3, published="7171"),
+        remark("data: J2", J2, published="0.0010826"),
+        remark("data: radius of the Earth (km)", EARTH_RADIUS / 1e3, published="6378.137"),
+        remark("data: first place of the follower (m)", START[:3], published="300, -200, 500"),
+        remark("data: radius of the formation (m)", np.linalg.norm(place), published="1000"),
+        remark("data: z over x in the formation's plane", float((place[2] / place[0])[0]), published="1.73"),
+        remark(
+            "data: lambda (1/s), k (m/s^2), eps (m/s) of SMC",
+            (SLOPE, GAIN_K, LAYER),
+            published="1e-3, 0.96, 10",
+        ),
+        remark(
+            "data: weights of optimal SMC: position, rate, thrust",
+            (WEIGHTS["r"], WEIGHTS["v"], CONTROL_WEIGHT),
+            published="0.2, 1e5, 1e10",
+        ),
+        remark("data: eta (m/s^2), phi (m/s) of optimal SMC", (ETA, PHI), published="5e-4, 1e-3"),
+        remark(
+            "data: bounds F_i and f_i of the disturbance (m/s^2)",
+            (DISTURBANCE_BOUND, DISTURBANCE_BOUND),
+            published="1e-4, 2e-4",
+            reason="20 and 50 times the largest of an orbit, 3.6e-6; they only decide what a design refuses",
+        ),
+        remark(
+            "the curves of figures 2 to 5",
+            (),
+            published=Claim("drawn", False),
+            reason="not reproducible digit by digit: images without numbers; ours are in the report",
+        ),
+    ]
 
 
 def table_rows() -> list[Row]:
@@ -249,6 +301,7 @@ __all__ = [
     "LAWS",
     "claim_rows",
     "course_rows",
+    "data_rows",
     "run",
     "sweep_rows",
     "switching_rows",

@@ -6,20 +6,31 @@ from collections.abc import Sequence
 
 from problems.comparison import Row, run_comparison
 from problems.formation_flying.flown import flown, flown_rows
-from problems.formation_flying.optimal import optimal_rows
+from problems.formation_flying.optimal import front, optimal_rows
 from problems.formation_flying.published import (
     claim_rows,
     course_rows,
+    data_rows,
     sweep_rows,
     switching_rows,
     table_rows,
     truth_rows,
 )
 
+__all__ = ["comparison", "front", "main"]
+
 
 def comparison() -> list[Row]:
     """Return every row: publication, courses, switching, inertial truth, phases, the optima, and what is flown."""
-    published = table_rows() + course_rows() + switching_rows() + truth_rows() + sweep_rows() + claim_rows()
+    published = (
+        data_rows()
+        + table_rows()
+        + course_rows()
+        + switching_rows()
+        + truth_rows()
+        + sweep_rows()
+        + claim_rows()
+    )
     return published + optimal_rows() + flown_rows()
 
 

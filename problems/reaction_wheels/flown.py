@@ -15,9 +15,10 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.simulation import Constant, Noise, Saturation, WheelArray
+from gnc_opt.simulation import Constant, Noise, Saturation, Turn, Uniform, WheelArray
 from gnc_opt.spacecraft import quaternion_angle, quaternion_product
 from problems.comparison import Row, at_most, require
+from problems.dispersed import Rivals
 from problems.flown import Flight, flight_rows, with_settings
 from problems.reaction_wheels.laws import PRINTED_FLC, PRINTED_LQR, design_flc, design_quaternion_lqr
 from problems.reaction_wheels.limits import peak_speed
@@ -124,9 +125,10 @@ def first_state(conditions: Conditions, momenta: Array) -> Array:
     return np.concatenate([[np.sqrt(1 - turn @ turn)], turn, np.zeros(3), momenta])
 
 
-@cache
-def flight(name: Name, law: bool = False, conditions: Conditions = Conditions()) -> go.Run:
-    """Return the flight of a plan, or of the published law in the same manoeuvre, 60 s."""
+def closed(
+    name: Name, law: bool = False, conditions: Conditions = Conditions()
+) -> tuple[go.ClosedLoop, Array]:
+    """Return the loop of a plan, or of the published law in the same manoeuvre, and its first state."""
     limit, true = published_peak_torque(MANOEUVRE[name]), np.asarray(INERTIA) * conditions.inertia
     if law:
         target = target_quaternion(MANOEUVRE[name])
@@ -154,7 +156,35 @@ def flight(name: Name, law: bool = False, conditions: Conditions = Conditions())
         disturbances=[Constant("push", np.asarray(conditions.disturbance) / true, on="omega")],
         dt=CONTROL_STEP,
     )
+    return loop, start
+
+
+@cache
+def flight(name: Name, law: bool = False, conditions: Conditions = Conditions()) -> go.Run:
+    """Return the flight of `closed`, 60 s."""
+    loop, start = closed(name, law, conditions)
     return loop.simulate(start, tf=DURATION, seed=conditions.seed)
+
+
+def rivals(conditions: Conditions = Conditions(start=(0.0, 0.0, 0.0))) -> Rivals:
+    """Return the plan of least energy and the published law, turned by up to 1 degree and 5 % heavier or lighter."""
+    target = target_quaternion(MANOEUVRE["energy"])
+    return Rivals(
+        {
+            who: closed("energy", law, conditions)
+            for who, law in (("least energy", False), (conditions.law, True))
+        },
+        DURATION,
+        {
+            "initial.q": Turn(Uniform(0.0, float(np.radians(1.0)))),
+            "plant.inertia": Uniform(-0.05, 0.05, relative=True),
+        },
+        {"q": target},
+        {
+            "energy(T)": ("integral of sum T^2 (N^2 m^2 s)", 1.0),
+            "angle(q)": ("angle after 60 s (deg)", float(np.degrees(1.0))),
+        },
+    )
 
 
 def worth(name: Name, run: go.Run) -> Flight:

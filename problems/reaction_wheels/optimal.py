@@ -30,6 +30,7 @@ from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.linear.riccati import steady
 from gnc_opt.errors import did_you_mean
 from problems.comparison import Row, at_most, compare, require
+from problems.fronts import Front, certified
 from problems.reaction_wheels.laws import PRINTED_FLC
 from problems.reaction_wheels.model import (
     AXES,
@@ -201,6 +202,21 @@ def optimal_slew(name: Name) -> go.Solution:
     """Return an optimal slew."""
     problem, solve = SLEWS[name]
     return solve(problem())
+
+
+DURATIONS = (15.0, 17.0, 20.0, 25.0, 34.6, 45.0, 60.0)
+"""Of the front, s."""
+
+
+def front() -> Front:
+    """Return what less time costs: the least energy of manoeuvre 3 in several durations, the speed limit held."""
+    points = certified(
+        DURATIONS,
+        lambda duration: go.solve(build(duration=duration), tol=_TOLERANCE),
+        lambda solution: (solution.phase().final_time, solution.objective),
+    )
+    law = published_slew(3, "FLC")
+    return Front("integral of sum T^2 (N^2 m^2 s)", points, (law.settling_time, law.energy), "FLC, to 2 %")
 
 
 # --- tracking -------------------------------------------------------------------------------------------

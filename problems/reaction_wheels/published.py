@@ -6,9 +6,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_continuous_lyapunov
+from scipy.spatial.transform import Rotation
 
-from problems.comparison import Claim, Row, compare, remark
-from problems.reaction_wheels.laws import Law, Linear, design_flc, design_quaternion_lqr, flc_gains, lqr_gains
+from problems.comparison import Claim, Row, compare, printed, remark
+from problems.reaction_wheels.laws import (
+    PRINTED_FLC,
+    Law,
+    Linear,
+    design_flc,
+    design_quaternion_lqr,
+    flc_gains,
+    lqr_gains,
+)
 from problems.reaction_wheels.limits import (
     about_z,
     allocated_run,
@@ -19,7 +29,20 @@ from problems.reaction_wheels.limits import (
     rerouted_slew,
     unguarded_breakdown,
 )
-from problems.reaction_wheels.model import REST
+from problems.reaction_wheels.model import (
+    AXES,
+    DESIGN_SPEED,
+    DURATION,
+    INERTIA,
+    MANOEUVRES,
+    NOMINAL_SPEED,
+    REST,
+    TORQUE_CONSTANT,
+    VOLTAGE_CONSTANT,
+    WHEEL_INERTIA,
+    paper_quaternion,
+    target_quaternion,
+)
 from problems.reaction_wheels.runs import fly, published_slew
 
 # --- what is known --------------------------------------------------------------------------------------
@@ -137,6 +160,7 @@ BREAKDOWN: dict[int, float] = {148: 24.2, 150: 22.5, 160: 20.1, 175: 19.0, 179: 
 def rows() -> list[Row]:
     """Return the whole table."""
     return [
+        *data_rows(),
         *gain_rows(),
         *integral_rows(),
         *peak_rows(),
@@ -144,6 +168,45 @@ def rows() -> list[Row]:
         *singularity_rows(),
         *statement_rows(),
     ]
+
+
+def data_rows() -> Iterator[Row]:
+    """Return the publication's data beside those that are used."""
+    tilt = np.degrees(np.arctan2(AXES[2, 0], np.hypot(*AXES[:2, 0])))
+    turn = np.degrees(np.arctan2(AXES[1, 0], AXES[0, 0]))
+    for name, ours, text in (
+        ("moments of inertia (kg m^2)", INERTIA, "4, 4, 3"),
+        ("inertia of a wheel (kg m^2)", WHEEL_INERTIA, "5e-4"),
+        ("nominal and design limit of a wheel's speed (rpm)", (NOMINAL_SPEED, DESIGN_SPEED), "5400, 5000"),
+        ("K_T (N m/A)", TORQUE_CONSTANT, "12.36e-3"),
+        ("K_V (V/rpm)", VOLTAGE_CONSTANT, "1.294e-3"),
+        ("final time (s)", DURATION, "60"),
+        ("beta and theta of the pyramid (deg)", (tilt, turn), "35.264, 45"),
+    ):
+        yield remark(f"data: {name}", ours, published=text)
+    for manoeuvre, angles in MANOEUVRES.items():
+        text = ", ".join(f"{angle:g}" for angle in angles)
+        q = paper_quaternion(target_quaternion(manoeuvre))
+        turned = Rotation.from_quat(q).as_euler("ZYX", degrees=True)[::-1]
+        yield remark(f"data: target of manoeuvre {manoeuvre} about x, y, z (deg)", turned, published=text)
+    a = np.array([[0.0, 1.0], [-PRINTED_FLC[0], -PRINTED_FLC[1]]])
+    p = solve_continuous_lyapunov(a.T, -np.eye(2))
+    yield remark(
+        "P of equation 50 (1, 1; 1, 2; 2, 2)",
+        (p[0, 0], p[0, 1], p[1, 1]),
+        published="68.4008, -0.5, 2.0347",
+        reason="it solves A P + P A' = -I, not the A' P + P A = -I that is stated; same eigenvalues",
+    )
+    yield remark("eigenvalues of P of equation 50", np.linalg.eigvalsh(p), published="2.0309, 68.4045")
+    # E = 1/2 (q4 I + [q x]) J^-1: dq_v/dt of a turn about z has the second component in its first row
+    turned = Rotation.from_quat(paper_quaternion(target_quaternion(1))) * Rotation.from_rotvec([0, 0, 1e-6])
+    entry = 2e6 * (turned.as_quat()[0] - paper_quaternion(target_quaternion(1))[0])
+    yield remark(
+        "entry (1, 3) of equation 26 times 2 J_z, at target 1",
+        entry,
+        published=Claim("q4", abs(entry - target_quaternion(1)[0]) < 1e-4),
+        reason="misprint: it is q2, -0.2969 here, or the determinant of equation 29 does not come out",
+    )
 
 
 def gain_rows() -> Iterator[Row]:
@@ -255,15 +318,31 @@ def singularity_rows() -> Iterator[Row]:
 def statement_rows() -> Iterator[Row]:
     """Return what the publication states and its own laws do not do."""
     sums = "a sum over the solver's output points, not an integral: it changes with the solver's tolerance"
-    for (manoeuvre, law), printed in TABLE_2.items():
+    for (manoeuvre, law), sums_printed in TABLE_2.items():
         slew = published_slew(manoeuvre, law)
         for what, value, ours in zip(
             ("|P| (J)", "|T| (N m s)", "T^2 (N^2 m^2 s)"),
-            printed,
+            sums_printed,
             (slew.work, slew.effort, slew.energy),
             strict=True,
         ):
             yield remark(f"sum of {what}, {manoeuvre} {law}", ours, published=f"{value:g}", reason=sums)
+    laws: tuple[Law, ...] = ("FLC", "LQR")
+    for law in laws:
+        slews = [published_slew(manoeuvre, law) for manoeuvre in MANOEUVRES]
+        settled = [slew.settling_time for slew in slews]
+        yield remark(
+            f"settling, 1 to 6 {law} (s)",
+            np.mean(settled),
+            published=printed("about 40", np.mean(settled), within=8.0),
+            note=f"{min(settled):.1f} to {max(settled):.1f} to 2 %",
+        )
+        yield remark(
+            f"peak speed, 1 {law} (rpm)",
+            slews[0].peak_speed,
+            published=printed("about 3000", slews[0].peak_speed, within=150.0),
+        )
+    yield from comparison_rows()
     peak = published_slew(3, "FLC").peak_speed
     yield remark(
         "peak speed 3 FLC, by the design (rpm)",
@@ -271,3 +350,18 @@ def statement_rows() -> Iterator[Row]:
         published=Claim("<= 5000", peak <= 5000),
         reason="manoeuvre 3 with FLC breaks it (and the nominal 5400) without null torques",
     )
+
+
+def comparison_rows() -> Iterator[Row]:
+    """Return in how many of the six manoeuvres feedback linearisation is smaller, as stated of all."""
+    pairs = [(published_slew(m, "FLC"), published_slew(m, "LQR")) for m in MANOEUVRES]
+    for name, what, reason in (
+        ("eulerint", "EULERINT", ""),
+        ("energy", "integral of sum T^2", ""),
+        ("effort", "integral of sum |T|", "it is 2 I_w times the peak speed, which is alike"),
+        ("work", "integral of sum |P|", "larger in manoeuvres 1 to 3"),
+    ):
+        smaller = sum(getattr(flc, name) < getattr(lqr, name) for flc, lqr in pairs)
+        yield remark(
+            f"manoeuvres of 6 in which {what} is smaller with FLC", smaller, published="6", reason=reason
+        )

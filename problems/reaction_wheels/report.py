@@ -9,8 +9,10 @@ import gnc_opt as go
 from gnc_opt.report import write_report
 from problems.comparison import Row, run_comparison
 from problems.reaction_wheels.flown import flown, flown_rows
-from problems.reaction_wheels.optimal import SLEWS, optimal_rows, optimal_slew
+from problems.reaction_wheels.optimal import SLEWS, front, optimal_rows, optimal_slew
 from problems.reaction_wheels.published import rows
+
+__all__ = ["comparison", "front", "main"]
 
 
 def comparison() -> list[Row]:

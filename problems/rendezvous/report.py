@@ -9,14 +9,30 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
 import gnc_opt as go
-from problems.comparison import Row, compare, printed, remark, show, write_json
+from problems.comparison import Claim, Row, compare, printed, remark, show, write_json
+from problems.fronts import Front, certified
 from problems.rendezvous import search
-from problems.rendezvous.model import CASES, EQUATIONS, MESH, PAPER_MESH, Equation, build
+from problems.rendezvous.model import (
+    ALTITUDE,
+    CASES,
+    EQUATIONS,
+    FINAL_POSITION,
+    FINAL_SIGMA,
+    INERTIA,
+    MASS,
+    MAX_FORCE,
+    MAX_TORQUE,
+    MESH,
+    PAPER_MESH,
+    Equation,
+    build,
+)
 from problems.rendezvous.optimal import OTHER_MINIMA, REFERENCE
 
 _REMARK = """\
@@ -70,10 +86,77 @@ def time_rows(case: int, equation: Equation, t_f: float) -> list[Row]:
     return rows
 
 
+def data_rows() -> list[Row]:
+    """Return the paper's data beside those that are used."""
+    rows = [
+        remark(f"data: {name}", ours, published=text)
+        for name, ours, text in (
+            ("moments of inertia (kg m^2)", INERTIA, "5621, 4547, 2364"),
+            ("mass (kg)", MASS, "3200"),
+            ("limits of torque (N m) and force (N)", (MAX_TORQUE, MAX_FORCE), "50, 320"),
+            ("altitude (km)", ALTITUDE / 1e3, "580"),
+            ("final sigma, y", FINAL_SIGMA[1], "0.4142"),
+            ("final position (m)", FINAL_POSITION, "0, 0, -10"),
+            ("segments and points of each", (PAPER_MESH.segments, PAPER_MESH.degrees[0]), "20, 3"),
+        )
+    ]
+    rows += [
+        remark(f"data: first position, case {case} (m)", place, published=", ".join(f"{c:g}" for c in place))
+        for case, place in CASES.items()
+    ]
+    said = Claim("tan(90/2)", False)
+    reason = "misprint: tan(90 deg / 4), as its number 0.4142 says"
+    return [
+        *rows,
+        remark("data: formula of the final sigma, y", FINAL_SIGMA[1], published=said, reason=reason),
+    ]
+
+
 def comparison() -> list[Row]:
     """Return the rows of all cases and both equations on the paper's mesh."""
-    outcomes = solve_cases(list(CASES), EQUATIONS, PAPER_MESH)
-    return [row for o in outcomes for row in time_rows(o.case, o.equation, o.solution.objective)]
+    outcomes = list(solve_cases(list(CASES), EQUATIONS, PAPER_MESH))
+    times = [row for o in outcomes for row in time_rows(o.case, o.equation, o.solution.objective)]
+    return data_rows() + size_rows(outcomes[0].solution) + times
+
+
+SHARES = (1.0, 0.95, 0.9, 0.85, 0.8, 0.7, 0.6)
+"""Of the authority, on the front."""
+
+
+def front() -> Front:
+    """Return what less time costs: the share of the torques and forces with which case 1 takes so long."""
+
+    def solve(share: float) -> go.Solution:
+        torque, force = share * MAX_TORQUE, share * MAX_FORCE
+        return go.solve(build(1).with_bounds(T_B=(-torque, torque), F_B=(-force, force)), tol=1e-8)
+
+    def measure(solution: go.Solution) -> tuple[float, float]:
+        most = float(np.max(np.abs(solution.phase().flown(np.linspace(0.0, solution.objective, 500))[:3])))
+        return solution.objective, 100 * most / MAX_TORQUE
+
+    points = certified(SHARES, solve, measure)
+    published = (REFERENCE[1, "printed"]["paper GPM"].value, 100.0)
+    return Front("authority (%)", points, published, "the paper's GPM")
+
+
+def size_rows(solution: go.Solution) -> list[Row]:
+    """Return the size of the programme beside the paper's: counted from what is unknown and what has to hold."""
+    leg = solution.phase()
+    states, controls = leg.states.size, leg.controls.size
+    points, segments = leg.mesh.size, leg.mesh.segments
+    variables = (points + segments + 1) * states + points * controls + 1
+    # collocation at every point, the end of every segment by quadrature; the ends themselves are fixed by bounds
+    constraints = (points + segments) * states
+    return [
+        remark("variables of the programme", variables, published="1333"),
+        remark("constraints of the programme", constraints, published="960"),
+        remark(
+            "nonzeros of its Jacobian",
+            (),
+            published=Claim("11460", False),
+            reason="not comparable: it depends on how the dynamics are written and what is condensed",
+        ),
+    ]
 
 
 def times_table(outcomes: Sequence[Outcome]) -> Table:

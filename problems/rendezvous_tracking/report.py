@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,20 +16,25 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from gnc_opt.errors import GncOptError
 from gnc_opt.report.campaign import campaign_dict
 from gnc_opt.simulation import Campaign
+from problems.flown import with_settings
 from problems.rendezvous import CASES
+from problems.rendezvous_tracking.guided import Guided
+from problems.rendezvous_tracking.measured import Measured
 from problems.rendezvous_tracking.tracking import (
-    CONTROLLERS,
     MPC_RUNS,
-    RESERVE,
     SETTLING,
     SHOWN,
+    Conditions,
     Tracking,
     plan,
     price_of_robustness,
 )
 
+GUIDED = {"guided": Guided, "guided, filtered": Measured}
+"""Flights with the whole authority, judged as long after their own planned end."""
 DEMANDED = 0.99
 """Pass rate of the controllers with feedback."""
 _LEVELS = (0.5, 0.99)
@@ -95,20 +102,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0; 1 if a controller with feedback misses its pass rate.
+        0; 1 if a controller with feedback misses its pass rate; 2 if a setting is refused.
     """
     options = _parser().parse_args(arguments)
+    try:
+        return _run(options)
+    except GncOptError as error:
+        print(error, file=sys.stderr)
+        return 2
+
+
+def _run(options: argparse.Namespace) -> int:
     console = Console(highlight=False)
     if not console.is_terminal:
         console.width = max(console.width, _WIDTH)
-    tracking = Tracking(plan(options.case))
+    conditions = with_settings(Conditions(), options.set)
+    tracking = Tracking(plan(options.case, conditions.share), conditions)
     console.print(
-        f"case {options.case}: planned with {RESERVE:.0%} of the authority, "
+        f"case {options.case}: planned with {conditions.share:.0%} of the authority, "
         f"t_f = {tracking.reference.final_time:.6f} s, judged at {tracking.end:.4f} s; seed {options.seed}"
     )
     campaigns: dict[str, Campaign] = {}
     seconds: dict[str, float] = {}
-    for name in CONTROLLERS:
+    for name in conditions.laws:
         runs = min(options.runs, options.mpc_runs) if name == "MPC" else options.runs
         if runs < 1:
             continue
@@ -116,6 +132,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         campaigns[name] = tracking.campaign(name, runs, options.seed, progress=console.is_terminal)
         seconds[name] = time.perf_counter() - begin
         console.print(f"{name}: {runs} runs in {seconds[name]:.1f} s, design included")
+    followed = dict(campaigns)
+    for name, kind in GUIDED.items() if options.runs and conditions.law == "all" else ():
+        begin = time.perf_counter()
+        guided = kind(plan(options.case, 1.0), conditions)
+        campaigns[name] = guided.campaign(name, options.runs, options.seed, progress=console.is_terminal)
+        seconds[name] = time.perf_counter() - begin
+        arrivals = guided.arrivals(campaigns[name])
+        console.print(
+            f"{name}: {options.runs} runs, arrival by the last plan after {np.mean(arrivals):.3f} s on average, "
+            f"{np.max(arrivals):.3f} s at the latest"
+        )
     console.print()
     price = price_of_robustness(options.case)
     for table in (results_table(campaigns), cost_table(campaigns), price_table(price)):
@@ -127,7 +154,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from gnc_opt.plot.style import save_figure
         from problems.rendezvous_tracking.plots import all_figures
 
-        figures = all_figures(tracking, campaigns, price)
+        figures = all_figures(tracking, followed, price)
         for stem, figure in figures.items():
             save_figure(figure, options.report / f"{stem}.png")
         console.print(f"report: {len(figures)} figures in {options.report}")
@@ -147,7 +174,8 @@ def _summary(
 ) -> dict[str, Any]:
     return {
         "case": case,
-        "share": RESERVE,
+        "share": tracking.conditions.share,
+        "conditions": asdict(tracking.conditions),
         "planned_time_s": tracking.reference.final_time,
         "settling_s": SETTLING,
         "controllers": {
@@ -171,6 +199,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--runs", type=int, default=1000, help="per controller, default 1000")
     parser.add_argument("--mpc-runs", type=int, default=MPC_RUNS, help=f"of the MPC at most, {MPC_RUNS}")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE",
+        help="another law, gain, dispersion or noise: a field of problems.rendezvous_tracking.Conditions",
+    )  # fmt: skip
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the statistics to a file")
     parser.add_argument("--report", type=Path, metavar="DIR", help="write the figures to a folder")
     return parser

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -93,16 +93,6 @@ LAG = 0.05
 DIFFERENTIAL_FORCE = 1.0
 """N."""
 
-DISPERSIONS: dict[str, Dispersion] = {
-    "plant.mass": Normal(0.01, relative=True, truncate=3.0),
-    "plant.inertia": Uniform(-0.05, 0.05, relative=True),
-    "initial.r_L": Ball(0.2),
-    "initial.sigma": Turn(Uniform(0.0, float(np.deg2rad(2.0)))),
-    "torque lag.tau": Uniform(-0.2, 0.2, relative=True),
-    "force lag.tau": Uniform(-0.2, 0.2, relative=True),
-    "differential force.level": Sphere(DIFFERENTIAL_FORCE / MASS),
-}
-
 ACCEPTED = {"omega": np.deg2rad(0.1), "sigma": np.deg2rad(0.5), "v_L": 0.01, "r_L": 0.05}
 """Errors that weigh alike in the regulators: rad/s, rad, m/s, m."""
 CORRECTIONS = {"T_B": 5.0, "F_B": 30.0}
@@ -139,6 +129,83 @@ def plan(case: int = 1, reserve: float = RESERVE, *, refined: bool = True) -> go
 
 
 @dataclass(frozen=True)
+class Conditions:
+    """What is flown, and with what it differs; ``python -m problems.rendezvous_tracking --set`` changes it.
+
+    Attributes
+    ----------
+    law : str
+        One of `CONTROLLERS`, or "all" of them.
+    share : float
+        Of the authority, for the plan.
+    feedback : float
+        Corrections that the regulators permit, over `CORRECTIONS`.
+    reaching, layer : float
+        Gain (N, N m) and half width of the layer (N s, N m s) of the sliding mode.
+    horizon : float
+        Of the MPC, s.
+    mass, inertia : float
+        1 sigma of the mass, truncated at three of them, and half the range of the moments, relative.
+    position, attitude : float
+        Largest errors at the start, m and deg.
+    lag, lag_range : float
+        Of the thrusters, s, and half its range, relative.
+    push : float
+        Differential force in a random direction, N.
+    noise : float
+        Of the measurements, over `NOISE`.
+    """
+
+    law: str = "all"
+    share: float = RESERVE
+    feedback: float = 1.0
+    reaching: float = REACHING
+    layer: float = LAYER
+    horizon: float = HORIZON
+    mass: float = 0.01
+    inertia: float = 0.05
+    position: float = 0.2
+    attitude: float = 2.0
+    lag: float = LAG
+    lag_range: float = 0.2
+    push: float = DIFFERENTIAL_FORCE
+    noise: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.law not in ("all", *CONTROLLERS):
+            raise go.GncOptError(
+                f"there is no law {self.law!r} to fly: give {', '.join(CONTROLLERS)} or all."
+            )
+        for name, value in asdict(self).items():
+            if name != "law" and value < 0:
+                raise go.GncOptError(
+                    f"the condition '{name}' is {value!r}: give a number that is not negative."
+                )
+
+    @property
+    def laws(self) -> tuple[str, ...]:
+        """Which of `CONTROLLERS` are flown."""
+        return CONTROLLERS if self.law == "all" else (self.law,)
+
+    @property
+    def dispersions(self) -> dict[str, Dispersion]:
+        """In what the runs differ."""
+        return {
+            "plant.mass": Normal(self.mass, relative=True, truncate=3.0),
+            "plant.inertia": Uniform(-self.inertia, self.inertia, relative=True),
+            "initial.r_L": Ball(self.position),
+            "initial.sigma": Turn(Uniform(0.0, float(np.deg2rad(self.attitude)))),
+            "torque lag.tau": Uniform(-self.lag_range, self.lag_range, relative=True),
+            "force lag.tau": Uniform(-self.lag_range, self.lag_range, relative=True),
+            "differential force.level": Sphere(self.push / MASS),
+        }
+
+
+DISPERSIONS = Conditions().dispersions
+"""In what the runs differ by default."""
+
+
+@dataclass(frozen=True)
 class Tracking:
     """A planned rendezvous and the loops that follow it.
 
@@ -146,9 +213,11 @@ class Tracking:
     ----------
     solution : Solution
         The plan.
+    conditions : Conditions
     """
 
     solution: go.Solution
+    conditions: Conditions = Conditions()
 
     @cached_property
     def reference(self) -> Reference:
@@ -177,7 +246,8 @@ class Tracking:
     @property
     def _weights(self) -> dict[str, dict[str, Array]]:
         model = self.reference.model
-        return {"Q": bryson(model.errors, **ACCEPTED), "R": bryson(model.controls, **CORRECTIONS)}
+        permitted = {name: self.conditions.feedback * most for name, most in CORRECTIONS.items()}
+        return {"Q": bryson(model.errors, **ACCEPTED), "R": bryson(model.controls, **permitted)}
 
     @property
     def _designs(self) -> dict[str, Callable[[], Controller]]:
@@ -189,18 +259,24 @@ class Tracking:
                 model,
                 reference,
                 nominal=self.tvlqr,
-                reaching=ConstantRate(REACHING),
-                boundary=SaturationLayer(LAYER),
+                reaching=ConstantRate(self.conditions.reaching),
+                boundary=SaturationLayer(self.conditions.layer),
                 dt=DT,
                 limits=AUTHORITY,
             ),
             "MPC": lambda: design_mpc(
-                model, reference, **self._weights, horizon=HORIZON, dt=DT, limits=AUTHORITY
+                model,
+                reference,
+                **self._weights,
+                horizon=self.conditions.horizon,
+                dt=DT,
+                limits=AUTHORITY,
             ),
         }
 
     def loop(self, controller: Controller) -> ClosedLoop:
         """Return the closed loop with all effects, before they are dispersed."""
+        lag, noise = self.conditions.lag, self.conditions.noise
         return ClosedLoop(
             chaser_model("exact"),
             controller,
@@ -209,14 +285,14 @@ class Tracking:
                 Quantisation("force steps", FORCE_STEP, on="F_B"),
                 Saturation("torque limit", -MAX_TORQUE, MAX_TORQUE, on="T_B"),
                 Saturation("force limit", -MAX_FORCE, MAX_FORCE, on="F_B"),
-                Lag("torque lag", LAG, on="T_B"),
-                Lag("force lag", LAG, on="F_B"),
+                Lag("torque lag", lag, on="T_B"),
+                Lag("force lag", lag, on="F_B"),
             ],
             [
-                Noise("gyro", NOISE["omega"], on="omega"),
-                Noise("attitude sensor", np.full(3, NOISE["sigma"]), turned, on="sigma"),
-                Noise("velocity filter", NOISE["v_L"], on="v_L"),
-                Noise("position filter", NOISE["r_L"], on="r_L"),
+                Noise("gyro", noise * NOISE["omega"], on="omega"),
+                Noise("attitude sensor", np.full(3, noise * NOISE["sigma"]), turned, on="sigma"),
+                Noise("velocity filter", noise * NOISE["v_L"], on="v_L"),
+                Noise("position filter", noise * NOISE["r_L"], on="r_L"),
             ],
             [Constant("differential force", np.zeros(3), on="v_L")],
             dt=DT,
@@ -239,7 +315,7 @@ class Tracking:
             x0=self.initial,
             tf=self.end,
             seed=seed,
-            dispersions=DISPERSIONS,
+            dispersions=self.conditions.dispersions,
             limits=LIMITS,
             executor=executor,
             progress=progress,

@@ -14,9 +14,10 @@ from functools import cache
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.simulation import Noise, Saturation
+from gnc_opt.simulation import Noise, Saturation, Uniform
 from gnc_opt.spacecraft import TetheredPair
 from problems.comparison import Row, at_most, compare, remark, require
+from problems.dispersed import Rivals
 from problems.flown import Flight, flight_rows, with_settings
 from problems.reference import Array
 from problems.tethered_formation.laws import (
@@ -38,7 +39,7 @@ from problems.tethered_formation.model import (
     reference,
     tether_model,
 )
-from problems.tethered_formation.optimal import RESERVE, Goal, solve
+from problems.tethered_formation.optimal import Goal, optimum
 from problems.tethered_formation.runs import Manoeuvre
 
 BAND = 1.0
@@ -135,15 +136,13 @@ def held(solution: go.Solution, duration: float = DURATION) -> go.Reference:
     )
 
 
-@cache
 def planned(goal: Goal) -> go.Solution:
     """Return the plan that is flown; the least time keeps a reserve of angle and rate."""
-    return solve(goal, **(RESERVE if goal == "time" else {}))
+    return optimum("planned" if goal == "time" else goal).solution
 
 
-@cache
-def flight(name: str, conditions: Conditions = Conditions()) -> Manoeuvre:
-    """Return the flight of the "published" structure, or of a plan, "time" or "effort"."""
+def closed(name: str, conditions: Conditions = Conditions()) -> tuple[go.ClosedLoop, Array]:
+    """Return the loop of the "published" structure, or of a plan, "time" or "effort", and its first state."""
     law = LAWS[conditions.law]
     if name == "published":
         controller = design_swing_law(reference(), law, gains=conditions.gains)
@@ -167,9 +166,32 @@ def flight(name: str, conditions: Conditions = Conditions()) -> Manoeuvre:
         dt=controller.dt or STEP,
         substeps=1,
     )
-    start = first_state(float(np.radians(conditions.swing)))
+    return loop, first_state(float(np.radians(conditions.swing)))
+
+
+@cache
+def flight(name: str, conditions: Conditions = Conditions()) -> Manoeuvre:
+    """Return the flight of `closed`."""
+    loop, start = closed(name, conditions)
     run = loop.simulate(start, tf=DURATION, seed=conditions.seed)
     return Manoeuvre(run, conditions.pair, conditions.force)
+
+
+def rivals(conditions: Conditions = Conditions()) -> Rivals:
+    """Return both plans and the published structure, the first swing and its rate up to 1 degree and 0.05 deg/s off."""
+    names = {"least time": "time", "least effort": "effort", conditions.law: "published"}
+    turn = float(np.radians(1.0))
+    return Rivals(
+        {who: closed(name, conditions) for who, name in names.items()},
+        DURATION,
+        {"initial.theta": Uniform(-turn, turn), "initial.theta_rate": Uniform(-0.05 * turn, 0.05 * turn)},
+        {"theta": np.zeros(1), "height": np.array([Orbit.of()(DURATION)[0]])},
+        {
+            "energy(gamma_rate)": ("integral of the squared rate (rad^2/s)", 1.0),
+            "theta": ("swing at 200 s (deg)", 1 / turn),
+            "height": ("error of r at 200 s (m)", 1.0),
+        },
+    )
 
 
 def swing_and_height(m: Manoeuvre) -> tuple[Array, Array]:

@@ -21,6 +21,7 @@ import gnc_opt as go
 from gnc_opt.errors import did_you_mean
 from gnc_opt.spacecraft import TetheredPair
 from problems.comparison import Row, compare, require
+from problems.fronts import Front, certified
 from problems.reference import Array, Reference
 from problems.tethered_formation.laws import STEP, design_swing_law
 from problems.tethered_formation.model import (
@@ -184,6 +185,25 @@ def track(
 def ends(manoeuvre: Manoeuvre) -> Array:
     """Return swing (degrees), height (m) and climb (m/s) at the end, against the plan."""
     return manoeuvre.at(manoeuvre.times[-1])[:3]
+
+
+DURATIONS = (105.0, 115.0, 130.0, 150.0, 175.0, DURATION)
+"""Of the front, s."""
+
+
+def front(published: Manoeuvre) -> Front:
+    """Return what less time costs: the least effort of several durations."""
+    points = certified(
+        DURATIONS,
+        lambda duration: solve("effort", duration=duration),
+        lambda solution: (solution.phase().final_time, solution.objective),
+    )
+    return Front(
+        "integral of the squared rate (rad^2/s)",
+        points,
+        (published.last_beyond(1.0), published.effort),
+        "published structure, to 1 deg",
+    )
 
 
 # --- against the publication ----------------------------------------------------------------------------

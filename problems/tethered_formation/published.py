@@ -16,11 +16,12 @@ from gnc_opt.control import SuperTwistingObserver
 from gnc_opt.spacecraft import TetheredPair, TetherMotion
 from problems.comparison import Claim, Row, at_most, compare, printed, remark
 from problems.reference import Array
-from problems.tethered_formation.laws import Gains, predictive, surface
+from problems.tethered_formation.laws import STEP, Gains, predictive, surface
 from problems.tethered_formation.model import (
     DURATION,
     FORCE,
     MAX_ANGLE,
+    MAX_RATE,
     PAIR,
     RADIUS,
     RATE,
@@ -33,6 +34,15 @@ from problems.tethered_formation.runs import Manoeuvre, fly
 
 SETTLES, ANGLE, TIME, HEIGHT = 0.02, 0.1, 2.0, 0.5
 """Tolerances: of late swings and of angles (degrees), of times (s), of heights (m)."""
+
+
+NOT_REPRODUCED = {
+    "any number of the publication's figures, digit by digit": "its equations and both tables of data are images that "
+    "are lost; structure theirs, equations derived, data and gains chosen",
+    "the rival scheme": "it is named, not described; switching and linear laws stand in its place",
+    "exact tracking of the orbit later on": "impossible with this input: deflection costs speed along the orbit, "
+    "and with that deficit r and swing cannot both be at their references",
+}
 
 
 # --- the results table: overshoot, last times beyond 2 and 1 degrees, swing after 150 s (degrees, s), largest error of
@@ -209,6 +219,20 @@ def free_drift(pair: TetheredPair, exact: bool) -> tuple[float, float, float]:
     energy, momentum = pair.energy(motion), pair.angular_momentum(motion)
     drifts = [float(np.max(np.abs(v / v[0] - 1))) for v in (energy, momentum)]
     return drifts[0], drifts[1], float(np.degrees(y[1, -1]))
+
+
+def data_rows() -> list[Row]:
+    """The publication's data that are legible beside those that are used, and what is not there."""
+    rows = [
+        remark("data: limit of the angle (rad)", MAX_ANGLE, published=Claim("pi/9", np.pi / 9 == MAX_ANGLE)),
+        remark("data: limit of its rate (rad/s)", MAX_RATE, published="0.1"),
+        remark("data: duration (s)", DURATION, published="200"),
+        remark("data: control step (s)", STEP, published="0.1"),
+    ]
+    return rows + [
+        remark(what, (), published=Claim("claimed", False), reason=why)
+        for what, why in NOT_REPRODUCED.items()
+    ]
 
 
 def law_rows() -> list[Row]:

@@ -45,8 +45,9 @@ EXPECTED = {
     """,
     "gnc_opt.simulation": """
         Allocation Ball Bias Block Campaign Choice ClosedLoop Consistency Constant Deadband Delay Disturbance
-        Ending Event Expression Flight Hold InnovationTest Lag MinimumImpulse Mixer Noise NonNegativeAllocation Normal
-        Occurrence Outage Outcome Pwm Pwpf Quantisation RandomHold RandomWalk RateLimit Replan Replanner Run
+        Ending Envelope Event Expression Flight Hold InnovationTest Lag MinimumImpulse Mixer Noise
+        NonNegativeAllocation Normal Occurrence Outage Outcome Pwm Pwpf Quantisation Quantity RandomHold
+        RandomWalk RateLimit Replan Replanner Run
         RunStatus Sampling
         Saturation Scale ScaleFactor SchmittTrigger SensorDelay Sinusoid Sphere ThrusterSet Turn
         Uniform WheelArray consistency monte_carlo
@@ -71,8 +72,8 @@ EXPECTED = {
     """,
     "gnc_opt.plot": """
         Thruster View plot_bode plot_controls plot_costates plot_curves plot_dispersion plot_distributions
-        plot_hamiltonian plot_margins plot_nyquist plot_path plot_refinement plot_run_controls plot_run_errors
-        plot_run_states plot_sensitivity plot_states
+        plot_envelope plot_hamiltonian plot_margins plot_nyquist plot_path plot_refinement plot_run_controls
+        plot_run_errors plot_run_states plot_sensitivity plot_states
         plot_verdict save_figure save_film
     """,
     "gnc_opt.report": """

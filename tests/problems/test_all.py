@@ -41,7 +41,7 @@ def test_pages_are_written_and_changes_told(
         (rows(1.6), 1, "FAIL: a"),
         (rows()[:1], 0, "gone: b |x|"),
     ):
-        monkeypatch.setattr(everything, "rows_of", lambda name, found=found: found)
+        monkeypatch.setattr(everything, "rows_of", lambda name, folder, runs, found=found: found)
         assert main(arguments) == code
         assert words in capsys.readouterr().out
     told = json.loads((tmp_path / "pages" / "rendezvous.json").read_text(encoding="utf-8"))

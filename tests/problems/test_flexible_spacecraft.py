@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from printed import missing
 
 import gnc_opt as go
 from gnc_opt.control import export_c
@@ -52,6 +53,26 @@ def test_plant_facts_energy_momentum_and_open_loop() -> None:
 @pytest.mark.parametrize("case", published.CASES, ids=lambda case: case.title)
 def test_configurations(case: published.Case) -> None:
     assert failures(published.configuration_rows((case,))) == []
+
+
+def test_every_printed_number_stands_in_the_matrix() -> None:
+    rows = published.configuration_rows() + studies._disturbance_rows(("J",))
+    assert failures(rows) == [] and missing("flexible_spacecraft", rows) == []
+
+
+def test_other_moments_move_settling_little_and_effort_as_they_go() -> None:
+    assert failures(studies._inertia_rows()) == []
+
+
+def test_surface_is_what_the_law_drives_to_zero() -> None:
+    """At rest S = -2 c v; later e' is minus twice the rate of v, by differences."""
+    run = runs.standard("J")
+    s = runs.surface(run, INERTIAL.c)
+    np.testing.assert_allclose(s[:, 0], -2 * 0.08 * np.array([0.7, -0.5, -0.4]), atol=1e-12)
+    v = run.state("q_BO").values[1:]
+    assert np.all(run.state("q_BO").values[0, :1200] > 0)
+    slope = (v[:, 1001] - v[:, 999]) / (run.times[1001] - run.times[999])
+    np.testing.assert_allclose(s[:, 1000], -2 * slope - 0.16 * v[:, 1000], atol=1e-5)
 
 
 def test_gain_k_makes_the_slew_faster_and_costs_effort() -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy
+from printed import missing
 
 import gnc_opt as go
 from problems import formation_flying
@@ -32,6 +33,7 @@ from problems.formation_flying.optimal import LEAST_TIME, RESERVE, optimal_rows,
 from problems.formation_flying.published import (
     claim_rows,
     course_rows,
+    data_rows,
     run,
     switching_rows,
     table_rows,
@@ -46,6 +48,12 @@ TABLES = [*QUICK, *(pytest.param(table, marks=pytest.mark.slow) for table in LON
 def test_numbers_of_the_publication(table: Callable[[], list[Row]]) -> None:
     rows = table()
     assert rows and [row for row in rows if not row.passes] == []
+
+
+@pytest.mark.slow
+def test_every_printed_number_stands_in_the_matrix() -> None:
+    rows = data_rows() + table_rows()
+    assert [row for row in rows if not row.passes] == [] and missing("formation_flying", rows) == []
 
 
 def test_the_circle_is_a_free_motion_of_hills_equations() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from printed import missing
 from scipy.linalg import solve_continuous_lyapunov
 
 import gnc_opt as go
@@ -46,11 +47,25 @@ from problems.reaction_wheels.limits import (
     solver_sums,
     unguarded_breakdown,
 )
-from problems.reaction_wheels.published import BALANCED_SPEED, BREAKDOWN, CONVERGED, PEAKS
+from problems.reaction_wheels.published import (
+    BALANCED_SPEED,
+    BREAKDOWN,
+    CONVERGED,
+    PEAKS,
+    data_rows,
+    gain_rows,
+    integral_rows,
+    statement_rows,
+)
 from problems.reaction_wheels.runs import fly, published_slew
 
 BOTH = ("FLC", "LQR")
 ALL = list(CONVERGED)
+
+
+def test_every_printed_number_stands_in_the_matrix() -> None:
+    rows = [*data_rows(), *gain_rows(), *integral_rows(), *statement_rows()]
+    assert [row for row in rows if not row.passes] == [] and missing("reaction_wheels", rows) == []
 
 
 # --- geometry and conventions ---------------------------------------------------------------------------

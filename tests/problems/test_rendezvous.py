@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from printed import missing
 from scipy.integrate import solve_ivp
 
 import gnc_opt as go
 from gnc_opt.spacecraft import MU_EARTH, RADIUS_EARTH, hill_acceleration, mean_motion
 from problems import rendezvous
-from problems.rendezvous.report import time_rows
+from problems.rendezvous.report import data_rows, size_rows, time_rows
 
 Array = NDArray[np.float64]
 
@@ -67,6 +68,13 @@ def test_size_of_the_program_is_the_papers(case_1: go.Solution) -> None:
     assert case_1.problem is not None
     transcription = next(b for b in case_1.problem.builds.values() if type(b).__name__ == "Transcription")
     assert (transcription.n_variables, transcription.n_constraints) == (1333, 960)
+
+
+def test_every_printed_number_stands_in_the_matrix(case_1: go.Solution) -> None:
+    times = {case: rendezvous.REFERENCE[case, "printed"]["20x3"].value for case in rendezvous.CASES}
+    rows = [row for case, t_f in times.items() for row in time_rows(case, "printed", t_f)]
+    rows += data_rows() + size_rows(case_1)
+    assert [row for row in rows if not row.passes] == [] and missing("rendezvous", rows) == []
 
 
 def test_parameters_of_the_chaser_can_be_dispersed_without_a_new_build() -> None:

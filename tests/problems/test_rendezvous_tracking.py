@@ -2,6 +2,7 @@
 
 import json
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 
 import numpy as np
@@ -9,18 +10,21 @@ import pytest
 
 import gnc_opt as go
 from benchmarks.closed_loop import AGREEMENT, ATOL, RTOL, plain_inputs, plain_run
+from gnc_opt.control import feedforward
 from gnc_opt.spacecraft import mrp_to_dcm
 from problems.rendezvous_tracking import (
     DISPERSIONS,
     LIMITS,
     RESERVE,
     SETTLING,
+    Conditions,
     Tracking,
     main,
     plan,
     turned,
 )
 from problems.rendezvous_tracking.guided import Guided, settled
+from problems.rendezvous_tracking.measured import KEEP_OUT, Measured
 
 RUNS, SEED = {"TVLQR": 1000, "integral sliding mode": 250}, 1
 FEW = 60
@@ -49,6 +53,36 @@ def test_guidance_arrives_earlier_than_a_plan_with_reserve(guided, tracking):
     last = np.searchsorted(run.times, settled(run, target))
     inside = np.linalg.norm(error[9:12], axis=0) < LIMITS["r_L"]
     assert np.all(inside[last:]) and arrivals[0] - 2.0 < run.times[last] < arrivals[0] + 2.5
+
+
+@pytest.fixture(scope="module")
+def measured(guided):
+    return Measured(guided.solution)
+
+
+@pytest.mark.slow
+def test_a_filter_guides_by_range_and_bearing(measured):
+    """Within limits and as early as with all states measured; estimates within what the filter says of them."""
+    campaign = measured.campaign("filtered", 3, SEED, "serial")
+    assert campaign.passed().all() and campaign.event_totals == {"too close": 0}
+    assert np.mean(measured.arrivals(campaign)) == pytest.approx(26.43, abs=0.15)
+    run, told = campaign.rerun(1), measured.filter
+    memory = run.memory[: told.memory.size, 50:-1]
+    error = told.estimate(memory) - run.states[:, 50:-1]
+    sigma = np.sqrt(np.array([np.diag(P) for P in told.covariance(memory)]))
+    share = np.sqrt(np.mean((error[6:].T / sigma[:, 6:]) ** 2))  # velocity and position
+    assert 0.5 < share < 2.0  # lag and wrong mass are more than noise while switches follow each other
+    assert np.min(np.linalg.norm(run.states[9:], axis=0)) > KEEP_OUT
+
+
+@pytest.mark.slow
+def test_coming_too_close_is_a_failure(measured):
+    loop = replace(
+        measured.loop(measured.controller()), controller=feedforward(measured.reference), sensors=()
+    )
+    run = loop.simulate([0, 0, 0, 0, 0, 0, -0.5, 0, 0, 7.0, 0, 0], tf=5.0)
+    assert run.outcome.what == "too close"
+    assert np.linalg.norm(run.states[9:, -1]) == pytest.approx(KEEP_OUT, abs=1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -171,16 +205,47 @@ def test_attitude_noise_turns_by_its_angle():
     np.testing.assert_allclose(found, angle, atol=1e-7)
 
 
+def test_settings_change_law_gains_and_what_the_runs_differ_by(tracking, tmp_path, capsys, monkeypatch):
+    """A push of 1600 N on 3200 kg is 0.5 m/s^2; without noise the regulator sees the state."""
+    where = "problems.rendezvous_tracking.report."
+    monkeypatch.setattr(where + "plan", lambda case, share: tracking.solution)
+    monkeypatch.setattr(where + "price_of_robustness", lambda case: [(1.0, 2.0)])
+    out = tmp_path / "out.json"
+    settings = ["law=open loop", "push=1600", "share=0.8"]
+    arguments = [argument for text in settings for argument in ("--set", text)]
+    assert main(["--runs", "2", "--json", str(out), *arguments]) == 0
+    told = json.loads(out.read_text())
+    assert list(told["controllers"]) == ["open loop"] and told["share"] == 0.8
+    assert told["conditions"]["push"] == 1600.0
+    capsys.readouterr()
+    for text, words in (("law=PID", "no law 'PID'"), ("push=far", "like 1.0"), ("lag=-1", "lag")):
+        assert main(["--runs", "1", "--set", text]) == 2
+        assert words in capsys.readouterr().err
+    pushed = Tracking(tracking.solution, Conditions(push=1600.0)).campaign("open loop", 2, SEED, "serial")
+    level = np.linalg.norm(pushed.parameter("differential force.level"), axis=0)
+    np.testing.assert_allclose(level, 0.5, rtol=1e-12)
+    soft = Tracking(tracking.solution, Conditions(feedback=0.5)).tvlqr
+    off, rest = tracking.initial + 1e-3, tracking.reference.u(0.0)
+    weak, strong = (np.linalg.norm(law(0.0, off)[0] - rest) for law in (soft, tracking.tvlqr))
+    assert weak < 0.8 * strong
+    exact = Tracking(tracking.solution, Conditions(noise=0.0))
+    run = exact.loop(exact.controller("open loop")).simulate(tracking.initial, tf=1.0)
+    np.testing.assert_allclose(run.measured, run.states[:, :-1], atol=1e-15)
+
+
 @pytest.mark.slow
-def test_main_writes_statistics_and_figures(tracking, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("problems.rendezvous_tracking.report.plan", {1: tracking.solution}.__getitem__)
+def test_main_writes_statistics_and_figures(tracking, guided, tmp_path, capsys, monkeypatch):
+    plans = {(1, RESERVE): tracking.solution, (1, 1.0): guided.solution}
+    monkeypatch.setattr("problems.rendezvous_tracking.report.plan", lambda *asked: plans[asked])
     monkeypatch.setattr(
         "problems.rendezvous_tracking.report.price_of_robustness", lambda case: [(1.0, 2.0), (0.5, 3.0)]
     )
     arguments = ["--runs", "4", "--mpc-runs", "1", "--json", str(tmp_path / "out.json")]
     assert main([*arguments, "--report", str(tmp_path / "figures")]) == 0
     told = json.loads((tmp_path / "out.json").read_text())
-    assert set(told["controllers"]) == {"open loop", "TVLQR", "integral sliding mode", "MPC"}
+    assert set(told["controllers"]) == {
+        "open loop", "TVLQR", "integral sliding mode", "MPC", "guided", "guided, filtered"
+    }  # fmt: skip
     assert told["controllers"]["TVLQR"]["passed"]["passed"] == 4
     assert "Price of robustness" in capsys.readouterr().out
     assert {"terminal_errors.png", "price_of_robustness.png"} <= {

@@ -7,6 +7,7 @@ import subprocess
 
 import numpy as np
 import pytest
+from printed import missing
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -40,6 +41,7 @@ from problems.tethered_formation.optimal import (
 )
 from problems.tethered_formation.published import (
     RESULTS,
+    data_rows,
     law_rows,
     observer_errors,
     plant_rows,
@@ -85,6 +87,11 @@ def test_results_table_and_trace(runs):
     for m in runs.values():
         assert m.run.outcome.ok
         assert m.run.integration_error < 1e-10
+
+
+def test_every_printed_number_stands_in_the_matrix(runs):
+    rows = data_rows() + result_rows(runs)
+    assert missed(rows) == [] and missing("tethered_formation", rows) == []
 
 
 def test_stated_tolerances_of_the_published_structure(runs):

@@ -590,7 +590,7 @@ def test_hamiltonian_at_free_times_and_the_multiplier_of_the_duration() -> None:
         # H = lambda_1 u = (1 + 2 t) t: 0 at the start, 10 at the end; the cost does not depend on the times.
         np.testing.assert_allclose(s.hamiltonian[[0, -1]], [0.0, 10.0], atol=1e-9)
         offence = 10.0 + (multiplier if counts else 0.0)
-        worst = _time_transversality(s, ends)
+        worst = _time_transversality(s, ends, np.zeros(2))
         assert (
             worst.value == pytest.approx(offence / s.hamiltonian_scale)
             and worst.where == "phase leg, H at its end"

@@ -153,3 +153,21 @@ def test_a_conjugate_time_that_the_second_order_denies_is_not_told(curvature: Re
     assert judged.result is (Result.CANNOT_TELL if curvature is Result.PASS else Result.FAIL)
     none = Condition("conjugate points", Result.PASS, 0.0, 0.0, "none", "")
     assert _agreed(none, Condition("second order", curvature, 0.0, 0.0, "", "")) is none
+
+
+@pytest.mark.parametrize("fourth", [1.0, -1.0])
+def test_an_end_that_is_just_the_focal_point_cannot_be_told(fourth: float) -> None:
+    """u^2 / 2 over 1 s against x_f^2 / 2: only the fourth power of x_f says whether rest is a minimum."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("end that bends")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    end = leg.final_state("x")
+    problem.minimize(leg.integral(u**2 / 2) - end**2 / 2 + fourth * end**4)
+    t = np.linspace(0.0, 1.0, 21)
+    verdict = go.verify_trajectory(problem, t, 0 * t, 0 * t)
+    assert {c.name for c in verdict.untold} == {"conjugate points", "second order"}
+    assert verdict.ok and not verdict.minimum

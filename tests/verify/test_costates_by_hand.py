@@ -67,7 +67,7 @@ def test_a_free_time_is_at_its_limit_in_shares_of_the_range_of_its_limits(end: s
     sign = -1.0 if end == "initial" else 1.0
     s = drift(drifting(), begin, **changes, lam=lambda t, k: sign * np.array([3 - t, 1 + 2 * t]))
     ends = ends_of(by_hand.solution(drifting(), s.leg))
-    found = _time_transversality(s, ends)
+    found = _time_transversality(s, ends, np.zeros(2))
     level = 3.0 if end == "initial" else abs(1.0 - 5.0 * 4.0)
     if off > 1:
         assert found.value == pytest.approx(level / s.hamiltonian_scale, rel=1e-9)

@@ -313,3 +313,17 @@ def ending_at_zero(x: PiecewisePolynomial) -> PiecewisePolynomial:
     rest = x(x.breaks[-1], "left")[:, None]
     assert np.max(np.abs(rest)) < 1e-6
     return PiecewisePolynomial(x.breaks, x.nodes, tuple(v - rest for v in x.values))
+
+
+@pytest.mark.parametrize("name", ["lam_start", "lam_end"])
+def test_costates_at_the_ends_of_segments_are_those_of_the_polynomials(name: str) -> None:
+    """They say which arcs are constrained, and whoever reads them takes them for the costates."""
+    solution = energy()
+    leg = solution.phase()
+    off = {**solution.phases, leg.name: replace(leg, **{name: 1.001 * getattr(leg, name)})}
+    assert failed(replace(solution, phases=off)) == {"stored numbers"}
+    assert failed(solution) == set()
+
+
+def test_a_minimum_that_calls_itself_a_maximum() -> None:
+    assert failed(replace(energy(), maximised=True)) == {"stored numbers"}

@@ -19,10 +19,10 @@ from gnc_opt.verify.multipliers import ACTIVE, estimate
 from gnc_opt.verify.pushes import (
     Pushers,
     _integrate_anew,
-    _path_gradients,
     _reached_or_left,
     _responses,
     _without_pushes,
+    path_gradients,
     settle_edges,
 )
 from gnc_opt.verify.trajectory_fit import Samples, fit
@@ -116,7 +116,7 @@ def test_gradients_and_sides_of_paths() -> None:
     )  # fmt: skip
     times = np.array([0.0, 1.0])
     x, u = s.leg.x(times), s.leg.flown(times)
-    found, _ = _path_gradients(s, times, x, u)
+    found, _ = path_gradients(s.functions, len(s.leg.path_labels), times, x, u)
     np.testing.assert_allclose(found[:, 0], [[1.0, 1.0], [4.0, 2.0]])
     np.testing.assert_allclose(found[:, 1], [[4.0, 3.0], [-2.0, -1.0]])
     pushers = Pushers.at(s, times, x, u)

@@ -256,6 +256,12 @@ LIMITS = {
 def with_leg(solution: go.Solution, phase: str | None = None, /, **changes: Any) -> go.Solution:
     """Replace fields of a phase, or of the only one; limits are replaced in its problem too."""
     leg = solution.phase(phase)
+    if "lam" in changes:
+        ends = {
+            "lam_start": changes["lam"](leg.breaks[:-1], "right"),
+            "lam_end": changes["lam"](leg.breaks[1:], "left"),
+        }
+        changes = ends | changes
     problem = solution.need_problem("change").with_bounds(leg.name)
     stated = problem.get_phase(leg.name)
     numbers = {LIMITS[name]: box for name, box in changes.items() if name in LIMITS}

@@ -1,0 +1,135 @@
+"""Quantity: a number along the way of a run, of which the extremes, the integral and some samples are kept.
+
+It is looked at at the beginnings of the control steps and at the end, not between them. What is kept does not grow with
+the run: three numbers, and samples at `SAMPLES` instants at most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arguments import read_label
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError
+from gnc_opt.model.layout import Layout, Variable
+from gnc_opt.model.model import Model
+from gnc_opt.simulation.plant_expression import plant_expression
+
+SAMPLES = 101
+"""Instants of a flight at which quantities are kept, evenly spaced in control steps, ends included."""
+
+KEPT = ("max", "min", "integral")
+"""Numbers of a quantity that are kept of each run, as measures are called."""
+
+
+@dataclass(frozen=True, eq=False)
+class Quantity:
+    """A number that is followed over a run: a distance, a tilt, an excess over a corridor, fuel.
+
+    Campaigns then have the measures ``max(name)``, ``min(name)`` and ``integral(name)`` (over time), and
+    `Campaign.envelope`. A limit on the largest value of ``1 - distance`` is a keep-out of radius 1.
+
+    Parameters
+    ----------
+    name : str
+    expression : casadi.SX
+        Of the plant's symbols of time, states and parameters, (1, 1).
+    unit : str
+    """
+
+    name: str
+    expression: Any
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        read_label(self.name, "quantity")
+
+
+@dataclass(frozen=True, eq=False)
+class Quantities:
+    """The quantities of a loop as a CasADi function of its plant.
+
+    Attributes
+    ----------
+    layout : Layout
+        Names and units.
+    values : casadi.Function
+        ``(t, x, p) -> y``, columns.
+    """
+
+    layout: Layout
+    values: Any
+
+    def __len__(self) -> int:
+        return self.layout.size
+
+    @classmethod
+    def of(cls, plant: Model, declared: tuple[Quantity, ...]) -> Quantities:
+        """Read quantities of a plant.
+
+        Raises
+        ------
+        ArgumentError
+            Two of one name, symbols of another model or of a control, or wrong sizes.
+        """
+        names = [quantity.name for quantity in declared]
+        for name in names:
+            if names.count(name) > 1:
+                raise ArgumentError(f"two quantities of the closed loop are called '{name}': rename one.")
+        t, x, _, p = plant.arguments()
+        rows = [
+            plant_expression(q.expression, f"the expression of quantity '{q.name}'", plant) for q in declared
+        ]
+        layout = Layout("quantity", tuple(Variable(q.name, 1, q.unit) for q in declared), "the closed loop")
+        return cls(layout, ca.Function("quantities", [t, x, p], [ca.densify(ca.vertcat(ca.SX(0, 1), *rows))]))
+
+
+def sample_steps(n_steps: int) -> Array:
+    """Return the control steps at whose beginnings samples are kept, and the end, (n_samples,)."""
+    return np.unique(np.round(np.linspace(0, n_steps, min(SAMPLES, n_steps + 1)))).astype(int)
+
+
+class Recorder:
+    """What is kept of the quantities of n runs.
+
+    Parameters
+    ----------
+    quantities : Quantities
+    times : array (n_steps + 1,)
+        s.
+    runs : int
+
+    Attributes
+    ----------
+    sums : array (3 n_quantities, runs)
+        Largest values, least values and integrals.
+    samples : array (n_quantities, n_samples, runs)
+        Not-a-number after the end of a run.
+    """
+
+    def __init__(self, quantities: Quantities, times: Array, runs: int) -> None:
+        self.quantities, self.times, n = quantities, times, len(quantities)
+        self._at = sample_steps(times.size - 1)
+        self.sums = np.repeat([-np.inf, np.inf, 0.0], n)[:, None] * np.ones(runs)
+        self.samples = np.full((n, self._at.size, runs), np.nan)
+
+    def add(self, run: int, first: int, parts: Mapping[str, Array], p: Array) -> None:
+        """Take in a leg of a run: parts of X (., n + 1) from control step ``first`` on, p the plant's parameters."""
+        states, times = parts["plant"], self.times[first : first + parts["plant"].shape[1]].copy()
+        if "stop" in parts:  # an event may have ended the run
+            flown = int(np.sum(parts["stop"][0, :-1] < 0.5))
+            states, times = states[:, : flown + 1], times[: flown + 1]
+            if parts["stop"][0, flown] > 0.5:
+                times[-1] = parts["stop time"][0, flown]
+        y = np.asarray(self.quantities.values(times[None, :], states, p).full())
+        n = len(self.quantities)
+        self.sums[:n, run] = np.maximum(self.sums[:n, run], y.max(axis=1))
+        self.sums[n : 2 * n, run] = np.minimum(self.sums[n : 2 * n, run], y.min(axis=1))
+        self.sums[2 * n :, run] += 0.5 * (y[:, 1:] + y[:, :-1]) @ np.diff(times)
+        here = (self._at >= first) & (self._at < first + times.size)
+        self.samples[:, here, run] = y[:, self._at[here] - first]

@@ -1,0 +1,140 @@
+r"""Atoms of a trajectory's path constraints: pushes of no duration, which a program's rows do not have.
+
+Where a constraint :math:`c(t, x) \le 0` without controls is touched, reached or left, its multiplier is a measure with
+an atom :math:`\eta \ge 0`: the costate jumps by :math:`-\eta\,\partial c/\partial x` (Hartl, Sethi & Vickson, SIAM
+Review 37(2), 1995, theorem 4.1). A program has rows for path constraints at its collocation points only, so that the
+terms :math:`\eta\,c(t_k, x_k)` at the boundaries of its segments are added to its Lagrangian: at the ends of arcs of
+order two or more (of order one an arc is entered and left without), at touches, and at the ends of the phase.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.problem.constraint_order import constraint_order
+from gnc_opt.problem.functions import phase_functions
+from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.phase import Phase
+from gnc_opt.problem.problem import Problem
+from gnc_opt.solution.extract import model_parameters
+from gnc_opt.transcription.mesh import Mesh
+from gnc_opt.transcription.numbering import PhasePart
+from gnc_opt.transcription.transcription import Transcription
+from gnc_opt.verify.pushes import path_gradients
+from gnc_opt.verify.trajectory_fit import FittedPhase
+
+ACTIVE = 1e-5
+"""Distance from a limit, scaled, at which it may push."""
+
+
+@dataclass(frozen=True)
+class Atoms:
+    """Where path constraints without controls may push at a boundary of segments.
+
+    Attributes
+    ----------
+    gradients : sparse array (n_variables, n_atoms)
+        Of the constraints, by the program's variables.
+    sizes : array (n_atoms,)
+        What a constraint varies by.
+    at_lower, at_upper : bool array (n_atoms,)
+    """
+
+    gradients: Any
+    sizes: Array
+    at_lower: Mask
+    at_upper: Mask
+
+    @classmethod
+    def of(
+        cls,
+        transcription: Transcription,
+        problem: Problem,
+        fitted: Mapping[str, FittedPhase],
+        q: Array,
+        scales: Array,
+    ) -> Atoms:
+        """Find them along a trajectory; ``scales`` is what the program's variables vary by."""
+        found = [cls._none(scales.size)]
+        for name, part in transcription.parts.items():
+            leg = problem.phases[name]
+            orders = [constraint_order(problem, leg, i).order for i in range(len(leg.path_labels))]
+            pure = np.flatnonzero([order != 0 for order in orders])
+            if pure.size:
+                touched_only = np.array([orders[i] == 1 for i in pure])
+                found.append(_of_phase(part, problem, fitted[name], q, scales, pure, touched_only))
+        return cls(
+            scipy.sparse.hstack([atoms.gradients for atoms in found], format="csc"),
+            *(
+                np.concatenate([getattr(a, name) for a in found])
+                for name in ("sizes", "at_lower", "at_upper")
+            ),
+        )
+
+    @classmethod
+    def _none(cls, n_variables: int) -> Atoms:
+        nowhere = np.zeros(0, dtype=bool)
+        return cls(scipy.sparse.csc_array((n_variables, 0)), np.zeros(0), nowhere, nowhere)
+
+
+def _of_phase(
+    part: PhasePart,
+    problem: Problem,
+    fitted: FittedPhase,
+    q: Array,
+    scales: Array,
+    pure: Indices,
+    touched_only: Mask,
+) -> Atoms:
+    leg, times = problem.phases[part.name], fitted.x.breaks
+    # A shared value belongs to the segment that begins with it, but for the last one.
+    x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (fitted.x, fitted.u))
+    none = np.zeros(len(leg.integrands))
+    functions = phase_functions(problem, part.name, model_parameters(problem, leg, q), q, none)
+    by_state, by_time = path_gradients(functions, len(leg.path_labels), times, x, u)
+    free = part.times < scales.size
+    places = np.vstack(
+        [part.collocation.boundary_states, np.repeat(part.times[free, None], times.size, axis=1)]
+    )
+    moved = _boundary_times(part.collocation.mesh)[free]
+    gradients = np.stack([np.vstack([by_state[:, i], moved * by_time[i]]) for i in pure], axis=1)
+    sizes = np.sum(np.abs(gradients) * scales[places][:, None], axis=0)
+    at_lower, at_upper = _at_limits(leg, functions.paths(times, x, u)[pure], pure, ACTIVE * sizes)
+    chosen = _may_push(at_lower | at_upper, touched_only)
+    which, k = np.nonzero(chosen)
+    columns = np.tile(np.arange(which.size), places.shape[0])
+    return Atoms(
+        scipy.sparse.csc_array(
+            (gradients[:, which, k].ravel(), (places[:, k].ravel(), columns)), shape=(scales.size, which.size)
+        ),
+        sizes[chosen],
+        at_lower[chosen],
+        at_upper[chosen],
+    )
+
+
+def _at_limits(leg: Phase, values: Array, pure: Indices, slack: Array) -> tuple[Mask, Mask]:
+    limits: Interval = leg.path_interval()
+    return values <= limits.lower[pure, None] + slack, values >= limits.upper[pure, None] - slack
+
+
+def _may_push(active: Mask, touched_only: Mask) -> Mask:
+    """Where active constraints (n, K + 1) may have an atom: not within arcs, nor at the ends of some constraints'."""
+    before, after = np.zeros_like(active), np.zeros_like(active)
+    before[:, 1:], after[:, :-1] = active[:, :-1], active[:, 1:]
+    beside = np.where(touched_only[:, None], before | after, before & after)
+    beside[:, [0, -1]] = False
+    return np.asarray(active & ~beside)
+
+
+def _boundary_times(mesh: Mesh) -> Array:
+    """By how much each boundary moves with each anchor in time (n_anchors, K + 1)."""
+    fractions = np.asarray(mesh.breaks)
+    anchors = fractions[list(mesh.anchors)]
+    return np.array([np.interp(fractions, anchors, one) for one in np.eye(anchors.size)])

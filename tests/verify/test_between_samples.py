@@ -1,0 +1,72 @@
+"""What is narrow in time or place is seen although no sample of the phase has a hint of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import gnc_opt as go
+
+
+def judged(gust: Any = None, spike: Any = None, limit: Any = None, upper: float = 0.5) -> go.Verdict:
+    """Rest to rest over 1 m in 1 s with the least effort, as 41 samples; each narrow thing is a function of (t, q)."""
+    model = go.Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a + (0.0 if gust is None else gust(model.time, q))})
+    problem = go.Problem("narrow")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    if limit is not None:
+        leg.path("limit", limit(model.time, q), upper=upper)
+    problem.minimize(leg.integral(a**2 + (0.0 if spike is None else spike(model.time, q))))
+    t = np.linspace(0.0, 1.0, 41)
+    return go.verify_trajectory(problem, t, [3 * t**2 - 2 * t**3, 6 * t - 6 * t**2], 6 - 12 * t)
+
+
+def bell(at: float) -> Any:
+    """A peak of 1 when the cart is at a place, a ten-thousandth of the way wide."""
+    return lambda t, q: ca.exp(-(((q - at) / 1e-4) ** 2))
+
+
+@pytest.mark.parametrize("at", [0.1973, 0.6614, 0.8089])
+def test_a_limit_that_is_flat_but_for_a_narrow_peak(at: float) -> None:
+    verdict = judged(limit=bell(at))
+    assert [c.name for c in verdict.failed] == ["path constraints"]
+    assert judged(limit=bell(1.1)).minimum
+
+
+@pytest.mark.parametrize(
+    "wall",
+    [
+        lambda d: -1 / ca.sqrt(d**2 + 1e-10),
+        lambda d: ca.tanh((d**2 - 1e-8) / 1e-8),
+        lambda d: ca.fmin(d**2 / 1e-8, 4.0),
+        lambda d: (d / 1e-4) ** 8,
+    ],
+    ids=["inverse distance", "hyperbolic tangent", "cut off", "power"],
+)
+def test_one_wall_in_any_formula(wall: Any) -> None:
+    """What must stay off 0.5187 by 1e-4."""
+    least = float(ca.DM(wall(ca.DM(1e-4))))
+    verdict = judged(limit=lambda t, q: -wall(q - 0.5187), upper=-least)
+    assert "path constraints" in {c.name for c in verdict.failed}
+    assert judged(limit=lambda t, q: -wall(q - 1.1), upper=-least).minimum
+
+
+def test_a_gust_between_samples() -> None:
+    """The speed would change by 0.05 m/s within 1/2000 s."""
+    verdict = judged(gust=lambda t, q: 100 * ca.exp(-(((t - 0.4125) / 3e-4) ** 2)))
+    assert "dynamics" in {c.name for c in verdict.failed}
+    assert judged(gust=lambda t, q: 100 * ca.exp(-(((t - 1.1) / 3e-4) ** 2))).minimum
+
+
+def test_a_cost_between_samples() -> None:
+    """It amounts to 0.05 beside the 12 of the effort."""
+    verdict = judged(spike=lambda t, q: 100 * ca.exp(-(((t - 0.4109) / 3e-4) ** 2)))
+    assert "cost" in {c.name for c in verdict.failed}
+    assert judged(spike=lambda t, q: 100 * ca.exp(-(((t - 1.1) / 3e-4) ** 2))).minimum
