@@ -45,6 +45,9 @@ class Claim:
     difference: str = ""
     allowed: str = ""
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "agrees", bool(self.agrees))  # NumPy's are not written to JSON
+
 
 @dataclass(frozen=True)
 class Row:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import gnc_opt as go
 from benchmarks.verdict.changes import LEAST, Planted, changes, off_by
 from benchmarks.verdict.extremals import extremals
+from benchmarks.verdict.families import members
 from benchmarks.verdict.forged import forged
 from benchmarks.verdict.pairs import SCALES, Pair, pairs
 from benchmarks.verdict.right import NotRight, right
@@ -102,6 +103,11 @@ def cases(documents: Sequence[Mapping[str, Any]], seed: int) -> Iterator[Case]:
                 "beside a closed form", name, pair.why, True, pair.first_order, _paired(pair, scale, True)
             )
             yield Case("right: closed forms", name, "", False, True, _paired(pair, scale, False))
+    for m in members():
+        kind = "beyond a threshold" if m.wrong else "right: before a threshold"
+        yield Case(
+            kind, m.name, m.why, m.wrong, m.first_order, lambda m=m: (m.judge(), 1.0 if m.wrong else 0.0)
+        )
     for r in right(documents, seed):
         yield Case(f"right: {r.kind}", r.name, "", False, True, lambda r=r: (r.judge(), 0.0))
 

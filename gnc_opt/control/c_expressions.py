@@ -53,12 +53,13 @@ _FORMS: dict[str, str] = {
     "SIGN": "{0} < 0 ? -1.0 : {0} > 0 ? 1.0 : {0}",
     "LT": "{0} < {1} ? 1.0 : 0.0",
     "LE": "{0} <= {1} ? 1.0 : 0.0",
-    "EQ": "{0} == {1} ? 1.0 : 0.0",
-    "NE": "{0} != {1} ? 1.0 : 0.0",
-    "NOT": "{0} != 0 ? 0.0 : 1.0",
-    "AND": "{0} != 0 && {1} != 0 ? 1.0 : 0.0",
-    "OR": "{0} != 0 || {1} != 0 ? 1.0 : 0.0",
-    "IF_ELSE_ZERO": "{0} != 0 ? {1} : 0.0",
+    # not by == and !=, which compilers can warn of; what is not a number equals nothing, and is not zero
+    "EQ": "{0} >= {1} && {0} <= {1} ? 1.0 : 0.0",
+    "NE": "{0} >= {1} && {0} <= {1} ? 0.0 : 1.0",
+    "NOT": "{0} >= 0 && {0} <= 0 ? 1.0 : 0.0",
+    "AND": "({0} >= 0 && {0} <= 0) || ({1} >= 0 && {1} <= 0) ? 0.0 : 1.0",
+    "OR": "{0} >= 0 && {0} <= 0 && {1} >= 0 && {1} <= 0 ? 0.0 : 1.0",
+    "IF_ELSE_ZERO": "{0} >= 0 && {0} <= 0 ? 0.0 : {1}",
 }
 _OPERATIONS: dict[int, str] = {getattr(ca, f"OP_{name}"): form for name, form in _FORMS.items()}
 _NAMES: dict[int, str] = {getattr(ca, name): name[3:].lower() for name in dir(ca) if name.startswith("OP_")}

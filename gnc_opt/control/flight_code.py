@@ -93,6 +93,12 @@ def export_c(
     ArgumentError
         The law holds operations that have no C (a QP), the schedule still changes after the span, nobody knows dt or
         the span, or the files would be called like a header of C.
+
+    Examples
+    --------
+    >>> code = go.export_c(go.design_lqr(cart, [0, 0], Q=1, R=1, dt=0.1), "flight")
+    >>> print(sorted(path.suffix for path in Path("flight").iterdir())[:2])
+    ['.c', '.c']
     """
     expect(controller, Controller, "what export_c() got", "give what a design function returned")
     dt = controller.step_length(dt)
@@ -103,7 +109,7 @@ def export_c(
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
     files = {
-        f"{prefix}.h": _header(controller, prefix, dt, first, table.shape[0]),
+        f"{prefix}.h": _header(controller, prefix, dt, first, table.shape[0], (start, step)),
         f"{prefix}.c": _source(controller, prefix, table, step, start),
         f"{prefix}_main.c": _driver(controller, prefix),
     }
@@ -162,7 +168,9 @@ def _table(controller: Controller, dt: float, span: tuple[float, float] | None) 
     return first, rows[:count]
 
 
-def _header(controller: Controller, prefix: str, dt: float, first: float, rows: int) -> str:
+def _header(
+    controller: Controller, prefix: str, dt: float, first: float, rows: int, functions: tuple[Any, Any]
+) -> str:
     upper = prefix.upper()
     sizes = {
         "N_STATES": controller.states.size,
@@ -179,6 +187,10 @@ def _header(controller: Controller, prefix: str, dt: float, first: float, rows: 
         *(f"#define {upper}_{key} {value}" for key, value in sizes.items()),
         f"#define {upper}_DT {_number(dt)} /* control step, s */",
         f"#define {upper}_T0 {_number(first)} /* time of the first row of the schedule, s */",
+        "",
+        "/* The same at every step, whatever the data: no loop depends on them, and no memory is allocated. */",
+        f"#define {upper}_OPERATIONS {operations(functions[1])} /* of a step: arithmetic, comparisons, calls */",
+        f"#define {upper}_STACK {stack_bytes(controller, *functions)} /* bytes of the arrays on the stack, at most */",
         "",
         "/* What the arrays hold, with units:",
     ]
@@ -330,6 +342,24 @@ def _driver(controller: Controller, prefix: str) -> str:
             "",
         ]
     )
+
+
+_MOVES = (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_ASSIGN)
+"""Instructions that compute nothing."""
+
+_DOUBLE = 8
+"""Bytes of a double."""
+
+
+def operations(function: Any) -> int:
+    """Return how many operations an SX function consists of: arithmetic, comparisons, calls."""
+    return sum(function.instruction_id(k) not in _MOVES for k in range(function.n_instructions()))
+
+
+def stack_bytes(controller: Controller, start: Any, step: Any) -> int:
+    """Return how many bytes the local arrays of the larger of two functions take, with those of its caller."""
+    row, memory = max(controller.signals.size, 1), max(controller.memory.size, 1)
+    return int(_DOUBLE * (row + max(start.sz_w(), step.sz_w() + memory)))
 
 
 def _entries(layout: Layout) -> list[str]:

@@ -71,7 +71,7 @@ EXPORT Status fmi2DoStep(void *c, double t, double h, int no_return)
     if (!(h > 0.0) || !(t <= sample + margin))
         return ERROR;
     while (sample < t + h - margin) {
-        if (law->count == 0.0)
+        if (!(law->count > 0.0))
             LAW_START(sample, law->x, law->z);
         LAW_STEP(sample, law->x, law->z, law->u);
         law->count += 1.0;
@@ -110,7 +110,7 @@ EXPORT Status fmi2GetBoolean(void *c, const unsigned int *vr, size_t n, int *val
     for (i = 0; i < n; ++i) {
         if (vr[i] >= LAW_N_ALARMS)
             return ERROR;
-        value[i] = ((const Law *)c)->z[alarms[vr[i]]] != 0.0;
+        value[i] = !(fabs(((const Law *)c)->z[alarms[vr[i]]]) <= 0.0);
     }
     return OK;
 }

@@ -38,7 +38,7 @@ class NormNodes:
     Attributes
     ----------
     vector : casadi.SX
-        (k, 1), k >= 2.
+        (k, 1); of a single component, the norm is its absolute value.
     degrees : dict of int
         1 or 2 by the hash of each node.
     """
@@ -125,6 +125,7 @@ def _tried(nodes: Any, vector: Any) -> Array:
     function = ca.Function("nodes", [vector, ca.vertcat(*others) if others else ca.SX(0, 1)], [nodes])
     rng = np.random.default_rng(_SEED)
     turned = rng.normal(size=(_DIRECTIONS, vector.numel()))
+    turned[:2] = [np.abs(turned[0]), -np.abs(turned[0])]  # both signs, of a single component, too
     turned /= np.linalg.norm(turned, axis=1, keepdims=True)
     rest = rng.uniform(0.5, 1.5, (_DRAWS, len(others))) * rng.choice([-1.0, 1.0, 1.0], (_DRAWS, len(others)))
     vectors = np.einsum("di,l->dli", turned, _LENGTHS).reshape(-1, vector.numel())

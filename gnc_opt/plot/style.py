@@ -81,9 +81,16 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
+    cut = {} if _fits(figure) else {"bbox_inches": "tight", "pad_inches": 0.05}
     with style():
-        figure.savefig(target, dpi=dpi, bbox_inches="tight", pad_inches=0.05)  # 3-D labels stick out
+        figure.savefig(target, dpi=dpi, **cut)
     return target
+
+
+def _fits(figure: Figure) -> bool:
+    """Whether the layout keeps all labels inside; where it does not, they are looked for by drawing twice."""
+    arranged = figure.get_layout_engine() is not None
+    return arranged and not any(ax.name == "3d" for ax in figure.axes)
 
 
 def line_look(i: int) -> dict[str, Any]:

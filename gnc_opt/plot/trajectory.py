@@ -6,7 +6,7 @@ phase, all phases are drawn one after the other.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from gnc_opt.arrays import Array
-from gnc_opt.model.composed import ComposedControl
+from gnc_opt.model.composed import AssembledControl, ComposedControl, VectorControl
 from gnc_opt.plot.sampling import chosen_names, chosen_phases, data_range, sample, zero_crossings
 from gnc_opt.plot.style import (
     COLORS,
@@ -32,6 +32,7 @@ from gnc_opt.plot.style import (
 )
 from gnc_opt.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import ROUNDING, magnitude
 
 Labels = Mapping[str, Sequence[str]]
 """Component labels by variable name, e.g. ``{"omega": (r"$\\omega_x$", r"$\\omega_y$", r"$\\omega_z$")}``."""
@@ -171,7 +172,11 @@ def plot_controls(
     """
     legs = chosen_phases(solution, phase)
     known = {c.name: c for leg in legs for c in leg.composed_controls}
-    composed = [c for name, c in known.items() if names is None or name in names]
+    composed = [
+        c
+        for name, c in known.items()
+        if (name in names if names is not None else _as_stated(c, known.values()))
+    ]
     names = chosen_names(legs, "controls", names if names is None else [n for n in names if n not in known])
     sizes = {name: leg.controls[name].size for leg in legs for name in names if name in leg.controls}
     parts = [(name, i) for name in names for i in range(sizes[name])]
@@ -320,6 +325,12 @@ def _draw_control(ax: Axes, leg: PhaseSolution, name: str, i: int, shown: str) -
     ax.set_ylabel(axis_label(shown, signal.unit))
 
 
+def _as_stated(control: ComposedControl, others: Iterable[ComposedControl]) -> bool:
+    """Whether a control was stated as it is, and not as components that are drawn themselves."""
+    whole = isinstance(control, VectorControl)
+    return not any(whole and isinstance(c, AssembledControl) and c.parts[:2] == control.parts for c in others)
+
+
 def _draw_composed(
     ax: Axes, legs: Sequence[PhaseSolution], control: ComposedControl, labels: Labels | None
 ) -> None:
@@ -346,26 +357,26 @@ def _draw_switching(
     axes[1].plot(t, values[i], **_SWITCHING)
     axes[1].axhline(0.0, color="black", linewidth=0.6)
     axes[1].locator_params(axis="y", nbins=3)
-    axes[1].set_ylabel(
-        axis_label(f"$\\partial H/\\partial${shown}\n", per_unit(unit, leg.control(name).unit))
-    )
-    negligible = _negligible_switching(solution, leg, leg.controls.slice(name).start + i)
+    per = per_unit(unit, leg.control(name).unit)
+    axes[1].set_ylabel(axis_label(f"$\\partial H/\\partial${shown}" + "\n" * bool(per), per))
+    negligible = _negligible_switching(solution, leg, name, i)
     _leave_room(axes[1], negligible)
     for crossing in zero_crossings(t, values[i], negligible):
         for ax in axes:
             ax.axvline(crossing, zorder=1, **_SIGN_CHANGE)
 
 
-def _negligible_switching(solution: Solution, leg: PhaseSolution, row: int) -> float:
+def _negligible_switching(solution: Solution, leg: PhaseSolution, name: str, i: int) -> float:
     """Return the switching function that is worth 1e-7 of the Hamiltonian's terms over the control's range.
 
     An interior control holds it at zero; without this the figure would magnify the rounding errors.
     """
-    t = leg.point_times
+    t, rows = leg.point_times, leg.controls.slice(name)
+    row = rows.start + i
     terms = leg.lam(t) * solution.functions(leg.name).rates(t, leg.x(t), leg.u(t))
     reach = leg.control_bounds.upper[row] - leg.control_bounds.lower[row]
     if not (np.isfinite(reach) and reach > 0):
-        reach = float(np.max(np.abs(leg.u(t)[row]))) or 1.0
+        reach = float(np.max(np.abs(leg.u(t)[rows]))) or 1.0
     return float(_NEGLIGIBLE * np.max(np.sum(np.abs(terms), axis=0)) / reach)
 
 
@@ -408,8 +419,14 @@ def _leave_room(ax: Axes, least: float) -> None:
         ax.set_ylim(low - least, high + least)
 
 
+def _heights(line: Line2D) -> Array:
+    return np.asarray(line.get_ydata(), dtype=float)
+
+
 def _span(ax: Axes, legs: Sequence[PhaseSolution]) -> None:
-    """Show all phases, with a dotted line between one and the next."""
+    """Show all phases, with a dotted line between one and the next, and noise as zero."""
+    reach = max((float(np.nanmax(np.abs(y), initial=0.0)) for y in map(_heights, ax.lines)), default=0.0)
+    _leave_room(ax, ROUNDING * float(magnitude(reach)))
     ax.set_xlim(legs[0].breaks[0], legs[-1].breaks[-1])
     for leg in legs[1:]:
         ax.axvline(leg.breaks[0], color=QUIET, linewidth=0.8, linestyle=":")

@@ -29,17 +29,18 @@ def check_problem(problem: Statement) -> None:
         _check_times(leg)
         _check_boundary_values(leg)
     first = "checked" not in problem.builds
+    solved = restated(problem)
     if first:
         for leg in problem.phases.values():
             _check_unused_controls(problem, leg)
-            warn_of_kinks(problem, leg)
+        for leg in solved.phases.values():
+            warn_of_kinks(solved, leg)
         _check_unused_parameters(problem)
         problem.builds["checked"] = True
     for leg in problem.phases.values():
         check_guess_in_tables(problem, leg, warn=first)
-    check_values(problem)
+    check_values(solved)
     if first:
-        solved = restated(problem)
         for leg in solved.phases.values():
             warn_of_norms(solved, leg)
 

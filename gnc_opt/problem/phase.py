@@ -203,7 +203,7 @@ class Phase(Strict):
         name : str
             Unique in the phase; appears in reports and multipliers.
         expression : casadi.SX or list
-            In the symbols of the phase's model.
+            In the symbols of the phase's model; or an inequality or equation, ``T.T @ T <= d**2``, without limits.
         lower, upper : float or array, optional
             At least one of them, unless ``equals`` is given.
         equals : float or array, optional

@@ -42,6 +42,17 @@ class Problem(Statement):
     The cost is any expression in end-point symbols (``leg.final_time``, ``leg.final_state("m")``), integrals
     (``leg.integral(a**2)``) and parameters. Costates follow Pontryagin's *minimum* principle for the
     minimised functional; a maximised J is minimised as -J.
+
+    Examples
+    --------
+    >>> hop = go.Problem("rest to rest with the least effort")
+    >>> leg = hop.phase("leg", cart)
+    >>> leg.time(0.0, 1.0)
+    >>> leg.initial(q=0.0, v=0.0)
+    >>> leg.final(q=1.0, v=0.0)
+    >>> hop.minimize(leg.integral(cart.symbol("a") ** 2))
+    >>> print(round(go.solve(hop).objective, 6))
+    12.0
     """
 
     __slots__ = ("_frozen",)
@@ -155,7 +166,8 @@ class Problem(Statement):
         name : str
             Unique in the problem; appears in reports and names the multiplier.
         expression : casadi.SX or list
-            In end-point symbols (``leg.final_state("m")``), times, integrals and parameters.
+            In end-point symbols (``leg.final_state("m")``), times, integrals and parameters; or an inequality or
+            equation of these, ``leg.final_state("m") >= 300.0``, without limits.
         lower, upper : float or array, optional
             At least one of them, unless ``equals`` is given.
         equals : float or array, optional
@@ -355,7 +367,8 @@ class Problem(Statement):
 
         Checks times, costs, boundary values against bounds, unused controls and parameters, foreign symbols,
         and evaluates every function and Jacobian along the guess, naming the state, phase and time of a NaN.
-        Warns of operations without derivatives (`fabs`, `sign`, `floor`, `fmin`, `fmax`, comparisons), of linear
+        Warns of operations without derivatives (`fabs`, `sign`, `floor`, `fmin`, `fmax`, comparisons) that are not
+        restated when the problem is solved, of linear
         tables, and of a guess outside of a table.
         """
         check_problem(self)

@@ -57,7 +57,7 @@ EXACT = 1e-9
 WEAK = 1e-6
 """Multipliers below this share of the cost may be zero: their conditions restrict directions to a half-space only."""
 
-MOST_ORDERS = 24
+MOST_ORDERS = 120
 """Orders of simultaneous switches that are tried."""
 
 SLACK = 1e-6

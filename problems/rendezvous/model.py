@@ -46,6 +46,7 @@ from gnc_opt.spacecraft import (
     mrp_difference,
     mrp_from_axis_angle,
     mrp_rate,
+    mrp_retraction,
     mrp_to_dcm,
     relative_angular_acceleration,
     transpose,
@@ -119,7 +120,7 @@ def chaser_model(equation: Equation = "printed") -> go.Model:
             r_L: v_L,
         }
     )
-    chaser.difference(sigma_BL, mrp_difference)
+    chaser.difference(sigma_BL, mrp_difference, retraction=mrp_retraction)
     return chaser
 
 

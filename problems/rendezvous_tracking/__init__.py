@@ -6,12 +6,14 @@ To be read in this order: `problems.rendezvous.model`, then here
 
 * `tracking`: the plan, the plant and what it differs by, the controllers, and how their runs are judged;
 * `guided`: the plan without reserve, its switches corrected on board;
+* `measured`: the same by range, bearing, star tracker and gyro, through a filter;
 * `basilisk`: the plan and its regulator in another maker's plant;
 * `plots`, `report`: what is drawn and printed.
 """
 
 from problems.rendezvous import CASES
 from problems.rendezvous_tracking.guided import Guided, settled
+from problems.rendezvous_tracking.measured import Measured
 from problems.rendezvous_tracking.report import main
 from problems.rendezvous_tracking.tracking import (
     ACCEPTED,
@@ -61,6 +63,7 @@ __all__ = [
     "TORQUE_STEP",
     "Conditions",
     "Guided",
+    "Measured",
     "Tracking",
     "main",
     "plan",

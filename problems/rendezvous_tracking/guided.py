@@ -15,7 +15,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.control import Controller, design_lqr, design_neighbouring_optimal
 from gnc_opt.simulation import Campaign, Run
-from problems.rendezvous_tracking.tracking import AUTHORITY, DT, LAG, LIMITS, SETTLING, Tracking
+from problems.rendezvous_tracking.tracking import AUTHORITY, DT, LIMITS, SETTLING, Tracking
 
 LAST = 10.0
 """Of the flight, s, in which the regulator follows."""
@@ -35,7 +35,7 @@ class Guided(Tracking):
         regulator = design_lqr(model, final, **self._weights, dt=DT, limits=AUTHORITY)
         weight = self._weights["Q"]
         return design_neighbouring_optimal(
-            self.solution, regulator, Q=weight, last=LAST, reserve=REGULATED, delay=LAG
+            self.solution, regulator, Q=weight, last=LAST, reserve=REGULATED, delay=self.conditions.lag
         )
 
     def controller(self, name: str = "neighbouring-optimal") -> Controller:
@@ -45,15 +45,12 @@ class Guided(Tracking):
     @property
     def end(self) -> float:
         """When the runs are judged, s."""
-        return float(self.guidance.initial_memory(0.0, self.initial)[self._final_time][0]) + SETTLING
-
-    @property
-    def _final_time(self) -> slice:
-        return self.guidance.memory.slice("final_time")
+        first = self.guidance.initial_memory(0.0, self.initial)
+        return float(first[self.guidance.memory.slice("final_time")][0]) + SETTLING
 
     def arrivals(self, campaign: Campaign) -> Array:
         """Return when each run arrived by its last plan (m,), s."""
-        return np.asarray(campaign.memory[self._final_time][0])
+        return np.asarray(campaign.memory[campaign.layouts["memory"].slice("final_time")][0])
 
 
 def settled(run: Run, target: Array) -> float:

@@ -101,13 +101,13 @@ def descent(plan: go.Solution) -> Reference:
     leg = plan.phase()
     end, last = leg.final_time, leg.x(leg.final_time)
     onward = np.concatenate([last[3:6], np.zeros(4)])
-    weight = last[6] * GRAVITY * UP
+    weight, thrust = last[6] * GRAVITY * UP, leg.flown_control("T")
 
     def x(times: Array) -> Array:
         return leg.x(np.minimum(times, end)) + np.outer(onward, np.maximum(times - end, 0.0))
 
     def u(times: Array) -> Array:
-        return np.where(times > end, weight[:, None], leg.flown(np.minimum(times, end)))
+        return np.where(times > end, weight[:, None], thrust(np.minimum(times, end)))
 
     jumps = leg.flown.jumps[leg.flown.jumps > leg.initial_time]
     return Reference.from_functions(

@@ -39,7 +39,7 @@ from problems.tethered_formation.model import (
     reference,
     tether_model,
 )
-from problems.tethered_formation.optimal import RESERVE, Goal, solve
+from problems.tethered_formation.optimal import Goal, optimum
 from problems.tethered_formation.runs import Manoeuvre
 
 BAND = 1.0
@@ -136,10 +136,9 @@ def held(solution: go.Solution, duration: float = DURATION) -> go.Reference:
     )
 
 
-@cache
 def planned(goal: Goal) -> go.Solution:
     """Return the plan that is flown; the least time keeps a reserve of angle and rate."""
-    return solve(goal, **(RESERVE if goal == "time" else {}))
+    return optimum("planned" if goal == "time" else goal).solution
 
 
 def closed(name: str, conditions: Conditions = Conditions()) -> tuple[go.ClosedLoop, Array]:

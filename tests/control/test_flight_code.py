@@ -1,5 +1,6 @@
 """Flight code: compiles without warnings and agrees with Python."""
 
+import re
 import shutil
 import subprocess
 
@@ -20,7 +21,8 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout, Variable
 
 COMPILER = shutil.which("cc")
-FLAGS = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O2"]
+FLAGS = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wfloat-equal", "-Werror", "-O2"]
+SANITIZERS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler (cc) on this machine")
 
 
@@ -52,10 +54,10 @@ def holder(dt=None):
     )
 
 
-def compiled(code):
+def compiled(code, *more):
     program = code.header.parent / "driver"
     subprocess.run(
-        [COMPILER, *FLAGS, "-o", str(program), str(code.source), str(code.driver), "-lm"],
+        [COMPILER, *FLAGS, *more, "-o", str(program), str(code.source), str(code.driver), "-lm"],
         check=True,
         capture_output=True,
     )
@@ -238,3 +240,36 @@ def test_refusals(tmp_path):
         export_c(follower(), tmp_path, dt=0.1, name="no name")
     with pytest.raises(ArgumentError, match="what a design function returned"):
         export_c(model, tmp_path)
+
+
+@needs_compiler
+@pytest.mark.parametrize("design", [follower, holder])
+def test_nothing_undefined_and_no_foreign_memory_with_samples_of_all_kinds(tmp_path, design):
+    """Compiled with the address and undefined-behaviour sanitizers, which end the program at the first offence."""
+    controller = design(0.1)
+    try:
+        program = compiled(export_c(controller, tmp_path), *SANITIZERS)
+    except subprocess.CalledProcessError:
+        pytest.skip("the compiler has no sanitizers")
+    times = np.array([0.5, 0.6, 0.7, 1.0, 3.5, 10.5, 2.0, 2.1])
+    states = np.array(
+        [[0, 0], [np.nan, 0], [1e300, -1e300], [0.1, np.inf], [-0.2, 0.1], [0, 0], [1e31, 0], [0.3, -0.1]]
+    )
+    found = run(program, times, states)
+    assert found == pytest.approx(python(controller, times, states, 0.1), rel=1e-12, abs=1e-14)
+
+
+def test_header_tells_operations_and_stack(tmp_path):
+    """Of a law by hand: u = -(2 x0 + 3 x1) has four operations; the arrays are those declared in the source."""
+    model, _ = pendulum()
+    t, x, r, z = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("r", 0), ca.SX.sym("z", 0)
+    none = Layout("entry")
+    by_hand = Controller(
+        "by hand", law(t, x, r, z, -(2.5 * x[0] + 3.5 * x[1]), z), first_memory(t, x, r, ca.SX(0, 1)), model.states,
+        model.controls, none, none, lambda times, dt: np.zeros((0, times.size)), Explanation("by hand"), 0.1,
+    )  # fmt: skip
+    assert "#define BY_HAND_OPERATIONS 4 " in export_c(by_hand, tmp_path).header.read_text()
+    code = export_c(follower(0.1), tmp_path)
+    declared = [int(n) for n in re.findall(r"double (?:w|r|z_next)\[(\d+)\];", code.source.read_text())]
+    stack = int(re.search(r"TVLQR_STACK (\d+)", code.header.read_text())[1])
+    assert max(declared) * 8 < stack <= sum(declared) * 8

@@ -466,3 +466,25 @@ def test_a_disturbance_above_the_gain_raises_an_alarm_and_one_below_does_not(bou
     assert flags[-1] == alarm
     assert not flags[run.times < 20.0].any()  # reaching is no alarm, however long it takes
     assert ("overpowered" in controller.alarms) and (np.abs(run.memory("s")[0, -1]) > 0.15) == bool(alarm)
+
+
+@pytest.mark.parametrize("boundary", [SaturationLayer(0.1), TanhLayer(0.05)], ids=str)
+@pytest.mark.parametrize(("level", "alarm"), [(0.9, 0.0), (1.1, 1.0), (-0.9, 0.0), (-1.6, 1.0)])
+def test_a_disturbance_that_never_lets_s_come_down_raises_the_alarm_too(boundary, level, alarm):
+    """From the beginning on, so that sliding never begins: s' = -sign(s) + d has the sign of s where |d| > 1."""
+    model = integrators()
+    controller = design_sliding_mode(
+        model, [0, 0], outputs="x0", slopes=1.0, reaching=ConstantRate(1.0), boundary=boundary, dt=0.01
+    )
+    run = step_through(
+        controller,
+        model,
+        [np.copysign(0.5, level), 0.0],
+        dt=0.01,
+        tf=25.0,
+        disturbance=lambda t: level + 0 * t[None, :],
+    )
+    flags = run.memory("overpowered")[0]
+    assert flags[-1] == alarm
+    if alarm:
+        assert run.times[np.argmax(flags)] < 0.2  # ten control steps, and the first two

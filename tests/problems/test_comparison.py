@@ -23,6 +23,7 @@ from problems.comparison import (
     require,
     run_comparison,
     show,
+    write_json,
 )
 from problems.flown import Flight, flight_rows, with_settings
 
@@ -158,6 +159,17 @@ def test_main_writes_the_rows_and_fails_with_one_of_them(tmp_path: Path) -> None
         "difference": "-57.8 %",
         "allowed": "0.058 %",
     }
+
+
+def test_numbers_and_marks_of_numpy_are_written(tmp_path: Path) -> None:
+    values = np.array([1.0, 2.0])
+    rows = [
+        remark("a", values, published=Claim("rising", np.all(np.diff(values) > 0))),
+        require("b", "< 1", values[0], values[0] < 1, published="small", reason=WHY),
+    ]
+    write_json(tmp_path / "out.json", rows)
+    told = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
+    assert [row["published"]["agrees"] for row in told["rows"]] == [True, False]
 
 
 # --- flown comparisons ----------------------------------------------------------------------------------

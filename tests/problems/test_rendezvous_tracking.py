@@ -2,6 +2,7 @@
 
 import json
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import gnc_opt as go
 from benchmarks.closed_loop import AGREEMENT, ATOL, RTOL, plain_inputs, plain_run
+from gnc_opt.control import feedforward
 from gnc_opt.spacecraft import mrp_to_dcm
 from problems.rendezvous_tracking import (
     DISPERSIONS,
@@ -22,6 +24,7 @@ from problems.rendezvous_tracking import (
     turned,
 )
 from problems.rendezvous_tracking.guided import Guided, settled
+from problems.rendezvous_tracking.measured import KEEP_OUT, Measured
 
 RUNS, SEED = {"TVLQR": 1000, "integral sliding mode": 250}, 1
 FEW = 60
@@ -50,6 +53,36 @@ def test_guidance_arrives_earlier_than_a_plan_with_reserve(guided, tracking):
     last = np.searchsorted(run.times, settled(run, target))
     inside = np.linalg.norm(error[9:12], axis=0) < LIMITS["r_L"]
     assert np.all(inside[last:]) and arrivals[0] - 2.0 < run.times[last] < arrivals[0] + 2.5
+
+
+@pytest.fixture(scope="module")
+def measured(guided):
+    return Measured(guided.solution)
+
+
+@pytest.mark.slow
+def test_a_filter_guides_by_range_and_bearing(measured):
+    """Within limits and as early as with all states measured; estimates within what the filter says of them."""
+    campaign = measured.campaign("filtered", 3, SEED, "serial")
+    assert campaign.passed().all() and campaign.event_totals == {"too close": 0}
+    assert np.mean(measured.arrivals(campaign)) == pytest.approx(26.43, abs=0.15)
+    run, told = campaign.rerun(1), measured.filter
+    memory = run.memory[: told.memory.size, 50:-1]
+    error = told.estimate(memory) - run.states[:, 50:-1]
+    sigma = np.sqrt(np.array([np.diag(P) for P in told.covariance(memory)]))
+    share = np.sqrt(np.mean((error[6:].T / sigma[:, 6:]) ** 2))  # velocity and position
+    assert 0.5 < share < 2.0  # lag and wrong mass are more than noise while switches follow each other
+    assert np.min(np.linalg.norm(run.states[9:], axis=0)) > KEEP_OUT
+
+
+@pytest.mark.slow
+def test_coming_too_close_is_a_failure(measured):
+    loop = replace(
+        measured.loop(measured.controller()), controller=feedforward(measured.reference), sensors=()
+    )
+    run = loop.simulate([0, 0, 0, 0, 0, 0, -0.5, 0, 0, 7.0, 0, 0], tf=5.0)
+    assert run.outcome.what == "too close"
+    assert np.linalg.norm(run.states[9:, -1]) == pytest.approx(KEEP_OUT, abs=1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -201,18 +234,18 @@ def test_settings_change_law_gains_and_what_the_runs_differ_by(tracking, tmp_pat
 
 
 @pytest.mark.slow
-def test_main_writes_statistics_and_figures(tracking, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(
-        "problems.rendezvous_tracking.report.plan",
-        lambda case, share: {(1, RESERVE): tracking.solution}[case, share],
-    )
+def test_main_writes_statistics_and_figures(tracking, guided, tmp_path, capsys, monkeypatch):
+    plans = {(1, RESERVE): tracking.solution, (1, 1.0): guided.solution}
+    monkeypatch.setattr("problems.rendezvous_tracking.report.plan", lambda *asked: plans[asked])
     monkeypatch.setattr(
         "problems.rendezvous_tracking.report.price_of_robustness", lambda case: [(1.0, 2.0), (0.5, 3.0)]
     )
     arguments = ["--runs", "4", "--mpc-runs", "1", "--json", str(tmp_path / "out.json")]
     assert main([*arguments, "--report", str(tmp_path / "figures")]) == 0
     told = json.loads((tmp_path / "out.json").read_text())
-    assert set(told["controllers"]) == {"open loop", "TVLQR", "integral sliding mode", "MPC"}
+    assert set(told["controllers"]) == {
+        "open loop", "TVLQR", "integral sliding mode", "MPC", "guided", "guided, filtered"
+    }  # fmt: skip
     assert told["controllers"]["TVLQR"]["passed"]["passed"] == 4
     assert "Price of robustness" in capsys.readouterr().out
     assert {"terminal_errors.png", "price_of_robustness.png"} <= {

@@ -10,8 +10,9 @@ is left out. The rest is whitened and taken component by component, in Joseph's 
 
 .. math:: k = \frac{P h}{h^T P h + 1}, \qquad P \leftarrow (1 - k h^T) P (1 - k h^T)^T + k k^T,
 
-so that P stays a covariance also where a good sensor meets a bad guess. In the end the state moves by the error found.
-A turn of an attitude turns the axes of its error, too; that is of second order and left out.
+so that P stays a covariance also where a good sensor meets a bad guess. Where h has one entry only, as for states that
+are measured as they are, this is :math:`P h = k` put in its place, at half of the cost. In the end the state moves by
+the error found. A turn of an attitude turns the axes of its error, too; that is of second order and left out.
 
 **Prediction** over a step h: the state by the classical Runge-Kutta method; with A the Jacobian of the dynamics
 halfway, R and D of `space`,
@@ -269,13 +270,25 @@ def _joseph(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any, Any]:
     Nothing changes if they are not taken.
     """
     for i in range(H.shape[0]):
-        h = H[i, :].T
+        h = ca.sparsify(H[i, :].T)
         g = P @ h
         k = taken * g / (ca.dot(h, g) + 1)
         error = error + k * (nu[i] - ca.dot(h, error))
         left = P - k @ g.T
-        P = ca.tril2symm(ca.tril(left + (k - left @ h) @ k.T))
+        if h.nnz() == 1:
+            # left h is k where rounding is left out: with it in its place no difference is left in that column
+            (j,) = h.sparsity().row()
+            left[:, j] = ca.if_else(taken, k, g) / h[j]
+            P = _mirrored(left, j)
+        else:
+            P = ca.tril2symm(ca.tril(left + (k - left @ h) @ k.T))
     return error, P
+
+
+def _mirrored(matrix: Any, j: int) -> Any:
+    """Return the symmetric matrix of the lower part, with its row j from its column j."""
+    matrix[j, :] = matrix[:, j].T
+    return ca.tril2symm(ca.tril(matrix))
 
 
 def _held(flow: Any, t: Any, u: Any) -> Map:

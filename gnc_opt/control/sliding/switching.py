@@ -115,8 +115,8 @@ class Switching:
         """Return the memory that raises the alarm `OVERPOWERED`: a disturbance is stronger than the gain.
 
         Where the law works with its full gain, a weaker one cannot drive s away: not from where sliding has begun,
-        whose edge it may cross by one control step. Super-twisting, whose gain is a rate, overshoots by itself, and has
-        no such alarm; nor has a law whose gain grows with s.
+        whose edge it may cross by one control step, and before that s comes nearer at every step. Super-twisting, whose
+        gain is a rate, overshoots by itself, and has no such alarm; nor has a law whose gain grows with s.
         """
         if isinstance(self.reaching, SuperTwisting) or not np.isfinite(self.reaching.gain):
             return []
@@ -124,13 +124,15 @@ class Switching:
         if edge <= 0:
             return []
         away, flag = ca.SX.sym("away", self.bounds.size), ca.SX.sym(OVERPOWERED)
-        begun, outside = away > -0.5, ca.fabs(s) > edge
-        after = ca.if_else(
-            outside, ca.if_else(begun, away + 1, -1), 0
-        )  # steps in a row; -1 before sliding begins
-        raised = ca.fmax(flag, ca.mmax(after) > PATIENCE - 0.5)
+        distance = ca.SX.sym("distance", self.bounds.size)
+        begun, outside, size = away > -0.5, ca.fabs(s) > edge, ca.fabs(s)
+        # steps in a row outside; before sliding begins those on which s has grown, from -1 downward
+        growing = ca.if_else(size > distance, away - 1, -1)
+        after = ca.if_else(outside, ca.if_else(begun, away + 1, growing), 0)
+        raised = ca.fmax(flag, ca.mmax(ca.fmax(after, -1 - after)) > PATIENCE - 0.5)
         return [
             Memory("away", away, -ca.SX.ones(self.bounds.size), after),
+            Memory("distance", distance, size, size),
             Memory(OVERPOWERED, flag, ca.SX(0), raised, alarm=True),
         ]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import takewhile
 from typing import Any
 
 import casadi as ca
@@ -68,9 +69,20 @@ class Vector:
 
     @property
     def name(self) -> str:
-        """Of the vector: of the control, if it is one."""
-        name = "_".join(v.name for v in self.stated)
-        return f"{name}_vector" if self.rest and len(self.stated) == 1 else name
+        """Of the vector: of the control, if it is one, else what their names begin with."""
+        names = [v.name for v in self.stated]
+        if len(names) == 1:
+            return f"{names[0]}_vector" if self.rest else names[0]
+        alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
+        common = "".join(letters[0] for letters in alike).rstrip("_")
+        return common if common.isidentifier() and common not in self.taken else "_".join(names)
+
+    @cached_property
+    def taken(self) -> frozenset[str]:
+        """Names in the model."""
+        model = self.model
+        layouts = (model.states, model.controls, model.parameters, model.outputs)
+        return frozenset(name for layout in layouts for name in layout.names)
 
     @property
     def nominal(self) -> tuple[float, ...] | None:
@@ -80,13 +92,8 @@ class Vector:
 
     def new(self, what: str, size: int, nominal: tuple[float, ...] | None, unit: str = "") -> Symbol:
         """Return the symbol of a control ``name_what``, with a name that is not taken."""
-        taken = {
-            n
-            for names in (self.model.states, self.model.controls, self.model.parameters, self.model.outputs)
-            for n in names.names
-        }
         name = f"{self.name}_{what}"
-        while name in taken:
+        while name in self.taken:
             name += "_"
         return Symbol(Variable(name, size, unit, nominal))
 
@@ -162,6 +169,7 @@ class Form:
             paths,
             {name: (symbol, express(e)) for name, (symbol, e) in leg.integrands.items()},
             Restatement(
+                old,
                 stated,
                 express(stated),
                 (f"{_shown(vector)} is solved for as {' * '.join(parts)}{limits.text}",),

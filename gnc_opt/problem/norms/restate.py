@@ -13,8 +13,10 @@ from gnc_opt.model.graph import operations_in
 from gnc_opt.model.norms import ROOTS
 from gnc_opt.problem.guess.trajectory import guess_times, start_phase
 from gnc_opt.problem.interval import Interval, free
-from gnc_opt.problem.norms.find import norm_by_hand
+from gnc_opt.problem.norms.find import guessed_controls, norm_by_hand
 from gnc_opt.problem.norms.form import Form, box_rows
+from gnc_opt.problem.norms.roots import without_roots
+from gnc_opt.problem.norms.split import CORNERS, SplitForm, absolute_controls
 from gnc_opt.problem.phase import Phase, PhaseGuess, PhaseNumbers
 from gnc_opt.problem.statement import Statement
 from gnc_opt.problem.tables import along
@@ -32,21 +34,29 @@ def restated(problem: P) -> P:
         return problem
     twin, keys = problem.clone(), []
     for leg in twin.phases.values():
-        key: tuple[Any, ...] = (leg.name, np.sign(leg.numbers.controls.lower).tobytes())
+        key: tuple[Any, ...] = (
+            leg.name,
+            np.sign(leg.numbers.controls.lower).tobytes(),
+            guessed_controls(leg),
+        )
         while (form := _form(problem, leg, key)) is not None:
             key = (*key, form.vector.places, *_restate(leg, form))
-        keys.append(key)
-    if all(len(key) == 2 for key in keys):
+        if (split := _split_form(problem, leg, key)) is not None:
+            key = (*key, split.key, *split.apply(leg))
+        rootless = problem.once(("rootless", *key), lambda leg=leg: without_roots(leg))  # type: ignore[misc]
+        leg.paths |= rootless
+        keys.append((*key, *rootless))
+    if all(len(key) == 3 for key in keys):
         return problem
     twin.builds = problem.builds.setdefault(("restated", *keys), {})
     return twin
 
 
 def _may_have_norms(problem: Statement, leg: Phase) -> bool:
-    if leg.model.controls.size < 2 or leg.numbers.arcs is not None:
+    if leg.numbers.arcs is not None:
         return False
     operations = problem.once(("operations", leg.name), lambda: operations_in(along(leg)))
-    return bool(operations & {*ROOTS, ca.OP_SQ, ca.OP_MUL})
+    return bool(operations & {*ROOTS, *CORNERS, ca.OP_SQ, ca.OP_MUL})
 
 
 def _form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> Form | None:
@@ -57,6 +67,16 @@ def _form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> Form | None:
         return None if places is None else Form.of(leg, places)
 
     return problem.once(("form", *key), build)
+
+
+def _split_form(problem: P, leg: Phase, key: tuple[Any, ...]) -> SplitForm | None:
+    """The form of a phase without absolute values, which is the same for all variations."""
+
+    def build() -> SplitForm | None:
+        names = absolute_controls(problem, leg)
+        return SplitForm.of(leg, names) if names else None
+
+    return problem.once(("split", *key), build)
 
 
 def _restate(leg: Phase, form: Form) -> tuple[str, ...]:

@@ -1,0 +1,96 @@
+"""The guided rendezvous by range, bearing, star tracker and gyro: a filter estimates what the guidance takes.
+
+The chaser measures, every 0.1 s, with white noise (1 sigma)
+
+* the distance to the target, 2 cm;
+* its direction in the chaser's axes B, a unit vector, 0.5 mrad per component;
+* its own attitude and rates as in `tracking`.
+
+An extended Kalman filter, multiplicative for the attitude, makes rates, attitude, velocity and position of them; it
+knows neither lag, quanta, differential force nor the run's mass and inertia, which its process noise stands for. No run
+may come within `KEEP_OUT` of the target.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+import gnc_opt as go
+from gnc_opt.control import Controller, Estimator, Measurement, design_ekf, output_feedback
+from gnc_opt.simulation import ClosedLoop, Event, Noise
+from gnc_opt.spacecraft import apply, mrp_to_dcm
+from problems.rendezvous import chaser_model
+from problems.rendezvous_tracking.guided import Guided
+from problems.rendezvous_tracking.tracking import AUTHORITY, DT, NOISE, turned
+
+RANGE_NOISE, BEARING_NOISE = 0.02, 5e-4
+"""m, and the components of a unit vector."""
+KEEP_OUT = 6.5
+"""Radius of the sphere about the target, m."""
+FIRST = {"omega": 1e-4, "sigma": 0.02, "v_L": 1e-3, "r_L": 0.1}
+"""Errors of the planned start (1 sigma), rad/s, rad, m/s, m."""
+UNKNOWN = {"omega": 3e-4, "v_L": 1e-3}
+"""Process noise: what wrong mass, inertia, lag and force do to rates and velocity, rad/s^1.5 and m/s^1.5."""
+
+
+def observed_chaser() -> go.Model:
+    """Return the chaser with what it sees of its target."""
+    chaser = chaser_model("exact")
+    r, sigma = chaser.symbol("r_L"), chaser.symbol("sigma")
+    distance = ca.norm_2(r)
+    chaser.output("range", distance, unit="m")
+    chaser.output("bearing", -apply(mrp_to_dcm(sigma), r) / distance)
+    return chaser
+
+
+@dataclass(frozen=True)
+class Measured(Guided):
+    """The guidance behind a filter."""
+
+    @cached_property
+    def filter(self) -> Estimator:
+        """The extended Kalman filter."""
+        return design_ekf(
+            observed_chaser(),
+            self.initial,
+            [
+                Measurement("omega", NOISE["omega"]),
+                Measurement("sigma", NOISE["sigma"]),
+                Measurement("range", RANGE_NOISE),
+                Measurement("bearing", BEARING_NOISE),
+            ],
+            sigma0=FIRST,
+            process_noise=UNKNOWN,
+            limits=AUTHORITY,
+            dt=DT,
+        )
+
+    def controller(self, name: str = "neighbouring-optimal") -> Controller:
+        """Return the guidance fed by the filter."""
+        return output_feedback(self.guidance, self.filter)
+
+    def loop(self, controller: Controller) -> ClosedLoop:
+        """Return the loop of `tracking` with these sensors and the keep-out sphere."""
+        plain, chaser = super().loop(self.guidance), observed_chaser()
+        inside = chaser.symbol("r_L").T @ chaser.symbol("r_L") - KEEP_OUT**2
+        noise = self.conditions.noise
+        sensors = [
+            Noise("gyro", noise * NOISE["omega"], on="omega"),
+            Noise("attitude sensor", np.full(3, noise * NOISE["sigma"]), turned, on="sigma"),
+            Noise("range finder", noise * RANGE_NOISE, on="range"),
+            Noise("camera", noise * BEARING_NOISE, on="bearing"),
+        ]
+        return ClosedLoop(
+            chaser,
+            controller,
+            plain.actuators,
+            sensors,
+            plain.disturbances,
+            events=[Event("too close", inside, "falling", failure=True)],
+            dt=DT,
+            accuracy=plain.accuracy,
+        )
