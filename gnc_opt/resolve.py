@@ -50,6 +50,12 @@ class Resolver:
         The solution has no problem.
     ProblemError
         It is not solved.
+
+    Examples
+    --------
+    >>> resolver = go.Resolver(solution)
+    >>> print(f"{resolver.solve(problem.with_initial(q=1.21)).objective:.6f}")
+    2.200000
     """
 
     def __init__(self, solution: Solution, *, tol: float | None = None, cold: bool = True) -> None:

@@ -93,6 +93,12 @@ def solve(
         The problem is not well stated; see ``Problem.check``.
     SolveError
         No solution was found; the error carries the last iterate.
+
+    Examples
+    --------
+    >>> found = go.solve(problem)
+    >>> print(f"{found.objective:.6f} {found.history.status.value}")
+    2.000000 converged
     """
     expect(problem, Problem, "what solve() got", "write solve(problem), or solve(solution.problem)")
     family_of(scheme)

@@ -9,6 +9,7 @@ from importlib import import_module
 from pathlib import Path
 
 import gnc_opt as go
+from benchmarks.page import numbers
 from gnc_opt.examples import Example, examples
 from gnc_opt.plot import plot_controls, plot_states
 from problems.reference import Reference
@@ -42,6 +43,7 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
     if known is not None:
         told = f"{known.value:.10g} {known.unit} ({known.source})"
         yield f"**Known answer**: {told}; to be met within {known.tolerance:.0e}.\n"
+    yield from _solved(example)
     if (ROOT / "docs" / f"{example.name}.md").exists():
         yield f"Its results: [{example.name.replace('_', ' ')}](../{example.name}.md).\n"
     yield f"Run it: `gnc-opt examples {example.name}`, or `python -m problems.{example.name}` in the repository.\n"
@@ -57,6 +59,20 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
             yield f'```python title="{place}"\n{_without_docstring(code)}```\n'
 
 
+def _solved(example: Example) -> Iterator[str]:
+    """What `benchmarks.problem_files` has measured."""
+    kept = numbers("problem_files")
+    rows = [row for row in kept["told"] if row["problem"] == example.name]
+    for row in rows:
+        which = f" {row['variant']}" if row["variant"] else ""
+        yield (
+            f"**Solved{which}**: {row['objective']:.10g}, {row['status'].replace('_', ' ')} after {row['cpu_s']:.1f} s "
+            f"of processor time, verdict included; the verdict: {row['verdict'].replace('NOT ok', 'fails')}.\n"
+        )
+    if rows:
+        yield f"Measured {kept['date']} on {kept['machine']}; more in [benchmarks](../benchmarks.md#problems).\n"
+
+
 def _without_docstring(code: str) -> str:
     """Return the code of a module after its docstring, which the page shows as text."""
     first = ast.parse(code).body[0]
@@ -67,8 +83,8 @@ def _without_docstring(code: str) -> str:
 
 
 def drawn(example: Example) -> bool:
-    """Whether there is a picture: systems have their own reports."""
-    return not example.is_system
+    """Whether there is a picture: what only follows a plan has none."""
+    return hasattr(import_module(f"problems.{example.name}"), "build")
 
 
 def pictures(example: Example) -> dict[str, bytes]:

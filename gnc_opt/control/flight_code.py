@@ -93,6 +93,12 @@ def export_c(
     ArgumentError
         The law holds operations that have no C (a QP), the schedule still changes after the span, nobody knows dt or
         the span, or the files would be called like a header of C.
+
+    Examples
+    --------
+    >>> code = go.export_c(go.design_lqr(cart, [0, 0], Q=1, R=1, dt=0.1), "flight")
+    >>> print(sorted(path.suffix for path in Path("flight").iterdir())[:2])
+    ['.c', '.c']
     """
     expect(controller, Controller, "what export_c() got", "give what a design function returned")
     dt = controller.step_length(dt)

@@ -29,6 +29,11 @@ def smooth_abs(x: Any, width: float) -> Any:
     ------
     ArgumentError
         The width is not a positive number.
+
+    Examples
+    --------
+    >>> print(f"{float(go.smooth_abs(-3.0, 1e-3)):.6f} {float(go.smooth_abs(0.0, 1e-3)):.6f}")
+    2.999000 0.000000
     """
     small = read_positive(width, "the width of smooth_abs()")
     return ca.sqrt(x**2 + small**2) - small

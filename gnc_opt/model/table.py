@@ -298,6 +298,12 @@ def table(
     ------
     ArgumentError
         A grid that does not increase, values of another shape or not finite, an unknown method.
+
+    Examples
+    --------
+    >>> density = go.table([0.0, 1.0, 2.0, 3.0], [1.0, 0.5, 0.25, 0.125], method="linear")
+    >>> print(float(density(0.5)))
+    0.75
     """
     if hasattr(x, "dims") and hasattr(x, "coords"):  # an xarray.DataArray
         if values is not None:

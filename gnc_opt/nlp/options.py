@@ -81,6 +81,12 @@ class SolverOptions:
     ------
     ArgumentError
         If a value is out of range, or a solver's name is unknown.
+
+    Examples
+    --------
+    >>> careful = go.SolverOptions(tolerance=1e-11, max_iterations=200)
+    >>> print(go.solve(problem, mesh="10x3", tol=None, options=careful).status.value)
+    optimal
     """
 
     solver: str = "ipopt"

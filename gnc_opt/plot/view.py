@@ -69,6 +69,11 @@ class View:
     ------
     ArgumentError
         Neither a position nor an attitude, or a volume or a thruster that has not the numbers it must have.
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import Thruster, View
+    >>> view = View("q", force={"main": Thruster("a", (0, 0, 1))})
     """
 
     position: Names | None = None

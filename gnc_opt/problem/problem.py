@@ -42,6 +42,17 @@ class Problem(Statement):
     The cost is any expression in end-point symbols (``leg.final_time``, ``leg.final_state("m")``), integrals
     (``leg.integral(a**2)``) and parameters. Costates follow Pontryagin's *minimum* principle for the
     minimised functional; a maximised J is minimised as -J.
+
+    Examples
+    --------
+    >>> hop = go.Problem("rest to rest with the least effort")
+    >>> leg = hop.phase("leg", cart)
+    >>> leg.time(0.0, 1.0)
+    >>> leg.initial(q=0.0, v=0.0)
+    >>> leg.final(q=1.0, v=0.0)
+    >>> hop.minimize(leg.integral(cart.symbol("a") ** 2))
+    >>> print(round(go.solve(hop).objective, 6))
+    12.0
     """
 
     __slots__ = ("_frozen",)

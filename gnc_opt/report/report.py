@@ -59,6 +59,13 @@ def write_report(
         ``directory`` is a file.
     OSError
         A file cannot be written.
+
+    Examples
+    --------
+    >>> from gnc_opt.report import write_report
+    >>> paths = write_report(solution, go.verify(solution), "report")
+    >>> print([path.name for path in paths[:3]])
+    ['report.html', 'summary.json', 'solution.npz']
     """
     folder = report_folder(directory)
     motion = "" if view is None else _motion(solution, view)

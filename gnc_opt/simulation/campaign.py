@@ -14,6 +14,7 @@ import numpy as np
 from gnc_opt.archive import FileFormat
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
+from gnc_opt.markup import preformatted
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.records import Records, named
 from gnc_opt.packing import Packing
@@ -123,6 +124,10 @@ class Campaign(Strict):
         from gnc_opt.report.campaign import campaign_table
 
         return campaign_table(self)
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        return preformatted(str(self))
 
     # --- values per run -----------------------------------------------------------------------------------
 

@@ -96,6 +96,13 @@ class ClosedLoop:
     ------
     ArgumentError, UnknownNameError
         Something does not fit; the message names it.
+
+    Examples
+    --------
+    >>> regulator = go.design_lqr(cart, [0.0, 0.0], Q=1, R=1, dt=0.1)
+    >>> run = go.ClosedLoop(cart, regulator, dt=0.1).simulate(x0=[1.0, 0.0], tf=10.0)
+    >>> print(run.outcome, run.miss("q") < 1e-3)
+    ok True
     """
 
     plant: Model

@@ -85,6 +85,15 @@ def monte_carlo(
     GncOptError
         The campaign cannot be sent to the executor's processes, not a single run could be flown, or the checkpoint is
         of another campaign.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Normal
+    >>> loop = go.ClosedLoop(cart, go.design_lqr(cart, [0, 0], Q=1, R=1, dt=0.1), dt=0.1)
+    >>> asked = {"dispersions": {"initial.q": Normal(0.1)}, "limits": {"q": 0.01}}
+    >>> runs = go.monte_carlo(loop, 20, x0=[1, 0], tf=8.0, seed=1, executor="serial", **asked)
+    >>> print(runs.pass_rate().passed, "of", len(runs))
+    20 of 20
     """
     expect(loop, ClosedLoop, "what monte_carlo() flies", "give a ClosedLoop")
     read_integer(n, "the number of runs of monte_carlo()", 1)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.archive import FileFormat
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
+from gnc_opt.markup import preformatted
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.records import Records, named
 from gnc_opt.packing import Packing
@@ -135,6 +136,10 @@ class Run(Strict):
         lines.insert(-1, "  effort        " + _listed(self.layouts["applied"], self.effort, " s"))
         lines.insert(-1, "  saturated     " + _listed(self.layouts["command"], self.saturation, None))
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        return preformatted(str(self))
 
     @property
     def followed(self) -> Layout:

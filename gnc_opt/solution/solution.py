@@ -470,6 +470,12 @@ def load(path: str | Path, problem: Problem | None = None) -> Solution:
     ProblemError
         ``problem`` is not the one that was solved. (Functions are compared as CasADi writes them down, which
         may change with a new CasADi.)
+
+    Examples
+    --------
+    >>> path = solution.save("plan.npz")
+    >>> print(go.load(path, problem=problem).objective == solution.objective)
+    True
     """
     solution, more = SOLUTION_FILES.read(path)
     assert isinstance(solution, Solution)

@@ -226,6 +226,12 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
     ------
     ProblemError
         The two have no phase, or no state and no control, in common.
+
+    Examples
+    --------
+    >>> nearby = go.guess_from_solution(problem.with_initial(q=1.1), solution)
+    >>> print(f"{go.solve(nearby, tol=1e-6).objective:.4f}")
+    2.0976
     """
     expect(problem, Problem, "what guess_from_solution() got", "write guess_from_solution(problem, solution)")
     expect(solution, Solution, "the solution of guess_from_solution()", "give what solve() returned")

@@ -62,6 +62,12 @@ def mrp_to_dcm(sigma_BL: Vector) -> Matrix:
     Returns
     -------
     casadi (3, 3), array (3, 3) or (3, 3, n_times)
+
+    Examples
+    --------
+    >>> dcm_BL = mrp_to_dcm(mrp_from_axis_angle([0, 0, 1], np.pi / 2))
+    >>> print(np.round(dcm_BL @ [1, 0, 0], 6) + 0)  # the x axis of L in B
+    [ 0. -1.  0.]
     """
     x, y, z = sigma_BL[0], sigma_BL[1], sigma_BL[2]
     square = x * x + y * y + z * z
@@ -182,6 +188,11 @@ def mrp_from_axis_angle(axis: ArrayLike, angle: float) -> Array:
     ------
     ArgumentError
         The axis has no direction.
+
+    Examples
+    --------
+    >>> print(np.round(mrp_from_axis_angle([0, 0, 1], np.pi / 2), 6))
+    [0.       0.       0.414214]
     """
     direction = np.asarray(axis, dtype=float)
     length = np.linalg.norm(direction)

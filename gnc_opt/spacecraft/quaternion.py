@@ -46,6 +46,12 @@ def quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
     Parameters
     ----------
     p, q : casadi (4, 1), array (4,) or (4, n_times)
+
+    Examples
+    --------
+    >>> quarter = np.array([np.sqrt(0.5), np.sqrt(0.5), 0, 0])  # 90 degrees about x, twice:
+    >>> print(np.round(quaternion_product(quarter, quarter), 6))
+    [0. 1. 0. 0.]
     """
     pv, qv = _vector(p), _vector(q)
     across = cross(pv, qv)

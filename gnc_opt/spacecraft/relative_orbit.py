@@ -56,6 +56,11 @@ def mean_motion(semi_major_axis: float, mu: float = MU_EARTH) -> float:
     ------
     ArgumentError
         If either is not positive.
+
+    Examples
+    --------
+    >>> print(f"{2 * np.pi / mean_motion(6.778e6) / 60:.2f} min")
+    92.56 min
     """
     if not (semi_major_axis > 0 and mu > 0):
         raise ArgumentError(

@@ -158,6 +158,12 @@ def continue_in(
         Fewer than two values, or values that turn back.
     SolveError
         The first problem has no solution.
+
+    Examples
+    --------
+    >>> path = go.continue_in(lambda a: problem.with_bounds(a=(-a, a)), [1.0, 4.0])
+    >>> print(path.status.value, f"{path.solutions[-1].objective:.4f}")
+    complete 1.0000
     """
     way = read_numbers(values, "the values of continue_in()").reshape(-1)
     turns = np.diff(way)

@@ -183,6 +183,12 @@ def sweep(
         are no functions.
     GncOptError
         The family cannot be sent to the executor's processes.
+
+    Examples
+    --------
+    >>> swept = go.sweep(lambda q: problem.with_initial(q=q), {"q": [1.0, 4.0]}, tol=1e-6, executor="serial")
+    >>> print(np.round(swept.objective, 4))
+    [2. 4.]
     """
     if not callable(problem_of):
         raise ArgumentError("sweep() got no function: write sweep(build, {...}), build returns a problem.")

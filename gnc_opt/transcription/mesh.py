@@ -35,6 +35,11 @@ class Mesh:
     ------
     ProblemError
         If the breaks do not increase from 0 to 1, the numbers do not match or a movable break does not exist.
+
+    Examples
+    --------
+    >>> print(go.Mesh.parse("20x3").segments, go.Mesh.uniform(2, 5))
+    20 2x5
     """
 
     breaks: tuple[float, ...]

@@ -34,8 +34,7 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.samples import PhaseSamples
 
 STEPS = 36
-"""Runge-Kutta steps over the phase on the coarsest grid, and at least one from switch to switch: ten revolutions of an
-oscillator are still told to some digits."""
+"""Runge-Kutta steps over the phase where nothing is known of it: five revolutions of an oscillator are told to 1e-4."""
 
 ORDER = 8
 """Of the steps: half their width leaves 2 to the power of minus this of the error."""
@@ -130,7 +129,12 @@ class BangBangFlow:
 
 
 def bang_bang_flow(
-    problem: Problem, s: PhaseSamples, pieces: Pieces, free_start: Indices, refinement: int = 1
+    problem: Problem,
+    s: PhaseSamples,
+    pieces: Pieces,
+    free_start: Indices,
+    refinement: int = 1,
+    steps: int = STEPS,
 ) -> BangBangFlow:
     """Fly a phase piece by piece.
 
@@ -143,13 +147,15 @@ def bang_bang_flow(
     free_start : int array
         Rows of the start values that are unknowns.
     refinement : int
-        Steps per step of the coarsest grid.
+        Every step of the grid is divided into so many.
+    steps : int
+        Of the grid, over the phase; at least one from switch to switch.
     """
     leg, q = s.leg, s.functions.q
     rates = problem.once(("flow", leg.name), lambda: _Rates.of(s))
     start = np.concatenate([leg.x(leg.breaks[0]), np.zeros(leg.integrals.size), pieces.times[:1], q])
     n_times = int(np.max(pieces.unknowns)) + 1
-    inputs, widths = _inputs(s, pieces, n_times, refinement)
+    inputs, widths = _inputs(s, pieces, n_times, refinement, steps)
     n_clock = start.size - q.size - 1
     initial = np.zeros((start.size, n_times + free_start.size + q.size))
     initial[n_clock, pieces.unknowns[0]] = 1.0
@@ -159,10 +165,12 @@ def bang_bang_flow(
     return BangBangFlow(start, initial, states, controls, rates, inputs, widths)
 
 
-def _inputs(s: PhaseSamples, pieces: Pieces, n_times: int, refinement: int) -> tuple[Array, Array]:
+def _inputs(
+    s: PhaseSamples, pieces: Pieces, n_times: int, refinement: int, steps: int
+) -> tuple[Array, Array]:
     """Inputs of all steps (n_inputs, n_steps), and derivatives of their widths (n_steps, n_times)."""
     widths = np.diff(pieces.times)
-    counts = refinement * np.maximum(1, np.rint(STEPS * widths / np.sum(widths)).astype(int))
+    counts = refinement * np.maximum(1, np.rint(steps * widths / np.sum(widths)).astype(int))
     every = np.arange(widths.size).repeat(counts)
     parameters = np.tile(s.functions.p[:, None], every.size)
     changes = np.zeros((widths.size, n_times))

@@ -71,6 +71,12 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
     ------
     GncOptError
         The solution has no problem or one of other sizes, or is no solution.
+
+    Examples
+    --------
+    >>> verdict = go.verify(solution)
+    >>> print(verdict.ok, verdict.minimum, verdict["Hamiltonian"].result.value)
+    True True PASS
     """
     if not isinstance(solution, Solution):
         raise GncOptError(f"verify() needs a Solution, as solve() returns it, not {type(solution).__name__}.")

@@ -57,7 +57,7 @@ def published_figure() -> Figure:
 
 
 def robust_figure() -> Figure:
-    """Draw the same of RQSMC with the scalar part of the attitude and the surface, by U and J."""
+    """Draw the same of RQSMC with the scalar part of the attitude and the surface over its first size, by U and J."""
     columns = []
     for title, name, c in (
         ("U: $k = 0.07$", "U robust", UNIT_ROBUST.c),
@@ -65,10 +65,11 @@ def robust_figure() -> Figure:
     ):
         run = standard(name)
         times, values = _of_run(run)
-        more = {"q0": run.state("q_BO").values[:1], "S": surface(run, c)}
+        s = surface(run, c)
+        more = {"q0": run.state("q_BO").values[:1], "S": s / np.max(np.abs(s[:, 0]))}
         columns.append((title, times, {**values, **more}))
     scalar = (("q0", "$q_0$", "", ("",)),)
-    return _grid(columns, scalar + _AXES + _TORQUE + (("S", "$S$", "rad/s", ("x", "y", "z")),), 10.0)
+    return _grid(columns, scalar + _AXES + _TORQUE + (("S", "$S$ / $|S(0)|$", "", ("x", "y", "z")),), 10.0)
 
 
 def optimal_figure() -> Figure:

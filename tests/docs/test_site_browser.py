@@ -26,6 +26,15 @@ needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this 
 LOOSE = "[...document.images].filter(i => !i.naturalWidth || !i.alt).map(i => i.src)"
 """Pictures that are not there, or that nothing is said of."""
 
+CUT = """[...document.querySelectorAll("article *")].filter(element => {
+  const place = element.getBoundingClientRect();
+  if (!place.width || place.right <= innerWidth + 1) return false;
+  for (let around = element; around.tagName !== "ARTICLE"; around = around.parentElement)
+    if (/auto|scroll/.test(getComputedStyle(around).overflowX)) return false;
+  return true;
+}).map(element => `${element.tagName} ${element.textContent.trim().slice(0, 40)} is cut off`).slice(0, 3)"""
+"""What sticks out to the side where nothing scrolls."""
+
 
 class Links(HTMLParser):
     """What a page refers to, and what in it can be referred to."""
@@ -114,6 +123,7 @@ def test_pages_at_both_widths(site: Path, address: str, tab: Tab) -> None:
                 )  # parts of the theme glide
             except AssertionError:
                 wrong.append(f"{name}: {tab.ask('document.documentElement.scrollWidth')} wide of {size[0]}")
+            wrong += [f"{name} at {size[0]}: {what}" for what in tab.ask(CUT)]
         elsewhere = [asked for asked in tab.asked if not asked.startswith(address)]
         wrong += [f"{name}: {what}" for what in (*tab.said, *elsewhere, *tab.ask(LOOSE))]
     assert not wrong, "\n".join(wrong)

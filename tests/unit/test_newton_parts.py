@@ -292,8 +292,9 @@ def test_matrices_of_an_earlier_step_serve_as_long_as_they_are_worth_it(
         length = left.pop(0)
         return None if length is None else Step(np.array([0, 10 * length, 0]), *[None] * 4, 0.0, None, None)  # type: ignore[arg-type]
 
-    def newton(_: Any, __: Any, at: Any, refinement: int) -> Any:
-        made.append(at.times[0])
+    def newton(_: Any, __: Any, at: Any, steps: int) -> Any:
+        made.append(steps)
+        assert steps == 2
         return Step(np.array([0, 1e-6, 0]), *[None] * 4, 0.0, None, None)  # type: ignore[arg-type]
 
     monkeypatch.setattr(n, "chord_step", planned)
@@ -303,7 +304,7 @@ def test_matrices_of_an_earlier_step_serve_as_long_as_they_are_worth_it(
     assert (found is not None) is rests
     assert own is None or len(made) == own
     if rests:
-        assert found[4] == 2 and found[2].times[0] >= 6.0 and not left  # type: ignore[index]
+        assert found[2].times[0] >= 6.0 and not left  # type: ignore[index]
 
 
 @pytest.mark.parametrize(
@@ -314,7 +315,7 @@ def test_matrices_of_an_earlier_step_serve_as_long_as_they_are_worth_it(
         ([None], None, None),
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("known", [None, "step"])
+@pytest.mark.parametrize("known", [None, Step(np.zeros(3), *[None] * 7)])  # type: ignore[arg-type]
 def test_when_a_flow_is_accurate(
     monkeypatch: pytest.MonkeyPatch, errors: Any, arc: Any, grids: Any, known: Any
 ) -> None:
@@ -322,14 +323,14 @@ def test_when_a_flow_is_accurate(
     accuracy, seen = 1e-4, []
     left = [e if e is None else Planned(e * accuracy, arc) for e in errors]
 
-    def optimum(*_: Any) -> Any:
-        seen.append(1)
+    def optimum(*rest: Any) -> Any:
+        seen.append(rest[-1] // n.STEPS)
         return left.pop(0)
 
-    def at_rest(_: Any, __: Any, ___: Any, step: Any, ____: float, refinement: int = 1) -> Any:
-        if step == "step":
+    def at_rest(_: Any, __: Any, ___: Any, step: Any, ____: float, steps: int) -> Any:
+        if isinstance(step, Step):
             return Planned(0.0, (0, 1.0, 2.0))
-        seen.append(refinement)
+        seen.append(steps // n.STEPS)
         return left.pop(0)
 
     for name, answer in (

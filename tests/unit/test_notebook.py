@@ -67,3 +67,14 @@ def test_a_verdict_that_is_not_ok_says_what_that_means(solution: go.Solution) ->
     passed = go.Condition("cost", go.Result.PASS, 0.0, 1e-5, HOSTILE, f"It is {HOSTILE}.")
     assert f"It is {HOSTILE}." in "".join(parsed(go.Verdict(HOSTILE, (condition,))).itertext())
     assert parsed(go.Verdict(HOSTILE, (passed,))).find("pre") is None
+
+
+def test_run_and_campaign() -> None:
+    model = go.Model("glider")
+    q, u = model.state("q", unit=HOSTILE), model.control("u")
+    model.ode({q: u})
+    loop = go.ClosedLoop(model, go.design_lqr(model, [0.0], Q=1, R=1, dt=0.1), dt=0.1)
+    campaign = go.monte_carlo(loop, n=3, seed=1, x0={"q": 1.0}, tf=0.5, dispersions={}, executor="serial")
+    for shown in (campaign, campaign.rerun(0)):
+        assert "".join(parsed(shown).itertext()) == str(shown)
+        assert HOSTILE in str(shown)

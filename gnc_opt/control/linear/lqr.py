@@ -93,6 +93,15 @@ def design_lqr(
     ------
     DesignError
         Not stabilisable or not detectable (with the mode), weights not (semi)definite, A or B not constant.
+
+    Examples
+    --------
+    For a double integrator and unit weights the gains are 1 and sqrt(3):
+
+    >>> regulator = go.design_lqr(cart, [0.0, 0.0], Q=1, R=1)
+    >>> u, memory = regulator(0.0, [1.0, 1.0], dt=0.1)
+    >>> print(np.round(u, 4))
+    [-2.7321]
     """
     reference = read_plant(model, reference, "design_lqr")
     deviation = Deviation(model)

@@ -103,6 +103,14 @@ def design_tvlqr(
     ------
     DesignError
         Weights not (semi)definite; no ``terminal`` and the tail not stabilisable or not detectable.
+
+    Examples
+    --------
+    >>> reference = go.Reference(solution)
+    >>> tracker = go.design_tvlqr(cart, reference, Q=1, R=1, dt=0.05)
+    >>> run = go.ClosedLoop(cart, tracker, dt=0.05).simulate(x0=[1.01, 0.0], tf=4.0)
+    >>> print(run.miss("q") < 1e-3)
+    True
     """
     expect(
         reference,

@@ -33,8 +33,8 @@ def bryson(layout: Layout, /, **largest: ArrayLike) -> dict[str, float | Array]:
 
     Examples
     --------
-    >>> Q = bryson(model.states, r_L=0.1, v_L=0.01)
-    >>> R = bryson(model.controls, F_B=5.0)
+    >>> Q = bryson(cart.states, q=0.1, v=0.01)
+    >>> R = bryson(cart.controls, a=5.0)
 
     Returns
     -------

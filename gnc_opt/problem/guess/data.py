@@ -50,6 +50,12 @@ def guess_from_data(
         The CSV file has entries that are no numbers, or no rows.
     FileNotFoundError
         There is no such file.
+
+    Examples
+    --------
+    >>> guessed = go.guess_from_data(problem, {"time": [0.0, 2.2], "q": [1.0, 0.0], "v": [0.0, 0.0], "a": [-1.0, 1.0]})
+    >>> print(f"{go.solve(guessed, tol=1e-6).objective:.6f}")
+    2.000000
     """
     expect(problem, Problem, "what guess_from_data() got", "write guess_from_data(problem, data)")
     leg = problem.get_phase(phase)

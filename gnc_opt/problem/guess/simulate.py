@@ -63,6 +63,12 @@ def simulate_guess(
     ProblemError
         Unknown names, a law that uses controls, a flight that diverges or becomes NaN (with the time), or one in
         which ``until`` does not become zero.
+
+    Examples
+    --------
+    >>> guessed = go.simulate_guess(problem, {"a": lambda t: -1.0 if t < 1 else 1.0}, duration=2.0)
+    >>> print(f"{go.solve(guessed, tol=1e-6).objective:.6f}")
+    2.000000
     """
     expect(problem, Problem, "what simulate_guess() got", "write simulate_guess(problem, {...})")
     expect(controls, Mapping, "the law of simulate_guess()", 'write {"u": expression}')

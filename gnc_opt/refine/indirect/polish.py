@@ -65,6 +65,17 @@ def polish(solution: Solution, *, tol: float = 1e-10) -> Solution:
     GncOptError
         A bound or path constraint is active along the way, a control is singular, the solution has no problem or is
         not solved, or Newton's method or the mesh does not converge.
+
+    Examples
+    --------
+    >>> hop = go.Problem("rest to rest with the least effort")
+    >>> leg = hop.phase("leg", cart)
+    >>> leg.time(0.0, 1.0)
+    >>> leg.initial(q=0.0, v=0.0)
+    >>> leg.final(q=1.0, v=0.0)
+    >>> hop.minimize(leg.integral(cart.symbol("a") ** 2))
+    >>> print(round(go.polish(go.solve(hop)).objective, 9))
+    12.0
     """
     expect(solution, Solution, "what polish() got", "write polish(solve(problem))")
     read_positive(tol, "the tolerance of polish()")

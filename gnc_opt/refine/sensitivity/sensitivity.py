@@ -83,6 +83,13 @@ def sensitivity(
     -----
     ProblemWarning
         A limit is weakly active, where derivatives are one-sided.
+
+    Examples
+    --------
+    From rest at a distance q the least time is 2 sqrt(q):
+
+    >>> print(f"{go.sensitivity(solution, initial='q').objective:.6f}")
+    1.000000
     """
     given = {
         "parameter": parameter,

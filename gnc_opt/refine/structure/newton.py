@@ -27,6 +27,7 @@ from gnc_opt.refine.structure.switch_step import Step, chord_step, newton_step
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, TINY
+from gnc_opt.verify.bang_bang_flow import STEPS
 from gnc_opt.verify.switches import Switches
 
 MOST_STEPS = 40
@@ -47,8 +48,8 @@ SPENT = 1e-2
 OF_A_GUESS = 1e-8
 """Accuracy of a flight that a collocated problem starts from."""
 
-FINEST = 8
-"""Refinement of the grid that is tried last."""
+FINEST = 8 * STEPS
+"""Steps of the grid that is tried last."""
 
 SHRUNK = 0.8
 """Share of its length that an arc may lose in one step."""
@@ -101,7 +102,7 @@ def settle_flow(
     accuracy : float
         Of the cost, relative to its size; its root is that of the switch times, in shares of the phase.
     known : Step, optional
-        At the optimum of a neighbouring problem with this structure: its matrices are tried first.
+        At the optimum of a neighbouring problem with this structure: its matrices and its grid are tried first.
 
     Returns
     -------
@@ -111,22 +112,24 @@ def settle_flow(
     problem, s = solution.need_problem("solve"), next(iter(solution.samples().values()))
     if not _fits(problem, s, structure):
         return None
-    switches, refinement = _switches(s, structure), 1
-    flight = None if known is None else _at_rest(problem, s, switches, known, accuracy)
+    switches, steps = _switches(s, structure), STEPS if known is None else known.steps
+    flight = None if known is None else _at_rest(problem, s, switches, known, accuracy, steps)
     if flight is None or flight.missing_arc is not None:
-        flight = _optimum(problem, s, switches, accuracy)
-    while flight is not None and flight.error >= accuracy and refinement < FINEST:
-        refinement *= 2
-        flight = _at_rest(problem, s, flight.switches, flight.step, accuracy, refinement)
+        flight = _optimum(problem, s, switches, accuracy, steps)
+    while flight is not None and flight.error >= accuracy and steps < FINEST:
+        steps *= 2
+        flight = _at_rest(problem, s, flight.switches, flight.step, accuracy, steps)
     if flight is None or flight.error >= accuracy or flight.missing_arc is not None:
         return None
     return _structure(structure, s, flight.switches), flight
 
 
-def _optimum(problem: Problem, s: PhaseSamples, switches: Switches, accuracy: float) -> SwitchFlight | None:
+def _optimum(
+    problem: Problem, s: PhaseSamples, switches: Switches, accuracy: float, steps: int = STEPS
+) -> SwitchFlight | None:
     """Return the flight whose switches have come to rest with signs that agree."""
     for _ in range(MOST_STEPS):
-        step = newton_step(problem, s, switches)
+        step = newton_step(problem, s, switches, steps)
         if step is None:
             return None
         share, emptied = _allowed(switches, step)
@@ -135,7 +138,7 @@ def _optimum(problem: Problem, s: PhaseSamples, switches: Switches, accuracy: fl
         elif share < 1 or step.share(switches) > NEAR:
             switches = _moved(switches, share * step.change)
         else:
-            flight = _at_rest(problem, s, switches, step, accuracy)
+            flight = _at_rest(problem, s, switches, step, accuracy, steps)
             if flight is None or flight.missing_arc is None:
                 return flight
             switches = _with_arc(flight.switches, *flight.missing_arc)
@@ -143,24 +146,24 @@ def _optimum(problem: Problem, s: PhaseSamples, switches: Switches, accuracy: fl
 
 
 def _at_rest(
-    problem: Problem, s: PhaseSamples, switches: Switches, known: Step, accuracy: float, refinement: int = 1
+    problem: Problem, s: PhaseSamples, switches: Switches, known: Step, accuracy: float, steps: int = STEPS
 ) -> SwitchFlight | None:
     """Return the flight of switches near the given ones that the matrices of a step lead to."""
-    step, before = chord_step(problem, s, switches, known, refinement), math.inf  # length of the step before
+    step, before = chord_step(problem, s, switches, known, steps), math.inf  # length of the step before
     for _ in range(MOST_CHORDS):
         if step is None:
             return None
         length = step.share(switches)
         away = max(step.gain / accuracy, length / math.sqrt(accuracy))
         if away < SPENT:
-            return SwitchFlight.of(problem, s, switches, step, refinement)
+            return SwitchFlight.of(problem, s, switches, step)
         if away * (length / before) ** WORTH > SPENT:
-            step, length = newton_step(problem, s, switches, refinement), math.inf
+            step, length = newton_step(problem, s, switches, steps), math.inf
         before = length
         if step is None or _allowed(switches, step)[0] < 1:
             return None
         switches = _moved(switches, step.change)
-        step = chord_step(problem, s, switches, step, refinement)
+        step = chord_step(problem, s, switches, step, steps)
     return None
 
 

@@ -49,19 +49,12 @@ class SwitchFlight:
     flow: BangBangFlow
 
     @classmethod
-    def of(
-        cls, problem: Problem, s: PhaseSamples, switches: Switches, step: Step, refinement: int = 1
-    ) -> SwitchFlight:
-        """Fly a phase.
-
-        Parameters
-        ----------
-        refinement : int
-            Of the step's grid.
-        """
+    def of(cls, problem: Problem, s: PhaseSamples, switches: Switches, step: Step) -> SwitchFlight:
+        """Fly a phase."""
         pieces = switches.pieces(switches.order)
-        flow = bang_bang_flow(problem, s, pieces, np.zeros(0, dtype=int), PARTS * refinement)
-        return cls(s, switches, step, flow)
+        return cls(
+            s, switches, step, bang_bang_flow(problem, s, pieces, np.zeros(0, dtype=int), PARTS, step.steps)
+        )
 
     @property
     def error(self) -> float:

@@ -18,7 +18,7 @@ from gnc_opt.problem.functions import end_function
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import RANK, TINY
-from gnc_opt.verify.bang_bang_flow import BangBangFlow, bang_bang_flow
+from gnc_opt.verify.bang_bang_flow import STEPS, BangBangFlow, bang_bang_flow
 from gnc_opt.verify.induced import end_derivatives
 from gnc_opt.verify.switches import Switches
 
@@ -43,6 +43,8 @@ class Step:
         By how much the step changes the cost, to first order and relative to its size.
     hessian, rows : array (n_free, n_free), (n_conditions, n_free)
         Of the Lagrangian, and the gradients of the conditions, by the unknowns that are free.
+    steps : int
+        Of the flow's grid.
     """
 
     change: Array
@@ -53,13 +55,14 @@ class Step:
     gain: float
     hessian: Array
     rows: Array
+    steps: int = STEPS
 
     def share(self, switches: Switches) -> float:
         """Its largest entry, as a share of the phase."""
         return float(np.max(np.abs(self.change)) / (switches.ends[1] - switches.ends[0]))
 
 
-def newton_step(problem: Problem, s: PhaseSamples, switches: Switches, refinement: int = 1) -> Step | None:
+def newton_step(problem: Problem, s: PhaseSamples, switches: Switches, steps: int = STEPS) -> Step | None:
     """Return the step, or None where the flow is no number or conditions depend on each other.
 
     Parameters
@@ -68,10 +71,10 @@ def newton_step(problem: Problem, s: PhaseSamples, switches: Switches, refinemen
     s : PhaseSamples
         Of the phase.
     switches : Switches
-    refinement : int
+    steps : int
         Of the grid.
     """
-    ends = _Ends.of(problem, s, switches, refinement)
+    ends = _Ends.of(problem, s, switches, steps)
     if not np.isfinite(ends.flow.final_sensitivity).all():
         return None
     flow, size, free = ends.flow, ends.size, ends.free
@@ -86,22 +89,22 @@ def newton_step(problem: Problem, s: PhaseSamples, switches: Switches, refinemen
     hessian = (flow.curvature(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
     change = model_minimum(hessian, gradient, rows, ends.misses)
     gain = ends.relative(float(gradient @ change))
-    return Step(ends.spread(change), flow, adjoint, multipliers, ends.cost, gain, hessian, rows)
+    return Step(ends.spread(change), flow, adjoint, multipliers, ends.cost, gain, hessian, rows, steps)
 
 
 def chord_step(
-    problem: Problem, s: PhaseSamples, switches: Switches, known: Step, refinement: int = 1
+    problem: Problem, s: PhaseSamples, switches: Switches, known: Step, steps: int = STEPS
 ) -> Step | None:
     """Return the step with the matrices of another one, or None where the flow is no number.
 
     Parameters
     ----------
-    problem, s, switches, refinement
+    problem, s, switches, steps
         As in `newton_step`.
     known : Step
         Nearby, for switches in the same order.
     """
-    ends = _Ends.of(problem, s, switches, refinement)
+    ends = _Ends.of(problem, s, switches, steps)
     if not np.isfinite(ends.flow.final).all():
         return None
     adjoint, slope, _ = ends.worth(known.multipliers)
@@ -113,7 +116,15 @@ def chord_step(
     multipliers = known.multipliers - np.linalg.lstsq(known.rows.T, left, rcond=RANK)[0]
     gain = ends.relative(float((gradient - known.rows.T @ known.multipliers) @ change))
     return Step(
-        ends.spread(change), ends.flow, adjoint, multipliers, ends.cost, gain, known.hessian, known.rows
+        ends.spread(change),
+        ends.flow,
+        adjoint,
+        multipliers,
+        ends.cost,
+        gain,
+        known.hessian,
+        known.rows,
+        steps,
     )
 
 
@@ -143,9 +154,9 @@ class _Ends:
     cost: float
 
     @classmethod
-    def of(cls, problem: Problem, s: PhaseSamples, switches: Switches, refinement: int) -> _Ends:
+    def of(cls, problem: Problem, s: PhaseSamples, switches: Switches, steps: int) -> _Ends:
         leg, nothing = s.leg, np.zeros(0, dtype=int)
-        flow = bang_bang_flow(problem, s, switches.pieces(switches.order), nothing, refinement)
+        flow = bang_bang_flow(problem, s, switches.pieces(switches.order), nothing, steps=steps)
         given, limits = np.flatnonzero(leg.final_bounds.fixed), problem.constraint_interval()
         times_free = ~np.concatenate([leg.initial_time_bounds.fixed, leg.final_time_bounds.fixed])
         free = np.concatenate([times_free[:1], np.ones(switches.times.size, bool), times_free[1:]])

@@ -17,10 +17,14 @@ from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.quality import worst_bound_violation, worst_path_violation
 from gnc_opt.solution.rest import rest_of
 from gnc_opt.solution.solution import Solution
+from gnc_opt.verify.bang_bang_flow import STEPS
 from gnc_opt.verify.judged import ends_of, from_problem
 
 ACCURACY = 1e-9
 """Of the cost, relative to its size."""
+
+SPARE = 0.1
+"""Share of the accuracy that the grid of a known flight is worth: its neighbours may need a little more."""
 
 BEYOND = 1e-7
 """By how much a limit may be exceeded, in shares of what is limited."""
@@ -55,9 +59,16 @@ class KnownFlight:
         return cls(replace(solution, structure=()), detect(s), s.state_scale)
 
     def differentiated(self) -> KnownFlight | None:
-        """Return the same with its step, for many variations; None where switch times do not decide everything."""
+        """Return the same with its step, for many variations; None where switch times do not decide everything.
+
+        It is on half the usual grid, if that is accurate with something to spare.
+        """
         found = settle_flow(self.solution, self.structure, ACCURACY)
-        return None if found is None else replace(self, structure=found[0], step=found[1].step)
+        if found is None:
+            return None
+        half = replace(found[1].step, steps=STEPS // 2)
+        structure, flight = settle_flow(self.solution, self.structure, SPARE * ACCURACY, half) or found
+        return replace(self, structure=structure, step=flight.step)
 
     def vary(self, problem: Problem) -> Solution | None:
         """Fly a variation with its own switch times; None where that fails.
