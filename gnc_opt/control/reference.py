@@ -74,14 +74,15 @@ class Reference(Strict):
                 "follow one that is solved."
             )
         legs = list(solution.phases.values())
-        model = problem.phases[legs[0].name].model
+        restatement = problem.phases[legs[0].name].restatement
+        model = problem.phases[legs[0].name].model if restatement is None else restatement.model
         _check_alike(legs)
         names = model.parameters.names
         free = {n: legs[0].parameters[legs[0].model_parameters.slice(n)] for n in names}
         self._set(
             model.with_parameters(**free) if names else model,
             [leg.x for leg in legs],
-            [leg.flown for leg in legs],
+            [leg.flown if restatement is None else _as_stated(leg, model) for leg in legs],
             [leg.initial_time for leg in legs] + [legs[-1].final_time],
             np.unique(np.concatenate([leg.flown.jumps for leg in legs])),
             tail,
@@ -296,6 +297,12 @@ def _over_times(function: Callable[[float], ArrayLike], layout: Layout) -> Calla
         return np.stack(columns, axis=1)
 
     return many
+
+
+def _as_stated(leg: PhaseSolution, model: Model) -> Callable[[Array], Array]:
+    """Return the flown controls of a phase as its model has them, of which some were restated."""
+    signals = [leg.flown_control(name) for name in model.controls.names]
+    return lambda times: np.concatenate([np.atleast_2d(signal(times)) for signal in signals])
 
 
 def _checked(function: Callable[[Array], ArrayLike], layout: Layout) -> Callable[[Array], Array]:

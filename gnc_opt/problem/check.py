@@ -39,7 +39,7 @@ def check_problem(problem: Statement) -> None:
         problem.builds["checked"] = True
     for leg in problem.phases.values():
         check_guess_in_tables(problem, leg, warn=first)
-    check_values(problem)
+    check_values(solved)
     if first:
         for leg in solved.phases.values():
             warn_of_norms(solved, leg)

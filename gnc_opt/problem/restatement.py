@@ -7,6 +7,8 @@ from typing import Any
 
 import casadi as ca
 
+from gnc_opt.model.model import Model
+
 
 @dataclass(frozen=True, eq=False)
 class Restatement:
@@ -14,6 +16,8 @@ class Restatement:
 
     Attributes
     ----------
+    model : Model
+        As it was stated.
     stated : casadi.SX
         The controls that were stated and are no more, stacked, (k, 1).
     solved : casadi.SX
@@ -22,6 +26,7 @@ class Restatement:
         What was restated, a clause per norm.
     """
 
+    model: Model
     stated: Any
     solved: Any
     texts: tuple[str, ...]
@@ -35,6 +40,7 @@ class Restatement:
         if earlier is None:
             return self
         return Restatement(
+            earlier.model,
             ca.vertcat(earlier.stated, self.stated),
             ca.vertcat(self.of(earlier.solved), self.solved),
             (*earlier.texts, *self.texts),

@@ -14,7 +14,7 @@ from gnc_opt.arguments import expect, read_positive
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.refine.error import estimate_errors
-from gnc_opt.refine.hp.mesh_refinement import refine_mesh
+from gnc_opt.refine.hp.mesh_refinement import ROOMY, refine_mesh
 from gnc_opt.refine.passes import pass_record
 from gnc_opt.refine.structure.detect import affine_channels, regular_channels, structures_of
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
@@ -37,6 +37,13 @@ BRIEF = SolverOptions(tolerance=TIGHT, max_iterations=100)
 
 LEAST_WORK = 7e4
 """What refining may cost in any case, in iterations at one collocation point (`Pass.work`): one to a few seconds."""
+
+TIGHTER, FURTHER = 0.01, 2
+"""Where a mesh is within the tolerance but a condition of the verdict fails that finer meshes can meet, refining goes
+on to this share of the tolerance, so many times: what a condition forgives is not the same share of every problem."""
+
+CLOSE, NEARLY = 1e2, 1e-2
+"""A structure is nearly right with an error of so many tolerances, and offences of the verdict below this."""
 
 NAMED = 3
 """So many open conditions are named."""
@@ -77,8 +84,9 @@ def refine(
     max_work : float
         No pass on a mesh begins when these have cost this many times what the given solution did, counted in
         iterations at one collocation point (`Pass.work`), so that it ends in the same place on every machine. What
-        costs a few seconds (`LEAST_WORK`) is allowed in any case; ``math.inf`` allows everything. A structure that is
-        tried unasked may cost half as much before.
+        costs a few seconds (`LEAST_WORK`) is allowed in any case, twice as much of either while the error falls to a
+        third or less from pass to pass; ``math.inf`` allows everything. A structure that is tried unasked may cost half
+        as much before.
     max_wall_time : float, optional
         Limit in s on all of it; then, and after Ctrl-C, the best solution so far is returned, without a verdict.
     options : SolverOptions, optional
@@ -210,11 +218,19 @@ class _Task:
             return
         if structure == "auto":
             yield from self._unasked(self.solution)
-        by_mesh = self._by_mesh()
+        by_mesh = self._by_mesh(self._mesh_start(), self.tol, self.max_work)  # whatever a structure has cost
         yield by_mesh
         # A fine mesh shows arcs that the first one was too coarse for.
         if structure == "auto":
             yield from self._unasked(by_mesh.solution)
+        for k in range(1, FURTHER + 1):
+            left = self.max_work - sum(
+                p.work for a in self.attempted if a.begun is None for p in a.history.passes
+            )
+            if not by_mesh.history.converged or not _resolvable(by_mesh.solution) or left <= 0:
+                return
+            by_mesh = self._by_mesh(by_mesh.solution, self.tol * TIGHTER**k, left)
+            yield by_mesh
 
     def _unasked(self, start: Solution) -> Iterator[_Attempt]:
         """Try a structure that nobody asked for, if there is one, and work left."""
@@ -233,6 +249,14 @@ class _Task:
             and order == {name: structure.at(()) for name, structure in a.begun.items()}
             for a in self.attempted
         )
+
+    def _mesh_start(self) -> Solution:
+        """Return where refining the mesh begins: at a structure that is nearly right, its boundaries on the kinks."""
+        for a in self.attempted:
+            small = a.history.final.points <= ROOMY
+            if a.error <= CLOSE * self.tol and small and _nearly_ok(a.solution):
+                return replace(a.solution, structure=())
+        return self.solution
 
     def _by_structure(
         self, start: Solution, found: Mapping[str, PhaseStructure], share: float = 1.0
@@ -286,19 +310,29 @@ class _Task:
             begun=found,
         )
 
-    def _by_mesh(self) -> _Attempt:
+    def _by_mesh(self, start: Solution, tol: float, max_work: float) -> _Attempt:
         return _Attempt(
             *refine_mesh(
-                self.solution,
-                tol=self.tol,
+                start,
+                tol=tol,
                 max_passes=self.max_passes,
                 max_points=self.max_points,
-                max_work=self.max_work,  # however much a structure that nobody asked for has cost
+                max_work=max_work,
                 options=self.options,
                 deadline=self.deadline,
                 progress=self.progress,
             )
         )
+
+
+def _resolvable(solution: Solution) -> bool:
+    """Whether a condition of the verdict is open that a finer mesh can meet: not only those on the second order."""
+    return any(not condition.sufficient for condition in verify(solution).open)
+
+
+def _nearly_ok(solution: Solution) -> bool:
+    """Whether every necessary condition of the verdict holds but for what a finer mesh may take away."""
+    return all(c.sufficient or c.value < NEARLY for c in verify(solution).open)
 
 
 def _switches(solution: Solution, found: Mapping[str, PhaseStructure], at_least: int) -> bool:
@@ -329,12 +363,14 @@ def _result(given: Solution, attempts: Sequence[_Attempt], tol: float, begin: fl
     elif attempts[-1].final:
         chosen = len(attempts) - 1
     else:  # a structure that nobody asked for is not worth more than the mesh if it does not convince
-        meshes = (k for k, a in enumerate(attempts) if not a.solution.structure and a.history.final.solved)
-        chosen = next(meshes, len(attempts) - 1)
+        meshes = [k for k, a in enumerate(attempts) if not a.solution.structure and a.history.final.solved]
+        chosen = meshes[-1] if meshes else len(attempts) - 1
     solution, history = attempts[chosen].solution, attempts[chosen].history
     verdict = None if attempts[-1].stopped else verify(solution)
     status = RefinementStatus.INTERRUPTED if verdict is None else history.status
-    if history.converged and verdict is not None:
+    within = not solution.structure and history.final.error <= tol
+    if (history.converged or within) and verdict is not None:
+        status = RefinementStatus.CONVERGED
         if not verdict.ok:
             status = RefinementStatus.VERDICT_FAILS
         elif history.final.error > tol:  # a structure that stands, and cannot be resolved any better
@@ -342,6 +378,7 @@ def _result(given: Solution, attempts: Sequence[_Attempt], tol: float, begin: fl
     told = replace(
         history,
         status=status,
+        tolerance=tol,
         passes=tuple(p for a in attempts for p in a.history.passes),
         chosen=sum(len(a.history.passes) for a in attempts[:chosen]) + history.chosen,
         message=_message(status, history, verdict, tol),
@@ -358,7 +395,7 @@ def _message(status: RefinementStatus, history: History, verdict: Verdict | None
     text = f"{status.value}: error {history.final.error:.1e} (wanted {tol:.1e})"
     if status is RefinementStatus.CONVERGED:
         return f"{text}, verdict ok"
-    if not history.converged or history.final.error > tol:
+    if history.final.error > tol:
         text += f" at {history.final.where}"
     left = () if verdict is None else verdict.open
     if left:

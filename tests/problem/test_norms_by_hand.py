@@ -157,7 +157,7 @@ def test_bounds_of_components_within_the_norm_are_gone_and_others_are_kept() -> 
         lambda leg, T, d: leg.path("n", ca.dot(T, T), upper=1.0),  # smooth, and inactive at zero
         lambda leg, T, d: leg.path("n", T[0] - d, upper=0.0),
         lambda leg, T, d: leg.path("n", T[0] ** 2 + 2 * T[1] ** 2, upper=1.0),
-        lambda leg, T, d: leg.path("n", ca.norm_2(leg.model.symbol("r")), upper=5.0),
+        lambda leg, T, d: leg.path("n", ca.norm_2(leg.model.symbol("r")) - d, upper=5.0),
     ],
 )
 def test_what_needs_no_restatement_stays_as_it_is(limit: Any) -> None:
@@ -169,7 +169,7 @@ def test_what_needs_no_restatement_stays_as_it_is(limit: Any) -> None:
     "limit",
     [
         lambda leg, T, d: leg.path("n", T[0] ** 2 + 2 * T[1] ** 2, lower=1.0),  # an ellipse
-        lambda leg, T, d: leg.path("n", ca.sqrt(T[0] ** 2 + 2 * T[1] ** 2), upper=1.0),
+        lambda leg, T, d: leg.path("n", ca.sqrt(T[0] ** 2 + 2 * T[1] ** 2) - d, upper=0.0),
     ],
 )
 def test_what_is_not_known_as_a_norm_is_warned_of(limit: Any) -> None:
@@ -211,6 +211,13 @@ def test_fuel_by_hand_meets_its_closed_form_in_the_users_names() -> None:
     model = by_hand(SLACK["root"], "scalars").phases["leg"].model
     assert "T_x" in solution.to_pandas().columns if _pandas() else model
     assert "whose magnitude 'n' limits" in str(solution)
+
+
+def test_a_reference_commands_the_controls_as_stated() -> None:
+    reference = go.Reference(flown(), tail="hold")
+    assert reference.controls.names == ("T_x", "T_y", "d")
+    np.testing.assert_allclose(reference.u(0.1), [0.6, -0.8, 1.0], atol=1e-7)
+    np.testing.assert_allclose(reference.u(np.array([0.1, 1.5]))[:, 1], 0.0, atol=1e-7)
 
 
 def _pandas() -> bool:
@@ -326,3 +333,57 @@ def test_fuel_of_opposed_thrusters_meets_its_closed_form() -> None:
     at = np.array([0.25 * FUEL, 1.5, DURATION - 0.25 * FUEL])
     np.testing.assert_allclose(solution.flown_control("u")(at), [1.0, 0.0, -1.0], atol=1e-7)
     assert "u is solved for as u_plus - u_minus" in str(solution)
+
+
+# --- roots of states ------------------------------------------------------------------------------------
+
+
+def at_rest(limit: Any) -> go.Problem:
+    """Two units of travel from rest to rest, as fast as |a_i| <= 1 and a limit allow."""
+    model = go.Model("cart")
+    r, v, a = model.state("r", 2), model.state("v", 2), model.control("a", 2)
+    model.ode({r: v, v: a})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(1.0, 9.0))
+    leg.initial(r=[0.0, 0.0], v=[0.0, 0.0])
+    leg.final(r=[2.0, 2.0], v=[0.0, 0.0])
+    leg.bounds(a=([-1.0, -1.0], [1.0, 1.0]))
+    leg.path("speed", limit(v))
+    problem.minimize(leg.final_time)
+    return problem
+
+
+SPEED = {
+    "norm": lambda v: ca.norm_2(v) <= np.sqrt(2.0),
+    "reversed": lambda v: 3 - 2 * ca.hypot(v[0], v[1]) >= 3 - 2 * np.sqrt(2.0),
+}
+
+
+@pytest.mark.parametrize("limit", SPEED.values(), ids=SPEED)
+def test_a_limit_of_a_root_has_the_same_value_and_slope_at_the_limit(limit: Any) -> None:
+    problem = at_rest(limit)
+    stated = problem.phases["leg"]
+    solved = restated(problem).phases["leg"]
+    v = stated.model.symbol("v")
+    at_limit = np.sqrt(2.0) * np.array([0.6, -0.8])
+    for of in (lambda e: e, lambda e: ca.jacobian(e, v)):
+        old, new = (
+            ca.Function("f", [v], [of(leg.paths["speed"].expression)])(at_limit).full()
+            for leg in (stated, solved)
+        )
+        np.testing.assert_allclose(new, old, rtol=1e-14)
+    slope = ca.Function("f", [v], [ca.jacobian(solved.paths["speed"].expression, v)])([0.0, 0.0])
+    np.testing.assert_array_equal(slope.full(), 0.0)
+
+
+def test_speed_limits_by_hand_hold_from_rest() -> None:
+    """Up to speed 1 each way in 1 s, 1 s at it, and down again: 3 s, which a root at rest used to refuse."""
+    solution = go.solve(at_rest(SPEED["norm"]), mesh="6x3", tol=None)
+    assert solution.objective == pytest.approx(3.0, rel=1e-2)
+
+
+def test_roots_that_never_vanish_and_limits_from_below_stay() -> None:
+    for limit in (lambda v: ca.sqrt(ca.sumsqr(v) + 1) <= 2, lambda v: ca.norm_2(v - 9) >= 1):
+        stated = at_rest(limit)
+        assert restated(stated) is stated

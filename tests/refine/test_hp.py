@@ -202,6 +202,40 @@ def test_boundary_layer(scheme: str) -> None:
     assert solution.phase().scheme == scheme
 
 
+@pytest.fixture(scope="module")
+def thin() -> go.Solution:
+    """A layer that ends after a five-hundredth of the first segment."""
+    return go.solve(layered(1e4), tol=None)
+
+
+def test_a_thin_layer_is_cut_at_once(thin: go.Solution) -> None:
+    """The first mesh has five hundred of its time constants in one segment; the next one has some per segment."""
+    refined, history = refine_mesh(thin, tol=1e-8)
+    assert history.converged and history.passes[0].error > 1e5
+    assert history.passes[1].error < 1.0 and len(history.passes) <= 8
+    assert refined.objective == pytest.approx(1 / 2e4, rel=1e-12)
+    first = np.diff(history.passes[1].times["leg"])[:4]
+    np.testing.assert_allclose(
+        first[1:] / first[:-1], [3.0, 4.0, 4.0], rtol=1e-9
+    )  # each end four times the last
+
+
+def test_an_error_that_falls_fast_may_cost_twice_as_much(thin: go.Solution) -> None:
+    _, whole = refine_mesh(thin, tol=1e-8)
+    work = sum(p.work for p in whole.passes[1:])
+    assert refine_mesh(thin, tol=1e-8, max_work=0.6 * work)[1].converged
+    assert refine_mesh(thin, tol=1e-8, max_work=0.2 * work)[1].status is RefinementStatus.WORK_LIMIT
+
+
+def test_what_the_verdict_leaves_open_is_resolved(thin: go.Solution) -> None:
+    """Within the tolerance the costates of the layer are off by 3e-5; the verdict forgives 1e-5."""
+    tol = 1e-6
+    refined = go.refine(thin, tol=tol)
+    assert refined.converged and go.verify(refined).ok and refined.history is not None
+    assert refined.history.tolerance == tol and refined.history.final.error < 1e-7
+    assert refined.objective == pytest.approx(1 / 2e4, rel=1e-12)
+
+
 def test_merging_shrinks_a_mesh_that_is_too_fine() -> None:
     solution, history = refine_mesh(go.solve(regulator(), mesh="60x6", tol=None), tol=1e-8)
     check(history, 1e-8)

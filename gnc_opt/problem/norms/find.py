@@ -32,6 +32,11 @@ def stated_controls(leg: Phase) -> dict[int, int]:
     return {s.element_hash(): i for i, s in enumerate(symbols) if i not in taken}
 
 
+def guessed_controls(leg: Phase) -> frozenset[str]:
+    """Return the controls that the user's guess knows."""
+    return frozenset(name for name in leg.numbers.guess.values if name in leg.model.controls)
+
+
 def _under_roots(leg: Phase) -> Iterator[Places]:
     """Yield vectors of which a root is the norm: there it has no derivative at zero."""
     stated, tried = stated_controls(leg), set()
@@ -48,7 +53,12 @@ def _under_roots(leg: Phase) -> Iterator[Places]:
 
 
 def _squared(leg: Phase) -> Iterator[Places]:
-    """Yield vectors whose squared norm is limited where its slope vanishes, or from below."""
+    """Yield vectors whose squared norm is limited where its slope vanishes, or from below and nobody guessed them.
+
+    A guess beyond a limit from below is out of its hole, where derivatives lead on.
+    """
+    guessed = guessed_controls(leg)
+    names = [v.name for v in leg.model.controls.variables for _ in range(v.size)]
     stated, controls = set(stated_controls(leg).values()), leg.model.symbols("control")
     box = leg.path_interval()
     size = ca.SX.sym("size")
@@ -59,7 +69,7 @@ def _squared(leg: Phase) -> Iterator[Places]:
         of_size = NormNodes.of(expression, controls[list(places)]).replaced(expression, size, {})
         limits = Interval(box.lower[row : row + 1], box.upper[row : row + 1])
         own = limits_of(of_size, size, limits)
-        hole = own is not None and 0 < own[0] < own[1]
+        hole = own is not None and 0 < own[0] < own[1] and not any(names[i] in guessed for i in places)
         if hole or (own is None and limiting_control(leg, of_size, size, limits) is not None):
             yield places
 

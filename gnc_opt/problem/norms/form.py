@@ -169,6 +169,7 @@ class Form:
             paths,
             {name: (symbol, express(e)) for name, (symbol, e) in leg.integrands.items()},
             Restatement(
+                old,
                 stated,
                 express(stated),
                 (f"{_shown(vector)} is solved for as {' * '.join(parts)}{limits.text}",),

@@ -13,8 +13,9 @@ from gnc_opt.model.graph import operations_in
 from gnc_opt.model.norms import ROOTS
 from gnc_opt.problem.guess.trajectory import guess_times, start_phase
 from gnc_opt.problem.interval import Interval, free
-from gnc_opt.problem.norms.find import norm_by_hand
+from gnc_opt.problem.norms.find import guessed_controls, norm_by_hand
 from gnc_opt.problem.norms.form import Form, box_rows
+from gnc_opt.problem.norms.roots import without_roots
 from gnc_opt.problem.norms.split import CORNERS, SplitForm, absolute_controls
 from gnc_opt.problem.phase import Phase, PhaseGuess, PhaseNumbers
 from gnc_opt.problem.statement import Statement
@@ -33,13 +34,19 @@ def restated(problem: P) -> P:
         return problem
     twin, keys = problem.clone(), []
     for leg in twin.phases.values():
-        key: tuple[Any, ...] = (leg.name, np.sign(leg.numbers.controls.lower).tobytes())
+        key: tuple[Any, ...] = (
+            leg.name,
+            np.sign(leg.numbers.controls.lower).tobytes(),
+            guessed_controls(leg),
+        )
         while (form := _form(problem, leg, key)) is not None:
             key = (*key, form.vector.places, *_restate(leg, form))
         if (split := _split_form(problem, leg, key)) is not None:
             key = (*key, split.key, *split.apply(leg))
-        keys.append(key)
-    if all(len(key) == 2 for key in keys):
+        rootless = problem.once(("rootless", *key), lambda leg=leg: without_roots(leg))  # type: ignore[misc]
+        leg.paths |= rootless
+        keys.append((*key, *rootless))
+    if all(len(key) == 3 for key in keys):
         return problem
     twin.builds = problem.builds.setdefault(("restated", *keys), {})
     return twin

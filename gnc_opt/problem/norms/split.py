@@ -156,6 +156,7 @@ class SplitForm:
             },
             {name: (symbol, express(e)) for name, (symbol, e) in leg.integrands.items()},
             Restatement(
+                old,
                 stated,
                 express(stated),
                 tuple(

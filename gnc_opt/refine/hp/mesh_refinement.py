@@ -17,7 +17,7 @@ import numpy as np
 from gnc_opt.errors import GncOptError
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.refine.error import NEGLIGIBLE, PhaseError, estimate_errors
-from gnc_opt.refine.hp.remesh import SAFETY, Past, Remesh, known_segments
+from gnc_opt.refine.hp.remesh import SAFETY, UNRESOLVED, Past, Remesh, known_segments
 from gnc_opt.refine.passes import crawls, pass_meter, pass_record
 from gnc_opt.solution.history import Actions, History, Pass, RefinementStatus
 from gnc_opt.solution.solution import Solution
@@ -32,7 +32,10 @@ WARM_MU, LEAST_MU = 1e-6, 1e-10
 must not be pushed off its bounds only to come back in ten iterations."""
 
 STAGE = 1e-4
-"""Each pass aims at this share of the error before it, and at least at this error."""
+"""Each pass aims at this share of the error before it, and at least at this error; ..."""
+
+EARLY = 1e-3
+"""... at this share while some segment is hopelessly coarse, and all others still move with it."""
 
 SOLVED, LAXER = 1e-9, 0.1
 """Tolerance of the solver at most, and in shares of the error that the pass aims at: more digits of a mesh that is
@@ -57,6 +60,9 @@ order), ..."""
 
 REPAIRS = 1
 """... and with so many passes to mend what became too coarse."""
+
+PROMISING, EXTENDED = 0.3, 2.0
+"""A pass that leaves no more than this share of the error may be followed by others up to so many times the work."""
 
 UNEXPLAINED = 10.0
 """An objective that moves by more than this many times the error of the last mesh has not settled."""
@@ -109,7 +115,8 @@ def refine_mesh(
     max_points : int
         At most so many collocation points in any phase.
     max_work : float
-        No pass begins after this much work, in iterations at one collocation point; see `Pass.work`.
+        No pass begins after this much work, in iterations at one collocation point; see `Pass.work`. Twice as much is
+        allowed while the error falls to a third or less from pass to pass.
     options : SolverOptions, optional
         For the solves.
     deadline : float
@@ -179,7 +186,7 @@ class _Refinement:
             plan = self._plan()
             if isinstance(plan, RefinementStatus):
                 return plan
-            if sum(record.work for record in self._records[1:]) > self._max_work:
+            if sum(record.work for record in self._records[1:]) > self._allowed:
                 return self._ending(RefinementStatus.WORK_LIMIT)
             meshes, actions = plan
             self._past = {name: known_segments(e) for name, e in self._state.errors.items()}
@@ -188,6 +195,12 @@ class _Refinement:
             if not status.solved:
                 return self.ending_without(status)
         return self._ending(RefinementStatus.PASS_LIMIT)
+
+    @property
+    def _allowed(self) -> float:
+        """What all passes may cost: more where the last one says that few others will do."""
+        errors = [r.error for r in self._records[-2:]]
+        return self._max_work * (EXTENDED if errors[-1] <= PROMISING * errors[0] else 1.0)
 
     def _plan(self) -> NextMeshes | RefinementStatus:
         """Return the next meshes with what was done to get them, or how it ends here."""
@@ -217,7 +230,8 @@ class _Refinement:
         worse = (
             last is not self._best.record and isinstance(last.actions, Actions) and last.actions.merged > 0
         )
-        stage = max(self._tol, STAGE * min(self._state.finite_error, 1.0))
+        error = min(self._state.finite_error, 1.0)
+        stage = max(self._tol, (STAGE if error < UNRESOLVED else EARLY) * error)
         merging = last.points > max(ROOMY, GROWN * self._lean) and not worse
         plan = self._finer(stage, merging)
         if merging:

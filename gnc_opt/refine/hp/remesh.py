@@ -34,7 +34,13 @@ HALVING = 0.3
 """Decades per degree by which the decay gets faster when a segment is halved."""
 
 LAYER = 0.25
-"""Share of a hopelessly coarse first or last segment that is cut off: boundary layers are thin."""
+"""Share of a hopelessly coarse first or last segment that is cut off, and again of that: boundary layers are thin."""
+
+HOPELESS = 1.0
+"""Where nothing is known of the trajectory, nothing is known of its kinks either."""
+
+STIFFEST = 1e4
+"""At most so many time constants are believed to be in such a segment."""
 
 ROUGH = 0.12
 """A degree that gained less than this many decades per point was wasted: the segment is not smooth."""
@@ -108,7 +114,7 @@ class Remesh:
             return [own]
         if self._active is None:
             self._active = activity(self.error)
-        kinks = find_kinks(self.error, k, self._active)
+        kinks = find_kinks(self.error, k, self._active) if self._worst[k] < HOPELESS else []
         if kinks:
             cuts = bracketed(self._leg, k, kinks)
             if len(cuts) > 2:
@@ -149,15 +155,15 @@ class Remesh:
             self._density = error_density(self.error)
         low, middle, high = quantiles(self.error, self._density, k, np.array([0.1, 0.5, 0.9]))
         width = own.end - own.start
-        layer = self._layer(k)
-        if layer is not None:
-            edges = [own.start + layer * width]
+        layers = self._layers(k)
+        if layers:
+            edges = [own.start + share * width for share in layers]
         elif high - low < 0.3 * width:
             edges = [low, high]
         else:
             edges = [float(np.clip(middle, own.start + 0.05 * width, own.end - 0.05 * width))]
         cuts = [own.start]
-        cuts += [e for e in edges if 0.02 * width < e - own.start < 0.98 * width]
+        cuts += edges if layers else [e for e in edges if 0.02 * width < e - own.start < 0.98 * width]
         if len(cuts) == 1:
             cuts.append(0.5 * (own.start + own.end))
         cuts.append(own.end)
@@ -165,13 +171,19 @@ class Remesh:
         degree = min(max(3, min(needed, own.degree)), 10)
         return [Piece(float(a), float(b), degree) for a, b in itertools.pairwise(cuts)]
 
-    def _layer(self, k: int) -> float | None:
-        """Return where to cut a hopelessly coarse segment at an end of the phase, where layers are thin."""
-        if self._worst[k] < UNRESOLVED:
-            return None
-        if k == 0:
-            return LAYER
-        return 1.0 - LAYER if k == self._leg.mesh.segments - 1 else None
+    def _layers(self, k: int) -> list[float]:
+        """Return where to cut a hopelessly coarse segment at an end of the phase, where layers are thin, in shares.
+
+        The error of a segment that is many time constants long is about their number. So the smallest piece is to be
+        about one of them long, and the others grow by the same factor.
+        """
+        error = float(min(self._worst[k], STIFFEST))
+        ends = (k == 0, k == self._leg.mesh.segments - 1)
+        if error < UNRESOLVED or not any(ends):
+            return []
+        levels = max(1, math.floor(math.log(error) / -math.log(LAYER)))
+        shares = [LAYER**level for level in range(levels, 0, -1)]
+        return shares if ends[0] else [1.0 - share for share in reversed(shares)]
 
     def _fraction(self, t: float) -> float:
         return float((t - self._leg.breaks[0]) / (self._leg.breaks[-1] - self._leg.breaks[0]))

@@ -28,7 +28,7 @@ HELPED = 0.3
 INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
 """First degree of an interior piece, and the number of its segments if it were the whole phase."""
 
-MAX_SEGMENTS = 32
+MAX_SEGMENTS = 64
 """Segments of a piece at most."""
 
 COARSE = 100
