@@ -127,7 +127,7 @@ class Course:
         begun = time.perf_counter()
         try:
             if not np.isfinite(x).all():
-                raise ArithmeticError("the estimated state is not a number")
+                raise GncOptError("the estimated state is not a number")
             state = planner.predicted(self._path, t, x, begin, self.dt)
             plan = planner.solved(begin, state, self._plan)
             rows = np.asarray(planner.follow(plan)(self.times[first:], self.dt), dtype=float)

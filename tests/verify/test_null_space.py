@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gnc_opt.problem.interval import Interval
 from gnc_opt.solution.program_point import Limits, ProgramPoint
 from gnc_opt.verify import null_space
+from gnc_opt.verify.bang_bang_flow import ORDER
 from gnc_opt.verify.critical_cone import CriticalCone
 from gnc_opt.verify.multipliers import _least_squares, _Limits, _sort_out
 from gnc_opt.verify.normality import _least_dependent, _may_push, normality
@@ -134,8 +135,8 @@ def test_null_space_of_dependent_rows() -> None:
     assert _null_space(np.zeros((0, 3))).shape == (3, 3) and _null_space(np.eye(3)).shape == (3, 0)
 
 
-def test_extrapolation_takes_away_an_error_of_fourth_order() -> None:
-    coarse, fine = 2.0 + 3.0 * 0.2**4, 2.0 + 3.0 * 0.1**4
+def test_extrapolation_takes_away_an_error_of_the_order_of_flows() -> None:
+    coarse, fine = 2.0 + 3.0 * 0.2**ORDER, 2.0 + 3.0 * 0.1**ORDER
     assert _extrapolated(np.array(fine), np.array(coarse)) == pytest.approx(2.0, abs=1e-14)
 
 
