@@ -12,15 +12,12 @@ else:
 
 project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 extras = project["optional-dependencies"]
-for line in [
-    *project["dependencies"],
-    *extras["cluster"],
-    *extras["control"],
-    *extras["data"],
-    *extras["test"],
-]:
+lines = [*project["dependencies"], *extras["test"]]
+for line in lines:
     requirement = Requirement(line)
-    if requirement.name != project["name"]:
+    if requirement.name == project["name"]:  # extras of our own
+        lines += [needed for extra in sorted(requirement.extras) for needed in extras[extra]]
+    else:
         (floor,) = requirement.specifier
         assert floor.operator == ">=", f"{line}: the oldest version is not stated"
         print(f"{requirement.name}=={floor.version}")
