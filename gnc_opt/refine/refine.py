@@ -310,7 +310,9 @@ class _Task:
     @property
     def _left(self) -> float:
         """Work that is left for meshes, however much structures that nobody asked for have cost."""
-        return self.max_work - sum(p.work for a in self.attempted if a.begun is None for p in a.history.passes)
+        return self.max_work - sum(
+            p.work for a in self.attempted if a.begun is None for p in a.history.passes
+        )
 
     def _by_mesh(self, start: Solution, tol: float, max_passes: int) -> _Attempt:
         return _Attempt(

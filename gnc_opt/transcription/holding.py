@@ -38,14 +38,15 @@ def hold_paths(box: Interval, held: Held, bounds: Interval, collocation: PhaseCo
         _put(box, collocation.path_rows, _at_points(held.paths, collocation), bounds)
 
 
-def hold_states(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:
+def hold_states(box: Interval, leg: Phase, held: Held, collocation: PhaseCollocation) -> None:
     """Put the bounds of states at the start and the points of their arcs.
 
     The state polynomial of a segment is fixed by its start and its points, so that the ends of the segments follow: a
-    bound there would be one too many.
+    bound there would be one too many. So would one at the start of a phase that is handed over on the bound.
     """
     if not held.states:
         return
+    bounds, going_on = leg.numbers.states, _going_on(leg, held)
     _put(box, collocation.point_states, _at_points(held.states, collocation), bounds)
     for i, row in enumerate(held.states):
         for k, kind in enumerate(row):
@@ -57,9 +58,24 @@ def hold_states(box: Interval, held: Held, bounds: Interval, collocation: PhaseC
             if not kind.at_limit:
                 continue
             start, end = collocation.boundary_states[i, k : k + 2]
-            if k == 0 or row[k - 1] is not kind:
+            if k == 0 and i in going_on:
+                box.lower[start], box.upper[start] = -np.inf, np.inf
+            elif k == 0 or row[k - 1] is not kind:
                 box.lower[start] = box.upper[start] = _limits(bounds, kind)[i]
             box.lower[end], box.upper[end] = -np.inf, np.inf
+
+
+def _going_on(leg: Phase, held: Held) -> set[int]:
+    """The states of a phase that the phase before hands over from an arc on the same bound."""
+    found = set()
+    for name in leg.model.states.names:
+        before, jump = leg.handed_over(name) or (None, np.zeros(0))
+        ours = range(leg.model.states.size)[leg.model.states.slice(name)]
+        if before is None or np.any(jump) or before.numbers.arcs is None or not before.numbers.arcs.states:
+            continue
+        theirs = before.numbers.arcs.states[before.model.states.slice(name)]
+        found |= {i for i, row in zip(ours, theirs, strict=True) if row[-1] is held.states[i][0]}
+    return found
 
 
 def meet_limits(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:

@@ -346,7 +346,7 @@ class Transcription(Numbering):
                 np.clip(values.upper, lower, upper),
             )
         if numbers.arcs is not None:
-            hold_states(box, numbers.arcs, numbers.states, collocation)
+            hold_states(box, leg, numbers.arcs, collocation)
             meet_limits(box, numbers.arcs, numbers.states, collocation)
         for place, time in zip(part.times[[0, -1]], leg.times(), strict=True):
             if place < self.n_variables:

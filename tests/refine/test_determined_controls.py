@@ -134,3 +134,60 @@ def test_a_crane_whose_swing_is_limited_shows_its_bangs_on_a_finer_mesh() -> Non
     found = fsolve(half_of_the_crane, [0.8, 0.4, 1.3, 0.1, 1.2, 0.2, 1.1], xtol=1e-12)
     np.testing.assert_allclose(half_of_the_crane(found), 0.0, atol=1e-9)
     assert solution.objective == pytest.approx(2 * np.sum(found), rel=1e-9)
+
+
+def test_a_speed_limit_holds_across_a_waypoint() -> None:
+    """D / V + V / A from rest to rest; a waypoint that is passed at top speed costs nothing and no costate jumps."""
+    cart = go.Model("cart")
+    x, v, a = cart.state("x"), cart.state("v"), cart.control("a")
+    cart.ode({x: v, v: a})
+    problem = go.Problem("waypoint")
+    first, second = problem.phase("first", cart), problem.phase("second", cart)
+    for leg in (first, second):
+        leg.bounds(a=(-1.0, 1.0), v=(-2.0, 2.0))
+    problem.sequence(first, second)
+    first.initial(x=0.0, v=0.0)
+    first.final(x=4.0)
+    second.final(x=10.0, v=0.0)
+    problem.minimize(second.final_time)
+    solution = go.solve(problem)
+    assert solution.converged and go.verify(solution).ok
+    assert solution.objective == pytest.approx(10 / 2 + 2 / 1, rel=1e-9)
+    waypoint = solution.phase("first").final_time
+    assert waypoint == pytest.approx(3.0, rel=1e-9)
+    for name, slope in (("v", 0.0), ("x", -0.5)):
+        costates = [solution.phase(p).costate(name)(waypoint) for p in ("first", "second")]
+        np.testing.assert_allclose(costates, slope, atol=1e-8)
+
+
+def test_gates_for_a_car_whose_speed_is_limited() -> None:
+    """At top speed the car turns as fast as it can or not at all, on both sides of a gate that it passes in a turn.
+
+    Its rate of turn is singular where its acceleration is determined by the speed: each has to be told for itself.
+    """
+    car = go.Model("car")
+    x, y, heading, v = (car.state(name) for name in ("x", "y", "heading", "v"))
+    a, w = car.control("a"), car.control("w")
+    car.ode({x: v * ca.cos(heading), y: v * ca.sin(heading), heading: w, v: a})
+    problem = go.Problem("gates")
+    first, second = problem.phase("first", car), problem.phase("second", car)
+    for leg in (first, second):
+        leg.bounds(a=(-1.0, 1.0), w=(-0.8, 0.8), v=(0.0, 3.0))
+    first.time(initial=0.0, final=(0.5, 30.0))
+    second.time(initial=(0.5, 30.0), final=(1.0, 60.0))
+    first.initial(x=0.0, y=0.0, heading=0.0, v=0.0)
+    first.final(x=10.0, y=5.0)
+    problem.link(first, second)
+    second.final(x=0.0, y=10.0, v=0.0)
+    problem.minimize(second.final_time)
+    solution = go.solve(problem)
+    assert solution.converged and go.verify(solution).ok
+    turn = {arc.kind for arc in solution.structure if arc.channel == "w"}
+    assert turn == {ArcKind.SINGULAR, ArcKind.UPPER}
+    for name in ("first", "second"):
+        leg = solution.phase(name)
+        held = [arc for arc in solution.structure if arc.phase == name and arc.channel == "v"]
+        (arc,) = held
+        times = np.linspace(arc.start, arc.end, 7)[1:-1]
+        np.testing.assert_allclose(leg.costate("v")(times), 0.0, atol=1e-8)
+        np.testing.assert_allclose(leg.state("v")(times), 3.0, atol=1e-10)

@@ -259,8 +259,8 @@ def test_controls_and_paths_are_held_at_the_points_of_their_segments() -> None:
 def test_states_are_held_at_the_start_and_the_points_of_their_arc() -> None:
     """The ends of held segments follow; the start of an arc is held once, where another limit begins again."""
     part = collocation("LG", Mesh((0.0, 0.2, 0.4, 0.6, 0.8, 1.0), (1, 1, 1, 1, 1)), n=1)
-    found = box(part.n_variables)
-    hold_states(found, Held(((FREE,) * 5,), states=((FREE, UP, UP, LOW, FREE),)), interval([-1], [3]), part)
+    found, (leg, _) = box(part.n_variables), stated()[1]
+    hold_states(found, leg, Held(((FREE,) * 5,), states=((FREE, UP, UP, LOW, FREE),)), part)
     assert (
         found.lower[part.point_states].tolist() == [[-7, 3, 3, -1, -7]]
         and found.upper[part.point_states][0, 3] == -1
@@ -268,10 +268,37 @@ def test_states_are_held_at_the_start_and_the_points_of_their_arc() -> None:
     assert found.lower[part.boundary_states].tolist() == [[-7, 3, -np.inf, -1, -np.inf, -7]]
     assert found.upper[part.boundary_states].tolist() == [[7, 3, np.inf, -1, np.inf, 7]]
     first = box(part.n_variables)
-    hold_states(
-        first, Held(((FREE,) * 5,), states=((LOW, FREE, FREE, FREE, FREE),)), interval([-1], [3]), part
-    )
+    hold_states(first, leg, Held(((FREE,) * 5,), states=((LOW, FREE, FREE, FREE, FREE),)), part)
     assert first.lower[part.boundary_states].tolist() == [[-1, -np.inf, -7, -7, -7, -7]]
+
+
+@pytest.mark.parametrize(
+    ("before", "jump", "start"),
+    [(LOW, 0.0, -np.inf), (UP, 0.0, -1), (FREE, 0.0, -1), (LOW, 0.5, -1), (None, 0.0, -1)],
+)
+def test_an_arc_that_goes_on_from_the_phase_before_has_begun_there(
+    before: ArcKind | None, jump: float, start: float
+) -> None:
+    """Its state is handed over on the bound; held at the start once more it would leave the multipliers open."""
+    problem, (first, second) = stated()
+    problem.link(first, second, jump={"x": jump})
+    if before is not None:
+        first.hold([[FREE, FREE]], states=[[FREE, before]])
+    part = collocation("LG", Mesh.uniform(2, 1), n=1)
+    found = box(part.n_variables)
+    hold_states(found, second, Held(((FREE,) * 2,), states=((LOW, LOW),)), part)
+    assert found.lower[part.boundary_states].tolist() == [[start, -np.inf, -np.inf]]
+
+
+def stated() -> tuple[go.Problem, tuple[go.Phase, go.Phase]]:
+    """A problem with two phases of a state between -1 and 3."""
+    model = go.Model("one")
+    model.ode({model.state("x"): model.control("u")})
+    problem = go.Problem("held")
+    legs = problem.phase("first", model), problem.phase("second", model)
+    for leg in legs:
+        leg.bounds(x=(-1, 3))
+    return problem, legs
 
 
 def test_arcs_of_another_number_of_segments_are_refused() -> None:

@@ -107,9 +107,13 @@ class PhaseStructure:
         times, touches = (time, *self.times[first + 1 :]), ((), *self.touches[first + 1 :])
         return replace(self, times=times, kinds=self.kinds[first:], touches=touches)
 
-    def constrained(self, piece: int) -> bool:
-        """Whether a state bound or a path constraint is held in a piece."""
-        return any(kind.at_limit for kind in self.kinds[piece][self._n_free :])
+    def determined(self, piece: int) -> set[int]:
+        """Return the controls that state bounds and path constraints determine which are held in a piece.
+
+        A limit of which it is not known what holds it is taken to determine all of them.
+        """
+        held = [i for i in range(self._n_free, len(self.orders)) if self.kinds[piece][i].at_limit]
+        return {control for i in held for control in self.holders[i] or range(self._n_free)}
 
     def changes(self, boundary: int) -> list[int]:
         """Return the rows that change between a piece and the one before."""
@@ -259,13 +263,12 @@ class PhaseStructure:
             Of all rows.
         """
         found = []
-        # A control is constrained where another limit than its own determines it.
-        determined = [any(kind.at_limit for kind in kinds[self._n_free :]) for kinds in self.kinds]
+        determined = [self.determined(k) for k in range(self.pieces)]
         for i, label in enumerate(labels):
             row = [kinds[i] for kinds in self.kinds]
             if i < self._n_free:
                 row = [
-                    ArcKind.CONSTRAINED if d and not k.at_limit else k
+                    ArcKind.CONSTRAINED if i in d and not k.at_limit else k
                     for k, d in zip(row, determined, strict=True)
                 ]
             starts = [0, *[k for k in range(1, self.pieces) if row[k] != row[k - 1]], self.pieces]

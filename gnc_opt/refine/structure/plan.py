@@ -177,7 +177,11 @@ class Plan:
         for i, row in enumerate(self.structure.controls):
             for k in np.flatnonzero(row == ArcKind.SINGULAR):
                 r = self.resolutions[k]
-                if r.smooth and r.smooth < r.segments * r.degree - 1:
+                if (
+                    i not in self.structure.determined(int(k))
+                    and r.smooth
+                    and r.smooth < r.segments * r.degree - 1
+                ):
                     found.append(Smooth(i, ends[k], ends[k + 1], r.smooth))
         return tuple(found)
 
@@ -189,7 +193,8 @@ def points_of(mesh: Mesh) -> float:
 
 def _first_resolution(structure: PhaseStructure, piece: int, points: float) -> Resolution:
     kinds, share = structure.kinds[piece], structure.lengths[piece] / structure.lengths.sum()
-    if ArcKind.SINGULAR in kinds and not structure.constrained(piece):
+    singular = {i for i, kind in enumerate(kinds) if kind is ArcKind.SINGULAR}
+    if singular - structure.determined(piece):
         return Resolution(2, FIRST_DEGREE, SINGULAR_DEGREE)
     if ArcKind.INTERIOR in structure.controls[:, piece]:
         degree = FIRST_DEGREE if structure.on_contact(piece) else INTERIOR_DEGREE
