@@ -135,7 +135,6 @@ def singular(inside: list[float], gradient: list[float]) -> list[int]:
     values = tuple(np.where(np.arange(10) < 10 * share, 0.0, 1.0)[None, :] for share in inside)
     there = sampled(len(inside))
     there.leg.u = SimpleNamespace(values=values)
-    there.leg.rules = (SimpleNamespace(weights=np.full(10, 0.2)),) * len(inside)
     return d._singular_segments(
         there, 0, np.repeat(gradient, PER_SEGMENT) * np.tile([0.5, -1, 0.2, 0], len(inside))
     )
@@ -160,24 +159,6 @@ def test_a_singular_arc_is_two_neighbours_with_a_small_switching_function(
 def test_near_a_bound_is_a_share_of_the_range(u: float, found: list[int]) -> None:
     there = sampled(2)
     there.leg.u = SimpleNamespace(values=(np.full((1, 3), u),) * 2)
-    there.leg.rules = (SimpleNamespace(weights=np.full(3, 2 / 3)),) * 2
-    assert d._singular_segments(there, 0, np.zeros(8)) == found
-
-
-@pytest.mark.parametrize(
-    ("u", "found"),
-    [
-        ([1, -0.4, 0.4, -1], [0, 1]), ([1, -1, 1, -1], []), ([0.9, 0.9, 0.9, -1], [0, 1]),
-        ([1, 1, 0, 0], []), ([1, 0, 0, 0], [0, 1]), ([1, 0.95, 0.95, 0.99], []),
-    ],
-)  # fmt: skip
-def test_a_control_that_polynomials_take_from_bound_to_bound_lies_between_them(
-    u: list[float], found: list[int]
-) -> None:
-    """Limits that hold at the points leave those polynomials free that vanish there."""
-    there = sampled(2)
-    there.leg.u = SimpleNamespace(values=(np.array([u], dtype=float),) * 2)
-    there.leg.rules = (SimpleNamespace(weights=np.array([0.348, 0.652, 0.652, 0.348])),) * 2
     assert d._singular_segments(there, 0, np.zeros(8)) == found
 
 

@@ -161,18 +161,16 @@ def _spread(samples: PhaseSamples, labels: KindArray, label: ArcKind, candidates
 def _singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> list[int]:
     """Segments on which the control lies between its bounds while its switching function stays small.
 
-    Its mean counts, and that most points are not on the same bound: along an arc on a state bound polynomials that
-    vanish at the points are free, which may take the control from bound to bound. A switch smears over one segment,
-    too, but there the switching function leaves zero at once; so a lone segment does not count.
+    A switch smears over one segment, too, but there the switching function leaves zero at once; so a lone
+    segment does not count.
     """
     leg = samples.leg
     bounds, margin = leg.control_bounds, NEAR * samples.control_scale[i]
-    least, most = bounds.lower[i] + margin, bounds.upper[i] - margin
     found = []
-    for k, (values, rule) in enumerate(zip(leg.u.values, leg.rules, strict=True)):
-        mean = float(values[i] @ rule.weights / np.sum(rule.weights))
-        between = least < mean < most and max(np.mean(values[i] <= least), np.mean(values[i] >= most)) < 0.5
-        if between and np.max(np.abs(gradient[samples.segments == k])) < SMALL:
+    for k, values in enumerate(leg.u.values):
+        inside = (values[i] > bounds.lower[i] + margin) & (values[i] < bounds.upper[i] - margin)
+        small = np.max(np.abs(gradient[samples.segments == k])) < SMALL
+        if small and np.mean(inside) > 0.5:
             found.append(k)
     return [k for k in found if k - 1 in found or k + 1 in found]
 
