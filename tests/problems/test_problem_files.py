@@ -46,7 +46,7 @@ FOLDER = Path(goddard.__file__).parent
 NAMES = sorted(
     path.stem
     for path in FOLDER.glob("*.py")
-    if path.stem not in ("__init__", "all", "comparison", "flown", "reference", "run")
+    if path.stem not in ("__init__", "all", "comparison", "dispersed", "flown", "fronts", "reference", "run")
 )
 """The basic problems, of one file each; systems are folders with tests of their own."""
 ON_A_MESH = {"climb": "120x6", "low_thrust": "60x8"}

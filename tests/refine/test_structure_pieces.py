@@ -77,7 +77,7 @@ def test_arcs_of_controls_paths_and_states() -> None:
         n_controls=1,
         n_paths=1,
     )
-    assert [held.constrained(k) for k in range(3)] == [False, True, False]
+    assert [held.determined(k) for k in range(3)] == [set(), {0}, set()]
     assert held.controls.tolist() == [[UP, FREE, FREE]]
     assert held.paths.tolist() == [[FREE] * 3] and held.states.tolist() == [[FREE, LOW, FREE]]
     assert held.arcs("leg", ("u", "c", "x")) == (
@@ -88,6 +88,22 @@ def test_arcs_of_controls_paths_and_states() -> None:
     )
 
 
+def test_a_state_constraint_determines_the_controls_that_can_hold_it() -> None:
+    """Rows: two controls, a state that the second one holds, a state of which nothing is known."""
+    kinds = (
+        (ArcKind.SINGULAR, ArcKind.SINGULAR, LOW, FREE),
+        (ArcKind.SINGULAR, ArcKind.SINGULAR, FREE, LOW),
+        (UP, ArcKind.SINGULAR, UP, FREE),
+    )
+    holders = ((), (), (1,), ())
+    two = PhaseStructure((0.0, 1.0, 2.0, 3.0), kinds, n_controls=2, holders=holders)
+    assert [two.determined(k) for k in range(3)] == [{1}, {0, 1}, {1}]
+    told = [(arc.channel, arc.kind, arc.start) for arc in two.arcs("leg", ("a", "b", "x", "y"))]
+    assert told[:4] == [
+        ("a", ArcKind.SINGULAR, 0.0), ("a", ArcKind.CONSTRAINED, 1.0), ("a", UP, 2.0), ("b", ArcKind.CONSTRAINED, 0.0),
+    ]  # fmt: skip
+
+
 # --- resolution -----------------------------------------------------------------------------------------------
 
 
@@ -96,7 +112,16 @@ def test_a_piece_gets_higher_degrees_then_twice_the_segments() -> None:
     while r.finer() != r:
         r = r.finer()
         seen.append((r.segments, r.degree))
-    assert seen == [(1, 9), (1, MAX_DEGREE), (2, MAX_DEGREE), (4, 12), (8, 12), (16, 12), (MAX_SEGMENTS, 12)]
+    assert seen == [
+        (1, 9),
+        (1, MAX_DEGREE),
+        (2, MAX_DEGREE),
+        (4, 12),
+        (8, 12),
+        (16, 12),
+        (32, 12),
+        (MAX_SEGMENTS, 12),
+    ]
 
 
 def test_only_the_piece_that_is_inaccurate_is_solved_more_finely() -> None:

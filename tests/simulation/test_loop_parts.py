@@ -94,7 +94,7 @@ def test_numbers_of_a_loop_are_given_by_keyword():
     }
     assert by_keyword == {
         "dt": None, "minor_steps": 1, "accuracy": 1e-9, "substeps": None, "plausible": 1e15, "events": (),
-        "replanner": None,
+        "replanner": None, "quantities": (),
     }  # fmt: skip
     assert [found[n][1] for n in ("actuators", "sensors", "disturbances")] == [(), (), ()]
     loop = ClosedLoop(double_integrator(), idle(double_integrator()), dt=DT)
