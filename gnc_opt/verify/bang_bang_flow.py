@@ -122,9 +122,10 @@ class BangBangFlow:
         (n, n_times), sensitivity = self._widths.shape, self.initial_sensitivity
         directions = np.zeros((n, self.initial.size + 1, sensitivity.shape[1]))
         directions[:, -1, :n_times] = self._widths
-        for j, jacobian in enumerate(self._steps.jacobians):
-            directions[j, :-1] = sensitivity
-            sensitivity = jacobian @ directions[j]
+        with np.errstate(over="ignore", invalid="ignore"):  # of a flow that has left the numbers
+            for j, jacobian in enumerate(self._steps.jacobians):
+                directions[j, :-1] = sensitivity
+                sensitivity = jacobian @ directions[j]
         return directions, sensitivity
 
 
@@ -333,9 +334,10 @@ class _Steps:
             into[:, :, n] += np.tensordot(shares[used], slopes[used], 1)
             return into
 
-        for i, reach in enumerate(_REACHES):
-            np.matmul(slope_jacobians[i], moves(np.array(reach), moved[i]), out=change[i])
-        jacobians = moves(np.array(_SHARES), np.zeros((n_steps, n, n + 1)))
+        with np.errstate(over="ignore", invalid="ignore"):  # of a flow that has left the numbers
+            for i, reach in enumerate(_REACHES):
+                np.matmul(slope_jacobians[i], moves(np.array(reach), moved[i]), out=change[i])
+            jacobians = moves(np.array(_SHARES), np.zeros((n_steps, n, n + 1)))
         return cls(jacobians, rates, inputs, places, moved, change, slope_jacobians)
 
     def hessians(self, adjoints: Array) -> Array:

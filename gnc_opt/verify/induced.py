@@ -30,6 +30,14 @@ from gnc_opt.verify.bang_bang_flow import BangBangFlow, Pieces, bang_bang_flow
 from gnc_opt.verify.magnitude import Magnitudes, parameter_scale
 from gnc_opt.verify.switches import Switches
 
+GRIDS, RESOLVED = (1, 2, 4, 8, 16, 32), 1e-3
+"""By how much the steps of a flow may be refined, and how near the solution's end it then ends, in shares of what the
+states move: order and error of an integration are known where it resolves the dynamics only."""
+
+
+NOT_FLOWN = "dynamics too fast for the finest steps of the flow from switch to switch"
+"""Why a condition on the induced problem is not judged."""
+
 
 @dataclass(frozen=True)
 class Unknowns:
@@ -166,16 +174,15 @@ class InducedProblem:
         pieces : mapping from phase to Pieces
             With the unknowns of `Switches.pieces`.
         refinement : int
-            Of the steps of integration, see `bang_bang_flow`.
+            Of the steps of integration that resolve the dynamics, see `bang_bang_flow`.
         """
         problem = solution.need_problem("verify")
-        flows = {
-            s.leg.name: bang_bang_flow(
-                problem, s, pieces[s.leg.name], unknowns.free_start[s.leg.name], refinement
-            )
-            for s in samples
-        }
-        changes = _changes(samples, unknowns, flows)
+        flows = {}
+        for s in samples:
+            asked = (problem, s, pieces[s.leg.name], unknowns.free_start[s.leg.name])
+            flows[s.leg.name] = bang_bang_flow(*asked, refinement * _grid(*asked))
+        with np.errstate(over="ignore", invalid="ignore"):  # see `finite`
+            changes = _changes(samples, unknowns, flows)
         derivatives = problem.once("end derivatives", lambda: end_derivatives(problem))
         both = [flow for s in samples for flow in _ends_of(s, flows)]
         arguments = (*both, *(s.functions.p for s in samples), solution.parameter_values)
@@ -188,6 +195,11 @@ class InducedProblem:
         conditions = _conditions(solution, samples, ends, unknowns, changes, jacobian @ changes)
         gradient = slope.ravel() @ changes
         return cls(unknowns, gradient, conditions, samples, flows, at_ends, changes, n_constraints)
+
+    @property
+    def finite(self) -> bool:
+        """Whether the flow and what it changes are numbers: dynamics may be too fast for the finest steps."""
+        return bool(np.isfinite(self.gradient).all() and np.isfinite(self.conditions.jacobian).all())
 
     def hessian(self, multipliers: Array) -> tuple[Array, float]:
         """Return the Hessian of the Lagrangian (n, n), and the size of the terms that it is the sum of.
@@ -213,6 +225,21 @@ class InducedProblem:
             terms.append(term)
             row, state = row + 2 * size, state + n
         return np.asarray(np.sum(terms, axis=0)), float(sum(np.linalg.norm(t) for t in terms))
+
+
+def _grid(problem: Problem, s: PhaseSamples, pieces: Pieces, free_start: Indices) -> int:
+    """Return how often the steps of a flow are halved until it ends where the solution does.
+
+    What ends elsewhere however fine the steps are is not the flow of these controls: then they stay as they are, unless
+    dynamics that are fast for them throw it off altogether.
+    """
+    end = s.leg.x(s.leg.breaks[-1])
+    finals = []
+    for finer in GRIDS:
+        finals.append(bang_bang_flow(problem, s, pieces, free_start, finer).final)
+        if np.all(np.abs(finals[-1][: end.size] - end) < RESOLVED * s.state_scale):
+            return finer
+    return GRIDS[0] if np.isfinite(finals[0]).all() else GRIDS[-1]
 
 
 def _size(s: PhaseSamples) -> int:

@@ -19,7 +19,7 @@ import scipy
 from gnc_opt.arrays import Array
 from gnc_opt.tolerances import RANK, ROUNDING, TINY
 from gnc_opt.verify.critical_cone import CriticalCone
-from gnc_opt.verify.induced import InducedProblem
+from gnc_opt.verify.induced import NOT_FLOWN, InducedProblem
 from gnc_opt.verify.null_space import NullSpace, lanczos, quadratic
 from gnc_opt.verify.verdict import Condition, Result
 
@@ -80,6 +80,8 @@ def normality_of_switches(induced: InducedProblem) -> Condition:
     there are more of them) if nothing is left that could vary or if they do not curve there.
     """
     conditions, free = induced.conditions, induced.unknowns.free
+    if not induced.finite:
+        return Condition("normality", Result.CANNOT_TELL, np.nan, MOST, NOT_FLOWN, _MEANING)
     at_lower, at_upper = conditions.active
     rows = conditions.jacobian / conditions.sizes[:, None]
     own, every = np.linalg.norm(rows[:, free], axis=1), np.linalg.norm(rows, axis=1)

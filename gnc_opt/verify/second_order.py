@@ -37,7 +37,7 @@ from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, RANK, TINY
 from gnc_opt.verify.bang_bang_flow import ORDER
 from gnc_opt.verify.goh import straight
-from gnc_opt.verify.induced import InducedProblem, Unknowns
+from gnc_opt.verify.induced import NOT_FLOWN, InducedProblem, Unknowns
 from gnc_opt.verify.normality import normality_of_switches
 from gnc_opt.verify.switches import GRAZES, Switches, inner_switches
 from gnc_opt.verify.verdict import Condition, Result
@@ -197,7 +197,7 @@ def second_order(
     ]
     off = max(found, key=lambda f: np.inf if np.isnan(f.offence) else f.offence)
     gradient = Result.PASS if off.offence <= tolerance else Result.FAIL
-    if tolerance < off.offence <= tolerance + off.offence_error:
+    if np.isnan(off.offence) or tolerance < off.offence <= tolerance + off.offence_error:
         gradient = Result.CANNOT_TELL
     worst = min(found, key=lambda f: (f.result is not Result.FAIL, f.least - f.error))
     place = f"{worst.freedom} degrees of freedom"
@@ -208,6 +208,7 @@ def second_order(
     if worst.result is Result.CANNOT_TELL:
         small = abs(worst.least) <= worst.error
         place += ": no curvature beyond its error" if small else ": negative, but beyond one-sided conditions"
+        place = NOT_FLOWN if np.isnan(worst.least) else place
     phases = ", ".join(s.leg.name for s in samples)
     value = 0.0 if worst.freedom == 0 else -worst.least
     place = f"phase {phases}: {place}"
@@ -228,6 +229,8 @@ def _judge(
     """Judge the induced problem for one order of the switches of every phase."""
     pieces = {name: switches[name].pieces(order) for name, order in orders.items()}
     coarse, fine = (InducedProblem.of(solution, samples, ends, unknowns, pieces, n) for n in (1, 2))
+    if not (coarse.finite and fine.finite):
+        return SecondOrder(np.nan, np.nan, NOT_FLOWN, np.nan, np.nan, unknowns.scale.size, False)
     free, conditions = unknowns.free, fine.conditions
     gradient, jacobian = _extrapolated(fine.gradient, coarse.gradient), conditions.jacobian
     jacobian = _extrapolated(jacobian, coarse.conditions.jacobian)

@@ -107,7 +107,7 @@ class Conditions:
 
 KNOWN = {
     "published": (Flight(109.45, 19.0750277, 0.05357954), 1.945536e-5),
-    "least time": (Flight(65.55, 36.4274235, 0.01023919), 1.847459e-6),
+    "least time": (Flight(65.55, 36.4392965, 0.01023919), 1.847459e-6),
     "least vibration": (Flight(69.9, 19.0918087, 0.01000490), 2.140331e-7),
 }
 """By name, for the default conditions, with the modal energy (J): the torques that were applied, integrated by another

@@ -65,7 +65,11 @@ def judged(
             return np.asarray(curved[n], float), 2.0 if n == 2 else 999.0
 
         return SimpleNamespace(
-            unknowns=unknowns, gradient=np.asarray(slopes[n], float), conditions=about[n], hessian=curvature
+            unknowns=unknowns,
+            gradient=np.asarray(slopes[n], float),
+            conditions=about[n],
+            hessian=curvature,
+            finite=True,
         )
 
     monkeypatch.setattr(second_order, "InducedProblem", SimpleNamespace(of=of))
@@ -281,3 +285,23 @@ def test_a_control_between_its_bounds_is_an_obstacle_at_its_first_sample() -> No
     vanished = replace(bang().leg, final_time=0.0, final_time_bounds=by_hand.interval(0.0, 0.0))
     none = PhaseSamples.of(vanished, bang().functions)
     assert obstacle([none]) == "phase leg has no length"
+
+
+@pytest.mark.parametrize(("rate", "told"), [(3e2, Result.PASS), (1e7, Result.CANNOT_TELL)])
+def test_dynamics_that_are_fast_for_the_steps_are_resolved_or_not_judged(rate: float, told: Result) -> None:
+    """A filter beside a bang-bang move: explicit steps must be shorter than a few of its time constants."""
+    cart = go.Model("cart with a filter")
+    q, v, w, a = cart.state("q"), cart.state("v"), cart.state("w"), cart.control("a")
+    cart.ode({q: v, v: a, w: rate * (q - w)})
+    problem = go.Problem("filtered")
+    leg = problem.phase("leg", cart)
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(q=1.0, v=0.0, w=1.0)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    verdict = go.verify(go.solve(problem))
+    assert verdict["dynamics"].result is Result.PASS
+    assert {verdict[name].result for name in ("induced gradient", "second order")} == {told}
+    if told is Result.CANNOT_TELL:
+        assert "too fast" in verdict["second order"].where
