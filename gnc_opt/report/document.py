@@ -97,5 +97,6 @@ code { overflow-wrap: anywhere; } pre { overflow-x: auto; font-size: .85rem; }
 #stage { height: min(36rem, 75vh); } #film { display: flex; flex-wrap: wrap; gap: .5rem; align-items: center; }
 #film input { flex: 1 1 12rem; } #film select { max-width: 100%; } #film output { min-width: 7rem; }
 #film button, #film select { font: inherit; min-height: 2.2rem; min-width: 4.5rem; }
-@media print { nav, #motion { display: none; } figure, details { break-inside: avoid; } }
+@media print { nav, #motion { display: none; } figure, details, tr { break-inside: avoid; }
+  h2 { break-after: avoid; } figure img { width: auto; max-width: 100%; max-height: 22cm; } }
 """
