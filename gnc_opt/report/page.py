@@ -60,6 +60,7 @@ def _chips(solution: Solution, verdict: Verdict | None) -> str:
     chips = chip(f"solver: {solution.status.value.replace('_', ' ')}", "" if solved else "bad")
     if verdict is not None:
         chips += chip(verdict.word, "good" if verdict.ok else "bad" if verdict.failed else "open")
+        chips += chip("a strict local minimum", "good") if verdict.minimum else ""
     sense = "maximised" if solution.maximised else "minimised"
     return f"{chips} objective <strong>{solution.objective:.12g}</strong> ({sense})"
 
