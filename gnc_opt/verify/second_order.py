@@ -197,7 +197,7 @@ def second_order(
     ]
     off = max(found, key=lambda f: np.inf if np.isnan(f.offence) else f.offence)
     gradient = Result.PASS if off.offence <= tolerance else Result.FAIL
-    if np.isnan(off.offence) or tolerance < off.offence <= tolerance + off.offence_error:
+    if off.where == NOT_FLOWN or tolerance < off.offence <= tolerance + off.offence_error:
         gradient = Result.CANNOT_TELL
     worst = min(found, key=lambda f: (f.result is not Result.FAIL, f.least - f.error))
     place = f"{worst.freedom} degrees of freedom"
@@ -208,7 +208,7 @@ def second_order(
     if worst.result is Result.CANNOT_TELL:
         small = abs(worst.least) <= worst.error
         place += ": no curvature beyond its error" if small else ": negative, but beyond one-sided conditions"
-        place = NOT_FLOWN if np.isnan(worst.least) else place
+        place = NOT_FLOWN if worst.where == NOT_FLOWN else place
     phases = ", ".join(s.leg.name for s in samples)
     value = 0.0 if worst.freedom == 0 else -worst.least
     place = f"phase {phases}: {place}"

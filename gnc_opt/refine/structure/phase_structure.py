@@ -110,10 +110,15 @@ class PhaseStructure:
     def determined(self, piece: int) -> set[int]:
         """Return the controls that state bounds and path constraints determine which are held in a piece.
 
-        A limit of which it is not known what holds it is taken to determine all of them.
+        Mixed path constraints determine controls that H is convex in; another limit of which it is not known what holds
+        it is taken to determine all of them.
         """
         held = [i for i in range(self._n_free, len(self.orders)) if self.kinds[piece][i].at_limit]
-        return {control for i in held for control in self.holders[i] or range(self._n_free)}
+        return {control for i in held for control in self.holders[i] or self._may_hold(i)}
+
+    def _may_hold(self, row: int) -> list[int]:
+        mixed = bool(self.regular) and self.regular[row]
+        return [i for i in range(self._n_free) if not mixed or self.regular[i]]
 
     def changes(self, boundary: int) -> list[int]:
         """Return the rows that change between a piece and the one before."""
