@@ -117,7 +117,7 @@ class PhaseStructure:
         return {control for i in held for control in self.holders[i] or self._may_hold(i)}
 
     def _may_hold(self, row: int) -> list[int]:
-        mixed = bool(self.regular) and self.regular[row]
+        mixed = self.regular[row]
         return [i for i in range(self._n_free) if not mixed or self.regular[i]]
 
     def changes(self, boundary: int) -> list[int]:
