@@ -14,7 +14,14 @@ from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure import newton as n
 from gnc_opt.refine.structure import switch_step
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.switch_flight import INSET, _interpolated, forgive, wrong_interval
+from gnc_opt.refine.structure.switch_flight import (
+    INSET,
+    WRONG_SIGN,
+    SwitchFlight,
+    _interpolated,
+    forgive,
+    wrong_interval,
+)
 from gnc_opt.refine.structure.switch_step import Step, model_minimum
 from gnc_opt.verify.switches import Switches
 
@@ -170,6 +177,38 @@ def test_a_missing_arc_lies_between_the_zeros_a_quarter_inside() -> None:
     )
     assert wrong_interval(times, np.ones(6), 3) == (0.0, 6.0)
     assert wrong_interval(times, np.array([-1.0, 0.0, 1.0, 1.0, 0.0, 5.0]), 2) == pytest.approx((2.0, 4.0))
+
+
+@pytest.mark.parametrize(
+    ("switching", "arc"),
+    [
+        # At its upper limit until 4 s, then at the lower one: negative, then positive, is right.
+        ([[-4, -3, -2, -1, 0.5, 1, 2, 3, 4], [5] * 9], None),
+        ([[-4, 1, -2, -1, 0.5, 1, 2, 3, 4], [5] * 9], (0, 0.8, 1 + 1 / 3)),
+        ([[-4, -3, -2, -1, 0.5, 1, -2, 3, 4], [5] * 9], (0, 5 + 1 / 3, 6.4)),
+        ([[-4, -3, -2, 1, 0.5, 1, 2, 3, 4], [5] * 9], None),  # it switches a little too late
+        ([[-4, -3, -2, -1, 0.5, 1, 2, 3, 4], [5, 5, -5, 5, 5, 5, 5, 5, 5]], (1, 1.5, 2.5)),
+        # What is worst in shares of its own switching function counts.
+        ([[-4, 1, -2, -1, 0.5, 1, 2, 3, 4], [50, 50, -20, 50, 50, 50, 50, 50, 50]], (1, 1 + 5 / 7, 2 + 2 / 7)),
+        ([[-4, 3, -2, -1, 0.5, 1, 2, 3, 4], [50, 50, -20, 50, 50, 50, 50, 50, 50]], (0, 4 / 7, 1.6)),
+        ([[-4, 3.9 * WRONG_SIGN, -2, -1, 0.5, 1, 2, 3, 4], [5] * 9], None),
+        ([[-4, 4.1 * WRONG_SIGN, -2, -1, 0.5, 1, 2, 3, 4], [5] * 9], (0, 1.0, 1.0)),
+    ],
+)
+def test_a_missing_arc_is_where_a_switching_function_has_the_wrong_sign(switching: Any, arc: Any) -> None:
+    """The first control, from -1 to 1, is up until 4 s; the second one, from 2 to 4, stays low."""
+    leg = SimpleNamespace(control_bounds=interval([-1, 2], [1, 4]))
+    functions = SimpleNamespace(switching=lambda *_: np.array(switching, float))
+    flight: Any = SimpleNamespace(
+        s=SimpleNamespace(leg=leg, functions=functions), times=np.arange(9.0), x=None, lam=None,
+        flow=SimpleNamespace(controls=np.array([[1.0] * 4 + [-1.0] * 4, [2.0] * 8])),
+    )  # fmt: skip
+    found = SwitchFlight.missing_arc.func(flight)  # type: ignore[attr-defined]
+    if arc is None:
+        assert found is None
+        return
+    inset = INSET * (arc[2] - arc[1])
+    assert found == (arc[0], pytest.approx(arc[1] + inset, abs=1e-5), pytest.approx(arc[2] - inset, abs=1e-5))
 
 
 def test_an_arc_is_added_between_two_switches_of_its_control() -> None:
