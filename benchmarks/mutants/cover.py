@@ -79,7 +79,7 @@ class Cover:
 
     @classmethod
     def read(cls, root: Path, folder: Path, files: set[str]) -> Cover:
-        """Read the map of some files; what was recorded for another version of a file counts where a line has stayed."""
+        """Read the map of some files; of another version of a file it counts where a line has stayed."""
         lines: dict[str, dict[int, set[str]]] = {file: {} for file in files}
         seconds: dict[str, float] = {}
         for part in sorted(folder.glob("*.json")):  # written last: what is being recorded has none yet

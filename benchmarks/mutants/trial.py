@@ -108,9 +108,7 @@ class Trials:
             file.write_bytes(source)
             os.utime(file, ns=(stat.st_atime_ns, stat.st_mtime_ns))  # its compiled form stays valid
 
-    def _pytest(
-        self, arguments: list[str], limit: float, compiled: bool = False
-    ) -> tuple[int | None, str]:
+    def _pytest(self, arguments: list[str], limit: float, compiled: bool = False) -> tuple[int | None, str]:
         """Return pytest's exit code (None: out of time) and output; what is compiled may be kept."""
         output = self._copy / "output.txt"
         arguments = [*PYTEST[3:], *arguments]

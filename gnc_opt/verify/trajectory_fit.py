@@ -20,6 +20,7 @@ import scipy
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.solution.polynomial import PiecewisePolynomial
+from gnc_opt.tolerances import TINY
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.quadrature import collocation_rule
 
@@ -205,7 +206,7 @@ class _Controls:
     def choose(self, samples: Samples, rates: Rates) -> None:
         """Take Akima splines where the states agree better with them."""
         long = np.flatnonzero(np.diff(samples.t) > 0)
-        size = np.maximum(np.max(np.abs(samples.x), axis=1), 1e-300)[:, None]
+        size = np.maximum(np.max(np.abs(samples.x), axis=1), TINY)[:, None]
         misses = []
         for kinked in (False, True):
             self._kinked[:] = kinked
@@ -227,7 +228,7 @@ def _place(samples: Samples, controls: _Controls, jumps: list[_Jump], rates: Rat
     """Move the jumps between two samples to where the dynamics carry the states from one to the other."""
     i = jumps[0].after
     first, last = float(samples.t[i]), float(samples.t[i + 1])
-    size = np.maximum(np.max(np.abs(samples.x), axis=1), 1e-300)
+    size = np.maximum(np.max(np.abs(samples.x), axis=1), TINY)
 
     def miss(times: Array) -> Array:
         for jump, time in zip(jumps, times, strict=True):
