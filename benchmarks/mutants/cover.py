@@ -17,8 +17,8 @@ from pathlib import Path
 from coverage import CoverageData
 
 ENVIRONMENT = {"OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg", "PYTHONHASHSEED": "0"}
-PYTEST = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:randomly", "-q"]
-
+PYTEST = ["-p", "no:cacheprovider", "-p", "no:randomly", "-q"]
+"""Its arguments: results depend on nothing that happened before."""
 
 INTERRUPTED = "not ctrl_c and not interrupt"
 """Tests that send interrupts: under a tracer they reach it, not the code."""
@@ -34,7 +34,10 @@ def record(root: Path, folder: Path, tests: list[str]) -> None:
         options += ["-k", INTERRUPTED]
         environment = {**os.environ, **ENVIRONMENT, "PYTHONPATH": str(root), "COVERAGE_FILE": str(data)}
         code = subprocess.run(
-            [*PYTEST, *options], cwd=root, env=environment, preexec_fn=heed_interrupts
+            [sys.executable, "-m", "pytest", *PYTEST, *options],
+            cwd=root,
+            env=environment,
+            preexec_fn=heed_interrupts,
         ).returncode
         if code not in (0, 1):  # tests that fail anyway are left out of the map
             raise SystemExit(f"pytest ended with code {code} in {path}.")

@@ -111,7 +111,7 @@ class Trials:
     def _pytest(self, arguments: list[str], limit: float, compiled: bool = False) -> tuple[int | None, str]:
         """Return pytest's exit code (None: out of time) and output; what is compiled may be kept."""
         output = self._copy / "output.txt"
-        arguments = [*PYTEST[3:], *arguments]
+        arguments = [*PYTEST, *arguments]
         process = self._forks.Process(target=_run, args=(self._copy, output, arguments, compiled))
         process.start()
         process.join(limit)
