@@ -23,6 +23,7 @@ from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.tolerances import TINY
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.quadrature import collocation_rule
+from gnc_opt.transcription.scheme import GAUSS
 
 DEGREE = 3
 """Collocation points per sampling interval: cubic states, quadratic controls."""
@@ -282,7 +283,7 @@ def _polynomials(samples: Samples, controls: _Controls, jumps: list[_Jump], rate
     left, right = after[:, :-1], before[:, 1:]
     slopes_left = widths * rates(times[:-1], left, controls(times[:-1], middles))
     slopes_right = widths * rates(times[1:], right, controls(times[1:], middles))
-    rule = collocation_rule("LG", DEGREE)
+    rule = collocation_rule(GAUSS, DEGREE)
     s = 0.5 * (1 + rule.state_nodes)[:, None, None]
     states = (
         (1 + 2 * s) * (1 - s) ** 2 * left
