@@ -86,7 +86,7 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
     if known is None:
         known = _judge(solution, tol)
         keep_verdict(solution, known, tol)
-    return known
+    return known if solution.bound is None else replace(known, bound=solution.bound, gap=solution.gap)
 
 
 def _judge(solution: Solution, tol: float) -> Verdict:
