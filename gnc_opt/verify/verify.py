@@ -16,7 +16,7 @@ from gnc_opt.verify import controls, costates, feasibility, second_order
 from gnc_opt.verify.conjugate_points import conjugate_points
 from gnc_opt.verify.convex import is_convex
 from gnc_opt.verify.judged import (
-    costates_at_ends,
+    costates_kept_twice,
     ends_of,
     from_problem,
     has_costates,
@@ -86,7 +86,7 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
     if known is None:
         known = _judge(solution, tol)
         keep_verdict(solution, known, tol)
-    return known
+    return known if solution.bound is None else replace(known, bound=solution.bound, gap=solution.gap)
 
 
 def _judge(solution: Solution, tol: float) -> Verdict:
@@ -104,7 +104,7 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         feasibility.boundary(solution, samples, ends, amounts.constraints, tol),
         feasibility.cost(stored, samples, ends, told, tol),
         stored_numbers(
-            stored, solution, missing.or_worse(costates_at_ends(samples) if told else NOTHING), tol
+            stored, solution, missing.or_worse(costates_kept_twice(samples) if told else NOTHING), tol
         ),
     ]
     lasting, problem = [s for s in samples if s.has_length], solution.need_problem("verify")

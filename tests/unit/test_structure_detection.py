@@ -245,6 +245,20 @@ def test_a_convex_control_is_at_a_bound_if_it_touches_and_is_pulled_there() -> N
     assert set(d._nonlinear_labels(neither, 0)) == {FREE}
 
 
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize(("away", "label"), [(0.5, UP), (2.0, FREE)])
+def test_a_convex_control_touches_a_bound_within_a_share_of_its_range(
+    size: float, away: float, label: ArcKind
+) -> None:
+    """Whatever its unit; it is pulled to the upper one all along."""
+    level = 5.0 * size - away * d.REACHED * 10.0 * size
+    found = samples(
+        CART, u=lambda t, k: [level + 0 * t], lam=lambda t, k: [0 * t, -9.0 * size + 0 * t],
+        control_bounds=interval(-5.0 * size, 5.0 * size),
+    )  # fmt: skip
+    assert set(d._nonlinear_labels(found, 0)) == {label}
+
+
 def test_mixed_paths_are_inequalities_on_convex_controls_alone() -> None:
     found = samples(CART)
     assert d._mixed_paths(found, np.array([True])).tolist() == [True, False]

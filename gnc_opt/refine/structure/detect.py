@@ -14,6 +14,7 @@ from gnc_opt.refine.structure.contacts import Determined, determined, with_conta
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import CONVEX
 
 NEAR = 0.02
 """A control this close to a bound, relative to its range, is taken to sit on it."""
@@ -42,9 +43,6 @@ PROBE = 1e-3
 
 SHORT = 2.0
 """Bangs beside a singular arc that are shorter than this many segments belong to it."""
-
-CONVEX = 1e-6
-"""Least second derivative of H in a control, over its range and in shares of H, that determines the control."""
 
 
 def structures_of(solution: Solution) -> dict[str, PhaseStructure]:
