@@ -1,4 +1,4 @@
-"""Jumps that a flight crosses, kinks on which it rests, and tables that it leaves: outside of the theorems, and named."""
+"""Jumps that a flight crosses, kinks on which it rests, tables that it leaves: outside of the theorems, and named."""
 
 import casadi as ca
 import numpy as np
