@@ -21,12 +21,12 @@ import gnc_opt
 EXPECTED = {
     "gnc_opt": """
         Arc ArcKind ArgumentError Campaign ClosedLoop Condition Continuation ContinuationStatus Controller
-        DesignError Explanation GncOptError History LinearCovariance Mesh Minimum Model ModelError Multistart Outcome
-        Phase
+        DesignError Explanation GncOptError History LinearCovariance LowerBound Mesh Minimum Model ModelError
+        Multistart Outcome Phase
         PhaseSolution Problem ProblemError ProblemWarning Reference RefinementStatus Resolver Result Run
         RunStatus
         Sensitivity Solution SolveError SolverOptions Status Sweep Table UnknownAttributeError
-        UnknownNameError Verdict bryson continue_in design_ekf design_feedback_linearization
+        UnknownNameError Verdict bound_below bryson continue_in design_ekf design_feedback_linearization
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
         design_neighbouring_optimal
         design_sliding_mode design_tvlqr design_ukf export_c export_fmu feedforward guess_from_data guess_from_solution

@@ -49,6 +49,20 @@ def test_runs(here: str, found: Any) -> None:
     assert c._runs(np.array([h == "1" for h in here], dtype=bool)) == found
 
 
+@pytest.mark.parametrize(
+    ("runs", "joined"),
+    [
+        ([], []),
+        ([(1, 3)], [(1, 3)]),
+        ([(0, 2), (3, 5)], [(0, 5)]),
+        ([(0, 2), (4, 5)], [(0, 2), (4, 5)]),  # two nodes lie between them
+        ([(0, 1), (2, 3), (4, 6), (9, 10)], [(0, 6), (9, 10)]),
+    ],
+)
+def test_runs_with_a_boundary_of_the_mesh_between_them_are_one(runs: Any, joined: Any) -> None:
+    assert c._joined(runs) == joined
+
+
 def test_where_a_first_order_constraint_pushes_is_an_arc() -> None:
     """It begins and ends midway between nodes."""
     added = run([2.0, 3.0, 5.0, 6.0, 7.0], [0, 1, 2, 0, 0]).added(free(1), MESH)  # type: ignore[arg-type]
