@@ -75,8 +75,16 @@ def design_neighbouring_extremal(
 
     Examples
     --------
-    >>> plan = go.solve(problem)
-    >>> guidance = design_neighbouring_extremal(plan, last=0.5, dt=0.05)
+    >>> gentle = go.Problem("least effort")
+    >>> leg = gentle.phase("leg", cart)
+    >>> leg.time(initial=0.0, final=2.0)
+    >>> leg.initial(q=1.0, v=0.0)
+    >>> leg.final(q=0.0, v=0.0)
+    >>> gentle.minimize(leg.integral(0.5 * cart.symbol("a") ** 2))
+    >>> guidance = go.design_neighbouring_extremal(go.solve(gentle), last=0.2)
+    >>> u, _ = guidance(0.0, [1.1, 0.0], dt=1e-6)
+    >>> print(f"{u[0]:.4f}")  # -6 q / T^2
+    -1.6500
     """
     expect(solution, Solution, "the plan of design_neighbouring_extremal()", "give a refined Solution")
     plan = SmoothPlan.of(solution)
