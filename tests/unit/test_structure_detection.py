@@ -347,17 +347,35 @@ def test_which_state_a_singular_control_commands() -> None:
         control_scale=np.array([2.0, 4.0]),
         functions=SimpleNamespace(rates=lambda t, x, u: np.array([u[0] * (t == 2.0), u[1]])),
     )  # fmt: skip
-    here = np.ones(5, dtype=bool)
-    rows = np.array([kinds("sssss"), kinds("lllll")])
-    assert d._commanded(there, 0, rows, here) and not d._commanded(there, 1, rows, here)
-    other = np.array([kinds("lllll"), kinds("sssss")])
-    assert d._commanded(there, 1, other, here) and not d._commanded(there, 0, other, here)
-    both = np.array([kinds("sssss"), kinds("sssss")])
-    assert d._commanded(there, 0, both, here) and d._commanded(there, 1, both, here)
-    assert not d._commanded(there, 0, np.array([kinds("sslss"), kinds("lllll")]), here)
-    assert not d._commanded(
-        there, 0, rows, np.array([True, True, True, False, False])
-    )  # judged in the middle
+    for first, second, found in (
+        ("sssss", "lllll", ["00100", "00000"]),
+        ("lllll", "sssss", ["00000", "11111"]),
+        ("sssss", "llsss", ["00100", "00111"]),
+        ("sslss", "lllll", ["00000", "00000"]),
+    ):
+        expected = [[c == "1" for c in row] for row in found]
+        rows = np.array([kinds(first), kinds(second)])
+        np.testing.assert_array_equal(d._commanded(there, rows), expected)
+
+
+def test_a_held_state_ends_where_its_own_control_leaves_though_another_one_is_singular() -> None:
+    """Two axes at their speed limits: just below its limit the second one is not held by the first torque."""
+    times = np.repeat(np.arange(6.0), 4) + np.tile([0.0, 0.3, 0.7, 1.0], 6)
+    segments = np.repeat(np.arange(6), 4)
+    speeds = np.array(
+        [np.where(np.isin(segments, (1, 2, 3, 4)), 1.0, 0.5), np.where(np.isin(segments, (2, 3)), 1.0, 0.99)]
+    )
+    found: Any = SimpleNamespace(
+        x=speeds, u=0.5 * np.ones((2, times.size)), times=times, segments=segments,
+        control_scale=np.array([2.0, 2.0]), state_scale=np.ones(2),
+        leg=SimpleNamespace(
+            states=SimpleNamespace(size=2), mesh=SimpleNamespace(segments=6), breaks=np.arange(7.0),
+            state_bounds=interval([-1.0, -1.0], [1.0, 1.0]),
+        ),
+        functions=SimpleNamespace(rates=lambda t, x, u: u),
+    )  # fmt: skip
+    controls = np.array([kinds("lssssu")[segments], kinds("llssuu")[segments]])
+    assert [text(row[::4]) for row in d._state_labels(found, controls)] == ["iuuuui", "iiuuii"]
 
 
 # --- times ------------------------------------------------------------------------------------------------
