@@ -431,7 +431,9 @@ def test_roots_are_found_all_at_once_however_bent_the_functions_are() -> None:
         (lambda t: (t - 0.3) ** 3, 50), (lambda t: (t - 0.3) ** 9, 50), (lambda t: np.cbrt(t - 0.3), 50),
     ],
 )  # fmt: skip
-def test_a_crossing_takes_few_evaluations_and_hardly_ever_more_than_bisection(function: Any, most: int) -> None:
+def test_a_crossing_takes_few_evaluations_and_hardly_ever_more_than_bisection(
+    function: Any, most: int
+) -> None:
     """Bisection needs 48 to the last digits of 1 s, and two at the ends."""
     seen = 0
 
