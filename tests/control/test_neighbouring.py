@@ -12,7 +12,7 @@ import gnc_opt as go
 from gnc_opt.control import bryson, design_lqr, design_neighbouring_optimal, design_tvlqr, export_c
 from gnc_opt.control.neighbouring.design import _accurate
 from gnc_opt.control.neighbouring.optimum import find_optimum
-from gnc_opt.control.neighbouring.prediction import Ending, Prediction
+from gnc_opt.control.neighbouring.prediction import Prediction, RegulatedEnd
 from gnc_opt.control.neighbouring.switching_plan import SwitchingPlan
 from gnc_opt.control.reference import Reference
 from gnc_opt.errors import ArgumentError, DesignError
@@ -127,7 +127,7 @@ def test_times_move_as_those_of_the_problem_solved_again(swinging):
 
 def test_predictions_lead_back_to_the_start_and_on_to_the_end(swinging):
     plan = SwitchingPlan.of(swinging)
-    for ending in (Ending(0.0, 0.0), Ending(1.5, 0.2)):
+    for ending in (RegulatedEnd(0.0, 0.0), RegulatedEnd(1.5, 0.2)):
         prediction = Prediction(plan, ending, 32)
         best = find_optimum(prediction)
         back = prediction.reference(0.0, best.tau).full()[:, 0]
@@ -139,7 +139,7 @@ def test_predictions_lead_back_to_the_start_and_on_to_the_end(swinging):
 
 def test_accuracy_of_the_prediction_follows_the_accepted_errors(swinging):
     plan = SwitchingPlan.of(swinging)
-    steps = [_accurate(plan, Ending(0, 0), np.eye(2) / size**2).steps for size in (1e-1, 1e-3, 1e-5)]
+    steps = [_accurate(plan, RegulatedEnd(0, 0), np.eye(2) / size**2).steps for size in (1e-1, 1e-3, 1e-5)]
     assert steps[0] < steps[1] < steps[2]
 
 
