@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -557,7 +558,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
     base = solution(problem, phase(problem))
 
     def run(script: list[tuple[Status, str]], **more: Any) -> Any:
-        left, asked = iter(script), []
+        left, asked, shown = iter(script), [], []
         now: dict[str, Any] = {"passes": 0}
 
         def solve(problem: Any, plans: Any, guess: Any, options: SolverOptions, *_: Any) -> Any:
@@ -567,9 +568,12 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
             return replace(base, status=now["status"], objective=float(now["passes"]))
 
         monkeypatch.setattr(s, "_solve", solve)
+        monkeypatch.setattr(s, "pass_meter", lambda *_: nullcontext(shown.append))
         monkeypatch.setattr(s, "_at_solution", lambda plan, found, name: plan)
         monkeypatch.setattr(s, "improve", lambda found, plans, swapped, tol: (plans, now["action"]))
-        return *s.optimise_switches(base, **more), asked
+        found, history = s.optimise_switches(base, **more)
+        assert shown == list(history.passes)
+        return found, history, asked
 
     return run
 
