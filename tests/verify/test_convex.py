@@ -96,7 +96,7 @@ def test_a_curvature_that_fails_or_cannot_be_told_says_that_the_problem_is_conve
 
 @pytest.mark.parametrize("push", [1.0, 0.8])
 def test_the_least_peak_of_a_state_is_an_answer_and_a_higher_one_is_none(push: float) -> None:
-    """Rest to rest over 1 in 3 s with a push of at most 1: push, coast at the peak top, push; top (3 - top / push) = 1."""
+    """Rest to rest over 1 in 3 s, pushed by at most 1: push, coast at the peak top, push; top (3 - top / push) = 1."""
     model = go.Model("cart")
     q, v, a = model.state("q"), model.state("v"), model.control("a")
     model.ode({q: v, v: a})
