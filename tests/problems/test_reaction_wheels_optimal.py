@@ -16,6 +16,7 @@ import gnc_opt as go
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.spacecraft import quaternion_angle
 from problems import reaction_wheels
+from problems.all import PAGES
 from problems.comparison import compare
 from problems.dispersed import dispersed_rows
 from problems.flown import Flight
@@ -251,7 +252,7 @@ def test_wheels_fly_as_their_page_says() -> None:
         )
         ours, page = np.array(row.ours).reshape(2, 3), np.array(known).reshape(2, 3)
         np.testing.assert_allclose(ours[:, 0], page[:, 0], rtol=0.15)
-        assert np.all(ours[:, 2] <= page[:, 2] * (1 + 1e-9))  # they are among them
+        assert np.all(ours[:, 2] <= page[:, 2] * (1 + 1e-6))  # they are among them
 
 
 def test_problem_without_such_a_goal_or_manoeuvre() -> None:
