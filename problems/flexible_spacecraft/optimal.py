@@ -113,7 +113,7 @@ def solved(name: str) -> go.Solution:
 
 
 UNREFINED = (
-    "short arcs about z pile up before the end: each one that is added asks for the next, and lowers t_f less than half "
+    "short arcs about z pile up before the end: each one that is added asks for the next and lowers t_f less than half "
     "as much (with 0.475 N m, 1.1e-6, 0.4e-6 and 0.2e-6 s)"
 )
 """Why the verdict of `reserved` is not ok."""
