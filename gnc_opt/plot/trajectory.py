@@ -50,6 +50,9 @@ _EXPECTED: dict[str, Any] = {"color": COLORS[1], "linestyle": "--", "linewidth":
 _NEGLIGIBLE = 1e-7
 """Shares of the Hamiltonian up to this are the solver's rounding."""
 
+_ON_BOUND = 1e-3
+"""Shares of a control's range: nearer to a bound it counts as on it."""
+
 _ROOM = 1.25
 """Half height of a control's axis in units of its half range: bounds in sight, overshoot cut off."""
 
@@ -368,9 +371,18 @@ def _draw_switching(
     axes[1].set_ylabel(axis_label(f"$\\partial H/\\partial${shown}" + "\n" * bool(per), per))
     negligible = _negligible_switching(solution, leg, name, i)
     _leave_room(axes[1], negligible)
-    for crossing in zero_crossings(t, values[i], negligible):
+    on_bound = _on_a_bound(leg, leg.controls.slice(name).start + i, t)  # between them it is zero up to rounding
+    for crossing in zero_crossings(t[on_bound], values[i][on_bound], negligible):
         for ax in axes:
             ax.axvline(crossing, zorder=1, **_SIGN_CHANGE)
+
+
+def _on_a_bound(leg: PhaseSolution, row: int, t: Array) -> Any:
+    """Return at which times (n_times,) the flown control sits on one of its bounds."""
+    lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
+    flown = leg.flown(t)[row]
+    room = np.minimum(flown - lower, upper - flown)
+    return room <= _ON_BOUND * (upper - lower if np.isfinite(upper - lower) else 1.0 + np.max(np.abs(flown)))
 
 
 def _negligible_switching(solution: Solution, leg: PhaseSolution, name: str, i: int) -> float:
