@@ -371,7 +371,9 @@ def _draw_switching(
     axes[1].set_ylabel(axis_label(f"$\\partial H/\\partial${shown}" + "\n" * bool(per), per))
     negligible = _negligible_switching(solution, leg, name, i)
     _leave_room(axes[1], negligible)
-    on_bound = _on_a_bound(leg, leg.controls.slice(name).start + i, t)  # between them it is zero up to rounding
+    on_bound = _on_a_bound(
+        leg, leg.controls.slice(name).start + i, t
+    )  # between them it is zero up to rounding
     for crossing in zero_crossings(t[on_bound], values[i][on_bound], negligible):
         for ax in axes:
             ax.axvline(crossing, zorder=1, **_SIGN_CHANGE)
