@@ -84,6 +84,12 @@ def plot_states(
     ------
     UnknownNameError
         There is no such phase or state.
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_states
+    >>> print(len(plot_states(solution).axes))  # one for each state
+    2
     """
     return _draw_each(
         solution,
@@ -126,6 +132,12 @@ def plot_costates(
     ------
     UnknownNameError
         There is no such phase or state.
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_costates
+    >>> print(len(plot_costates(solution, ["v"]).axes))
+    1
     """
     return _draw_each(
         solution,
@@ -175,6 +187,12 @@ def plot_controls(
         There is no such phase or control.
     GncOptError
         There are no controls at all.
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_controls
+    >>> print(len(plot_controls(solution).axes))  # the control, and its switching function
+    2
     """
     legs = chosen_phases(solution, phase)
     known = {c.name: c for leg in legs for c in leg.composed_controls}
@@ -240,6 +258,12 @@ def plot_hamiltonian(
     ------
     GncOptError
         The solution was loaded without its problem.
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_hamiltonian
+    >>> print(plot_hamiltonian(solution).axes[0].get_xlabel())
+    time (s)
     """
     legs = chosen_phases(solution, phase)
     at_points = [np.asarray(solution.hamiltonian(leg.point_times, leg.name)) for leg in legs]
