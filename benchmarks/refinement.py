@@ -227,7 +227,14 @@ def compare_with_hand(console: Console, tol: float, figure: Path | None) -> dict
         save_figure(plot_refinement(history), figure)
     off = solution.objective / REFERENCE - 1
     by_hand = {"hand_mesh": str(mesh), "hand_points": mesh.size, "hand_error": error}
-    return {"points": history.final.points, "off": off, "seconds": seconds, "ratio": ratio, **by_hand}
+    return {
+        "points": history.final.points,
+        "error": history.final.error,
+        "off": off,
+        "seconds": seconds,
+        "ratio": ratio,
+        **by_hand,
+    }
 
 
 def main(argv: Sequence[str] | None = None) -> int:
