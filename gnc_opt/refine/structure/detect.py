@@ -208,7 +208,7 @@ def _state_labels(samples: PhaseSamples, controls: KindArray) -> list[KindArray]
     A state counts as held along segments on which it stays on its bound while some singular control could move
     it at once (a bound of first order).
     """
-    leg, rows = samples.leg, []
+    leg, rows, commanded = samples.leg, [], _commanded(samples, controls)
     for i in range(leg.states.size):
         labels = np.full(samples.times.size, ArcKind.INTERIOR)
         margin = STILL * samples.state_scale[i]
@@ -218,26 +218,27 @@ def _state_labels(samples: PhaseSamples, controls: KindArray) -> list[KindArray]
         ):
             for k in range(leg.mesh.segments):
                 here = samples.segments == k
-                if np.all(distance[here] < margin) and _commanded(samples, i, controls, here):
+                if np.all(distance[here] < margin) and _middle(commanded[i, here]):
                     labels[here] = kind
             if np.any(labels == kind):
-                _spread(samples, labels, kind, np.any(controls == ArcKind.SINGULAR, axis=0))
+                _spread(samples, labels, kind, commanded[i])
         rows.append(labels)
     return rows
 
 
-def _commanded(samples: PhaseSamples, state: int, controls: KindArray, here: Mask) -> bool:
-    """Whether a singular control enters the rate of a state."""
-    columns = np.flatnonzero(here)
-    j = columns[columns.size // 2]
-    x, u = samples.x[:, j], samples.u[:, j]
-    rate = samples.functions.rates(samples.times[j], x, u)[state]
-    for channel in np.flatnonzero(controls[:, j] == ArcKind.SINGULAR):
+def _commanded(samples: PhaseSamples, controls: KindArray) -> Mask:
+    """Where a singular control moves a state at once, (n_states, n_samples)."""
+    x, u, times = samples.x, samples.u, samples.times
+    rates, found = samples.functions.rates(times, x, u), np.zeros(x.shape, dtype=bool)
+    for channel in np.flatnonzero(np.any(controls == ArcKind.SINGULAR, axis=1)):
         moved = u.copy()
         moved[channel] += PROBE * samples.control_scale[channel]
-        if samples.functions.rates(samples.times[j], x, moved)[state] != rate:
-            return True
-    return False
+        found |= (samples.functions.rates(times, x, moved) != rates) & (controls[channel] == ArcKind.SINGULAR)
+    return found
+
+
+def _middle(values: Mask) -> bool:
+    return bool(values[values.size // 2])
 
 
 def _at_limits(at_lower: Mask, at_upper: Mask) -> KindArray:
