@@ -26,6 +26,11 @@ def plot_verdict(verdict: Verdict) -> Figure:
     Parameters
     ----------
     verdict : Verdict
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_verdict
+    >>> figure = plot_verdict(go.verify(solution))
     """
     with style():
         figure = new_figure(1.2 + 0.27 * len(verdict.conditions))

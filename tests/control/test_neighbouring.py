@@ -39,6 +39,23 @@ def problem(spring=0.0, start=(4.0, 0.0), model=None):
     return stated
 
 
+def test_an_arc_of_moving_dynamics():
+    """x' = t^3 u and y' = x: the classical method is exact for the first, and of order 4 for the second, either way."""
+    model = go.Model("moving")
+    t, x, y, u = model.time, model.state("x"), model.state("y"), model.control("u")
+    model.ode({x: t**3 * u, y: x})
+    plan = SimpleNamespace(times=np.zeros(1), reference=SimpleNamespace(model=model))
+    arc = Prediction(plan, RegulatedEnd(0.0, 0.0), 40)._arc
+    for begin, length in ((0.5, 1.5), (2.0, -1.5)):
+        end = begin + length
+        speed = 1 + 2 * (end**4 - begin**4) / 4
+        place = 3 + length + 2 * ((end**5 - begin**5) / 20 - begin**4 * length / 4)
+        found = arc(begin, [1.0, 3.0], [2.0], length).full().ravel()
+        assert found == pytest.approx([speed, place], rel=1e-7) and found[0] == pytest.approx(
+            speed, rel=1e-13
+        )
+
+
 @pytest.fixture(scope="module")
 def straight():
     """The double integrator: one switch and the end for two conditions."""
@@ -252,6 +269,9 @@ def test_bad_options_are_refused(straight):
     with pytest.raises(DesignError, match="the weight Q of 'v' is 0"):
         guidance(straight, Q=bryson(model.errors, q=1.0))
     tracker = design_tvlqr(model, Reference(straight), Q=[1.0, 1.0], R=[1.0], dt=DT)
+    for nobody in (None, "lqr", straight):
+        with pytest.raises(ArgumentError, match=r"the regulator of design_neighbouring_optimal\(\)"):
+            design_neighbouring_optimal(straight, nobody, Q=1.0, last=1.0)
     with pytest.raises(ArgumentError, match="use one with constant gains"):
         design_neighbouring_optimal(straight, tracker, Q=[1.0, 1.0], last=0.5)
 
