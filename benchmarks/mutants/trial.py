@@ -7,6 +7,7 @@ one that fails then too kills nothing.
 from __future__ import annotations
 
 import compileall
+import contextlib
 import multiprocessing
 import os
 import re
@@ -95,7 +96,7 @@ class Trials:
 
     def _passes(self, test: str) -> bool:
         if test not in self._sound:
-            self._sound[test] = self._pytest([test], OVERHEAD)[0] == 0
+            self._sound[test] = self._pytest([test], 10 * OVERHEAD)[0] == 0
         return self._sound[test]
 
     def _changed(self, mutant: Mutant, arguments: list[str], limit: float) -> tuple[int | None, str]:
@@ -116,7 +117,8 @@ class Trials:
         process.start()
         process.join(limit)
         if process.is_alive():
-            os.killpg(process.pid, signal.SIGKILL)  # workers of the tests too
+            with contextlib.suppress(ProcessLookupError):  # it has just ended
+                os.killpg(process.pid, signal.SIGKILL)  # workers of the tests too
             process.join()
             return None, ""
         return process.exitcode, output.read_text(errors="replace")
@@ -124,9 +126,9 @@ class Trials:
 
 def _run(copy: Path, output: Path, arguments: list[str], compiled: bool) -> None:
     """Run pytest in a copy of the tree, in this process, and end it."""
+    os.setsid()
     import pytest  # here, because what the tests write belongs in a file
 
-    os.setsid()
     signal.signal(signal.SIGINT, signal.default_int_handler)
     os.chdir(copy)
     for name in [n for n in sys.modules if n.split(".")[0] in OWN]:

@@ -10,7 +10,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.solution.phase_solution import piecewise
 from gnc_opt.solution.polynomial import PiecewisePolynomial
-from gnc_opt.solution.program_point import WEAK, Limits, ProgramPoint
+from gnc_opt.solution.program_point import WEAK, ProgramLimits, ProgramPoint
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT, TINY
 from gnc_opt.transcription.collocation import PhaseCollocation
@@ -51,7 +51,7 @@ class CriticalCone:
             (point.variables, point.x, point.multiplier_densities[0], _variable_lines(point)),
             (point.rows, point.values, point.multiplier_densities[1], _path_lines(point)),
         ):
-            told = Limits.of(limits.box, values, multipliers, limits.labels)
+            told = ProgramLimits.of(limits.box, values, multipliers, limits.labels)
             doubtful = told.weak(values, multipliers)
             held = told.active & ~doubtful
             _close_arcs(lines, values, held & ~limits.box.fixed, held, doubtful)

@@ -180,6 +180,29 @@ def test_orders_count_where_limits_and_regular_controls_are() -> None:
     assert [lower.order(row) for row in range(3)] == [1, 2, 1]
 
 
+@pytest.mark.parametrize(
+    ("inside", "outside", "nodes", "found"),
+    [
+        (0.5, 2.0, 9, True), (0.5, -2.0, 9, True), (2.0, -2.0, 9, False), (-2.0, 0.0, 9, False), (2.0, 0.0, 9, False),
+        (0.5, 2.0, 1, False), (0.5, 2.0, c.LASTING - 1, False), (0.5, 2.0, c.LASTING, True),
+    ],
+)  # fmt: skip
+def test_a_control_that_is_on_no_limit_of_its_own_holds_the_constraint(
+    monkeypatch: pytest.MonkeyPatch, inside: float, outside: float, nodes: int, found: bool
+) -> None:
+    """It swings by 1/2 about its mean while the constraint pushes, from 1 s to 2 s; the bounds are -2 and 2."""
+    swing = 0.5 if abs(inside) < 2 else 0.0
+
+    def u(t: Array, k: int) -> Any:
+        return [inside + swing * (-1.0) ** np.arange(t.size) if k == 1 else outside + 0 * t]
+
+    here = constraints(falling, u, jumping, control_bounds=interval([-2], [2]), degree=6)
+    times = np.array([0.5, *np.linspace(1.0, 2.0, max(nodes, 2))[:nodes], 2.5])
+    pushes = [c._Run(0, UP, times, np.array([0.0, *[1.0] * nodes, 0.0]))]
+    monkeypatch.setattr(c, "_pushing_runs", lambda *_: pushes)
+    assert c.determined(CLIMB, here.samples) == ([c.Determined(0, 1.0, 2.0)] if found else [])
+
+
 @pytest.mark.parametrize(("kind", "order", "stays"), [(FREE, 1, True), (UP, 1, False), (UP, 2, False)])
 def test_an_arc_takes_a_control_that_is_free(kind: ArcKind, order: int, stays: bool) -> None:
     """With the control on its own limit a constraint of second order touches, and one of first order cannot."""
@@ -190,6 +213,14 @@ def test_an_arc_takes_a_control_that_is_free(kind: ArcKind, order: int, stays: b
         added = pushes.added(held, MESH)  # type: ignore[arg-type]
         assert (ArcKind.UPPER in {kinds[1] for kinds in added.kinds}) == stays
         assert bool(added.touching(1, UP)) != stays
+
+
+@pytest.mark.parametrize(("worth", "possible"), [([0, 0, 0, 0, 1, 1], True), ([1, 1, 1, 0, 1, 1], False)])
+def test_a_control_must_be_free_where_the_constraint_pushes(worth: Any, possible: bool) -> None:
+    """It is on its own limit until 5 s; what the limit does near nodes without pushes does not count."""
+    kinds = ((UP, FREE), (FREE, FREE))
+    held = PhaseStructure((0.0, 5.0, 10.0), kinds, (), 1, 0, (0, 1), (), ((), (0,)))
+    assert run([1.0, 2.0, 3.0, 4.0, 6.0, 7.0], worth).possible(held) is possible
 
 
 @pytest.mark.parametrize(("start", "begins"), [(2.0, 2.0), (2.9, 2.9), (1.0, 2.5)])

@@ -422,6 +422,30 @@ def test_roots_are_found_all_at_once_however_bent_the_functions_are() -> None:
     assert d.crossings(values, np.ones(6), np.zeros(6)) == pytest.approx(wanted, abs=3e-14)
 
 
+@pytest.mark.parametrize(
+    ("function", "most"),
+    [
+        (lambda t: t - 0.3, 4), (lambda t: np.exp(20 * t) - 2, 20), (lambda t: np.tanh(1e3 * (t - 0.3)), 20),
+        (lambda t: np.arctan(50 * (t - 0.7)), 20), (lambda t: t**19 - 1e-3, 20), (lambda t: np.log(t + 1e-6) + 3, 20),
+        # Flat or upright at the zero: no interpolation helps.
+        (lambda t: (t - 0.3) ** 3, 50), (lambda t: (t - 0.3) ** 9, 50), (lambda t: np.cbrt(t - 0.3), 50),
+    ],
+)  # fmt: skip
+def test_a_crossing_takes_few_evaluations_and_hardly_ever_more_than_bisection(
+    function: Any, most: int
+) -> None:
+    """Bisection needs 48 to the last digits of 1 s, and two at the ends."""
+    seen = 0
+
+    def counted(t: np.ndarray) -> np.ndarray:
+        nonlocal seen
+        seen += 1
+        return np.asarray(function(t))
+
+    found = d.crossings(counted, np.zeros(1), np.ones(1))
+    assert seen <= most and function(found - 1e-12) * function(found + 1e-12) < 0
+
+
 def test_labels_between_changes() -> None:
     labels = kinds("llluuusss")
     assert text(d._labels_at(labels, [1.0, 2.0], np.array([0.5, 1.5, 1.9, 2.5]))) == "luus"

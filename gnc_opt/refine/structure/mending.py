@@ -171,7 +171,7 @@ def _offences(samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray
     below = np.vstack([bounds.lower[:, None] - samples.u_polynomial, paths.lower[:, None] - values])
     kinds = kinds[: pull.shape[0]]
     signs = signs_of(kinds)
-    regular = np.asarray(structure.regular[: pull.shape[0]], dtype=bool)[:, None]
+    regular = np.array(structure.regular[: pull.shape[0]])[:, None]
     affine = np.append(affine_channels(samples), np.zeros(len(values), dtype=bool))[:, None]
     judged = (affine | regular) & (signs != 0)
     excess = np.maximum(above, below) / scales[:, None]
