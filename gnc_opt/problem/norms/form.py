@@ -328,7 +328,9 @@ def _without_square(expression: Any, limits: Interval, magnitude: Any) -> Any:
     if len(ends) != 1 or not ends[0] > 0 or degree_in(expression, magnitude) != 2:
         return expression
     most = float(np.sqrt(ends[0]))
-    root = (ca.substitute(expression, magnitude, 1.0) ** 0.25) ** 2  # CasADi makes fabs of the root of a square
+    root = (
+        ca.substitute(expression, magnitude, 1.0) ** 0.25
+    ) ** 2  # CasADi makes fabs of the root of a square
     return 2 * most * magnitude * root - most**2
 
 

@@ -21,7 +21,7 @@ from gnc_opt.problem.phase import Phase
 
 
 def without_roots(leg: Phase) -> dict[str, Constraint]:
-    """Return those constraints of a phase that have rows ``root <= c`` or ``root >= c``, as they are without the root."""
+    """Return those constraints of a phase that have rows ``root <= c`` or ``root >= c``, without the root."""
     changed = {}
     for name, c in leg.paths.items():
         rows = [

@@ -96,6 +96,7 @@ def detect(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> Phas
             *(tuple(i for i, own in limits.rows.items() if p in own) for p in range(len(leg.path_labels))),
             *((),) * leg.states.size,
         ),
+        slopes=(*(0,) * leg.controls.size, *limits.signs, *(0,) * leg.states.size),
     ).merged()
 
 
@@ -152,7 +153,9 @@ def _linear_labels(samples: PhaseSamples, i: int, held: Sequence[tuple[float, fl
 def _limit(limits: LinearLimits, i: int, labels: KindArray, paths: list[KindArray]) -> None:
     """Put path constraints in the place of bounds of a control, where they are tighter; singular arcs stay."""
     samples = limits.samples
-    singular = np.isin(samples.segments, _singular_segments(samples, i, _share(samples, samples.switching, i)))
+    singular = np.isin(
+        samples.segments, _singular_segments(samples, i, _share(samples, samples.switching, i))
+    )
     own, held = limits.labels(i, samples.switching[i] < 0)
     labels[:] = choose(singular, ArcKind.SINGULAR, own)
     for row, kinds in held.items():

@@ -20,7 +20,7 @@ from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, 
 from gnc_opt.solution.samples import PhaseSamples
 
 LINEAR = 1e-9
-"""Relative change of a slope over half a range of the control, below which it is constant."""
+"""Relative change of a slope over `NEARBY` of the control's range below which it is constant."""
 
 NEARBY = 0.1
 """By this share of its range the control is moved to see whether a slope changes."""
@@ -68,7 +68,14 @@ class LinearLimits:
     @property
     def paths(self) -> Mask:
         """Which path constraints are among them, (n_paths,)."""
-        return np.asarray(np.isin(np.arange(self.slopes.shape[0]), [r for rows in self.rows.values() for r in rows]))
+        return np.asarray(
+            np.isin(np.arange(self.slopes.shape[0]), [r for rows in self.rows.values() for r in rows])
+        )
+
+    @property
+    def signs(self) -> tuple[int, ...]:
+        """The sign of each constraint's slope in its control, (n_paths,)."""
+        return tuple(int(np.sign(np.sum(slope))) for slope in self.slopes)
 
     def ended(self, control: int) -> tuple[bool, bool]:
         """Return whether a control has a lower, and an upper, end all along the phase."""
