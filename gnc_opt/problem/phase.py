@@ -196,7 +196,7 @@ class Phase(Strict):
         self.bounds(**parts)
 
     def path(
-        self, name: str, expression: Any, *, lower: Any = None, upper: Any = None, equals: Any = None
+        self, name: str, expression: Any = None, *, lower: Any = None, upper: Any = None, equals: Any = None
     ) -> None:
         """Add a path constraint ``lower <= expression(t, x, u, p) <= upper`` at all times.
 
