@@ -3,6 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from gnc_opt.bound_below import bound_below
 from gnc_opt.errors import (
     ArgumentError,
     DesignError,
@@ -27,6 +28,7 @@ from gnc_opt.refine.sensitivity.sensitivity import sensitivity
 from gnc_opt.resolve import Resolver
 from gnc_opt.solution import PhaseSolution, Solution, load
 from gnc_opt.solution.failure import SolveError
+from gnc_opt.solution.lower_bound import LowerBound
 from gnc_opt.solution.start import guess_from_solution
 from gnc_opt.solve import solve
 from gnc_opt.study import Continuation, ContinuationStatus, Sweep, continue_in, sweep
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
         design_integral_sliding_mode,
         design_lqr,
         design_mpc,
+        design_neighbouring_extremal,
         design_neighbouring_optimal,
         design_sliding_mode,
         design_tvlqr,
@@ -72,6 +75,7 @@ __all__ = [
     "GncOptError",
     "History",
     "LinearCovariance",
+    "LowerBound",
     "Mesh",
     "Minimum",
     "Model",
@@ -99,6 +103,7 @@ __all__ = [
     "UnknownAttributeError",
     "UnknownNameError",
     "Verdict",
+    "bound_below",
     "bryson",
     "continue_in",
     "design_ekf",
@@ -107,6 +112,7 @@ __all__ = [
     "design_integral_sliding_mode",
     "design_lqr",
     "design_mpc",
+    "design_neighbouring_extremal",
     "design_neighbouring_optimal",
     "design_sliding_mode",
     "design_tvlqr",

@@ -19,6 +19,18 @@ VANISHED = 1e-6
 """A quantity that never exceeds this has no magnitude of its own: one is taken instead, lest offences be measured in
 shares of rounding."""
 
+EQUAL = 1e-9
+"""Numbers that differ by less than this, relative to their size, are equal: values of expressions that say the same."""
+
+ACTIVE = 1e-5
+"""A constraint this close to its limit, relative to its size, may push, and takes directions from the controls."""
+
+CONVEX = 1e-6
+"""Second derivative of H in controls, over their ranges and in shares of H, from which H is strictly convex in them."""
+
+BESIDE = 1e-4
+"""Distance from a switch or a junction, in shares of the segment beside it, over which a slope there is taken."""
+
 SHORTEST = 1e-9
 """Durations (s) below this have vanished; what has no length is drawn and divided by this."""
 
@@ -37,8 +49,8 @@ SAME_TIME = 1e-9
 an end and what rounding makes of it, two lengths of a control step."""
 
 STEP_SLACK = 1e-6
-"""Share of a control step by which a time may lie before its beginning and still count as in it: a clock that adds up
-steps for hours is late by rounding."""
+"""Share of a control step by which a time may lie before its beginning, or beyond its end, and still count as in it: a
+clock that adds up steps for hours is late by rounding, and so is the quotient of a long time and a short step."""
 
 LARGEST = 1e30
 """Measurements above this are taken for none, as those are that are not a number: the powers that a law takes of them

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import time
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
@@ -31,19 +32,24 @@ SYSTEMS = {
 """Folders with their titles; each has ``report.comparison``, which returns its rows, and ``report.front``; those in
 which laws are flown have ``flown.rivals``."""
 FLOWN = ("formation_flying", "reaction_wheels", "flexible_spacecraft", "tethered_formation")
-PAGES = Path("pages")
+PAGES = Path(__file__).parent.parent / "docs" / "systems"
 MOVED = 1e-6
 """A number has changed if it moved by more than this share of itself."""
 
 
-def rows_of(name: str, folder: Path, runs: int) -> list[Row]:
-    """Return the rows of a system, with those of its front and of dispersed runs; draw the front into a folder."""
+def table_rows(name: str) -> list[Row]:
+    """Return the rows of a system's own table."""
+    rows: list[Row] = import_module(f"problems.{name}.report").comparison()
+    return rows
+
+
+def study_rows(name: str, folder: Path, runs: int) -> list[Row]:
+    """Return the rows of a system's front and of dispersed runs; draw the front into a folder."""
     from gnc_opt.plot.style import save_figure
 
-    report = import_module(f"problems.{name}.report")
-    front: Front = report.front()
+    front: Front = import_module(f"problems.{name}.report").front()
     save_figure(front_figure(front), folder / f"{name}.png")
-    rows: list[Row] = report.comparison() + front_rows(front)
+    rows = front_rows(front)
     if name in FLOWN and runs > 0:
         rivals: Rivals = import_module(f"problems.{name}.flown").rivals()
         rows += dispersed_rows(rivals, rivals.fly(runs))
@@ -55,7 +61,7 @@ def page(title: str, rows: Sequence[Row], figure: str = "") -> str:
     lines = [
         f"# {title}",
         "",
-        "Written by `python -m problems.all`; the two marks are those of docs/problems.md.",
+        "Written by `python -m problems.all`; the two marks are [those of every system](../problems.md#systems).",
         "",
         count(rows) + ".",
         "",
@@ -72,10 +78,13 @@ def page(title: str, rows: Sequence[Row], figure: str = "") -> str:
     return "\n".join(lines) + "\n"
 
 
-def changes(before: Sequence[dict[str, Any]], rows: Sequence[Row]) -> list[str]:
-    """Return what differs between the rows of a page's JSON and those of now, a line each."""
+def changes(before: Sequence[dict[str, Any]], rows: Sequence[Row], *, all_rows: bool = True) -> list[str]:
+    """Return what differs between the rows of a page's JSON and those of now, a line each.
+
+    Unless these are all rows, no row counts as gone.
+    """
     old, new = {row["quantity"]: row for row in before}, {r["quantity"]: r for r in summary(rows)["rows"]}
-    told = [f"gone: {name}" for name in old if name not in new]
+    told = [f"gone: {name}" for name in old if all_rows and name not in new]
     for name, row in new.items():
         if name not in old:
             told.append(f"new: {name}")
@@ -125,23 +134,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--runs", type=int, default=RUNS, help=f"dispersed runs of each loop, default {RUNS}")
     parser.add_argument("--only", choices=list(SYSTEMS), action="append", help="this system; may be repeated")
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="tables only, beside the pages as they are: no fronts, no dispersed runs, nothing is written",
+    )
     options = parser.parse_args(arguments)
     console, fine = Console(highlight=False), True
-    options.pages.mkdir(parents=True, exist_ok=True)
     for name in options.only or SYSTEMS:
+        begin, told = time.perf_counter(), options.pages / f"{name}.json"
         try:
-            rows = rows_of(name, options.pages, options.runs)
+            rows = table_rows(name)
+            if not options.quick:
+                options.pages.mkdir(parents=True, exist_ok=True)
+                rows += study_rows(name, options.pages, options.runs)
         except GncOptError as error:
             console.print(f"{name}: {error}", markup=False, soft_wrap=True)
             fine = False
             continue
         fine = fine and all(row.passes for row in rows)
-        told = options.pages / f"{name}.json"
         before = json.loads(told.read_text(encoding="utf-8"))["rows"] if told.exists() else None
-        write_json(told, rows)
-        (options.pages / f"{name}.md").write_text(page(SYSTEMS[name], rows, f"{name}.png"), encoding="utf-8")
-        console.print(f"{name}: {count(rows)}", markup=False, soft_wrap=True)
-        for change in [] if before is None else changes(before, rows) or ["nothing has changed"]:
+        if not options.quick:
+            write_json(told, rows)
+            text = page(SYSTEMS[name], rows, f"{name}.png")
+            (options.pages / f"{name}.md").write_text(text, encoding="utf-8")
+        spent = time.perf_counter() - begin
+        console.print(f"{name}: {count(rows)}; {spent:.0f} s", markup=False, soft_wrap=True)
+        differ = [] if before is None else changes(before, rows, all_rows=not options.quick)
+        for change in differ if before is None else differ or ["nothing has changed"]:
             console.print(f"  {change}", markup=False, soft_wrap=True)
     return 0 if fine else 1
 

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import ast
 import io
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import gnc_opt as go
 from benchmarks.page import numbers
 from gnc_opt.examples import Example, examples
-from gnc_opt.plot import plot_controls, plot_states
+from gnc_opt.plot import plot_controls, plot_run_controls, plot_run_states, plot_states
 from problems.reference import Reference
 from website.sphinx_math import module_page
 
 ROOT = Path(__file__).parents[1]
-SOLVED_FOR_A_PICTURE = 20
-"""Segments of four points, where a problem names no mesh: enough for the eye."""
 
 
 def reference(example: Example) -> Reference | None:
     """Return the known answer; systems compare themselves with their publications instead."""
-    found = getattr(import_module(f"problems.{example.name}"), "REFERENCE", None)
+    found = getattr(_module(example), "REFERENCE", None)
     return found if isinstance(found, Reference) else None
 
 
@@ -47,8 +47,8 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
     if (ROOT / "docs" / f"{example.name}.md").exists():
         yield f"Its results: [{example.name.replace('_', ' ')}](../{example.name}.md).\n"
     yield f"Run it: `gnc-opt examples {example.name}`, or `python -m problems.{example.name}` in the repository.\n"
-    if pictures and drawn(example):
-        yield "".join(f"![{kind}]({example.name}_{kind}.svg)\n\n" for kind in ("states", "controls"))
+    if pictures:
+        yield "".join(f"![{kind}]({example.name}_{kind}.svg)\n\n" for kind in shown(example))
     for path in sorted(example.path.glob("*.py")) if example.is_system else [example.path]:
         place = path.relative_to(ROOT)
         code = path.read_text(encoding="utf-8")
@@ -82,18 +82,28 @@ def _without_docstring(code: str) -> str:
 # --- pictures -----------------------------------------------------------------------------------------
 
 
-def drawn(example: Example) -> bool:
-    """Whether there is a picture: what only follows a plan has none."""
-    return hasattr(import_module(f"problems.{example.name}"), "build")
+def shown(example: Example) -> tuple[str, ...]:
+    """Return what there is a picture of."""
+    module = _module(example)
+    controlled = not hasattr(module, "build") or any(
+        p.model.controls.size for p in module.build().phases.values()
+    )
+    return ("states", "controls") if controlled else ("states",)
 
 
 def pictures(example: Example) -> dict[str, bytes]:
-    """Return states and controls of a problem on one mesh as SVG by their place in the site; empty if unsolved."""
-    module = import_module(f"problems.{example.name}")
-    mesh = getattr(module, "MESH", f"{SOLVED_FOR_A_PICTURE}x4")
-    solution = go.solve(module.build(), mesh=mesh, tol=None, throw=False)
-    figures = {"states": plot_states(solution), "controls": plot_controls(solution)}
-    return {f"gallery/{example.name}_{kind}.svg": _svg(figure) for kind, figure in figures.items()}
+    """Return figures as SVG by their place in the site: of the certified answer, or of a run if there is no problem."""
+    module = _module(example)
+    if hasattr(module, "build"):
+        answer = go.solve(module.build(), mesh=getattr(module, "MESH", None), throw=False)
+        draw: dict[str, Callable[[Any], Any]] = {"states": plot_states, "controls": plot_controls}
+    else:
+        answer, draw = module.example_run(), {"states": plot_run_states, "controls": plot_run_controls}
+    return {f"gallery/{example.name}_{kind}.svg": _svg(draw[kind](answer)) for kind in shown(example)}
+
+
+def _module(example: Example) -> ModuleType:
+    return import_module(f"problems.{example.name}")
 
 
 def _svg(figure: object) -> bytes:

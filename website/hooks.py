@@ -58,7 +58,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, place, content=text))
     if wanted:
         with ProcessPoolExecutor() as pool:
-            for found in pool.map(gallery.pictures, filter(gallery.drawn, examples())):
+            for found in pool.map(gallery.pictures, examples()):
                 for place, picture in found.items():
                     files.append(File.generated(config, place, content=picture))
     return files

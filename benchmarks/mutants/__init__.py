@@ -6,6 +6,10 @@ changes the code in one place at a time, in a copy of the tree, and runs the tes
 test notices is listed; `equivalent.json` lists the changes that no test could notice, with the reasons. A session is
 taken up where it ended; ``--again`` tries its survivors once more, after new tests have been recorded.
 
+A map outlives edits: it keeps the files that it was recorded for, and counts where a line has stayed. Tests that are
+new since are recorded path by path. What a test kills is killed, whatever the map; what survives is certain only with a
+fresh one.
+
 Why not mutmut or cosmic-ray: mutmut leaves out decorated functions (properties, here every second function), and
 cosmic-ray runs the same tests for every mutant; neither draws a seeded sample by package.
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from benchmarks.mutants.cover import Cover, record
 from benchmarks.mutants.mutations import keys, mutants_of
-from benchmarks.mutants.trial import attempt, collected, copy_tree
+from benchmarks.mutants.trial import Trials, copy_tree
 
 ROOT = Path(__file__).resolve().parents[2]
 EQUIVALENT = Path(__file__).with_name("equivalent.json")
@@ -73,6 +73,7 @@ def _run(arguments: argparse.Namespace) -> None:
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         copy = Path(folder)
         copy_tree(ROOT, copy)
+        trials = Trials(copy)
         for package in arguments.package:
             every = list(keys(mutants_of(ROOT, package)))
             order = random.Random(arguments.seed).sample(
@@ -84,9 +85,9 @@ def _run(arguments: argparse.Namespace) -> None:
             if not todo:
                 continue
             cover = Cover.read(ROOT, arguments.map, {m.file for _, m in todo})
-            cover = cover.only(collected(copy, cover.modules))
+            cover = cover.only(trials.collected(cover.modules))
             for key, mutant in todo:
-                outcome = attempt(copy, mutant, cover, arguments.budget)
+                outcome = trials.attempt(mutant, cover, arguments.budget)
                 entry = {
                     "key": key,
                     "package": package,

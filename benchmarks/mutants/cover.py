@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,8 +17,8 @@ from pathlib import Path
 from coverage import CoverageData
 
 ENVIRONMENT = {"OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg", "PYTHONHASHSEED": "0"}
-PYTEST = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:randomly", "-q"]
-
+PYTEST = ["-p", "no:cacheprovider", "-p", "no:randomly", "-q"]
+"""Its arguments: results depend on nothing that happened before."""
 
 INTERRUPTED = "not ctrl_c and not interrupt"
 """Tests that send interrupts: under a tracer they reach it, not the code."""
@@ -32,14 +34,15 @@ def record(root: Path, folder: Path, tests: list[str]) -> None:
         options += ["-k", INTERRUPTED]
         environment = {**os.environ, **ENVIRONMENT, "PYTHONPATH": str(root), "COVERAGE_FILE": str(data)}
         code = subprocess.run(
-            [*PYTEST, *options], cwd=root, env=environment, preexec_fn=heed_interrupts
+            [sys.executable, "-m", "pytest", *PYTEST, *options],
+            cwd=root,
+            env=environment,
+            preexec_fn=heed_interrupts,
         ).returncode
         if code not in (0, 1):  # tests that fail anyway are left out of the map
             raise SystemExit(f"pytest ended with code {code} in {path}.")
-        files = sorted((root / "gnc_opt").rglob("*.py"))
-        (folder / f"{name}.json").write_text(
-            json.dumps({"root": str(root), "files": {str(f.relative_to(root)): digest(f) for f in files}})
-        )
+        files = {str(f.relative_to(root)): _kept(f, folder) for f in sorted((root / "gnc_opt").rglob("*.py"))}
+        (folder / f"{name}.json").write_text(json.dumps({"root": str(root), "files": files}))
 
 
 def heed_interrupts() -> None:
@@ -47,9 +50,19 @@ def heed_interrupts() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def digest(file: Path) -> str:
-    """Return what tells one version of a file from another."""
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+def _kept(file: Path, folder: Path) -> str:
+    """Keep the version of a file that the lines of a map count in, and return its name."""
+    version = hashlib.sha256(file.read_bytes()).hexdigest()
+    (folder / "versions").mkdir(exist_ok=True)
+    shutil.copyfile(file, folder / "versions" / version)
+    return version
+
+
+def _lines_now(before: Path, now: Path) -> dict[int, int]:
+    """Line numbers of today by those of another version, where a line has stayed."""
+    old, new = before.read_text().splitlines(), now.read_text().splitlines()
+    blocks = difflib.SequenceMatcher(None, old, new, autojunk=False).get_matching_blocks()
+    return {b.a + i + 1: b.b + i + 1 for b in blocks for i in range(b.size)}
 
 
 @dataclass(frozen=True)
@@ -69,24 +82,21 @@ class Cover:
 
     @classmethod
     def read(cls, root: Path, folder: Path, files: set[str]) -> Cover:
-        """Read the map of some files; a part that was recorded for another version of a file is refused."""
+        """Read the map of some files; of another version of a file it counts where a line has stayed."""
         lines: dict[str, dict[int, set[str]]] = {file: {} for file in files}
         seconds: dict[str, float] = {}
         for part in sorted(folder.glob("*.json")):  # written last: what is being recorded has none yet
-            versions, times = json.loads(part.read_text()), part.with_suffix(".xml")
-            for file in files:
-                if versions["files"].get(file) != digest(root / file):
-                    raise SystemExit(
-                        f"{part.stem}: '{file}' has changed since it was recorded; record it again."
-                    )
-            seconds |= _durations(times)
+            recorded = json.loads(part.read_text())
+            here = _durations(part.with_suffix(".xml"))
+            seconds |= here
             data = CoverageData(str(folder / f".coverage.{part.stem}"))
             data.read()
-            for file in files:
-                found = data.contexts_by_lineno(str(Path(versions["root"]) / file))
-                for line, contexts in found.items():
-                    tests = {c.split("|")[0] for c in contexts} & seconds.keys()
-                    lines[file].setdefault(line, set()).update(tests)
+            for file in files & recorded["files"].keys():
+                places = _lines_now(folder / "versions" / recorded["files"][file], root / file)
+                found = data.contexts_by_lineno(str(Path(recorded["root"]) / file))
+                for line in found.keys() & places.keys():
+                    tests = {c.split("|")[0] for c in found[line]} & here.keys()
+                    lines[file].setdefault(places[line], set()).update(tests)
         return cls(lines, seconds)
 
     @property

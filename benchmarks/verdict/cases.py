@@ -153,8 +153,8 @@ def _told(case: Case, verdict: go.Verdict) -> Told:
     if verdict.failed:
         return "failed"
     if case.wrong:
-        if not verdict.ok and verdict.not_judged:
-            return "failed"  # it claims nothing
+        if not verdict.ok:
+            return "failed" if verdict.not_judged else "untold"  # it claims nothing
         return "passed" if verdict.minimum or case.first_order else "untold"
     return "passed" if verdict.minimum else "untold"
 

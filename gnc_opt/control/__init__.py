@@ -22,6 +22,7 @@ from gnc_opt.control.linear.lqr import design_lqr
 from gnc_opt.control.linear.tvlqr import design_tvlqr
 from gnc_opt.control.linear.weights import bryson
 from gnc_opt.control.neighbouring.design import design_neighbouring_optimal
+from gnc_opt.control.neighbouring.extremal import design_neighbouring_extremal
 from gnc_opt.control.predictive.mpc import design_mpc
 from gnc_opt.control.reference import Reference, trim
 from gnc_opt.control.sliding.hierarchical import design_hierarchical_sliding_mode
@@ -67,6 +68,7 @@ __all__ = [
     "design_integral_sliding_mode",
     "design_lqr",
     "design_mpc",
+    "design_neighbouring_extremal",
     "design_neighbouring_optimal",
     "design_sliding_mode",
     "design_tvlqr",

@@ -69,7 +69,7 @@ class Budget:
 
 
 @dataclass(frozen=True)
-class Flight:
+class Integration:
     """What `integrate` found.
 
     Attributes
@@ -97,7 +97,7 @@ def integrate(
     budget: Budget,
     stop: Callable[[float, Array], float] | None = None,
     dense: bool = False,
-) -> Flight:
+) -> Integration:
     """Integrate dx/dt = rate(t, x) from ``left`` to ``right`` by DOP853.
 
     Parameters
@@ -150,4 +150,4 @@ def integrate(
         raise EndedError(f"the states diverge at t = {run.t[-1]:.4g} s")
     if run.status < 0 or not np.all(np.isfinite(run.y[:, -1])):
         raise EndedError(budget.edge or f"the integrator finds no step at t = {run.t[-1]:.4g} s")
-    return Flight(run.t, run.y, run.sol)
+    return Integration(run.t, run.y, run.sol)

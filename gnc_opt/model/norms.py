@@ -15,6 +15,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.graph import nodes_of, rebuilt
+from gnc_opt.tolerances import EQUAL
 
 ROOTS = (ca.OP_SQRT, ca.OP_HYPOT)
 """Operations whose derivative does not exist where a vector is zero."""
@@ -27,8 +28,6 @@ _JUMPS = (
 
 _LENGTHS = np.array([0.7, 1.3, 2.1])
 _DIRECTIONS, _DRAWS, _SEED = 3, 3, 20
-_SAME = 1e-9
-"""Relative difference of equal numbers, with room for rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,12 +137,12 @@ def _degrees(values: Array) -> list[int]:
     with np.errstate(all="ignore"):
         known = np.all(np.isfinite(values) & (values != 0), axis=(1, 2))
         turned = np.abs(values / values[:, :1] - 1)
-        alike = np.all((turned < _SAME) | ~known[:, None, None], axis=(1, 2, 3))
+        alike = np.all((turned < EQUAL) | ~known[:, None, None], axis=(1, 2, 3))
         degrees = np.zeros(values.shape[0], dtype=int)
         for degree in (1, 2):
             expected = (_LENGTHS / _LENGTHS[0]) ** degree
             grown = np.abs(values / values[:, :, :1] / expected[:, None] - 1)
-            scaled = np.all((grown < _SAME) | ~known[:, None, None], axis=(1, 2, 3))
+            scaled = np.all((grown < EQUAL) | ~known[:, None, None], axis=(1, 2, 3))
             degrees[scaled & alike & np.any(known, axis=1)] = degree
     return [int(d) for d in degrees]
 
@@ -159,6 +158,6 @@ def degree_in(expression: Any, symbol: Any) -> int | None:
         known = np.isfinite(grown).all(axis=0)
     for degree in (0, 1, 2):
         expected = (_LENGTHS / _LENGTHS[0])[:, None] ** degree
-        if np.any(known) and np.all(np.abs(grown / expected - 1)[:, known] < _SAME):
+        if np.any(known) and np.all(np.abs(grown / expected - 1)[:, known] < EQUAL):
             return degree
     return None

@@ -87,8 +87,8 @@ _REMEDIES: dict[Status, str] = {
         "is installed on this machine (the HSL solvers are not shipped with CasADi)."
     ),
     Status.FAILED: (
-        "The solver failed for a reason of its own; `raw_status` names it. "
-        "Solve again with `verbose=True`, or with another solver."
+        "The solver failed for a reason of its own. Solve again with `SolverOptions(verbose=True)`, which shows its "
+        "own words, or with another solver."
     ),
 }
 

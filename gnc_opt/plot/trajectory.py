@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from gnc_opt.arrays import Array
+from gnc_opt.errors import GncOptError
 from gnc_opt.model.composed import AssembledControl, ComposedControl, VectorControl
 from gnc_opt.plot.sampling import chosen_names, chosen_phases, data_range, sample, zero_crossings
 from gnc_opt.plot.style import (
@@ -169,6 +170,8 @@ def plot_controls(
     ------
     UnknownNameError
         There is no such phase or control.
+    GncOptError
+        There are no controls at all.
     """
     legs = chosen_phases(solution, phase)
     known = {c.name: c for leg in legs for c in leg.composed_controls}
@@ -180,6 +183,10 @@ def plot_controls(
     names = chosen_names(legs, "controls", names if names is None else [n for n in names if n not in known])
     sizes = {name: leg.controls[name].size for leg in legs for name in names if name in leg.controls}
     parts = [(name, i) for name in names for i in range(sizes[name])]
+    if not parts and not composed:
+        raise GncOptError(
+            f"'{solution.problem_name}' has no controls to draw: draw its states by plot_states()."
+        )
     rows = 1 if solution.problem is None else 2
     with style():
         figure = new_figure(0.5 + 2.15 * (len(parts) + len(composed)))

@@ -40,7 +40,7 @@ is what `verify` forgives."""
 
 
 @dataclass(frozen=True, eq=False)
-class Pieces:
+class SampledPieces:
     """Polynomial segments, sampled: those of a solution, or trial ones.
 
     Attributes
@@ -64,7 +64,7 @@ class Pieces:
     integrals: Array
 
     @classmethod
-    def of(cls, samples: PhaseSamples) -> Pieces:
+    def of(cls, samples: PhaseSamples) -> SampledPieces:
         """Return the segments of a solution."""
         leg = samples.leg
         points, count = leg.point_times, leg.mesh.segments
@@ -147,12 +147,12 @@ class Yardstick:
         """Magnitude of each path constraint that depends on the states alone; 0 for the others."""
         return np.where(self.path_has_control, 0.0, self.path)
 
-    def judge(self, pieces: Pieces, adjoint: Array) -> SegmentErrors:
+    def judge(self, pieces: SampledPieces, adjoint: Array) -> SegmentErrors:
         """Return the errors of each piece.
 
         Parameters
         ----------
-        pieces : Pieces
+        pieces : SampledPieces
         adjoint : array (n_states, n_samples)
             Residual of the costates' equation at the samples; see `gnc_opt.refine.adjoint`.
         """
@@ -174,7 +174,7 @@ class Yardstick:
         costates = (WORTH * pieces.total(adjoint)) ** 2
         return SegmentErrors(dynamics, integrals, np.concatenate(overshoot), costates)
 
-    def stationarity(self, pieces: Pieces) -> Array:
+    def stationarity(self, pieces: SampledPieces) -> Array:
         """Return |dH/du|, path and bound multipliers included, in shares of H: (n_controls, n_samples)."""
         leg, times = self.leg, pieces.times
         mu = leg.path_multiplier(times) if leg.path_labels else np.zeros((0, times.size))
@@ -227,7 +227,7 @@ class PhaseError:
     ----------
     samples : PhaseSamples
     yardstick : Yardstick
-    pieces : Pieces
+    pieces : SampledPieces
     errors : SegmentErrors
     adjoint : array (n_states, n_samples)
         Residual of the costates' equation, per second.
@@ -235,7 +235,7 @@ class PhaseError:
 
     samples: PhaseSamples
     yardstick: Yardstick
-    pieces: Pieces
+    pieces: SampledPieces
     errors: SegmentErrors
     adjoint: Array
 
@@ -243,7 +243,7 @@ class PhaseError:
     def of(cls, leg: PhaseSolution, functions: PhaseFunctions) -> PhaseError:
         """Estimate the error of each segment of a phase."""
         samples = PhaseSamples.of(leg, functions)
-        yardstick, pieces = Yardstick.of(samples), Pieces.of(samples)
+        yardstick, pieces = Yardstick.of(samples), SampledPieces.of(samples)
         adjoint = adjoint_density(samples, yardstick.pure_paths)
         errors = yardstick.judge(pieces, adjoint)
         inner = leg.breaks[1:-1]

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 
 from gnc_opt.refine.error import PhaseError, largest_error
 from gnc_opt.solution.history import Actions, Pass
@@ -16,6 +17,28 @@ PATIENCE = 6
 
 HORIZON = 10
 """If it falls so slowly that more passes than this would be needed, refining stops."""
+
+
+@dataclass(frozen=True)
+class PassLimits:
+    """Where the passes of a refinement end, wherever it has come to.
+
+    Attributes
+    ----------
+    passes : int
+        At most so many solves.
+    points : int
+        At most so many collocation points in any phase.
+    work : float
+        No pass begins after this much work, in iterations at one collocation point; see `Pass.work`.
+    deadline : float
+        When to stop, as `time.perf_counter` counts. Ctrl-C stops it, too.
+    """
+
+    passes: int = 40
+    points: int = 1000
+    work: float = math.inf
+    deadline: float = math.inf
 
 
 def pass_record(

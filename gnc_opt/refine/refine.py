@@ -15,7 +15,7 @@ from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.hp.mesh_refinement import ROOMY, refine_mesh
-from gnc_opt.refine.passes import pass_record
+from gnc_opt.refine.passes import PassLimits, pass_record
 from gnc_opt.refine.structure.detect import affine_channels, regular_channels, structures_of
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.switching import TIGHT, optimise_switches
@@ -296,16 +296,16 @@ class _Task:
             *optimise_switches(
                 start,
                 tol=self.tol,
-                max_passes=self.max_passes,
-                max_points=self.max_points,
-                max_work=share * self.max_work,
+                limits=self._limits(self.max_passes, share * self.max_work),
                 structures=found,
                 options=self.options or (BRIEF if share < 1.0 else None),
-                deadline=self.deadline,
                 progress=self.progress,
             ),
             begun=found,
         )
+
+    def _limits(self, passes: int, work: float) -> PassLimits:
+        return PassLimits(passes, self.max_points, work, self.deadline)
 
     @property
     def _left(self) -> float:
@@ -319,11 +319,8 @@ class _Task:
             *refine_mesh(
                 start,
                 tol=tol,
-                max_passes=max_passes,
-                max_points=self.max_points,
-                max_work=self._left,
+                limits=self._limits(max_passes, self._left),
                 options=self.options,
-                deadline=self.deadline,
                 progress=self.progress,
             )
         )

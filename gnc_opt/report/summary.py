@@ -34,9 +34,9 @@ def summary(solution: Solution) -> str:
     Status and objective; times; mesh and cost of the solve; worst defect between nodes; worst bound violation
     between nodes; terminal miss when the flown control is integrated, each with its place. A refined solution tells
     its verdict and the error asked for and reached; a verdict that is ok speaks for defect and bounds. Further lines
-    say which norms were restated, name controls whose polynomial overshoots and tables that the trajectory leaves, say
-    what to do after a failed solve, and warn when the figures were not measured just now but when the solution was
-    saved.
+    tell a lower bound of the cost, if one is known, say which norms were restated, name controls whose polynomial
+    overshoots and tables that the trajectory leaves, say what to do after a failed solve, and warn when the figures
+    were not measured just now but when the solution was saved.
 
     Parameters
     ----------
@@ -52,6 +52,7 @@ def summary(solution: Solution) -> str:
         _headline(solution),
         *_failure(solution),
         *_refinement(solution),
+        *_bound(solution),
         *_restated(solution),
         _times(solution),
         _cost(solution),
@@ -137,6 +138,12 @@ def _refinement(solution: Solution) -> Iterator[str]:
         f"{len(history.passes)} pass{'es' * (len(history.passes) != 1)}, {history.seconds:.2f} s"
         + ("" if history.converged else f": {final.where}"),
     )
+
+
+def _bound(solution: Solution) -> Iterator[str]:
+    if solution.bound is not None:
+        side = "at most" if solution.maximised else "at least"
+        yield _line("bound", f"{side} {solution.bound}; gap {solution.gap:.1e}")
 
 
 def _restated(solution: Solution) -> Iterator[str]:

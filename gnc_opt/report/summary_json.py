@@ -54,6 +54,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
             "max_bound_violation_where": quality and quality.bound_where,
             "terminal_error": quality and quality.terminal_error,
             "terminal_error_where": quality and quality.terminal_where,
+            "bound": _bound(solution),
             "outside_tables": [str(found) for found in left_tables(solution)],
             "verdict": None if verdict is None else _verdict(verdict),
             "violations": [{"name": v.name, "amount": v.amount} for v in solution.violations],
@@ -94,6 +95,19 @@ def write_json(path: str | Path, solution: Solution, verdict: Verdict | None = N
 def json_text(solution: Solution, verdict: Verdict | None = None) -> str:
     """Return `summary_dict` as indented JSON text with a trailing newline."""
     return json.dumps(summary_dict(solution, verdict), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _bound(solution: Solution) -> dict[str, Any] | None:
+    bound = solution.bound
+    if bound is None:
+        return None
+    return {
+        "value": bound.value,
+        "gap": solution.gap,
+        "states": list(bound.states),
+        "certified": bound.certified,
+        "theorem": bound.theorem,
+    }
 
 
 def _verdict(verdict: Verdict) -> dict[str, Any]:

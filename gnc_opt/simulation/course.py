@@ -14,9 +14,7 @@ from gnc_opt.control.reference import Reference
 from gnc_opt.errors import GncOptError
 from gnc_opt.model.layout import Layout
 from gnc_opt.simulation.replanner import Replanner
-
-_PART_OF_A_STEP = 1e-6
-"""By how much of a control step a latency may exceed a whole number of them."""
+from gnc_opt.tolerances import STEP_SLACK
 
 
 @dataclass(frozen=True)
@@ -105,7 +103,7 @@ class Course:
         """Re-plan at a control step, from the estimated states (n_followed,), if that is asked for then."""
         planner = self.replanner
         assert planner is not None
-        t, late = float(self.times[step]), math.ceil(planner.latency / self.dt - _PART_OF_A_STEP)
+        t, late = float(self.times[step]), math.ceil(planner.latency / self.dt - STEP_SLACK)
         if step + late >= self.times.size - 1:
             return
         if self.times[step + late] >= self._path.final_time - planner.last:

@@ -28,6 +28,7 @@ from gnc_opt.simulation.quantity import Quantities, Quantity
 from gnc_opt.simulation.replanner import Replanner
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.wiring import Blocks, Wiring, wire
+from gnc_opt.tolerances import STEP_SLACK
 
 MAX_SUBSTEPS = 64
 """Integration steps per minor step at most; a plant that needs more is too fast for this step."""
@@ -44,9 +45,6 @@ _MARGIN = 1.1
 _MAX_STEPS = 2_000_000
 """Control steps of a run at most; with fifty numbers each their log fills a gigabyte."""
 
-_PART_OF_A_STEP = 1e-6
-"""A run that ends by less than this share of a step after a control step ends with that step: the quotient of a long
-time and a short step has so few digits."""
 
 _ROUNDING_OF_A_RUN = 1e-14
 """Local errors that sum up to less are as small as rounding: what differs between runs is no measure of them."""
@@ -401,7 +399,7 @@ class ClosedLoop:
             raise ArgumentError(
                 f"a run from t0 = {begin:g} s to tf = {end:g} s is none: give finite times, tf > t0."
             )
-        count = max(1, int(np.ceil((end - begin) / self.dt - _PART_OF_A_STEP)))
+        count = max(1, int(np.ceil((end - begin) / self.dt - STEP_SLACK)))
         if count > _MAX_STEPS:
             raise ArgumentError(
                 f"a run of {count} control steps is too long: give a larger dt or an earlier tf."

@@ -91,7 +91,7 @@ class Quantities:
 
 def sample_steps(n_steps: int) -> Array:
     """Return the control steps at whose beginnings samples are kept, and the end, (n_samples,)."""
-    return np.unique(np.round(np.linspace(0, n_steps, min(SAMPLES, n_steps + 1)))).astype(int)
+    return np.round(np.linspace(0, n_steps, min(SAMPLES, n_steps + 1))).astype(int)
 
 
 class Recorder:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -194,16 +194,24 @@ class SensorDelay(Block):
 
 @dataclass(frozen=True)
 class Outage(Block):
-    """The sensor fails: not-a-number from ``begin`` until before ``end`` (s).
+    """The sensor fails: not-a-number from ``begin`` until before ``end`` (s), always or only ``where`` something holds.
 
     Parameters
     ----------
     begin, end : float
-        s; without an end, for good.
+        s; without them, from the start and for good.
+    where : callable, optional
+        ``where(t, x)`` of SX, with the time (s) and the plant's states x by name; returns an SX (1, 1), and the sensor
+        fails where that is above zero: a star tracker while the body turns too fast for it, a radar beyond its range.
+
+    Examples
+    --------
+    >>> too_far = Outage("too far", where=lambda t, x: x["q"] - 100.0, on="q")
     """
 
-    begin: float
+    begin: float = -math.inf
     end: float = math.inf
+    where: Callable[[Any, Mapping[str, Any]], Any] | None = None
 
     def parameters(self, size: int, unit: str) -> Defaults:
         return {
@@ -214,7 +222,24 @@ class Outage(Block):
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         begin, end = (p[name] - SAME_TIME * tick.dt for name in ("begin", "end"))
         out = ca.logic_and(tick.t >= begin, tick.t < end)
+        if self.where is not None:
+            out = ca.logic_and(out, self._condition(tick) > 0)
         return Step(ca.if_else(out, math.nan, signal), state)
+
+    def _condition(self, tick: Tick) -> Any:
+        try:
+            found = ca.SX(self.where(tick.t, tick.x))  # type: ignore[misc]
+        except Exception as error:  # whatever a function of the user's raises
+            raise ArgumentError(
+                f"where= of '{self.name}' cannot be evaluated: {error!r}. Write a function of the time and of the "
+                f"plant's states by name, {', '.join(tick.x)}."
+            ) from error
+        if found.shape != (1, 1):
+            raise ArgumentError(
+                f"where= of '{self.name}' returns the shape {found.shape}: return one number, above zero where the "
+                "sensor fails."
+            )
+        return found
 
 
 def _check_retraction(retraction: Callable[[Any, Any], Any], size: int, count: int, what: str) -> None:

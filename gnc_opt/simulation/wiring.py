@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array
@@ -14,7 +15,7 @@ from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
-from gnc_opt.simulation.block import Block
+from gnc_opt.simulation.block import Block, Tick
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.event import Event, Events
 from gnc_opt.simulation.fit import check_applied, check_measured, check_names
@@ -144,8 +145,23 @@ def wire(
     )
     for link, step in wiring.steps_of_links:
         link.block.check(link.size, step, dt)
+    _check_sensing(wiring)
     _check_trim(wiring)
     return wiring
+
+
+def _check_sensing(wiring: Wiring) -> None:
+    """Take every sensor through a step, so that functions of users which do not fit are refused here."""
+    states, dt = wiring.plant.states, wiring.dt
+    tick = Tick(ca.SX.sym("t"), dt, dt, 0, {v.name: ca.SX.sym(v.name, v.size) for v in states.variables})
+    for link in wiring.sensors:
+        block, signal = link.block, ca.SX.sym("y", link.size)
+        p = {
+            name: ca.SX.sym(name, value.size)
+            for name, (value, _) in block.parameters(link.size, link.unit).items()
+        }
+        noise = ca.SX.sym("noise", block.noise(link.size))
+        block.step(tick, signal, block.start(signal, p, tick), p, noise)
 
 
 def _check_trim(wiring: Wiring) -> None:

@@ -32,7 +32,7 @@ WEAK = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
-class Limits:
+class ProgramLimits:
     """Limits of all variables or of all rows, and which of them are active (scaled).
 
     Attributes
@@ -51,7 +51,7 @@ class Limits:
     labels: tuple[str, ...]
 
     @classmethod
-    def of(cls, box: Interval, values: Array, multipliers: Array, labels: tuple[str, ...]) -> Limits:
+    def of(cls, box: Interval, values: Array, multipliers: Array, labels: tuple[str, ...]) -> ProgramLimits:
         """Tell the active limits from values and multipliers (densities)."""
         below = (multipliers < 0) & (values - box.lower < -multipliers)
         above = (multipliers > 0) & (box.upper - values < multipliers)
@@ -87,7 +87,7 @@ class ProgramPoint:
     x : array (n_variables,)
     lam : array (n_constraints,)
         0 in rows that are not held.
-    variables, rows : Limits
+    variables, rows : ProgramLimits
         ``variables.active`` is the set P, ``rows.active`` the set C.
     rounding : float
         Differences of the scaled cost below this are rounding.
@@ -98,8 +98,8 @@ class ProgramPoint:
     scaling: Scaling
     x: Array
     lam: Array
-    variables: Limits
-    rows: Limits
+    variables: ProgramLimits
+    rows: ProgramLimits
     rounding: float = 0.0
 
     @classmethod
@@ -138,10 +138,10 @@ class ProgramPoint:
         weights, row_weights = quadrature_weights(transcription)
         p = transcription.parameter_vector(problem, scales, row_scales, objective)
         g = transcription.nlp.jac_g(x / scales, p)[0].full().ravel()
-        variables = Limits.of(
+        variables = ProgramLimits.of(
             box, x / scales, lam_x * scales * objective / weights, transcription.variable_labels
         )
-        rows = Limits.of(row_box, g, lam / row_weights, transcription.row_labels)
+        rows = ProgramLimits.of(row_box, g, lam / row_weights, transcription.row_labels)
         return cls(
             problem,
             transcription,

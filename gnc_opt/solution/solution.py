@@ -28,6 +28,7 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.problem.tables import OutsideTable, outside_tables, table_uses
 from gnc_opt.solution.export import records
 from gnc_opt.solution.history import Actions, History, Pass, RefinementStatus
+from gnc_opt.solution.lower_bound import LowerBound
 from gnc_opt.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.solution.propagation import Propagation, propagate
@@ -119,6 +120,8 @@ class Solution:
         Versions, options, scheme, mesh and the problem's fingerprint.
     problem : Problem or None
         What was solved, a copy that cannot be changed; None after loading without it.
+    bound : LowerBound or None
+        What no trajectory of the problem can pass, from `bound_below`; files do not keep it.
     """
 
     problem_name: str
@@ -138,6 +141,7 @@ class Solution:
     structure: tuple[Arc, ...] = ()
     history: History | None = None
     problem: Problem | None = None
+    bound: LowerBound | None = None
 
     @property
     def scheme(self) -> Scheme:
@@ -148,6 +152,17 @@ class Solution:
     def converged(self) -> bool:
         """Whether a refinement reached its tolerance and the verdict."""
         return self.history is not None and self.history.converged
+
+    @property
+    def gap(self) -> float | None:
+        """Distance of the objective from its bound, relative to the objective; None where no bound is known.
+
+        Up to the tolerances of both solves, which may make it negative; see ``bound.certified`` for what it is worth.
+        """
+        if self.bound is None:
+            return None
+        distance = (self.objective - self.bound.value) * (-1.0 if self.maximised else 1.0)
+        return distance / abs(self.objective) if distance else 0.0
 
     # --- evaluation -------------------------------------------------------------------------------
 
@@ -440,7 +455,7 @@ SOLUTION_FILES = FileFormat(
             *(Statistics, Violation, Arc, ArcKind, Status, Quality),
             *(History, Pass, Actions, RefinementStatus),
         ),
-        left_out={Solution: ("problem", "history")},
+        left_out={Solution: ("problem", "history", "bound")},
     ),
     alike=(1,),  # has no composed controls
 )

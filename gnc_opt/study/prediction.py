@@ -21,7 +21,7 @@ from gnc_opt.transcription.transcription import Transcription, transcribe
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class MovedSolution:
     """A solution moved to another problem of its family.
 
     Attributes
@@ -45,7 +45,7 @@ class Prediction:
         return float(np.max(np.abs(here - self.variables) / self.scales))
 
 
-def predict(problem: Problem, last: Solution, before: Solution | None, ratio: float) -> Prediction:
+def predict(problem: Problem, last: Solution, before: Solution | None, ratio: float) -> MovedSolution:
     """Return where the solution is likely to go for ``problem``.
 
     By the sensitivities of the last solution, if both problems are variations of one another (`with_parameters`,
@@ -73,7 +73,7 @@ def predict(problem: Problem, last: Solution, before: Solution | None, ratio: fl
     phases, _ = extract_phases(transcription, problem, Iterate(x, start.lam_x, start.lam_g))
     values = x[transcription.parameter_places]
     guess = replace(last, phases=phases, parameter_values=values, problem=problem.frozen())
-    return Prediction(guess, x, scale_variables(transcription, problem, start.x))
+    return MovedSolution(guess, x, scale_variables(transcription, problem, start.x))
 
 
 def _start(problem: Problem, solution: Solution) -> tuple[Transcription, ProgramStart]:

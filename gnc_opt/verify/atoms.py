@@ -23,14 +23,12 @@ from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.extract import model_parameters
+from gnc_opt.tolerances import ACTIVE
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.numbering import PhasePart
 from gnc_opt.transcription.transcription import Transcription
 from gnc_opt.verify.pushes import path_gradients
 from gnc_opt.verify.trajectory_fit import FittedPhase
-
-ACTIVE = 1e-5
-"""Distance from a limit, scaled, at which it may push."""
 
 
 @dataclass(frozen=True)

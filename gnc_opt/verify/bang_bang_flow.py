@@ -41,7 +41,7 @@ ORDER = 8
 
 
 @dataclass(frozen=True)
-class Pieces:
+class PiecewiseControl:
     """A control that is constant on pieces of a phase.
 
     Attributes
@@ -132,7 +132,7 @@ class BangBangFlow:
 def bang_bang_flow(
     problem: Problem,
     s: PhaseSamples,
-    pieces: Pieces,
+    pieces: PiecewiseControl,
     free_start: Indices,
     refinement: int = 1,
     steps: int = STEPS,
@@ -144,7 +144,7 @@ def bang_bang_flow(
     problem : Problem
         Of the samples.
     s : PhaseSamples
-    pieces : Pieces
+    pieces : PiecewiseControl
     free_start : int array
         Rows of the start values that are unknowns.
     refinement : int
@@ -167,7 +167,7 @@ def bang_bang_flow(
 
 
 def _inputs(
-    s: PhaseSamples, pieces: Pieces, n_times: int, refinement: int, steps: int
+    s: PhaseSamples, pieces: PiecewiseControl, n_times: int, refinement: int, steps: int
 ) -> tuple[Array, Array]:
     """Inputs of all steps (n_inputs, n_steps), and derivatives of their widths (n_steps, n_times)."""
     widths = np.diff(pieces.times)

@@ -38,16 +38,13 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.propagation import state_magnitudes
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
-from gnc_opt.tolerances import AT_LIMIT, RANK, TINY
+from gnc_opt.tolerances import AT_LIMIT, CONVEX, RANK, TINY
 from gnc_opt.verify.verdict import Condition, Result
 
 START, END = 0, 1
 
 STEPS, LEAST = 300, 4
 """Steps over a phase, and at least so many in every segment."""
-
-CONVEX = 1e-6
-"""Curvature of H in free controls, in shares of H, from which it is strictly convex."""
 
 REACHED = 1e-10
 """Angle from which a direction counts as reached by the controls."""

@@ -94,7 +94,8 @@ def _time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Array) -> 
     limits, lasts = leg.duration_bounds, np.array([leg.duration])
     # A multiplier of the duration counts only if a bound of the duration can exert it.
     exerted = np.array([leg.duration_multiplier])
-    duration = float((exerted - np.copysign(_unexplained(exerted, lasts, limits, lasts), exerted))[0])
+    alone = np.copysign(_unexplained(exerted, lasts, limits, lasts), exerted)
+    duration = float((exerted - alone)[0])
     gaps = np.array(
         [
             s.hamiltonian[0] - ends.initial_time[name] + duration,
@@ -109,9 +110,13 @@ def _time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Array) -> 
     times = np.array([leg.initial_time, leg.final_time])
     reach = box.upper - box.lower
     span = np.maximum(s.span, np.where(np.isfinite(reach), reach, 0.0))
-    offence = _unexplained(gaps / s.hamiltonian_scale, times, box, span)
+    # A multiplier is told for times that are variables only.
+    told = np.where(leg.time_multipliers != 0, np.abs(leg.time_multipliers - gaps), 0.0)
+    offence = np.maximum(_unexplained(gaps, times, box, span), told) / s.hamiltonian_scale
     i = int(np.argmax(offence))
-    return Worst(float(offence[i]), f"phase {name}, H at its {('start', 'end')[i]}")
+    worst = Worst(float(offence[i]), f"phase {name}, H at its {('start', 'end')[i]}")
+    excess = float(np.abs(alone[0])) / s.hamiltonian_scale
+    return worst.or_worse(Worst(excess, f"phase {name}, multiplier of its duration"))
 
 
 def _both(a: Interval, b: Interval) -> Interval:

@@ -10,7 +10,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.solution.phase_solution import piecewise
 from gnc_opt.solution.polynomial import PiecewisePolynomial
-from gnc_opt.solution.program_point import WEAK, Limits, ProgramPoint
+from gnc_opt.solution.program_point import WEAK, ProgramLimits, ProgramPoint
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT, TINY
 from gnc_opt.transcription.collocation import PhaseCollocation
@@ -43,14 +43,15 @@ class CriticalCone:
         """Tell from the gradient of the Lagrangian which limits push.
 
         Along an arc on a limit the variation of what is limited vanishes, by continuity at the arc's ends too: a
-        node at the limit is held where it shares a segment with one that is pushed there.
+        node at the limit is held where it shares a segment with one that is pushed there. The push of a control comes
+        to zero at the ends of its arcs, which move with the times; on its nodes next to them it may be as small as any.
         """
         strong, weak = [], []
         for limits, values, multipliers, lines in (
-            (point.variables, point.x, point.multiplier_densities[0], _state_lines(point)),
+            (point.variables, point.x, point.multiplier_densities[0], _variable_lines(point)),
             (point.rows, point.values, point.multiplier_densities[1], _path_lines(point)),
         ):
-            told = Limits.of(limits.box, values, multipliers, limits.labels)
+            told = ProgramLimits.of(limits.box, values, multipliers, limits.labels)
             doubtful = told.weak(values, multipliers)
             held = told.active & ~doubtful
             _close_arcs(lines, values, held & ~limits.box.fixed, held, doubtful)
@@ -96,14 +97,17 @@ class CriticalCone:
         return np.concatenate(worst)
 
 
-def _state_lines(point: ProgramPoint) -> list[Indices]:
-    """Variables of each state along each segment, start and end included."""
+def _variable_lines(point: ProgramPoint) -> list[Indices]:
+    """Variables of each state along each segment, start and end included, and of each control at its points."""
     parts: list[PhasePart] = list(point.transcription.parts.values())
     return [
         row
         for part in parts
         for k in range(part.collocation.mesh.segments)
-        for row in _nodes(part.collocation, k)
+        for row in (
+            *_nodes(part.collocation, k),
+            *_at_points(part.collocation, part.collocation.point_controls, k),
+        )
     ]
 
 
@@ -114,9 +118,7 @@ def _path_lines(point: ProgramPoint) -> list[Indices]:
         row
         for part in parts
         for k in range(part.collocation.mesh.segments)
-        for row in part.collocation.path_rows[
-            :, part.collocation.mesh.offsets[k] : part.collocation.mesh.offsets[k + 1]
-        ]
+        for row in _at_points(part.collocation, part.collocation.path_rows, k)
     ]
 
 
@@ -130,9 +132,14 @@ def _close_arcs(lines: list[Indices], values: Array, pushed: Mask, held: Mask, d
         held[line[same]], doubtful[line[same]] = True, False
 
 
+def _at_points(collocation: PhaseCollocation, places: Indices, k: int) -> Indices:
+    """Those of all places (n, n_points) that lie in a segment."""
+    return np.asarray(places[:, collocation.mesh.offsets[k] : collocation.mesh.offsets[k + 1]])
+
+
 def _nodes(collocation: PhaseCollocation, k: int) -> Indices:
     """Variables of the states at the start, the points and the end of a segment, each once (n_states, nodes)."""
-    points = collocation.point_states[:, collocation.mesh.offsets[k] : collocation.mesh.offsets[k + 1]]
+    points = _at_points(collocation, collocation.point_states, k)
     start, end = collocation.boundary_states[:, [k]], collocation.boundary_states[:, [k + 1]]
     family = collocation.family
     middle = points[:, int(family.starts_at_point) : points.shape[1] - int(family.ends_at_point)]

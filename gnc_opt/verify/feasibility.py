@@ -151,6 +151,21 @@ def paths(samples: list[PhaseSamples], tolerance: float) -> Condition:
     )
 
 
+def tables(solution: Solution) -> Condition:
+    """The flight stays within the tables of its models."""
+    worst, refused = NOTHING, False
+    for out in solution.outside_tables():
+        grid = out.table.grids[out.axis]
+        beyond = max(grid[0] - out.value, out.value - grid[-1]) / (grid[-1] - grid[0])
+        worst, refused = worst.or_worse(Worst(beyond, str(out))), refused or out.table.outside == "error"
+    result = Result.FAIL if refused else Result.CANNOT_TELL if worst.value else Result.PASS
+    meaning = (
+        "Models must be flown where their tables have data (value: how far outside, in shares of the axis): beyond, a "
+        "table goes on as it was told to, and that is what is judged. FAIL if it refuses what is outside."
+    )
+    return Condition("tables", result, worst.value, 0.0, worst.where, meaning, sufficient=True)
+
+
 def boundary(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, amounts: Array, tolerance: float
 ) -> Condition:

@@ -14,7 +14,7 @@ over bang arcs and may jump where a singular arc begins or ends, which is what m
 vary besides. Neither does h count here: where the end feels it, the form has to curve in it by itself (`open_end`).
 
 On a mesh, y is a polynomial of a degree less by two than that of the states: of controls that alternate faster
-quadrature would see the wrong curvature. Segments are cut narrow at their ends, so that y can as good as jump.
+quadrature would see the wrong curvature. Arcs are cut narrow at their ends, so that y can as good as jump.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ from gnc_opt.verify.held import left_free
 from gnc_opt.verify.null_space import unit_variations, variation_weights
 from gnc_opt.verify.switches import inner_switches
 
-CUTS = (1e-2, 0.1, 0.9, 0.99)
-"""Where a segment of a singular arc is cut, in shares of its width."""
+CUTS = (1e-2, 0.1), (0.9, 0.99)
+"""Where the first and the last segment of a singular arc are cut, in shares of their widths."""
 
 LEAST_DEGREE = 6
 """Collocation points that a segment of a singular arc has at least."""
@@ -76,12 +76,14 @@ def singular_segments(s: PhaseSamples) -> Mask:
 
 
 def cut(mesh: Mesh, singular: Mask) -> Mesh:
-    """Return a mesh whose singular segments (K,) are narrow at their ends."""
+    """Return a mesh whose runs of singular segments (K,) are narrow at their ends."""
     breaks, degrees, movable = [0.0], [], []
+    beside = np.concatenate([[False], singular, [False]])
     for k, degree in enumerate(mesh.degrees):
         if k in mesh.movable:
             movable.append(len(breaks) - 1)
-        inner = CUTS if singular[k] else ()
+        begins, ends = singular[k] and not beside[k], singular[k] and not beside[k + 2]
+        inner = (*(CUTS[0] if begins else ()), *(CUTS[1] if ends else ()))
         breaks += [mesh.breaks[k] + share * mesh.widths[k] for share in inner] + [mesh.breaks[k + 1]]
         degrees += [max(degree, LEAST_DEGREE) if singular[k] else degree] * (len(inner) + 1)
     return Mesh(tuple(breaks), tuple(degrees), tuple(movable))

@@ -19,13 +19,10 @@ from gnc_opt.model.evaluation import evaluate_columns
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.samples import NEGLIGIBLE, PhaseSamples
 from gnc_opt.solution.spans import STILL
-from gnc_opt.tolerances import RANK
+from gnc_opt.tolerances import ACTIVE, RANK
 
 MOST_ORDER = 3
 """Orders of state constraints that are looked for."""
-
-ACTIVE = 1e-5
-"""A constraint this close to its limit, relative to what it moves along the phase, takes directions from controls."""
 
 
 def left_free(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:

@@ -26,7 +26,7 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.samples import NEGLIGIBLE, PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, TINY
-from gnc_opt.verify.bang_bang_flow import BangBangFlow, Pieces, bang_bang_flow
+from gnc_opt.verify.bang_bang_flow import BangBangFlow, PiecewiseControl, bang_bang_flow
 from gnc_opt.verify.magnitude import Magnitudes, parameter_scale
 from gnc_opt.verify.switches import Switches
 
@@ -164,14 +164,14 @@ class InducedProblem:
         samples: list[PhaseSamples],
         ends: EndGradients,
         unknowns: Unknowns,
-        pieces: Mapping[str, Pieces],
+        pieces: Mapping[str, PiecewiseControl],
         refinement: int = 1,
     ) -> InducedProblem:
         """Fly the solution's controls and differentiate cost and conditions.
 
         Parameters
         ----------
-        pieces : mapping from phase to Pieces
+        pieces : mapping from phase to PiecewiseControl
             With the unknowns of `Switches.pieces`.
         refinement : int
             Of the steps of integration that resolve the dynamics, see `bang_bang_flow`.
@@ -227,7 +227,7 @@ class InducedProblem:
         return np.asarray(np.sum(terms, axis=0)), float(sum(np.linalg.norm(t) for t in terms))
 
 
-def _grid(problem: Problem, s: PhaseSamples, pieces: Pieces, free_start: Indices) -> int:
+def _grid(problem: Problem, s: PhaseSamples, pieces: PiecewiseControl, free_start: Indices) -> int:
     """Return how often the steps of a flow are halved until it ends where the solution does.
 
     What ends elsewhere however fine the steps are is not the flow of these controls: then they stay as they are, unless

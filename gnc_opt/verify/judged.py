@@ -99,7 +99,7 @@ def stored_numbers(stored: Solution, judged: Solution, missing: Worst, tolerance
     stored, judged : Solution
         As it is, and by `from_problem`.
     missing : Worst
-        By `missing_number`, or `costates_at_ends` where that is worse.
+        By `missing_number`, or `costates_kept_twice` where that is worse.
     """
     worst = missing
     if stored.maximised != (judged.need_problem("verify").sense < 0):
@@ -115,23 +115,29 @@ def stored_numbers(stored: Solution, judged: Solution, missing: Worst, tolerance
         worst,
         tolerance,
         "The numbers stored with the trajectory must be finite, limits and model parameters those of the problem, and "
-        "costates at the ends of segments those of their polynomials (relative); a failure means that the solution is "
-        "another problem's, or has been changed.",
+        "costates at segment ends and points those of their polynomials (relative); a failure means that the solution "
+        "is another problem's, or has been changed.",
     )
 
 
-def costates_at_ends(samples: list[PhaseSamples]) -> Worst:
-    """The worst difference between one-sided costates at segment boundaries and their polynomials, as of the cost."""
+def costates_kept_twice(samples: list[PhaseSamples]) -> Worst:
+    """The worst difference between costates at segment boundaries and points and their polynomials, as of the cost.
+
+    Those at the points of other schemes than Gauss's are of lower order than the polynomials, and not compared.
+    """
     worst = NOTHING
     for s in samples:
         leg, worth = s.leg, s.state_scale / max(s.cost_scale, TINY)
-        for what, values, polynomial in (
-            ("start", leg.lam_start, leg.lam(leg.breaks[:-1], "right")),
-            ("end", leg.lam_end, leg.lam(leg.breaks[1:], "left")),
-        ):
+        kept = [
+            ("the start of segment", leg.lam_start, leg.lam(leg.breaks[:-1], "right")),
+            ("the end of segment", leg.lam_end, leg.lam(leg.breaks[1:], "left")),
+        ]
+        if leg.scheme == "LG":
+            kept.append(("point", leg.point_costates, leg.lam(leg.point_times)))
+        for what, values, polynomial in kept:
             off = np.abs(values - polynomial) * worth[:, None]
             i, k = worst_index(np.nan_to_num(off))  # a missing one is told as missing
-            place = f"phase {leg.name}, {leg.states.labels[i]}, costate at the {what} of segment {k + 1}"
+            place = f"phase {leg.name}, {leg.states.labels[i]}, costate at {what} {k + 1}"
             worst = worst.or_worse(Worst(float(off[i, k]), place))
     return worst
 

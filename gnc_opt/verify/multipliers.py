@@ -21,9 +21,9 @@ from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.covector import Iterate
 from gnc_opt.solution.start import with_integrals
-from gnc_opt.tolerances import ROUNDING, TINY
+from gnc_opt.tolerances import ACTIVE, ROUNDING, TINY
 from gnc_opt.transcription.transcription import Transcription
-from gnc_opt.verify.atoms import ACTIVE, Atoms
+from gnc_opt.verify.atoms import Atoms
 from gnc_opt.verify.trajectory_fit import FittedPhase
 
 _WRONG = 1e-7

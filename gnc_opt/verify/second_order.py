@@ -34,16 +34,13 @@ from gnc_opt.problem.functions import EndGradients
 from gnc_opt.solution.quality import worst_index
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
-from gnc_opt.tolerances import AT_LIMIT, RANK, TINY
+from gnc_opt.tolerances import AT_LIMIT, BESIDE, RANK, TINY
 from gnc_opt.verify.bang_bang_flow import ORDER
 from gnc_opt.verify.goh import straight
 from gnc_opt.verify.induced import NOT_FLOWN, InducedProblem, Unknowns
 from gnc_opt.verify.normality import normality_of_switches
 from gnc_opt.verify.switches import GRAZES, Switches, inner_switches
 from gnc_opt.verify.verdict import Condition, Result
-
-BESIDE = 1e-4
-"""How far from a switch its slope is taken, in shares of the shorter neighbouring segment."""
 
 OWN = 1e-4
 """Up to this share of the phase beside a control's own switch its switching function is judged by its slope alone."""

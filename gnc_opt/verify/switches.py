@@ -12,7 +12,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT
-from gnc_opt.verify.bang_bang_flow import Pieces
+from gnc_opt.verify.bang_bang_flow import PiecewiseControl
 
 TOGETHER = 1e-7
 """Switches nearer to each other than this share of the phase are simultaneous: their order is not known."""
@@ -96,7 +96,7 @@ class Switches:
         for choice in itertools.product(*(itertools.permutations(group) for group in self.groups)):
             yield tuple(itertools.chain.from_iterable(choice))
 
-    def pieces(self, order: tuple[int, ...]) -> Pieces:
+    def pieces(self, order: tuple[int, ...]) -> PiecewiseControl:
         """The control piece by piece, with the switches in some order.
 
         Unknowns are the start (0), the switches (1 to n) and the end (n + 1).
@@ -107,7 +107,7 @@ class Switches:
             controls[-1][self.channels[k]] = self.toggled[self.channels[k]] - controls[-1][self.channels[k]]
         places = [0, *(1 + k for k in order), self.times.size + 1]
         times = np.concatenate([self.ends[:1], self.times[list(order)], self.ends[1:]])
-        return Pieces(times, np.stack(controls, axis=1), np.asarray(places))
+        return PiecewiseControl(times, np.stack(controls, axis=1), np.asarray(places))
 
     def precedences(self, order: tuple[int, ...]) -> Array:
         """Which combinations of unknowns must not be negative for the order to hold, (n_conditions, n + 2)."""

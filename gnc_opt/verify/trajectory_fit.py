@@ -20,8 +20,10 @@ import scipy
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.solution.polynomial import PiecewisePolynomial
+from gnc_opt.tolerances import TINY
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.quadrature import collocation_rule
+from gnc_opt.transcription.scheme import GAUSS
 
 DEGREE = 3
 """Collocation points per sampling interval: cubic states, quadratic controls."""
@@ -205,7 +207,7 @@ class _Controls:
     def choose(self, samples: Samples, rates: Rates) -> None:
         """Take Akima splines where the states agree better with them."""
         long = np.flatnonzero(np.diff(samples.t) > 0)
-        size = np.maximum(np.max(np.abs(samples.x), axis=1), 1e-300)[:, None]
+        size = np.maximum(np.max(np.abs(samples.x), axis=1), TINY)[:, None]
         misses = []
         for kinked in (False, True):
             self._kinked[:] = kinked
@@ -227,7 +229,7 @@ def _place(samples: Samples, controls: _Controls, jumps: list[_Jump], rates: Rat
     """Move the jumps between two samples to where the dynamics carry the states from one to the other."""
     i = jumps[0].after
     first, last = float(samples.t[i]), float(samples.t[i + 1])
-    size = np.maximum(np.max(np.abs(samples.x), axis=1), 1e-300)
+    size = np.maximum(np.max(np.abs(samples.x), axis=1), TINY)
 
     def miss(times: Array) -> Array:
         for jump, time in zip(jumps, times, strict=True):
@@ -281,7 +283,7 @@ def _polynomials(samples: Samples, controls: _Controls, jumps: list[_Jump], rate
     left, right = after[:, :-1], before[:, 1:]
     slopes_left = widths * rates(times[:-1], left, controls(times[:-1], middles))
     slopes_right = widths * rates(times[1:], right, controls(times[1:], middles))
-    rule = collocation_rule("LG", DEGREE)
+    rule = collocation_rule(GAUSS, DEGREE)
     s = 0.5 * (1 + rule.state_nodes)[:, None, None]
     states = (
         (1 + 2 * s) * (1 - s) ** 2 * left

@@ -7,6 +7,7 @@ from enum import Enum
 
 from gnc_opt.errors import unknown_name
 from gnc_opt.markup import heading, preformatted, table
+from gnc_opt.solution.lower_bound import LowerBound
 
 
 class Result(Enum):
@@ -74,12 +75,18 @@ class Verdict:
         Why nothing of the minimum principle could be judged: "no costates"; empty if it was.
     estimated : bool
         Whether costates and multipliers are estimates, because the trajectory came without (`verify_trajectory`).
+    bound : LowerBound or None
+        What no trajectory of the problem can pass, if the solution knows it (`bound_below`).
+    gap : float or None
+        Distance of the objective from the bound, relative to the objective.
     """
 
     problem_name: str
     conditions: tuple[Condition, ...]
     not_judged: str = ""
     estimated: bool = False
+    bound: LowerBound | None = None
+    gap: float | None = None
 
     @property
     def ok(self) -> bool:
@@ -117,12 +124,20 @@ class Verdict:
 
     @property
     def headline(self) -> str:
-        """The verdict in a sentence: its word and, if it is ok, whether it is known to be a minimum."""
+        """The verdict in a sentence: if it is ok, whether it is known to be a minimum, and how far from a bound."""
         if self.minimum:
-            return "every condition passes: a strict local minimum"
+            return f"every condition passes: a strict local minimum{self._distance}"
         if self.ok:
-            return "ok: necessary conditions hold, sufficient ones are not known to"
+            return f"ok: necessary conditions hold, sufficient ones are not known to{self._distance}"
         return self.word
+
+    @property
+    def _distance(self) -> str:
+        if self.bound is None or self.gap is None:
+            return ""
+        if self.bound.certified:
+            return f"; at most {abs(self.gap):.1e} from the global optimum"
+        return f"; {abs(self.gap):.1e} from a local minimum of a relaxation"
 
     def __getitem__(self, name: str) -> Condition:
         for condition in self.conditions:

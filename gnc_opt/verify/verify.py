@@ -9,6 +9,8 @@ import numpy as np
 from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.problem.cost_unit import cost_unit
 from gnc_opt.problem.functions import EndGradients
+from gnc_opt.problem.kinks import kinks_of
+from gnc_opt.problem.tables import table_uses
 from gnc_opt.solution.quality import NOTHING
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
@@ -16,7 +18,7 @@ from gnc_opt.verify import controls, costates, feasibility, second_order
 from gnc_opt.verify.conjugate_points import conjugate_points
 from gnc_opt.verify.convex import is_convex
 from gnc_opt.verify.judged import (
-    costates_at_ends,
+    costates_kept_twice,
     ends_of,
     from_problem,
     has_costates,
@@ -35,6 +37,7 @@ from gnc_opt.verify.reduced_hessian import (
     visible_spans,
 )
 from gnc_opt.verify.singular import generalised_legendre_clebsch, of_first_order
+from gnc_opt.verify.smoothness import beyond_theorems, roughness, smoothness
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 
 TOLERANCE = 1e-5
@@ -64,7 +67,8 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
         conditions, cost, stored numbers, adjoint equation, transversality, Hamiltonian, stationarity, control signs,
         minimum principle, complementarity, Legendre-Clebsch, singular arcs, generalised Legendre-Clebsch, parameters,
         normality, second order; for a solution whose switch times were optimised or that is bang-bang, strict switches;
-        for the latter, induced gradient; for all others, along smooth phases, conjugate points.
+        for the latter, induced gradient; for all others, along smooth phases, conjugate points. Where models look
+        things up, tables; where operations without derivatives switch with states or controls, smoothness.
         A solution keeps its verdict: asked again, at the same tolerance, nothing is computed anew.
 
     Raises
@@ -86,7 +90,7 @@ def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
     if known is None:
         known = _judge(solution, tol)
         keep_verdict(solution, known, tol)
-    return known
+    return known if solution.bound is None else replace(known, bound=solution.bound, gap=solution.gap)
 
 
 def _judge(solution: Solution, tol: float) -> Verdict:
@@ -104,10 +108,12 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         feasibility.boundary(solution, samples, ends, amounts.constraints, tol),
         feasibility.cost(stored, samples, ends, told, tol),
         stored_numbers(
-            stored, solution, missing.or_worse(costates_at_ends(samples) if told else NOTHING), tol
+            stored, solution, missing.or_worse(costates_kept_twice(samples) if told else NOTHING), tol
         ),
     ]
     lasting, problem = [s for s in samples if s.has_length], solution.need_problem("verify")
+    if any(table_uses(problem, leg) for leg in problem.phases.values()):
+        conditions.append(feasibility.tables(solution))
     along = [
         costates.adjoint(lasting, tol),
         costates.transversality(lasting, ends, tol),
@@ -131,6 +137,11 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         vanished = next(s.leg.name for s in samples if not s.has_length)
         along, switches = ([_without_length(c, vanished) for c in part] for part in (along, switches))
     judged = [*along, costates.parameters(solution, samples, ends, amounts.parameters, tol), *switches]
+    if any(kinks_of(problem, leg) is not None for leg in problem.phases.values()):
+        rough = None if missing.value else roughness(problem, lasting, tol)
+        conditions.append(smoothness(rough, any(c.result is Result.FAIL for c in judged)))
+        if rough is not None:
+            judged = [beyond_theorems(c, rough) for c in judged]
     if missing.value:
         judged = [_incomplete(c, missing.where) for c in judged]
     if told:

@@ -23,6 +23,7 @@ from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.solution import Solution, Statistics
 from gnc_opt.tolerances import AT_LIMIT
+from gnc_opt.transcription.scheme import GAUSS
 from gnc_opt.transcription.transcription import transcribe
 from gnc_opt.verify.multipliers import estimate
 from gnc_opt.verify.trajectory_fit import FittedPhase, Samples, fit
@@ -100,7 +101,7 @@ def _solution(problem: Problem, samples: Mapping[str, Samples], q: Array) -> Sol
         none = np.zeros(len(leg.integrands))
         functions = phase_functions(problem, name, model_parameters(problem, leg, q), q, none)
         fitted[name] = fit(samples[name], functions.rates)
-    transcription = transcribe(problem, {name: phase.mesh for name, phase in fitted.items()}, "LG")
+    transcription = transcribe(problem, {name: phase.mesh for name, phase in fitted.items()}, GAUSS)
     iterate = estimate(transcription, problem, fitted, q)
     phases, gradients = extract_phases(transcription, problem, iterate)
     phases = {name: _with_trajectory(leg, fitted[name]) for name, leg in phases.items()}

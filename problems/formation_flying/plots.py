@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from gnc_opt.arrays import Array
 from gnc_opt.plot.style import axis_label, legend_on_top, line_look, new_figure, save_figure, style
 from problems.formation_flying.flown import away, flight
-from problems.formation_flying.model import PERIOD, circle, differential_oblateness
+from problems.formation_flying.model import PERIOD, START, circle, differential_oblateness
 from problems.formation_flying.optimal import LIMIT, plan
 from problems.formation_flying.published import LAWS, run
 
@@ -25,6 +26,7 @@ def write_figures(folder: Path) -> list[Path]:
         "formation_thrust": thrust_figure(),
         "formation_disturbance": disturbance_figure(),
         "formation_paths": paths_figure(),
+        "formation_paths_3d": space_figure(),
         "formation_optimal": optimal_figure(),
     }
     return [save_figure(figure, folder / f"{name}.png") for name, figure in figures.items()]
@@ -85,11 +87,7 @@ def paths_figure() -> Figure:
     with style():
         figure = new_figure(3.4)
         axes = figure.subplots(1, 2)
-        ways = {"optimal SMC": run("optimal SMC").states}
-        for name in ("least Delta-V", "least time"):
-            times = np.linspace(0.0, plan(name).final_time, 600)
-            ways[name] = plan(name).states(times)
-        ring = circle(np.linspace(0, PERIOD, 400))[0]
+        ways, ring = _ways(), circle(np.linspace(0, PERIOD, 400))[0]
         for ax, (across, up) in zip(axes, ((1, 0), (1, 2)), strict=True):
             ax.plot(ring[across], ring[up], color="0.6", linewidth=0.8, label="circle")
             for i, (name, states) in enumerate(ways.items()):
@@ -102,6 +100,32 @@ def paths_figure() -> Figure:
             ax.set_aspect("equal")
         legend_on_top(figure, axes[0].get_lines())
     return figure
+
+
+def space_figure() -> Figure:
+    """Draw the same ways in space."""
+    with style():
+        figure = new_figure(5.4)
+        ax = figure.add_subplot(projection="3d", box_aspect=(1, 1, 1))
+        ax.view_init(elev=25, azim=-150)  # from the side to which the circle's plane is open
+        ring = circle(np.linspace(0, PERIOD, 400))[0]
+        ax.plot(*ring, color="0.6", linewidth=0.8, label="circle")
+        for i, (name, states) in enumerate(_ways().items()):
+            ax.plot(*states[:3], label=name, **line_look(i))
+        ax.plot(*START[:3], "ko", markersize=3, label="start")
+        ax.set(**{f"{name}label": axis_label(name, "m") for name in _NAMES})
+        for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
+            axis.set_major_locator(MaxNLocator(4))
+        legend_on_top(figure, ax.get_lines())
+    return figure
+
+
+def _ways() -> dict[str, Array]:
+    """States along the ways to the circle, by name."""
+    ways = {"optimal SMC": run("optimal SMC").states}
+    for name in ("least Delta-V", "least time"):
+        ways[name] = plan(name).states(np.linspace(0.0, plan(name).final_time, 600))
+    return ways
 
 
 def optimal_figure() -> Figure:

@@ -34,6 +34,7 @@ from gnc_opt.spacecraft import (
     quaternion_difference,
     quaternion_from_euler,
     quaternion_rate,
+    quaternion_retraction,
     wheel_body_acceleration,
     wheel_pyramid,
 )
@@ -122,5 +123,5 @@ def wheel_model(inertia: ArrayLike = INERTIA, *, drive: Drive = "wheels") -> go.
         }
     )
     craft.output("wheel_momentum_B", array_momentum(AXES, momenta), unit="N m s")
-    craft.difference(q_BN, quaternion_difference)
+    craft.difference(q_BN, quaternion_difference, quaternion_retraction)
     return craft

@@ -9,15 +9,12 @@ with arcs on the speed limit where the wheel's torque is zero and its multiplier
   from standstill. From standstill, all wheels have the same speed until the first of them switches, and reach the
   limit at the same instant: two constraints, one time, and again multipliers that are not unique.
 
-All are solved with default settings but the least time on the speed limit: which wheel is on which limit, in which
-order, was read off its solution on a plain mesh; held there, the switch times are what is optimised, and the verdict
-judges the result without knowing.
+All are solved with default settings: which wheel is on which limit, in which order, is found.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from typing import Literal, TypeAlias
 
@@ -145,50 +142,13 @@ REFERENCE = Reference(
 # --- its solutions --------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Structure:
-    """Who is on which limit: segment boundaries (s) to begin with, controls (4, K), momenta (4, K), and points."""
-
-    times: tuple[float, ...]
-    torques: tuple[tuple[int, ...], ...]
-    momenta: tuple[tuple[int, ...], ...]
-    points: int
-
-    def solve(self, problem: go.Problem) -> go.Solution:
-        """Return the solution whose switch times are optimal."""
-        states = np.zeros((11, len(self.times) - 1), dtype=int)
-        states[7:11] = self.momenta
-        plain = go.solve(problem, mesh="40x4", tol=None)
-        held = problem.with_arcs(arcs=np.array(self.torques), states=states)
-        mesh = go.Mesh.at_times(self.times, self.points, movable=True)
-        return go.solve(held, mesh=mesh, guess=plain)
-
-
-TWO_WHEELS = Structure(
-    times=(0.0, 1.18, 3.8, 4.92, 5.55, 6.7365, 6.797, 7.05, 9.9, 12.0028),
-    torques=(
-        (-1, -1, -1, 0, 0, 0, 1, 1, 1),
-        (-1, -1, -1, -1, 0, 1, 1, 1, 1),
-        (-1, -1, 1, 1, 1, 1, 1, 1, -1),
-        (-1, 1, 1, 1, 1, 1, 1, -1, -1),
-    ),
-    momenta=((0, 0, 0, 1, 1, 1, 0, 0, 0), (0, 0, 0, 0, 1, 0, 0, 0, 0), (0,) * 9, (0,) * 9),
-    points=8,
-)
-"""Least time with the speed limit: two wheels wait on it, one after the other."""
-
-
-def _automatic(problem: go.Problem) -> go.Solution:
-    return go.solve(problem, tol=_TOLERANCE)
-
-
-SLEWS: dict[Name, tuple[Callable[[], go.Problem], Callable[[go.Problem], go.Solution]]] = {
-    "energy": (build, _automatic),
-    "energy, half the time": (lambda: build(duration=HALF), _automatic),
-    "time, small": (lambda: build("time", 5), _automatic),
-    "time, speed limit": (lambda: build("time", 1, torque=RESERVE_TORQUE, bias=BIAS), TWO_WHEELS.solve),
+SLEWS: dict[Name, Callable[[], go.Problem]] = {
+    "energy": build,
+    "energy, half the time": lambda: build(duration=HALF),
+    "time, small": lambda: build("time", 5),
+    "time, speed limit": lambda: build("time", 1, torque=RESERVE_TORQUE, bias=BIAS),
 }
-"""The optimal slews: what is asked, and how it is solved."""
+"""The optimal slews."""
 MANOEUVRE: dict[Name, int] = {
     "energy": 3,
     "energy, half the time": 3,
@@ -200,8 +160,7 @@ MANOEUVRE: dict[Name, int] = {
 @cache
 def optimal_slew(name: Name) -> go.Solution:
     """Return an optimal slew."""
-    problem, solve = SLEWS[name]
-    return solve(problem())
+    return go.solve(SLEWS[name](), tol=_TOLERANCE)
 
 
 DURATIONS = (15.0, 17.0, 20.0, 25.0, 34.6, 45.0, 60.0)

@@ -26,6 +26,7 @@ from problems.reference import Array
 
 WHEELS = tuple(f"wheel {i}" for i in range(1, 5))
 QUATERNION = ("$q_1$", "$q_2$", "$q_3$", "$q_4$")
+EULER, AXES = (r"$\phi$", r"$\theta$", r"$\psi$"), ("x", "y", "z")
 RATES = (r"$\omega_x$", r"$\omega_y$", r"$\omega_z$")
 LAWS: tuple[Law, ...] = ("FLC", "LQR")
 Panel = tuple[str, Array, Sequence[str]]
@@ -53,10 +54,12 @@ def figures() -> dict[str, Callable[[], Figure]]:
 
 
 def plot_slew(slew: Slew) -> Figure:
-    """Draw quaternion (as in the paper, scalar part last), rates, wheel torques and wheel speeds."""
+    """Draw quaternion (as in the paper, scalar part last), Euler angles, rates, torques, and wheel speeds."""
     panels: list[Panel] = [
         ("quaternion", paper_quaternion(slew.states[:4]), QUATERNION),
+        ("Euler angles (deg)", slew.euler_angles, EULER),
         ("body rate (deg/s)", np.degrees(slew.rates), RATES),
+        ("body torque (N m)", slew.body_torque, AXES),
         ("wheel torque (N m)", slew.torques, WHEELS),
         ("wheel speed (rpm)", slew.speeds, WHEELS),
     ]

@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp, trapezoid
 
 import gnc_opt as go
 from gnc_opt.simulation.metrics import settling_time
-from gnc_opt.spacecraft import quaternion_angle, total_momentum
+from gnc_opt.spacecraft import quaternion_angle, quaternion_to_rotation, total_momentum
 from problems.reaction_wheels.laws import Law, design_flc, design_quaternion_lqr
 from problems.reaction_wheels.model import (
     AXES,
@@ -67,6 +67,11 @@ class Slew:
     def angle(self) -> Array:
         """To the target about the eigenaxis, (n,), degrees; by the arc tangent, exact near zero."""
         return np.asarray(np.degrees(quaternion_angle(self.states[:4], self.target[:, None])))
+
+    @property
+    def euler_angles(self) -> Array:
+        """About x, y and z, (3, n), degrees, turned in the order z, y, x, as those of the targets."""
+        return np.asarray(quaternion_to_rotation(self.states[:4]).as_euler("ZYX", degrees=True).T[::-1])
 
     @property
     def rates(self) -> Array:

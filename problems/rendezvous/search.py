@@ -143,7 +143,7 @@ def published_table(outcomes: Sequence[GlobalOutcome]) -> Table:
     """Return, for each published number, which minimum it is and how much slower than the best known."""
     table = _table("The paper's table 4: which minimum is it?")
     names = ("case", "method", "published", "is minimum", "on the same\nfooting", "exact t_f (s)")
-    _columns(table, *names, "slower than\nbest known")
+    _columns(table, *names, "slower than\nbest known", "in\npercent")
     for outcome in outcomes:
         for number in outcome.published:
             if number.rank is None or number.ours is None:
@@ -156,7 +156,8 @@ def published_table(outcomes: Sequence[GlobalOutcome]) -> Table:
                     _time(minimum),
                     f"{abs(minimum.objective - outcome.best_known):.4f}",
                 )
-            table.add_row(str(outcome.case), number.method, f"{number.value:g}", *cells)
+            share = f"{100 * (number.value / outcome.best_known - 1):+.2f}"
+            table.add_row(str(outcome.case), number.method, f"{number.value:g}", *cells, share)
     return table
 
 
@@ -202,11 +203,25 @@ def write_json(outcomes: Sequence[GlobalOutcome], path: Path) -> None:
 
 
 def run(
-    console: Console, cases: Sequence[int], equation: Equation, *, n: int, seed: int, json_path: Path | None
+    console: Console,
+    cases: Sequence[int],
+    equation: Equation,
+    *,
+    n: int,
+    seed: int,
+    json_path: Path | None,
+    folder: Path,
 ) -> int:
-    """Search, report, and return 0 if the best and the published minima have all been found, else 1."""
+    """Search, report, and return 0 if the best and the published minima have all been found, else 1.
+
+    What is printed is written to ``minima.txt`` in the folder, too.
+    """
     outcomes = list(search_cases(cases, equation, n=n, seed=seed))
     report(console, outcomes)
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "minima.txt").open("w", encoding="utf-8") as file:
+        report(Console(file=file, width=console.width, highlight=False), outcomes)
+    console.print(f"report: {folder / 'minima.txt'}", markup=False, soft_wrap=True)
     if json_path is not None:
         write_json(outcomes, json_path)
     return 0 if len(outcomes) == len(cases) and all(outcome.agrees for outcome in outcomes) else 1

@@ -51,6 +51,7 @@ from gnc_opt.simulation import (
     Noise,
     Normal,
     Quantisation,
+    Run,
     Saturation,
     Sphere,
     Turn,
@@ -327,6 +328,12 @@ AUTHORITY = (
     np.repeat([MAX_TORQUE, MAX_FORCE], 3),
 )
 """Of all controls, N m and N."""
+
+
+def example_run() -> Run:
+    """Return one undispersed run of the plan under TVLQR, with sensors, actuators and their noise."""
+    tracking = Tracking(plan())
+    return tracking.loop(tracking.tvlqr).simulate(x0=tracking.initial, tf=tracking.end, seed=1)
 
 
 def turned(sigma: object, angle: object) -> object:

@@ -27,6 +27,7 @@ def write_figures(
     with style():
         figures = {
             "published": _published(runs["MPC"]),
+            "histories": _histories(runs["MPC"]),
             "laws": _laws(runs),
             "chattering": _chattering(runs),
             "optima": _optima(runs["MPC"], optima),
@@ -68,6 +69,20 @@ def _published(m: Manoeuvre) -> Figure:
         ax.plot(m.times[: value.size], value, drawstyle="steps-post" if held else "default", **line_look(0))
     _limits(axes[3], np.degrees(MAX_ANGLE))
     _limits(axes[4], MAX_RATE)
+    return figure
+
+
+def _histories(m: Manoeuvre) -> Figure:
+    """The publication's other plots: swing rate, climb beside that of the reference, and sigma."""
+    figure = new_figure(5.4)
+    axes = _axes(figure, 3, ("swing rate\n(deg/s)", "radial rate\n(m/s)", r"$\sigma$ (rad/s)"))
+    axes[0].plot(m.times, np.degrees(m.run.state("theta_rate").values[0]), **line_look(0))
+    climb = m.run.state("climb").values[0]
+    axes[1].plot(m.times, climb, label="flown", **line_look(0))
+    axes[1].plot(m.times, climb - m.climb, label="reference", **line_look(1))
+    axes[1].legend(loc="upper left")
+    sigma = m.run.remembered("sigma")
+    axes[2].plot(sigma.times, sigma.values[0], **line_look(0))
     return figure
 
 

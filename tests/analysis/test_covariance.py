@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
+from sled import DT, loop_of, regulator, sled
 
 import gnc_opt as go
 from gnc_opt.control import Measurement
@@ -16,7 +17,6 @@ from gnc_opt.simulation import (
     Lag,
     Noise,
     Normal,
-    RandomHold,
     Saturation,
     SensorDelay,
     Sphere,
@@ -26,28 +26,9 @@ from gnc_opt.simulation import (
 from gnc_opt.simulation.dispersion import Dispersion
 from gnc_opt.spacecraft import mrp_difference, mrp_rate, quaternion_difference, quaternion_rate
 
-DT, STEPS = 0.1, 60
+STEPS = 60
 MISSION = {"x0": [0.5, 0.0], "tf": DT * STEPS}
 SPREAD = {"initial.q": Normal(0.2), "initial.v": Normal(0.1, mean=0.05)}
-
-
-def sled() -> go.Model:
-    model = go.Model("sled")
-    q, v, F = model.state("q", unit="m"), model.state("v", unit="m/s"), model.control("F", unit="N")
-    m = model.parameter("m", 2.0, unit="kg")
-    model.ode({q: v, v: F / m})
-    return model
-
-
-def regulator(model: go.Model) -> go.Controller:
-    return go.design_lqr(model, [0, 0], Q=[1, 1], R=[0.5], dt=DT)
-
-
-def loop_of(**more) -> go.ClosedLoop:
-    model = sled()
-    sensors = [Noise("odometer", 0.05, on="q"), Noise("tachometer", 0.02, on="v")]
-    gusts = [RandomHold("gusts", 0.3, 5 * DT, on="F")]
-    return go.ClosedLoop(model, regulator(model), **{"sensors": sensors, "disturbances": gusts} | more)
 
 
 @pytest.fixture(scope="module")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import graphlib
 import re
 import subprocess
 import sys
+from collections import defaultdict
 from pathlib import Path
 
 import grimp
@@ -82,3 +84,14 @@ def test_showing_happens_inside_functions() -> None:
         text = ROOT.joinpath(*importer.split(".")).with_suffix(".py").read_text(encoding="utf-8")
         assert re.search(rf"^ +from {re.escape(imported)} import", text, re.MULTILINE)
         assert not re.search(rf"^from {re.escape(imported)} import", text, re.MULTILINE)
+
+
+def test_no_two_classes_have_one_name() -> None:
+    """But for helpers of a file, whose names begin with an underscore."""
+    homes = defaultdict(list)
+    for file in sorted((ROOT / "gnc_opt").rglob("*.py")):
+        for node in ast.parse(file.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                homes[node.name].append(str(file.relative_to(ROOT)))
+    assert len(homes) > 100
+    assert {name: files for name, files in homes.items() if len(files) > 1} == {}

@@ -9,6 +9,7 @@ import scipy
 
 import gnc_opt as go
 from gnc_opt.control import Measurement, design_ekf, design_ukf
+from gnc_opt.control.estimation.augmented import AugmentedModel
 from gnc_opt.control.estimation.linearization import Regression, cholesky, solved_left, solved_right
 from gnc_opt.control.estimation.space import flat
 from gnc_opt.spacecraft import (
@@ -79,6 +80,25 @@ def test_linear_filters_are_the_textbook_one_to_rounding(design):
     memory = estimator.memory
     assert z[memory.slice("q_nis")] == pytest.approx(nis, rel=1e-12)
     assert z[memory.slice("q_taken")] == 34 and z[memory.slice("twice_taken")] == 40
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.5])
+@pytest.mark.parametrize("design", DESIGNS)
+def test_a_single_state_is_estimated_as_by_the_textbook(design, bias):
+    """x' = u, one number, and what its sensor is off."""
+    model = go.Model("tank")
+    model.ode({model.state("x"): model.control("u")})
+    sensor = Measurement("x", 0.1, bias=bias) if bias else Measurement("x", 0.1)
+    estimator = design(model, [0.5], [sensor], sigma0={"x": 1.0}, process_noise={"x": 0.3}, dt=DT)
+    n, rng, z = 1 + bool(bias), np.random.default_rng(3), None
+    other = Kalman([0.5, 0.0][:n], np.diag([1.0, bias**2][:n]))
+    for k in range(10):
+        y, u = rng.normal(size=1), rng.normal()
+        other.update(np.ones((1, n)), 0.01, y)
+        x, z = estimator(k * DT, y, [u], z)
+        assert x == pytest.approx(other.x[:1], rel=1e-12, abs=1e-12)
+        other.predict(np.eye(n), np.diag([0.09 * DT, 0.0][:n]), np.array([DT * u, 0.0][:n]))
+    assert estimator.covariance(z) == pytest.approx(other.P[:1, :1], rel=1e-10)
 
 
 @pytest.mark.parametrize("design", DESIGNS)
@@ -445,3 +465,22 @@ def test_what_is_not_seen_is_told():
     assert "steady sigma" not in [fact.name for fact in told]
     pairs = pairwise(fact.name for fact in told)
     assert ("first sigma", "process noise") in pairs
+
+
+def test_the_slope_of_moving_dynamics_is_that_of_the_middle_of_a_step():
+    """x' = t^2 x: F = 1 + a h + (a h)^2 / 2 + (a h)^3 / 6 with a = t^2 halfway, and Simpson's rule for the noise."""
+    model = go.Model("moving")
+    x = model.state("x")
+    model.control("u")
+    model.ode({x: model.time**2 * x})
+    model.output("z", x)
+    augmented = AugmentedModel(model, [Measurement("z", 1.0)], 0.1)
+    t, h, density = 1.5, 0.2, 3.0
+    own, after, u = ca.SX.sym("x"), ca.SX.sym("after"), ca.SX.sym("u")
+    found = ca.Function("F", [own, after, u], [*augmented.transition(t, own, after, u, h, ca.SX([density]))])
+    whole, noise = (float(v) for v in found(1.0, 1.4, 0.0))
+    rate = (t + h / 2) ** 2
+    full = 1 + rate * h + (rate * h) ** 2 / 2 + (rate * h) ** 3 / 6
+    half = 1 + rate * h / 2 + (rate * h / 2) ** 2 / 2
+    assert whole == pytest.approx(full, rel=1e-14)
+    assert noise == pytest.approx(h / 6 * density * (full**2 + 4 * half**2 + 1), rel=1e-14)

@@ -37,7 +37,7 @@ from gnc_opt.control.lie import (
 )
 from gnc_opt.control.linear.gains import SampledGains
 from gnc_opt.control.predictive.horizon import Horizon, Programme, Rows
-from gnc_opt.control.predictive.mpc import _rates, _state_rows, _steps, _subtracts, _Windows
+from gnc_opt.control.predictive.mpc import _error_scale, _rates, _state_rows, _steps, _subtracts, _Windows
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.sampling import SampledStep
 from gnc_opt.control.sliding.integral_sliding_mode import _nominal, _poles, _surface
@@ -222,6 +222,7 @@ def test_the_band_of_the_sampled_law_falls_with_the_square_of_the_step():
 
 
 def test_an_observer_over_one_step():
+    assert SuperTwistingObserver(0.2, 0.01).bound == 0.0  # what is constant asks for no least gains
     observer = SuperTwistingObserver(3.0, 2.0)
     assert number(observer.estimate(ca.SX(1.0), ca.SX(1.25), ca.SX(0.5))) == pytest.approx(0.5 - 1.5)
     s_hat, q = observer.update(ca.SX(1.0), ca.SX(1.25), ca.SX(0.5), ca.SX(7.0), 0.1)
@@ -1006,3 +1007,9 @@ def test_the_header_tells_what_the_arrays_hold(tmp_path):
     nothing = ca.SX.sym("r", 0)
     bare |= {"step": law(t, x, nothing, z, x[0], z), "start": first_memory(t, x, nothing, ca.SX(0))}
     assert "schedule[" not in export_c(Controller(**bare), tmp_path, name="bare").source.read_text()
+
+
+def test_errors_of_a_window_are_measured_in_what_costs_one():
+    """Errors that cost nothing, or less, in their own units."""
+    gains = SimpleNamespace(costs=[np.eye(3), np.diag([4.0, 0.0, 25.0])])
+    assert _error_scale(SimpleNamespace(gains=gains)) == pytest.approx([0.5, 1.0, 0.2])

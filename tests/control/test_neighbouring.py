@@ -12,7 +12,7 @@ import gnc_opt as go
 from gnc_opt.control import bryson, design_lqr, design_neighbouring_optimal, design_tvlqr, export_c
 from gnc_opt.control.neighbouring.design import _accurate
 from gnc_opt.control.neighbouring.optimum import find_optimum
-from gnc_opt.control.neighbouring.prediction import Ending, Prediction
+from gnc_opt.control.neighbouring.prediction import Prediction, RegulatedEnd
 from gnc_opt.control.neighbouring.switching_plan import SwitchingPlan
 from gnc_opt.control.reference import Reference
 from gnc_opt.errors import ArgumentError, DesignError
@@ -37,6 +37,23 @@ def problem(spring=0.0, start=(4.0, 0.0), model=None):
     leg.bounds(a=(-1.0, 1.0))
     stated.minimize(leg.final_time)
     return stated
+
+
+def test_an_arc_of_moving_dynamics():
+    """x' = t^3 u and y' = x: the classical method is exact for the first, and of order 4 for the second, either way."""
+    model = go.Model("moving")
+    t, x, y, u = model.time, model.state("x"), model.state("y"), model.control("u")
+    model.ode({x: t**3 * u, y: x})
+    plan = SimpleNamespace(times=np.zeros(1), reference=SimpleNamespace(model=model))
+    arc = Prediction(plan, RegulatedEnd(0.0, 0.0), 40)._arc
+    for begin, length in ((0.5, 1.5), (2.0, -1.5)):
+        end = begin + length
+        speed = 1 + 2 * (end**4 - begin**4) / 4
+        place = 3 + length + 2 * ((end**5 - begin**5) / 20 - begin**4 * length / 4)
+        found = arc(begin, [1.0, 3.0], [2.0], length).full().ravel()
+        assert found == pytest.approx([speed, place], rel=1e-7) and found[0] == pytest.approx(
+            speed, rel=1e-13
+        )
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +144,7 @@ def test_times_move_as_those_of_the_problem_solved_again(swinging):
 
 def test_predictions_lead_back_to_the_start_and_on_to_the_end(swinging):
     plan = SwitchingPlan.of(swinging)
-    for ending in (Ending(0.0, 0.0), Ending(1.5, 0.2)):
+    for ending in (RegulatedEnd(0.0, 0.0), RegulatedEnd(1.5, 0.2)):
         prediction = Prediction(plan, ending, 32)
         best = find_optimum(prediction)
         back = prediction.reference(0.0, best.tau).full()[:, 0]
@@ -139,7 +156,7 @@ def test_predictions_lead_back_to_the_start_and_on_to_the_end(swinging):
 
 def test_accuracy_of_the_prediction_follows_the_accepted_errors(swinging):
     plan = SwitchingPlan.of(swinging)
-    steps = [_accurate(plan, Ending(0, 0), np.eye(2) / size**2).steps for size in (1e-1, 1e-3, 1e-5)]
+    steps = [_accurate(plan, RegulatedEnd(0, 0), np.eye(2) / size**2).steps for size in (1e-1, 1e-3, 1e-5)]
     assert steps[0] < steps[1] < steps[2]
 
 
@@ -252,6 +269,9 @@ def test_bad_options_are_refused(straight):
     with pytest.raises(DesignError, match="the weight Q of 'v' is 0"):
         guidance(straight, Q=bryson(model.errors, q=1.0))
     tracker = design_tvlqr(model, Reference(straight), Q=[1.0, 1.0], R=[1.0], dt=DT)
+    for nobody in (None, "lqr", straight):
+        with pytest.raises(ArgumentError, match=r"the regulator of design_neighbouring_optimal\(\)"):
+            design_neighbouring_optimal(straight, nobody, Q=1.0, last=1.0)
     with pytest.raises(ArgumentError, match="use one with constant gains"):
         design_neighbouring_optimal(straight, tracker, Q=[1.0, 1.0], last=0.5)
 

@@ -82,8 +82,8 @@ def values(page: Page, key: str) -> set[str]:
 
 @pytest.fixture(scope="module")
 def solution() -> go.Solution:
-    """One with a structure and a history."""
-    return go.solve(minimum_fuel.build(), tol=1e-6)
+    """One with a structure, a history and a bound."""
+    return go.bound_below(go.solve(minimum_fuel.build(), tol=1e-6))
 
 
 @pytest.fixture(scope="module")

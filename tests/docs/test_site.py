@@ -61,6 +61,13 @@ def test_a_picture_shows_states_and_controls() -> None:
     assert all(svg.startswith(b"<?xml") and len(svg) < 200_000 for svg in found.values())
 
 
+def test_a_problem_without_controls_or_without_a_plan_of_its_own_has_a_picture() -> None:
+    kinds = {each.name: gallery.shown(each) for each in examples()}
+    assert kinds["cannonball"] == ("states",)
+    assert kinds["rendezvous_tracking"] == ("states", "controls")
+    assert all("states" in kind for kind in kinds.values())
+
+
 @pytest.mark.parametrize(
     ("source", "place", "text", "shown"),
     [

@@ -41,11 +41,29 @@ def test_pages_are_written_and_changes_told(
         (rows(1.6), 1, "FAIL: a"),
         (rows()[:1], 0, "gone: b |x|"),
     ):
-        monkeypatch.setattr(everything, "rows_of", lambda name, folder, runs, found=found: found)
+        monkeypatch.setattr(everything, "table_rows", lambda name, found=found: found[:1])
+        monkeypatch.setattr(everything, "study_rows", lambda name, folder, runs, found=found: found[1:])
         assert main(arguments) == code
         assert words in capsys.readouterr().out
     told = json.loads((tmp_path / "pages" / "rendezvous.json").read_text(encoding="utf-8"))
     assert [row["quantity"] for row in told["rows"]] == ["a"]
+
+
+def test_a_quick_run_compares_the_tables_alone_and_writes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["--pages", str(tmp_path), "--only", "rendezvous"]
+    monkeypatch.setattr(everything, "table_rows", lambda name: rows(1.02)[:1])
+    monkeypatch.setattr(everything, "study_rows", lambda name, folder, runs: rows()[1:])
+    assert main([*arguments, "--quick"]) == 0
+    assert list(tmp_path.iterdir()) == [] and "changed" not in capsys.readouterr().out
+    assert main(arguments) == 0
+    written = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    monkeypatch.setattr(everything, "table_rows", lambda name: rows(1.03)[:1])
+    assert main([*arguments, "--quick"]) == 0
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == written
+    out = capsys.readouterr().out
+    assert "moved: a, (1.02) to (1.03)" in out and "gone" not in out
 
 
 def test_a_page_says_where_it_differs_and_why() -> None:

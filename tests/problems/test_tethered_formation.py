@@ -102,6 +102,16 @@ def test_stated_tolerances_of_the_published_structure(runs):
     assert switching.variation() / mpc.variation() > 100
 
 
+def test_histories_that_the_publication_draws(runs):
+    """sigma as it is steered to zero, its limits let go at 71 s; the climb passes that of the reference at 131.6 s."""
+    mpc = runs["MPC"]
+    sigma = mpc.run.remembered("sigma")
+    assert sigma.values[0, 0] == pytest.approx(0.180778253, abs=1e-8)
+    assert 70.0 < sigma.times[np.flatnonzero(np.abs(sigma.values[0]) > 1e-4)[-1]] < 72.0
+    late = mpc.times > 80.0
+    assert mpc.times[late][np.argmax(mpc.climb[late] > 0)] == pytest.approx(131.6, abs=0.2)
+
+
 def test_observer_finds_the_unknown_rate(runs):
     unknown, error, xi = observer_errors(runs["MPC"], 100.0)
     assert unknown == pytest.approx(1.38e-5, rel=0.02)

@@ -15,7 +15,7 @@ from gnc_opt.refine.error import estimate_errors, largest_error
 from gnc_opt.refine.hp.kinks import SHARPENING, _closed_in
 from gnc_opt.refine.hp.mesh_refinement import refine_mesh
 from gnc_opt.refine.hp.remesh import Remesh
-from gnc_opt.refine.passes import PATIENCE, crawls
+from gnc_opt.refine.passes import PATIENCE, PassLimits, crawls
 from gnc_opt.solution.history import SETTING_UP, History, RefinementStatus
 from gnc_opt.solution.solve_mesh import solve_mesh
 
@@ -223,8 +223,11 @@ def test_a_thin_layer_is_cut_at_once(thin: go.Solution) -> None:
 def test_an_error_that_falls_fast_may_cost_twice_as_much(thin: go.Solution) -> None:
     _, whole = refine_mesh(thin, tol=1e-8)
     work = sum(p.work for p in whole.passes[1:])
-    assert refine_mesh(thin, tol=1e-8, max_work=0.6 * work)[1].converged
-    assert refine_mesh(thin, tol=1e-8, max_work=0.2 * work)[1].status is RefinementStatus.WORK_LIMIT
+    assert refine_mesh(thin, tol=1e-8, limits=PassLimits(work=0.6 * work))[1].converged
+    assert (
+        refine_mesh(thin, tol=1e-8, limits=PassLimits(work=0.2 * work))[1].status
+        is RefinementStatus.WORK_LIMIT
+    )
 
 
 def test_what_the_verdict_leaves_open_is_resolved(thin: go.Solution) -> None:
@@ -287,14 +290,14 @@ def test_phases_are_refined_together() -> None:
 
 def test_point_limit() -> None:
     first = go.solve(layered(), mesh="6x4", tol=None)
-    _, history = refine_mesh(first, tol=1e-10, max_points=30)
+    _, history = refine_mesh(first, tol=1e-10, limits=PassLimits(points=30))
     assert history.status is RefinementStatus.POINT_LIMIT
     assert "max_points" in history.message
     assert all(mesh.size <= 30 for p in history.passes for mesh in p.meshes.values())
 
 
 def test_pass_limit() -> None:
-    solution, history = refine_mesh(go.solve(layered(), tol=None), tol=1e-10, max_passes=1)
+    solution, history = refine_mesh(go.solve(layered(), tol=None), tol=1e-10, limits=PassLimits(1))
     assert history.status is RefinementStatus.PASS_LIMIT and len(history.passes) == 2
     assert "max_passes" in history.message and solution.objective == history.final.objective
 
@@ -308,16 +311,16 @@ def test_chatter_stalls() -> None:
 def test_work_limit() -> None:
     """The first pass is allowed, what comes after it is not; and the best solution is kept."""
     first = go.solve(layered(), tol=None)
-    solution, history = refine_mesh(first, tol=1e-10, max_work=1.0)
+    solution, history = refine_mesh(first, tol=1e-10, limits=PassLimits(work=1.0))
     assert history.status is RefinementStatus.WORK_LIMIT and len(history.passes) == 2
     assert "max_work" in history.message and solution.objective == history.final.objective
-    _, at_once = refine_mesh(solution, tol=1.0, max_work=0.0)
+    _, at_once = refine_mesh(solution, tol=1.0, limits=PassLimits(work=0.0))
     assert at_once.converged
 
 
 def test_work_is_counted_in_iterations_and_points() -> None:
     first = go.solve(layered(), mesh="6x4", tol=None)
-    _, history = refine_mesh(first, tol=1e-4, max_passes=1)
+    _, history = refine_mesh(first, tol=1e-4, limits=PassLimits(1))
     assert history.passes[0].work == 24 * (first.statistics.iterations + SETTING_UP)
     assert history.passes[1].work == history.passes[1].points * (history.passes[1].iterations + SETTING_UP)
 
@@ -356,7 +359,7 @@ def test_passes_that_are_given_up_are_solved_to_fewer_digits(monkeypatch: pytest
     refine_mesh(
         go.solve(layered(), mesh="2x3", tol=None),
         tol=1e-3,
-        max_passes=1,
+        limits=PassLimits(1),
         options=go.SolverOptions(tolerance=1e-10),
     )
     assert set(asked) == {1e-10}

@@ -110,6 +110,7 @@ def advance(block, signal, state=None, *, tick=None, noise=(), **changes):
         (RandomWalk("b", 0.3), {"sigma": ([0.3, 0.3], "N/s^0.5")}, {"sigma": (0.0, INF)}),
         (Scale("b", 1.1), {"factor": ([1.1, 1.1], "")}, {}),
         (Outage("b", 2.0), {"begin": ([2], "s"), "end": ([INF], "s")}, {}),
+        (Outage("b"), {"begin": ([-INF], "s"), "end": ([INF], "s")}, {}),
         (Constant("b", 2.0, on="x"), {"level": ([2, 2], "N")}, {}),
         (Sinusoid("b", 2.0, 3.0, on="x"),
          {"amplitude": ([2, 2], "N"), "frequency": ([3], "rad/s"), "phase": ([0, 0], "rad")}, {}),
@@ -298,6 +299,14 @@ def test_a_sensor_delay_hands_on_the_oldest_sample():
 def test_an_outage_lasts_from_its_begin_until_before_its_end(t, lost):
     """A time that is off by rounding counts as the step that is meant."""
     assert np.isnan(advance(Outage("b", 2.0, 3.0), [1.0], tick=moment(t))[0][0]) == lost
+
+
+@pytest.mark.parametrize(
+    ("t", "rate", "lost"), [(2.0, 3.1, True), (2.0, 3.0, False), (2.0, -4.0, False), (1.0, 3.1, False)]
+)
+def test_an_outage_can_be_where_the_plant_is(t, rate, lost):
+    blind = Outage("b", 1.5, where=lambda t, x: x["w"] - 3.0)
+    assert np.isnan(advance(blind, [1.0], tick=moment(t, w=rate))[0][0]) == lost
 
 
 # --- disturbances -----------------------------------------------------------------------------------------

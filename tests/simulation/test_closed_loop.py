@@ -288,6 +288,24 @@ def test_a_measurement_that_is_no_number_is_named_with_its_time():
     assert statuses == [RunStatus.OK, RunStatus.NOT_FINITE, RunStatus.REFUSED]
 
 
+@pytest.mark.parametrize(
+    ("where", "words"),
+    [
+        (lambda t, x: x["rate"], r"cannot be evaluated: KeyError\('rate'\).*plant's states by name, q, v"),
+        (lambda t, x: x["v"], r"returns the shape \(2, 1\)"),
+    ],
+)
+def test_an_outage_where_there_is_no_such_state_is_refused_with_the_loop(where, words):
+    plant = double_integrator(2)
+    with pytest.raises(ArgumentError, match=words):
+        ClosedLoop(
+            plant,
+            feedback(plant, np.hstack([np.eye(2), np.eye(2)])),
+            sensors=[Outage("b", where=where)],
+            dt=0.1,
+        )
+
+
 def test_an_unstable_loop_ends_and_is_flagged():
     plant = double_integrator()
     run = ClosedLoop(plant, feedback(plant, [[-1e4, -1e4]]), dt=1.0, substeps=1).simulate(

@@ -35,6 +35,14 @@ DT = 0.1
 TWO = Layout("command", (Variable("a", 1, "N"), Variable("b", 2, "N m")))
 
 
+def test_what_a_loop_takes_by_name_only():
+    """A plant, a controller, actuators, sensors and disturbances go by their places, nothing else does."""
+    places = inspect.signature(ClosedLoop).parameters.values()
+    free = [p.name for p in places if p.kind is p.POSITIONAL_OR_KEYWORD]
+    assert free == ["plant", "controller", "actuators", "sensors", "disturbances"]
+    assert {p.kind for p in places if p.name not in free} == {inspect.Parameter.KEYWORD_ONLY}
+
+
 def idle(plant):
     return feedback(plant, np.zeros((plant.controls.size, plant.states.size)))
 

@@ -223,6 +223,8 @@ def test_blocks_without_memory_act_one_after_the_other():
     assert number(bent.after(sx(2.0, -3.0))).tolist() == [9.0, 4.0]
     still = held(2.0, blur=sx(1.0)).mapped(lambda y: y**3)
     assert still.held and number(still.mean).tolist() == [8.0] and number(still.blur).tolist() == [19.0]
+    falling = held(2.0, blur=sx(1.0)).mapped(lambda y: 3 - 2 * y)  # as far off as a rising one
+    assert number(falling.mean).tolist() == [-1.0] and number(falling.blur).tolist() == [2.0]
     assert held(2.0).mapped(lambda y: -y).blur is None
 
 

@@ -49,6 +49,20 @@ def test_runs(here: str, found: Any) -> None:
     assert c._runs(np.array([h == "1" for h in here], dtype=bool)) == found
 
 
+@pytest.mark.parametrize(
+    ("runs", "joined"),
+    [
+        ([], []),
+        ([(1, 3)], [(1, 3)]),
+        ([(0, 2), (3, 5)], [(0, 5)]),
+        ([(0, 2), (4, 5)], [(0, 2), (4, 5)]),  # two nodes lie between them
+        ([(0, 1), (2, 3), (4, 6), (9, 10)], [(0, 6), (9, 10)]),
+    ],
+)
+def test_runs_with_a_boundary_of_the_mesh_between_them_are_one(runs: Any, joined: Any) -> None:
+    assert c._joined(runs) == joined
+
+
 def test_where_a_first_order_constraint_pushes_is_an_arc() -> None:
     """It begins and ends midway between nodes."""
     added = run([2.0, 3.0, 5.0, 6.0, 7.0], [0, 1, 2, 0, 0]).added(free(1), MESH)  # type: ignore[arg-type]
@@ -164,6 +178,29 @@ def test_orders_count_where_limits_and_regular_controls_are() -> None:
     assert [free_.order(row) for row in range(3)] == [1, 0, 0]
     lower = constraints(falling, steady, jumping, state_bounds=interval([-1, -np.inf], [np.inf, 9]))
     assert [lower.order(row) for row in range(3)] == [1, 2, 1]
+
+
+@pytest.mark.parametrize(
+    ("inside", "outside", "nodes", "found"),
+    [
+        (0.5, 2.0, 9, True), (0.5, -2.0, 9, True), (2.0, -2.0, 9, False), (-2.0, 0.0, 9, False), (2.0, 0.0, 9, False),
+        (0.5, 2.0, 1, False),
+    ],
+)  # fmt: skip
+def test_a_control_that_is_on_no_limit_of_its_own_holds_the_constraint(
+    monkeypatch: pytest.MonkeyPatch, inside: float, outside: float, nodes: int, found: bool
+) -> None:
+    """It swings by 1/2 about its mean while the constraint pushes, from 1 s to 2 s; the bounds are -2 and 2."""
+    swing = 0.5 if abs(inside) < 2 else 0.0
+
+    def u(t: Array, k: int) -> Any:
+        return [inside + swing * (-1.0) ** np.arange(t.size) if k == 1 else outside + 0 * t]
+
+    here = constraints(falling, u, jumping, control_bounds=interval([-2], [2]), degree=6)
+    times = np.array([0.5, *np.linspace(1.0, 2.0, max(nodes, 2))[:nodes], 2.5])
+    pushes = [c._Run(0, UP, times, np.array([0.0, *[1.0] * nodes, 0.0]))]
+    monkeypatch.setattr(c, "_pushing_runs", lambda *_: pushes)
+    assert c.determined(CLIMB, here.samples) == ([c.Determined(0, 1.0, 2.0)] if found else [])
 
 
 @pytest.mark.parametrize(("kind", "order", "stays"), [(FREE, 1, True), (UP, 1, False), (UP, 2, False)])

@@ -5,7 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.mutants import trial
+from benchmarks.mutants.cover import Cover, record
 from benchmarks.mutants.mutations import keys, mutants_of
+from benchmarks.mutants.trial import PARTS, Outcome, Trials, copy_tree
 
 
 def changes(tmp_path: Path, source: str) -> set[str]:
@@ -63,3 +66,75 @@ def test_keys_tell_equal_pieces_apart_and_survive_other_edits(tmp_path: Path) ->
     before = named(function)
     assert before == ["module.py f: -a -> a", "module.py f: -a -> a #2"]
     assert named("def e(a):\n    return a\n\n\n" + function) == before
+
+
+CODE = """def double(a):
+    return 2 * a
+
+
+def often(a):
+    return 5 * a
+"""
+TESTS = """import pathlib
+from gnc_opt.module import double, often
+
+
+def test_double():
+    assert double(4) == 8
+
+
+def test_often():
+    often(1)
+
+
+def test_place():
+    assert often(1) == 5 and (pathlib.Path(__file__).parents[1] / "here").exists()
+
+
+def test_broken():
+    assert double(1) == 3
+"""
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A package of two functions: one is tested, one only by a test that fails elsewhere than at home."""
+    root = tmp_path_factory.mktemp("tree")
+    for part in PARTS:
+        (root / part).write_text("") if "." in part else (root / part).mkdir()
+    (root / "pyproject.toml").write_text('[tool.pytest.ini_options]\npythonpath = ["."]\n')
+    for name, text in (
+        ("gnc_opt/__init__.py", ""),
+        ("gnc_opt/module.py", CODE),
+        ("tests/test_module.py", TESTS),
+    ):
+        (root / name).write_text(text)
+    (root / "here").write_text("")
+    record(root, root / "map", ["tests"])
+    return root
+
+
+def test_what_tests_notice_and_what_they_do_not(
+    tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Lines above have moved since the map was recorded; a test that fails without any change kills nothing."""
+    file = "gnc_opt/module.py"
+    (tree / file).write_text("LONG = 1\nNEW = 2\n\n\n" + CODE)
+    cover = Cover.read(tree, tree / "map", {file})
+    copy_tree(tree, tmp_path)
+    monkeypatch.setattr(trial, "FOREIGN", ("pytest",))
+    trials = Trials(tmp_path)
+    cover = cover.only(trials.collected(cover.modules))
+    assert {t.split("::")[1] for t in cover.seconds} == {"test_double", "test_often", "test_place"}
+    assert cover.lines[file][6] == {"tests/test_module.py::test_double"}
+    mutants = {(m.where, m.after): m for m in mutants_of(tree, file)}
+    killed, survived = (
+        trials.attempt(mutants[key], cover, 60.0) for key in (("double", "3"), ("often", "6"))
+    )
+    assert (killed.result, killed.by) == ("killed", "tests/test_module.py::test_double")
+    assert (
+        survived.result == "survived" and survived.tests == 2
+    )  # its own test that stands, and the one beside it
+    assert (tmp_path / file).read_text() == (tree / file).read_text()
+    nothing = Cover({file: {}}, {})
+    assert trials.attempt(mutants["double", "3"], nothing, 60.0) == Outcome("uncovered")

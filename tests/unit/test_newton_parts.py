@@ -14,8 +14,15 @@ from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure import newton as n
 from gnc_opt.refine.structure import switch_step
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.switch_flight import INSET, _interpolated, forgive, wrong_interval
-from gnc_opt.refine.structure.switch_step import Step, model_minimum
+from gnc_opt.refine.structure.switch_flight import (
+    INSET,
+    WRONG_SIGN,
+    SwitchFlight,
+    _interpolated,
+    forgive,
+    wrong_interval,
+)
+from gnc_opt.refine.structure.switch_step import SwitchStep, model_minimum
 from gnc_opt.verify.switches import Switches
 
 RNG = np.random.default_rng(4)
@@ -109,7 +116,7 @@ def test_an_arc_keeps_some_of_its_length() -> None:
 def test_a_step_moves_switches_and_ends() -> None:
     moved = n._moved(switches([4.0, 6.0], [0, 1]), np.array([0.1, 0.2, -0.3, -0.4]))
     assert moved.times == pytest.approx([4.2, 5.7]) and moved.ends == pytest.approx([1.1, 10.6])
-    assert Step(np.array([0.1, -0.5, 0.2]), *[None] * 7).share(moved) == pytest.approx(0.5 / 9.5)  # type: ignore[arg-type]
+    assert SwitchStep(np.array([0.1, -0.5, 0.2]), *[None] * 7).share(moved) == pytest.approx(0.5 / 9.5)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -170,6 +177,41 @@ def test_a_missing_arc_lies_between_the_zeros_a_quarter_inside() -> None:
     )
     assert wrong_interval(times, np.ones(6), 3) == (0.0, 6.0)
     assert wrong_interval(times, np.array([-1.0, 0.0, 1.0, 1.0, 0.0, 5.0]), 2) == pytest.approx((2.0, 4.0))
+
+
+@pytest.mark.parametrize(
+    ("switching", "arc"),
+    [
+        # At its upper limit until 4 s, then at the lower one: negative, then positive, is right.
+        ([[-4, -3, -2, -1, 0.5, 1, 2, 3, 4], [5] * 9], None),
+        ([[-4, 1, -2, -1, 0.5, 1, 2, 3, 4], [5] * 9], (0, 0.8, 1 + 1 / 3)),
+        ([[-4, -3, -2, -1, 0.5, 1, -2, 3, 4], [5] * 9], (0, 5 + 1 / 3, 6.4)),
+        ([[-4, -3, -2, 1, 0.5, 1, 2, 3, 4], [5] * 9], None),  # it switches a little too late
+        ([[-4, -3, -2, -1, 0.5, 1, 2, 3, 4], [5, 5, -5, 5, 5, 5, 5, 5, 5]], (1, 1.5, 2.5)),
+        # What is worst in shares of its own switching function counts.
+        (
+            [[-4, 1, -2, -1, 0.5, 1, 2, 3, 4], [50, 50, -20, 50, 50, 50, 50, 50, 50]],
+            (1, 1 + 5 / 7, 2 + 2 / 7),
+        ),
+        ([[-4, 3, -2, -1, 0.5, 1, 2, 3, 4], [50, 50, -20, 50, 50, 50, 50, 50, 50]], (0, 4 / 7, 1.6)),
+        ([[-4, 3.9 * WRONG_SIGN, -2, -1, 0.5, 1, 2, 3, 4], [5] * 9], None),
+        ([[-4, 4.1 * WRONG_SIGN, -2, -1, 0.5, 1, 2, 3, 4], [5] * 9], (0, 1.0, 1.0)),
+    ],
+)
+def test_a_missing_arc_is_where_a_switching_function_has_the_wrong_sign(switching: Any, arc: Any) -> None:
+    """The first control, from -1 to 1, is up until 4 s; the second one, from 2 to 4, stays low."""
+    leg = SimpleNamespace(control_bounds=interval([-1, 2], [1, 4]))
+    functions = SimpleNamespace(switching=lambda *_: np.array(switching, float))
+    flight: Any = SimpleNamespace(
+        s=SimpleNamespace(leg=leg, functions=functions), times=np.arange(9.0), x=None, lam=None,
+        flow=SimpleNamespace(controls=np.array([[1.0] * 4 + [-1.0] * 4, [2.0] * 8])),
+    )  # fmt: skip
+    found = SwitchFlight.missing_arc.func(flight)  # type: ignore[attr-defined]
+    if arc is None:
+        assert found is None
+        return
+    inset = INSET * (arc[2] - arc[1])
+    assert found == (arc[0], pytest.approx(arc[1] + inset, abs=1e-5), pytest.approx(arc[2] - inset, abs=1e-5))
 
 
 def test_an_arc_is_added_between_two_switches_of_its_control() -> None:
@@ -290,12 +332,16 @@ def test_matrices_of_an_earlier_step_serve_as_long_as_they_are_worth_it(
 
     def planned(*_: Any) -> Any:
         length = left.pop(0)
-        return None if length is None else Step(np.array([0, 10 * length, 0]), *[None] * 4, 0.0, None, None)  # type: ignore[arg-type]
+        return (
+            None
+            if length is None
+            else SwitchStep(np.array([0, 10 * length, 0]), *[None] * 4, 0.0, None, None)
+        )  # type: ignore[arg-type]
 
     def newton(_: Any, __: Any, at: Any, steps: int) -> Any:
         made.append(steps)
         assert steps == 2
-        return Step(np.array([0, 1e-6, 0]), *[None] * 4, 0.0, None, None)  # type: ignore[arg-type]
+        return SwitchStep(np.array([0, 1e-6, 0]), *[None] * 4, 0.0, None, None)  # type: ignore[arg-type]
 
     monkeypatch.setattr(n, "chord_step", planned)
     monkeypatch.setattr(n, "newton_step", newton)
@@ -315,7 +361,7 @@ def test_matrices_of_an_earlier_step_serve_as_long_as_they_are_worth_it(
         ([None], None, None),
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("known", [None, Step(np.zeros(3), *[None] * 7)])  # type: ignore[arg-type]
+@pytest.mark.parametrize("known", [None, SwitchStep(np.zeros(3), *[None] * 7)])  # type: ignore[arg-type]
 def test_when_a_flow_is_accurate(
     monkeypatch: pytest.MonkeyPatch, errors: Any, arc: Any, grids: Any, known: Any
 ) -> None:
@@ -328,7 +374,7 @@ def test_when_a_flow_is_accurate(
         return left.pop(0)
 
     def at_rest(_: Any, __: Any, ___: Any, step: Any, ____: float, steps: int) -> Any:
-        if isinstance(step, Step):
+        if isinstance(step, SwitchStep):
             return Planned(0.0, (0, 1.0, 2.0))
         seen.append(steps // n.STEPS)
         return left.pop(0)

@@ -238,3 +238,16 @@ def test_passes_that_were_not_solved_are_crossed_out() -> None:
     assert "not solved" not in [
         t.get_text() for t in plot_refinement(refinement(True)).legends[0].get_texts()
     ]
+
+
+def test_controls_of_a_problem_without_any_are_refused() -> None:
+    model = go.Model("decay")
+    x = model.state("x")
+    model.ode({x: -x})
+    problem = go.Problem("free fall")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=1.0)
+    problem.minimize(leg.final_state("x"))
+    with pytest.raises(go.GncOptError, match="'free fall' has no controls to draw"):
+        plot_controls(go.solve(problem, mesh="1x3", tol=None))

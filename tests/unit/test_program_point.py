@@ -10,7 +10,13 @@ import scipy
 from by_hand import interval
 
 import gnc_opt as go
-from gnc_opt.solution.program_point import WEAK, Limits, ProgramPoint, quadrature_weights, saddle_matrix
+from gnc_opt.solution.program_point import (
+    WEAK,
+    ProgramLimits,
+    ProgramPoint,
+    quadrature_weights,
+    saddle_matrix,
+)
 from gnc_opt.transcription.scheme import SCHEMES, Scheme
 from gnc_opt.transcription.transcription import transcribe
 
@@ -22,7 +28,7 @@ def test_a_limit_is_active_if_its_multiplier_outweighs_the_distance() -> None:
     multipliers = np.array([-0.02, -0.005, 0.02, 0.005, 0.02, -0.02, 9.0, 0.0, -1e-9, 1e-9, 0.0])
     lower = np.array([0.0] * 6 + [2.0, -INF, 0.0, 0.0, 0.0])
     upper = np.array([1.0] * 6 + [2.0, INF, 1.0, 1.0, 0.5])
-    found = Limits.of(interval(lower, upper), values, multipliers, tuple("abcdefghijk"))
+    found = ProgramLimits.of(interval(lower, upper), values, multipliers, tuple("abcdefghijk"))
     below, above, fixed = [0, 8], [2, 9], [6]
     assert np.flatnonzero(found.active).tolist() == sorted(below + above + fixed)
     assert found.at.tolist() == [0, 0, 1, 0, 0, 0, 2, 0, 0, 1, 0] and found.labels == tuple("abcdefghijk")

@@ -17,11 +17,11 @@ from gnc_opt.solution.polynomial import PiecewisePolynomial
 WORTH = np.array([1.0, 2.0, 3.0])
 
 
-def carts() -> go.Problem:
+def carts(braking: float) -> go.Problem:
     """Three carts from rest to rest, as far as they get in at most 2 s, |a| <= 1; metres are worth 1, 2 and 3.
 
     The first one is told to stop by the integral of its acceleration, the second one by its final speed, the third one
-    by a boundary constraint.
+    by a boundary constraint, which lets it go on by so many m/s for every second less.
     """
     model = go.Model("carts")
     q, v, a = model.state("q", 3), model.state("v", 3), model.control("a", 3)
@@ -33,20 +33,22 @@ def carts() -> go.Problem:
     leg.bounds(a=([-1.0] * 3, [1.0] * 3))
     leg.final(v=([-9.0, 0.0, -9.0], [9.0, 0.0, 9.0]))
     problem.constrain("area", leg.integral(a[0]), equals=0.0)
-    problem.constrain("rest", leg.final_state("v")[2], equals=0.0)
+    problem.constrain("rest", leg.final_state("v")[2] + braking * (leg.final_time - 2.0), equals=0.0)
     end = leg.final_state("q")
     problem.minimize(-sum(WORTH[i] * end[i] for i in range(3)))
     return problem
 
 
-CARTS = carts()
+CARTS, BRAKED = carts(0.0), carts(0.5)
 
 
-def together(push: float = 1.0) -> go.Solution:
+def together(push: float = 1.0, braking: float = 0.0) -> go.Solution:
     """The optimum: each switches at T/2, lam_q = -w and lam_v = w (t - T/2), but -w where the integral has the rest.
 
-    One second more is worth w T/2 of each. A push of less than 1 is between the limits.
+    One second more is worth w T/2 of each, less what the third one has to brake more. A push of less than 1 is between
+    the limits.
     """
+    problem = BRAKED if braking else CARTS
 
     def x(t: Array, k: int) -> Any:
         q, v = (t - 1 + 0.5 - (t - 1) ** 2 / 2, 2 - t) if k else (t**2 / 2, t)
@@ -55,25 +57,25 @@ def together(push: float = 1.0) -> go.Solution:
     def lam(t: Array, k: int) -> Any:
         return [*(-w + 0 * t for w in WORTH), t - 2, 2 * (t - 1), 3 * (t - 1)]
 
-    box = CARTS.get_phase().numbers
+    box = problem.get_phase().numbers
     given: dict[str, Any] = {"initial_bounds": box.initial, "final_bounds": box.final}
     bare = phase(
-        CARTS, x, lambda t, k: [push * (1 - 2 * k) + 0 * t] * 3, lam, breaks=(0.0, 1.0, 2.0), degree=3
+        problem, x, lambda t, k: [push * (1 - 2 * k) + 0 * t] * 3, lam, breaks=(0.0, 1.0, 2.0), degree=3
     )
     impulses = np.zeros((6, 3))
     impulses[:, 0], impulses[4, 2] = -bare.lam_start[:, 0], 2.0
     leg = replace(
         bare, **given, mesh=go.Mesh((0.0, 0.5, 1.0), (3, 3), (1,)), control_bounds=box.controls,
         final_time_bounds=interval(0.5, 2.0), control_multipliers=-WORTH[:, None] * (bare.point_times - 1),
-        state_impulses=impulses, time_multipliers=np.array([0.0, 6.0]), integral_weights=np.ones(1),
+        state_impulses=impulses, time_multipliers=np.array([0.0, 6.0 - 3.0 * braking]), integral_weights=np.ones(1),
     )  # fmt: skip
     return solution(
-        CARTS, leg, objective=-6.0, constraint_labels=("area", "rest"), constraint_values=np.zeros(2),
+        problem, leg, objective=-6.0, constraint_labels=("area", "rest"), constraint_values=np.zeros(2),
         constraint_multipliers=np.array([1.0, 3.0]),
     )  # fmt: skip
 
 
-def check(found: go.Solution) -> None:
+def check(found: go.Solution, braking: float = 0.0) -> None:
     leg = found.phase()
     t = np.linspace(0.0, 2.0, 9)
     slopes = WORTH[:, None] * (t - 1.0)
@@ -87,14 +89,14 @@ def check(found: go.Solution) -> None:
     assert leg.integral_weights == pytest.approx([1.0], abs=2e-6)
     switching = WORTH[:, None] * (leg.point_times - 1.0)
     np.testing.assert_allclose(leg.control_multipliers, -switching, atol=1e-5)
-    assert leg.time_multipliers[1] == pytest.approx(6.0, abs=1e-5)
+    assert leg.time_multipliers[1] == pytest.approx(6.0 - 3.0 * braking, abs=1e-5)
     # Multipliers of given end values are what the costates are there.
     np.testing.assert_allclose(leg.state_impulses[:, 0], -leg.lam_start[:, 0], atol=1e-5)
     assert leg.state_impulses[4, -1] == pytest.approx(2.0, abs=1e-5)
     np.testing.assert_allclose(leg.state_impulses[[0, 1, 2, 3, 5], -1], 0.0, atol=1e-5)
 
 
-def drifted(found: go.Solution, change: np.ndarray) -> go.Solution:
+def drifted(found: go.Solution, change: np.ndarray, braking: float = 0.0) -> go.Solution:
     """What a program may return as well: changes of the three switching functions that add up to zero."""
     leg = found.phase()
     rows = np.array([0.0, 0.0, 0.0, 0.0, change[1], change[2]])[:, None]
@@ -110,6 +112,7 @@ def drifted(found: go.Solution, change: np.ndarray) -> go.Solution:
         control_multipliers=leg.control_multipliers - change[:, None],
         integral_weights=leg.integral_weights + change[0],
         state_impulses=impulses,
+        time_multipliers=leg.time_multipliers - np.array([0.0, braking * change[2]]),
     )
     nu = found.constraint_multipliers + change[[0, 2]]
     return replace(found, phases={"leg": other}, constraint_multipliers=nu)
@@ -121,11 +124,12 @@ def test_costates_that_are_right_stay_so() -> None:
 
 
 @pytest.mark.parametrize("change", [(0.5, -0.5, 0.0), (0.5, 0.0, -0.5), (-0.25, 1.0, -0.75)])
-def test_whatever_the_program_returned(change: tuple[float, ...]) -> None:
-    wrong = drifted(together(), np.array(change))
+@pytest.mark.parametrize("braking", [0.0, 0.5])
+def test_whatever_the_program_returned(change: tuple[float, ...], braking: float) -> None:
+    wrong = drifted(together(braking=braking), np.array(change), braking)
     with pytest.raises(AssertionError):
-        check(wrong)
-    check(settle_costates(wrong))
+        check(wrong, braking)
+    check(settle_costates(wrong), braking)
 
 
 def test_what_has_no_simultaneous_switches_is_left_as_it_is() -> None:

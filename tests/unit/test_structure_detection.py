@@ -245,6 +245,20 @@ def test_a_convex_control_is_at_a_bound_if_it_touches_and_is_pulled_there() -> N
     assert set(d._nonlinear_labels(neither, 0)) == {FREE}
 
 
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize(("away", "label"), [(0.5, UP), (2.0, FREE)])
+def test_a_convex_control_touches_a_bound_within_a_share_of_its_range(
+    size: float, away: float, label: ArcKind
+) -> None:
+    """Whatever its unit; it is pulled to the upper one all along."""
+    level = 5.0 * size - away * d.REACHED * 10.0 * size
+    found = samples(
+        CART, u=lambda t, k: [level + 0 * t], lam=lambda t, k: [0 * t, -9.0 * size + 0 * t],
+        control_bounds=interval(-5.0 * size, 5.0 * size),
+    )  # fmt: skip
+    assert set(d._nonlinear_labels(found, 0)) == {label}
+
+
 def test_mixed_paths_are_inequalities_on_convex_controls_alone() -> None:
     found = samples(CART)
     assert d._mixed_paths(found, np.array([True])).tolist() == [True, False]
@@ -333,17 +347,35 @@ def test_which_state_a_singular_control_commands() -> None:
         control_scale=np.array([2.0, 4.0]),
         functions=SimpleNamespace(rates=lambda t, x, u: np.array([u[0] * (t == 2.0), u[1]])),
     )  # fmt: skip
-    here = np.ones(5, dtype=bool)
-    rows = np.array([kinds("sssss"), kinds("lllll")])
-    assert d._commanded(there, 0, rows, here) and not d._commanded(there, 1, rows, here)
-    other = np.array([kinds("lllll"), kinds("sssss")])
-    assert d._commanded(there, 1, other, here) and not d._commanded(there, 0, other, here)
-    both = np.array([kinds("sssss"), kinds("sssss")])
-    assert d._commanded(there, 0, both, here) and d._commanded(there, 1, both, here)
-    assert not d._commanded(there, 0, np.array([kinds("sslss"), kinds("lllll")]), here)
-    assert not d._commanded(
-        there, 0, rows, np.array([True, True, True, False, False])
-    )  # judged in the middle
+    for first, second, found in (
+        ("sssss", "lllll", ["00100", "00000"]),
+        ("lllll", "sssss", ["00000", "11111"]),
+        ("sssss", "llsss", ["00100", "00111"]),
+        ("sslss", "lllll", ["00000", "00000"]),
+    ):
+        expected = [[c == "1" for c in row] for row in found]
+        rows = np.array([kinds(first), kinds(second)])
+        np.testing.assert_array_equal(d._commanded(there, rows), expected)
+
+
+def test_a_held_state_ends_where_its_own_control_leaves_though_another_one_is_singular() -> None:
+    """Two axes at their speed limits: just below its limit the second one is not held by the first torque."""
+    times = np.repeat(np.arange(6.0), 4) + np.tile([0.0, 0.3, 0.7, 1.0], 6)
+    segments = np.repeat(np.arange(6), 4)
+    speeds = np.array(
+        [np.where(np.isin(segments, (1, 2, 3, 4)), 1.0, 0.5), np.where(np.isin(segments, (2, 3)), 1.0, 0.99)]
+    )
+    found: Any = SimpleNamespace(
+        x=speeds, u=0.5 * np.ones((2, times.size)), times=times, segments=segments,
+        control_scale=np.array([2.0, 2.0]), state_scale=np.ones(2),
+        leg=SimpleNamespace(
+            states=SimpleNamespace(size=2), mesh=SimpleNamespace(segments=6), breaks=np.arange(7.0),
+            state_bounds=interval([-1.0, -1.0], [1.0, 1.0]),
+        ),
+        functions=SimpleNamespace(rates=lambda t, x, u: u),
+    )  # fmt: skip
+    controls = np.array([kinds("lssssu")[segments], kinds("llssuu")[segments]])
+    assert [text(row[::4]) for row in d._state_labels(found, controls)] == ["iuuuui", "iiuuii"]
 
 
 # --- times ------------------------------------------------------------------------------------------------
@@ -388,6 +420,30 @@ def test_roots_are_found_all_at_once_however_bent_the_functions_are() -> None:
     found = d.crossings(values, np.zeros(6), np.ones(6))
     assert found == pytest.approx(wanted, abs=3e-14)
     assert d.crossings(values, np.ones(6), np.zeros(6)) == pytest.approx(wanted, abs=3e-14)
+
+
+@pytest.mark.parametrize(
+    ("function", "most"),
+    [
+        (lambda t: t - 0.3, 4), (lambda t: np.exp(20 * t) - 2, 20), (lambda t: np.tanh(1e3 * (t - 0.3)), 20),
+        (lambda t: np.arctan(50 * (t - 0.7)), 20), (lambda t: t**19 - 1e-3, 20), (lambda t: np.log(t + 1e-6) + 3, 20),
+        # Flat or upright at the zero: no interpolation helps.
+        (lambda t: (t - 0.3) ** 3, 50), (lambda t: (t - 0.3) ** 9, 50), (lambda t: np.cbrt(t - 0.3), 50),
+    ],
+)  # fmt: skip
+def test_a_crossing_takes_few_evaluations_and_hardly_ever_more_than_bisection(
+    function: Any, most: int
+) -> None:
+    """Bisection needs 48 to the last digits of 1 s, and two at the ends."""
+    seen = 0
+
+    def counted(t: np.ndarray) -> np.ndarray:
+        nonlocal seen
+        seen += 1
+        return np.asarray(function(t))
+
+    found = d.crossings(counted, np.zeros(1), np.ones(1))
+    assert seen <= most and function(found - 1e-12) * function(found + 1e-12) < 0
 
 
 def test_labels_between_changes() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +14,7 @@ import gnc_opt as go
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.problem.held import Smooth
+from gnc_opt.refine.passes import PassLimits
 from gnc_opt.refine.structure import junctions as j
 from gnc_opt.refine.structure import mending as m
 from gnc_opt.refine.structure import switching as s
@@ -587,7 +587,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
     ],
 )
 def test_how_the_loop_ends(scripted: Any, script: Any, passes: int, status: str, actions: list[str]) -> None:
-    found, history, _ = scripted(script, max_passes=passes)
+    found, history, _ = scripted(script, limits=PassLimits(passes))
     assert history.status is RefinementStatus(status) and [p.actions for p in history.passes] == actions
     assert [p.solved for p in history.passes] == [st.solved for st, _ in script]
     assert history.message == f"{status}: {actions[-1]}"
@@ -603,15 +603,14 @@ def test_what_was_detected_is_tried_after_a_structure_that_fails(
     base, other = solution(problem, phase(problem)), solution(problem, phase(problem))
     told, calls = {"leg": Plan.of(TWO_ROWS)}, []
 
-    def loop(
-        problem: Any, guess: Any, plans: Any, tol: float, limits: Any, options: SolverOptions, *_: Any
-    ) -> Any:
-        calls.append((guess, plans, tol, limits.passes, options.tolerance))
+    def run(loop: Any, guess: Any, plans: Any) -> Any:
+        calls.append((guess, plans, loop.aim, loop.limits.passes, loop.options.tolerance))
         return RefinementStatus.FAILED
 
     monkeypatch.setattr(s, "_settled", lambda *_: (other, told))
-    monkeypatch.setattr(s, "_loop", loop)
-    found, history = s.optimise_switches(base, tol=tol, max_passes=7, structures={"leg": TWO_ROWS})
+    monkeypatch.setattr(s._Loop, "run", run)
+    limits = PassLimits(7)
+    found, history = s.optimise_switches(base, tol=tol, limits=limits, structures={"leg": TWO_ROWS})
     assert found is base and history.status is RefinementStatus.FAILED and history.tolerance == tol
     assert [(c[0] is other, c[0] is base, *c[2:]) for c in calls] == [
         (True, False, asked, 7, s.TIGHT),
@@ -720,11 +719,16 @@ def test_what_is_worse_is_raised(error: float, gradient: float, wanted: Resoluti
     [("resolution raised", 1e-9, True), ("resolution raised", 1e-7, False), ("kinks moved", 1e-9, False)],
 )
 def test_at_a_limit_a_structure_that_is_accurate_enough_rests(action: str, error: float, rests: bool) -> None:
-    limits = s._Limits(1e-8, 1, 1000, 1.0, math.inf)
     record = Pass({}, {}, error, "", 1.0, True, 3, 0.1, action)
-    status = s._limited([record], limits, RefinementStatus.WORK_LIMIT)
+    nothing: Any = None
+    tried = s._Try(nothing, {}, record)
+
+    def loop(*tries: Any) -> s._Loop:
+        return s._Loop(nothing, 1e-8, PassLimits(), nothing, nothing, list(tries))
+
+    status = loop(tried)._limited(RefinementStatus.WORK_LIMIT)
     assert status is (RefinementStatus.CONVERGED if rests else RefinementStatus.WORK_LIMIT)
-    assert s._limited([], limits, RefinementStatus.PASS_LIMIT) is RefinementStatus.PASS_LIMIT
+    assert loop()._limited(RefinementStatus.PASS_LIMIT) is RefinementStatus.PASS_LIMIT
 
 
 @pytest.mark.parametrize(

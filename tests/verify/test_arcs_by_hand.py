@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 import gnc_opt as go
 from gnc_opt.problem.interval import Interval
 from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.tolerances import ACTIVE
 from gnc_opt.verify import Result, controls, singular
-from gnc_opt.verify.held import ACTIVE, left_free
+from gnc_opt.verify.held import left_free
 from gnc_opt.verify.singular import SingularArc, singular_arcs
 from tests.unit import by_hand
 

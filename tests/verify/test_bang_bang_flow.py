@@ -13,7 +13,7 @@ import scipy
 import gnc_opt as go
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.verify.bang_bang_flow import ORDER, BangBangFlow, Pieces, bang_bang_flow
+from gnc_opt.verify.bang_bang_flow import ORDER, BangBangFlow, PiecewiseControl, bang_bang_flow
 from problems import rendezvous
 
 DIFFERENCES = {
@@ -40,7 +40,7 @@ class Case:
 
     def flow(self, refinement: int = 4) -> BangBangFlow:
         assert self.solution.problem is not None
-        pieces = Pieces(self.times, self.controls, np.arange(self.times.size))
+        pieces = PiecewiseControl(self.times, self.controls, np.arange(self.times.size))
         return bang_bang_flow(self.solution.problem, self.samples, pieces, self.free_start, refinement)
 
     def flown_end(self, unknowns: Array) -> Array:

@@ -19,7 +19,7 @@ from gnc_opt.verify import Result, feasibility
 from gnc_opt.verify.brief import lasting
 from gnc_opt.verify.conjugate_points import _matrices, _system, _variations, _worth
 from gnc_opt.verify.costates import _slack_offence, _time_transversality, _unexplained, hamiltonian
-from gnc_opt.verify.critical_cone import CriticalCone, _close_arcs, _nodes
+from gnc_opt.verify.critical_cone import CriticalCone, _close_arcs, _nodes, _variable_lines
 from gnc_opt.verify.induced import InducedProblem, Unknowns
 from gnc_opt.verify.judged import _difference, ends_of, from_problem, has_costates
 from gnc_opt.verify.kept import keep_verdict, kept_verdict
@@ -470,6 +470,17 @@ def test_nodes_of_a_segment_in_order_and_once(scheme: Any) -> None:
         assert nodes.shape == (2, degree + {"LG": 2, "LGR": 1, "LGL": 0}[scheme])
         assert np.all(np.diff(times[nodes], axis=1) > 0)
         np.testing.assert_allclose(times[nodes[:, [0, -1]]], [mesh.breaks[k : k + 2]] * 2)
+
+
+def test_states_and_controls_of_each_segment_are_lines_of_their_own() -> None:
+    """A control whose push comes to zero at the end of its arc is held by the other nodes of its segment alone."""
+    mesh = go.Mesh((0.0, 0.25, 1.0), (3, 4))
+    transcription = transcribe(free_cart(), {"leg": mesh}, "LG")
+    collocation = next(iter(transcription.parts.values())).collocation
+    lines = [list(map(int, line)) for line in _variable_lines(SimpleNamespace(transcription=transcription))]
+    controls = [list(map(int, collocation.point_controls[0, a:b])) for a, b in ((0, 3), (3, 7))]
+    states = [list(map(int, row)) for k in range(2) for row in _nodes(collocation, k)]
+    assert sorted(lines) == sorted(states + controls)
 
 
 def test_arcs_on_a_limit_are_held_throughout() -> None:

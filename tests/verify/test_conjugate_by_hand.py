@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 import gnc_opt as go
 from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.tolerances import AT_LIMIT
+from gnc_opt.tolerances import AT_LIMIT, CONVEX
 from gnc_opt.verify import Result, conjugate_points
 from gnc_opt.verify.conjugate_points import (
-    CONVEX,
     END,
     START,
     _angles,

@@ -327,3 +327,46 @@ def test_costates_at_the_ends_of_segments_are_those_of_the_polynomials(name: str
 
 def test_a_minimum_that_calls_itself_a_maximum() -> None:
     assert failed(replace(energy(), maximised=True)) == {"stored numbers"}
+
+
+# --- multipliers ------------------------------------------------------------------------------------------
+
+
+@cache
+def limited(scheme: str = "LG") -> go.Solution:
+    """A move within a duration, with limits on times, speed, acceleration and both: every multiplier has its say."""
+    model = double_integrator()
+    v, a = model.symbol("v"), model.symbol("a")
+    problem = go.Problem("limited")
+    leg = problem.phase("leg", model)
+    leg.time(initial=(0.0, 0.5), final=(0.1, 1.4))
+    leg.initial(q=1.0, v=0.0)
+    leg.final(q=0.0, v=0.0)
+    leg.bounds(a=(-3.8, 9.0), v=(-0.95, 9.0))
+    leg.path("both", v + 0.2 * a, upper=0.65)
+    problem.minimize(leg.integral(a**2))
+    return go.solve(problem, scheme=scheme)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("scheme", ["LG", "LGR", "LGL"])
+def test_multipliers_of_times_are_what_h_is_worth(scheme: str) -> None:
+    solution = limited(scheme)
+    leg = solution.phase()
+    assert go.verify(solution).ok and np.min(np.abs(leg.time_multipliers)) > 1.0
+    for change in (np.array([0.0, 0.01]), np.array([0.01, 0.0])):
+        assert "transversality" in failed(
+            forged(solution, time_multipliers=leg.time_multipliers * (1 + change))
+        )
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "lam_start", "lam_end", "point_costates", "path_multipliers", "state_multipliers", "control_multipliers",
+        "state_impulses", "time_multipliers", "duration_multiplier", "integrals", "integral_weights",
+    ],
+)  # fmt: skip
+def test_no_number_of_a_solution_is_left_unread(name: str) -> None:
+    value = np.asarray(getattr(limited().phase(), name))
+    changed: Any = 1.05 * value + 0.02 * (1 + np.max(np.abs(value)))
+    assert failed(forged(limited(), **{name: float(changed) if changed.ndim == 0 else changed}))

@@ -176,8 +176,15 @@ def test_a_control_that_a_state_limit_determines_is_not_singular(
 def test_singular_segments_are_cut_and_movable_boundaries_stay() -> None:
     mesh = go.Mesh((0.0, 0.2, 0.5, 1.0), (3, 8, 4), (1, 2))
     finer = cut(mesh, np.array([False, True, False]))
-    n = len(CUTS) + 1
+    first, last = CUTS
+    n = len(first + last) + 1
     assert finer.degrees == (3, *[8] * n, 4) and finer.movable == (1, 1 + n)
-    np.testing.assert_allclose(finer.breaks[1 : 2 + n], [0.2, *(0.2 + 0.3 * np.array(CUTS)), 0.5])
+    np.testing.assert_allclose(finer.breaks[1 : 2 + n], [0.2, *(0.2 + 0.3 * np.array(first + last)), 0.5])
     assert cut(mesh, np.array([True, False, False])).degrees[:n] == (LEAST_DEGREE,) * n
+    # an arc of several segments is narrow at its ends, not wherever the mesh has a boundary
+    arc = cut(mesh, np.array([False, True, True]))
+    np.testing.assert_allclose(
+        arc.breaks, [0.0, 0.2, *(0.2 + 0.3 * np.array(first)), 0.5, *(0.5 + 0.5 * np.array(last)), 1.0]
+    )
+    assert arc.degrees == (3, 8, 8, 8, *[LEAST_DEGREE] * 3) and arc.movable == (1, 4)
     assert cut(mesh, np.zeros(3, dtype=bool)) == mesh

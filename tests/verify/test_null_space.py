@@ -12,7 +12,7 @@ import scipy
 from numpy.typing import NDArray
 
 from gnc_opt.problem.interval import Interval
-from gnc_opt.solution.program_point import Limits, ProgramPoint
+from gnc_opt.solution.program_point import ProgramLimits, ProgramPoint
 from gnc_opt.verify import null_space
 from gnc_opt.verify.bang_bang_flow import ORDER
 from gnc_opt.verify.critical_cone import CriticalCone
@@ -232,8 +232,8 @@ def program(
         x=x, lam=np.zeros(m), values=np.zeros(m), rounding=0.0,
         jacobian=sparse(jacobian), hessian=sparse(hessian), hessian_of=of_rows,
         scaling=SimpleNamespace(objective=0.25, variables=np.ones(n)),
-        variables=Limits(box, np.zeros(n, dtype=bool), np.zeros(n), tuple(f"z{i}" for i in range(n))),
-        rows=Limits(rows, np.ones(m, dtype=bool), np.zeros(m), tuple(f"row {i}" for i in range(m))),
+        variables=ProgramLimits(box, np.zeros(n, dtype=bool), np.zeros(n), tuple(f"z{i}" for i in range(n))),
+        rows=ProgramLimits(rows, np.ones(m, dtype=bool), np.zeros(m), tuple(f"row {i}" for i in range(m))),
         transcription=SimpleNamespace(parts={}, constraint_rows=np.arange(m)),
     )  # fmt: skip
     return point

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 import gnc_opt as go
 from gnc_opt.problem.interval import Interval
 from gnc_opt.solution.samples import EdgeSegment, PhaseSamples
+from gnc_opt.tolerances import ACTIVE
 from gnc_opt.transcription.transcription import transcribe
 from gnc_opt.verify import pushes
-from gnc_opt.verify.multipliers import ACTIVE, estimate
+from gnc_opt.verify.multipliers import estimate
 from gnc_opt.verify.pushes import (
     Pushers,
     _integrate_anew,

@@ -260,6 +260,7 @@ def with_leg(solution: go.Solution, phase: str | None = None, /, **changes: Any)
         ends = {
             "lam_start": changes["lam"](leg.breaks[:-1], "right"),
             "lam_end": changes["lam"](leg.breaks[1:], "left"),
+            "point_costates": changes["lam"](leg.point_times),
         }
         changes = ends | changes
     problem = solution.need_problem("change").with_bounds(leg.name)

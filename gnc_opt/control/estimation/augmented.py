@@ -117,13 +117,13 @@ class AugmentedModel:
         def rate(at: Any, own: Any) -> Any:
             return model.function(at, own, u, model.parameter_values)
 
-        own = x[:n]
+        own, rest = ca.vertsplit(x, [0, n, self.states.size])
         k1 = rate(t, own)
         k2 = rate(t + h / 2, own + h / 2 * k1)
         k3 = rate(t + h / 2, own + h / 2 * k2)
         k4 = rate(t + h, own + h * k3)
         after = own + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        return ca.Function("flow", [t, x, u], [ca.vertcat(after, x[n:])])
+        return ca.Function("flow", [t, x, u], [ca.vertcat(after, rest)])
 
     def transition(self, t: Any, x: Any, after: Any, u: Any, h: float, density: Any) -> tuple[Any, Any]:
         """Return F (n_errors, n_errors) of a step h (s) from x to ``after``, and the covariance of the noise in it.
@@ -221,10 +221,9 @@ def _state_space(model: Model, variable: Variable) -> Space:
     """Return the space of a state, with the model's own difference and retraction."""
     states, errors = model.states, model.errors
     place, at = states.slice(variable.name), errors.slice(variable.name)
-    others = ca.SX.zeros(states.size)
 
     def whole(x: Any) -> Any:
-        return ca.vertcat(others[: place.start], x, others[place.stop :])
+        return ca.vertcat(ca.SX.zeros(place.start), x, ca.SX.zeros(states.size - place.stop))
 
     def difference(x: Any, ref: Any) -> Any:
         return model.error_expression(whole(x), whole(ref))[at]

@@ -43,7 +43,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.control.estimation.augmented import AugmentedModel, Channel
 from gnc_opt.control.estimation.chi_square import chi_square
-from gnc_opt.control.estimation.linearization import Linearization, Map, Tangent, cholesky, solved_left
+from gnc_opt.control.estimation.linearization import Approximation, Map, Tangent, cholesky, solved_left
 from gnc_opt.control.limits import Authority, saturated
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.tolerances import LARGEST
@@ -78,7 +78,7 @@ class Filter:
 
 def build_filter(
     augmented: AugmentedModel,
-    linearization: Linearization,
+    linearization: Approximation,
     noise: Array,
     limits: Authority | None,
     substeps: int,
@@ -93,7 +93,7 @@ class _Builder:
     def __init__(
         self,
         augmented: AugmentedModel,
-        linearization: Linearization,
+        linearization: Approximation,
         noise: Array,
         limits: Authority | None,
         substeps: int,

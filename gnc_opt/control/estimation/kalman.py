@@ -16,7 +16,7 @@ from gnc_opt.control.dropout import HOLD
 from gnc_opt.control.estimation.augmented import AugmentedModel
 from gnc_opt.control.estimation.estimator import Estimator
 from gnc_opt.control.estimation.filter import COVARIANCE, build_filter
-from gnc_opt.control.estimation.linearization import Linearization, Regression, Tangent
+from gnc_opt.control.estimation.linearization import Approximation, Regression, Tangent
 from gnc_opt.control.estimation.measurement import Measurement
 from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.limits import Limits, read_limits
@@ -175,7 +175,7 @@ class _Design:
         noise = _deviations(model, process_noise or {}, f"process_noise of '{name}'")
         self.noise = self.augmented.spread(noise, "bias_walk")
 
-    def estimator(self, linearization: Linearization, title: str) -> Estimator:
+    def estimator(self, linearization: Approximation, title: str) -> Estimator:
         """Return the filter with this linearization."""
         augmented, model = self.augmented, self.model
         filter_ = build_filter(augmented, linearization, self.noise, self.limits, self.substeps, self.hold)

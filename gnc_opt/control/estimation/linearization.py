@@ -35,7 +35,7 @@ from gnc_opt.tolerances import ROUNDING
 Map: TypeAlias = Callable[[Any], Any]
 
 
-class Linearization(Protocol):
+class Approximation(Protocol):
     """How a filter describes functions; f takes and returns an SX column, x and P are SX symbols."""
 
     @property

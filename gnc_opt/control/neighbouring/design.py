@@ -30,7 +30,7 @@ from gnc_opt.control.dropout import bridge_dropouts
 from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.linear.weights import Weight, read_weight, require_definite
 from gnc_opt.control.neighbouring.optimum import Optimum, find_optimum
-from gnc_opt.control.neighbouring.prediction import Ending, Prediction
+from gnc_opt.control.neighbouring.prediction import Prediction, RegulatedEnd
 from gnc_opt.control.neighbouring.switching_plan import SwitchingPlan
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
 from gnc_opt.errors import ArgumentError, DesignError, shown
@@ -163,7 +163,7 @@ def _check_regulator(regulator: Controller, plan: SwitchingPlan) -> None:
         )
 
 
-def _read_ending(last: float, reserve: float, plan: SwitchingPlan) -> Ending:
+def _read_ending(last: float, reserve: float, plan: SwitchingPlan) -> RegulatedEnd:
     length = read_positive(last, "the last part of design_neighbouring_optimal()", or_zero=True)
     duration = plan.times[-1] - plan.initial_time
     if length >= duration:
@@ -173,14 +173,14 @@ def _read_ending(last: float, reserve: float, plan: SwitchingPlan) -> Ending:
     share = read_positive(reserve, "the reserve of design_neighbouring_optimal()", or_zero=True)
     if share >= 1:
         raise ArgumentError(f"the reserve is {shown(reserve)}: give a share in [0, 1).")
-    return Ending(length, share)
+    return RegulatedEnd(length, share)
 
 
-def _accurate(plan: SwitchingPlan, ending: Ending, weight: Array) -> Prediction:
+def _accurate(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array) -> Prediction:
     """Return the prediction with so many steps per arc that it leads the plan to its end."""
     nothing, steps = np.zeros(len(weight)), 1
     while True:
-        psi = Prediction(plan, Ending(0.0, 0.0), steps).ends(
+        psi = Prediction(plan, RegulatedEnd(0.0, 0.0), steps).ends(
             plan.initial_time, plan.initial, plan.times, nothing
         )[0]
         off = float(np.sqrt(psi.full()[:, 0] @ weight @ psi.full()[:, 0]))

@@ -22,7 +22,7 @@ from gnc_opt.control.steps import in_order
 
 
 @dataclass(frozen=True)
-class Ending:
+class RegulatedEnd:
     """The last part of a flight, in which a regulator follows what is left of the plan.
 
     Attributes
@@ -44,13 +44,13 @@ class Prediction:
     Attributes
     ----------
     plan : SwitchingPlan
-    ending : Ending
+    ending : RegulatedEnd
     steps : int
         Runge-Kutta steps per arc.
     """
 
     plan: SwitchingPlan
-    ending: Ending
+    ending: RegulatedEnd
     steps: int
     _unknowns: int = field(init=False)
 

@@ -9,10 +9,9 @@ import numpy as np
 
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.phase import Phase
+from gnc_opt.tolerances import EQUAL
 
 _SIZES = (0.7, 1.3, 2.1)
-_SAME = 1e-9
-"""Relative difference of equal numbers, with room for rounding."""
 
 
 def limits_of(expression: Any, size: Any, limits: Interval) -> tuple[float, float] | None:
@@ -25,7 +24,7 @@ def limits_of(expression: Any, size: Any, limits: Interval) -> tuple[float, floa
     value = ca.Function("value", [size], [expression])
     rest = float(value(0.0))
     slope, double = float(value(1.0)) - rest, float(value(2.0)) - rest
-    power = next((p for p in (1, 2) if abs(double - 2**p * slope) <= _SAME * abs(double)), None)
+    power = next((p for p in (1, 2) if abs(double - 2**p * slope) <= EQUAL * abs(double)), None)
     if power is None or slope == 0:
         return None
     ends = np.sort(np.array([limits.lower[0] - rest, limits.upper[0] - rest]) / slope)
@@ -52,7 +51,7 @@ def limiting_control(leg: Phase, expression: Any, size: Any, limits: Interval) -
     beyond = float(value(2.0, 1.0))
     finite = [side for side in (lower, upper) if np.isfinite(side)]
     reach = max(abs(beyond), abs(finite[0])) if finite else 0.0
-    at_limit = all(abs(float(value(k, k)) - side) <= _SAME * reach for k in _SIZES for side in finite)
+    at_limit = all(abs(float(value(k, k)) - side) <= EQUAL * reach for k in _SIZES for side in finite)
     least = leg.numbers.controls.lower[place]
     if not finite or not at_limit or beyond == finite[0]:
         return None

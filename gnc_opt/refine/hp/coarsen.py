@@ -18,7 +18,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.refine.adjoint import costate_rates, costate_worth, unconstrained
-from gnc_opt.refine.error import PhaseError, Pieces, Yardstick
+from gnc_opt.refine.error import PhaseError, SampledPieces, Yardstick
 from gnc_opt.solution.samples import EXTRA
 from gnc_opt.transcription.quadrature import collocation_rule, gauss_rule, interpolation_matrix
 from gnc_opt.transcription.scheme import Scheme
@@ -159,7 +159,7 @@ def trial_errors(error: PhaseError, trials: Sequence[Piece]) -> tuple[Array, Arr
     )
 
 
-def _adjoint(error: PhaseError, trials: Sequence[Piece], pieces: Pieces) -> Array:
+def _adjoint(error: PhaseError, trials: Sequence[Piece], pieces: SampledPieces) -> Array:
     """Return the residual of the costates' equation at the trials' samples, (n_states, n_samples).
 
     A trial's costates follow the interpolant of their known rates.
@@ -185,7 +185,7 @@ def _adjoint(error: PhaseError, trials: Sequence[Piece], pieces: Pieces) -> Arra
     return np.where(counts, residual, 0.0)
 
 
-def trial_pieces(yardstick: Yardstick, trials: Sequence[Piece]) -> Pieces:
+def trial_pieces(yardstick: Yardstick, trials: Sequence[Piece]) -> SampledPieces:
     """Return what collocation would make of the known trajectory on each trial segment."""
     leg, functions = yardstick.leg, yardstick.functions
     tables = [_tables(leg.scheme, trial.degree) for trial in trials]
@@ -209,7 +209,7 @@ def trial_pieces(yardstick: Yardstick, trials: Sequence[Piece]) -> Pieces:
         us.append(u[:, at] @ table.interpolate)
         integrals.append(half * (integrands[:, at] @ rule.weights))
     sizes = [t.size for t in times]
-    return Pieces(
+    return SampledPieces(
         np.concatenate(times),
         np.concatenate(weights),
         np.concatenate([[0], np.cumsum(sizes[:-1])]).astype(np.int64),

@@ -18,7 +18,7 @@ from gnc_opt.errors import GncOptError
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.refine.error import NEGLIGIBLE, PhaseError, estimate_errors
 from gnc_opt.refine.hp.remesh import SAFETY, UNRESOLVED, Past, Remesh, known_segments
-from gnc_opt.refine.passes import crawls, pass_meter, pass_record
+from gnc_opt.refine.passes import PassLimits, crawls, pass_meter, pass_record
 from gnc_opt.solution.history import Actions, History, Pass, RefinementStatus
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
@@ -30,6 +30,9 @@ WARM_ITERATIONS = 150
 WARM_MU, LEAST_MU = 1e-6, 1e-10
 """Barrier parameter of a warm start, per unit of the error that is left, at most and at least: what is nearly right
 must not be pushed off its bounds only to come back in ten iterations."""
+
+MOST_PASSES = 20
+"""At most so many solves, if nobody says otherwise."""
 
 STAGE = 1e-4
 """Each pass aims at this share of the error before it, and at least at this error; ..."""
@@ -94,11 +97,8 @@ def refine_mesh(
     solution: Solution,
     *,
     tol: float = 1e-8,
-    max_passes: int = 20,
-    max_points: int = 1000,
-    max_work: float = math.inf,
+    limits: PassLimits | None = None,
     options: SolverOptions | None = None,
-    deadline: float = math.inf,
     progress: bool = False,
 ) -> tuple[Solution, History]:
     """Return the solution on a mesh on which its estimated error is at most ``tol``, and how it came about.
@@ -110,17 +110,10 @@ def refine_mesh(
     tol : float
         Bound on the error of every segment: dynamics, integrals, bounds and paths between the nodes, each
         dimensionless; see `gnc_opt.refine.error`.
-    max_passes : int
-        At most so many solves.
-    max_points : int
-        At most so many collocation points in any phase.
-    max_work : float
-        No pass begins after this much work, in iterations at one collocation point; see `Pass.work`. Twice as much is
-        allowed while the error falls to a third or less from pass to pass.
+    limits : PassLimits, optional
+        Default: `MOST_PASSES`. Twice as much work is allowed while the error falls to a third or less each time.
     options : SolverOptions, optional
         For the solves.
-    deadline : float
-        When to stop, as `time.perf_counter` counts. Ctrl-C stops it, too.
     progress : bool
         Show one line per pass.
 
@@ -140,10 +133,11 @@ def refine_mesh(
         raise GncOptError(
             f"the solution of '{solution.problem_name}' ended as {solution.status.value}: refine one that is solved."
         )
-    refinement = _Refinement(solution, tol, max_points, max_work, options, deadline)
+    limits = limits or PassLimits(MOST_PASSES)
+    refinement = _Refinement(solution, tol, limits, options)
     with pass_meter(solution.problem_name, tol, progress) as show:
         try:
-            status = refinement.run(max_passes, show)
+            status = refinement.run(show)
         except KeyboardInterrupt:
             status = refinement.ending_without(Status.INTERRUPTED)
     return refinement.result(status)
@@ -156,14 +150,12 @@ class _Refinement:
         self,
         solution: Solution,
         tol: float,
-        max_points: int,
-        max_work: float,
+        limits: PassLimits,
         options: SolverOptions | None,
-        deadline: float,
     ) -> None:
         self._problem = solution.need_problem("refine")
         self._scheme = solution.scheme
-        self._tol, self._max_points, self._max_work, self._deadline = tol, max_points, max_work, deadline
+        self._tol, self._limits = tol, limits
         self._options = options or SolverOptions(tolerance=min(SOLVED, LAXER * tol))
         self._asked = options is not None
         self._records: list[Pass] = []
@@ -177,11 +169,11 @@ class _Refinement:
         self._state = self._judge(solution, self._begin, Actions())
         self._best, self._chosen = self._state, 0
 
-    def run(self, max_passes: int, show: Callable[[Pass], None]) -> RefinementStatus:
+    def run(self, show: Callable[[Pass], None]) -> RefinementStatus:
         """Refine until one of the endings."""
         show(self._records[-1])
-        for _ in range(max_passes):
-            if time.perf_counter() > self._deadline:
+        for _ in range(self._limits.passes):
+            if time.perf_counter() > self._limits.deadline:
                 return self.ending_without(Status.INTERRUPTED)
             plan = self._plan()
             if isinstance(plan, RefinementStatus):
@@ -200,7 +192,7 @@ class _Refinement:
     def _allowed(self) -> float:
         """What all passes may cost: more where the last one says that few others will do."""
         errors = [r.error for r in self._records[-2:]]
-        return self._max_work * (EXTENDED if errors[-1] <= PROMISING * errors[0] else 1.0)
+        return self._limits.work * (EXTENDED if errors[-1] <= PROMISING * errors[0] else 1.0)
 
     def _plan(self) -> NextMeshes | RefinementStatus:
         """Return the next meshes with what was done to get them, or how it ends here."""
@@ -286,7 +278,7 @@ class _Refinement:
         return meshes, Actions(split=sum(mesh.segments for mesh in self._state.record.meshes.values()))
 
     def _too_many(self, meshes: dict[str, Mesh]) -> bool:
-        return max(mesh.size for mesh in meshes.values()) > self._max_points
+        return max(mesh.size for mesh in meshes.values()) > self._limits.points
 
     def result(self, status: RefinementStatus) -> tuple[Solution, History]:
         """Return the best solution and the record."""
@@ -326,7 +318,7 @@ class _Refinement:
             guess=self._state.solution,
             options=self._warm_options(),
             warm_iterations=WARM_ITERATIONS,
-            deadline=self._deadline,
+            deadline=self._limits.deadline,
         )
         self._state = self._judge(solution, begin, actions)
         if self._better(self._state.record, self._best.record):

@@ -56,7 +56,7 @@ class PhaseLimits:
 
 
 @dataclass(frozen=True)
-class Limits:
+class HeldLimits:
     """Values at which boundary constraints, parameters and ends of phases are held; NaN where they are not."""
 
     phases: Mapping[str, PhaseLimits]
@@ -64,7 +64,7 @@ class Limits:
     parameters: Array
 
 
-def active_limits(solution: Solution) -> Limits:
+def active_limits(solution: Solution) -> HeldLimits:
     """Return which limits the solution sits on."""
     problem = solution.problem
     assert problem is not None, "polish refuses solutions without a problem"
@@ -85,7 +85,7 @@ def active_limits(solution: Solution) -> Limits:
             np.asarray(times),
         )
     constraints, parameters = solution.constraint_values, solution.parameter_values
-    return Limits(
+    return HeldLimits(
         phases,
         _held(problem.constraint_interval(), constraints, np.maximum(1.0, np.abs(constraints))),
         _held(problem.parameter_interval(), parameters, np.maximum(TINY, np.abs(parameters))),
@@ -101,7 +101,7 @@ def _held(box: Interval, values: Array, sizes: Array) -> Array:
     return held
 
 
-def hamiltonian_problem(solution: Solution, limits: Limits) -> Problem:
+def hamiltonian_problem(solution: Solution, limits: HeldLimits) -> Problem:
     """State the boundary-value problem.
 
     Returns
@@ -142,7 +142,7 @@ def _constrain(problem: Problem, name: str, held: Any, otherwise: Any, limits: A
         )
 
 
-def _can_move(constraints: Any, legs: Iterable[_Leg], limits: Limits, q: Any) -> Mask:
+def _can_move(constraints: Any, legs: Iterable[_Leg], limits: HeldLimits, q: Any) -> Mask:
     """Boundary constraints (n,) that involve something free; of others (joined fixed times) nu is arbitrary, 0."""
     free = [q[np.flatnonzero(np.isnan(limits.parameters)).tolist()]]
     for leg in legs:

@@ -22,7 +22,7 @@ from gnc_opt.refine.indirect.boundary_value import (
     solve_boundary_values,
     tails_of,
 )
-from gnc_opt.refine.indirect.hamiltonian import Limits, PhaseLimits, active_limits, hamiltonian_problem
+from gnc_opt.refine.indirect.hamiltonian import HeldLimits, PhaseLimits, active_limits, hamiltonian_problem
 from gnc_opt.solution.extract import model_parameters
 from gnc_opt.solution.phase_solution import PhaseSolution, piecewise
 from gnc_opt.solution.solution import Solution, Statistics
@@ -218,7 +218,7 @@ def _unresolved(
 
 
 def _assemble(
-    solution: Solution, limits: Limits, found: BoundaryValueSolution, statistics: Statistics, tol: float
+    solution: Solution, limits: HeldLimits, found: BoundaryValueSolution, statistics: Statistics, tol: float
 ) -> Solution:
     problem = _problem(solution)
     q = found.parameters.get("q", np.zeros(0))

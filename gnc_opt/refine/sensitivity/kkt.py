@@ -27,7 +27,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.errors import GncOptError, warn_user
 from gnc_opt.problem.problem import Problem
-from gnc_opt.solution.program_point import WEAK, Limits, ProgramPoint, saddle_matrix
+from gnc_opt.solution.program_point import WEAK, ProgramLimits, ProgramPoint, saddle_matrix
 from gnc_opt.solution.saddle import SaddlePoint
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import sharper
@@ -157,7 +157,7 @@ class KktPoint:
                 "the solution has two one-sided derivatives; the sensitivities are those of one of the sides."
             )
 
-    def _sides(self) -> list[tuple[Limits, Array, Array]]:
+    def _sides(self) -> list[tuple[ProgramLimits, Array, Array]]:
         """Limits of variables and of rows, each with values and multipliers."""
         point = self._point
         # Multipliers that are not unique tell nothing by their signs.

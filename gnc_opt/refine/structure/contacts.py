@@ -37,9 +37,8 @@ from gnc_opt.refine.error import states_at_points
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.solution.polynomial import Side
 from gnc_opt.solution.samples import PhaseSamples
-
-MOST_ORDER = 3
-"""Orders of constraints whose contacts are looked for."""
+from gnc_opt.tolerances import BESIDE, TINY
+from gnc_opt.verify.held import MOST_ORDER
 
 NEAR = 1e-2
 """A constraint this close to its limit, in shares of what it moves, may be on it between two pushes."""
@@ -61,9 +60,6 @@ LASTING = 3
 
 SWINGING = 0.05
 """A control is between its bounds on average if the mean is this far from them, relative to its range."""
-
-BESIDE = 1e-4
-"""Distance from a junction, in shares of the segment beside it, over which a slope is taken."""
 
 FARTHEST = 0.5
 """Share of the shorter piece beside a junction by which it may move at once."""
@@ -386,7 +382,7 @@ def wrong_touch(constraints: StateConstraints, structure: PhaseStructure) -> tup
             time = float(s.leg.breaks[np.argmin(np.abs(s.leg.breaks - structure.times[k]))])
             gradient = constraints.gradient(row - first, time, s.leg.x(time), s.leg.u(time)) * s.state_scale
             jump = (s.leg.lam(time, "left") - s.leg.lam(time, "right")) * s.state_scale
-            push = kind.sign * float(gradient @ jump) / max(float(np.linalg.norm(gradient)), 1e-300)
+            push = kind.sign * float(gradient @ jump) / max(float(np.linalg.norm(gradient)), TINY)
             if push < -ODD * s.cost_scale:
                 return k, row
     return None

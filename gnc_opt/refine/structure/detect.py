@@ -15,6 +15,7 @@ from gnc_opt.refine.structure.mixed import LinearLimits
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import CONVEX
 
 NEAR = 0.02
 """A control this close to a bound, relative to its range, is taken to sit on it."""
@@ -43,9 +44,6 @@ PROBE = 1e-3
 
 SHORT = 2.0
 """Bangs beside a singular arc that are shorter than this many segments belong to it."""
-
-CONVEX = 1e-6
-"""Least second derivative of H in a control, over its range and in shares of H, that determines the control."""
 
 
 def structures_of(solution: Solution) -> dict[str, PhaseStructure]:
@@ -250,7 +248,7 @@ def _state_labels(samples: PhaseSamples, controls: KindArray) -> list[KindArray]
     A state counts as held along segments on which it stays on its bound while some singular control could move
     it at once (a bound of first order).
     """
-    leg, rows = samples.leg, []
+    leg, rows, commanded = samples.leg, [], _commanded(samples, controls)
     for i in range(leg.states.size):
         labels = np.full(samples.times.size, ArcKind.INTERIOR)
         margin = STILL * samples.state_scale[i]
@@ -260,26 +258,27 @@ def _state_labels(samples: PhaseSamples, controls: KindArray) -> list[KindArray]
         ):
             for k in range(leg.mesh.segments):
                 here = samples.segments == k
-                if np.all(distance[here] < margin) and _commanded(samples, i, controls, here):
+                if np.all(distance[here] < margin) and _middle(commanded[i, here]):
                     labels[here] = kind
             if np.any(labels == kind):
-                _spread(samples, labels, kind, np.any(controls == ArcKind.SINGULAR, axis=0))
+                _spread(samples, labels, kind, commanded[i])
         rows.append(labels)
     return rows
 
 
-def _commanded(samples: PhaseSamples, state: int, controls: KindArray, here: Mask) -> bool:
-    """Whether a singular control enters the rate of a state."""
-    columns = np.flatnonzero(here)
-    j = columns[columns.size // 2]
-    x, u = samples.x[:, j], samples.u[:, j]
-    rate = samples.functions.rates(samples.times[j], x, u)[state]
-    for channel in np.flatnonzero(controls[:, j] == ArcKind.SINGULAR):
+def _commanded(samples: PhaseSamples, controls: KindArray) -> Mask:
+    """Where a singular control moves a state at once, (n_states, n_samples)."""
+    x, u, times = samples.x, samples.u, samples.times
+    rates, found = samples.functions.rates(times, x, u), np.zeros(x.shape, dtype=bool)
+    for channel in np.flatnonzero(np.any(controls == ArcKind.SINGULAR, axis=1)):
         moved = u.copy()
         moved[channel] += PROBE * samples.control_scale[channel]
-        if samples.functions.rates(samples.times[j], x, moved)[state] != rate:
-            return True
-    return False
+        found |= (samples.functions.rates(times, x, moved) != rates) & (controls[channel] == ArcKind.SINGULAR)
+    return found
+
+
+def _middle(values: Mask) -> bool:
+    return bool(values[values.size // 2])
 
 
 def _at_limits(at_lower: Mask, at_upper: Mask) -> KindArray:

@@ -23,7 +23,7 @@ from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.structure.phase_structure import PhaseStructure, choose
 from gnc_opt.refine.structure.switch_flight import SwitchFlight
-from gnc_opt.refine.structure.switch_step import Step, chord_step, newton_step
+from gnc_opt.refine.structure.switch_step import SwitchStep, chord_step, newton_step
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, TINY
@@ -85,7 +85,7 @@ def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructur
 
 
 def settle_flow(
-    solution: Solution, structure: PhaseStructure, accuracy: float, known: Step | None = None
+    solution: Solution, structure: PhaseStructure, accuracy: float, known: SwitchStep | None = None
 ) -> tuple[PhaseStructure, SwitchFlight] | None:
     """Find the least cost to some accuracy, without any collocated problem.
 
@@ -101,7 +101,7 @@ def settle_flow(
         To start from.
     accuracy : float
         Of the cost, relative to its size; its root is that of the switch times, in shares of the phase.
-    known : Step, optional
+    known : SwitchStep, optional
         At the optimum of a neighbouring problem with this structure: its matrices and its grid are tried first.
 
     Returns
@@ -146,7 +146,12 @@ def _optimum(
 
 
 def _at_rest(
-    problem: Problem, s: PhaseSamples, switches: Switches, known: Step, accuracy: float, steps: int = STEPS
+    problem: Problem,
+    s: PhaseSamples,
+    switches: Switches,
+    known: SwitchStep,
+    accuracy: float,
+    steps: int = STEPS,
 ) -> SwitchFlight | None:
     """Return the flight of switches near the given ones that the matrices of a step lead to."""
     step, before = chord_step(problem, s, switches, known, steps), math.inf  # length of the step before
@@ -231,7 +236,7 @@ def _arcs(switches: Switches) -> list[tuple[int, int]]:
     return found
 
 
-def _allowed(switches: Switches, step: Step) -> tuple[float, tuple[int, int] | None]:
+def _allowed(switches: Switches, step: SwitchStep) -> tuple[float, tuple[int, int] | None]:
     """The share of a step that leaves every arc some length, and the arc that limits it."""
     times = np.concatenate([switches.ends[:1], switches.times, switches.ends[1:]])
     longest = LONGEST * (switches.ends[1] - switches.ends[0])

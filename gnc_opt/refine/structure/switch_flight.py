@@ -9,7 +9,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.problem.problem import Problem
-from gnc_opt.refine.structure.switch_step import Step
+from gnc_opt.refine.structure.switch_step import SwitchStep
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
@@ -37,7 +37,7 @@ class SwitchFlight:
     s : PhaseSamples
         Of the phase that the switches come from.
     switches : Switches
-    step : Step
+    step : SwitchStep
         That is left at these switches; its multipliers make the costates.
     flow : BangBangFlow
         On the finer grid.
@@ -45,11 +45,11 @@ class SwitchFlight:
 
     s: PhaseSamples
     switches: Switches
-    step: Step
+    step: SwitchStep
     flow: BangBangFlow
 
     @classmethod
-    def of(cls, problem: Problem, s: PhaseSamples, switches: Switches, step: Step) -> SwitchFlight:
+    def of(cls, problem: Problem, s: PhaseSamples, switches: Switches, step: SwitchStep) -> SwitchFlight:
         """Fly a phase."""
         pieces = switches.pieces(switches.order)
         return cls(

@@ -24,7 +24,7 @@ from gnc_opt.verify.switches import Switches
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class SwitchStep:
     """A step in (start, switches, end), and the flow and multipliers that it comes from.
 
     Attributes
@@ -62,7 +62,9 @@ class Step:
         return float(np.max(np.abs(self.change)) / (switches.ends[1] - switches.ends[0]))
 
 
-def newton_step(problem: Problem, s: PhaseSamples, switches: Switches, steps: int = STEPS) -> Step | None:
+def newton_step(
+    problem: Problem, s: PhaseSamples, switches: Switches, steps: int = STEPS
+) -> SwitchStep | None:
     """Return the step, or None where the flow is no number or conditions depend on each other.
 
     Parameters
@@ -89,19 +91,19 @@ def newton_step(problem: Problem, s: PhaseSamples, switches: Switches, steps: in
     hessian = (flow.curvature(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
     change = model_minimum(hessian, gradient, rows, ends.misses)
     gain = ends.relative(float(gradient @ change))
-    return Step(ends.spread(change), flow, adjoint, multipliers, ends.cost, gain, hessian, rows, steps)
+    return SwitchStep(ends.spread(change), flow, adjoint, multipliers, ends.cost, gain, hessian, rows, steps)
 
 
 def chord_step(
-    problem: Problem, s: PhaseSamples, switches: Switches, known: Step, steps: int = STEPS
-) -> Step | None:
+    problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep, steps: int = STEPS
+) -> SwitchStep | None:
     """Return the step with the matrices of another one, or None where the flow is no number.
 
     Parameters
     ----------
     problem, s, switches, steps
         As in `newton_step`.
-    known : Step
+    known : SwitchStep
         Nearby, for switches in the same order.
     """
     ends = _Ends.of(problem, s, switches, steps)
@@ -115,7 +117,7 @@ def chord_step(
     left = gradient + known.hessian @ change
     multipliers = known.multipliers - np.linalg.lstsq(known.rows.T, left, rcond=RANK)[0]
     gain = ends.relative(float((gradient - known.rows.T @ known.multipliers) @ change))
-    return Step(
+    return SwitchStep(
         ends.spread(change),
         ends.flow,
         adjoint,

@@ -9,7 +9,6 @@ when signs and structure agree everywhere and the error between the nodes is sma
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -20,7 +19,7 @@ from gnc_opt.nlp import SolverOptions
 from gnc_opt.problem.arc import Arc
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import estimate_errors
-from gnc_opt.refine.passes import pass_meter, pass_record
+from gnc_opt.refine.passes import PassLimits, pass_meter, pass_record
 from gnc_opt.refine.structure.detect import structures_of
 from gnc_opt.refine.structure.mending import KINKS_MOVED, RAISED, SMOOTHED, improve, smoother
 from gnc_opt.refine.structure.newton import settle
@@ -48,12 +47,9 @@ def optimise_switches(
     solution: Solution,
     *,
     tol: float = FINEST,
-    max_passes: int = 40,
-    max_points: int = 1000,
-    max_work: float = math.inf,
+    limits: PassLimits | None = None,
     structures: Mapping[str, PhaseStructure] | None = None,
     options: SolverOptions | None = None,
-    deadline: float = math.inf,
     progress: bool = False,
 ) -> tuple[Solution, History]:
     """Return the solution with exact switch times and its `structure`, and the history of the loop.
@@ -64,17 +60,10 @@ def optimise_switches(
         A solved collocation solution, with its problem.
     tol : float
         On the error between the nodes; see `gnc_opt.refine.error`.
-    max_passes : int
-        At most so many solves.
-    max_points : int
-        At most so many collocation points in any phase.
-    max_work : float
-        No pass begins after this much work, in iterations at one collocation point; see `Pass.work`.
+    limits : PassLimits, optional
     structures : mapping of PhaseStructure, optional
         What to start from, by phase, if it has been detected already.
     options : SolverOptions, optional
-    deadline : float
-        When to stop, as `time.perf_counter` counts. Ctrl-C stops it, too.
     progress : bool
         Show one line per pass.
 
@@ -93,11 +82,11 @@ def optimise_switches(
     tries: list[_Try] = []
     with pass_meter(solution.problem_name, tol, progress) as show:
         try:
-            limits = _Limits(tol, max_passes, max_points, max_work, deadline)
+            loop = _Loop(problem, tol, limits or PassLimits(), chosen, show, tries)
             guess, settled = _settled(solution, plans)
-            status = _loop(problem, guess, settled, min(tol, FINEST), limits, chosen, show, tries)
+            status = loop.run(guess, settled)
             if status is RefinementStatus.FAILED and guess is not solution:
-                status = _loop(problem, solution, plans, min(tol, FINEST), limits, chosen, show, tries)
+                status = loop.run(solution, plans)
         except KeyboardInterrupt:
             status = RefinementStatus.INTERRUPTED
     best = _best(tries, status)
@@ -110,17 +99,6 @@ def optimise_switches(
     if status is RefinementStatus.CONVERGED:
         solution = settle_costates(solution)
     return replace(solution, structure=_arcs(solution, plans)), history
-
-
-@dataclass(frozen=True)
-class _Limits:
-    """Where the loop gives up, and what error was asked for."""
-
-    tol: float
-    passes: int
-    points: int
-    work: float
-    deadline: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,53 +130,66 @@ def _settled(solution: Solution, plans: dict[str, Plan]) -> tuple[Solution, dict
     return guess, {name: Plan.settled(structure, plan.points)}
 
 
-def _loop(
-    problem: Problem,
-    solution: Solution,
-    plans: dict[str, Plan],
-    tol: float,
-    limits: _Limits,
-    options: SolverOptions,
-    show: Callable[[Pass], None],
-    tries: list[_Try],
-) -> RefinementStatus:
-    """Solve and mend until nothing is left to mend; add every pass to ``tries``."""
-    swapped: set[tuple[str, PhaseStructure]] = set()
-    for _ in range(limits.passes):
-        begin = time.perf_counter()
-        if begin > limits.deadline:
-            return RefinementStatus.INTERRUPTED
-        records = [t.record for t in tries]
-        if any(plan.mesh().size > limits.points for plan in plans.values()):
-            return _limited(records, limits, RefinementStatus.POINT_LIMIT)
-        if sum(record.work for record in records) > limits.work:
-            return _limited(records, limits, RefinementStatus.WORK_LIMIT)
-        found = _solve(problem, plans, solution, options, limits.deadline)
-        if not found.status.solved:
-            tries.append(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
-            show(tries[-1].record)
-            interrupted = found.status.value == "interrupted"
-            return RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
-        solution = found
-        current = {name: _at_solution(plan, solution, name) for name, plan in plans.items()}
-        plans, action = improve(solution, current, swapped, tol)
-        record = _record(solution, begin, action or "structure stands")
-        resolved = _resolved([*(t.record for t in tries), record], tol)
-        if resolved and (finer := smoother(solution, current)) != current:
-            plans, resolved, record = finer, False, replace(record, actions=SMOOTHED)
-        tries.append(_Try(solution, current, record))
-        show(record)
-        if not action or resolved:
-            return RefinementStatus.CONVERGED
-        if _restless([t.record for t in tries]) or _returned(tries):
-            return RefinementStatus.STALLED
-    return _limited([t.record for t in tries], limits, RefinementStatus.PASS_LIMIT)
+@dataclass(frozen=True, eq=False)
+class _Loop:
+    """What it is asked for, and what it has tried."""
 
+    problem: Problem
+    tol: float
+    limits: PassLimits
+    options: SolverOptions
+    show: Callable[[Pass], None]
+    tries: list[_Try]
 
-def _limited(records: list[Pass], limits: _Limits, status: RefinementStatus) -> RefinementStatus:
-    """How the loop ends at a limit: at rest if its last structure stands with the accuracy that was asked for."""
-    rests = bool(records) and records[-1].solved and records[-1].actions == RAISED
-    return RefinementStatus.CONVERGED if rests and records[-1].error <= limits.tol else status
+    def run(self, solution: Solution, plans: dict[str, Plan]) -> RefinementStatus:
+        """Solve and mend until nothing is left to mend; add every pass to ``tries``."""
+        swapped: set[tuple[str, PhaseStructure]] = set()
+        for _ in range(self.limits.passes):
+            begin = time.perf_counter()
+            if begin > self.limits.deadline:
+                return RefinementStatus.INTERRUPTED
+            if any(plan.mesh().size > self.limits.points for plan in plans.values()):
+                return self._limited(RefinementStatus.POINT_LIMIT)
+            if sum(record.work for record in self.records) > self.limits.work:
+                return self._limited(RefinementStatus.WORK_LIMIT)
+            found = _solve(self.problem, plans, solution, self.options, self.limits.deadline)
+            if not found.status.solved:
+                self._note(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
+                interrupted = found.status.value == "interrupted"
+                return RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
+            solution = found
+            current = {name: _at_solution(plan, solution, name) for name, plan in plans.items()}
+            plans, action = improve(solution, current, swapped, self.aim)
+            record = _record(solution, begin, action or "structure stands")
+            resolved = _resolved([*self.records, record], self.aim)
+            if resolved and (finer := smoother(solution, current)) != current:
+                plans, resolved, record = finer, False, replace(record, actions=SMOOTHED)
+            self._note(_Try(solution, current, record))
+            if not action or resolved:
+                return RefinementStatus.CONVERGED
+            if _restless(self.records) or _returned(self.tries):
+                return RefinementStatus.STALLED
+        return self._limited(RefinementStatus.PASS_LIMIT)
+
+    @property
+    def aim(self) -> float:
+        """Error that meshes are refined to: it costs little more, where a structure is known."""
+        return min(self.tol, FINEST)
+
+    @property
+    def records(self) -> list[Pass]:
+        """Of all tries."""
+        return [t.record for t in self.tries]
+
+    def _note(self, tried: _Try) -> None:
+        self.tries.append(tried)
+        self.show(tried.record)
+
+    def _limited(self, status: RefinementStatus) -> RefinementStatus:
+        """How it ends at a limit: at rest if its last structure stands with the accuracy that was asked for."""
+        last = self.records[-1:]
+        rests = any(r.solved and r.actions == RAISED and r.error <= self.tol for r in last)
+        return RefinementStatus.CONVERGED if rests else status
 
 
 def _resolved(records: list[Pass], tol: float) -> bool:

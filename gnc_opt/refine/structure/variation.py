@@ -11,7 +11,7 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.structure.detect import detect
 from gnc_opt.refine.structure.newton import settle_flow
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.switch_step import Step
+from gnc_opt.refine.structure.switch_step import SwitchStep
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.quality import worst_bound_violation, worst_path_violation
@@ -41,14 +41,14 @@ class KnownFlight:
     structure : PhaseStructure
     state_scale : array (n_states,)
         How far its states move: what those of its neighbours are measured against.
-    step : Step or None
+    step : SwitchStep or None
         At its optimum: its matrices are nearly those of its neighbours.
     """
 
     solution: Solution
     structure: PhaseStructure
     state_scale: Array
-    step: Step | None = None
+    step: SwitchStep | None = None
 
     @classmethod
     def of(cls, solution: Solution) -> KnownFlight | None:

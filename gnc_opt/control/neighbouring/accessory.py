@@ -1,0 +1,300 @@
+r"""Accessory problem: the neighbours of a smooth extremal, and the feedback on which they lie.
+
+Variations of an extremal whose controls are off their limits and whose H is strictly convex in them satisfy
+
+.. math::
+   \dot X &= A X - B \Lambda, \qquad A = f_x - f_u H_{uu}^{-1} H_{ux}, \quad B = f_u H_{uu}^{-1} f_u^T, \\
+   \dot \Lambda &= -C X - A^T \Lambda, \qquad C = H_{xx} - H_{xu} H_{uu}^{-1} H_{ux} .
+
+What the end admits is a plane of :math:`(\delta x, \delta\lambda, dt_f)` with, for the cost :math:`\Phi(x_f, t_f)`
+beside the integral,
+
+.. math::
+   & \delta x_i + f_i \, dt_f = 0 && \text{of a state that is given there}, \\
+   & \delta\lambda_j + \dot\lambda_j \, dt_f = \Phi_{x_j x} (\delta x + f dt_f) + \Phi_{x_j t} \, dt_f &&
+     \text{of one that is free}, \\
+   & H_x \delta x + f^T \delta\lambda + H_t \, dt_f + \Phi_{tx} (\delta x + f dt_f) + \Phi_{tt} \, dt_f = 0 &&
+     \text{where the end is free.}
+
+Carried backward by the flow, it tells at each time
+
+.. math:: \delta\lambda = S \delta x, \quad dt_f = g \, \delta x, \quad \delta u = -K \delta x, \qquad
+   S = \Lambda X^{-1}, \quad g = T X^{-1}, \quad K = H_{uu}^{-1} (H_{ux} + f_u^T S) .
+
+This is the sweep by a Riccati equation (Bryson and Ho, Applied Optimal Control, 1975, sections 6.3 to 6.5) in a frame
+that is kept orthonormal, so that no end condition makes it infinite. X is singular where a time is conjugate to the
+end; X and Lambda being orthonormal, :math:`U = X + i\Lambda` is unitary, and the eigenvalues of :math:`U U^T` pass -1
+there, all in one direction (Arnold, Funct. Anal. Appl. 1(1), 1967).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.control.neighbouring.smooth_plan import SmoothPlan
+from gnc_opt.errors import DesignError
+from gnc_opt.model.evaluation import evaluate
+from gnc_opt.problem.functions import end_function
+from gnc_opt.solution.propagation import state_magnitudes
+from gnc_opt.tolerances import RANK, magnitude
+
+_STEPS, _LEAST = 400, 4
+"""Steps over the plan, and at least so many in every segment of its mesh."""
+
+_CONVEX = 1e-8
+"""Least curvature of H in the controls, in shares of the largest: below it H is not strictly convex."""
+
+_UNMOVED = 1e-12
+"""Share of the largest below which a variation of the states counts as one that controls cannot bring about."""
+
+
+@dataclass(frozen=True, eq=False)
+class Feedback:
+    """What neighbours of an extremal do, at times (k,) up to the one from which on the feedback stays.
+
+    Attributes
+    ----------
+    times : array (k,)
+        s, increasing.
+    gain : array (k, n_controls, n_states)
+        K.
+    end_gain : array (k, n_states)
+        g, s per unit of the state; zero where the end is given.
+    cost : array (k, n_states, n_states)
+        S, the second derivative of the cost to go.
+    """
+
+    times: Array
+    gain: Array
+    end_gain: Array
+    cost: Array
+
+
+def feedback(plan: SmoothPlan, last: float) -> Feedback:
+    """Return the feedback of a plan up to ``last`` (s) before its end.
+
+    Raises
+    ------
+    DesignError
+        The second-order condition fails, or the controls do not move all states.
+    """
+    return _Accessory(plan).feedback(plan.leg.final_time - last)
+
+
+@dataclass(frozen=True, eq=False)
+class _Accessory:
+    """The accessory problem of a plan, in states and times in shares of their sizes."""
+
+    plan: SmoothPlan
+
+    @cached_property
+    def times(self) -> Array:
+        leg = self.plan.leg
+        pieces = [
+            np.linspace(left, right, _LEAST + int(_STEPS * (right - left) / leg.duration) + 1)[:-1]
+            for left, right in zip(leg.breaks[:-1], leg.breaks[1:], strict=True)
+        ]
+        return np.append(np.concatenate(pieces), leg.breaks[-1])
+
+    @cached_property
+    def sizes(self) -> tuple[Array, Array]:
+        """Of states and controls: their largest magnitudes along the plan."""
+        leg = self.plan.leg
+        return state_magnitudes(leg), magnitude(np.max(np.abs(leg.flown(self.times)), axis=1))
+
+    @cached_property
+    def worth(self) -> float:
+        """What costates are measured by: with H_uu of this over the duration, X and Lambda are of one size."""
+        curvature = self.slopes(self.times)[0]
+        return float(np.median(np.linalg.norm(curvature, axis=(1, 2)))) * self.plan.leg.duration
+
+    def slopes(self, times: Array) -> tuple[Array, ...]:
+        """Return H_uu, H_ux, H_xx, f_x and f_u in shares of states and controls, time first."""
+        leg, function = self.plan.leg, self._derivatives
+        n, m = leg.states.size, leg.controls.size
+        numbers = (self.plan.functions.weights, self.plan.functions.p, self.plan.functions.q)
+        flat = evaluate(function, times, leg.x(times), leg.flown(times), leg.lam(times), *numbers)
+        states, controls = self.sizes
+        size = np.concatenate([states, controls])
+        hessian = flat[: (n + m) ** 2].reshape(n + m, n + m, -1) * size[:, None, None] * size[:, None]
+        slope = flat[(n + m) ** 2 :].reshape(n, n + m, -1) / states[:, None, None] * size[:, None]
+        hessian, slope = hessian.transpose(2, 0, 1), slope.transpose(2, 0, 1)
+        return hessian[:, n:, n:], hessian[:, n:, :n], hessian[:, :n, :n], slope[:, :, :n], slope[:, :, n:]
+
+    @cached_property
+    def _derivatives(self) -> Any:
+        """``(t, x, u, lam, weights, p, q)`` to the Hessian of H and the Jacobian of f by (x, u), row by row."""
+        functions = self.plan.functions.functions
+        t, x, u, lam, mu, weights, p, q = (
+            ca.SX.sym("v", functions["hamiltonian"].size1_in(i)) for i in range(8)
+        )
+        both, none = ca.vertcat(x, u), ca.SX.zeros(mu.shape[0])
+        hessian = ca.hessian(functions["hamiltonian"](t, x, u, lam, none, weights, p, q), both)[0]
+        slope = ca.jacobian(functions["rates"](t, x, u, lam, none, weights, p, q), both)
+        flat = [ca.densify(ca.vec(e.T)) for e in (hessian, slope)]
+        return ca.Function("accessory", [t, x, u, lam, weights, p, q], [ca.vertcat(*flat)])
+
+    # --- flow ---------------------------------------------------------------------------------------------
+
+    @cached_property
+    def flows(self) -> Array:
+        """The flow of (X, Lambda) from the end of each step to its beginning, (k, 2n, 2n).
+
+        By Magnus' expansion of fourth order, which keeps it symplectic (Iserles et al., Acta Numerica 9, 2000).
+        """
+        width, middle = np.diff(self.times), 0.5 * (self.times[:-1] + self.times[1:])
+        late, early = (self._matrices(middle + sign * width / np.sqrt(12)) for sign in (1.0, -1.0))
+        h = -width[:, None, None]
+        exponent = 0.5 * h * (late + early) + np.sqrt(3) / 12 * h**2 * (early @ late - late @ early)
+        return np.asarray(scipy.linalg.expm(exponent))
+
+    def _matrices(self, times: Array) -> Array:
+        by_uu, by_ux, by_xx, f_x, f_u = self.slopes(times)
+        solved = np.linalg.solve(by_uu, np.concatenate([by_ux, f_u.transpose(0, 2, 1)], axis=2))
+        n = f_x.shape[1]
+        own, across = f_x - f_u @ solved[:, :, :n], f_u @ solved[:, :, n:]
+        down = (by_xx - by_ux.transpose(0, 2, 1) @ solved[:, :, :n]) / self.worth
+        upper = np.concatenate([own, -self.worth * across], axis=2)
+        return np.concatenate([upper, np.concatenate([-down, -own.transpose(0, 2, 1)], axis=2)], axis=1)
+
+    # --- end ----------------------------------------------------------------------------------------------
+
+    def end_plane(self) -> Array:
+        """Return the columns of (X, Lambda, T) at the end, (2n + 1, n), the last row zero where it is given."""
+        plan, leg = self.plan, self.plan.leg
+        n, duration, (states, _) = leg.states.size, leg.duration, self.sizes
+        t, x, lam = leg.final_time, leg.x(leg.final_time, "left"), leg.lam(leg.final_time, "left")
+        u = leg.flown(leg.final_time, "left")
+        f, none = plan.functions.rates(t, x, u), np.zeros(len(leg.path_labels))
+        H_x = plan.functions.state_gradient(t, x, u, lam, none)
+        H_t = float(plan.functions.time_gradient(t, x, u, lam, none))
+        by_xx, by_xt, by_tt = self._end_curvature()
+        rows = np.zeros((n + 1, 2 * n + 1))
+        for i in range(n):
+            if plan.given[i]:
+                rows[i, i], rows[i, -1] = 1.0, f[i]
+            else:
+                rows[i, :n], rows[i, n + i] = -by_xx[i], 1.0
+                rows[i, -1] = -H_x[i] - by_xx[i] @ f - by_xt[i]
+        rows[n, :n], rows[n, n : 2 * n] = H_x + by_xt, f
+        rows[n, -1] = H_t + by_xt @ f + by_tt
+        if not plan.free_end:
+            rows[n] = np.eye(2 * n + 1)[-1]
+        rows *= np.concatenate([states, self.worth / states, [duration]])
+        rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+        plane = scipy.linalg.null_space(rows, rcond=RANK)
+        if plane.shape[1] != n:
+            raise DesignError(
+                f"the conditions at the end of the plan '{plan.name}' depend on each other to first order: no "
+                "neighbour is determined by them."
+            )
+        if not plan.free_end:
+            plane[-1] = 0.0  # it is but for rounding
+        return np.asarray(plane)
+
+    def _end_curvature(self) -> tuple[Array, Array, float]:
+        """Return the second derivatives of the cost at the end by final states and time."""
+        plan, leg = self.plan, self.plan.leg
+        function = end_function(plan.problem)
+        inputs = [ca.SX.sym("v", function.size1_in(i)) for i in range(function.n_in())]
+        gradients = function(*inputs)[2:]
+        second = [
+            ca.jacobian(gradients[1], inputs[1]),
+            ca.jacobian(gradients[1], inputs[3]),
+            ca.jacobian(gradients[3], inputs[3]),
+        ]
+        ends = [
+            leg.x(leg.initial_time),
+            leg.x(leg.final_time, "left"),
+            leg.initial_time,
+            leg.final_time,
+            leg.integrals,
+            leg.parameters,
+        ]
+        values = ca.Function("end", inputs, [ca.densify(e) for e in second])(
+            *ends, plan.solution.parameter_values, plan.solution.constraint_multipliers
+        )
+        by_xx, by_xt, by_tt = (np.asarray(v.full()) for v in values)
+        return by_xx, by_xt[:, 0], float(by_tt[0, 0])
+
+    # --- feedback -----------------------------------------------------------------------------------------
+
+    def feedback(self, until: float) -> Feedback:
+        """Return the feedback up to a time (s)."""
+        self._require_convex()
+        n, (states, controls) = self.plan.leg.states.size, self.sizes
+        plane = self.end_plane()
+        frames = np.empty((self.times.size, 2 * n + 1, n))
+        frames[-1] = plane
+        for k in range(self.times.size - 2, -1, -1):
+            frame, growth = np.linalg.qr(self.flows[k] @ frames[k + 1, : 2 * n])
+            end = scipy.linalg.solve_triangular(growth, frames[k + 1, 2 * n], trans="T")
+            frames[k] = np.vstack([frame, end])
+        early = self.times <= until
+        self._require_no_conjugate(frames[:, :n], frames[:, n : 2 * n], early)
+        X, Lam, T = frames[early, :n], frames[early, n : 2 * n], frames[early, 2 * n :]
+        told = np.linalg.solve(X.transpose(0, 2, 1), np.concatenate([Lam, T], axis=1).transpose(0, 2, 1))
+        told = told.transpose(0, 2, 1)
+        S = 0.5 * (told[:, :n] + told[:, :n].transpose(0, 2, 1)) * self.worth
+        by_uu, by_ux, _, _, f_u = self.slopes(self.times[early])
+        K = np.linalg.solve(by_uu, by_ux + f_u.transpose(0, 2, 1) @ S)
+        return Feedback(
+            self.times[early],
+            K * controls[:, None] / states,
+            told[:, n] * self.plan.leg.duration / states,
+            S / states[:, None] / states,
+        )
+
+    def _require_convex(self) -> None:
+        curvature = np.linalg.eigvalsh(self.slopes(self.times)[0])
+        k = int(np.argmin(curvature[:, 0]))
+        if not curvature[k, 0] > _CONVEX * np.max(np.abs(curvature)):
+            raise DesignError(
+                f"the Hamiltonian of the plan '{self.plan.name}' is not strictly convex in its controls at "
+                f"{self.times[k]:.6g} s (curvature {curvature[k, 0] / np.max(np.abs(curvature)):.2g} of the largest): "
+                "its controls do not follow the state uniquely; a bang-bang plan is for "
+                "design_neighbouring_optimal(), others follow by design_tvlqr()."
+            )
+
+    def _require_no_conjugate(self, X: Array, Lam: Array, early: Mask) -> None:
+        sizes = np.linalg.svd(X[early], compute_uv=False)
+        if not np.min(sizes[0]) > _UNMOVED:
+            raise DesignError(
+                f"the controls of the plan '{self.plan.name}' do not move all of its states "
+                f"({', '.join(self.plan.leg.states.labels)}): state the problem without what is conserved, or follow "
+                "the plan by design_tvlqr()."
+            )
+        time = conjugate_time(self.times, X, Lam)
+        if time is not None:
+            raise DesignError(
+                f"the plan '{self.plan.name}' fails the second-order condition: {time:.6g} s is conjugate to its end, "
+                "so that it is no minimum; solve from another guess."
+            )
+
+
+def conjugate_time(times: Array, X: Array, Lam: Array) -> float | None:
+    """Return the last time (s) before the end at which X is singular, where it is not so all along; else ``None``.
+
+    Parameters
+    ----------
+    times : array (k,)
+    X, Lam : array (k, n, n)
+        Together orthonormal, a Lagrangian plane at each time.
+    """
+    unitary = X + 1j * Lam
+    product = unitary @ unitary.transpose(0, 2, 1)
+    angles = np.angle(-np.linalg.eigvals(product)) % (2 * np.pi)
+    apart = np.min(np.minimum(angles, 2 * np.pi - angles), axis=1)
+    left = np.flatnonzero(apart > _UNMOVED)
+    if not left.size:
+        return None
+    total = np.sum(angles[: left[-1] + 1], axis=1)
+    jumps = np.flatnonzero(np.abs(np.diff(total)) > np.pi)
+    return float(times[jumps[-1]]) if jumps.size else None

@@ -1,0 +1,166 @@
+"""Jumps that a flight crosses, kinks on which it rests, tables that it leaves: outside of the theorems, and named."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import gnc_opt as go
+
+pytestmark = pytest.mark.filterwarnings("ignore::gnc_opt.ProblemWarning")
+
+WIND = 0.3
+"""Headwind beyond q = 0.5."""
+
+
+def cart(model_name: str, rate) -> tuple[go.Model, go.Model]:
+    model = go.Model(model_name)
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: rate(q, v, a, model.time)})
+    return model, a
+
+
+def stepped(rate) -> go.Problem:
+    """From rest to rest in 2 s with the least effort."""
+    model, a = cart("cart", rate)
+    problem = go.Problem("through a step")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    problem.minimize(leg.integral(a**2))
+    return problem
+
+
+def pieces() -> go.Problem:
+    """The same through the headwind, with a phase on each side of where it begins."""
+    before, first_push = cart("still air", lambda q, v, a, t: a)
+    beyond, second_push = cart("headwind", lambda q, v, a, t: a - WIND)
+    problem = go.Problem("piece by piece")
+    first, second = problem.phase("first", before), problem.phase("second", beyond)
+    first.time(0.0, (0.2, 1.8))
+    second.time((0.2, 1.8), 2.0)
+    first.initial(q=0.0, v=0.0)
+    first.final(q=0.5)
+    second.final(q=1.0, v=0.0)
+    problem.link(first, second)
+    problem.minimize(first.integral(first_push**2) + second.integral(second_push**2))
+    return problem
+
+
+@pytest.fixture(scope="module")
+def through() -> go.Solution:
+    return go.solve(stepped(lambda q, v, a, t: a - WIND * ca.if_else(q > 0.5, 1.0, 0.0)), throw=False)
+
+
+@pytest.fixture(scope="module")
+def piecewise() -> go.Solution:
+    return go.solve(pieces())
+
+
+def test_a_jump_that_a_flight_crosses_is_named_and_nothing_beyond_it_is_said(through: go.Solution) -> None:
+    verdict = go.verify(through)
+    told = verdict["smoothness"]
+    assert told.result is go.Result.CANNOT_TELL and not verdict.ok and not verdict.failed
+    assert "a comparison makes dx/dt or an integrand jump" in told.where
+    crossing = float(told.where.split("t = ")[1].split(" s")[0])
+    assert through.state("q")(crossing) == pytest.approx(0.5, abs=1e-5)
+    assert told.value == pytest.approx(
+        WIND * 2.0 / np.ptp(through.state("v")(np.linspace(0, 2, 401))), rel=1e-3
+    )
+
+
+def test_a_phase_on_each_side_makes_the_costates_jump_and_costs_less(
+    through: go.Solution, piecewise: go.Solution
+) -> None:
+    verdict = go.verify(piecewise)
+    assert verdict.minimum
+    assert "smoothness" not in {c.name for c in verdict.conditions}
+    assert piecewise.objective < through.objective - 1e-4
+    lam = [piecewise.phase(name).lam for name in ("first", "second")]
+    middle = piecewise.phase("first").final_time
+    speed = piecewise.state("v", "first")(middle)
+    jump = lam[0](middle, "left")[0] - lam[1](middle, "right")[0]
+    # H is continuous: lambda_q v + lambda_v f; the jump of f by the wind is made up for by lambda_q.
+    assert jump * speed == pytest.approx(-WIND * lam[1](middle, "right")[1], abs=1e-6)
+
+
+def test_samples_of_the_right_flight_are_not_called_wrong(piecewise: go.Solution) -> None:
+    switch = piecewise.phase("first").final_time
+    t = np.concatenate([np.linspace(0.0, switch, 41), np.linspace(switch, 2.0, 41)[1:]])
+    names = np.where(t <= switch, "first", "second")
+    values = {n: [piecewise.state(n, p)(x) for x, p in zip(t, names, strict=True)] for n in ("q", "v")}
+    push = [piecewise.control("a", p)(x) for x, p in zip(t, names, strict=True)]
+    problem = stepped(lambda q, v, a, t: a - WIND * ca.if_else(q > 0.5, 1.0, 0.0))
+    verdict = go.verify_trajectory(problem, t, values, {"a": push})
+    assert not {"Hamiltonian", "adjoint equation", "stationarity"} & {c.name for c in verdict.failed}
+    assert verdict["smoothness"].result is go.Result.CANNOT_TELL
+
+
+def test_a_wrong_end_fails_all_the_same(through: go.Solution) -> None:
+    problem = stepped(lambda q, v, a, t: a - WIND * ca.if_else(q > 0.5, 1.0, 0.0))
+    t = np.linspace(0.0, 2.0, 81)
+    values = {n: through.state(n)(t) for n in ("q", "v")}
+    verdict = go.verify_trajectory(problem.with_final(q=1.01), t, values, {"a": through.control("a")(t)})
+    assert "boundary conditions" in {c.name for c in verdict.failed}
+
+
+@pytest.mark.parametrize(
+    "rate",
+    [
+        lambda q, v, a, t: a - 0.3 * v * ca.fabs(v),  # a kink of the second derivative, met at rest
+        lambda q, v, a, t: a - 0.3 * ca.sign(v),  # friction jumps at rest, where the flight begins and ends
+        lambda q, v, a, t: a - ca.if_else(q > 7.0, 1.0, 0.0),  # never met
+        lambda q, v, a, t: a - 0.2 * ca.fmax(q - 0.5, 0.0),  # a kink in passing
+    ],
+)
+def test_what_is_not_crossed_or_does_not_jump_is_judged(rate) -> None:
+    verdict = go.verify(go.solve(stepped(rate), throw=False))
+    assert verdict["smoothness"].result is go.Result.PASS
+    assert verdict.ok
+
+
+def test_a_flight_that_rests_on_a_kink_is_left_open() -> None:
+    """It goes to y = 0, waits and returns; |y| has any slope there, and CasADi's is none."""
+    model = go.Model("waits")
+    y, u = model.state("y"), model.control("u")
+    model.ode({y: u})
+    problem = go.Problem("down, rest, up")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 4.0)
+    leg.initial(y=1.0)
+    leg.final(y=1.0)
+    problem.minimize(leg.integral(u**2 + 4.0 * ca.fabs(y)))
+    t = np.linspace(0.0, 4.0, 161)
+    down = np.minimum(t, 1.0)
+    side = np.where(t <= 2.0, down, np.minimum(4.0 - t, 1.0))
+    # u^2 = 4 y while it moves: y = (1 - t)^2
+    values, push = (
+        (1.0 - side) ** 2,
+        np.where(t <= 1.0, -2.0 * (1.0 - t), np.where(t >= 3.0, 2.0 * (t - 3.0), 0.0)),
+    )
+    verdict = go.verify_trajectory(problem, t, {"y": values}, {"u": push})
+    assert verdict["smoothness"].result is go.Result.CANNOT_TELL
+    assert "rests on the kink of fabs, 5" in verdict["smoothness"].where
+    assert not verdict.failed and not verdict.minimum
+
+
+@pytest.mark.parametrize(
+    ("top", "outside", "result"), [(0.5, "linear", "CANNOT_TELL"), (2.0, "linear", "PASS")]
+)
+def test_flight_outside_of_a_table_is_a_condition(top, outside, result) -> None:
+    model = go.Model("hop")
+    y, u = model.state("y"), model.control("u")
+    model.ode({y: u})
+    price = go.table(np.linspace(0.0, top, 6), np.linspace(0.0, top, 6) ** 2, outside=outside, name="price")
+    problem = go.Problem("hop")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(y=0.0)
+    leg.final(y=1.0)
+    problem.minimize(leg.integral(u**2 + price(y)))
+    verdict = go.verify(go.solve(problem))
+    told = verdict["tables"]
+    assert told.result is go.Result[result]
+    assert verdict.ok and verdict.minimum is (result == "PASS")
+    assert told.value == pytest.approx(max(0.0, 1.0 - top) / top, abs=1e-9)
+    assert ("'price' flown outside" in told.where) is (result != "PASS")
