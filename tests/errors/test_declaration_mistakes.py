@@ -273,7 +273,9 @@ def test_inequality_where_the_name_of_a_path_constraint_belongs() -> None:
     leg.path(leg.model.symbol("v") <= 1.0)  # type: ignore[arg-type]  # wrong
 
 
-@mistake(go.ProblemError, "cannot be the name of a constraint of problem 'rest to rest'", "its name comes first")
+@mistake(
+    go.ProblemError, "cannot be the name of a constraint of problem 'rest to rest'", "its name comes first"
+)
 def test_constraint_without_a_name() -> None:
     problem, leg = rest_to_rest()
     problem.constrain(leg.final_time <= 3.0)  # wrong
