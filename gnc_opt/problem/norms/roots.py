@@ -1,8 +1,7 @@
-r"""Limits of roots that may vanish, without the root.
+r"""Upper limits of roots that may vanish, without the root.
 
-:math:`\sqrt{S} \le c` holds where :math:`S / (2 c) + c / 2 \le c` does, and so with :math:`\ge`. Both sides and their
-gradients are the same at the limit, hence multipliers too; but the root has no derivative where S is zero, as the speed
-of what is at rest, or the distance from the middle of a keep-out sphere.
+:math:`\sqrt{S} \le c` holds where :math:`S / (2 c) + c / 2 \le c` does. Both sides and their gradients are the same at
+the limit, hence multipliers too; but the root has no derivative where S is zero, as the speed of what is at rest.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from gnc_opt.problem.phase import Phase
 
 
 def without_roots(leg: Phase) -> dict[str, Constraint]:
-    """Return those constraints of a phase that have rows ``root <= c`` or ``root >= c``, without the root."""
+    """Return those constraints of a phase that have rows ``root <= c``, as they are without the root."""
     changed = {}
     for name, c in leg.paths.items():
         rows = [
@@ -36,19 +35,17 @@ def without_roots(leg: Phase) -> dict[str, Constraint]:
 
 
 def _without_root(row: Any, limits: Interval) -> Any | None:
-    """Return a row that is a function of a root alone, with one limit, without it; else None."""
+    """Return a row that is a function of a root alone, with a limit from above, without it; else None."""
     root = next((node for node in nodes_of(row) if node.op() in (ca.OP_SQRT, ca.OP_HYPOT)), None)
     if root is None:
         return None
     place, size = root.element_hash(), ca.SX.sym("size")
     of_size = rebuilt(row, lambda node: size if node.element_hash() == place else None)
     found = limits_of(of_size, size, limits)
-    ends = [] if found is None else [end for end in found if 0 < end < np.inf]
-    if len(ends) != 1 or not _vanishes(root):
+    if found is None or found[0] > 0 or not (0 < found[1] < np.inf) or not _vanishes(root):
         return None
-    (most,) = ends
     square = root.dep(0) if root.op() == ca.OP_SQRT else root.dep(0) ** 2 + root.dep(1) ** 2
-    tangent = square / (2 * most) + most / 2
+    tangent = square / (2 * found[1]) + found[1] / 2
     return rebuilt(row, lambda node: tangent if node.element_hash() == place else None)
 
 
