@@ -24,5 +24,10 @@ def real_polynomial(poles: Any) -> Array | None:
 
 
 def continuous_poles(poles: Any, dt: float | None) -> Any:
-    """Return poles as rates (1/s): ``ln(z)/dt`` for those of a loop sampled with dt (s)."""
-    return poles if dt is None else np.log(poles.astype(complex)) / dt
+    """Return poles as rates (1/s): ``ln(z)/dt`` for those of a loop sampled with dt (s), minus infinity for z = 0."""
+    if dt is None:
+        return poles
+    sampled = np.asarray(poles, dtype=complex)
+    rates, there = np.full(sampled.shape, complex(-np.inf)), sampled != 0
+    rates[there] = np.log(sampled[there]) / dt
+    return rates

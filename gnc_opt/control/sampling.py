@@ -24,6 +24,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
+from gnc_opt.errors import DesignError
 
 Linearization = Callable[[float], tuple[Array, Array]]
 """A (n, n) and B (n, m) at a time."""
@@ -48,10 +49,11 @@ def sample(a: Array, b: Array, q: Array, r: Array, n: Array, dt: float) -> Sampl
     size = float(np.linalg.norm(flow[flow.shape[0] // 2 :], 1)) * dt  # of M alone: the cost enters linearly
     halvings = max(0, int(np.ceil(np.log2(max(size, 1.0)))))
     phi, cost = _blocks(scipy.linalg.expm(flow * (dt / 2**halvings)))
-    for _ in range(halvings):  # doubling: no growing and decaying exponentials in one matrix
-        cost = cost + phi.T @ cost @ phi
-        phi = phi @ phi
-    return _step(phi, cost, a.shape[0])
+    with np.errstate(over="ignore", invalid="ignore"):  # `_step` refuses what overflows
+        for _ in range(halvings):  # doubling: no growing and decaying exponentials in one matrix
+            cost = cost + phi.T @ cost @ phi
+            phi = phi @ phi
+    return _step(phi, cost, a.shape[0], dt)
 
 
 def sample_along(
@@ -75,7 +77,7 @@ def sample_along(
             )
             cost = cost + phi.T @ part @ phi
             phi = step @ phi
-    return _step(phi, cost, q.shape[0])
+    return _step(phi, cost, q.shape[0], dt)
 
 
 def zero_order_hold(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
@@ -108,5 +110,9 @@ def _blocks(flow: Array) -> tuple[Array, Array]:
     return phi, 0.5 * (cost + cost.T)
 
 
-def _step(phi: Array, cost: Array, n: int) -> SampledStep:
+def _step(phi: Array, cost: Array, n: int, dt: float) -> SampledStep:
+    if not (np.all(np.isfinite(phi)) and np.all(np.isfinite(cost))):
+        raise DesignError(
+            f"the plant grows beyond all numbers within a control step of {dt:g} s: design with a shorter step."
+        )
     return SampledStep(phi[:n, :n], phi[:n, n:], cost[:n, :n], cost[n:, n:], cost[:n, n:])

@@ -70,6 +70,12 @@ class Phase(Strict):
 
     In every call a number, list or array is a fixed value, a tuple ``(lower, upper)`` is a range and
     ``None`` is free. Names are those of the model's variables.
+
+    Examples
+    --------
+    >>> leg = problem.get_phase("leg")
+    >>> print(leg.model.name)
+    double integrator
     """
 
     __slots__ = (

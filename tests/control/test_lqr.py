@@ -507,3 +507,27 @@ def test_saturation_reserve():
     reference = Reference.from_functions(model, lambda t: [0, 0], lambda t: [0.6], 0, 1)
     facts = design_lqr(model, reference, Q=1, R=1, limits=(-1, 1)).explain()
     assert np.asarray(facts["saturation reserve"]) == pytest.approx([0.4])
+
+
+@pytest.mark.parametrize(("stiffness", "dt"), [(0.0, 1e5), (1.0, 1e5), (1.0, 1e9)])
+def test_a_step_that_is_long_beside_the_plant_is_designed_without_noise(stiffness, dt, recwarn):
+    """A body that drifts, and one that has come to rest long before the next step: poles at zero, damping one."""
+    model = go.Model("body")
+    q, v, F = model.state("q"), model.state("v"), model.control("F")
+    model.ode({q: v, v: F - stiffness * (q + 0.1 * v)})
+    told = design_lqr(model, [0, 0], Q=[1, 1], R=[1], dt=dt).explain()
+    assert not recwarn.list
+    assert not any(np.isnan(np.asarray(told[name])).any() for name in ("damping", "closed-loop poles"))
+    if stiffness:
+        assert told["closed-loop poles"][-1] == complex(-np.inf) and told["damping"][-1] == 1.0
+
+
+def test_a_step_in_which_an_unstable_plant_overflows_is_refused(recwarn):
+    model = go.Model("unstable")
+    q, v, F = model.state("q"), model.state("v"), model.control("F")
+    model.ode({q: v, v: F + 0.1 * v - q})
+    with pytest.raises(DesignError, match=r"100000 s.*shorter"):
+        design_lqr(model, [0, 0], Q=[1, 1], R=[1], dt=1e5)
+    with pytest.raises(DesignError, match=r"100000 s.*shorter"):
+        go.design_tvlqr(model, Reference.constant(model, [0, 0]), Q=[1, 1], R=[1], dt=1e5)
+    assert not recwarn.list

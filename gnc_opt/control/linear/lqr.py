@@ -271,6 +271,10 @@ def _facts(solution: Steady, plant: tuple[Array, Array], controls: Layout, dt: f
     facts = [Fact("gain", solution.gain, "", "K in u = u_ff - K e, rows: " + ", ".join(controls.labels))]
     if dt is not None:
         facts.append(Fact("sampled poles", solution.poles, "", "z"))
-    facts.append(Fact("damping", -poles.real / np.abs(poles), "", "of each closed-loop pole"))
+    fastest = np.isinf(poles)
+    damping = np.where(
+        fastest, 1.0, -np.where(fastest, 0.0, poles.real) / np.abs(np.where(fastest, 1.0, poles))
+    )
+    facts.append(Fact("damping", damping, "", "of each closed-loop pole"))
     remark = "slowest first" if dt is None else "ln(z)/dt, slowest first"
     return [*facts, *regulator_facts(solution, plant, dt, remark=remark)]

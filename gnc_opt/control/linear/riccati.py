@@ -17,6 +17,7 @@ D. L. Kleinman, On an iterative technique for Riccati equation computations, IEE
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -114,8 +115,8 @@ def steady(
 def gain_of(a: Array, b: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> Array:
     """Return K (n_controls, n_errors) for the cost to go P (after the step, if sampled)."""
     if sampled:
-        return np.asarray(np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a + n.T), dtype=float)
-    return np.asarray(np.linalg.solve(r, b.T @ p + n.T), dtype=float)
+        return np.asarray(np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a + n.T))
+    return np.asarray(np.linalg.solve(r, b.T @ p + n.T))
 
 
 def residual(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> float:
@@ -217,11 +218,15 @@ def _polished(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, sample
         closed = a - b @ gain
         load = q + gain.T @ r @ gain - n @ gain - gain.T @ n.T
         try:
-            after = (
-                scipy.linalg.solve_discrete_lyapunov(closed.T, load)
-                if sampled
-                else scipy.linalg.solve_continuous_lyapunov(closed.T, -load)
-            )
+            with (
+                warnings.catch_warnings()
+            ):  # a step from an ill-conditioned equation is judged by what it leaves
+                warnings.simplefilter("ignore", scipy.linalg.LinAlgWarning)
+                after = (
+                    scipy.linalg.solve_discrete_lyapunov(closed.T, load)
+                    if sampled
+                    else scipy.linalg.solve_continuous_lyapunov(closed.T, -load)
+                )
         except scipy.linalg.LinAlgError:
             return best
         after = 0.5 * (after + after.T)

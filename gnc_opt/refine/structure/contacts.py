@@ -300,9 +300,11 @@ def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) ->
 
 def _pushing_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[_Run]:
     """Where constraints of some rows push."""
-    s = constraints.samples
-    times, values, pushes = _at_nodes(constraints)
+    s, rows = constraints.samples, list(rows)
     found: list[_Run] = []
+    if not rows:
+        return found
+    times, values, pushes = _at_nodes(constraints)
     for row in rows:
         for kind, limit in constraints.limits(int(row)):
             near = np.abs(values[row] - limit) < NEAR * constraints.scales[row]
