@@ -65,8 +65,9 @@ def solve(
         answer says how. If it is the refined bang-bang solution of a variation (`Problem.with_initial`, ...), and
         neither mesh nor tolerance nor options are given, that is Newton's method on its switch times where they decide
         everything: the flight itself, right to 1e-9, see `Resolver`. Without a guess the
-        problem's own guess and straight lines are used; where these end as infeasible, the constraints are met
-        first and the cost is lowered afterwards, see `gnc_opt.solution.solve_mesh`.
+        problem's own guess and straight lines are used, from coarser meshes on if there are 60 segments or more;
+        where these end as infeasible, the constraints are met first and the cost is lowered afterwards, see
+        `gnc_opt.solution.solve_mesh`.
     tol : float, "auto" or None
         Refine until the error between the nodes is below this, and judge the result; see `refine`. A solution that
         does not come to rest is compared with another one; see `gnc_opt.solution.solve_mesh`. None: one solve on the

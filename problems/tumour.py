@@ -1,8 +1,8 @@
 r"""Tumour anti-angiogenesis: a limited dose of a drug that starves a tumour of its vessels.
 
 Teaches two ways to state a limit on an integral. As a boundary constraint of ``integral(u)`` it has one multiplier;
-as a state with a bound it touches that bound at the very end only. The optimum gives all it has at once, and waits
-for the tumour to be smallest; the final time is free.
+so has the bound of a state that only rises, where it is enforced: at the end. The optimum gives all it has at once,
+and waits for the tumour to be smallest; the final time is free.
 
 States: ``p``, ``q`` (mm^3), volume of the tumour and what its vessels carry. Control: ``u``, 0 to 75 (per day); its
 integral is at most 15. Time in days.

@@ -240,9 +240,9 @@ class PhaseError:
     adjoint: Array
 
     @classmethod
-    def of(cls, leg: PhaseSolution, functions: PhaseFunctions) -> PhaseError:
+    def of(cls, samples: PhaseSamples) -> PhaseError:
         """Estimate the error of each segment of a phase."""
-        samples = PhaseSamples.of(leg, functions)
+        leg = samples.leg
         yardstick, pieces = Yardstick.of(samples), SampledPieces.of(samples)
         adjoint = adjoint_density(samples, yardstick.pure_paths)
         errors = yardstick.judge(pieces, adjoint)
@@ -273,7 +273,7 @@ class PhaseError:
 
 def estimate_errors(solution: Solution) -> dict[str, PhaseError]:
     """Return the error estimate of every phase of a solution; needs its problem."""
-    return {name: PhaseError.of(leg, solution.functions(name)) for name, leg in solution.phases.items()}
+    return {name: PhaseError.of(samples) for name, samples in solution.samples().items()}
 
 
 def largest_error(errors: Mapping[str, PhaseError]) -> tuple[float, str]:

@@ -6,11 +6,14 @@ This is the whole list; nothing else in gnc_opt solves a program twice for want 
 try                   after                                   how
 ====================  ======================================  ====================================================
 `CAREFUL`             endings that rounding can cause         the linear solver pivots with care, from where it stopped
-`ADAPTIVE`            endings without a verdict               IPOPT's adaptive barrier, from the same start
+`ADAPTIVE`            endings without a verdict, `MANY`       IPOPT's adaptive barrier, from the same start
+                      iterations of a cold start
 `TRAJECTORY_ONLY`     a warm start that has lost its way      the trajectory alone, without its multipliers
 `CONSTRAINTS_FIRST`   "infeasible", without a trajectory as   the constraints are met first, the cost is lowered
                       a guess                                 afterwards
 ====================  ======================================  ====================================================
+
+A fine mesh without a guess gets one first: from a coarse mesh, by `_coarse_to_fine`.
 
 A solution that was found may be looked for again: by `another_way`, if refining it does not come to rest, and by
 `sharper`, if it is too blunt to tell which limits are active.
@@ -34,6 +37,7 @@ from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.attempt import Attempt, ShowIteration
 from gnc_opt.solution.least_multipliers import least_multipliers
+from gnc_opt.solution.quality import worst_defect
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.start import ProgramStart, guess_from_solution, start_from_guess
 from gnc_opt.transcription.mesh import Mesh, MeshLike, read_meshes
@@ -46,6 +50,9 @@ CAREFUL = (Status.ACCEPTABLE, Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAI
 ADAPTIVE = (Status.RESTORATION_FAILED, Status.SEARCH_DIRECTION_FAILED, Status.STEP_TOO_SMALL)
 """Endings without a verdict. IPOPT's monotone barrier stalls where constraint gradients become dependent at the
 solution (a phase that shrinks to nothing, say); its adaptive barrier is slower on ordinary problems."""
+
+MANY = 1000
+"""Iterations, SolverOptions' limit, after which a cold start has lost its way."""
 
 TRAJECTORY_ONLY = tuple(s for s in Status if not s.solved and s is not Status.INTERRUPTED)
 """Endings of a warm start after which its multipliers are given up."""
@@ -60,6 +67,17 @@ too short are the usual trap, so longer ones are tried."""
 
 COLD_MU = 1e-2
 """First barrier parameter when only the trajectory is kept."""
+
+FINE, COARSER = 60, 6
+"""Meshes of so many segments in a phase are solved on one of so many times fewer first: from a straight line the
+iterations grow with the mesh, from a trajectory hardly. (Rendezvous: 49 iterations on 60x4, 21 from 10x4; on 300x3
+224 and 30.)"""
+
+BRIEF = 100
+"""Iterations that such a way gets on each mesh."""
+
+SHOWN = 0.1
+"""Largest defect between nodes of a coarse solution that is a guess: an oscillation that it cannot show leaves 1."""
 
 STRETCHES = (1.0, 4.0, 16.0, 64.0)
 """Multiples of the guessed times at which durations are held while constraints are met."""
@@ -111,7 +129,9 @@ def solve_mesh(
         meshes = {name: guess.phases[name].mesh for name in problem.phases}
     else:
         meshes = read_meshes(mesh, problem.phases, problem.name)
-    if guess is None or warm_iterations is None:
+    if guess is None:
+        return _coarse_to_fine(problem, meshes, scheme, chosen, progress, deadline)
+    if warm_iterations is None:
         return _solve(problem, meshes, scheme, guess, chosen, progress, deadline)
     brief = replace(chosen, max_iterations=min(warm_iterations, chosen.max_iterations))
     found = _solve(problem, meshes, scheme, guess, brief, progress, deadline)
@@ -125,6 +145,49 @@ def solve_mesh(
     return replace(again, statistics=statistics, problem=found.problem)
 
 
+def _coarse_to_fine(
+    problem: Problem,
+    meshes: dict[str, Mesh],
+    scheme: Scheme,
+    options: SolverOptions,
+    progress: bool,
+    deadline: float,
+) -> Solution:
+    """Solve without a guess; a fine mesh from solutions on coarser ones, as long as these show what happens."""
+    brief = replace(options, max_iterations=min(BRIEF, options.max_iterations))
+    coarse, found = _coarser_meshes(problem, meshes), None
+    for level in (*coarse, meshes) if coarse else ():
+        spent = found.statistics if found else None
+        time_spent = spent.solve_s if spent else 0.0
+        found = _solve(problem, level, scheme, found, brief, progress, deadline, time_spent, retries=False)
+        found = replace(found, statistics=found.statistics.after(spent)) if spent else found
+        if found.status is Status.INTERRUPTED or (found.status.solved and level is meshes):
+            return found
+        if not found.status.solved or not _shows_what_happens(found):
+            break
+    if found is None:
+        return _solve(problem, meshes, scheme, None, options, progress, deadline)
+    spent = found.statistics
+    found = _solve(problem, meshes, scheme, None, options, progress, deadline, spent.solve_s)
+    return replace(found, statistics=found.statistics.after(spent))
+
+
+def _coarser_meshes(problem: Problem, meshes: dict[str, Mesh]) -> list[dict[str, Mesh]]:
+    """Return meshes on the way to fine ones, coarsest first; none where boundaries or arcs are given."""
+    if any(m.movable for m in meshes.values()) or any(leg.numbers.arcs for leg in problem.phases.values()):
+        return []
+    levels = [meshes]
+    while any(mesh.segments >= FINE for mesh in levels[0].values()):
+        finer = levels[0].items()
+        levels.insert(0, {k: m.coarsened(COARSER) if m.segments >= FINE else m for k, m in finer})
+    return levels[:-1]
+
+
+def _shows_what_happens(solution: Solution) -> bool:
+    """Whether a mesh is fine enough for what its solution is."""
+    return all(worst_defect(s).value < SHOWN for s in solution.samples().values())
+
+
 def _solve(
     problem: Problem,
     meshes: Mapping[str, Mesh],
@@ -134,6 +197,8 @@ def _solve(
     progress: bool,
     deadline: float,
     spent: float = 0.0,
+    *,
+    retries: bool = True,
 ) -> Solution:
     """Solve from one guess; ``spent`` (s) of the limit on wall time is gone."""
     attempt = Attempt.prepare(problem, meshes, scheme, guess, options, progress=progress)
@@ -142,7 +207,7 @@ def _solve(
     deadline = min(deadline, attempt.solver.deadline() - spent)
     with attempt.meter() as show:
         result = _solve_point(attempt.solver, point, show, deadline)
-    if result.status in CONSTRAINTS_FIRST and guess is None and not knows_trajectory(problem):
+    if retries and result.status in CONSTRAINTS_FIRST and guess is None and not knows_trajectory(problem):
         result = _constraints_first(attempt, result, deadline)
     if result.status.solved:
         result = least_multipliers(attempt.transcription, point, result)
@@ -163,9 +228,11 @@ def _solve_point(
         there = replace(point, x0=result.x, lam_x0=result.lam_x, lam_g0=result.lam_g)
         again = solver.solve(there, "careful", callback=show, deadline=deadline)
         result = again.with_effort([result, again]) if again.status.solved else result
-    if result.status in ADAPTIVE:
+    wandered = result.status is Status.ITERATION_LIMIT and solver.options.max_iterations >= MANY
+    if result.status in ADAPTIVE or (wandered and point.way == "cold"):
         again = solver.solve(point.cold(), "adaptive", callback=show, deadline=deadline)
-        result = (result if again.status in ADAPTIVE else again).with_effort([result, again])
+        worse = again.status in ADAPTIVE or (wandered and not again.status.solved)
+        result = (result if worse else again).with_effort([result, again])
     return result
 
 

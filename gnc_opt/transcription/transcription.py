@@ -29,6 +29,7 @@ from gnc_opt.transcription.holding import (
     junction_orders,
     junction_values,
     junctions_of,
+    loosen_one_way,
     meet_limits,
     smooth_controls,
     smooth_entries,
@@ -321,12 +322,12 @@ class Transcription(Numbering):
         """Bounds of all variables, in physical units."""
         box = free(self.n_variables)
         for name, part in self.parts.items():
-            self._put_phase_bounds(box, problem.phases[name], part)
+            self._put_phase_bounds(box, problem, problem.phases[name], part)
         q = problem.parameter_interval()
         box.lower[self.parameter_places], box.upper[self.parameter_places] = q.lower, q.upper
         return box
 
-    def _put_phase_bounds(self, box: Interval, leg: Phase, part: PhasePart) -> None:
+    def _put_phase_bounds(self, box: Interval, problem: Problem, leg: Phase, part: PhasePart) -> None:
         collocation, numbers = part.collocation, leg.numbers
         for places, bounds in (
             (collocation.boundary_states, numbers.states),
@@ -334,6 +335,7 @@ class Transcription(Numbering):
             (collocation.point_controls, numbers.controls),
         ):
             box.lower[places], box.upper[places] = bounds.lower[:, None], bounds.upper[:, None]
+        loosen_one_way(box, problem, leg, collocation)
         check_segments(leg, collocation)
         if numbers.arcs is not None:
             hold_controls(box, numbers.arcs, numbers.controls, collocation)

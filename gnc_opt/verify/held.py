@@ -36,16 +36,16 @@ def left_free(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
         What a step of 1 in each control is.
     """
     rows = _rows(s) * unit[None, :, None]
-    bases = []
-    for j in range(s.times.size):
-        basis = np.eye(unit.size)[:, free[:, j]]
+    bases = [np.eye(unit.size)[:, here] for here in free.T]
+    if not rows.size:
+        return bases
+    for j, basis in enumerate(bases):
         taken = rows[:, :, j] @ basis
         taken = taken[np.any(taken != 0, axis=1)]
         if taken.size and np.all(np.isfinite(taken)):
             taken = taken / np.max(np.abs(taken), axis=1, keepdims=True)
             _, sizes, across = np.linalg.svd(taken, full_matrices=True)
-            basis = basis @ across[int(np.sum(sizes > RANK * sizes[0])) :].T
-        bases.append(basis)
+            bases[j] = basis @ across[int(np.sum(sizes > RANK * sizes[0])) :].T
     return bases
 
 

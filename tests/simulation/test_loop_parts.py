@@ -526,3 +526,10 @@ def test_columns_of_a_step_have_one_place_for_everything():
     assert dict(kernel.known.parts) == {"t": 1, "r": 2, "sensor 0": 2, "actuator 0": 0, "push 0": 1}
     assert dict(kernel.log.parts) == {"measured": 2, "commands": 1, "applied": 2, "error": 1}
     assert kernel.step.size_in(0) == (sum(sizes.values()), 1) == kernel.start.size_out(0)
+
+
+def test_a_run_logs_every_control_step_unless_told_otherwise():
+    flight = ClosedLoop(double_integrator(), idle(double_integrator()), dt=DT).flight([1.0, 0.0], tf=0.5)
+    columns = flight.nominal
+    assert flight.run(columns, 0).state("q").times == pytest.approx(DT * np.arange(6))
+    assert flight.run(columns, 0, every=2).state("q").times == pytest.approx([0.0, 0.2, 0.4, 0.5])

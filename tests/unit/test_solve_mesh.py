@@ -168,6 +168,23 @@ def test_a_failure_of_the_adaptive_barrier_leaves_the_first_ending(monkeypatch: 
         monkeypatch.undo()
 
 
+def test_a_cold_start_that_wanders_is_met_by_the_adaptive_barrier(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not one whose limit the user drew closer; and what finds nothing either leaves the first ending."""
+    watch = Stumbling(monkeypatch, Status.ITERATION_LIMIT)
+    solution = solve_mesh(regulator(), "3x4")
+    assert watch.ways == ["cold", "adaptive"] and solution.status is Status.OPTIMAL
+    assert solution.statistics.iterations == sum(watch.costs)
+    monkeypatch.undo()
+    watch = Stumbling(monkeypatch, Status.ITERATION_LIMIT)
+    brief = go.SolverOptions(max_iterations=999)
+    assert solve_mesh(regulator(), "3x4", options=brief).status is Status.ITERATION_LIMIT
+    assert watch.ways == ["cold"]
+    monkeypatch.undo()
+    watch = Stumbling(monkeypatch, Status.ITERATION_LIMIT, Status.STEP_TOO_SMALL)
+    assert solve_mesh(regulator(), "3x4").status is Status.ITERATION_LIMIT
+    assert watch.ways == ["cold", "adaptive"]
+
+
 # --- another solution ---------------------------------------------------------------------------------------
 
 
@@ -288,3 +305,82 @@ def test_the_trajectory_alone_has_what_the_warm_start_left_of_the_limit(
 def test_nothing_is_shown_unless_it_is_asked_for(capfd: pytest.CaptureFixture[str]) -> None:
     solve_mesh(regulator(), "3x4")
     assert capfd.readouterr() == ("", "")
+
+
+# --- fine meshes from coarse ones -----------------------------------------------------------------------
+
+
+def waves(periods: float) -> go.Problem:
+    """An oscillator that is pushed a little over some periods: x' = v, v' = -x + u, least effort."""
+    model = go.Model("oscillator")
+    x, v, u = model.state("x"), model.state("v"), model.control("u")
+    model.ode({x: v, v: -x + u})
+    problem = go.Problem("oscillator")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=2 * np.pi * periods)
+    leg.initial(x=0.0, v=1.0)
+    leg.final(x=0.0, v=2.0)
+    problem.minimize(leg.integral(u**2))
+    return problem
+
+
+def segments(watch: Stumbling) -> list[int]:
+    """So many boundaries, roughly, had each solve: its variables without the points'."""
+    return [point.x0.size for point in watch.points]
+
+
+def test_a_fine_mesh_starts_from_a_coarse_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """80x3 from 14x3: the same answer on the mesh that was asked for; all iterations and times count."""
+    watch = Stumbling(monkeypatch)
+    solution = solve_mesh(waves(1.0), "80x3")
+    assert solution.phase().mesh == go.Mesh.uniform(80, 3)
+    assert segments(watch)[0] < segments(watch)[1] / 5
+    assert solution.statistics.iterations == sum(watch.costs)
+    # Effort u = a sin t, or cos t, brings v(2 pi) - v(0) = pi a: its square integrates to pi a^2 = 1 / pi.
+    assert solution.objective == pytest.approx(1 / np.pi, rel=1e-6)
+
+
+def test_very_fine_meshes_come_step_by_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    watch = Stumbling(monkeypatch)
+    solve_mesh(regulator(), "400x2")
+    sizes = segments(watch)
+    assert len(sizes) == 3  # 12, 67, 400 segments
+    assert sizes[0] < sizes[1] / 5 < sizes[2] / 25
+
+
+def test_a_coarse_mesh_that_cannot_show_an_oscillation_is_no_guess(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forty periods on ten segments: that solution is dropped, and the start is the problem's own."""
+    watch = Stumbling(monkeypatch)
+    solution = solve_mesh(waves(40.0), "240x4")
+    assert watch.ways[-1] == watch.ways[0]
+    assert watch.points[-1].lam_g0 is None
+    assert solution.objective == pytest.approx(1 / (40 * np.pi), rel=1e-3)
+
+
+@pytest.mark.parametrize("failing", [0, 1])
+def test_where_a_coarse_way_fails_the_mesh_itself_is_tried(
+    monkeypatch: pytest.MonkeyPatch, failing: int
+) -> None:
+    watch = Stumbling(monkeypatch, *[None] * failing, Status.ITERATION_LIMIT)
+    solution = solve_mesh(regulator(), "60x3")
+    assert solution.status is Status.OPTIMAL
+    assert solution.objective == pytest.approx(cost(), rel=1e-9)
+    assert len(watch.ways) == 2 + failing
+    assert watch.points[-1].lam_g0 is None
+    assert solution.statistics.iterations == sum(watch.costs)
+
+
+def test_boundaries_that_move_and_guesses_are_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    watch = Stumbling(monkeypatch)
+    times = np.linspace(0.0, 1.0, 71)
+    solve_mesh(regulator(), replace(go.Mesh.at_times(times, 2), movable=(35,)))
+    assert len(watch.ways) == 1
+    fine = solve_mesh(regulator(), "59x2")
+    assert len(watch.ways) == 2
+    solve_mesh(regulator(), "70x2", guess=fine)
+    assert len(watch.ways) == 3
+
+
+def test_a_coarser_mesh_keeps_breaks_and_the_most_points() -> None:
+    mesh = go.Mesh((0.0, 0.1, 0.3, 0.4, 0.8, 1.0), (2, 5, 3, 3, 4)).coarsened(2)
+    assert mesh == go.Mesh((0.0, 0.3, 0.8, 1.0), (5, 3, 4))

@@ -37,10 +37,11 @@ def absolute_controls(problem: Statement, leg: Phase) -> Names:
     """
     model, stated = leg.model, stated_controls(leg)
     symbols = ca.vertsplit(model.symbols("control"))
+    corners = [node for node in nodes_of(along(leg)) if node.op() in CORNERS]
     found = {
         i
         for h, i in stated.items()
-        if _has_corner(leg, symbols[i], h) and _less_is_better(problem, leg, symbols[i])
+        if _has_corner(corners, symbols[i], h) and _less_is_better(problem, leg, symbols[i])
     }
     whole = []
     for v in model.controls.variables:
@@ -50,9 +51,9 @@ def absolute_controls(problem: Statement, leg: Phase) -> Names:
     return tuple(whole)
 
 
-def _has_corner(leg: Phase, symbol: Any, place: int) -> bool:
-    for node in nodes_of(along(leg)):
-        if node.op() in CORNERS and any(s.element_hash() == place for s in ca.symvar(node)):
+def _has_corner(corners: list[Any], symbol: Any, place: int) -> bool:
+    for node in corners:
+        if any(s.element_hash() == place for s in ca.symvar(node)):
             norms = NormNodes.of(node, symbol)
             if norms.degrees.get(node.element_hash()) == 1:
                 return True

@@ -200,7 +200,8 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
     orders = [0 if held[row] else constraints.order(row) for row in range(constraints.size)]
     if not any(orders):
         return structure
-    holders = [constraints.holders(row) if order else () for row, order in enumerate(orders)]
+    known = structure.holders[first:]
+    holders = [constraints.holders(row) if order else known[row] for row, order in enumerate(orders)]
     structure = replace(structure, orders=(*(0,) * first, *orders), holders=(*((),) * first, *holders))
     for run in _runs_of_pushes(constraints, structure):
         structure = run.added(structure, samples)
@@ -299,9 +300,11 @@ def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) ->
 
 def _pushing_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[_Run]:
     """Where constraints of some rows push."""
-    s = constraints.samples
-    times, values, pushes = _at_nodes(constraints)
+    s, rows = constraints.samples, list(rows)
     found: list[_Run] = []
+    if not rows:
+        return found
+    times, values, pushes = _at_nodes(constraints)
     for row in rows:
         for kind, limit in constraints.limits(int(row)):
             near = np.abs(values[row] - limit) < NEAR * constraints.scales[row]

@@ -1,0 +1,103 @@
+"""Interval arithmetic holds what the expressions take; budgets are told from what comes and goes."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import gnc_opt as go
+from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.one_way import one_way_states
+from gnc_opt.problem.ranges import ranges_of
+
+X = ca.SX.sym("x", 2)
+EXPRESSIONS = {
+    "sum": X[0] + X[1],
+    "difference": X[0] - X[1],
+    "opposite": -X[0],
+    "product": X[0] * X[1],
+    "quotient": X[0] / X[1],
+    "reciprocal": 1 / X[0],
+    "square": X[0] ** 2,
+    "cube": X[0] ** 3,
+    "root of a square": ca.sqrt(X[0] ** 2 + X[1] ** 2),
+    "magnitude": ca.fabs(X[0]),
+    "exponential": ca.exp(-X[0]),
+    "power": (1 + X[0] ** 2) ** 1.5,
+    "falling power": (X[0] ** 2) ** -0.7,
+    "least and largest": ca.fmin(X[0], X[1]) + 2 * ca.fmax(X[0], X[1]),
+    "waves": ca.sin(X[0]) + ca.cos(X[1]) + ca.tanh(X[0]),
+    "unknown": ca.atan2(X[0], X[1]),
+}
+ends = st.tuples(st.floats(-3, 3), st.floats(-3, 3)).map(sorted)
+
+
+@pytest.mark.parametrize("name", EXPRESSIONS)
+@given(a=ends, b=ends, shares=st.lists(st.tuples(st.floats(0, 1), st.floats(0, 1)), min_size=1, max_size=8))
+def test_values_lie_in_their_range(name, a, b, shares) -> None:
+    function = ca.Function("f", [X], [EXPRESSIONS[name]])
+    box = ranges_of(function, [Interval(np.array([a[0], b[0]]), np.array([a[1], b[1]]))])
+    for s, t in shares:
+        value = float(function([a[0] + s * (a[1] - a[0]), b[0] + t * (b[1] - b[0])]))
+        if np.isfinite(value):
+            assert box.lower[0] - 1e-12 * (1 + abs(value)) <= value <= box.upper[0] + 1e-12 * (1 + abs(value))
+
+
+@pytest.mark.parametrize(
+    ("expression", "lower", "upper"),
+    [
+        (X[0] * X[1], -2.0, 1.0),  # x in [-1, 1/2], y in [1, 2]
+        (X[0] ** 2, 0.0, 1.0),
+        (X[0] / X[1], -1.0, 0.5),
+        (ca.sqrt(X[0] ** 2 + X[1]), 1.0, np.sqrt(3.0)),
+        (1 / X[0], -np.inf, np.inf),
+        (ca.fabs(X[0]) * X[1], 0.0, 2.0),
+    ],
+)
+def test_ranges_in_which_nothing_occurs_twice_are_the_narrowest(expression, lower, upper) -> None:
+    box = ranges_of(
+        ca.Function("f", [X], [expression]), [Interval(np.array([-1.0, 1.0]), np.array([0.5, 2.0]))]
+    )
+    assert box.lower[0] == pytest.approx(lower)
+    assert box.upper[0] == pytest.approx(upper)
+
+
+def test_what_knows_no_limit_has_none() -> None:
+    """Zero times a quantity without limits is zero; one without limits less itself may be anything."""
+    function = ca.Function("f", [X], [ca.vertcat(0 * X[0], X[0] - X[0] * X[1])])
+    box = ranges_of(function, [Interval(np.array([-np.inf, 1.0]), np.array([np.inf, 2.0]))])
+    np.testing.assert_array_equal(box.lower, [0.0, -np.inf])
+    np.testing.assert_array_equal(box.upper, [0.0, np.inf])
+
+
+def test_budgets_are_told_from_what_comes_and_goes() -> None:
+    model = go.Model("vehicle")
+    names = ("fuel", "dose", "energy", "charge", "speed", "heat", "free")
+    fuel, dose, energy, charge, speed, heat, free = (model.state(name) for name in names)
+    u, w = model.control("u"), model.control("w")
+    loss = model.parameter("loss", 2.0)
+    model.ode(
+        {
+            fuel: -u / loss,  # rests where u = 0: falls else
+            dose: u,
+            energy: u**2 + w**2,
+            charge: w,  # comes and goes
+            speed: -(speed**2),  # no control
+            heat: 2 + u,  # never rests
+            free: u,  # has no bound
+        }
+    )
+    problem = go.Problem("vehicle")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.bounds(u=(0.0, 1.0), w=(-1.0, 1.0), **dict.fromkeys(names[:-1], (0.0, 1.0)))
+    rising, falling = one_way_states(problem, leg)
+    assert [names[i] for i in np.flatnonzero(rising)] == ["dose", "energy"]
+    assert [names[i] for i in np.flatnonzero(falling)] == ["fuel"]
+    leg.bounds(u=(-1.0, 0.0))
+    rising, falling = one_way_states(problem, leg)
+    assert [names[i] for i in np.flatnonzero(rising)] == ["fuel", "energy"]
+    assert [names[i] for i in np.flatnonzero(falling)] == ["dose"]
