@@ -76,6 +76,17 @@ def _resolve(told: Any) -> Cells:
         yield f"{100 * row['size']:g} %", str(row["runs"]), *spent, _error(row["largest_difference"]), others
 
 
+def _speed(told: Any) -> Cells:
+    for row in told["build_and_solve"]:
+        for name, run in row["medians"].items():
+            yield f"{name}, {row['mesh']}", f"{run['cpu_s']:.2f}", f"{run['iterations']:.0f}"
+
+
+def _refinement(told: Any) -> Cells:
+    yield "by refinement", str(told["points"])
+    yield f"smallest by hand: {told['hand_mesh']}", str(told["hand_points"])
+
+
 def _error(value: float | None) -> str:
     return "" if value is None else f"{abs(value):.0e}" if value else "0"
 
@@ -107,6 +118,8 @@ BENCHMARKS = {
         ),
         _resolve,
     ),
+    "speed": Benchmark(("--quick",), ("program, mesh", "built and solved (s)", "iterations"), _speed),
+    "refinement": Benchmark((), ("mesh of the hyper-sensitive problem", "points"), _refinement),
     "convergence": Benchmark((), ("problem", "points", "state", "control", "costate"), _convergence),
     "problem_files": Benchmark(
         (),

@@ -36,7 +36,9 @@ def read_name(name: object, what: str, error: ErrorType = ArgumentError) -> str:
 
 def read_label(name: object, what: str, error: ErrorType = ArgumentError) -> str:
     """Return a name that appears only in results and reports: any text without brackets."""
-    if not isinstance(name, str) or not name.strip() or "[" in name:
+    if not isinstance(name, str):
+        raise error(f"{shown(name)} cannot be the name of a {what}: its name comes first, a text.")
+    if not name.strip() or "[" in name:
         raise error(f"{shown(name)} cannot be the name of a {what}: give a text without brackets.")
     return name
 

@@ -32,6 +32,9 @@ FROM_ROOT = {
 }
 """Pages that are files of the root, by their place in the site."""
 
+_REFERENCE_OF_README = "**API reference** with every public name, in the site that `mkdocs build` makes"
+_REFERENCE_OF_SITE = "**[API reference](api/index.md)** with every public name"
+
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s:#]+)(#[^)\s]*)?\)")
 _FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
@@ -69,6 +72,7 @@ def on_page_markdown(markdown: str, page: Page, **more: Any) -> str:
     place = page.file.src_uri
     if place not in FROM_ROOT and page.file.generated_by:
         return markdown
+    markdown = markdown.replace(_REFERENCE_OF_README, _REFERENCE_OF_SITE)
     pieces = re.split(f"({_FENCE.pattern})", markdown, flags=_FENCE.flags)
     source = FROM_ROOT.get(place, f"docs/{place}")
     return "".join(piece if piece.startswith("```") else relinked(piece, source, place) for piece in pieces)

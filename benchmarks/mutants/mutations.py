@@ -207,7 +207,8 @@ class _Finder(ast.NodeVisitor):
             for i in range(len(node.keywords)):
                 self._change(node, lambda n, i=i: n.keywords.pop(i))
         for child in (node.func, *node.args, *node.keywords):
-            if getattr(child, "arg", "") != "strict":  # an assertion of zip, as those of `assert`
+            # an assertion of zip, as those of `assert`; what of a dataclass is shown
+            if getattr(child, "arg", "") not in ("strict", "repr"):
                 self.visit(child)
 
     def visit_Constant(self, node: ast.Constant) -> None:

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import gnc_opt as go
 from benchmarks.verdict.changes import LEAST, Planted, changes, off_by
+from benchmarks.verdict.closed_forms import closed_forms
 from benchmarks.verdict.extremals import extremals
 from benchmarks.verdict.families import members
 from benchmarks.verdict.forged import forged
@@ -96,7 +97,7 @@ def cases(documents: Sequence[Mapping[str, Any]], seed: int) -> Iterator[Case]:
         yield Case(e.kind, e.name, e.why, True, e.first_order, lambda e=e: (e.judge(), e.off))
     for f in forged():
         yield Case("forged file", f.name, f.why, True, True, lambda f=f: (f.judge(), f.off))
-    for pair in pairs():
+    for pair in (*pairs(), *closed_forms()):
         for scale in SCALES:
             name = f"{pair.name}, unit {scale[0]:g}, cost {scale[1]:g}"
             yield Case(

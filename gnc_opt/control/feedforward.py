@@ -28,6 +28,10 @@ def feedforward(reference: Reference) -> Controller:
     ------
     ArgumentError
         It is no reference.
+
+    Examples
+    --------
+    >>> law = go.feedforward(go.Reference(solution))
     """
     expect(reference, Reference, "what feedforward() got", "write feedforward(Reference(solution))")
     signals = reference_signals(reference)

@@ -50,6 +50,12 @@ class Reference(Strict):
     ArgumentError
         The solution is not solved, its phases differ in states or controls, or no control keeps its final state
         at rest and ``tail`` is ``"trim"``.
+
+    Examples
+    --------
+    >>> reference = go.Reference(solution)
+    >>> print(f"{reference.final_time:.6f}", np.round(reference.x(1.0), 6))
+    2.000000 [ 0.5 -1. ]
     """
 
     __slots__ = (

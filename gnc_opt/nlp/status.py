@@ -12,6 +12,11 @@ class Status(Enum):
     """How an NLP solve ended.
 
     The value is a stable lower-case string for files; `remedy` says what the ending means and what to do.
+
+    Examples
+    --------
+    >>> print(go.Status.INFEASIBLE.solved, go.Status.ACCEPTABLE.solved)
+    False True
     """
 
     OPTIMAL = "optimal"
@@ -145,6 +150,12 @@ def status_from_stats(stats: Mapping[str, object]) -> Status:
     -------
     Status
         `Status.FAILED` if nothing in `stats` is known.
+
+    Examples
+    --------
+    >>> from gnc_opt.nlp import status_from_stats
+    >>> print(status_from_stats({"return_status": "Infeasible_Problem_Detected"}).value)
+    infeasible
     """
     name = str(stats.get("return_status", ""))
     if name in _FROM_NAME:

@@ -59,6 +59,11 @@ def plot_refinement(history: History) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_refinement
+    >>> figure = plot_refinement(solution.history)
     """
     phases = list(history.passes[0].meshes)
     with style():

@@ -78,6 +78,11 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
     Returns
     -------
     Path
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_states, save_figure
+    >>> path = save_figure(plot_states(solution), "states.svg")
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)

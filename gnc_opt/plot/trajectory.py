@@ -50,6 +50,9 @@ _EXPECTED: dict[str, Any] = {"color": COLORS[1], "linestyle": "--", "linewidth":
 _NEGLIGIBLE = 1e-7
 """Shares of the Hamiltonian up to this are the solver's rounding."""
 
+_ON_BOUND = 1e-3
+"""Shares of a control's range: nearer to a bound it counts as on it."""
+
 _ROOM = 1.25
 """Half height of a control's axis in units of its half range: bounds in sight, overshoot cut off."""
 
@@ -81,6 +84,12 @@ def plot_states(
     ------
     UnknownNameError
         There is no such phase or state.
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_states
+    >>> print(len(plot_states(solution).axes))  # one for each state
+    2
     """
     return _draw_each(
         solution,
@@ -123,6 +132,12 @@ def plot_costates(
     ------
     UnknownNameError
         There is no such phase or state.
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_costates
+    >>> print(len(plot_costates(solution, ["v"]).axes))
+    1
     """
     return _draw_each(
         solution,
@@ -172,6 +187,12 @@ def plot_controls(
         There is no such phase or control.
     GncOptError
         There are no controls at all.
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_controls
+    >>> print(len(plot_controls(solution).axes))  # the control, and its switching function
+    2
     """
     legs = chosen_phases(solution, phase)
     known = {c.name: c for leg in legs for c in leg.composed_controls}
@@ -237,6 +258,12 @@ def plot_hamiltonian(
     ------
     GncOptError
         The solution was loaded without its problem.
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_hamiltonian
+    >>> print(plot_hamiltonian(solution).axes[0].get_xlabel())
+    time (s)
     """
     legs = chosen_phases(solution, phase)
     at_points = [np.asarray(solution.hamiltonian(leg.point_times, leg.name)) for leg in legs]
@@ -368,9 +395,20 @@ def _draw_switching(
     axes[1].set_ylabel(axis_label(f"$\\partial H/\\partial${shown}" + "\n" * bool(per), per))
     negligible = _negligible_switching(solution, leg, name, i)
     _leave_room(axes[1], negligible)
-    for crossing in zero_crossings(t, values[i], negligible):
+    on_bound = _on_a_bound(
+        leg, leg.controls.slice(name).start + i, t
+    )  # between them it is zero up to rounding
+    for crossing in zero_crossings(t[on_bound], values[i][on_bound], negligible):
         for ax in axes:
             ax.axvline(crossing, zorder=1, **_SIGN_CHANGE)
+
+
+def _on_a_bound(leg: PhaseSolution, row: int, t: Array) -> Any:
+    """Return at which times (n_times,) the flown control sits on one of its bounds."""
+    lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
+    flown = leg.flown(t)[row]
+    room = np.minimum(flown - lower, upper - flown)
+    return room <= _ON_BOUND * (upper - lower if np.isfinite(upper - lower) else 1.0 + np.max(np.abs(flown)))
 
 
 def _negligible_switching(solution: Solution, leg: PhaseSolution, name: str, i: int) -> float:

@@ -11,6 +11,7 @@ from gnc_opt.model.evaluation import evaluate
 from gnc_opt.model.layout import Layout
 from gnc_opt.problem.guess.trajectory import PhaseStart, start_phase
 from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.path_reach import path_reach
 from gnc_opt.problem.phase import Phase
 
 FARTHEST = 10.0
@@ -23,13 +24,14 @@ SAMPLES = np.linspace(0.0, 1.0, 9)
 def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Array]:
     """Return typical magnitudes of states (n,) and controls (m,) of a phase.
 
-    In this order: the user's scale, the model's nominal value, finite bounds, the guess and, for states, what the
-    dynamics do to them over the phase: all of it where the guess is zero, at most `FARTHEST` times the guess elsewhere
-    (stiff dynamics at a poor guess point far beyond where the state will ever go).
+    In this order: the user's scale, the model's nominal value, finite bounds, the guess and, for controls, what path
+    constraints leave them; for states, what the dynamics do to them over the phase: all of it where the guess is zero,
+    at most `FARTHEST` times the guess elsewhere (stiff dynamics at a poor guess point far beyond where the state will
+    ever go).
     """
     start = start_phase(leg, SAMPLES, perturbed=False)
     numbers = leg.numbers
-    controls = magnitude_within(numbers.controls, np.max(np.abs(start.controls), axis=1, initial=0.0))
+    controls = magnitude_within(numbers.controls, _control_reach(leg, start))
     if overridden:
         _override(controls, leg.model.controls, numbers.scales)
     reach = np.max(np.abs(start.states), axis=1, initial=0.0)
@@ -39,6 +41,14 @@ def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Arr
     if overridden:
         _override(states, leg.model.states, numbers.scales)
     return states, controls
+
+
+def _control_reach(leg: Phase, start: PhaseStart) -> Array:
+    """Return how large controls are guessed to be, or may be if the guess does not say, (m,)."""
+    guessed, bounds = np.max(np.abs(start.controls), axis=1, initial=0.0), leg.numbers.controls
+    bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
+    times = start.times[0] + SAMPLES * (start.times[1] - start.times[0])
+    return np.where(guessed > 0, guessed, path_reach(leg, times, start, ~bounded & (guessed == 0)))
 
 
 def _drift(leg: Phase, start: PhaseStart, magnitudes: Array) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -38,6 +38,8 @@ class Owner(Protocol):
 
     def refuse_foreign(self, leg: Phase, expression: Any, what: str, /) -> None: ...
 
+    def once(self, key: Any, build: Callable[[], Any], /) -> Any: ...
+
 
 @dataclass(frozen=True)
 class PhaseGuess:
@@ -68,6 +70,12 @@ class Phase(Strict):
 
     In every call a number, list or array is a fixed value, a tuple ``(lower, upper)`` is a range and
     ``None`` is free. Names are those of the model's variables.
+
+    Examples
+    --------
+    >>> leg = problem.get_phase("leg")
+    >>> print(leg.model.name)
+    double integrator
     """
 
     __slots__ = (
@@ -194,7 +202,7 @@ class Phase(Strict):
         self.bounds(**parts)
 
     def path(
-        self, name: str, expression: Any, *, lower: Any = None, upper: Any = None, equals: Any = None
+        self, name: str, expression: Any = None, *, lower: Any = None, upper: Any = None, equals: Any = None
     ) -> None:
         """Add a path constraint ``lower <= expression(t, x, u, p) <= upper`` at all times.
 
@@ -427,6 +435,10 @@ class Phase(Strict):
     def path_expression(self) -> Any:
         """Stacked SX expression of all path constraints."""
         return ca.vertcat(*[c.expression for c in self.paths.values()]) if self.paths else ca.SX(0, 1)
+
+    def once(self, key: str, build: Callable[[], Any]) -> Any:
+        """Return what was built for this phase, or its variations with other numbers, before."""
+        return self._owner.once((key, self.name), build)
 
     def integrand_expression(self) -> Any:
         """Stacked SX expression of all integrands."""

@@ -157,7 +157,7 @@ class Problem(Statement):
         return self._parameters[name]
 
     def constrain(
-        self, name: str, expression: Any, *, lower: Any = None, upper: Any = None, equals: Any = None
+        self, name: str, expression: Any = None, *, lower: Any = None, upper: Any = None, equals: Any = None
     ) -> None:
         """Add a boundary constraint on end-point states, times, integrals and parameters.
 

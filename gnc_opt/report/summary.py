@@ -46,6 +46,12 @@ def summary(solution: Solution) -> str:
     -------
     str
         Lines without a trailing newline.
+
+    Examples
+    --------
+    >>> from gnc_opt.report import summary
+    >>> print(summary(solution).splitlines()[0].partition(",")[0])
+    rest to rest in minimum time: refined (converged)
     """
     quality = known_quality(solution)
     lines = [

@@ -32,6 +32,12 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
     -------
     dict
         Strings, numbers, booleans, None, lists and dicts; what is not finite or was not measured is None.
+
+    Examples
+    --------
+    >>> from gnc_opt.report import summary_dict
+    >>> print(summary_dict(solution)["status"])
+    optimal
     """
     quality = known_quality(solution)
     spent = solution.statistics
@@ -86,6 +92,11 @@ def write_json(path: str | Path, solution: Solution, verdict: Verdict | None = N
     ------
     OSError
         The file cannot be written.
+
+    Examples
+    --------
+    >>> from gnc_opt.report import write_json
+    >>> path = write_json("cart.json", solution)
     """
     target = Path(path)
     target.write_text(json_text(solution, verdict), encoding="utf-8")

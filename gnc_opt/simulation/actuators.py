@@ -48,6 +48,11 @@ class Saturation(Block):
     ----------
     lower, upper : float or one per component
         Default: none.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Saturation
+    >>> block = Saturation("limit", -1.0, 1.0, on="a")
     """
 
     lower: ArrayLike = -math.inf
@@ -107,6 +112,11 @@ class Deadband(Block):
     ----------
     width : float or one per component
         Unit of the command, >= 0.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Deadband
+    >>> block = Deadband("valve", 0.01, on="a")
     """
 
     width: ArrayLike
@@ -129,6 +139,11 @@ class Quantisation(Block):
     ----------
     step_size : float or one per component
         Unit of the command, > 0.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Quantisation
+    >>> block = Quantisation("steps", 0.01, on="a")
     """
 
     step_size: ArrayLike
@@ -208,6 +223,11 @@ class Lag(_Following):
         s, >= 0.
     initial : float, one per component or "trim"; optional
         First output, unit of the command; default zero. ``"trim"``: the feedforward that arrives.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Lag
+    >>> block = Lag("valve", 0.05, on="a")
     """
 
     tau: ArrayLike
@@ -246,6 +266,11 @@ class RateLimit(_Following):
         Unit of the command per s, > 0.
     initial : float, one per component or "trim"; optional
         First output, unit of the command; default zero. ``"trim"``: the feedforward that arrives.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import RateLimit
+    >>> block = RateLimit("slew", 2.0, on="a")
     """
 
     rate: ArrayLike
@@ -295,6 +320,11 @@ class Delay(_Following):
         Longest delay that a run may have, s; default the delay itself.
     initial : float, one per component or "trim"; optional
         First output, unit of the command; default zero. ``"trim"``: the feedforward that arrives.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Delay
+    >>> block = Delay("bus", 0.02, on="a")
     """
 
     delay: float

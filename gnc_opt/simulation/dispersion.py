@@ -58,6 +58,11 @@ class Normal(Dispersion):
         Whether both are shares of the nominal value: 0.01 is 1 %.
     truncate : float, optional
         Keep the deviation within so many standard deviations of its mean; > 0. (The variance shrinks.)
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Normal
+    >>> spread = Normal(0.05)
     """
 
     std: ArrayLike
@@ -106,6 +111,11 @@ class Uniform(Dispersion):
     low, high : float or one per component
     relative : bool
         Whether both are shares of the nominal value.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Uniform
+    >>> spread = Uniform(0.9, 1.1)
     """
 
     low: ArrayLike

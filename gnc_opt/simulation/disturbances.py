@@ -46,6 +46,11 @@ class Constant(Disturbance):
     ----------
     level : float or one per component
         Unit of what it acts on.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Constant
+    >>> block = Constant("wind", 0.1, on="v")
     """
 
     level: ArrayLike
@@ -69,6 +74,11 @@ class Sinusoid(Disturbance):
         rad/s.
     phase : float or one per component
         rad.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Sinusoid
+    >>> block = Sinusoid("flutter", 0.1, 2.0, on="v")
     """
 
     amplitude: ArrayLike

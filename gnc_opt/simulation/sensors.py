@@ -37,6 +37,11 @@ class Noise(Block):
     retraction : callable, optional
         ``retraction(x, e)`` of SX columns returns the state x moved by the error e, where addition is not the answer
         (attitudes); ``sigma`` then has the components of e.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Noise
+    >>> block = Noise("rate gyro", 1e-4, on="v")
     """
 
     sigma: ArrayLike
@@ -72,6 +77,11 @@ class Bias(Block):
         Units of the state.
     retraction : callable, optional
         As in `Noise`.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Bias
+    >>> block = Bias("offset", 0.01, on="q")
     """
 
     bias: ArrayLike

@@ -9,7 +9,13 @@ from gnc_opt.transcription.mesh import Mesh
 
 
 class RefinementStatus(Enum):
-    """How a refinement ended; `remedy` says what it means and what to do."""
+    """How a refinement ended; `remedy` says what it means and what to do.
+
+    Examples
+    --------
+    >>> print(go.RefinementStatus.PASS_LIMIT.remedy)
+    The passes ran out while the error was still falling. Raise `max_passes`, or refine the solution again.
+    """
 
     CONVERGED = "converged"
     VERDICT_FAILS = "verdict_fails"
@@ -173,6 +179,11 @@ class History:
         How it ended, in one or two sentences.
     seconds : float
         Wall time of all of it: passes, structures sought, verdicts.
+
+    Examples
+    --------
+    >>> print(solution.history.status.value, solution.history.final.error < 1e-6)
+    converged True
     """
 
     status: RefinementStatus

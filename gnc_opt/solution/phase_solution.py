@@ -28,6 +28,12 @@ class Signal:
     ``signal(t)`` returns a float for a scalar quantity at one time, else an array: (n,) at one time,
     (n_times,) for a scalar quantity at many times, (n, n_times) otherwise. ``side`` picks the left or right
     limit exactly at a segment boundary.
+
+    Examples
+    --------
+    >>> speed = solution.state("v")
+    >>> print(f"{speed(1.0):.6f} {speed.unit}")
+    -1.000000 m/s
     """
 
     name: str
@@ -98,6 +104,12 @@ class PhaseSolution:
     initial_time_bounds, final_time_bounds, duration_bounds : Interval
     composed_controls : tuple of ComposedControl
         Controls as they were declared that are made of two of ``controls``.
+
+    Examples
+    --------
+    >>> leg = solution.phase("leg")
+    >>> print(f"{leg.initial_time:.1f} to {leg.final_time:.6f} s, {leg.state('v')(1.0):.6f} m/s at 1 s")
+    0.0 to 2.000000 s, -1.000000 m/s at 1 s
     """
 
     name: str

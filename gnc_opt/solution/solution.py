@@ -51,6 +51,11 @@ class Statistics:
         Shares of ``solve_s``: evaluating functions and derivatives; the rest.
     build_reused : bool
         Whether an earlier transcription served again.
+
+    Examples
+    --------
+    >>> print(solution.statistics.iterations > 0)
+    True
     """
 
     iterations: int
@@ -122,6 +127,11 @@ class Solution:
         What was solved, a copy that cannot be changed; None after loading without it.
     bound : LowerBound or None
         What no trajectory of the problem can pass, from `bound_below`; files do not keep it.
+
+    Examples
+    --------
+    >>> print(f"{solution.objective:.6f} s, from {solution.state('q')(0.0):.1f} m")
+    2.000000 s, from 1.0 m
     """
 
     problem_name: str

@@ -6,7 +6,8 @@ This is the whole list; nothing else in gnc_opt solves a program twice for want 
 try                   after                                   how
 ====================  ======================================  ====================================================
 `CAREFUL`             endings that rounding can cause         the linear solver pivots with care, from where it stopped
-`ADAPTIVE`            endings without a verdict               IPOPT's adaptive barrier, from the same start
+`ADAPTIVE`            endings without a verdict, `MANY`       IPOPT's adaptive barrier, from the same start
+                      iterations of a cold start
 `TRAJECTORY_ONLY`     a warm start that has lost its way      the trajectory alone, without its multipliers
 `CONSTRAINTS_FIRST`   "infeasible", without a trajectory as   the constraints are met first, the cost is lowered
                       a guess                                 afterwards
@@ -49,6 +50,9 @@ CAREFUL = (Status.ACCEPTABLE, Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAI
 ADAPTIVE = (Status.RESTORATION_FAILED, Status.SEARCH_DIRECTION_FAILED, Status.STEP_TOO_SMALL)
 """Endings without a verdict. IPOPT's monotone barrier stalls where constraint gradients become dependent at the
 solution (a phase that shrinks to nothing, say); its adaptive barrier is slower on ordinary problems."""
+
+MANY = 1000
+"""Iterations, SolverOptions' limit, after which a cold start has lost its way."""
 
 TRAJECTORY_ONLY = tuple(s for s in Status if not s.solved and s is not Status.INTERRUPTED)
 """Endings of a warm start after which its multipliers are given up."""
@@ -224,9 +228,11 @@ def _solve_point(
         there = replace(point, x0=result.x, lam_x0=result.lam_x, lam_g0=result.lam_g)
         again = solver.solve(there, "careful", callback=show, deadline=deadline)
         result = again.with_effort([result, again]) if again.status.solved else result
-    if result.status in ADAPTIVE:
+    wandered = result.status is Status.ITERATION_LIMIT and solver.options.max_iterations >= MANY
+    if result.status in ADAPTIVE or (wandered and point.way == "cold"):
         again = solver.solve(point.cold(), "adaptive", callback=show, deadline=deadline)
-        result = (result if again.status in ADAPTIVE else again).with_effort([result, again])
+        worse = again.status in ADAPTIVE or (wandered and not again.status.solved)
+        result = (result if worse else again).with_effort([result, again])
     return result
 
 

@@ -85,6 +85,12 @@ def us76(altitude: ArrayLike) -> tuple[Array, Array, Array, Array]:
     ------
     ArgumentError
         An altitude outside of that range.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import us76
+    >>> print(*(np.round(value, 4) for value in us76(11000.0)))
+    216.7735 22699.9607 0.3648 295.1537
     """
     z = read_numbers(altitude, "the altitude of us76()")
     if not np.all((z >= -5000.0) & (z <= TOP)):
@@ -123,6 +129,12 @@ def air_temperature(altitude: Any) -> Any:
     ----------
     altitude : casadi scalar, float or array
         Geometric, m.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import air_temperature
+    >>> print(f"{air_temperature(11000.0):.2f} K")
+    216.77 K
     """
     return _temperature()(altitude)
 
@@ -134,6 +146,12 @@ def speed_of_sound(altitude: Any) -> Any:
     ----------
     altitude : casadi scalar, float or array
         Geometric, m.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import speed_of_sound
+    >>> print(f"{speed_of_sound(0.0):.1f} m/s")
+    340.3 m/s
     """
     return (_HEAT * _GAS / _MOLAR * air_temperature(altitude)) ** 0.5
 
@@ -147,6 +165,12 @@ def air_density(altitude: Any) -> Any:
     ----------
     altitude : casadi scalar, float or array
         Geometric, m.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import air_density
+    >>> print(f"{air_density(0.0):.3f} kg/m^3")
+    1.225 kg/m^3
     """
     logarithm = _log_density()(altitude)
     return ca.exp(logarithm) if isinstance(logarithm, ca.SX) else np.exp(logarithm)
@@ -174,6 +198,12 @@ def altitude(r: Vector, radius: Any = RADIUS_EARTH, flattening: Any = FLATTENING
         Position, Z along the planet's axis, m.
     radius, flattening : float or casadi scalar
         Equatorial, m; 0 for a sphere.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import altitude
+    >>> print(altitude([6778137.0, 0.0, 0.0]))
+    400000.0
     """
     square = dot(r, r)
     return square**0.5 - radius * (1 - flattening * r[2] * r[2] / square)
@@ -188,6 +218,12 @@ def air_velocity(r: Vector, v: Vector, rate: Any = RATE_EARTH) -> Vector:
         Inertial position (m) and velocity (m/s).
     rate : float or casadi scalar
         Of the planet's rotation about Z, rad/s.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import air_velocity
+    >>> print(np.round(air_velocity([6778137.0, 0.0, 0.0], [0.0, 7668.6, 0.0]), 1) + 0.0)
+    [   0.  7174.3    0. ]
     """
     return stack([v[0] + rate * r[1], v[1] - rate * r[0], v[2]])
 
@@ -205,5 +241,11 @@ def drag_acceleration(velocity: Vector, density: Any, area_per_mass: Any, coeffi
         m^2/kg.
     coefficient : float or casadi scalar
         Of drag; 2.2 is customary for satellites.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import drag_acceleration
+    >>> print(f"{drag_acceleration([0.0, 7500.0, 0.0], 1e-12, 0.01)[1]:.4e} m/s^2")
+    -6.1875e-07 m/s^2
     """
     return scale(-0.5 * density * coefficient * area_per_mass * dot(velocity, velocity) ** 0.5, velocity)

@@ -92,6 +92,12 @@ def mrp_rate(sigma_BL: Vector, omega_BL_B: Vector) -> Vector:
     sigma_BL : casadi (3, 1), array (3,) or (3, n_times)
     omega_BL_B : like ``sigma_BL``
         Angular rate of B relative to L in B components, rad/s.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import mrp_rate
+    >>> print(mrp_rate([0.0, 0.0, 0.0], [0.4, 0.0, 0.0]))
+    [0.1 0.  0. ]
     """
     square, along, across = dot(sigma_BL, sigma_BL), dot(sigma_BL, omega_BL_B), cross(sigma_BL, omega_BL_B)
     return stack(
@@ -106,6 +112,12 @@ def mrp_shadow(sigma_BL: Vector) -> Vector:
     ----------
     sigma_BL : casadi (3, 1), array (3,) or (3, n_times)
         Modified Rodrigues parameters of B relative to L.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import mrp_shadow
+    >>> print(mrp_shadow([0.5, 0.0, 0.0]) + 0.0)
+    [-2.  0.  0.]
     """
     return scale(-1 / dot(sigma_BL, sigma_BL), sigma_BL)
 
@@ -129,6 +141,12 @@ def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
     -------
     casadi (3, 1), array (3,) or (3, n_times)
         Components the same in R and B; of length 4 tan(angle / 4) <= 4.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import mrp_difference
+    >>> print(mrp_difference([0.1, 0.0, 0.0], [0.1, 0.0, 0.0]))
+    [0. 0. 0.]
     """
     square, square_ref = dot(sigma, sigma), dot(sigma_ref, sigma_ref)
     across = cross(sigma, sigma_ref)
@@ -157,6 +175,12 @@ def mrp_retraction(sigma_ref: Vector, error: Vector) -> Vector:
         Either of the two sets.
     error : casadi (3, 1), array (3,) or (3, n_times)
         rad to first order, in components of the turned frame.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import mrp_retraction
+    >>> print(mrp_retraction([0.1, 0.0, 0.0], [0.0, 0.0, 0.0]))
+    [0.1 0.  0. ]
     """
     # composition is the difference to the turn back
     return scale(0.25, mrp_difference(scale(0.25, error), scale(-1, sigma_ref)))
@@ -169,6 +193,12 @@ def mrp_to_quaternion(sigma_BL: Vector) -> Vector:
     ----------
     sigma_BL : casadi (3, 1), array (3,) or (3, n_times)
         Modified Rodrigues parameters of B relative to L.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import mrp_to_quaternion
+    >>> print(mrp_to_quaternion([1.0, 0.0, 0.0]))  # half a turn about x
+    [0. 1. 0. 0.]
     """
     square = dot(sigma_BL, sigma_BL)
     return stack([(1 - square) / (1 + square), *(2 * sigma_BL[i] / (1 + square) for i in range(3))])
@@ -210,6 +240,12 @@ def mrp_short(sigma_BL: ArrayLike) -> Array:
     ----------
     sigma_BL : array (3,) or (3, n_times)
         Modified Rodrigues parameters of B relative to L.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import mrp_short
+    >>> print(mrp_short([2.0, 0.0, 0.0]) + 0.0)
+    [-0.5  0.   0. ]
     """
     sigma = np.asarray(sigma_BL, dtype=float)
     square = np.sum(sigma**2, axis=0)
@@ -223,6 +259,12 @@ def mrp_to_rotation(sigma_BL: ArrayLike) -> Any:
     ----------
     sigma_BL : array (3,) or (3, n_times)
         Modified Rodrigues parameters of B relative to L.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import mrp_to_rotation
+    >>> print(np.round(np.degrees(mrp_to_rotation([0.0, np.tan(np.pi / 8), 0.0]).magnitude()), 6))
+    90.0
     """
     return scipy.spatial.transform.Rotation.from_mrp(np.asarray(sigma_BL, dtype=float).T)
 
@@ -235,5 +277,11 @@ def mrp_to_euler(sigma_BL: ArrayLike, sequence: str = "YXZ") -> Array:
     sigma_BL : array (3,) or (3, n_times)
     sequence : str
         Three capital letters: turns about the axes of the moving frame, first turn first.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import mrp_to_euler
+    >>> print(np.round(np.degrees(mrp_to_euler([0.0, np.tan(np.pi / 8), 0.0])), 6) + 0.0)
+    [90.  0.  0.]
     """
     return np.asarray(mrp_to_rotation(sigma_BL).as_euler(sequence).T)

@@ -47,6 +47,12 @@ def point_mass_gravity(r: Vector, mu: Any = MU_EARTH) -> Vector:
         Inertial position, m.
     mu : float or casadi scalar
         m^3/s^2.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import point_mass_gravity
+    >>> print(np.round(point_mass_gravity([6378137.0, 0.0, 0.0]), 4) + 0.0)
+    [-9.7983  0.      0.    ]
     """
     square = dot(r, r)
     return scale(-mu / (square * square**0.5), r)
@@ -61,6 +67,12 @@ def j2_gravity(r: Vector, mu: Any = MU_EARTH, j2: Any = J2_EARTH, radius: Any = 
         Position, Z along the planet's axis, m.
     mu, j2, radius : float or casadi scalar
         m^3/s^2, 1 and m (equatorial).
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import j2_gravity
+    >>> print(np.round(j2_gravity([0.0, 0.0, 6378137.0]), 4) + 0.0)  # above a pole
+    [0.     0.     0.0318]
     """
     square = dot(r, r)
     ratio = 5 * r[2] * r[2] / square
@@ -77,6 +89,12 @@ def gravity_potential(r: Vector, mu: Any = MU_EARTH, j2: Any = J2_EARTH, radius:
         Inertial position, Z along the planet's axis, m.
     mu, j2, radius : float or casadi scalar
         m^3/s^2, 1 and m (equatorial).
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import gravity_potential
+    >>> print(f"{gravity_potential([7e6, 0.0, 0.0], j2=0.0):.6e}")
+    -5.694292e+07
     """
     square = dot(r, r)
     flattening = 0.5 * j2 * radius**2 / square * (3 * r[2] * r[2] / square - 1)
@@ -94,6 +112,12 @@ def gravity_gradient_torque(inertia: Any, r_B: Vector, mu: Any = MU_EARTH) -> Ve
         Position of the body relative to the planet's centre in body components, m.
     mu : float or casadi scalar
         m^3/s^2.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import gravity_gradient_torque
+    >>> print(np.round(gravity_gradient_torque(np.diag([1.0, 2.0, 4.0]), [7e6, 0.0, 0.0]), 9) + 0.0)
+    [0. 0. 0.]
     """
     square = dot(r_B, r_B)
     factor = 3 * mu / (square * square * square**0.5)
@@ -109,6 +133,12 @@ def orbital_energy(r: Vector, v: Vector, **gravity: Any) -> Any:
         Inertial position (m) and velocity (m/s).
     **gravity
         mu, j2 and radius of `gravity_potential`.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import orbital_energy
+    >>> print(f"{orbital_energy([7e6, 0.0, 0.0], [0.0, 7546.05, 0.0], j2=0.0):.4e}")
+    -2.8471e+07
     """
     return 0.5 * dot(v, v) + gravity_potential(r, **gravity)
 
@@ -120,5 +150,11 @@ def angular_momentum_about_axis(r: Vector, v: Vector) -> Any:
     ----------
     r, v : casadi (3, 1), array (3,) or (3, n_times)
         Inertial position (m) and velocity (m/s), Z along the planet's axis.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import angular_momentum_about_axis
+    >>> print(angular_momentum_about_axis([7e6, 0.0, 0.0], [0.0, 7500.0, 0.0]))
+    52500000000.0
     """
     return np.asarray(cross(r, v)[2]) if isinstance(r, np.ndarray) else cross(r, v)[2]

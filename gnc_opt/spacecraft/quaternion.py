@@ -65,6 +65,12 @@ def quaternion_conjugate(q: Quaternion) -> Quaternion:
     Parameters
     ----------
     q : casadi (4, 1), array (4,) or (4, n_times)
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import quaternion_conjugate
+    >>> print(quaternion_conjugate([0.6, 0.8, 0.0, 0.0]) + 0.0)
+    [ 0.6 -0.8  0.   0. ]
     """
     return stack([q[0], -q[1], -q[2], -q[3]])
 
@@ -76,6 +82,14 @@ def quaternion_to_dcm(q_BA: Quaternion) -> Matrix:
     ----------
     q_BA : casadi (4, 1), array (4,) or (4, n_times)
         Unit quaternion of B relative to A.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import quaternion_to_dcm
+    >>> print(quaternion_to_dcm([1.0, 0.0, 0.0, 0.0]))
+    [[1. 0. 0.]
+     [0. 1. 0.]
+     [0. 0. 1.]]
     """
     s, x, y, z = q_BA[0], q_BA[1], q_BA[2], q_BA[3]
     return stack_rows(
@@ -95,6 +109,12 @@ def quaternion_rate(q_BA: Quaternion, omega_BA_B: Vector) -> Quaternion:
     q_BA : casadi (4, 1), array (4,) or (4, n_times)
     omega_BA_B : casadi (3, 1), array (3,) or (3, n_times)
         Rate of B relative to A in B components, rad/s.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import quaternion_rate
+    >>> print(quaternion_rate([1.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0]) + 0.0)
+    [0.  0.1 0.  0. ]
     """
     vector = _vector(q_BA)
     across = cross(vector, omega_BA_B)
@@ -109,6 +129,12 @@ def quaternion_error(q: Quaternion, q_ref: Quaternion) -> Quaternion:
     ----------
     q, q_ref : casadi (4, 1), array (4,) or (4, n_times)
         Unit quaternions relative to the same frame.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import quaternion_error
+    >>> print(np.round(quaternion_error([0.6, 0.8, 0.0, 0.0], [0.6, 0.8, 0.0, 0.0]), 12) + 0.0)
+    [1. 0. 0. 0.]
     """
     error = quaternion_product(quaternion_conjugate(q_ref), q)
     if is_symbolic(error):
@@ -125,6 +151,12 @@ def quaternion_difference(q: Quaternion, q_ref: Quaternion) -> Vector:
     ----------
     q, q_ref : casadi (4, 1), array (4,) or (4, n_times)
         Unit quaternions relative to the same frame.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import quaternion_difference
+    >>> print(np.round(quaternion_difference([0.6, 0.8, 0.0, 0.0], [0.6, 0.8, 0.0, 0.0]), 12) + 0.0)
+    [0. 0. 0.]
     """
     error = quaternion_error(q, q_ref)
     return stack([2 * error[i] for i in (1, 2, 3)])
@@ -142,6 +174,12 @@ def quaternion_retraction(q_ref: Quaternion, error: Vector) -> Quaternion:
         Of any length but zero.
     error : casadi (3, 1), array (3,) or (3, n_times)
         rad to first order, in components of the turned frame.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import quaternion_retraction
+    >>> print(quaternion_retraction([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0]))
+    [1. 0. 0. 0.]
     """
     largest, root = (ca.fmax, ca.sqrt) if is_symbolic(error) or is_symbolic(q_ref) else (np.maximum, np.sqrt)
     square = 0.25 * dot(error, error)
@@ -160,6 +198,12 @@ def quaternion_angle(q: ArrayLike, q_ref: ArrayLike) -> Any:
     ----------
     q, q_ref : array (4,) or (4, n_times)
         Unit quaternions relative to the same frame.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import quaternion_angle
+    >>> print(np.round(np.degrees(quaternion_angle([0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0])), 6))
+    180.0
     """
     error = np.asarray(quaternion_error(q, q_ref), dtype=float)
     return 2 * np.arctan2(np.linalg.norm(error[1:], axis=0), np.abs(error[0]))
@@ -172,6 +216,12 @@ def quaternion_to_rotation(q_BA: ArrayLike) -> Any:
     ----------
     q_BA : array (4,) or (4, n_times)
         Of B relative to A.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import quaternion_to_rotation
+    >>> print(np.round(quaternion_to_rotation([0.0, 1.0, 0.0, 0.0]).as_rotvec(), 6) + 0.0)
+    [3.141593 0.       0.      ]
     """
     return scipy.spatial.transform.Rotation.from_quat(np.asarray(q_BA, dtype=float).T, scalar_first=True)
 
@@ -185,6 +235,12 @@ def quaternion_from_euler(angles: ArrayLike, sequence: str) -> Array:
         rad, in the order of the sequence.
     sequence : str
         Three capital letters, first turn first: ``"ZYX"`` is the 3-2-1 sequence.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import quaternion_from_euler
+    >>> print(np.round(quaternion_from_euler([np.pi / 2, 0.0, 0.0], "ZYX"), 6) + 0.0)
+    [0.707107 0.       0.       0.707107]
     """
     rotation = scipy.spatial.transform.Rotation.from_euler(sequence, np.asarray(angles, dtype=float))
     return np.asarray(rotation.as_quat(canonical=True, scalar_first=True))

@@ -51,6 +51,12 @@ def relative_acceleration(
         Radius (m) and mean motion (rad/s) of the leader's orbit.
     mu : float or casadi scalar
         m^3/s^2.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import relative_acceleration
+    >>> print(np.round(relative_acceleration([0.0, 0.0, 0.0], [0.0, 1.0, 0.0], 7e6, 0.001), 6)[0])  # Coriolis
+    0.002
     """
     radial = leader_radius + rho_R[0]
     square = radial * radial + rho_R[1] * rho_R[1] + rho_R[2] * rho_R[2]
@@ -85,6 +91,12 @@ def differential_j2(
         z will do, the identity included.
     mu, j2, radius : float or casadi scalar
         m^3/s^2, 1 and m (equatorial).
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import differential_j2
+    >>> print(differential_j2([0.0, 0.0, 0.0], 7e6, np.eye(3)))  # at the leader itself
+    [0. 0. 0.]
     """
     dcm_IR = transpose(dcm_RI)
     leader = apply(dcm_IR, stack([leader_radius, 0.0 * leader_radius, 0.0 * leader_radius]))
@@ -100,6 +112,14 @@ def radial_frame(r: Vector, v: Vector) -> Matrix:
     ----------
     r, v : casadi (3, 1), array (3,) or (3, n_times)
         Inertial position and velocity.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import radial_frame
+    >>> print(radial_frame([7e6, 0.0, 0.0], [0.0, 7500.0, 0.0]))
+    [[1. 0. 0.]
+     [0. 1. 0.]
+     [0. 0. 1.]]
     """
     normal = cross(r, v)
     x = scale(1 / dot(r, r) ** 0.5, r)
@@ -115,6 +135,12 @@ def radial_frame_rate(r: Vector, v: Vector, acceleration: Vector) -> Vector:
     ----------
     r, v, acceleration : casadi (3, 1), array (3,) or (3, n_times)
         Inertial position (m), velocity (m/s) and total acceleration (m/s^2) of the leader.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import radial_frame_rate
+    >>> print(radial_frame_rate([7e6, 0.0, 0.0], [0.0, 7000.0, 0.0], [-8.1, 0.0, 0.0]))
+    [0.    0.    0.001]
     """
     normal = cross(r, v)
     h = dot(normal, normal) ** 0.5

@@ -76,6 +76,12 @@ def lvlh_rate(n: Any) -> Vector:
     ----------
     n : float or casadi scalar
         Mean motion, rad/s.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import lvlh_rate
+    >>> print(lvlh_rate(0.001))
+    [ 0.    -0.001  0.   ]
     """
     return stack([0.0, -n, 0.0])
 
@@ -91,5 +97,11 @@ def hill_acceleration(r_L: Vector, v_L: Vector, n: Any) -> Vector:
         Its rate of change seen in L, m/s.
     n : float or casadi scalar
         Mean motion of the target, rad/s.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import hill_acceleration
+    >>> print(hill_acceleration([0.0, 10.0, 0.0], [0.0, 0.0, 0.0], 0.001))
+    [ 0.e+00 -1.e-05  0.e+00]
     """
     return stack([2 * n * v_L[2], -(n**2) * r_L[1], -2 * n * v_L[0] + 3 * n**2 * r_L[2]])

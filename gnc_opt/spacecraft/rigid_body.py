@@ -40,6 +40,12 @@ def angular_acceleration(inertia: Any, omega_BI_B: Vector, torque_B: Vector) -> 
         Rate relative to inertial space in B components, rad/s.
     torque_B : like ``omega_BI_B``
         N m.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import angular_acceleration
+    >>> print(angular_acceleration(np.eye(3), [0.1, 0.2, 0.0], [1.0, 0.0, 0.0]) + 0.0)
+    [1. 0. 0.]
     """
     gyroscopic = cross(omega_BI_B, angular_momentum(inertia, omega_BI_B))
     return divide_by_inertia(inertia, stack([torque_B[i] - gyroscopic[i] for i in range(3)]))
@@ -60,6 +66,12 @@ def relative_angular_acceleration(
         Rate of L relative to inertial space in B components, ``dcm_BL @ omega_LI_L``, rad/s.
     torque_B : like ``omega_BL_B``
         N m.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import relative_angular_acceleration
+    >>> print(relative_angular_acceleration(np.eye(3), [0.0] * 3, [0.0, 0.001, 0.0], [1.0, 2.0, 3.0]))
+    [1. 2. 3.]
     """
     omega_BI_B = stack([omega_BL_B[i] + omega_LI_B[i] for i in range(3)])
     inertial = angular_acceleration(inertia, omega_BI_B, torque_B)
@@ -76,6 +88,12 @@ def angular_momentum(inertia: Any, omega_B: Vector) -> Vector:
         kg m^2.
     omega_B : casadi (3, 1), array (3,) or (3, n_times)
         rad/s.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import angular_momentum
+    >>> print(angular_momentum(np.diag([1.0, 2.0, 4.0]), [0.1, 0.2, 0.3]))
+    [0.1 0.4 1.2]
     """
     if _is_matrix(inertia):
         return apply(inertia, omega_B)
@@ -91,6 +109,12 @@ def divide_by_inertia(inertia: Any, torque_B: Vector) -> Vector:
         kg m^2.
     torque_B : casadi (3, 1), array (3,) or (3, n_times)
         N m.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import divide_by_inertia
+    >>> print(divide_by_inertia(np.diag([1.0, 2.0, 4.0]), [1.0, 1.0, 1.0]))
+    [1.   0.5  0.25]
     """
     if not _is_matrix(inertia):
         return stack([torque_B[i] / inertia[i] for i in range(3)])

@@ -30,6 +30,12 @@ def stack(components: Sequence[Any]) -> Vector:
     Parameters
     ----------
     components : sequence of casadi scalars, floats or arrays (n_times,)
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import stack
+    >>> print(stack([1.0, 2.0]))
+    [1. 2.]
     """
     if is_symbolic(*components):
         return ca.vertcat(*components)
@@ -42,6 +48,13 @@ def stack_rows(rows: Sequence[Sequence[Any]]) -> Matrix:
     Parameters
     ----------
     rows : sequence of sequences of casadi scalars, floats or arrays (n_times,)
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import stack_rows
+    >>> print(stack_rows([[1.0, 2.0], [3.0, 4.0]]))
+    [[1. 2.]
+     [3. 4.]]
     """
     if is_symbolic(*(c for row in rows for c in row)):
         return ca.vertcat(*[ca.horzcat(*row) for row in rows])
@@ -55,6 +68,12 @@ def dot(a: Vector, b: Vector) -> Any:
     Parameters
     ----------
     a, b : casadi (3, 1), array (3,) or (3, n_times)
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import dot
+    >>> print(dot([1.0, 2.0, 3.0], [1.0, 1.0, 1.0]))
+    6.0
     """
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
@@ -65,6 +84,12 @@ def cross(a: Vector, b: Vector) -> Vector:
     Parameters
     ----------
     a, b : casadi (3, 1), array (3,) or (3, n_times)
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import cross
+    >>> print(cross([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
+    [0. 0. 1.]
     """
     return stack(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]],
@@ -78,6 +103,12 @@ def scale(factor: Any, a: Vector) -> Vector:
     ----------
     factor : casadi scalar, float or array (n_times,)
     a : casadi (3, 1), array (3,) or (3, n_times)
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import scale
+    >>> print(scale(2.0, [1.0, 2.0, 3.0]))
+    [2. 4. 6.]
     """
     return stack([factor * a[0], factor * a[1], factor * a[2]])
 
@@ -89,6 +120,12 @@ def apply(matrix: Matrix, a: Vector) -> Vector:
     ----------
     matrix : casadi (3, 3), array (3, 3) or (3, 3, n_times)
     a : casadi (3, 1), array (3,) or (3, n_times)
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import apply
+    >>> print(apply(np.diag([1.0, 2.0, 3.0]), [1.0, 1.0, 1.0]))
+    [1. 2. 3.]
     """
     if is_symbolic(matrix, a):
         return ca.mtimes(matrix, ca.vertcat(a[0], a[1], a[2]))
@@ -102,5 +139,12 @@ def transpose(matrix: Matrix) -> Matrix:
     Parameters
     ----------
     matrix : casadi (m, n), array (m, n) or (m, n, n_times)
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import transpose
+    >>> print(transpose([[1.0, 2.0], [3.0, 4.0]]))
+    [[1. 3.]
+     [2. 4.]]
     """
     return matrix.T if is_symbolic(matrix) else np.swapaxes(np.asarray(matrix, dtype=float), 0, 1)

@@ -56,6 +56,12 @@ def wheel_pyramid(elevation: float = PYRAMID_ELEVATION, azimuth: float = np.pi /
     ------
     ArgumentError
         Fewer than three wheels.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import wheel_pyramid
+    >>> print(np.round(np.linalg.norm(wheel_pyramid(), axis=0), 12))  # a unit vector per wheel
+    [1. 1. 1. 1.]
     """
     if wheels < 3:
         raise ArgumentError(
@@ -75,6 +81,12 @@ def array_momentum(axes: ArrayLike, momenta: Vector) -> Vector:
         Spin axes as columns.
     momenta : casadi (n, 1), array (n,) or (n, n_times)
         Of each wheel about its axis, N m s.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import array_momentum, wheel_pyramid
+    >>> print(np.round(array_momentum(wheel_pyramid(), [1.0, 1.0, 1.0, 1.0]), 4) + 0.0)
+    [0.     0.     2.3094]
     """
     return _times(axes, momenta)
 
@@ -117,6 +129,12 @@ def total_momentum(inertia: Any, axes: ArrayLike, omega_BI_B: Vector, momenta: V
         rad/s.
     momenta : casadi (n, 1), array (n,) or (n, n_times)
         Of each wheel about its axis, N m s.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import total_momentum, wheel_pyramid
+    >>> print(np.round(total_momentum(np.eye(3), wheel_pyramid(), [0.0, 0.0, 0.1], [0.0] * 4), 4))
+    [0.  0.  0.1]
     """
     body, wheels = angular_momentum(inertia, omega_BI_B), _times(axes, momenta)
     return stack([body[i] + wheels[i] for i in range(3)])

@@ -13,6 +13,8 @@ the linearised constraints hold for variations up to about a / b; beyond them th
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import scipy
 
@@ -71,6 +73,28 @@ def normality(cone: CriticalCone) -> Condition:
         where,
         _MEANING,
     )
+
+
+def beside_normal(told: Condition, cone: CriticalCone) -> Condition:
+    """A normality that holds, unless end conditions that hardly push leave multipliers without the cost as well.
+
+    Those of the conditions are not unique then: any multiple of the abnormal ones may be added.
+    """
+    point = cone.point
+    ends = np.zeros(cone.weak.size, dtype=bool)
+    for part in point.transcription.parts.values():
+        ends[part.collocation.boundary_states[:, [0, -1]]] = True
+    ends[point.x.size + point.transcription.constraint_rows] = True
+    hardly = cone.weak & ends
+    if not np.any(hardly):
+        return told
+    found = normality(replace(cone, strong=cone.strong | hardly, weak=cone.weak & ~hardly))
+    if found.result is Result.PASS:
+        return told
+    where = (
+        f"{found.where}: abnormal multipliers beside any normal ones, by an end condition that hardly pushes"
+    )
+    return replace(found, result=Result.CANNOT_TELL, where=where, sufficient=True)
 
 
 def normality_of_switches(induced: InducedProblem) -> Condition:

@@ -43,6 +43,12 @@ class Condition:
         told.
     unit : str
         Of the loss; empty where it is not known.
+
+    Examples
+    --------
+    >>> condition = go.verify(solution)["Hamiltonian"]
+    >>> print(condition.result.value, condition.value < condition.tolerance)
+    PASS True
     """
 
     name: str
@@ -79,6 +85,12 @@ class Verdict:
         What no trajectory of the problem can pass, if the solution knows it (`bound_below`).
     gap : float or None
         Distance of the objective from the bound, relative to the objective.
+
+    Examples
+    --------
+    >>> verdict = go.verify(solution)
+    >>> print(verdict.word, len(verdict.failed))
+    ok 0
     """
 
     problem_name: str

@@ -27,7 +27,7 @@ from gnc_opt.verify.judged import (
 )
 from gnc_opt.verify.kept import keep_verdict, kept_verdict
 from gnc_opt.verify.magnitude import Magnitudes
-from gnc_opt.verify.normality import normality
+from gnc_opt.verify.normality import beside_normal, normality
 from gnc_opt.verify.pushes import settle_edges
 from gnc_opt.verify.reduced_hessian import (
     critical_cone,
@@ -156,10 +156,8 @@ def _second_order(
 ) -> list[Condition]:
     """By the switch times where they alone are left to vary, else on the mesh."""
     found = _second_variation(solution, samples, ends, tolerance)
-    downwards = any(c.result is Result.FAIL for c in found)
-    return (
-        [_of_convex(c) for c in found] if downwards and is_convex(solution.need_problem("verify")) else found
-    )
+    told = all(c.result is Result.PASS for c in found)
+    return found if told or not is_convex(solution.need_problem("verify")) else [_of_convex(c) for c in found]
 
 
 def _second_variation(
@@ -181,15 +179,16 @@ def _second_variation(
 
 def _normality(solution: Solution, samples: list[PhaseSamples], rounding: float) -> Condition:
     """By the magnitudes of the program and, where those may be too large, by what the flight moves."""
-    told = normality(critical_cone(solution, rounding=rounding))
+    cone = critical_cone(solution, rounding=rounding)
+    told = normality(cone)
     if told.result is Result.PASS:
-        return told
+        return beside_normal(told, cone)
     return normality(critical_cone(solution, samples, rounding, visible_spans))
 
 
 def _of_convex(condition: Condition) -> Condition:
     """Where the first order suffices, what curves downwards on a mesh with movable boundaries is its own error."""
-    if condition.result is not Result.FAIL or not condition.sufficient:
+    if condition.result is Result.PASS or not condition.sufficient:
         return condition
     where = f"{condition.where}; the problem is convex, nothing curves downwards, and the minimum may be one of many"
     return replace(condition, result=Result.CANNOT_TELL, where=where)

@@ -1013,3 +1013,13 @@ def test_errors_of_a_window_are_measured_in_what_costs_one():
     """Errors that cost nothing, or less, in their own units."""
     gains = SimpleNamespace(costs=[np.eye(3), np.diag([4.0, 0.0, 25.0])])
     assert _error_scale(SimpleNamespace(gains=gains)) == pytest.approx([0.5, 1.0, 0.2])
+
+
+def test_a_law_that_switches_at_once_has_no_alarm_of_a_strong_disturbance():
+    """Without a layer and in continuous time nothing tells how far s may stray; a step of 0.1 s does."""
+    s = ca.SX.sym("s")
+    assert switching(ConstantRate(3.0), SIGN, dt=None).watch(s) == []
+    (away, *_) = switching(ConstantRate(3.0), SIGN, dt=0.1).watch(s)
+    outside = ca.substitute(away.after, away.symbol, 0.0)
+    found = [float(ca.DM(ca.evalf(ca.substitute(outside, s, v)))) for v in (0.59, 0.61, -0.59, -0.61)]
+    assert found == [0.0, 1.0, 0.0, 1.0]

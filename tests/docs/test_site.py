@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 
 import pytest
-from pages import PAGES, ROOT
+from pages import PAGES, README, ROOT
 
 from gnc_opt.examples import examples
 
@@ -66,6 +66,11 @@ def test_a_problem_without_controls_or_without_a_plan_of_its_own_has_a_picture()
     assert kinds["cannonball"] == ("states",)
     assert kinds["rendezvous_tracking"] == ("states", "controls")
     assert all("states" in kind for kind in kinds.values())
+
+
+def test_the_first_page_leads_to_the_reference() -> None:
+    """The README cannot: it is generated."""
+    assert hooks._REFERENCE_OF_README in " ".join(README.text.split())
 
 
 @pytest.mark.parametrize(

@@ -267,6 +267,26 @@ def test_path_constraint_with_a_foreign_symbol() -> None:
     leg.path("foreign", ship().symbol("w")[0], upper=1.0)  # wrong
 
 
+@mistake(go.ProblemError, "cannot be the name of a path constraint of phase 'leg'", "its name comes first")
+def test_inequality_where_the_name_of_a_path_constraint_belongs() -> None:
+    _, leg = rest_to_rest()
+    leg.path(leg.model.symbol("v") <= 1.0)  # type: ignore[arg-type]  # wrong
+
+
+@mistake(
+    go.ProblemError, "cannot be the name of a constraint of problem 'rest to rest'", "its name comes first"
+)
+def test_constraint_without_a_name() -> None:
+    problem, leg = rest_to_rest()
+    problem.constrain(leg.final_time <= 3.0)  # wrong
+
+
+@mistake(go.ProblemError, "path constraint 'fast' of phase 'leg'", "None", "build it from the symbols")
+def test_path_constraint_without_an_expression() -> None:
+    _, leg = rest_to_rest()
+    leg.path("fast", upper=1.0)  # wrong
+
+
 @mistake(go.ProblemError, "cannot be the name of a path constraint of phase 'leg'", "text")
 def test_path_constraint_without_a_name() -> None:
     _, leg = rest_to_rest()

@@ -387,3 +387,47 @@ def test_roots_that_never_vanish_and_limits_from_below_stay() -> None:
     for limit in (lambda v: ca.sqrt(ca.sumsqr(v) + 1) <= 2, lambda v: ca.norm_2(v - 9) >= 1):
         stated = at_rest(limit)
         assert restated(stated) is stated
+
+
+# --- limits of norms that depend on states --------------------------------------------------------------
+
+
+def by_mass(limit: Any) -> go.Problem:
+    """A unit of travel, rest to rest, at least propellant: m' = -|T|, with a limit of T by mass."""
+    model = go.Model("cart")
+    r, v, m = model.state("r", 2), model.state("v", 2), model.state("m")
+    T = model.control("T", 2)
+    model.ode({r: v, v: T / m, m: -0.05 * ca.norm_2(T)})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=DURATION)
+    leg.initial(r=[0.0, 0.0], v=[0.0, 0.0], m=40.0)
+    leg.final(r=[0.6, -0.8], v=[0.0, 0.0])
+    leg.bounds(m=(1.0, 40.0))
+    leg.path("limit", limit(T, m))
+    problem.maximize(leg.final_state("m"))
+    return problem
+
+
+def test_a_limit_of_a_squared_norm_is_linear_in_the_magnitude() -> None:
+    """With value and slope of what was stated at the limit, and a slope where there is no thrust."""
+    stated = by_mass(lambda T, m: ca.sumsqr(T / m) <= 9.0).phases["leg"]
+    leg = restated(by_mass(lambda T, m: ca.sumsqr(T / m) <= 9.0)).phases["leg"]
+    (vector,) = leg.vectors
+    size, m = leg.model.symbol(vector.magnitude), leg.model.symbol("m")
+    row = leg.paths["limit"].expression
+    slopes = ca.Function("f", [size, m], [ca.jacobian(row, ca.vertcat(size, m))])
+    old = stated.paths["limit"].expression
+    T, mass = stated.model.symbol("T"), stated.model.symbol("m")
+    along = ca.jacobian(old, T) @ T / ca.norm_2(T)  # by the length of T
+    before = ca.Function("f", [T, mass], [ca.horzcat(along, ca.jacobian(old, mass))])
+    np.testing.assert_allclose(slopes(12.0, 4.0), before([12 * 0.6, -12 * 0.8], 4.0), rtol=1e-14)
+    assert float(slopes(0.0, 4.0)[0]) == pytest.approx(2 * 3 / 4, rel=1e-14)
+    value = ca.Function("f", [size, m], [row])
+    assert float(value(12.0, 4.0)) == pytest.approx(9.0, rel=1e-14)
+
+
+def test_an_acceleration_limit_by_hand_is_solved_without_bounds_of_the_thrust() -> None:
+    r"""|a| <= 1 in 3 s takes the \Delta v of `FUEL`, and m = m_0 exp(-0.05 \Delta v), as m' / m = -0.05 |a|."""
+    solution = go.solve(by_mass(lambda T, m: ca.sumsqr(T / m) <= 1.0), mesh="16x4", tol=None)
+    assert solution.objective == pytest.approx(40 * np.exp(-0.05 * FUEL), rel=2e-4)

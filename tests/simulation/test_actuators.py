@@ -15,6 +15,7 @@ from gnc_opt.simulation import (
     Hold,
     Lag,
     MinimumImpulse,
+    Noise,
     Pwm,
     Pwpf,
     Quantisation,
@@ -310,3 +311,11 @@ def test_a_command_that_is_no_number_does_not_become_a_pulse(block):
     run = ClosedLoop(plant, lost, [block], dt=DT, minor_steps=4).simulate([0.0], tf=2.0)
     assert not run.outcome.ok
     assert np.all(np.isfinite(run.states[0, :11])) and np.all(np.isnan(run.states[0, 11:]))
+
+
+@pytest.mark.parametrize("minor_steps", [1, 4])
+def test_noise_of_an_actuator_is_drawn_anew_in_every_minor_step(minor_steps):
+    """So that the mean over a control step has the standard deviation of a mean."""
+    run = fly([Noise("f", 0.2)], lambda t: 0 * t, tf=100.0, minor_steps=minor_steps)
+    expected = 0.2 / np.sqrt(minor_steps)
+    assert np.std(run.applied[0]) == pytest.approx(expected, rel=4 / np.sqrt(2 * 1000))

@@ -1,6 +1,7 @@
 """Events in the closed loop against closed forms, against SciPy's events, and what is refused."""
 
 import pickle
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -24,6 +25,7 @@ from gnc_opt.simulation import (
     RunStatus,
     monte_carlo,
 )
+from gnc_opt.simulation.crossing import Watch
 from gnc_opt.spacecraft import mrp_rate
 
 G = 9.81
@@ -452,3 +454,20 @@ def test_events_that_are_none_are_refused():
         campaign.happened("y")
     with pytest.raises(UnknownNameError):
         campaign.measure("time(y)")
+
+
+# --- the watch, part by part --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("above", [1e-6, 0.5, 30.0])
+def test_a_row_is_armed_once_it_has_been_above_zero(above):
+    """However little; from below it does not cross, and at zero it is not above."""
+    rows = SimpleNamespace(rows=lambda t, y, slope, p: (ca.SX([y]), ca.SX([slope])))
+    watch = Watch(rows, ca.SX([0.0]), ca.SX(0, 1), 0.0)
+    seen = []
+    for y0, y1 in ((-1.0, -0.5), (-0.5, 0.0), (0.0, above), (above, -above), (-above, -1.0)):
+        slope = y1 - y0
+        watch(1.0, (0.0, y0, slope), (1.0, y1, slope))
+        seen.append([int(float(v)) for v in (watch.armed, watch.found)])
+    assert seen == [[0, 0], [0, 0], [1, 0], [1, 1], [1, 1]]
+    assert (float(watch.first), float(watch.last)) == (3.0, 4.0)

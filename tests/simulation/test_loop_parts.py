@@ -21,6 +21,7 @@ from gnc_opt.simulation import (
     Mixer,
     RandomHold,
     RandomWalk,
+    Replanner,
     RunStatus,
     Sampling,
     Saturation,
@@ -35,11 +36,16 @@ DT = 0.1
 TWO = Layout("command", (Variable("a", 1, "N"), Variable("b", 2, "N m")))
 
 
-def test_what_a_loop_takes_by_name_only():
-    """A plant, a controller, actuators, sensors and disturbances go by their places, nothing else does."""
-    places = inspect.signature(ClosedLoop).parameters.values()
-    free = [p.name for p in places if p.kind is p.POSITIONAL_OR_KEYWORD]
-    assert free == ["plant", "controller", "actuators", "sensors", "disturbances"]
+@pytest.mark.parametrize(
+    ("kind", "free"),
+    [
+        (ClosedLoop, ["plant", "controller", "actuators", "sensors", "disturbances"]),
+        (Replanner, ["resolver", "every"]),
+    ],
+)
+def test_what_goes_by_its_place_and_what_by_its_name_only(kind, free):
+    places = inspect.signature(kind).parameters.values()
+    assert [p.name for p in places if p.kind is p.POSITIONAL_OR_KEYWORD] == free
     assert {p.kind for p in places if p.name not in free} == {inspect.Parameter.KEYWORD_ONLY}
 
 
@@ -526,3 +532,10 @@ def test_columns_of_a_step_have_one_place_for_everything():
     assert dict(kernel.known.parts) == {"t": 1, "r": 2, "sensor 0": 2, "actuator 0": 0, "push 0": 1}
     assert dict(kernel.log.parts) == {"measured": 2, "commands": 1, "applied": 2, "error": 1}
     assert kernel.step.size_in(0) == (sum(sizes.values()), 1) == kernel.start.size_out(0)
+
+
+def test_a_run_logs_every_control_step_unless_told_otherwise():
+    flight = ClosedLoop(double_integrator(), idle(double_integrator()), dt=DT).flight([1.0, 0.0], tf=0.5)
+    columns = flight.nominal
+    assert flight.run(columns, 0).state("q").times == pytest.approx(DT * np.arange(6))
+    assert flight.run(columns, 0, every=2).state("q").times == pytest.approx([0.0, 0.2, 0.4, 0.5])

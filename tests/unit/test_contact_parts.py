@@ -184,7 +184,7 @@ def test_orders_count_where_limits_and_regular_controls_are() -> None:
     ("inside", "outside", "nodes", "found"),
     [
         (0.5, 2.0, 9, True), (0.5, -2.0, 9, True), (2.0, -2.0, 9, False), (-2.0, 0.0, 9, False), (2.0, 0.0, 9, False),
-        (0.5, 2.0, 1, False),
+        (0.5, 2.0, 1, False), (0.5, 2.0, c.LASTING - 1, False), (0.5, 2.0, c.LASTING, True),
     ],
 )  # fmt: skip
 def test_a_control_that_is_on_no_limit_of_its_own_holds_the_constraint(
@@ -213,6 +213,14 @@ def test_an_arc_takes_a_control_that_is_free(kind: ArcKind, order: int, stays: b
         added = pushes.added(held, MESH)  # type: ignore[arg-type]
         assert (ArcKind.UPPER in {kinds[1] for kinds in added.kinds}) == stays
         assert bool(added.touching(1, UP)) != stays
+
+
+@pytest.mark.parametrize(("worth", "possible"), [([0, 0, 0, 0, 1, 1], True), ([1, 1, 1, 0, 1, 1], False)])
+def test_a_control_must_be_free_where_the_constraint_pushes(worth: Any, possible: bool) -> None:
+    """It is on its own limit until 5 s; what the limit does near nodes without pushes does not count."""
+    kinds = ((UP, FREE), (FREE, FREE))
+    held = PhaseStructure((0.0, 5.0, 10.0), kinds, (), 1, 0, (0, 1), (), ((), (0,)))
+    assert run([1.0, 2.0, 3.0, 4.0, 6.0, 7.0], worth).possible(held) is possible
 
 
 @pytest.mark.parametrize(("start", "begins"), [(2.0, 2.0), (2.9, 2.9), (1.0, 2.5)])

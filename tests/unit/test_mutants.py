@@ -51,6 +51,7 @@ def test_what_is_changed(tmp_path: Path, body: str, expected: set[str]) -> None:
         "def f(a):\n    assert a > 0 and a < 1\n",
         "class A:\n    size: int\n\n    def __str__(self):\n        return 'a' + str(self.size + 1)\n",
         "def f(a):\n    return [*zip(a, a, strict=True)]\n",
+        "class A:\n    size: int = field(repr=False)\n",
     ],
 )
 def test_what_is_left_alone(tmp_path: Path, source: str) -> None:

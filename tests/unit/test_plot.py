@@ -120,6 +120,23 @@ def test_rounding_errors_of_an_interior_control_are_neither_marked_nor_magnified
     assert top - bottom > 10 * np.ptp(noise)
 
 
+def test_controls_without_bounds_have_no_signs_of_the_switching_function() -> None:
+    """A loose solve leaves it at 1e-3 of the Hamiltonian, to either side of zero."""
+    model = go.Model("boat")
+    x, y, way = model.state("x"), model.state("y"), model.control("way")
+    model.ode({x: ca.cos(way) - y, y: ca.sin(way)})
+    problem = go.Problem("home")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(0.5, 20.0))
+    leg.initial(x=3.0, y=-1.0)
+    leg.final(x=0.0, y=0.0)
+    problem.minimize(leg.final_time)
+    loose = go.solve(problem, mesh="4x3", tol=None, options=go.SolverOptions(tolerance=1e-2))
+    assert np.ptp(np.sign(loose.switching_function("way", np.linspace(0.1, 3.5, 99)))) == 2
+    for ax in plot_controls(loose).axes:
+        assert not dotted_lines(ax)
+
+
 def dotted_lines(ax: Any) -> list[float]:
     return [float(line.get_xdata()[0]) for line in ax.get_lines() if line.get_linestyle() == ":"]
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import pytest
+
 from gnc_opt.plot import plot_verdict
+from gnc_opt.plot.verdict import _offence
 from gnc_opt.verify import Condition, Result, Verdict
 
 
@@ -19,6 +22,28 @@ def test_every_condition_has_a_row_and_the_tolerance_a_line() -> None:
     axes = figure.axes[0]
     assert [label.get_text() for label in axes.get_yticklabels()] == ["dynamics", "bounds", "singular arcs"]
     handles, labels = axes.get_legend_handles_labels()
-    assert labels == ["PASS (1)", "FAIL (1)", "CANNOT TELL (1)", "tolerance 1e-05"] and len(handles) == 4
-    assert "dimensionless" in axes.get_xlabel()
+    assert labels == ["PASS (1)", "FAIL (1)", "CANNOT TELL (1)", "tolerance"] and len(handles) == 4
+    assert axes.get_xlabel() == "worst offence, in tolerances"
     assert "NOT ok" in axes.get_title()
+
+
+@pytest.mark.parametrize(
+    ("value", "tolerance", "result", "drawn"),
+    [
+        (3e-5, 1e-5, Result.FAIL, 3.0),
+        (2e-9, 1e-5, Result.PASS, 2e-4),
+        (1e3, 1e4, Result.PASS, 0.1),  # a condition with a tolerance of its own
+        (-0.4, -1e-6, Result.PASS, 1e-12),  # a margin that is there is no offence, however large
+        (-0.4, 1e-5, Result.PASS, 1e-12),
+        (2e-6, -1e-6, Result.FAIL, 3.0),  # one that is missing is
+        (2e-5, 0.0, Result.FAIL, 2.0),
+        (float("inf"), 1e-5, Result.FAIL, 1e12),
+        (float("nan"), 1e-5, Result.CANNOT_TELL, 1.0),
+    ],
+)
+def test_offences_are_drawn_in_tolerances(
+    value: float, tolerance: float, result: Result, drawn: float
+) -> None:
+    offence = _offence(Condition("one", result, value, tolerance, "somewhere", "a meaning"))
+    assert offence == pytest.approx(drawn, rel=1e-12)
+    assert (offence > 1.0) == (result is Result.FAIL)

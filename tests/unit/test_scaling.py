@@ -61,6 +61,29 @@ def test_a_small_guess_does_not_hide_what_the_dynamics_do() -> None:
     assert phase_magnitudes(leg)[0][1] == pytest.approx(50.0)
 
 
+def test_path_constraints_tell_how_large_a_control_may_be() -> None:
+    """|u| <= 40, and from 0 to 40 at once; what is broken without the control, or holds with any, tells nothing."""
+    _, leg = double_integrator()
+    leg.initial(x=1.0, v=0.0)
+    x, u = leg.model.symbol("x"), leg.model.symbol("u")
+    leg.path("broken", u, lower=5.0)
+    leg.path("always", u**2, lower=-1.0)
+    np.testing.assert_array_equal(phase_magnitudes(leg)[1], [1.0])
+    leg.path("circle", u**2 / x, upper=1600.0)
+    assert phase_magnitudes(leg)[1][0] == pytest.approx(40.0, rel=0.34)  # tried in steps of 10^(1/8)
+    leg.path("one side", -3 * u, upper=6.0)
+    assert phase_magnitudes(leg)[1][0] == pytest.approx(2.0, rel=0.34)
+    leg.guess(u=0.5)
+    assert phase_magnitudes(leg)[1][0] == 0.5
+
+
+def test_a_path_constraint_of_a_free_parameter_tells_no_magnitude() -> None:
+    problem, leg = double_integrator()
+    most = problem.parameter("most", lower=1.0, upper=9.0)
+    leg.path("limit", leg.model.symbol("u") - most, upper=0.0)
+    np.testing.assert_array_equal(phase_magnitudes(leg)[1], [1.0])
+
+
 # --- what depends on them -------------------------------------------------------------------------------
 
 

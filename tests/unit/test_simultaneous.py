@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from by_hand import interval, phase, solution
@@ -21,11 +22,12 @@ def carts(braking: float) -> go.Problem:
     """Three carts from rest to rest, as far as they get in at most 2 s, |a| <= 1; metres are worth 1, 2 and 3.
 
     The first one is told to stop by the integral of its acceleration, the second one by its final speed, the third one
-    by a boundary constraint, which lets it go on by so many m/s for every second less.
+    by a boundary constraint, which lets it go on by so many m/s for every second less, in a wind as strong that turns
+    after 1 s.
     """
     model = go.Model("carts")
     q, v, a = model.state("q", 3), model.state("v", 3), model.control("a", 3)
-    model.ode({q: v, v: a})
+    model.ode({q: v, v: a + ca.vertcat(0.0, 0.0, braking * (model.time - 1.0))})
     problem = go.Problem("together")
     leg = problem.phase("leg", model)
     leg.time(0.0, (0.5, 2.0))
@@ -45,14 +47,14 @@ CARTS, BRAKED = carts(0.0), carts(0.5)
 def together(push: float = 1.0, braking: float = 0.0) -> go.Solution:
     """The optimum: each switches at T/2, lam_q = -w and lam_v = w (t - T/2), but -w where the integral has the rest.
 
-    One second more is worth w T/2 of each, less what the third one has to brake more. A push of less than 1 is between
-    the limits.
+    One second more is worth w T/2 of each, less what the third one has to brake more, by itself and against the wind. A
+    push of less than 1 is between the limits.
     """
     problem = BRAKED if braking else CARTS
 
     def x(t: Array, k: int) -> Any:
         q, v = (t - 1 + 0.5 - (t - 1) ** 2 / 2, 2 - t) if k else (t**2 / 2, t)
-        return [q, q, q, v, v, v]
+        return [q, q, q + braking * (t**3 / 6 - t**2 / 2), v, v, v + braking * (t**2 / 2 - t)]
 
     def lam(t: Array, k: int) -> Any:
         return [*(-w + 0 * t for w in WORTH), t - 2, 2 * (t - 1), 3 * (t - 1)]
@@ -67,7 +69,7 @@ def together(push: float = 1.0, braking: float = 0.0) -> go.Solution:
     leg = replace(
         bare, **given, mesh=go.Mesh((0.0, 0.5, 1.0), (3, 3), (1,)), control_bounds=box.controls,
         final_time_bounds=interval(0.5, 2.0), control_multipliers=-WORTH[:, None] * (bare.point_times - 1),
-        state_impulses=impulses, time_multipliers=np.array([0.0, 6.0 - 3.0 * braking]), integral_weights=np.ones(1),
+        state_impulses=impulses, time_multipliers=np.array([0.0, 6.0 - 6.0 * braking]), integral_weights=np.ones(1),
     )  # fmt: skip
     return solution(
         problem, leg, objective=-6.0, constraint_labels=("area", "rest"), constraint_values=np.zeros(2),
@@ -89,7 +91,7 @@ def check(found: go.Solution, braking: float = 0.0) -> None:
     assert leg.integral_weights == pytest.approx([1.0], abs=2e-6)
     switching = WORTH[:, None] * (leg.point_times - 1.0)
     np.testing.assert_allclose(leg.control_multipliers, -switching, atol=1e-5)
-    assert leg.time_multipliers[1] == pytest.approx(6.0 - 3.0 * braking, abs=1e-5)
+    assert leg.time_multipliers[1] == pytest.approx(6.0 - 6.0 * braking, abs=1e-5)
     # Multipliers of given end values are what the costates are there.
     np.testing.assert_allclose(leg.state_impulses[:, 0], -leg.lam_start[:, 0], atol=1e-5)
     assert leg.state_impulses[4, -1] == pytest.approx(2.0, abs=1e-5)
@@ -112,7 +114,7 @@ def drifted(found: go.Solution, change: np.ndarray, braking: float = 0.0) -> go.
         control_multipliers=leg.control_multipliers - change[:, None],
         integral_weights=leg.integral_weights + change[0],
         state_impulses=impulses,
-        time_multipliers=leg.time_multipliers - np.array([0.0, braking * change[2]]),
+        time_multipliers=leg.time_multipliers - np.array([0.0, 2.0 * braking * change[2]]),
     )
     nu = found.constraint_multipliers + change[[0, 2]]
     return replace(found, phases={"leg": other}, constraint_multipliers=nu)

@@ -168,6 +168,23 @@ def test_a_failure_of_the_adaptive_barrier_leaves_the_first_ending(monkeypatch: 
         monkeypatch.undo()
 
 
+def test_a_cold_start_that_wanders_is_met_by_the_adaptive_barrier(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not one whose limit the user drew closer; and what finds nothing either leaves the first ending."""
+    watch = Stumbling(monkeypatch, Status.ITERATION_LIMIT)
+    solution = solve_mesh(regulator(), "3x4")
+    assert watch.ways == ["cold", "adaptive"] and solution.status is Status.OPTIMAL
+    assert solution.statistics.iterations == sum(watch.costs)
+    monkeypatch.undo()
+    watch = Stumbling(monkeypatch, Status.ITERATION_LIMIT)
+    brief = go.SolverOptions(max_iterations=999)
+    assert solve_mesh(regulator(), "3x4", options=brief).status is Status.ITERATION_LIMIT
+    assert watch.ways == ["cold"]
+    monkeypatch.undo()
+    watch = Stumbling(monkeypatch, Status.ITERATION_LIMIT, Status.STEP_TOO_SMALL)
+    assert solve_mesh(regulator(), "3x4").status is Status.ITERATION_LIMIT
+    assert watch.ways == ["cold", "adaptive"]
+
+
 # --- another solution ---------------------------------------------------------------------------------------
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -557,7 +558,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
     base = solution(problem, phase(problem))
 
     def run(script: list[tuple[Status, str]], **more: Any) -> Any:
-        left, asked = iter(script), []
+        left, asked, shown = iter(script), [], []
         now: dict[str, Any] = {"passes": 0}
 
         def solve(problem: Any, plans: Any, guess: Any, options: SolverOptions, *_: Any) -> Any:
@@ -567,9 +568,12 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
             return replace(base, status=now["status"], objective=float(now["passes"]))
 
         monkeypatch.setattr(s, "_solve", solve)
+        monkeypatch.setattr(s, "pass_meter", lambda *_: nullcontext(shown.append))
         monkeypatch.setattr(s, "_at_solution", lambda plan, found, name: plan)
         monkeypatch.setattr(s, "improve", lambda found, plans, swapped, tol: (plans, now["action"]))
-        return *s.optimise_switches(base, **more), asked
+        found, history = s.optimise_switches(base, **more)
+        assert shown == list(history.passes)
+        return found, history, asked
 
     return run
 
@@ -593,6 +597,20 @@ def test_how_the_loop_ends(scripted: Any, script: Any, passes: int, status: str,
     assert history.message == f"{status}: {actions[-1]}"
     if status == "converged":
         assert found.objective == len(script) and history.chosen == len(script) - 1
+
+
+def test_where_finer_meshes_end_singular_controls_of_higher_degree_are_tried(
+    scripted: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once: the plans that then are asked for are what they are."""
+    rows = PhaseStructure(
+        (0.0, 0.5, 1.0), ((UP, FREE, FREE, FREE, FREE), (SING, FREE, FREE, FREE, FREE)), (), 1, 2
+    )
+    smoother = iter([{"leg": Plan.of(rows)}])
+    monkeypatch.setattr(s, "smoother", lambda found, plans: next(smoother, plans))
+    _, history, _ = scripted([(Status.OPTIMAL, s.RAISED)] * 2 + [(Status.OPTIMAL, "")])
+    assert [p.actions for p in history.passes] == [s.RAISED, s.SMOOTHED, "structure stands"]
+    assert history.status is RefinementStatus.CONVERGED
 
 
 @pytest.mark.parametrize(("tol", "asked"), [(1e-3, s.FINEST), (1e-12, 1e-12)])

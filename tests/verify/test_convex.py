@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
+import numpy as np
 import pytest
 
 import gnc_opt as go
@@ -81,10 +83,45 @@ def test_what_is_not_or_is_not_known_to_be(other: dict[str, Any]) -> None:
     assert not is_convex(stated(**other))
 
 
-def test_only_a_failed_curvature_is_taken_back() -> None:
+def test_a_curvature_that_fails_or_cannot_be_told_says_that_the_problem_is_convex() -> None:
     made = go.Condition("second order", go.Result.FAIL, 1.0, 0.0, "there", "meaning", sufficient=True)
     assert _of_convex(made).result is go.Result.CANNOT_TELL
     assert "there; the problem is convex" in _of_convex(made).where
+    open_ = _of_convex(replace(made, result=go.Result.CANNOT_TELL))
+    assert open_.result is go.Result.CANNOT_TELL and "the problem is convex" in open_.where
     passed, first = replace(made, result=go.Result.PASS), replace(made, sufficient=False)
     assert _of_convex(passed) is passed
     assert _of_convex(first) is first
+
+
+@pytest.mark.parametrize("push", [1.0, 0.8])
+def test_the_least_peak_of_a_state_is_an_answer_and_a_higher_one_is_none(push: float) -> None:
+    """Rest to rest over 1 in 3 s, pushed by at most 1: push, coast at the peak top, push; top (3 - top / push) = 1."""
+    model = go.Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("least peak of speed")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 3.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    peak = problem.parameter("peak", lower=0.0, upper=2.0)
+    leg.path("speed", v - peak, upper=0.0)
+    problem.minimize(peak)
+    top = 0.5 * push * (3.0 - np.sqrt(9.0 - 4.0 / push))
+    ends = np.array([0.0, top / push, 3.0 - top / push, 3.0])
+    t = np.concatenate([np.linspace(a, b, 21) for a, b in pairwise(ends)])
+    arc = np.repeat([0, 1, 2], 21)
+    speed = np.minimum(np.minimum(push * t, top), push * (3.0 - t))
+    way = np.select(
+        [arc == 0, arc == 1],
+        [0.5 * push * t**2, top * (t - 0.5 * top / push)],
+        1.0 - 0.5 * push * (3.0 - t) ** 2,
+    )
+    flown = {"q": way, "v": speed}, {"a": np.array([push, 0.0, -push])[arc]}, {"peak": top}
+    verdict = go.verify_trajectory(problem, t, *flown)
+    assert verdict.ok is (push == 1.0)
+    if push == 1.0:
+        assert not verdict.minimum and "the problem is convex" in verdict["second order"].where
+        assert top == pytest.approx((3.0 - np.sqrt(5.0)) / 2.0)

@@ -137,3 +137,23 @@ def test_end_conditions_of_a_bang_bang_control() -> None:
     assert squared["normality"].result is Result.FAIL and squared["normality"].where == "constraint sq"
     assert again["normality"].result is Result.PASS
     assert "2 conditions on 1 unknowns: multipliers are not unique" in again["normality"].where
+
+
+@pytest.mark.parametrize("most", [0.0, 0.5])
+def test_abnormal_multipliers_beside_normal_ones_are_named(most: float) -> None:
+    """y' = w^2 with y(1) <= 0 leaves w = 0 alone, whatever it costs; the cost wants that too, and multipliers exist."""
+    model = go.Model("two channels")
+    x, y, u, w = model.state("x"), model.state("y"), model.control("u"), model.control("w")
+    model.ode({x: u, y: w**2})
+    problem = go.Problem("beside")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0, y=0.0)
+    leg.final(x=1.0, y=(None, most))
+    problem.minimize(leg.integral(u**2 + w**2))
+    t = np.linspace(0.0, 1.0, 41)
+    verdict = go.verify_trajectory(problem, t, {"x": t, "y": 0 * t}, {"u": 1 + 0 * t, "w": 0 * t})
+    told = verdict["normality"]
+    assert verdict.ok and verdict.minimum is (most > 0)
+    assert told.result is (Result.CANNOT_TELL if most == 0.0 else Result.PASS)
+    assert ("abnormal multipliers beside" in told.where) is (most == 0.0)

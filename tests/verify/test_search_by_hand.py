@@ -138,6 +138,14 @@ def test_a_path_that_is_violated_leaves_room_to_what_is_flown() -> None:
     np.testing.assert_allclose(least, -9.0 - slack, rtol=0, atol=1e-13)
 
 
+def test_the_room_is_as_wide_for_what_is_negative() -> None:
+    s = flown(coupled(bowl, (lambda t, x, u, w: -MIXED[0](t, x, u, w), -2.0, 9.0)))
+    least, most = search(s)._room[:, 0]
+    slack = _ON_LIMIT * (s.path_scale[0] + 2.5)
+    np.testing.assert_allclose(least, -2.5 - slack, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(most, 9.0 + slack, rtol=0, atol=1e-13)
+
+
 def test_what_is_beyond_a_path_moves_to_it_the_shortest_way() -> None:
     """In shares (a, b) the path is u + 2 w = -4 + 4 a + 8 b: along (4, 8)."""
     s = flown(coupled(bowl, MIXED))

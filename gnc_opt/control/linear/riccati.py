@@ -115,8 +115,8 @@ def steady(
 def gain_of(a: Array, b: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> Array:
     """Return K (n_controls, n_errors) for the cost to go P (after the step, if sampled)."""
     if sampled:
-        return np.asarray(np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a + n.T), dtype=float)
-    return np.asarray(np.linalg.solve(r, b.T @ p + n.T), dtype=float)
+        return np.asarray(np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a + n.T))
+    return np.asarray(np.linalg.solve(r, b.T @ p + n.T))
 
 
 def residual(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> float:

@@ -130,7 +130,13 @@ class _Relay:
 
 @dataclass(frozen=True)
 class ConstantRate(_Relay):
-    """ds/dt = -eta sign(s); eta in units of s per second."""
+    """ds/dt = -eta sign(s); eta in units of s per second.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import ConstantRate
+    >>> law = ConstantRate(0.5)
+    """
 
     def rate(self, s: Any, boundary: Boundary) -> Any:
         """Return rho(s), SX."""
@@ -157,6 +163,11 @@ class ExponentialRate(_Relay):
         Unit of s per second, > 0.
     k : float
         1/s.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import ExponentialRate
+    >>> law = ExponentialRate(0.5, 2.0)
     """
 
     k: float
@@ -188,6 +199,11 @@ class PowerRate:
         (Unit of s)^(1 - alpha) per second, > 0.
     alpha : float
         Between 0 and 1.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import PowerRate
+    >>> law = PowerRate(0.5, 0.5)
     """
 
     k: float

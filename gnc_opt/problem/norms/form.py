@@ -313,8 +313,25 @@ def _restated_paths(
             expression = ca.substitute(expression, magnitude, 1.0)
         elif ca.depends_on(expression, magnitude):
             on_sphere |= not allows_shorter(expression, magnitude, row.limits)
+            expression = _without_square(expression, row.limits, magnitude)
         paths[row.label] = Constraint(row.label, expression, row.limits)
     return paths, on_sphere
+
+
+def _without_square(expression: Any, limits: Interval, magnitude: Any) -> Any:
+    r"""Return a limit of what is proportional to the square of the magnitude as one of what is proportional to itself.
+
+    :math:`r^2 \le c^2` is :math:`2 c r - c^2 \le c^2`, with the same gradient at the limit, hence the same multiplier;
+    but the square has no slope where the vector is zero, and H is linear in the magnitude.
+    """
+    ends = [end for end in (limits.lower[0], limits.upper[0]) if np.isfinite(end)]
+    if len(ends) != 1 or not ends[0] > 0 or degree_in(expression, magnitude) != 2:
+        return expression
+    most = float(np.sqrt(ends[0]))
+    root = (
+        ca.substitute(expression, magnitude, 1.0) ** 0.25
+    ) ** 2  # CasADi makes fabs of the root of a square
+    return 2 * most * magnitude * root - most**2
 
 
 def _is_cone(expression: Any, limits: Interval, magnitude: Any) -> bool:

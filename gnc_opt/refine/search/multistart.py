@@ -186,6 +186,12 @@ def multistart(
         The problem is not well stated.
     GncOptError
         The problem cannot be sent to the executor's processes.
+
+    Examples
+    --------
+    >>> found = go.multistart(problem, n=2, seed=1, executor="serial", refine=False)
+    >>> print(f"{found.minima[0].objective:.1f}")
+    2.0
     """
     read_integer(n, "the number of starts of multistart()", 1)
     read_integer(seed, "the seed of multistart()", 0)

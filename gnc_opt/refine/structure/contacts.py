@@ -200,7 +200,8 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
     orders = [0 if held[row] else constraints.order(row) for row in range(constraints.size)]
     if not any(orders):
         return structure
-    holders = [constraints.holders(row) if order else () for row, order in enumerate(orders)]
+    known = structure.holders[first:]
+    holders = [constraints.holders(row) if order else known[row] for row, order in enumerate(orders)]
     structure = replace(structure, orders=(*(0,) * first, *orders), holders=(*((),) * first, *holders))
     for run in _runs_of_pushes(constraints, structure):
         structure = run.added(structure, samples)

@@ -11,6 +11,7 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.composed import VectorControl
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure.contacts import Determined, determined, with_contacts
+from gnc_opt.refine.structure.mixed import LinearLimits
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
@@ -63,14 +64,19 @@ def detect(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> Phas
     by their multipliers.
     """
     leg, regular, affine = samples.leg, regular_channels(samples), affine_channels(samples)
+    limits = linear_limits(samples)
     held = [[(d.start, d.end) for d in determined if d.control == i] for i in range(leg.controls.size)]
     rows = [
         _linear_labels(samples, i, held[i]) if affine[i] else _nonlinear_labels(samples, i)
         for i in range(leg.controls.size)
     ]
-    changes = _change_times(samples, rows)
     mixed = _mixed_paths(samples, regular)
-    for labels in [*_path_labels(samples, mixed), *_state_labels(samples, np.asarray(rows))]:
+    paths = _path_labels(samples, mixed)
+    for i in limits.rows:
+        if affine[i]:
+            _limit(limits, i, rows[i], paths)
+    changes = _change_times(samples, rows)
+    for labels in [*paths, *_state_labels(samples, np.asarray(rows))]:
         rows.append(labels)
         changes.append(_middles(samples, labels))
     first, last = leg.breaks[0], leg.breaks[-1]
@@ -83,14 +89,31 @@ def detect(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> Phas
         (*(bool(r) for r in regular), *(bool(r) for r in mixed), *(False,) * leg.states.size),
         leg.controls.size,
         len(leg.path_labels),
+        holders=(
+            *((),) * leg.controls.size,
+            *(tuple(i for i, own in limits.rows.items() if p in own) for p in range(len(leg.path_labels))),
+            *((),) * leg.states.size,
+        ),
+        slopes=(*(0,) * leg.controls.size, *limits.signs, *(0,) * leg.states.size),
     ).merged()
 
 
 def affine_channels(samples: PhaseSamples) -> Mask:
-    """Return which controls enter H linearly and have two finite bounds, (m,)."""
-    bounds = samples.leg.control_bounds
+    """Return which controls enter H linearly and have two finite bounds, or path constraints in their place, (m,)."""
+    bounds, limits = samples.leg.control_bounds, linear_limits(samples)
     bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
-    return np.asarray((np.max(np.abs(_curvature(samples)), axis=1, initial=0.0) < LINEAR) & bounded)
+    for i in limits.rows:
+        bounded[i] = all(limits.ended(i))
+    return _linear(samples) & bounded
+
+
+def linear_limits(samples: PhaseSamples) -> LinearLimits:
+    """Return the path constraints that limit one control each that enters H linearly."""
+    return LinearLimits.of(samples, _linear(samples))
+
+
+def _linear(samples: PhaseSamples) -> Mask:
+    return np.asarray(np.max(np.abs(_curvature(samples)), axis=1, initial=0.0) < LINEAR)
 
 
 def regular_channels(samples: PhaseSamples) -> Mask:
@@ -115,7 +138,7 @@ def switching(samples: PhaseSamples, times: Array) -> Array:
 
 def _linear_labels(samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]]) -> KindArray:
     """LOWER, UPPER or SINGULAR at each sample for a control that enters H linearly and is determined at times."""
-    gradient = samples.control_gradient[i] * samples.control_scale[i] / samples.hamiltonian_scale
+    gradient = _share(samples, samples.control_gradient, i)
     labels = choose(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
     for k in _singular_segments(samples, i, gradient):
         labels[samples.segments == k] = ArcKind.SINGULAR
@@ -123,6 +146,23 @@ def _linear_labels(samples: PhaseSamples, i: int, held: Sequence[tuple[float, fl
         labels[(samples.times >= start) & (samples.times <= end)] = ArcKind.SINGULAR
     _absorb(samples, i, labels, gradient)
     return labels
+
+
+def _limit(limits: LinearLimits, i: int, labels: KindArray, paths: list[KindArray]) -> None:
+    """Put path constraints in the place of bounds of a control, where they are tighter; singular arcs stay."""
+    samples = limits.samples
+    singular = np.isin(
+        samples.segments, _singular_segments(samples, i, _share(samples, samples.switching, i))
+    )
+    own, held = limits.labels(i, samples.switching[i] < 0)
+    labels[:] = choose(singular, ArcKind.SINGULAR, own)
+    for row, kinds in held.items():
+        paths[row] = choose(singular, ArcKind.INTERIOR, kinds)
+
+
+def _share(samples: PhaseSamples, gradient: Array, i: int) -> Array:
+    """What a control's whole range gains in H, in shares of H, (n_samples,)."""
+    return np.asarray(gradient[i] * samples.control_scale[i] / samples.hamiltonian_scale)
 
 
 def _absorb(samples: PhaseSamples, i: int, labels: KindArray, gradient: Array) -> None:

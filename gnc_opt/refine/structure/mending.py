@@ -11,7 +11,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure.contacts import StateConstraints, crossed_contact, pushed_contact, wrong_touch
-from gnc_opt.refine.structure.detect import affine_channels
+from gnc_opt.refine.structure.detect import affine_channels, linear_limits
 from gnc_opt.refine.structure.junctions import move_kinks
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose, signs_of
 from gnc_opt.refine.structure.plan import Plan, Resolution
@@ -150,7 +150,8 @@ def _with_worst(
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
     start, end = _wrong_interval(samples, offence[i])
     label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
-    return structure.with_arc(i, start, end, asked[i, j]), f"arc of {label} added at {start:.4g} s"
+    mended = linear_limits(samples).with_arc(structure, i, j, (start, end), asked[i, j])
+    return mended, f"arc of {label} added at {start:.4g} s"
 
 
 def _offences(samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray) -> tuple[Array, KindArray]:
@@ -172,13 +173,15 @@ def _offences(samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray
     kinds = kinds[: pull.shape[0]]
     signs = signs_of(kinds)
     regular = np.array(structure.regular[: pull.shape[0]])[:, None]
-    affine = np.append(affine_channels(samples), np.zeros(len(values), dtype=bool))[:, None]
+    linear = linear_limits(samples).paths
+    limiting = np.append(np.zeros(samples.leg.controls.size, dtype=bool), linear)[:, None]
+    affine = np.append(affine_channels(samples), np.zeros(len(values), dtype=bool))[:, None] | limiting
     judged = (affine | regular) & (signs != 0)
     excess = np.maximum(above, below) / scales[:, None]
     offence = np.where(judged, signs * pull, np.where(regular & (kinds == ArcKind.INTERIOR), excess, 0.0))
     opposite = choose(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
     crossed = choose(above > below, ArcKind.UPPER, ArcKind.LOWER)
-    return offence, choose(judged, choose(regular, ArcKind.INTERIOR, opposite), crossed)
+    return offence, choose(judged, choose(regular | limiting, ArcKind.INTERIOR, opposite), crossed)
 
 
 def _saturated(

@@ -43,7 +43,9 @@ class PhaseStructure:
     touches : tuple of A + 1 tuples of Touch
         What state constraints only touch, at each of the times.
     holders : tuple of tuple of int
-        For each of the rows with an order the controls that can hold it on its limit.
+        For each of the rows with an order or a slope the controls that can hold it on its limit.
+    slopes : tuple of int
+        For each path constraint that limits one control linearly (`mixed`) the sign of its slope in it; else 0.
     """
 
     times: tuple[float, ...]
@@ -54,12 +56,15 @@ class PhaseStructure:
     orders: tuple[int, ...] = ()
     touches: tuple[tuple[Touch, ...], ...] = ()
     holders: tuple[tuple[int, ...], ...] = ()
+    slopes: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.orders:
             object.__setattr__(self, "orders", (0,) * len(self.kinds[0]))
         if not self.holders:
             object.__setattr__(self, "holders", ((),) * len(self.kinds[0]))
+        if not self.slopes:
+            object.__setattr__(self, "slopes", (0,) * len(self.kinds[0]))
         if not self.touches:
             object.__setattr__(self, "touches", ((),) * (len(self.kinds) + 1))
         if not self.regular:
@@ -129,14 +134,35 @@ class PhaseStructure:
         """Whether controls only have a kink between a piece and the one before.
 
         They do where they, mixed path constraints, or state constraints that determine them, enter or leave a limit;
-        a control that enters H linearly jumps to where it holds a state constraint.
+        a control that enters H linearly jumps to where it holds a state constraint, but goes on from its bound to a
+        path constraint that limits it on the same side.
         """
+        if self.handed_over(boundary):
+            return not self.touches[boundary]
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         return not self.touches[boundary] and all(
             (self.regular[i] or self._determines(i, boundary))
             and not (before[i].at_limit and after[i].at_limit)
             for i in self.changes(boundary)
         )
+
+    def handed_over(self, boundary: int) -> list[int]:
+        """Return the rows that change between two pieces, if one limit of a control takes over from another there."""
+        rows = self.changes(boundary)
+        sides: list[int] = []
+        for kinds in (self.kinds[boundary - 1], self.kinds[boundary]):
+            held = [i for i in rows if kinds[i].at_limit]
+            sides += [kinds[i].sign * (self.slopes[i] if i >= self._n_free else 1) for i in held]
+        controls = {i for row in rows for i in (self.holders[row] if row >= self._n_free else (row,))}
+        return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
+
+    def beside_takeovers(self) -> Mask:
+        """Return where rows are off their limit beside a boundary at which one takes over, (n_rows, A)."""
+        beside = np.zeros((len(self.kinds[0]), self.pieces), dtype=bool)
+        for k in range(1, self.pieces):
+            for row in self.handed_over(k):
+                beside[row, k - 1 : k + 1] = [not self.kinds[j][row].at_limit for j in (k - 1, k)]
+        return beside
 
     def _determines(self, row: int, boundary: int) -> bool:
         """Whether a state constraint determines, on one side of a boundary, none but controls that H determines."""

@@ -144,9 +144,10 @@ class Plan:
         structure, segments = self.structure, self.segment_pieces
         n_controls, n_paths = len(structure.controls), len(structure.paths)
         regular = np.asarray(structure.regular, dtype=bool)[:, None] | structure.beside_contacts(self.loose)
+        regular = regular | structure.beside_takeovers()
         # An interior control may leave its bounds: by how much tells where its arc has to end.
-        controls = _released(structure.controls, regular[:n_controls])
-        controls = choose(controls == ArcKind.SINGULAR, ArcKind.INTERIOR, controls)
+        controls = choose(structure.controls == ArcKind.SINGULAR, ArcKind.INTERIOR, structure.controls)
+        controls = _released(controls, regular[:n_controls])
         paths = _released(structure.paths, regular[n_controls : n_controls + n_paths])
         states = _released(structure.states, regular[n_controls + n_paths :])
         return problem.with_arcs(
