@@ -167,6 +167,31 @@ def test_a_chattering_band_is_told_of_laws_without_a_layer():
     assert "band of s" in names
 
 
+@pytest.mark.parametrize("push", [-0.15, 0.0, 0.15])
+def test_a_sampled_relay_stays_in_the_band_of_one_step(push):
+    """Held over steps, it goes (gain + bound) dt beyond zero; the steady errors that this allows are no zeros."""
+    model = integrators(1)
+    law = design_sliding_mode(
+        model, [0.0], outputs="x0", reaching=ConstantRate(0.2), boundary=Sign(), bound=0.15, dt=DT
+    )
+    facts = law.explain()
+    run = step_through(law, model, [0.311], dt=DT, tf=40.0, disturbance=constant(push))
+    late = np.max(np.abs(run.x[0, run.x.shape[1] // 2 :]))
+    assert facts["chattering band of s"] == pytest.approx([0.35 * DT])
+    assert facts["steady error bound"] == pytest.approx([0.35 * DT])
+    assert (0.8 * 0.35 * DT if push else 0.0) < late <= 0.35 * DT * (1 + 1e-9)
+
+
+def test_no_steady_error_is_stated_where_none_is_known():
+    """Super-twisting, sampled and disturbed at a rate, has no known band."""
+    options = {"outputs": "x0", "reaching": SuperTwisting(3.0, 2.0), "boundary": Sign(), "dt": DT}
+    still = design_sliding_mode(integrators(1), [0.0], **options).explain()
+    assert still["steady error bound"] == pytest.approx([still["chattering band of s"]])
+    assert still["steady error bound"][0] > 0
+    moved = design_sliding_mode(integrators(1), [0.0], bound=0.5, **options).explain()
+    assert "steady error bound" not in [fact.name for fact in moved.facts]
+
+
 @pytest.mark.parametrize(("k1", "k2"), [(1.5, 1.1), (3.0, 2.0)])
 @pytest.mark.parametrize("dt", [1e-3, 2.0])
 def test_super_twisting_chatters_in_a_band_that_falls_with_the_square_of_the_step(k1, k2, dt):

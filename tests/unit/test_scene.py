@@ -234,7 +234,10 @@ def test_what_a_browser_shows(solution, tmp_path):
         check_vehicle(tab, data, "back", k)
         assert tab.ask(f"{POINTS}('{data['tube_name']}')") == data["tube"]
         click = "(b => { b.click(); return b.textContent; })(document.querySelector('#film button'))"
-        assert tab.ask(f"[{click}, {click}]") == ["Pause", "Play"]  # at once, lest it come to its end in between
+        assert tab.ask(f"[{click}, {click}]") == [
+            "Pause",
+            "Play",
+        ]  # at once, lest it come to its end in between
         tab.ask(click)
         tab.wait(f"document.querySelector('#film input').value > {k}")  # it plays on from there
         assert tab.said == [] and tab.asked == [page.as_uri()]

@@ -137,9 +137,11 @@ def _surface_facts(errors: OutputErrors, coefficients: Sequence[Array], switchin
     """Return poles, the band of s and the steady error that it allows, and the sampling limit."""
     pairs = list(zip(errors.labels, coefficients, strict=True))
     poles = [Fact(f"surface poles of {label}", np.roots(c[::-1]), "1/s") for label, c in pairs if c.size > 1]
-    steady = np.array([band * _peak_gain(c) for band, c in zip(switching.bands, coefficients, strict=True)])
-    bound = Fact("steady error bound", steady, remark="of the outputs, from the band of s")
-    return [*poles, *switching.facts(), bound]
+    facts, bands = [*poles, *switching.facts()], switching.sampled_bands
+    if bands is not None:
+        steady = np.array([band * _peak_gain(c) for band, c in zip(bands, coefficients, strict=True)])
+        facts.append(Fact("steady error bound", steady, remark="of the outputs, from the band of s"))
+    return facts
 
 
 def _reaching(

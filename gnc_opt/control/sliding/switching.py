@@ -96,6 +96,17 @@ class Switching:
         return np.array([self.reaching.band(self.boundary, float(b)) for b in self.bounds])
 
     @property
+    def sampled_bands(self) -> Array | None:
+        """The |s| to which the law comes back if its commands are held over steps of dt; None where none is known."""
+        if self.dt is None or not isinstance(self.boundary, Sign):
+            return self.bands
+        if isinstance(self.reaching, SuperTwisting):
+            undisturbed = sampled_band(self.reaching.k1, self.reaching.k2, self.dt)
+            return None if np.any(self.bounds > 0) else np.full(self.bounds.size, undisturbed)
+        # From beside zero it goes one step to the other side, driven by its full gain and by the disturbance.
+        return (self._switched + self.bounds) * self.dt if np.isfinite(self._switched) else self.bands
+
+    @property
     def _switched(self) -> float:
         """By how much ds/dt is switched, units of s per second: nothing by `SuperTwisting`, whose gain is a rate."""
         return 0.0 if isinstance(self.reaching, SuperTwisting) else self.reaching.gain
@@ -155,7 +166,8 @@ class Switching:
             return [Fact("chattering band of s", band, remark="of the sampled law, undisturbed")]
         if not np.isfinite(self._switched):
             return []
-        return [Fact("chattering band of s", self._switched * dt, remark="one control step at full gain")]
+        remark = "one control step at full gain, disturbed at the bound"
+        return [Fact("chattering band of s", self.sampled_bands, remark=remark)]
 
     def reserve(self, errors: OutputErrors, reference: Reference) -> list[Fact]:
         """Return the fact about the authority that is left on the reference beyond the switching gain.
