@@ -64,6 +64,19 @@ def test_a_campaign_grows_and_flies_only_what_is_missing(tmp_path, whole, flown)
     assert same(fly(33, checkpoint=tmp_path / "a" / "b"), fly(33)) and flown == list(range(33))
 
 
+def test_what_is_stored_is_flown_in_smaller_batches(tmp_path, monkeypatch):
+    """So that a campaign that is killed has lost little; without a folder batches are as large as they may be."""
+    monkeypatch.setattr(mission_module, "BATCHES", 2)
+    monkeypatch.setattr(sys.modules["gnc_opt.simulation.monte_carlo"], "MOST_PER_FILE", 3)
+    sizes, fly_batch = [], mission_module.Mission.fly
+    monkeypatch.setattr(
+        mission_module.Mission, "fly", lambda self, batch: sizes.append(len(batch)) or fly_batch(self, batch)
+    )
+    fly(12, tf=0.5)
+    fly(12, tf=0.5, checkpoint=tmp_path)
+    assert sizes == [6, 6, 3, 3, 3, 3]
+
+
 def test_gaps_are_filled(tmp_path, whole, flown):
     fly(60, checkpoint=tmp_path)
     files = sorted(tmp_path.iterdir())

@@ -21,6 +21,7 @@ from gnc_opt.simulation import (
     Mixer,
     RandomHold,
     RandomWalk,
+    Replanner,
     RunStatus,
     Sampling,
     Saturation,
@@ -35,11 +36,16 @@ DT = 0.1
 TWO = Layout("command", (Variable("a", 1, "N"), Variable("b", 2, "N m")))
 
 
-def test_what_a_loop_takes_by_name_only():
-    """A plant, a controller, actuators, sensors and disturbances go by their places, nothing else does."""
-    places = inspect.signature(ClosedLoop).parameters.values()
-    free = [p.name for p in places if p.kind is p.POSITIONAL_OR_KEYWORD]
-    assert free == ["plant", "controller", "actuators", "sensors", "disturbances"]
+@pytest.mark.parametrize(
+    ("kind", "free"),
+    [
+        (ClosedLoop, ["plant", "controller", "actuators", "sensors", "disturbances"]),
+        (Replanner, ["resolver", "every"]),
+    ],
+)
+def test_what_goes_by_its_place_and_what_by_its_name_only(kind, free):
+    places = inspect.signature(kind).parameters.values()
+    assert [p.name for p in places if p.kind is p.POSITIONAL_OR_KEYWORD] == free
     assert {p.kind for p in places if p.name not in free} == {inspect.Parameter.KEYWORD_ONLY}
 
 
