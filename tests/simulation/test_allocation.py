@@ -10,7 +10,7 @@ from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
 from gnc_opt.simulation import Allocation, ClosedLoop, Mixer, ThrusterSet, WheelArray
-from gnc_opt.simulation.allocation import min_max_shift, null_vector, pseudo_inverse
+from gnc_opt.simulation.allocation import _within, min_max_shift, null_vector, pseudo_inverse
 from gnc_opt.spacecraft.wheels import total_momentum, wheel_body_acceleration
 
 PYRAMID = np.array([[1, -1, -1, 1], [1, 1, -1, -1], [1, 1, 1, 1]]) / np.sqrt(3)
@@ -260,3 +260,10 @@ def test_thrusters_that_cannot_push_back_are_refused():
         ThrusterSet(
             np.zeros((3, 5)), np.array([[1, 0, 0, 0, 0], [0, 1, -1, 0, 0], [0, 0, 0, 1, -1]])
         ).allocation("jets", force="F_B")
+
+
+@pytest.mark.parametrize(("asked", "given"), [(3.0, 0.55), (0.5, 0.5), (-0.4, -0.4), (-3.0, -0.45)])
+def test_a_shift_along_the_null_space_stops_where_the_first_torque_meets_its_limit(asked, given):
+    """0.2 + s/2 and 0.1 - 2 s within 1: s from -2.4 to 1.6 for the first, from -0.45 to 0.55 for the second."""
+    found = _within(ca.SX(asked), ca.SX([0.2, 0.1]), np.array([0.5, -2.0]), ca.SX([1.0, 1.0]))
+    assert float(ca.DM(ca.evalf(found))) == pytest.approx(given, rel=1e-14)

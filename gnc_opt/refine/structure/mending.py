@@ -195,7 +195,8 @@ def _saturated(
     left open is enough. Structures that have been left are not tried again.
     """
     bounds, pieces = samples.leg.control_bounds, plan.segment_pieces[samples.segments]
-    singular = plan.structure.controls[:, pieces] == ArcKind.SINGULAR
+    singular = plan.structure.controls == ArcKind.SINGULAR
+    singular = (singular & ~plan.structure.limited_by_paths())[:, pieces]
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
     at_lower, at_upper = bounds.near(samples.u_polynomial, SATURATED * samples.control_scale)
     left_open = zip(plan.resolutions, _open_gradient(samples, plan), strict=True)

@@ -156,6 +156,13 @@ class PhaseStructure:
         controls = {i for row in rows for i in (self.holders[row] if row >= self._n_free else (row,))}
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
 
+    def limited_by_paths(self) -> Mask:
+        """Return where a path constraint is in the place of a control's bound, (n_controls, A)."""
+        held = np.zeros((self._n_free, self.pieces), dtype=bool)
+        for row in np.flatnonzero(self.slopes):
+            held[list(self.holders[row])] |= [kinds[row].at_limit for kinds in self.kinds]
+        return held
+
     def beside_takeovers(self) -> Mask:
         """Return where rows are off their limit beside a boundary at which one takes over, (n_rows, A)."""
         beside = np.zeros((len(self.kinds[0]), self.pieces), dtype=bool)
