@@ -129,50 +129,74 @@ def solve_mesh(
         meshes = {name: guess.phases[name].mesh for name in problem.phases}
     else:
         meshes = read_meshes(mesh, problem.phases, problem.name)
+    task = _Task(problem, meshes, scheme, chosen, progress, deadline)
     if guess is None:
-        return _coarse_to_fine(problem, meshes, scheme, chosen, progress, deadline)
+        return _coarse_to_fine(task)
     if warm_iterations is None:
-        return _solve(problem, meshes, scheme, guess, chosen, progress, deadline)
-    brief = replace(chosen, max_iterations=min(warm_iterations, chosen.max_iterations))
-    found = _solve(problem, meshes, scheme, guess, brief, progress, deadline)
+        return task.solve(guess)
+    found = task.brief(warm_iterations).solve(guess)
     if found.status not in TRAJECTORY_ONLY:
         return found
-    cold = replace(chosen, mu_init=COLD_MU)
-    spent = found.statistics
-    start = guess_from_solution(problem, guess)
-    again = _solve(start, meshes, scheme, None, cold, progress, deadline, spent.solve_s)
-    statistics = again.statistics.after(spent)
-    return replace(again, statistics=statistics, problem=found.problem)
+    start, cold = guess_from_solution(problem, guess), replace(chosen, mu_init=COLD_MU)
+    again = replace(task, problem=start, options=cold).solve(after=found)
+    return replace(again, problem=found.problem)
 
 
-def _coarse_to_fine(
-    problem: Problem,
-    meshes: dict[str, Mesh],
-    scheme: Scheme,
-    options: SolverOptions,
-    progress: bool,
-    deadline: float,
-) -> Solution:
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """A problem on meshes, and how it is solved; see `solve_mesh`."""
+
+    problem: Problem
+    meshes: Mapping[str, Mesh]
+    scheme: Scheme
+    options: SolverOptions
+    progress: bool
+    deadline: float
+
+    def brief(self, iterations: int) -> _Task:
+        """Return the task with so many iterations at most."""
+        fewer = min(iterations, self.options.max_iterations)
+        return replace(self, options=replace(self.options, max_iterations=fewer))
+
+    def solve(
+        self, guess: Solution | None = None, *, after: Solution | None = None, retries: bool = True
+    ) -> Solution:
+        """Solve from one guess; what an earlier try took counts, and is gone of the limit on wall time."""
+        attempt = Attempt.prepare(
+            self.problem, self.meshes, self.scheme, guess, self.options, progress=self.progress
+        )
+        point = attempt.point(attempt.start)
+        attempt.solver.set_up(point)  # the limit is on solving, not on setting up
+        spent = after.statistics.solve_s if after else 0.0
+        deadline = min(self.deadline, attempt.solver.deadline() - spent)
+        with attempt.meter() as show:
+            result = _solve_point(attempt.solver, point, show, deadline)
+        unmet = result.status in CONSTRAINTS_FIRST and guess is None and not knows_trajectory(self.problem)
+        if retries and unmet:
+            result = _constraints_first(attempt, result, deadline)
+        if result.status.solved:
+            result = least_multipliers(attempt.transcription, point, result)
+        found = attempt.solution(result)
+        return replace(found, statistics=found.statistics.after(after.statistics)) if after else found
+
+
+# --- the same problem, coarser meshes -------------------------------------------------------------------
+
+
+def _coarse_to_fine(task: _Task) -> Solution:
     """Solve without a guess; a fine mesh from solutions on coarser ones, as long as these show what happens."""
-    brief = replace(options, max_iterations=min(BRIEF, options.max_iterations))
-    coarse, found = _coarser_meshes(problem, meshes), None
-    for level in (*coarse, meshes) if coarse else ():
-        spent = found.statistics if found else None
-        time_spent = spent.solve_s if spent else 0.0
-        found = _solve(problem, level, scheme, found, brief, progress, deadline, time_spent, retries=False)
-        found = replace(found, statistics=found.statistics.after(spent)) if spent else found
-        if found.status is Status.INTERRUPTED or (found.status.solved and level is meshes):
+    brief, found = task.brief(BRIEF), None
+    coarse = _coarser_meshes(task.problem, task.meshes)
+    for meshes in (*coarse, task.meshes) if coarse else ():
+        found = replace(brief, meshes=meshes).solve(found, after=found, retries=False)
+        if found.status is Status.INTERRUPTED or (found.status.solved and meshes is task.meshes):
             return found
         if not found.status.solved or not _shows_what_happens(found):
             break
-    if found is None:
-        return _solve(problem, meshes, scheme, None, options, progress, deadline)
-    spent = found.statistics
-    found = _solve(problem, meshes, scheme, None, options, progress, deadline, spent.solve_s)
-    return replace(found, statistics=found.statistics.after(spent))
+    return task.solve(after=found)
 
 
-def _coarser_meshes(problem: Problem, meshes: dict[str, Mesh]) -> list[dict[str, Mesh]]:
+def _coarser_meshes(problem: Problem, meshes: Mapping[str, Mesh]) -> list[Mapping[str, Mesh]]:
     """Return meshes on the way to fine ones, coarsest first; none where boundaries or arcs are given."""
     if any(m.movable for m in meshes.values()) or any(leg.numbers.arcs for leg in problem.phases.values()):
         return []
@@ -186,32 +210,6 @@ def _coarser_meshes(problem: Problem, meshes: dict[str, Mesh]) -> list[dict[str,
 def _shows_what_happens(solution: Solution) -> bool:
     """Whether a mesh is fine enough for what its solution is."""
     return all(worst_defect(s).value < SHOWN for s in solution.samples().values())
-
-
-def _solve(
-    problem: Problem,
-    meshes: Mapping[str, Mesh],
-    scheme: Scheme,
-    guess: Solution | None,
-    options: SolverOptions,
-    progress: bool,
-    deadline: float,
-    spent: float = 0.0,
-    *,
-    retries: bool = True,
-) -> Solution:
-    """Solve from one guess; ``spent`` (s) of the limit on wall time is gone."""
-    attempt = Attempt.prepare(problem, meshes, scheme, guess, options, progress=progress)
-    point = attempt.point(attempt.start)
-    attempt.solver.set_up(point)  # the limit is on solving, not on setting up
-    deadline = min(deadline, attempt.solver.deadline() - spent)
-    with attempt.meter() as show:
-        result = _solve_point(attempt.solver, point, show, deadline)
-    if retries and result.status in CONSTRAINTS_FIRST and guess is None and not knows_trajectory(problem):
-        result = _constraints_first(attempt, result, deadline)
-    if result.status.solved:
-        result = least_multipliers(attempt.transcription, point, result)
-    return attempt.solution(result)
 
 
 # --- the same program, the same start -------------------------------------------------------------------
