@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
+from gnc_opt.arrays import Mask
 from gnc_opt.model.graph import nodes_of, operations_in
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.statement import Statement
@@ -40,6 +42,13 @@ class Kinks:
 
     words: tuple[str, ...]
     arguments: Any
+
+    @property
+    def of_states(self) -> Mask:
+        """Which operations switch with states, (n_operations,); the others with controls alone."""
+        found = np.zeros(len(self.words), dtype=bool)
+        found[self.arguments.jac_sparsity(0, 1).row()] = True
+        return found
 
 
 def kinks_of(problem: Statement, leg: Phase) -> Kinks | None:

@@ -19,8 +19,8 @@ SIZES = np.logspace(-8, 12, 161)
 def path_reach(leg: Phase, times: Array, start: PhaseStart, wanted: Mask) -> Array:
     """Return the typical magnitude that path constraints leave to each control, (m,); 0 where they say nothing.
 
-    It is the least size, of either sign, beyond which a constraint that holds without the control is broken at some of
-    the guessed states.
+    It is the least size, of either sign, beyond which a constraint that holds without controls is broken, at the
+    guessed state at which that is largest; a constraint that has no room there says nothing.
 
     Parameters
     ----------
@@ -39,7 +39,9 @@ def path_reach(leg: Phase, times: Array, start: PhaseStart, wanted: Mask) -> Arr
     n = times.size
     for i in np.flatnonzero(wanted):
         trials = np.concatenate([[0.0], SIZES, -SIZES])
-        controls = np.repeat(start.controls[:, None, :], trials.size, axis=1)
+        controls = np.zeros(
+            (wanted.size, trials.size, n)
+        )  # not as guessed: on a sphere each of them has no room
         controls[i] = trials[:, None]
         values = evaluate(
             function,
@@ -49,8 +51,9 @@ def path_reach(leg: Phase, times: Array, start: PhaseStart, wanted: Mask) -> Arr
             leg.model.parameter_values,
         ).reshape(box.lower.size, trials.size, n)
         broken = (values < box.lower[:, None, None]) | (values > box.upper[:, None, None])
-        later = np.any(broken & ~broken[:, :1], axis=(0, 2))[1:]
-        reach[i] = min(np.tile(SIZES, 2)[later], default=0.0)
+        later = np.any(broken & ~broken[:, :1], axis=0)[1:]
+        sizes = np.min(np.where(later, np.tile(SIZES, 2)[:, None], np.inf), axis=0)
+        reach[i] = max(sizes[(sizes > SIZES[0]) & np.isfinite(sizes)], default=0.0)
     return reach
 
 

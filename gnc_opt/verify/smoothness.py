@@ -39,11 +39,12 @@ _BISECTIONS = 60
 
 @dataclass(frozen=True)
 class Roughness:
-    """The worst that a flight meets: how large, where, and whether it is a jump that is crossed."""
+    """The worst that a flight meets: how large, where, whether it is a jump that is crossed, and one of states."""
 
     value: float
     where: str
     jump: bool
+    of_states: bool = True
 
 
 def roughness(problem: Problem, samples: list[PhaseSamples], tolerance: float) -> Roughness | None:
@@ -60,7 +61,8 @@ def roughness(problem: Problem, samples: list[PhaseSamples], tolerance: float) -
                 found = _jump(s, kinks, i, s.times[signed[[k, k + 1]]], tolerance)
                 if found is not None:
                     return found
-        rests = rests or _rest(s, kinks, values)
+        rest = _rest(s, kinks, values)
+        rests = rest if rests is None or (rest and rest.of_states and not rests.of_states) else rests
     return rests
 
 
@@ -73,8 +75,12 @@ def smoothness(found: Roughness | None, fails: bool) -> Condition:
 
 
 def beyond_theorems(condition: Condition, found: Roughness) -> Condition:
-    """A failure of what supposes smoothness tells nothing where there is none."""
-    if condition.result is not Result.FAIL:
+    """A failure of what supposes smoothness tells nothing where there is none.
+
+    The minimum principle compares values of H: it supposes nothing of how H depends on the controls.
+    """
+    compares_values = condition.name == "minimum principle" and not found.of_states
+    if condition.result is not Result.FAIL or compares_values:
         return condition
     return replace(
         condition,
@@ -119,9 +125,11 @@ def _rest(s: PhaseSamples, kinks: Kinks, values: Array) -> Roughness | None:
     sizes = magnitude(np.max(np.abs(values), axis=1, initial=0.0))
     at_zero = np.abs(values) <= AT_LIMIT * sizes[:, None]
     lengths = np.sum(at_zero * s.weights, axis=1) / s.span
-    i = int(np.argmax(lengths))
-    if not lengths[i] > SMEARED:
+    long = lengths > SMEARED
+    if not np.any(long):
         return None
+    of_states = bool(np.any(long & kinks.of_states))  # these are worse
+    i = int(np.argmax(np.where(kinks.of_states == of_states, lengths, 0.0)))
     j = int(np.argmax(at_zero[i]))
     where = f"from {s.place(j)}: rests on the kink of {kinks.words[i]}, {100 * lengths[i]:.1f} % of the phase"
-    return Roughness(float(lengths[i]), where, False)
+    return Roughness(float(lengths[i]), where, False, of_states)

@@ -77,6 +77,26 @@ def test_path_constraints_tell_how_large_a_control_may_be() -> None:
     assert phase_magnitudes(leg)[1][0] == 0.5
 
 
+def test_constraints_without_room_for_a_control_tell_no_magnitude() -> None:
+    """On a sphere the guess leaves the other components no room; where it starts, a limit may leave none either."""
+    model = go.Model("m")
+    v, d = model.state("v", 3), model.control("d", 3)
+    model.ode({v: d})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.path("unit", ca.sumsqr(d), equals=1.0)
+    leg.guess(d=[[0.0, 0.0], [0.0, 0.0], [1.0, 1.0]], time=[0.0, 1.0])
+    np.testing.assert_array_equal(phase_magnitudes(leg)[1], [1.0, 1.0, 1.0])
+    leg.path("disc", ca.sumsqr(d), upper=1.0)
+    np.testing.assert_allclose(phase_magnitudes(leg)[1], [1.0, 1.0, 1.0], rtol=0.34)
+    slow = problem.phase("slow", model)
+    slow.time(initial=0.0, final=1.0)
+    slow.guess(v=[[0.0, 7.0], [0.0, 0.0], [0.0, 0.0]], time=[0.0, 1.0])
+    slow.path("by speed", d[0] - v[0], upper=0.0)
+    np.testing.assert_allclose(phase_magnitudes(slow)[1], [7.0, 1.0, 1.0], rtol=0.34)
+
+
 def test_a_path_constraint_of_a_free_parameter_tells_no_magnitude() -> None:
     problem, leg = double_integrator()
     most = problem.parameter("most", lower=1.0, upper=9.0)
