@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 import sys
 import traceback
@@ -45,6 +46,7 @@ class ExitCode(IntEnum):
     BAD_INPUT = 2
     NOT_SOLVED = 3
     INTERRUPTED = 130
+    UNREAD = 141
 
 
 EXIT_CODES = """exit codes:
@@ -53,6 +55,7 @@ EXIT_CODES = """exit codes:
   2    bad input: the file, an option or the problem is wrong
   3    not solved
   130  interrupted
+  141  nobody reads on what it prints, as in `gnc-opt examples | head`
 """
 
 
@@ -67,7 +70,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(arguments)
     args.command = shlex.join(["gnc-opt", *(sys.argv[1:] if arguments is None else arguments)])
     try:
-        return int(args.run(args))
+        code = int(args.run(args))
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:
+        os.dup2(
+            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+        )  # what is left is not written at the exit
+        return ExitCode.UNREAD
     except KeyboardInterrupt:
         print("gnc-opt: interrupted", file=sys.stderr)
         return ExitCode.INTERRUPTED

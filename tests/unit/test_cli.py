@@ -530,3 +530,14 @@ def test_help_lists_the_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
     out = capsys.readouterr().out
     for code in cli.ExitCode:
         assert re.search(rf"^  {int(code)} ", out, re.MULTILINE)
+
+
+def test_who_reads_no_further_ends_it_quietly() -> None:
+    """As a shell does with other programs: `gnc-opt examples | head -1`."""
+    code = "import sys; from gnc_opt.cli import main; sys.exit(main(['examples']))"
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as program:
+        program.stdout.close()
+        assert program.stderr.read() == b""
+    assert program.returncode == 141
