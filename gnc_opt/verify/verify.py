@@ -38,6 +38,7 @@ from gnc_opt.verify.reduced_hessian import (
 )
 from gnc_opt.verify.singular import generalised_legendre_clebsch, of_first_order
 from gnc_opt.verify.smoothness import beyond_theorems, roughness, smoothness
+from gnc_opt.verify.uniqueness import has_one_solution
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 
 TOLERANCE = 1e-5
@@ -137,6 +138,8 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         vanished = next(s.leg.name for s in samples if not s.has_length)
         along, switches = ([_without_length(c, vanished) for c in part] for part in (along, switches))
     judged = [*along, costates.parameters(solution, samples, ends, amounts.parameters, tol), *switches]
+    if any(_leaves_open(c) for c in judged) and told and has_one_solution(problem):
+        judged = [_of_one_solution(c) if _leaves_open(c) else c for c in judged]
     if any(kinks_of(problem, leg) is not None for leg in problem.phases.values()):
         rough = None if missing.value else roughness(problem, lasting, tol)
         conditions.append(smoothness(rough, any(c.result is Result.FAIL for c in judged)))
@@ -192,6 +195,16 @@ def _of_convex(condition: Condition) -> Condition:
         return condition
     where = f"{condition.where}; the problem is convex, nothing curves downwards, and the minimum may be one of many"
     return replace(condition, result=Result.CANNOT_TELL, where=where)
+
+
+def _leaves_open(condition: Condition) -> bool:
+    return condition.sufficient and condition.result is Result.CANNOT_TELL
+
+
+def _of_one_solution(condition: Condition) -> Condition:
+    """Where the first order suffices for the only minimum there is, nothing else need be told."""
+    where = f"{condition.where}; the problem is convex and has one solution only"
+    return replace(condition, result=Result.PASS, where=where)
 
 
 def _agreed(conjugate: Condition, curvature: Condition) -> Condition:

@@ -12,6 +12,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.verify.convex import is_convex
+from gnc_opt.verify.uniqueness import has_one_solution
 from gnc_opt.verify.verify import _of_convex
 
 
@@ -125,3 +126,88 @@ def test_the_least_peak_of_a_state_is_an_answer_and_a_higher_one_is_none(push: f
     if push == 1.0:
         assert not verdict.minimum and "the problem is convex" in verdict["second order"].where
         assert top == pytest.approx((3.0 - np.sqrt(5.0)) / 2.0)
+
+
+# --- one solution only ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "one",
+    [
+        {},
+        {"cost": lambda p, leg, x, u: p.minimize(leg.integral(x**2))},  # x(t) tells v, and v tells u
+        {"cost": lambda p, leg, x, u: p.minimize(leg.integral(1e6 * (x - 1e-3 * u) ** 2))},
+        {
+            "rate": lambda t, x, u, k: 1e-4 * u - k * x,
+            "cost": lambda p, leg, x, u: p.minimize(leg.integral(x**2)),
+        },
+    ],
+)
+def test_what_has_one_solution(one: dict[str, Any]) -> None:
+    assert has_one_solution(stated(**one))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"cost": lambda p, leg, x, u: p.minimize(leg.integral(u))},  # any push of the same impulse
+        {"cost": lambda p, leg, x, u: p.minimize(leg.final_state("v") ** 2)},
+        {"change": lambda p, leg, x, u: leg.initial(x=(0.0, 1.0))},
+        {"rate": lambda t, x, u, k: t * u},  # not constant
+        {"rate": lambda t, x, u, k: 0 * u, "cost": lambda p, leg, x, u: p.minimize(leg.integral(x**2))},
+        {"change": free_k},
+        {"final": (0.5, 4.0)},
+    ],
+)
+def test_what_may_have_many(other: dict[str, Any]) -> None:
+    assert not has_one_solution(stated(**other))
+
+
+def pushed_by_two(cost: Any) -> go.Problem:
+    model = go.Model("two engines")
+    x, u = model.state("x"), model.control("u", 2)
+    model.ode({x: u[0] + u[1]})
+    problem = go.Problem("engines")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(x=1.0)
+    leg.bounds(u=([-1.0, -1.0], [1.0, 1.0]))
+    problem.minimize(leg.integral(cost(x, u)))
+    return problem
+
+
+def test_which_of_two_engines_pushes_is_told_only_by_a_cost_of_their_difference() -> None:
+    assert not has_one_solution(pushed_by_two(lambda x, u: x**2))
+    assert has_one_solution(pushed_by_two(lambda x, u: x**2 + (u[0] - u[1]) ** 2))
+    assert not has_one_solution(pushed_by_two(lambda x, u: (u[0] - u[1]) ** 2))
+
+
+@pytest.mark.parametrize(("joined", "one"), [(("x", "v"), True), (("x",), False), ((), False)])
+def test_a_later_phase_starts_where_end_conditions_put_it(joined: tuple[str, ...], one: bool) -> None:
+    """Conditions by hand, with a jump; a start that is left free may be any."""
+
+    def cost(problem: go.Problem, leg: Any, x: Any, u: Any) -> None:
+        later = problem.phase("later", leg.model)
+        later.time(initial=2.0, final=3.0)
+        for name in joined:
+            problem.constrain(name, 2 * leg.final_state(name) - later.initial_state(name), equals=0.5)
+        problem.minimize(leg.integral(u**2) + later.integral(u**2))
+
+    assert has_one_solution(stated(cost=cost)) is one
+
+
+def test_a_singular_minimum_that_no_curvature_tells_is_the_only_one() -> None:
+    """Least int x^2 with |u| <= 1 from x = 1: down for 1 s, then nothing; 1 / 3. No test by switch times tells it."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("down")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=3.0)
+    leg.initial(x=1.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.integral(x**2))
+    solution = go.solve(problem)
+    assert solution.objective == pytest.approx(1 / 3, abs=1e-7)
+    verdict = go.verify(solution)
+    assert verdict.minimum, verdict.explain()

@@ -1,0 +1,114 @@
+r"""Whether a convex problem has one solution only.
+
+Let :math:`\delta = (\delta x, \delta u)` be the difference of two solutions of a convex problem (module `convex`). All
+mixtures of the two are solutions as well, so that the cost is constant along them: where its integrands are quadratic
+with Hessian H, :math:`H \delta = 0` at almost all times. With :math:`\dot{\delta x} = A \delta x + B \delta u` and
+:math:`\delta x = 0` at the start, :math:`\delta` is an input and a state of a linear system with the output
+:math:`H \delta`. If that system is left invertible, no input but zero has the output zero, and the two are the same.
+For constant A, B, H it is if the pencil
+
+.. math:: \begin{pmatrix} A - s I & B \\ H_x & H_u \end{pmatrix}
+
+has full column rank for some s (H. L. Trentelman, A. A. Stoorvogel & M. Hautus, Control Theory for Linear Systems,
+2001, section 8.2). A phase starts from :math:`\delta x = 0` if its initial states are given, or if end conditions lead
+over to them from phases of which there is one solution only.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.problem.phase import Phase
+from gnc_opt.problem.problem import Problem
+from gnc_opt.verify.convex import is_convex
+
+_FULL = 1e-9
+"""Least singular value of matrices of full rank, rows and columns scaled to one."""
+
+_ANYWHERE = 0.73 + 0.41j
+"""A value of s, in units of the largest entry of A; the rank is less than usual for a few values only."""
+
+
+def has_one_solution(problem: Problem) -> bool:
+    """Whether a problem is convex and cannot have two solutions, as far as constant matrices tell."""
+    if not is_convex(problem) or problem.parameters.size:
+        return False
+    legs = list(problem.phases.values())
+    points = [leg.ends(end) for leg in legs for end in ("initial", "final")]
+    box = problem.constraint_interval()
+    rows = _numbers(ca.jacobian(problem.constraint_expression(), ca.vertcat(*points)))
+    if rows is None:
+        return False
+    equal = rows[box.fixed]
+    same = np.concatenate([_given(leg) for leg in legs])
+    waiting, places = legs, _places(legs)
+    while waiting:
+        settled = [leg for leg in waiting if _starts_alike(equal, same, places[leg.name][0])]
+        if not settled or not all(_left_invertible(problem, leg) for leg in settled):
+            return False
+        for leg in settled:
+            same[np.concatenate(places[leg.name])] = True
+        waiting = [leg for leg in waiting if leg not in settled]
+    return True
+
+
+def _given(leg: Phase) -> Mask:
+    """Which initial and final states of a phase are numbers."""
+    return np.concatenate([leg.numbers.initial.fixed, leg.numbers.final.fixed])
+
+
+def _places(legs: list[Phase]) -> dict[str, tuple[Array, Array]]:
+    """Where initial and final states of each phase are among all of them."""
+    found, at = {}, 0
+    for leg in legs:
+        n = leg.model.states.size
+        found[leg.name] = np.arange(at, at + n), np.arange(at + n, at + 2 * n)
+        at += 2 * n
+    return found
+
+
+def _starts_alike(equal: Array, same: Mask, initial: Array) -> bool:
+    """Whether equations between states at ends leave all solutions the same start of a phase."""
+    left = initial[~same[initial]]
+    others = np.setdiff1d(np.flatnonzero(~same), left)
+    rows = equal[~np.any(equal[:, others] != 0, axis=1)]
+    return left.size == 0 or _full_column_rank(rows[:, left])
+
+
+def _left_invertible(problem: Problem, leg: Phase) -> bool:
+    _, x, u, p = leg.model.arguments()
+    rates = leg.model.derivative()
+    z = ca.vertcat(x, u)
+    curved = ca.SX(z.numel(), z.numel())
+    for symbol, integrand in leg.integrands.values():
+        hessian = ca.hessian(integrand, z)[0]
+        if hessian.nnz():
+            curved += problem.sense * ca.jacobian(problem.cost, symbol) * hessian
+    values = leg.model.parameter_values
+    parts = [ca.jacobian(rates, x), ca.jacobian(rates, u), curved]
+    a, b, h = (_numbers(ca.substitute(part, p, ca.DM(values))) for part in parts)
+    if a is None or b is None or h is None:
+        return False
+    s = _ANYWHERE * max(float(np.max(np.abs(a), initial=0.0)), 1.0)
+    pencil = np.block([[a - s * np.eye(a.shape[0]), b], [h]])
+    return _full_column_rank(pencil)
+
+
+def _full_column_rank(matrix: Array) -> bool:
+    for axis in (1, 0):
+        sizes = np.max(np.abs(matrix), axis=axis, keepdims=True, initial=0.0)
+        matrix = matrix / np.where(sizes > 0, sizes, 1.0)
+    if matrix.shape[0] < matrix.shape[1]:
+        return False
+    return bool(scipy.linalg.svdvals(matrix)[-1] > _FULL)
+
+
+def _numbers(expression: Any) -> Array | None:
+    """The numbers of an expression, or None if it depends on something."""
+    simple = ca.simplify(expression)
+    return np.asarray(ca.DM(simple).full()) if simple.is_constant() else None
