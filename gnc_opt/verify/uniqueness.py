@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array, Mask
+from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.verify.convex import is_convex
@@ -62,7 +62,7 @@ def _given(leg: Phase) -> Mask:
     return np.concatenate([leg.numbers.initial.fixed, leg.numbers.final.fixed])
 
 
-def _places(legs: list[Phase]) -> dict[str, tuple[Array, Array]]:
+def _places(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
     """Where initial and final states of each phase are among all of them."""
     found, at = {}, 0
     for leg in legs:
@@ -72,7 +72,7 @@ def _places(legs: list[Phase]) -> dict[str, tuple[Array, Array]]:
     return found
 
 
-def _starts_alike(equal: Array, same: Mask, initial: Array) -> bool:
+def _starts_alike(equal: Array, same: Mask, initial: Indices) -> bool:
     """Whether equations between states at ends leave all solutions the same start of a phase."""
     left = initial[~same[initial]]
     others = np.setdiff1d(np.flatnonzero(~same), left)
