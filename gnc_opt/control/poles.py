@@ -23,11 +23,17 @@ def real_polynomial(poles: Any) -> Array | None:
     return np.asarray(polynomial.real, dtype=float)
 
 
+_ROUNDING = float(np.finfo(float).eps)
+
+
 def continuous_poles(poles: Any, dt: float | None) -> Any:
-    """Return poles as rates (1/s): ``ln(z)/dt`` for those of a loop sampled with dt (s), minus infinity for z = 0."""
+    """Return poles as rates (1/s): ``ln(z)/dt`` for those of a loop sampled with dt (s), minus infinity for z = 0.
+
+    What is as small as rounding beside the unit circle is zero: a plant that rests long before the next step.
+    """
     if dt is None:
         return poles
     sampled = np.asarray(poles, dtype=complex)
-    rates, there = np.full(sampled.shape, complex(-np.inf)), sampled != 0
+    rates, there = np.full(sampled.shape, complex(-np.inf)), np.abs(sampled) > _ROUNDING
     rates[there] = np.log(sampled[there]) / dt
     return rates
