@@ -3,7 +3,8 @@
 Once such a budget is used up its bound holds by itself, as long as the controls that use it are on limits of their
 own. The multiplier of the bound could then be spread over that time in any way, and so could what follows from it,
 costates and switching functions. The bound at the one end says all that it says in between; alone it has one
-multiplier, and the costate stays what it is until then.
+multiplier, and the costate stays what it is until then. In between there are loose bounds: they keep the solver
+where the dynamics mean something, and within them nothing may turn round.
 """
 
 from __future__ import annotations
@@ -19,9 +20,22 @@ from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.ranges import ranges_of
 from gnc_opt.problem.statement import Statement
 
+LOOSE = 0.1
+"""Share of a state's bounds and start by which bounds are loosened that say nothing."""
+
+
+def loose_bounds(leg: Phase) -> Interval:
+    """Return the bounds of the states of a phase, somewhat wider."""
+    bounds, initial = leg.numbers.states, leg.numbers.initial
+    reach = np.abs([bounds.lower, bounds.upper, initial.lower, initial.upper])
+    room = LOOSE * np.max(np.where(np.isfinite(reach), reach, 0.0), axis=0)
+    return Interval(bounds.lower - room, bounds.upper + room)
+
 
 def one_way_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
-    """Return which states of a phase never fall and which never rise while states and controls keep to their bounds.
+    """Return which states of a phase never fall and which never rise.
+
+    They do not while controls keep to their bounds, and states to theirs as `loose_bounds` has them.
 
     Only states with bounds that controls can bring to rest are looked at.
     """
@@ -36,7 +50,7 @@ def one_way_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
         rates,
         [
             Interval(times[0].lower, times[1].upper),
-            numbers.states,
+            loose_bounds(leg),
             numbers.controls,
             Interval(values, values),
             problem.parameter_interval(),

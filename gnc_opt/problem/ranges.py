@@ -72,7 +72,7 @@ def _times(a: Range, b: Range) -> Range:
 
 
 def _inverse(a: Range) -> Range:
-    if a[0] < 0 < a[1]:
+    if a[0] < 0 < a[1] or a[0] == a[1] == 0:
         return ANY
     ends = sorted(math.copysign(math.inf, a[0] + a[1]) if x == 0 else 1 / x for x in a)
     return ends[0], ends[1]
@@ -103,8 +103,9 @@ def _power(a: Range, b: Range) -> Range:
     """Of a base that is not negative, with a constant exponent."""
     if a[0] < 0 or b[0] != b[1]:
         return ANY
-    low, high = (math.inf if x == 0 and b[0] < 0 else x ** b[0] for x in a)
-    return min(low, high), max(low, high)
+    with np.errstate(all="ignore"):
+        ends = np.float_power(a, b[0])
+    return float(np.min(ends)), float(np.max(ends))
 
 
 _OPERATIONS: dict[int, Callable[..., Range]] = {

@@ -12,13 +12,10 @@ from gnc_opt.errors import ProblemError
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.held import Held, Junction, Kinds, Smooth
 from gnc_opt.problem.interval import Interval
-from gnc_opt.problem.one_way import kept_later, one_way_states
+from gnc_opt.problem.one_way import kept_later, loose_bounds, one_way_states
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.transcription.collocation import PhaseCollocation
-
-LOOSE = 0.1
-"""Share of a state's bounds and start by which bounds are loosened that say nothing."""
 
 
 def check_segments(leg: Phase, collocation: PhaseCollocation) -> None:
@@ -84,25 +81,21 @@ def _going_on(leg: Phase, held: Held) -> set[int]:
 
 
 def loosen_one_way(box: Interval, problem: Problem, leg: Phase, collocation: PhaseCollocation) -> None:
-    """Loosen the bounds of states that only rise, or only fall, but at the one end at which they say everything.
-
-    They are not dropped: the solver is to stay where the dynamics mean something.
-    """
+    """Loosen the bounds of states that only rise, or only fall, but at the one end at which they say everything."""
     rising, falling = one_way_states(problem, leg)
     if not np.any(rising | falling):
         return
-    bounds, initial, kept = leg.numbers.states, leg.numbers.initial, kept_later(problem, leg)
-    reach = np.abs([bounds.lower, bounds.upper, initial.lower, initial.upper])
-    room = LOOSE * np.max(np.where(np.isfinite(reach), reach, 0.0), axis=0)
+    loose, kept = loose_bounds(leg), kept_later(problem, leg)
+    lower, upper = (box.lower, loose.lower), (box.upper, loose.upper)
     first, last = slice(None, -1), slice(1, None)
     for ways, handed, with_it, against_it in (
-        (rising, kept[0], (box.upper, bounds.upper + room), (box.lower, bounds.lower - room)),
-        (falling, kept[1], (box.lower, bounds.lower - room), (box.upper, bounds.upper + room)),
+        (rising, kept[0], upper, lower),
+        (falling, kept[1], lower, upper),
     ):
         for i in np.flatnonzero(ways):
             boundaries, points = collocation.boundary_states[i], collocation.point_states[i]
-            for (limits, loose), idle in ((with_it, slice(None) if handed[i] else first), (against_it, last)):
-                limits[boundaries[idle]] = limits[points] = loose[i]
+            for (limits, wider), idle in ((with_it, slice(None) if handed[i] else first), (against_it, last)):
+                limits[boundaries[idle]] = limits[points] = wider[i]
 
 
 def meet_limits(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:

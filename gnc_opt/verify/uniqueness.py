@@ -40,11 +40,16 @@ def has_one_solution(problem: Problem) -> bool:
         return False
     legs = list(problem.phases.values())
     points = [leg.ends(end) for leg in legs for end in ("initial", "final")]
-    box = problem.constraint_interval()
-    rows = _numbers(ca.jacobian(problem.constraint_expression(), ca.vertcat(*points)))
+    conditions = problem.constraint_expression()
+    rows = _numbers(ca.jacobian(conditions, ca.vertcat(*points)))
     if rows is None:
         return False
-    equal = rows[box.fixed]
+    integrals = ca.vertcat(*(leg.integral_symbols() for leg in legs))
+    of_ends = np.ones(
+        conditions.numel(), dtype=bool
+    )  # what depends on integrals says nothing of the ends alone
+    of_ends[ca.jacobian_sparsity(conditions, integrals).row()] = False
+    equal = rows[problem.constraint_interval().fixed & of_ends]
     same = np.concatenate([_given(leg) for leg in legs])
     waiting, places = legs, _places(legs)
     while waiting:

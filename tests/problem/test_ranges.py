@@ -73,6 +73,28 @@ def test_what_knows_no_limit_has_none() -> None:
     np.testing.assert_array_equal(box.upper, [0.0, np.inf])
 
 
+@pytest.mark.parametrize("expression", [1 / X[0], X[1] / X[0], (1 + X[1]) ** 2.5])
+def test_what_leaves_the_numbers_may_be_anything_beyond(expression) -> None:
+    """A division by zero, and a power beyond all numbers."""
+    function = ca.Function("f", [X], [expression])
+    box = ranges_of(function, [Interval(np.array([0.0, 1.0]), np.array([0.0, 1e200]))])
+    assert box.upper[0] == np.inf
+    assert box.lower[0] <= 2**2.5
+
+
+def test_a_rate_that_turns_round_just_beyond_its_bounds_is_no_budget() -> None:
+    """Between 0 and 1 it only rises; from 1.05 on it falls, and a flight might come back to its bound."""
+    model = go.Model("tank")
+    level, other, u = model.state("level"), model.state("other"), model.control("u")
+    model.ode({level: u * (1.05 - other), other: u})
+    problem = go.Problem("tank")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.bounds(u=(0.0, 1.0), level=(0.0, 1.0), other=(0.0, 1.0))
+    rising, _ = one_way_states(problem, leg)
+    assert rising.tolist() == [False, True]
+
+
 def test_budgets_are_told_from_what_comes_and_goes() -> None:
     model = go.Model("vehicle")
     names = ("fuel", "dose", "energy", "charge", "speed", "heat", "free")

@@ -147,6 +147,12 @@ def test_what_has_one_solution(one: dict[str, Any]) -> None:
     assert has_one_solution(stated(**one))
 
 
+def started_by(problem: go.Problem, leg: Any, amount: Any) -> None:
+    """Start where an integral says, which is no given place."""
+    leg.initial(x=(0.0, 2.0))
+    problem.constrain("start", leg.initial_state("x") + amount, equals=1.0)
+
+
 @pytest.mark.parametrize(
     "other",
     [
@@ -157,6 +163,7 @@ def test_what_has_one_solution(one: dict[str, Any]) -> None:
         {"rate": lambda t, x, u, k: 0 * u, "cost": lambda p, leg, x, u: p.minimize(leg.integral(x**2))},
         {"change": free_k},
         {"final": (0.5, 4.0)},
+        {"change": lambda p, leg, x, u: started_by(p, leg, leg.integral(x, "area"))},
     ],
 )
 def test_what_may_have_many(other: dict[str, Any]) -> None:
