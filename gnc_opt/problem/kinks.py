@@ -51,13 +51,18 @@ class Kinks:
         return found
 
 
+def has_kinks(expression: Any) -> bool:
+    """Whether an expression holds an operation whose value or slope jumps; its derivatives do not tell."""
+    return bool(operations_in(expression) & _WORDS.keys())
+
+
 def kinks_of(problem: Statement, leg: Phase) -> Kinks | None:
     """Return what switches along a phase, tables left out; None if nothing does."""
 
     def find() -> Kinks | None:
         t, x, u, p = leg.model.arguments()
         expression = ca.vertcat(leg.model.derivative(), leg.integrand_expression())
-        if not operations_in(expression) & _WORDS.keys():
+        if not has_kinks(expression):
             return None
         looked_up = frozenset[int]().union(*(use.hashes for use in table_uses(problem, leg)))
         found: dict[int, tuple[str, Any]] = {}

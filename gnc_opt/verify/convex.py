@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from gnc_opt.problem.kinks import has_kinks
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.tolerances import ROUNDING
@@ -70,9 +71,9 @@ def _affine(expression: Any, z: Any) -> bool:
 
 
 def _convex(expression: Any, z: Any) -> bool:
-    """Whether the Hessian of a scalar expression is constant and positive semidefinite."""
+    """Whether the Hessian of a scalar expression is constant and positive semidefinite, and it has no kinks."""
     hessian = ca.hessian(expression, z)[0]
-    if not hessian.is_constant():
+    if not hessian.is_constant() or has_kinks(expression):
         return False
     values = np.linalg.eigvalsh(ca.DM(hessian).full())
     return bool(np.all(values >= -ROUNDING * np.max(np.abs(values), initial=0.0)))

@@ -24,6 +24,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
+from gnc_opt.problem.kinks import has_kinks
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.solution import Solution
@@ -75,7 +76,8 @@ def _linear(leg: Phase) -> bool:
     """Whether dx/dt = A x + b(u), and no path constraint is other than one of controls, or a convex one of states."""
     t, x, u, _ = leg.model.arguments()
     rates, rows = leg.model.derivative(), leg.path_expression()
-    if ca.depends_on(ca.vertcat(rates, rows), t) or _depends(ca.jacobian(rates, x), ca.vertcat(x, u)):
+    curved = has_kinks(rates) or _depends(ca.jacobian(rates, x), ca.vertcat(x, u))
+    if curved or ca.depends_on(ca.vertcat(rates, rows), t):
         return False
     box = leg.path_interval()
     for i in range(rows.numel()):
@@ -91,7 +93,7 @@ def _convex(leg: Phase, row: Any, x: Any, lower: float, upper: float) -> bool:
     """Whether ``lower <= row(x) <= upper`` is a convex set, by its constant Hessian."""
     hessian = ca.hessian(row, x)[0]
     p = leg.model.symbols("parameter")
-    if _depends(hessian, x):
+    if _depends(hessian, x) or has_kinks(row):
         return False
     values = np.linalg.eigvalsh(ca.Function("hessian", [p], [hessian])(leg.model.parameter_values).full())
     slack = ROUNDING * np.max(np.abs(values), initial=0.0)

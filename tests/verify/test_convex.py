@@ -77,6 +77,11 @@ def test_what_is_convex(convex: dict[str, Any]) -> None:
             "cost": lambda p, leg, x, u: p.minimize(leg.integral(ca.cosh(u)))
         },  # convex, which no constant tells
         {"cost": lambda p, leg, x, u: p.minimize(-leg.integral(u**2) + leg.final_state("v"))},
+        # Without a second derivative anywhere but at their kinks, these are not convex there.
+        {"cost": lambda p, leg, x, u: p.minimize(leg.integral(u**2 - 3 * ca.fabs(u)))},
+        {"cost": lambda p, leg, x, u: p.minimize(leg.integral(ca.fmin(u, 0)))},
+        {"cost": lambda p, leg, x, u: p.minimize(leg.integral(ca.if_else(u > 0, -u, u)))},
+        {"cost": lambda p, leg, x, u: p.minimize(-ca.fabs(leg.final_state("v") - 1))},
         {"cost": lambda p, leg, x, u: p.minimize(leg.integral(u) * leg.final_state("x"))},
     ],
 )
