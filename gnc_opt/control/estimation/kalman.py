@@ -83,6 +83,14 @@ def design_ekf(
     ArgumentError, DesignError, UnknownNameError, ModelError
         Bad numbers, unknown states, a measurement that depends on a control, a difference without a retraction or one
         that is not its inverse.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import Measurement
+    >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
+    >>> x, memory = ekf(0.0, [1.05], [0.0])
+    >>> print(np.round(x, 3))  # the sample is a hundred times better than the guess
+    [1.05 0.  ]
     """
     design = _Design(model, x0, measurements, sigma0, process_noise, limits, dt, t0, substeps, hold, name)
     return design.estimator(Tangent(), "extended Kalman filter")
@@ -121,6 +129,14 @@ def design_ukf(
     ------
     ArgumentError, DesignError, UnknownNameError, ModelError
         As for `design_ekf`.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import Measurement
+    >>> ukf = go.design_ukf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
+    >>> filtered = go.ClosedLoop(cart, go.output_feedback(regulator, ukf), sensors=loop.sensors)
+    >>> print(filtered.simulate([1.05, 0.01], tf=8.0).miss("q") < 0.01)
+    True
     """
     spread = read_positive(kappa, "kappa of design_ukf()", or_zero=True)
     design = _Design(model, x0, measurements, sigma0, process_noise, limits, dt, t0, substeps, hold, name)
