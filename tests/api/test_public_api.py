@@ -36,7 +36,8 @@ EXPECTED = {
     """,
     "gnc_opt.control": """
         ConstantRate Controller Deviation Estimator Explanation ExponentialRate Fact FilterOptions FlightCode
-        Measurement MockupUnit PowerRate PredictiveReaching Reference SaturationLayer Sign SuperTwisting SuperTwistingObserver
+        Measurement MockupUnit PowerRate PredictiveReaching Reference SaturationLayer Sign SuperTwisting
+        SuperTwistingObserver
         TanhLayer UnscentedOptions bridge_dropouts bryson decoupling_matrix design_ekf design_feedback_linearization
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
         design_neighbouring_extremal design_neighbouring_optimal
