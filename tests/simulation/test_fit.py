@@ -1,4 +1,4 @@
-"""What may be put together: units of plant and controller, names of blocks."""
+"""What may be put together, and what a loop refuses as it is made."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 from loops import controller
 
-from gnc_opt.errors import ArgumentError
+from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.model.model import Model
 from gnc_opt.simulation import (
     Allocation,
     ClosedLoop,
     Constant,
+    Lag,
     NonNegativeAllocation,
+    Quantity,
     RandomHold,
     WheelArray,
 )
@@ -76,3 +78,39 @@ def test_allocations_are_equal_where_what_they_are_made_of_is():
     assert NonNegativeAllocation("b", matrix) == NonNegativeAllocation("b", matrix)
     assert NonNegativeAllocation("b", matrix) != NonNegativeAllocation("b", ((1.0, -1.0, -3.0),))
     assert "_plus" not in repr(NonNegativeAllocation("b", matrix))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"plant": "axis"}, "the plant of a closed loop is a str"),
+        ({"controller": None}, "the controller of a closed loop is a NoneType"),
+        ({"dt": -0.1}, "the control step of 'by hand' is -0.1"),
+        ({"minor_steps": 0}, "minor_steps of a closed loop is 0"),
+        ({"accuracy": 0.0}, "the accuracy of a closed loop is 0"),
+        ({"substeps": 0}, "substeps of a closed loop is 0"),
+        ({"actuators": [1.0]}, "one of the actuators of a closed loop is a float"),
+        ({"sensors": [1.0]}, "one of the sensors of a closed loop is a float"),
+        ({"disturbances": [Lag("lag", 0.1)]}, "one of the disturbances of a closed loop is a Lag"),
+        ({"events": ["end"]}, "one of the events of a closed loop is a str"),
+        ({"quantities": ["tilt"]}, "one of the quantities of a closed loop is a str"),
+        ({"quantities": [Quantity("a", 1.0), Quantity("a", 2.0)]}, "two quantities of the closed loop are called 'a'"),
+        ({"replanner": "again"}, "the replanner of a closed loop is a str"),
+        ({"plausible": {"v": 1.0}}, "no state 'v'"),
+        ({"plausible": 0.0}, "give positive ones"),
+    ],
+    ids=lambda case: str(case)[:30],
+)  # fmt: skip
+def test_a_loop_refuses_what_it_could_not_fly_as_it_is_made(changes, message):
+    plant = axis("rad/s", "N m")
+    given = {"plant": plant, "controller": controller(plant, lambda t, x, r, z: (-x, z)), "dt": 0.1}
+    with pytest.raises(GncOptError, match=message):
+        ClosedLoop(**(given | changes))
+
+
+def test_a_plant_without_dynamics_is_refused_as_the_loop_is_made():
+    plant = Model("axis")
+    plant.state("w")
+    plant.control("T")
+    with pytest.raises(GncOptError, match="no dynamics for state 'w'"):
+        loop(plant, axis("", ""))

@@ -253,7 +253,7 @@ def test_an_average_knows_how_far_it_is_off():
     assert still.averaged(H) is still
 
 
-@pytest.mark.parametrize(("start", "minor"), [(0.0, 1), (0.0, 3), (50.0, 1)])
+@pytest.mark.parametrize(("start", "minor"), [(0.0, 1), (0.0, 3), (50.0, 1), (-50.0, 1)])
 def test_what_averaging_may_add_is_reckoned_at_every_minor_step(start, minor):
     """x' = 3 u behind two lags: the second one takes the mean of the first, by a plain loop; shares of large states."""
     plant = Model("impulse")
