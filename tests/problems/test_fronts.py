@@ -15,7 +15,11 @@ from problems.dispersed import Rivals, dispersed_rows
 from problems.fronts import Front, Point, certified, front_figure, front_rows
 
 HALVES = Front(
-    "effort", "N m s^2", (Point(1.0, 8.0, True), Point(2.0, 4.0, True), Point(4.0, 2.0, True)), (2.0, 12.0), "law"
+    "effort",
+    "N m s^2",
+    (Point(1.0, 8.0, True), Point(2.0, 4.0, True), Point(4.0, 2.0, True)),
+    (2.0, 12.0),
+    "law",
 )
 
 
