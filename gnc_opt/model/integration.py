@@ -69,6 +69,22 @@ class Budget:
 
 
 @dataclass(frozen=True)
+class Tolerance:
+    """How exactly dynamics are integrated.
+
+    Attributes
+    ----------
+    relative : float
+        The absolute tolerance is this times each state's magnitude.
+    magnitude : array (n_states,)
+        Of the states; `DIVERGED` is measured in it.
+    """
+
+    relative: float
+    magnitude: Array
+
+
+@dataclass(frozen=True)
 class Integration:
     """What `integrate` found.
 
@@ -92,8 +108,7 @@ def integrate(
     left: float,
     right: float,
     *,
-    rtol: float,
-    magnitude: Array,
+    tolerance: Tolerance,
     budget: Budget,
     stop: Callable[[float, Array], float] | None = None,
     dense: bool = False,
@@ -106,10 +121,7 @@ def integrate(
     x : array (n_states,)
         Initial state.
     left, right : float
-    rtol : float
-        Relative tolerance; the absolute one is ``rtol`` times each state's magnitude.
-    magnitude : array (n_states,)
-        Of the states; `DIVERGED` is measured in it.
+    tolerance : Tolerance
     budget : Budget
         May be shared by several calls.
     stop : callable, optional
@@ -124,7 +136,7 @@ def integrate(
     """
 
     def diverged(_: float, state: Array) -> float:
-        return float(DIVERGED - np.max(np.abs(state) / magnitude))
+        return float(DIVERGED - np.max(np.abs(state) / tolerance.magnitude))
 
     def stopped(t: float, state: Array) -> float:
         return np.inf if stop is None else stop(t, state)
@@ -139,8 +151,8 @@ def integrate(
                 (left, right),
                 x,
                 method="DOP853",
-                rtol=rtol,
-                atol=rtol * magnitude,
+                rtol=tolerance.relative,
+                atol=tolerance.relative * tolerance.magnitude,
                 events=events,
                 dense_output=dense,
             )

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import expect, read_integer, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.integration import Budget, EndedError, integrate
+from gnc_opt.model.integration import Budget, EndedError, Tolerance, integrate
 from gnc_opt.model.layout import as_vector
 from gnc_opt.model.symbol import as_expression
 from gnc_opt.problem.guess.trajectory import end_values, guess_times, put_control
@@ -97,8 +97,7 @@ def simulate_guess(
             start,
             t0,
             tf,
-            rtol=RTOL,
-            magnitude=sizes,
+            tolerance=Tolerance(RTOL, sizes),
             budget=Budget(leg.model.states.labels),
             stop=stop,
             dense=True,
