@@ -6,10 +6,10 @@ optimal one of the unconstrained problem and a sum of squares,
 
 .. math:: e_0^T P_0 e_0 + \sum_j w_j^T S_j w_j, \qquad S_j = R_j + B_j^T P_{j+1} B_j = L_j L_j^T,
 
-so the programme for :math:`\omega_j = L_j^T w_j` is to find the point of least norm within the limits: condensed, or with
-the errors as further unknowns, so that it is sparse. As long as no limit is met the answer is :math:`\omega = 0`, the sampled
-regulator, and no solver is asked. Limits of controls and rates are hard; those of states are soft (exact penalty), so
-that the programme has a solution, unless they are named hard.
+so the programme for :math:`\omega_j = L_j^T w_j` is to find the point of least norm within the limits: condensed, or
+with the errors as further unknowns, so that it is sparse. As long as no limit is met the answer is :math:`\omega = 0`,
+the sampled regulator, and no solver is asked. Limits of controls and rates are hard; those of states are soft (exact
+penalty), so that the programme has a solution, unless they are named hard.
 
 The point that the solver returns is judged anew at every step by its optimality conditions; if it fails, the clipped
 regulator's command is given and an alarm is raised.
