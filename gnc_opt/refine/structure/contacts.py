@@ -256,12 +256,12 @@ class _Run:
         return structure
 
     def _end_touched(self, structure: PhaseStructure, a: int, b: int, samples: PhaseSamples) -> int | None:
-        """The end of the phase, 0 or -1, at which alone a path constraint is met; None if there is none with free states.
+        """The end of the phase, 0 or -1, at which alone a path constraint is met by free states, or None.
 
         A mesh of Gauss points has no row there, so that its points beside the end push for it.
         """
         leg, path = samples.leg, self.row - len(structure.controls)
-        if b - a > FEW or path >= len(leg.path_labels):
+        if b - a > FEW or path >= structure.n_paths:
             return None
         points, ends = leg.point_times, ((0, leg.initial_bounds, a), (-1, leg.final_bounds, b - 1))
         for end, given, node in ends:
