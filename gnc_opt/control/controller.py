@@ -60,6 +60,12 @@ class Controller:
         Times (s) between which the schedule changes; after the second it stays as it is. Without it, nobody knows.
     unbridged : Controller, optional
         The same law without its provision for lost samples, see `bridge_dropouts`.
+
+    Examples
+    --------
+    >>> u, memory = regulator(0.0, [1.0, 1.0], dt=0.1)  # one control step
+    >>> print(np.round(u, 3), regulator.states.names, regulator.commands.names, regulator.dt)
+    [-2.554] ('q', 'v') ('a',) 0.1
     """
 
     name: str
@@ -183,6 +189,15 @@ def law(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any) -> Any:
         Symbols: time (1, 1), measured state (n_states, 1), row of the schedule (n_signals, 1), memory (n_memory, 1).
     u, z_next : casadi SX or MX
         Expressions of them: the command (n_commands, 1) and the next memory (n_memory, 1).
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> from gnc_opt.control import law
+    >>> t, x, r, z = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("r", 0), ca.SX.sym("z", 0)
+    >>> step = law(t, x, r, z, -x[0] - 2 * x[1], z)
+    >>> print(step(0.0, [1.0, 0.5], [], [])[0])
+    -2
     """
     return ca.Function("law", [t, x, r, z], [u, z_next], _INPUTS, _OUTPUTS)
 
@@ -196,6 +211,15 @@ def first_memory(t: Any, x: Any, r: Any, z: Any) -> Any:
         Symbols as in `law`.
     z : casadi SX or MX
         Expression of them, (n_memory, 1).
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> from gnc_opt.control import first_memory
+    >>> t, x, r = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("r", 0)
+    >>> start = first_memory(t, x, r, 3 * x[0])
+    >>> print(start(0.0, [1.0, 0.0], []))
+    3
     """
     return ca.Function("start", [t, x, r], [z], _INPUTS[:3], ["z"])
 

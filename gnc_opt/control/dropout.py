@@ -59,6 +59,18 @@ def bridge_dropouts(controller: Controller, *, hold: int = HOLD, safe: ArrayLike
     ------
     ArgumentError
         It is no controller, or one that an estimator feeds; bad numbers; or its own memory has these names.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import bridge_dropouts
+    >>> careful = bridge_dropouts(regulator, hold=1, safe=[0.0])
+    >>> memory = careful.initial_memory(0.0, [1.0, 0.0])
+    >>> for x in ([1.0, 0.0], [np.nan, 0.0], [np.nan, 0.0]):  # the last good sample once, then the safe command
+    ...     u, memory = careful(0.0, x, memory)
+    ...     print(np.round(u, 3))
+    [-0.918]
+    [-0.918]
+    [0.]
     """
     expect(controller, Controller, "what bridge_dropouts() got", "give what a design function returned")
     if controller.estimated is not None:

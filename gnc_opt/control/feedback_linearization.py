@@ -108,6 +108,13 @@ def design_feedback_linearization(
     DesignError
         Undefined relative degree, singular decoupling matrix on the reference or on the way to it, unstable poles or
         zero dynamics, steps too long, a start from which the limited loop runs away or does not settle.
+
+    Examples
+    --------
+    >>> law = go.design_feedback_linearization(cart, [0.0, 0.0], outputs="q", poles=[-1.0, -2.0])
+    >>> u, _ = law(0.0, [1.0, 0.0], dt=0.1)
+    >>> print(np.round(u, 6))  # (s + 1)(s + 2) = s^2 + 3 s + 2
+    [-2.]
     """
     reference = read_plant(model, reference, "design_feedback_linearization")
     errors = output_errors(model, reference, outputs)

@@ -46,6 +46,12 @@ class FlightCode:
         Of the schedule's table.
     dt : float
         Control step, s.
+
+    Examples
+    --------
+    >>> code = go.export_c(regulator, "flight")
+    >>> print(code.header.name, code.source.name, code.rows, code.dt)
+    lqr.h lqr.c 1 0.1
     """
 
     header: Path

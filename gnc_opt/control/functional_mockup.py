@@ -47,6 +47,12 @@ class MockupUnit:
         Control step, s.
     binary : str or None
         Folder of the library that was compiled (``"linux64"``), ``None`` with sources only.
+
+    Examples
+    --------
+    >>> unit = go.export_fmu(regulator, "regulator.fmu", binary=False)
+    >>> print(unit.binary)  # sources only
+    None
     """
 
     file: Path
@@ -97,6 +103,12 @@ def export_fmu(
     Notes
     -----
     Functional Mock-up Interface for Model Exchange and Co-Simulation, version 2.0.4, Modelica Association (2022).
+
+    Examples
+    --------
+    >>> unit = go.export_fmu(regulator, "regulator.fmu", binary=False)
+    >>> print(unit.file.name, unit.identifier, unit.dt)
+    regulator.fmu regulator 0.1
     """
     file = Path(file)
     if file.suffix != ".fmu":

@@ -70,6 +70,9 @@ def evaluate_columns(function: Any, n: int, *arguments: Array) -> Array:
     *arguments : array (rows,) or (rows, n)
         What stays the same, or one column each time; double precision.
     """
+    pattern = function.sparsity_out(0)
+    if not pattern.nnz():
+        return np.zeros((pattern.numel(), n))
     block = max(min(n, BLOCK), 1)
     mapped = function.map(block) if block > 1 else function
     buffer, run = mapped.buffer()
@@ -84,9 +87,8 @@ def evaluate_columns(function: Any, n: int, *arguments: Array) -> Array:
         if here.size:
             buffer.set_arg(i, here.reshape(-1).data)
         kept.append(here)
-    results = np.empty((block, function.nnz_out(0)))
-    if results.size:
-        buffer.set_res(0, results.reshape(-1).data)
+    results = np.empty((block, pattern.nnz()))
+    buffer.set_res(0, results.reshape(-1).data)
     found = np.empty((n, results.shape[1]))
     for first in range(0, n, block):
         places = slice(first, min(first + block, n))
@@ -94,7 +96,6 @@ def evaluate_columns(function: Any, n: int, *arguments: Array) -> Array:
             here[: places.stop - first] = argument[places]
         run()
         found[places] = results[: places.stop - first]
-    pattern = function.sparsity_out(0)
     if pattern.is_dense():
         return np.ascontiguousarray(found.T)
     dense = np.zeros((pattern.numel(), n))

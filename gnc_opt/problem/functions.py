@@ -339,6 +339,17 @@ def _build_end_function(problem: Problem) -> Any:
     return ca.Function("ends", [*arguments, q, nu], [cost, ca.densify(constraints), *gradients])
 
 
+def end_values(problem: Problem) -> Any:
+    """Return the CasADi Function of boundary constraints and, last, cost, in one column; inputs as `end_function`."""
+    if "end values" not in problem.builds:
+        ends = end_function(problem)
+        arguments = [ca.SX.sym(ends.name_in(i), ends.size1_in(i)) for i in range(ends.n_in())]
+        cost, constraints, *_ = ends(*arguments)
+        column = ca.densify(ca.vertcat(constraints, cost))
+        problem.builds["end values"] = ca.Function("end_values", arguments, [column])
+    return problem.builds["end values"]
+
+
 def evaluator(problem: Problem, phase: str, expression: Any) -> Callable[..., Array]:
     """Return ``g(t, x, u, p, q)`` for an expression in the phase's symbols or a declared output's name."""
     leg = problem.get_phase(phase)

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -186,12 +187,27 @@ class _Attempt:
         """Whether Ctrl-C or the limit on time ended it."""
         return self.history.status is RefinementStatus.INTERRUPTED
 
+    @cached_property
+    def verdict(self) -> Verdict:
+        """On its solution."""
+        return verify(self.solution)
+
     @property
     def final(self) -> bool:
         """Whether nothing else is worth trying: it has been stopped, or it came to rest and passes the verdict."""
         if self.stopped or not self.history.final.solved:  # whose solution is the one that it began with
             return self.stopped
-        return (self.history.converged or not self.solution.structure) and verify(self.solution).ok
+        return (self.history.converged or not self.solution.structure) and self.verdict.ok
+
+    @property
+    def resolvable(self) -> bool:
+        """Whether a condition of the verdict is open that a finer mesh can meet: not only those on the second order."""
+        return any(not condition.sufficient for condition in self.verdict.open)
+
+    @property
+    def nearly_ok(self) -> bool:
+        """Whether every necessary condition of the verdict holds but for what a finer mesh may take away."""
+        return all(c.sufficient or c.value < NEARLY for c in self.verdict.open)
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +248,7 @@ class _Task:
             yield by_mesh
             yield from self._unasked(by_mesh.solution, AGAIN)
         for k in range(1, FURTHER + 1):
-            if not by_mesh.history.converged or not _resolvable(by_mesh.solution) or self._left <= 0:
+            if not by_mesh.history.converged or not by_mesh.resolvable or self._left <= 0:
                 return
             by_mesh = self._by_mesh(by_mesh.solution, self.tol * TIGHTER**k, self.max_passes)
             yield by_mesh
@@ -257,7 +273,7 @@ class _Task:
         """Return where refining the mesh begins: at a structure that is nearly right, its boundaries on the kinks."""
         for a in self.attempted:
             small = a.history.final.points <= ROOMY
-            if a.error <= CLOSE * self.tol and small and _nearly_ok(a.solution):
+            if a.error <= CLOSE * self.tol and small and a.nearly_ok:
                 return replace(a.solution, structure=())
         return self.solution
 
@@ -326,16 +342,6 @@ class _Task:
         )
 
 
-def _resolvable(solution: Solution) -> bool:
-    """Whether a condition of the verdict is open that a finer mesh can meet: not only those on the second order."""
-    return any(not condition.sufficient for condition in verify(solution).open)
-
-
-def _nearly_ok(solution: Solution) -> bool:
-    """Whether every necessary condition of the verdict holds but for what a finer mesh may take away."""
-    return all(c.sufficient or c.value < NEARLY for c in verify(solution).open)
-
-
 def _switches(solution: Solution, found: Mapping[str, PhaseStructure], at_least: int) -> bool:
     """Whether some control can have switches or kinks and the structure has more pieces than that."""
     for name, samples in solution.samples().items():
@@ -367,7 +373,7 @@ def _result(given: Solution, attempts: Sequence[_Attempt], tol: float, begin: fl
         meshes = [k for k, a in enumerate(attempts) if not a.solution.structure and a.history.final.solved]
         chosen = meshes[-1] if meshes else len(attempts) - 1
     solution, history = attempts[chosen].solution, attempts[chosen].history
-    verdict = None if attempts[-1].stopped else verify(solution)
+    verdict = None if attempts[-1].stopped else attempts[chosen].verdict
     status = RefinementStatus.INTERRUPTED if verdict is None else history.status
     within = not solution.structure and history.final.error <= tol
     if (history.converged or within) and verdict is not None:

@@ -65,6 +65,19 @@ def write_oem(
     ------
     ArgumentError
         Arrays that do not fit or hold no numbers, times that do not increase, an epoch that is none, empty texts.
+
+    Examples
+    --------
+    >>> from gnc_opt.report import write_oem
+    >>> t = np.linspace(0.0, 600.0, 11)
+    >>> r = 7e6 * np.array([np.cos(1.078e-3 * t), np.sin(1.078e-3 * t), 0 * t])
+    >>> v = 1.078e-3 * np.array([-r[1], r[0], r[2]])
+    >>> message = write_oem(
+    ...     *("orbit.oem", t, r, v), epoch="2027-03-01T12:00:00", time_system="UTC", frame="EME2000",
+    ...     center="EARTH", object_name="CHASER", object_id="2027-001A", originator="EXAMPLE",
+    ... )
+    >>> print(message.read_text().splitlines()[0])
+    CCSDS_OEM_VERS = 2.0
     """
     stamps = _stamps(times, epoch)
     rows = np.vstack([_vectors(r, 3, stamps.size, "r"), _vectors(v, 3, stamps.size, "v")]) / _KILO
@@ -112,6 +125,18 @@ def write_aem(
     ------
     ArgumentError
         As for `write_oem`; quaternions whose length is not 1.
+
+    Examples
+    --------
+    >>> from gnc_opt.report import write_aem
+    >>> t = np.linspace(0.0, 60.0, 7)
+    >>> q_BA = np.array([np.cos(0.01 * t), 0 * t, 0 * t, np.sin(0.01 * t)])  # a turn about z
+    >>> message = write_aem(
+    ...     *("attitude.aem", t, q_BA), epoch="2027-03-01T12:00:00", time_system="UTC", frame_a="EME2000",
+    ...     frame_b="SC_BODY_1", object_name="CHASER", object_id="2027-001A", originator="EXAMPLE",
+    ... )
+    >>> print(message.read_text().splitlines()[0])
+    CCSDS_AEM_VERS = 1.0
     """
     stamps = _stamps(times, epoch)
     q = _vectors(q_BA, 4, stamps.size, "q_BA")

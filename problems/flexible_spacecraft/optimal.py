@@ -138,7 +138,7 @@ def front() -> Front:
     )
     run = standard("J")
     theirs = (measure(run).settling_fine, float(np.trapezoid(modal_energy(run), run.times)))
-    return Front("integral of the modal energy (J s)", points, theirs, "QSMC, J, to 0.001")
+    return Front("integral of the modal energy", "J s", points, theirs, "QSMC, J, to 0.001")
 
 
 # --- tracking -------------------------------------------------------------------------------------------

@@ -122,6 +122,15 @@ def design_mpc(
     DesignError
         As in `design_tvlqr`; limits without room, or that exclude the feedforward; limits of a state whose error is not
         a difference.
+
+    Examples
+    --------
+    >>> law = go.design_mpc(
+    ...     *(cart, go.Reference.constant(cart, [0.0, 0.0], [0.0])), Q=1, R=1, horizon=1.0, dt=0.1, limits=(-0.2, 0.2)
+    ... )
+    >>> u, _ = law(0.0, [1.0, 0.0])
+    >>> print(np.round(u, 6))
+    [-0.2]
     """
     expect(
         reference, Reference, "the reference of design_mpc()", "give a Reference, or Reference.constant(...)"

@@ -82,6 +82,12 @@ class Multistart:
     seed : int
     interrupted : bool
         Whether Ctrl-C ended the search before its time.
+
+    Examples
+    --------
+    >>> found = go.multistart(problem, n=2, seed=1, executor="serial", refine=False)
+    >>> print(f"{found.best.objective:.1f}", found.finished, dict(found.failures))
+    2.0 2 {}
     """
 
     problem_name: str
