@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -40,7 +40,7 @@ def bent(problem: P) -> P:
     return problem
 
 
-def _bends(leg: Phase) -> dict[str, Callable[[Array], Array]]:
+def _bends(leg: Phase) -> dict[str, Any]:
     """All states that the user does not guess, as functions of time."""
     start, layout, box = start_phase(leg, FRACTIONS), leg.model.states, leg.numbers.states
     # Each state by another share: r = (a, a) may be singular as well.
