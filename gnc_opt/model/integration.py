@@ -76,6 +76,25 @@ class Budget:
 
 
 @dataclass(frozen=True)
+class Tolerance:
+    """How exactly dynamics are integrated, and by which kind of method.
+
+    Attributes
+    ----------
+    relative : float
+        The absolute tolerance is this times each state's magnitude.
+    magnitude : array (n_states,)
+        Of the states; `DIVERGED` is measured in it.
+    stiff : bool
+        Implicitly, by Radau's method of order 5: its steps are those of the motion, not of what decays at once.
+    """
+
+    relative: float
+    magnitude: Array
+    stiff: bool = False
+
+
+@dataclass(frozen=True)
 class Integration:
     """What `integrate` found.
 
@@ -99,12 +118,10 @@ def integrate(
     left: float,
     right: float,
     *,
-    rtol: float,
-    magnitude: Array,
+    tolerance: Tolerance,
     budget: Budget,
     stop: Callable[[float, Array], float] | None = None,
     dense: bool = False,
-    stiff: bool = False,
 ) -> Integration:
     """Integrate dx/dt = rate(t, x) from ``left`` to ``right`` by DOP853, or by Radau's implicit method.
 
@@ -114,18 +131,13 @@ def integrate(
     x : array (n_states,)
         Initial state.
     left, right : float
-    rtol : float
-        Relative tolerance; the absolute one is ``rtol`` times each state's magnitude.
-    magnitude : array (n_states,)
-        Of the states; `DIVERGED` is measured in it.
+    tolerance : Tolerance
     budget : Budget
         May be shared by several calls.
     stop : callable, optional
         Integration ends where this function of t and x crosses zero.
     dense : bool
         Whether states between the steps are wanted.
-    stiff : bool
-        Implicitly, by Radau's method of order 5: its steps are those of the motion, not of what decays at once.
 
     Raises
     ------
@@ -136,7 +148,7 @@ def integrate(
     """
 
     def diverged(_: float, state: Array) -> float:
-        return float(DIVERGED - np.max(np.abs(state) / magnitude))
+        return float(DIVERGED - np.max(np.abs(state) / tolerance.magnitude))
 
     def stopped(t: float, state: Array) -> float:
         return np.inf if stop is None else stop(t, state)
@@ -150,9 +162,9 @@ def integrate(
                 budget.watched(rate),
                 (left, right),
                 x,
-                method="Radau" if stiff else "DOP853",
-                rtol=rtol,
-                atol=rtol * magnitude,
+                method="Radau" if tolerance.stiff else "DOP853",
+                rtol=tolerance.relative,
+                atol=tolerance.relative * tolerance.magnitude,
                 events=events,
                 dense_output=dense,
             )

@@ -16,6 +16,7 @@ from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.hp.mesh_refinement import ROOMY, refine_mesh
+from gnc_opt.refine.limits import RefinementLimits
 from gnc_opt.refine.passes import PassLimits, pass_record
 from gnc_opt.refine.structure.detect import affine_channels, regular_channels, structures_of
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
@@ -58,10 +59,7 @@ def refine(
     *,
     tol: float = 1e-8,
     structure: StructureChoice = "auto",
-    max_passes: int = 40,
-    max_points: int = 1000,
-    max_work: float = 15.0,
-    max_wall_time: float | None = None,
+    limits: RefinementLimits | None = None,
     options: SolverOptions | None = None,
     progress: bool = False,
 ) -> Solution:
@@ -81,18 +79,8 @@ def refine(
         arcs and arcs on state bounds.
         ``"auto"``: the latter where the structure has more than one piece, if the result passes the verdict; else hp,
         and the structure again after a few passes and at the end if that does not pass.
-    max_passes : int
-        At most so many solves (of each attempt, where structure and mesh are tried in turn).
-    max_points : int
-        At most so many collocation points in any phase.
-    max_work : float
-        No pass on a mesh begins when these have cost this many times what the given solution did, counted in
-        iterations at one collocation point (`Pass.work`), so that it ends in the same place on every machine. What
-        costs a few seconds (`LEAST_WORK`) is allowed in any case, twice as much of either while the error falls to a
-        third or less from pass to pass; ``math.inf`` allows everything. A structure that is tried unasked may cost half
-        as much before, and a quarter each time that a finer mesh shows another.
-    max_wall_time : float, optional
-        Limit in s on all of it; then, and after Ctrl-C, the best solution so far is returned, without a verdict.
+    limits : RefinementLimits, optional
+        On passes, points, work and wall time. At a limit, and after Ctrl-C, the best solution so far is returned.
     options : SolverOptions, optional
         For the solves; a limit on wall time in it is that of one solve.
     progress : bool
@@ -124,14 +112,14 @@ def refine(
         raise ProblemError(
             f"refine() knows no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
         )
-    if max_work != math.inf:
-        read_positive(max_work, "max_work of refine()")
     begin = time.perf_counter()
-    limit = math.inf if max_wall_time is None else read_positive(max_wall_time, "max_wall_time of refine()")
+    limits = limits or RefinementLimits()
+    expect(limits, RefinementLimits, "the limits of refine()", "write RefinementLimits(max_points=500)")
     _check(solution)
     solution = _released(solution)
-    work = max(max_work * _work(solution), LEAST_WORK)
-    task = _Task(solution, tol, max_passes, max_points, work, options, begin + limit, progress)
+    work = max(limits.max_work * _work(solution), LEAST_WORK)
+    deadline = math.inf if limits.max_wall_time is None else begin + limits.max_wall_time
+    task = _Task(solution, tol, limits.max_passes, limits.max_points, work, options, deadline, progress)
     attempts = task.attempted
     try:
         for attempt in task.attempts(structure):

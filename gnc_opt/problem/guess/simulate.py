@@ -13,7 +13,7 @@ from gnc_opt.arguments import expect, read_integer, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.evaluation import fast_call
-from gnc_opt.model.integration import Budget, EndedError, Integration, Rate, SpentError, integrate
+from gnc_opt.model.integration import Budget, EndedError, Integration, Rate, SpentError, Tolerance, integrate
 from gnc_opt.model.layout import as_vector
 from gnc_opt.model.symbol import as_expression
 from gnc_opt.problem.guess.trajectory import end_values, guess_times, put_control
@@ -131,12 +131,12 @@ def _flight(
 ) -> Integration:
     """Fly explicitly; what is too stiff for that, implicitly."""
     labels = leg.model.states.labels
-    common: dict[str, Any] = {"magnitude": sizes, "stop": stop, "dense": True}
     try:
-        return integrate(rate, start, *times, rtol=RTOL, budget=Budget(labels, MOST_EXPLICIT), **common)
+        explicit, budget = Tolerance(RTOL, sizes), Budget(labels, MOST_EXPLICIT)
+        return integrate(rate, start, *times, tolerance=explicit, budget=budget, stop=stop, dense=True)
     except SpentError:
-        budget = Budget(labels, MOST_IMPLICIT)
-        return integrate(rate, start, *times, rtol=STIFF_RTOL, budget=budget, stiff=True, **common)
+        implicit, budget = Tolerance(STIFF_RTOL, sizes, stiff=True), Budget(labels, MOST_IMPLICIT)
+        return integrate(rate, start, *times, tolerance=implicit, budget=budget, stop=stop, dense=True)
 
 
 def _initial(leg: Phase, given: Mapping[str, ArrayLike]) -> Array:
