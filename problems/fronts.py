@@ -11,6 +11,9 @@ import numpy as np
 import gnc_opt as go
 from problems.comparison import Row, require
 
+DECADE = 10.0
+"""Costs are drawn on a logarithmic axis beyond this ratio; within it, ticks in tens are too few to read."""
+
 
 @dataclass(frozen=True)
 class Point:
@@ -40,8 +43,8 @@ class Front:
 
     Attributes
     ----------
-    cost : str
-        Its name with its unit.
+    cost, unit : str
+        Name and unit of what is paid.
     points : tuple of Point
         By increasing time.
     published : tuple of 2 float
@@ -51,9 +54,15 @@ class Front:
     """
 
     cost: str
+    unit: str
     points: tuple[Point, ...]
     published: tuple[float, float]
     law: str
+
+    @property
+    def paid(self) -> str:
+        """What is paid, with its unit, as in tables."""
+        return f"{self.cost} ({self.unit})" if self.unit else self.cost
 
     @property
     def falls(self) -> bool:
@@ -96,7 +105,7 @@ def front_rows(front: Front) -> list[Row]:
     """Return a row per point, and where the published law is."""
     rows = [
         require(
-            f"front, {point.time:.6g} s: {front.cost}",
+            f"front, {point.time:.6g} s: {front.paid}",
             "certified",
             point.cost,
             point.certified,
@@ -119,7 +128,7 @@ def front_rows(front: Front) -> list[Row]:
 
 def front_figure(front: Front) -> Any:
     """Draw a front: filled where certified, and the publication's point."""
-    from gnc_opt.plot.style import line_look, new_figure, style
+    from gnc_opt.plot.style import axis_label, line_look, new_figure, style, unit_text
 
     with style():
         figure = new_figure(3.4)
@@ -130,8 +139,10 @@ def front_figure(front: Front) -> Any:
             if not point.certified:
                 ax.plot(point.time, point.cost, "o", mfc="white", mec="black", zorder=3)
         ax.plot(*front.published, "ks", label=front.law)
-        ax.set_yscale("log")
+        shown = [*costs, front.published[1]]
+        if max(shown) > DECADE * min(shown):
+            ax.set_yscale("log")
         ax.set_xlabel("time (s)")
-        ax.set_ylabel(front.cost)
+        ax.set_ylabel(axis_label(unit_text(front.cost), front.unit))
         ax.legend()
     return figure

@@ -85,6 +85,9 @@ def _page(room: str, names: list[Entry]) -> Iterator[str]:
 def _index() -> Iterator[str]:
     yield "# API reference\n"
     yield "Every public name, by the room that it lives in; `go` is `import gnc_opt as go`.\n"
+    yield "All have an example, but for errors and enumerations. What the examples begin with:\n"
+    _, _, begin = (Path(__file__).parent / "before_examples.py").read_text(encoding="utf-8").partition("\n\n")
+    yield f"```python\n{begin}```\n"
     short = set(gnc_opt.__all__)
     for room, names in entries().items():
         yield f"## [{room}]({room}.md)\n\n| | |\n|---|---|"

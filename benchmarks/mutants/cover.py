@@ -20,6 +20,9 @@ ENVIRONMENT = {"OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg", "PYTHONHASHSEED": "0
 PYTEST = ["-p", "no:cacheprovider", "-p", "no:randomly", "-q"]
 """Its arguments: results depend on nothing that happened before."""
 
+LOOKING = "tests/api/test_signatures.py"
+"""Tests that look at definitions and run none of them."""
+
 INTERRUPTED = "not ctrl_c and not interrupt"
 """Tests that send interrupts: under a tracer they reach it, not the code."""
 
@@ -117,6 +120,7 @@ class Cover:
         direct = {t for n in range(span[0], span[1] + 1) for t in self.lines[file].get(n, ())}
         if not direct:  # run on import
             direct = {t for tests in self.lines[file].values() for t in tests}
+            direct |= {t for t in self.seconds if t.startswith(LOOKING)}
         modules = {t.split("::")[0] for t in direct}
         beside = {t for t in self.seconds if t.split("::")[0] in modules} - direct
         chosen, total = [], 0.0

@@ -38,6 +38,13 @@ class Agreement:
         Largest shift to be expected.
     confidence : float
         Of all bands together (Bonferroni).
+
+    Examples
+    --------
+    >>> told = go.linear_covariance(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread, checks=0)
+    >>> agreement = told.compare(campaign)
+    >>> print(agreement.labels, agreement.runs, agreement.ok)
+    ('q', 'v') 20 True
     """
 
     labels: tuple[str, ...]

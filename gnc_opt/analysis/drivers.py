@@ -60,6 +60,13 @@ class Share:
     Attributes
     ----------
     value, low, high : float
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import correlations
+    >>> share = correlations(campaign, "max(overshoot)").ranks["initial.q"]
+    >>> print(share.low <= share.value <= share.high)
+    True
     """
 
     value: float
@@ -85,6 +92,14 @@ class SobolIndices:
         Of each interval.
     rows, lost : int
         Rows that were used, and those that were left out since a run of theirs failed.
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import sobol_indices
+    >>> asked = {"x0": [1.0, 0.0], "tf": 3.0, "dispersions": spread, "executor": "serial"}
+    >>> shares = sobol_indices(loop, "max(overshoot)", **asked, n=50)
+    >>> print(tuple(shares.first), shares.rows, f"{shares.mean:.2f}")
+    ('initial.q', 'initial.v', 'noise') 50 -0.13
     """
 
     measure: str
@@ -152,6 +167,14 @@ def sobol_indices(
         Something does not fit, or the measure does not vary; the message names it.
     GncOptError
         Runs could not be flown, or hardly a row is without a failed one.
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import sobol_indices
+    >>> asked = {"x0": [1.0, 0.0], "tf": 3.0, "dispersions": spread, "executor": "serial"}
+    >>> shares = sobol_indices(loop, "max(overshoot)", **asked, n=50)
+    >>> print(max(shares.total, key=lambda name: shares.total[name].value))
+    initial.q
     """
     mission = {"x0": x0, "t0": t0, "tf": tf, "parameters": parameters}
     name = "sobol_indices()"
@@ -256,6 +279,13 @@ class Correlations:
         Of each interval.
     runs : int
         That have a value.
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import correlations
+    >>> strongest = next(iter(correlations(campaign, "max(overshoot)").ranks))
+    >>> print(strongest)
+    initial.q
     """
 
     measure: str
@@ -293,6 +323,14 @@ def correlations(campaign: Campaign, measure: str, *, confidence: float = CONFID
     ------
     ArgumentError, UnknownNameError
         There is no such measure, or fewer than five runs have a value.
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import correlations
+    >>> print(correlations(campaign, "max(overshoot)"))
+    rank correlation with 'max(overshoot)', 20 runs, intervals 95 %
+      initial.q  0.932 (0.829 to 0.974)
+      initial.v  -0.194 (-0.595 to 0.285)
     """
     expect(campaign, Campaign, "what correlations() got", "give what monte_carlo() returned")
     level = _confidence(confidence, "correlations()")

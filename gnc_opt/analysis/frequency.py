@@ -68,6 +68,13 @@ class LoopResponse(Strict):
     dt : float
         Control step, s.
     commands : Layout
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import loop_response
+    >>> response = loop_response(loop, x0=[1.0, 0.0], tf=8.0)
+    >>> print(f"|S| at 1 rad/s: {abs(response.sensitivity([1.0])).item():.2f}")
+    |S| at 1 rad/s: 0.63
     """
 
     times: Array
@@ -182,6 +189,13 @@ def loop_response(
     ------
     ArgumentError
         Times outside the run, events, slow sensors, or derivatives that are not finite.
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import loop_response
+    >>> response = loop_response(loop, x0=[1.0, 0.0], tf=8.0)
+    >>> print(response.stable(), f"{response.disk_margins[0]:.2f}")
+    True 1.24
     """
     expect(loop, ClosedLoop, "what loop_response() got", "give a ClosedLoop")
     for sensor in loop.sensors:

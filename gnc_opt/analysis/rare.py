@@ -75,6 +75,13 @@ class FailureProbability:
         Levels of the measure of the first repetition, the limit last.
     runs : int
         Flown in all.
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import failure_probability
+    >>> asked = {"x0": [1.0, 0.0], "tf": 8.0, "dispersions": spread, "executor": "serial"}
+    >>> print(failure_probability(loop, "max(overshoot)", 0.006, **asked, n=50, repetitions=3))
+    P(max(overshoot) > 0.006) = 0.000212 (2.1e-05 to 0.0022, 95 %), 635 runs in 3 repetitions
     """
 
     measure: str
@@ -146,6 +153,14 @@ def failure_probability(
         Something does not fit; the message names it.
     GncOptError
         Failures are rarer than one in 10^12 or there are none, or a repetition could not be flown.
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import failure_probability
+    >>> asked = {"x0": [1.0, 0.0], "tf": 8.0, "dispersions": spread, "executor": "serial"}
+    >>> rare = failure_probability(loop, "max(overshoot)", 0.006, **asked, n=50, repetitions=3)
+    >>> print(rare.low < rare.probability < rare.high, rare.runs)
+    True 635
     """
     mission = {"x0": x0, "t0": t0, "tf": tf, "parameters": parameters}
     name = "failure_probability()"

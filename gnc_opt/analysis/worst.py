@@ -43,6 +43,15 @@ class WorstCase:
         That the search has flown.
     run : Run
         The worst run, with everything logged.
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import worst_case
+    >>> from gnc_opt.simulation import Uniform
+    >>> bounded = {"initial.q": Uniform(-0.1, 0.1)}
+    >>> worst = worst_case(loop, "max(overshoot)", x0=[1.0, 0.0], tf=3.0, dispersions=bounded, generations=3)
+    >>> print(worst.value > worst.nominal, worst.runs)
+    True 135
     """
 
     measure: str
@@ -101,6 +110,15 @@ def worst_case(
     ------
     ArgumentError, UnknownNameError
         Something does not fit, nothing is dispersed, or a dispersion has no bounds.
+
+    Examples
+    --------
+    >>> from gnc_opt.analysis import worst_case
+    >>> from gnc_opt.simulation import Uniform
+    >>> bounded = {"initial.q": Uniform(-0.1, 0.1)}
+    >>> worst = worst_case(loop, "max(overshoot)", x0=[1.0, 0.0], tf=3.0, dispersions=bounded, generations=3)
+    >>> print(f"{worst.parameters['initial.q'][0]:.3f}")  # as far as it can be
+    0.900
     """
     mission = {"x0": x0, "t0": t0, "tf": tf, "parameters": parameters}
     experiment = Experiment.of("worst_case()", loop, mission, dispersions, target, judge, [measure])

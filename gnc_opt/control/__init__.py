@@ -4,7 +4,7 @@ from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.dropout import bridge_dropouts
 from gnc_opt.control.estimation.estimator import Estimator, output_feedback
-from gnc_opt.control.estimation.kalman import design_ekf, design_ukf
+from gnc_opt.control.estimation.kalman import FilterOptions, UnscentedOptions, design_ekf, design_ukf
 from gnc_opt.control.estimation.measurement import Measurement
 from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.feedback_linearization import design_feedback_linearization
@@ -48,6 +48,7 @@ __all__ = [
     "Explanation",
     "ExponentialRate",
     "Fact",
+    "FilterOptions",
     "FlightCode",
     "Measurement",
     "MockupUnit",
@@ -59,6 +60,7 @@ __all__ = [
     "SuperTwisting",
     "SuperTwistingObserver",
     "TanhLayer",
+    "UnscentedOptions",
     "bridge_dropouts",
     "bryson",
     "decoupling_matrix",

@@ -39,6 +39,13 @@ class Deviation:
     model : Model
     errors : Layout
         Of e; ``n_errors`` in the shapes below.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import Deviation
+    >>> A, B = Deviation(cart).linearize(0.0, [1.0, 0.0], [0.0])
+    >>> print(A.tolist(), B.tolist())
+    [[0.0, 1.0], [0.0, 0.0]] [[0.0], [1.0]]
     """
 
     def __init__(self, model: Model) -> None:

@@ -59,6 +59,18 @@ def bridge_dropouts(controller: Controller, *, hold: int = HOLD, safe: ArrayLike
     ------
     ArgumentError
         It is no controller, or one that an estimator feeds; bad numbers; or its own memory has these names.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import bridge_dropouts
+    >>> careful = bridge_dropouts(regulator, hold=1, safe=[0.0])
+    >>> memory = careful.initial_memory(0.0, [1.0, 0.0])
+    >>> for x in ([1.0, 0.0], [np.nan, 0.0], [np.nan, 0.0]):  # the last good sample once, then the safe command
+    ...     u, memory = careful(0.0, x, memory)
+    ...     print(np.round(u, 3))
+    [-0.918]
+    [-0.918]
+    [0.]
     """
     expect(controller, Controller, "what bridge_dropouts() got", "give what a design function returned")
     if controller.estimated is not None:
@@ -76,6 +88,9 @@ def bridge_dropouts(controller: Controller, *, hold: int = HOLD, safe: ArrayLike
         Variable(INVALID, 1),
     )
     step, start = _functions(inner, hold, given)
+    flight = inner.flight
+    if flight is not None:
+        flight = replace(flight, controller=bridge_dropouts(flight.controller, hold=hold, safe=safe))
     words = "the feedforward" if given is None else f"the command {given}"
     remark = f"lost samples bridged with the last good one; then {words} and the alarm '{INVALID}'"
     told = inner.explanation
@@ -87,6 +102,7 @@ def bridge_dropouts(controller: Controller, *, hold: int = HOLD, safe: ArrayLike
         alarms=(*inner.alarms, INVALID),
         explanation=Explanation(told.title, (*told.facts, Fact("dropouts", str(hold), remark=remark))),
         unbridged=inner,
+        flight=flight,
     )
 
 

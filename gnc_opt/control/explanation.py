@@ -24,6 +24,13 @@ class Fact:
     unit : str
     remark : str
         What it means, or where it comes from.
+
+    Examples
+    --------
+    >>> for fact in regulator.explain().facts[:2]:
+    ...     print(fact.name, np.round(np.abs(fact.value), 3))
+    gain [[0.918 1.636]]
+    sampled poles [0.917 0.917]
     """
 
     name: str
@@ -45,6 +52,12 @@ class Explanation(Strict):
     ----------
     title : str
     facts : tuple of Fact
+
+    Examples
+    --------
+    >>> told = regulator.explain()
+    >>> print(told.title, np.round(told["gain"], 3), sep=": ")
+    LQR of 'double integrator': [[0.918 1.636]]
     """
 
     title: str

@@ -150,6 +150,12 @@ def lie_derivative(model: Model, expression: Any, order: int = 1) -> Any:
         Of the model's time, states and parameters.
     order : int
         How often to differentiate, >= 1.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import lie_derivative
+    >>> print(lie_derivative(cart, q, 2))
+    a
     """
     t, x, _, _ = model.arguments()
     h = as_expression(expression, "the expression to differentiate", failure=DesignError)
@@ -169,6 +175,12 @@ def relative_degrees(model: Model, outputs: Outputs, x: ArrayLike, t: float = 0.
     x : array (n_states,)
     t : float
         s.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import relative_degrees
+    >>> print(relative_degrees(cart, "q", [0.0, 0.0]))
+    {'q': 2}
     """
     errors = output_errors(model, _point(model, x, t), outputs)
     return dict(zip(errors.labels, errors.degrees, strict=True))
@@ -185,6 +197,12 @@ def decoupling_matrix(model: Model, outputs: Outputs, x: ArrayLike, t: float = 0
     x : array (n_states,)
     t : float
         s.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import decoupling_matrix
+    >>> print(decoupling_matrix(cart, "q", [0.0, 0.0]))
+    [[1.]]
     """
     point = _point(model, x, t)
     errors = output_errors(model, point, outputs)
@@ -211,6 +229,13 @@ def output_errors(model: Model, reference: Reference, outputs: Outputs) -> Outpu
     DesignError
         A control enters an output itself or non-affinely, no control enters any derivative of it, or there are
         more outputs than controls.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import output_errors
+    >>> errors = output_errors(cart, go.Reference(solution), "q")
+    >>> print(errors.degrees)
+    (2,)
     """
     pair = Pair.of(model)
     return chain_errors(pair, reference, error_expressions(pair, outputs))
@@ -348,6 +373,15 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     ------
     DesignError
         E is singular there.
+
+    Examples
+    --------
+    Where q + 2 v stays at zero, q goes on by dq/dt = -q / 2:
+
+    >>> from gnc_opt.control import output_errors, zero_dynamics
+    >>> errors = output_errors(cart, go.Reference(solution), {"mixed": q + 2 * v})
+    >>> print(f"{zero_dynamics(errors, 0.5, [0.9, -0.5], [-1.0]).growth:.3f}")
+    -0.500
     """
     pair = errors.pair
     deviation = pair.model.error_expression(pair.x, pair.x_ref)

@@ -277,6 +277,16 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
     ------
     ArgumentError
         No control does; the message names the state that moves most.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import trim
+    >>> lift = go.Model("lift")
+    >>> h, w = lift.state("h", unit="m"), lift.state("w", unit="m/s")
+    >>> thrust = lift.control("thrust", unit="N")
+    >>> lift.ode({h: w, w: thrust / 2.0 - 9.81})
+    >>> print(trim(lift, 0.0, [10.0, 0.0]))
+    [19.62]
     """
     state = as_vector(x, model.states.size, "the state to rest at", ArgumentError)
     u = np.zeros(model.controls.size)

@@ -27,6 +27,11 @@ class Variable:
         For printing and plotting; gnc_opt computes in the units it is given (SI by convention).
     nominal : tuple of float or None
         Typical magnitude of each component, used for scaling; ``None`` lets gnc_opt choose.
+
+    Examples
+    --------
+    >>> print(cart.states["q"], cart.states["q"].labels)
+    q (m) ('q',)
     """
 
     name: str
@@ -47,7 +52,13 @@ class Variable:
 
 @dataclass(frozen=True)
 class Layout:
-    """Ordered variables of one kind ("state", "control", ...) stacked into one vector."""
+    """Ordered variables of one kind ("state", "control", ...) stacked into one vector.
+
+    Examples
+    --------
+    >>> print(cart.states.names, cart.states.units, cart.states.slice("v"))
+    ('q', 'v') ('m', 'm/s') slice(1, 2, None)
+    """
 
     kind: str
     variables: tuple[Variable, ...] = ()

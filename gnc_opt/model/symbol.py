@@ -24,6 +24,12 @@ class Symbol(ca.SX):  # type: ignore[misc]
     variable : Variable
     table_uses : list
         Calls of tables with expressions of this symbol: the only trace of a table in an expression.
+
+    Examples
+    --------
+    >>> mass = go.Model("crate").parameter("mass", 2.0, unit="kg")
+    >>> print(mass, 0.5 * mass * v**2)
+    mass ((0.5*mass)*sq(v))
     """
 
     def __init__(self, variable: Variable) -> None:

@@ -60,6 +60,12 @@ class Table(Strict):
     values : array (n_1, n_2, ...)
     method : {"bspline", "linear", "pchip"}
     outside : {"linear", "hold", "error"}
+
+    Examples
+    --------
+    >>> thrust = go.table([0.0, 10.0, 20.0], [5.0, 6.0, 8.0], method="linear", name="thrust")
+    >>> print(thrust(15.0), thrust.lower, thrust.upper)
+    7.0 [0.] [20.]
     """
 
     __slots__ = ("__dict__", "grids", "method", "name", "outside", "values")
@@ -378,6 +384,14 @@ def table_from_csv(
         There is no such file.
     ArgumentError
         A missing column, an entry that is no number, or a grid with gaps or double points.
+
+    Examples
+    --------
+    >>> points = [[0, 5], [10, 6], [20, 8], [30, 9]]
+    >>> np.savetxt("engine.csv", points, delimiter=",", header="h,thrust", comments="")
+    >>> thrust = go.table_from_csv("engine.csv", "h", "thrust")
+    >>> print(thrust(20.0))
+    8.0
     """
     names = [x] if isinstance(x, str) else list(x)
     columns = read_columns(Path(path), [*names, values])

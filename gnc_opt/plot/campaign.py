@@ -73,6 +73,17 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_dispersion
+    >>> puck = go.Model("puck")
+    >>> r, u = puck.state("r", 2, unit="m"), puck.control("u", 2, unit="m/s")
+    >>> puck.ode({r: u})
+    >>> to_rest = go.ClosedLoop(puck, go.design_lqr(puck, [0, 0], Q=1, R=1, dt=0.1))
+    >>> asked = {"x0": [2, 1], "tf": 3.0, "seed": 1, "executor": "serial"}
+    >>> runs = go.monte_carlo(to_rest, 5, **asked, dispersions={"initial.r": Normal([0.2, 0.1])})
+    >>> figure = plot_dispersion(runs, "r")
     """
     campaign.measure(name)  # refuses names that nothing is known of
     errors = campaign.error(name)
@@ -139,6 +150,11 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
     Returns
     -------
     matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_distributions
+    >>> figure = plot_distributions(campaign, ["q", "max(overshoot)"])
     """
     chosen = list(names) if names is not None else list(campaign.limits) or list(shown_measures(campaign))
     if not chosen:
@@ -228,6 +244,11 @@ def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01
     Returns
     -------
     matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_envelope
+    >>> figure = plot_envelope(campaign, "overshoot", levels=(0.1, 0.5, 0.9))
     """
     found = campaign.envelope(name, levels)
     with style():

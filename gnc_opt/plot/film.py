@@ -63,6 +63,13 @@ def save_film(
         A position, attitude or force does not have the components it must have, or the suffix is another one.
     GncOptError
         A film in mp4 and no ffmpeg.
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import View, save_film
+    >>> film = save_film(solution, "cart.gif", View(position=("q", "v")), seconds=0.2, rate=10.0)
+    >>> print(film.name)
+    cart.gif
     """
     if not isinstance(moved, Solution | Run):
         raise ArgumentError(f"what save_film() got is a {type(moved).__name__}: give a solution or a run.")

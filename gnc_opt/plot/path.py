@@ -30,6 +30,12 @@ def plot_curves(t: ArrayLike, values: ArrayLike, labels: Sequence[str], ylabel: 
     Returns
     -------
     matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_curves
+    >>> t = np.linspace(0.0, 2.0, 50)
+    >>> figure = plot_curves(t, 0.5 * solution.state("v")(t) ** 2, ["kinetic"], "energy, J/kg")
     """
     times = np.asarray(t, dtype=float)
     with style():
@@ -76,6 +82,12 @@ def plot_path(
     Returns
     -------
     matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_path
+    >>> angle = np.linspace(0.0, 6.0, 60)
+    >>> figure = plot_path(np.array([np.cos(angle), np.sin(angle), 0.1 * angle]))
     """
     r = np.asarray(r_L, dtype=float)
     length = axis_length or 0.12 * float(np.max(np.ptp(r, axis=1)))

@@ -28,6 +28,11 @@ def plot_run_states(run: Run, names: Sequence[str] | None = None) -> Figure:
     ------
     UnknownNameError
         There is no such state.
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_run_states
+    >>> figure = plot_run_states(run, ["q"])
     """
 
     def draw(ax: Axes, name: str) -> None:
@@ -59,6 +64,11 @@ def plot_run_errors(run: Run, names: Sequence[str] | None = None) -> Figure:
     ------
     ArgumentError
         The controller of the run follows no reference.
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_run_errors
+    >>> figure = plot_run_errors(run)
     """
     return _axes(
         run,
@@ -79,6 +89,11 @@ def plot_run_controls(run: Run, names: Sequence[str] | None = None) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_run_controls
+    >>> figure = plot_run_controls(run)
     """
 
     def draw(ax: Axes, name: str) -> None:

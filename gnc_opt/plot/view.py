@@ -37,6 +37,12 @@ class Thruster:
         In which it pushes the body where it is positive: in B if the view has an attitude, else in L.
     position : array (3,)
         Of the nozzle in the same axes, in lengths of the axes as drawn: vehicles are drawn larger than they are.
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import Thruster, View
+    >>> main = Thruster("F_B[0]", direction=(1, 0, 0), position=(-0.4, 0, 0))
+    >>> view = View("r_L", attitude="q_BL", force={"main": main})
     """
 
     control: str

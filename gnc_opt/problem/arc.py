@@ -51,6 +51,13 @@ class Arc:
     kind : ArcKind
     start, end : float
         s.
+
+    Examples
+    --------
+    >>> for arc in solution.structure:
+    ...     print(arc.channel, arc.kind.value, f"{arc.start:.6f} to {arc.end:.6f} s")
+    a lower 0.000000 to 1.000000 s
+    a upper 1.000000 to 2.000000 s
     """
 
     phase: str

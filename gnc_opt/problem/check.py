@@ -12,6 +12,7 @@ from gnc_opt.model.layout import Variable
 from gnc_opt.problem.check_norms import warn_of_norms
 from gnc_opt.problem.check_smooth import check_guess_in_tables, warn_of_kinks
 from gnc_opt.problem.check_values import check_values
+from gnc_opt.problem.guess.bent import bent
 from gnc_opt.problem.interval import Interval, intersect
 from gnc_opt.problem.norms import restated
 from gnc_opt.problem.phase import Phase
@@ -44,7 +45,7 @@ def check_problem(problem: Statement) -> None:
         problem.builds["checked"] = True
     for leg in problem.phases.values():
         check_guess_in_tables(problem, leg, warn=first)
-    check_values(solved)
+    check_values(bent(solved))
     if first:
         for leg in solved.phases.values():
             warn_of_norms(solved, leg)

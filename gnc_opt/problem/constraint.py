@@ -16,7 +16,15 @@ from gnc_opt.problem.interval import Interval, read_interval, read_range
 
 @dataclass(frozen=True)
 class Constraint:
-    """``lower <= expression <= upper``, the expression an SX column vector of ``size`` rows."""
+    """``lower <= expression <= upper``, the expression an SX column vector of ``size`` rows.
+
+    Examples
+    --------
+    >>> slow = problem.with_bounds(a=(-1.0, 1.0)).phases["leg"]
+    >>> slow.path("speed", v, lower=-0.8)
+    >>> print([(name, limit.interval.lower) for name, limit in slow.paths.items()])
+    [('speed', array([-0.8]))]
+    """
 
     name: str
     expression: Any

@@ -16,7 +16,14 @@ from gnc_opt.model.layout import as_vector
 
 @dataclass(frozen=True)
 class Interval:
-    """Element-wise bounds ``lower <= value <= upper``, each of shape (n,)."""
+    """Element-wise bounds ``lower <= value <= upper``, each of shape (n,).
+
+    Examples
+    --------
+    >>> from gnc_opt.problem import Interval
+    >>> print(Interval(np.array([0.0, 2.0]), np.array([1.0, 2.0])).fixed)
+    [False  True]
+    """
 
     lower: Array
     upper: Array

@@ -52,6 +52,12 @@ def write_run_report(
     ------
     GncOptError
         ``directory`` is a file.
+
+    Examples
+    --------
+    >>> from gnc_opt.report import write_run_report
+    >>> print([file.name for file in write_run_report(run, "report")][:2])
+    ['report.html', 'run.npz']
     """
     folder = report_folder(directory)
     motion = "" if view is None else _scene({title: run}, view)
@@ -107,6 +113,12 @@ def write_campaign_report(
         ``directory`` is a file, no run has ended, or a view of a campaign that cannot fly.
     ArgumentError
         ``runs`` is no positive number.
+
+    Examples
+    --------
+    >>> from gnc_opt.report import write_campaign_report
+    >>> print([file.name for file in write_campaign_report(campaign, "report")][:3])
+    ['report.html', 'campaign.npz', 'campaign.json']
     """
     runs = read_integer(runs, "the number of runs to show", 1)
     if not len(campaign):

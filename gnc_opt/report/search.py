@@ -16,6 +16,13 @@ def search_dict(found: Multistart) -> dict[str, Any]:
     Parameters
     ----------
     found : Multistart
+
+    Examples
+    --------
+    >>> from gnc_opt.report import search_dict
+    >>> told = search_dict(go.multistart(problem, n=2, seed=1, executor="serial", refine=False))
+    >>> print(told["finished"], len(told["minima"]))
+    2 1
     """
     return {
         "problem": found.problem_name,
@@ -62,6 +69,12 @@ def write_search(path: str | Path, found: Multistart) -> Path:
     ------
     OSError
         The file cannot be written.
+
+    Examples
+    --------
+    >>> from gnc_opt.report import write_search
+    >>> print(write_search("search.json", go.multistart(problem, n=2, seed=1, executor="serial", refine=False)))
+    search.json
     """
     target = Path(path)
     target.write_text(search_text(found), encoding="utf-8")

@@ -85,6 +85,11 @@ class ScaleFactor(Block):
     factor : float or one per component
     bias : float or one per component
         Unit of the command.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import ScaleFactor
+    >>> block = ScaleFactor("weak motor", 0.9, bias=0.01, on="a")
     """
 
     factor: ArrayLike = 1.0
@@ -166,6 +171,11 @@ class MinimumImpulse(Block):
     ----------
     impulse : float or one per component
         Unit of the command times s, >= 0.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import MinimumImpulse
+    >>> block = MinimumImpulse("least pulse", 0.02, on="a")
     """
 
     impulse: ArrayLike
@@ -379,6 +389,11 @@ class Pwm(Block):
     period : float, optional
         A multiple of the minor step, s; default the control step.
     minimum_on : float
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Pwm
+    >>> block = Pwm("on-off", 1.0, period=1.0, minimum_on=0.05, on="a")
     """
 
     thrust: ArrayLike
@@ -435,6 +450,11 @@ class SchmittTrigger(Block):
     ----------
     thrust, on_level, off_level : float or one per component
         Unit of the command.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import SchmittTrigger
+    >>> block = SchmittTrigger("relay", 1.0, on_level=0.4, off_level=0.1, on="a")
     """
 
     thrust: ArrayLike
@@ -484,6 +504,11 @@ class Pwpf(Block):
         s, > 0.
     gain : float
         K; must be enough to reach ``on_level``.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Pwpf
+    >>> block = Pwpf("modulator", 1.0, on_level=0.45, off_level=0.15, tau=0.1, gain=2.0, on="a")
     """
 
     thrust: ArrayLike
@@ -523,6 +548,11 @@ class Hold(Block):
     ----------
     period : float
         A multiple of the minor step, s.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Hold
+    >>> block = Hold("slow valve", 0.5, on="a")
     """
 
     period: float

@@ -113,6 +113,11 @@ class Allocation(Block):
     ------
     DesignError
         The actuators that are left cannot produce every command.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Allocation
+    >>> block = Allocation("two motors", [[1.0, 1.0]], to="motors", on="a")  # each gives half of it
     """
 
     matrix: ArrayLike
@@ -159,6 +164,15 @@ class Mixer(Block):
     to : str or mapping of str to int
         Name of the control, or names and sizes of several, in the order of the rows.
     unit : str
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Allocation, Mixer, Saturation
+    >>> motors = [Allocation("share", [[1, 1]], to="motors", on="a"), Saturation("limit", -0.1, 0.1, on="motors")]
+    >>> both = go.ClosedLoop(cart, regulator, [*motors, Mixer("sum", [[1, 1]], to="a", on="motors")])
+    >>> flown = both.simulate([1.0, 0.0], tf=1.0)
+    >>> print(f"{flown.control('a')(0.0)[0]:.3f}")  # as much as they can
+    -0.200
     """
 
     matrix: ArrayLike
@@ -220,6 +234,12 @@ class WheelArray(Block):
     ------
     DesignError
         The wheels left do not span all axes.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import WheelArray
+    >>> from gnc_opt.spacecraft import wheel_pyramid
+    >>> block = WheelArray("wheels", wheel_pyramid(), max_torque=0.2, max_momentum=4.0, on="T_B")
     """
 
     axes: ArrayLike

@@ -78,6 +78,22 @@ class Block:
         Unique in a loop; its parameters are called ``"<name>.<parameter>"``.
     on : str or tuple of str, optional
         The commands (sensors: states) it acts on; default all.
+
+    Examples
+    --------
+    One's own device, a valve that only opens one way:
+
+    >>> import casadi as ca
+    >>> from dataclasses import dataclass
+    >>> from gnc_opt.simulation import Block
+    >>> from gnc_opt.simulation.block import Step
+    >>> @dataclass(frozen=True)
+    ... class OneWay(Block):
+    ...     def step(self, tick, signal, state, p, noise):
+    ...         return Step(ca.fmax(signal, 0.0), state)
+    >>> flown = go.ClosedLoop(cart, regulator, [OneWay("valve")]).simulate([1.0, 0.0], tf=1.0)
+    >>> print(flown.command("a")(0.0)[0] < 0.0, flown.control("a")(0.0)[0])
+    True 0.0
     """
 
     name: str

@@ -87,6 +87,15 @@ class Campaign(Strict):
         What was flown; not stored in files.
     fingerprint : str
         That of the flight; "" in files of versions that did not store it.
+
+    Examples
+    --------
+    >>> print(len(campaign), "runs, largest |q| at the end", f"{campaign.maximum('q'):.4f} m")
+    20 runs, largest |q| at the end 0.0023 m
+    >>> print(campaign.pass_rate(), campaign.worst("q", 2))
+    100.0 % (83.2 % to 100.0 %) [1, 7]
+    >>> numbers = campaign.measure("max(overshoot)")  # of a quantity of the loop, (20,)
+    >>> again = campaign.rerun(7)  # with everything logged
     """
 
     seed: int

@@ -39,6 +39,16 @@ class InnovationTest(Strict):
         Between which that mean is with the confidence asked for, if the filter is right.
     taken, refused : int
         Samples used, and refused by the gate.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import Measurement
+    >>> from gnc_opt.simulation import consistency
+    >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-4)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
+    >>> filtered = go.ClosedLoop(cart, go.output_feedback(regulator, ekf), sensors=loop.sensors)
+    >>> told = consistency(filtered.simulate([1.05, 0.01], tf=8.0), ekf).innovations["q"]
+    >>> print(told.taken, told.ok)  # the gauge is ten times worse than the filter was told
+    80 False
     """
 
     average: float
@@ -73,6 +83,16 @@ class Consistency(Strict):
     confidence : float
     innovations : mapping of str to InnovationTest
         By measurement.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import Measurement
+    >>> from gnc_opt.simulation import consistency
+    >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
+    >>> filtered = go.ClosedLoop(cart, go.output_feedback(regulator, ekf), sensors=loop.sensors)
+    >>> judged = consistency(filtered.simulate([1.05, 0.01], tf=8.0), ekf)
+    >>> print(judged.nees.shape, f"{judged.within:.0%} within {np.round(judged.band, 2)}")
+    (81,) 91% within [0.05 7.38]
     """
 
     nees: Array
@@ -130,6 +150,17 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
     ------
     ArgumentError
         The loop had another estimator, the plant has none of its states, or a state is known exactly.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import Measurement
+    >>> from gnc_opt.simulation import consistency
+    >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
+    >>> filtered = go.ClosedLoop(cart, go.output_feedback(regulator, ekf), sensors=loop.sensors)
+    >>> flown = filtered.simulate([1.05, 0.01], tf=8.0)
+    >>> judged = consistency(flown, ekf)
+    >>> print(judged.components, judged.innovations["q"].ok)
+    2 True
     """
     expect(estimator, Estimator, "what consistency() got", "give the estimator of the loop")
     level = read_positive(confidence, "the confidence of consistency()")

@@ -37,6 +37,15 @@ class Replan:
         Its cost.
     way : str
         How it was found, see `gnc_opt.resolve.Way`.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Replanner
+    >>> planner = Replanner(lambda: go.Resolver(solution), every=0.5, latency=0.1, last=0.5)
+    >>> led = go.ClosedLoop(cart, go.feedforward(go.Reference(solution)), replanner=planner, dt=0.1)
+    >>> (first, *others) = led.simulate([1.1, 0.0], tf=2.5).replans
+    >>> print(first.time, round(first.effective, 6), first.failed, first.way)
+    0.5 0.6 False switch times
     """
 
     time: float

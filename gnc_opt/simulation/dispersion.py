@@ -152,6 +152,11 @@ class Choice(Dispersion):
     ----------
     values : sequence of float or array
         Of the size of what is dispersed.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Choice
+    >>> dispersions = {"plant.mass": Choice([90.0, 100.0, 130.0])}
     """
 
     values: Sequence[ArrayLike]
@@ -187,6 +192,11 @@ class Sphere(Dispersion):
     ----------
     radius : float, Normal or Uniform
         Length of the deviation, in the unit of the vector: one number for always the same, else it is drawn.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Normal, Sphere
+    >>> dispersions = {"initial.r": Sphere(10.0), "initial.v": Sphere(Normal(0.1))}
     """
 
     radius: Magnitude
@@ -209,6 +219,11 @@ class Ball(Dispersion):
     ----------
     radius : float
         Unit of the vector, > 0.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Ball
+    >>> dispersions = {"initial.r": Ball(10.0)}  # within 10 m
     """
 
     radius: float
@@ -235,6 +250,11 @@ class Turn(Dispersion):
     ----------
     angle : float, Normal or Uniform
         rad; one number for always the same, else it is drawn.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Normal, Turn
+    >>> dispersions = {"initial.q_BL": Turn(Normal(np.radians(5.0)))}
     """
 
     angle: Magnitude

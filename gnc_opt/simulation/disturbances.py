@@ -22,7 +22,22 @@ from gnc_opt.simulation.block import Block, Defaults, Parameters, Tick, scalar, 
 
 @dataclass(frozen=True)
 class Disturbance(Block):
-    """Base of disturbances: a continuous function of time and state, with a memory that changes at control steps."""
+    """Base of disturbances: a continuous function of time and state, with a memory that changes at control steps.
+
+    Examples
+    --------
+    One's own disturbance, drag that grows with the square of the speed:
+
+    >>> from dataclasses import dataclass
+    >>> from gnc_opt.simulation import Disturbance
+    >>> @dataclass(frozen=True)
+    ... class Drag(Disturbance):
+    ...     def value(self, t, x, state, p):
+    ...         return -0.3 * x["v"] * abs(x["v"])
+    >>> flown = go.ClosedLoop(cart, regulator, disturbances=[Drag("drag", on="v")]).simulate([1.0, 0.0], tf=8.0)
+    >>> print(f"{flown.miss('q'):.4f}")
+    0.0017
+    """
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -105,6 +120,11 @@ class RandomHold(Disturbance):
     sigma : float or one per component
     period : float, optional
         A multiple of the control step, s; default one control step.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import RandomHold
+    >>> block = RandomHold("gusts", 0.1, period=0.5, on="v")
     """
 
     sigma: ArrayLike

@@ -39,6 +39,13 @@ class Ending:
         Largest values, least values and integrals of the loop's quantities.
     samples : array (n_quantities, n_samples, n) or None
         Of them, at some control steps.
+
+    Examples
+    --------
+    >>> flight = loop.flight([1.0, 0.0], tf=8.0)
+    >>> ending = flight.final(np.tile(flight.nominal[:, None], 3), [1, 2, 3])
+    >>> print(ending.states.shape, np.abs(ending.errors).max() < 0.01)
+    (2, 3) True
     """
 
     states: Array

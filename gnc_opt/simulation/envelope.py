@@ -29,6 +29,12 @@ class Envelope:
     runs : int array (n_times,)
         That are still flying.
     confidence : float
+
+    Examples
+    --------
+    >>> envelope = campaign.envelope("overshoot", levels=(0.5, 0.9))
+    >>> print(envelope.times.shape, envelope.values.shape, f"{envelope.values[1].max():.3f} {envelope.unit}")
+    (81,) (2, 81) 0.005 m
     """
 
     name: str

@@ -50,6 +50,19 @@ class Event:
     ------
     ArgumentError
         A name or direction that is none, or a failure that ends nothing.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Event
+    >>> ball = go.Model("ball")
+    >>> h, w = ball.state("h", unit="m"), ball.state("w", unit="m/s")
+    >>> g = ball.control("g", unit="m/s^2")
+    >>> ball.ode({h: w, w: g - 10.0})
+    >>> bounce = Event("bounce", h, "falling", reset={w: -0.5 * w})
+    >>> free = go.feedforward(go.Reference.constant(ball, [1.0, 0.0], [0.0]))
+    >>> flown = go.ClosedLoop(ball, free, events=[bounce], dt=0.1).simulate([5.0, 0.0], tf=1.5)
+    >>> print(flown.events[0].name, f"{flown.events[0].time:.6f}", np.round(flown.events[0].after, 6))
+    bounce 1.000000 [0. 5.]
     """
 
     name: str
@@ -90,6 +103,14 @@ class Occurrence:
         s.
     before, after : array (n_states,)
         States of the plant on both sides of the reset; equal where there is none.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Event
+    >>> wall = go.ClosedLoop(cart, regulator, events=[Event("half way", q - 0.5, "falling", reset={})])
+    >>> (passed,) = wall.simulate([1.0, 0.0], tf=8.0).events
+    >>> print(passed.name, f"{passed.before[0]:.6f}")
+    half way 0.500000
     """
 
     name: str

@@ -101,7 +101,6 @@ class _EventfulStep:
         new |= {"plant": v["x"]} | {name: v[name] for name, _ in places.parts if name in new}
         applied = ca.vertcat(*[wave.mean for wave in waves])
         self.base.tally(new, applied, saturated, v["s"])
-        new |= {"error": state["error"], "blur": state["blur"]}
         n |= {"error": n["error"] + v["error"], "blur": n["blur"] + v["blur"], "flown": n["flown"] + v["s"]}
         n |= {"applied": n["applied"] + v["s"] * applied} | {k: v[k] for k, _ in notes_of(x.shape[0])}
         book = ca.Function("book", [q, noted, *context], [self.state.join(new), self.notes.join(n)])

@@ -85,6 +85,12 @@ class Flight:
         Entries of the memory that are the estimated states that the controller follows; None: it measures them.
     library : str
         Path of the kernel's step as machine code, see `natively`; "" for the interpreter.
+
+    Examples
+    --------
+    >>> flight = loop.flight([1.0, 0.0], tf=8.0)
+    >>> print(flight.n_steps, flight.layout.names)
+    80 ('initial.q', 'initial.v', 'gauge.sigma')
     """
 
     kernel: Kernel

@@ -44,6 +44,11 @@ class Outcome:
     time : float
         Beginning of the control step at which it happened, s, or the instant of the event; not-a-number where it has no
         time.
+
+    Examples
+    --------
+    >>> print(run.outcome, run.outcome.ok)
+    ok True
     """
 
     status: RunStatus

@@ -40,6 +40,11 @@ class Quantity:
     expression : casadi.SX
         Of the plant's symbols of time, states and parameters, (1, 1).
     unit : str
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Quantity
+    >>> energy = Quantity("energy", 0.5 * v**2, "J/kg")
     """
 
     name: str

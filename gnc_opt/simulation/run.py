@@ -99,6 +99,15 @@ class Run(Strict):
         What happened between the control steps, in the order of time.
     replans : tuple of Replan
         What became of the re-plannings in flight, in the order of time.
+
+    Examples
+    --------
+    >>> print(np.round(run.state("q")([0.0, 1.0, 8.0]), 2), run.outcome)
+    [[ 1.    0.72 -0.  ]] ok
+    >>> print(f"{run.miss('q'):.4f} m, settled after {run.settling_time('q', 0.05):.1f} s")
+    0.0018 m, settled after 3.8 s
+    >>> print(f"effort {run.control_effort('a')[0]:.3f} m/s")
+    effort 0.810 m/s
     """
 
     times: Array

@@ -110,6 +110,11 @@ class RandomWalk(Block):
     ----------
     sigma : float or one per component
         Unit of the state per square root of a second, >= 0.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import RandomWalk
+    >>> block = RandomWalk("drift", 1e-4, on="q")
     """
 
     sigma: ArrayLike
@@ -137,6 +142,11 @@ class Scale(Block):
     Parameters
     ----------
     factor : float or one per component
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Scale
+    >>> block = Scale("wrong gauge", 1.02, on="q")
     """
 
     factor: ArrayLike
@@ -156,6 +166,11 @@ class Sampling(Block):
     ----------
     period : float
         A multiple of the control step, s.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Sampling
+    >>> block = Sampling("slow camera", 1.0, on="q")
     """
 
     period: float
@@ -183,6 +198,11 @@ class SensorDelay(Block):
     ----------
     delay : float
         A multiple of the control step, s.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import SensorDelay
+    >>> block = SensorDelay("bus", 0.2, on="q")
     """
 
     delay: float

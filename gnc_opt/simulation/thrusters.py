@@ -41,6 +41,11 @@ class NonNegativeAllocation(Block):
     ------
     DesignError
         A component cannot be produced; the message names it.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import NonNegativeAllocation
+    >>> block = NonNegativeAllocation("nozzles", [[1.0, -1.0]], to="thrusts", unit="m/s^2", on="a")
     """
 
     matrix: ArrayLike
@@ -97,6 +102,17 @@ class ThrusterSet:
     ------
     DesignError
         Shapes that do not fit, or a direction of zero length.
+
+    Examples
+    --------
+    Four thrusters in a plane that push a body along x and turn it about z:
+
+    >>> from gnc_opt.simulation import ThrusterSet
+    >>> positions = [[0, 0, 0, 0], [1, -1, 1, -1], [0, 0, 0, 0]]
+    >>> thrusters = ThrusterSet(positions, [[1, 1, -1, -1], [0, 0, 0, 0], [0, 0, 0, 0]])
+    >>> print(thrusters.effects[[0, 5]])  # force along x and torque about z of each
+    [[ 1.  1. -1. -1.]
+     [-1.  1.  1. -1.]]
     """
 
     positions: ArrayLike

@@ -18,6 +18,12 @@ class LowerBound:
     theorem : str
         By which the minimum of that problem is a global one. Empty where none applies: the minimum is a local one then,
         and the value no bound if another is lower.
+
+    Examples
+    --------
+    >>> bound = go.bound_below(solution).bound
+    >>> print(f"{bound.value:.6f}", bound.states, bound.certified)
+    2.000000 ('q', 'v') True
     """
 
     value: float

@@ -31,6 +31,11 @@ class Quality:
         what the controls move the state.
     defect_where, bound_where, terminal_where : str
         Places of the three.
+
+    Examples
+    --------
+    >>> print(solution.quality.max_defect < 1e-9, solution.quality.terminal_error < 1e-9)
+    True True
     """
 
     max_defect: float

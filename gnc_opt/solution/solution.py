@@ -87,6 +87,12 @@ class Violation:
         E.g. ``"v_L[2] defect, phase approach, segment 3, point 2"``.
     amount : float
         By how much, relative to the scale of the row or variable.
+
+    Examples
+    --------
+    >>> failed = go.solve(problem.with_bounds(a=(-0.01, 0.01)), mesh="4x3", tol=None, throw=False)
+    >>> print(failed.status.value, failed.violations[0].amount > 0.0)
+    infeasible True
     """
 
     name: str

@@ -62,6 +62,13 @@ class FlexibleBody:
     ModelError
         Sizes that do not fit, frequencies that are not positive, or appendages with more inertia than the
         whole.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import FlexibleBody
+    >>> panel = FlexibleBody([100.0, 90.0, 80.0], [[6.0], [0.0], [0.0]], [1.2], [0.005])
+    >>> print(np.round(panel.free_frequencies(), 6))  # 1.2 / sqrt(1 - 6^2 / 100)
+    [1.5]
     """
 
     inertia: Array

@@ -159,6 +159,17 @@ def relative_from_inertial(
         Inertial, m and m/s.
     acceleration : like the others
         Total acceleration of the leader, m/s^2: it turns the frame.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import MU_EARTH, relative_from_inertial
+    >>> r, speed = 7e6, np.sqrt(MU_EARTH / 7e6)
+    >>> down = np.array([-MU_EARTH / r**2, 0.0, 0.0])
+    >>> leader = np.array([r, 0, 0]), np.array([0, speed, 0])
+    >>> follower = np.array([r + 100, 0, 0]), np.array([0, speed, 0])  # 100 m above, as fast
+    >>> rho, rate = relative_from_inertial(*leader, *follower, down)
+    >>> print(rho, np.round(rate, 4))  # seen in the frame that turns, it falls behind
+    [100.   0.   0.] [ 0.     -0.1078  0.    ]
     """
     dcm_RI = radial_frame(r_leader, v_leader)
     rho = apply(dcm_RI, stack([r_follower[i] - r_leader[i] for i in range(3)]))
@@ -180,6 +191,16 @@ def inertial_from_relative(
         Position of the follower and its rate of change as seen in the leader's true radial frame, m and m/s.
     acceleration : like the others
         Total acceleration of the leader, m/s^2: it turns the frame.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import MU_EARTH, inertial_from_relative
+    >>> r, speed = 7e6, np.sqrt(MU_EARTH / 7e6)
+    >>> down = np.array([-MU_EARTH / r**2, 0.0, 0.0])
+    >>> leader = np.array([r, 0, 0]), np.array([0, speed, 0])
+    >>> position, velocity = inertial_from_relative(*leader, np.array([100.0, 0, 0]), np.zeros(3), down)
+    >>> print(position, np.round(velocity - leader[1], 4))  # 100 m above, at rest in the frame that turns
+    [7000100.       0.       0.] [0.     0.1078 0.    ]
     """
     dcm_IR = transpose(radial_frame(r_leader, v_leader))
     turning = cross(radial_frame_rate(r_leader, v_leader, acceleration), rho_R)

@@ -110,6 +110,15 @@ def wheel_body_acceleration(
         Of the motors on the body, N m.
     external_B : like ``omega_BI_B``
         N m.
+
+    Examples
+    --------
+    >>> from gnc_opt.spacecraft import wheel_body_acceleration
+    >>> inertia, axes = [10.0, 8.0, 6.0], np.eye(3)
+    >>> spinning = {"momenta": np.array([0.0, 0.0, 2.0]), "torques": np.zeros(3)}
+    >>> rate = np.array([0.01, 0.0, 0.0])
+    >>> print(wheel_body_acceleration(inertia, axes, rate, **spinning, external_B=np.zeros(3)))
+    [0.     0.0025 0.    ]
     """
     total = total_momentum(inertia, axes, omega_BI_B, momenta)
     gyroscopic, driving = cross(omega_BI_B, total), _times(axes, torques)

@@ -63,6 +63,12 @@ class Continuation:
     events : tuple of str
         What happened on the way: jumps to another branch (a bifurcation or fold lies between the values), structures
         that changed, and where and how the solution vanished.
+
+    Examples
+    --------
+    >>> family = go.continue_in(lambda a: problem.with_bounds(a=(-a, a)), [1.0, 0.25])
+    >>> print(family.status.value, family.values[-1], f"{family.final.objective:.6f}")  # 2 / sqrt(a)
+    complete 0.25 4.000000
     """
 
     values: Array

@@ -46,6 +46,12 @@ class Sweep:
         Further quantities, NaN where there is no solution.
     interrupted : bool
         Whether Ctrl-C ended it before its time.
+
+    Examples
+    --------
+    >>> swept = go.sweep(lambda q: problem.with_initial(q=q), {"q": [1.0, 4.0]}, executor="serial")
+    >>> print(swept.solved, np.round(swept.objective, 4))
+    [ True  True] [2. 4.]
     """
 
     grid: Mapping[str, Array]

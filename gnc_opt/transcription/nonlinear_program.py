@@ -40,6 +40,15 @@ class NlpProblem:
     -----
     The signatures are those of CasADi 3.8's IPOPT interface, which binds arguments by position and not by
     name. Derivatives that are left out come from CasADi's automatic differentiation.
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> from gnc_opt.nlp import NlpProblem
+    >>> x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
+    >>> rosenbrock = NlpProblem(x, p, (1 - x[0]) ** 2 + p * (x[1] - x[0] ** 2) ** 2, ca.SX(0, 1))
+    >>> print(rosenbrock.n_variables, rosenbrock.n_constraints, rosenbrock.n_parameters)
+    2 0 1
     """
 
     x: Any
@@ -76,13 +85,14 @@ class NlpProblem:
     @cached_property
     def lagrangian(self) -> Any:
         """Function `(x, p, lam_g) -> (f, g, gradient of f + lam_g . g)`; the gradient is (nx, 1)."""
-        x, p, lam_g = symbols(self, "x", "p", "lam_g")
         if self.grad_f is not None and self.jac_g is not None:
+            x, p, lam_g = symbols(self, "x", "p", "lam_g")
             f, gradient = self.grad_f(x, p)
             g, jacobian = self.jac_g(x, p)
             total = gradient + ca.mtimes(jacobian.T, lam_g)
         else:
             x, p, f, g = self.x, self.p, self.f, self.g
+            lam_g = x.sym("lam_g", self.n_constraints)  # SX or MX, as the programme is
             total = ca.gradient(f + ca.dot(lam_g, g), x)
         return ca.Function("lagrangian", [x, p, lam_g], [f, g, ca.densify(total)])
 

@@ -101,7 +101,7 @@ def _judge(solution: Solution, tol: float) -> Verdict:
     ends, amounts = ends_of(solution), Magnitudes.of(solution, samples)
     told = has_costates(samples, ends, amounts.cost)
     missing = missing_number(stored, told)
-    samples = [settle_edges(replace(s, cost_magnitude=amounts.cost), tol) for s in samples]
+    samples = [settle_edges(s.with_cost_magnitude(amounts.cost), tol) for s in samples]
     conditions = [
         feasibility.dynamics(samples, tol),
         feasibility.propagation(samples, tol),

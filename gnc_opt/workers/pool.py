@@ -52,6 +52,16 @@ class Done(Generic[Item, Answer]):
     answer : object or None
     error : BaseException or None
         What the task raised, or `WorkerDied`.
+
+    Examples
+    --------
+    >>> from gnc_opt.workers import Shared, WorkerPool
+    >>> def shares(whole, item):
+    ...     return whole / item
+    >>> with WorkerPool(Shared.picklable(6, "the whole", ""), "serial", "shares()") as pool:
+    ...     half, lost = pool.run(shares, [2, 0], show=lambda done: None)
+    >>> print(half.answer, type(lost.error).__name__)
+    3.0 ZeroDivisionError
     """
 
     item: Item
@@ -84,6 +94,15 @@ class WorkerPool(Generic[Object]):
         No executor.
     GncOptError
         The object cannot be sent to processes.
+
+    Examples
+    --------
+    >>> from gnc_opt.workers import Shared, WorkerPool
+    >>> with WorkerPool(Shared.picklable(10, "the base", ""), "serial", "powers()") as pool:
+    ...     powers = pool.run(pow, [1, 2, 3], show=lambda done: print(done.item, done.answer))
+    1 10
+    2 100
+    3 1000
     """
 
     def __init__(

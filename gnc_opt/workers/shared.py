@@ -28,6 +28,11 @@ class Shared(Generic[Object]):
         For the error if it cannot be sent to another process: what it is, and what to do about it.
     maker : callable, optional
         Makes it in another process; must be picklable. Without one it cannot be sent.
+
+    Examples
+    --------
+    >>> from gnc_opt.workers import Shared
+    >>> shared = Shared.picklable([1.0, 2.0], "the table", "give numbers")
     """
 
     value: Object

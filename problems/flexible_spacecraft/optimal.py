@@ -122,7 +122,7 @@ UNREFINED = (
 def reserved(limit: float) -> go.Solution:
     """Return the least time with torques up to a limit (N m), to be followed: two passes of refinement only."""
     first = go.solve(build(limit), mesh=MESH, tol=None)
-    return go.refine(first, structure="bang-bang", max_passes=2)
+    return go.refine(first, structure="bang-bang", limits=go.RefinementLimits(max_passes=2))
 
 
 DURATIONS = (40.0, 50.0, DURATION, 75.0, 110.0)
@@ -138,7 +138,7 @@ def front() -> Front:
     )
     run = standard("J")
     theirs = (measure(run).settling_fine, float(np.trapezoid(modal_energy(run), run.times)))
-    return Front("integral of the modal energy (J s)", points, theirs, "QSMC, J, to 0.001")
+    return Front("integral of the modal energy", "J s", points, theirs, "QSMC, J, to 0.001")
 
 
 # --- tracking -------------------------------------------------------------------------------------------

@@ -144,7 +144,7 @@ def front() -> Front:
         lambda solution: (solution.phase().final_time, solution.objective),
     )
     law = run("optimal SMC")
-    return Front("Delta-V (m/s)", points, (law.settling_time("r", 1.0), delta_v(law)), "optimal SMC, to 1 m")
+    return Front("Delta-V", "m/s", points, (law.settling_time("r", 1.0), delta_v(law)), "optimal SMC, to 1 m")
 
 
 # --- against the publication ----------------------------------------------------------------------------

@@ -114,6 +114,8 @@ def space_figure() -> Figure:
             ax.plot(*states[:3], label=name, **line_look(i))
         ax.plot(*START[:3], "ko", markersize=3, label="start")
         ax.set(**{f"{name}label": axis_label(name, "m") for name in _NAMES})
+        ax.zaxis.set_rotate_label(False)  # seen from there it would be upside down
+        ax.zaxis.label.set_rotation(90)
         for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
             axis.set_major_locator(MaxNLocator(4))
         legend_on_top(figure, ax.get_lines())

@@ -175,7 +175,7 @@ def front() -> Front:
         lambda solution: (solution.phase().final_time, solution.objective),
     )
     law = published_slew(3, "FLC")
-    return Front("integral of sum T^2 (N^2 m^2 s)", points, (law.settling_time, law.energy), "FLC, to 2 %")
+    return Front("integral of sum T^2", "N^2 m^2 s", points, (law.settling_time, law.energy), "FLC, to 2 %")
 
 
 # --- tracking -------------------------------------------------------------------------------------------

@@ -138,7 +138,7 @@ def front() -> Front:
 
     points = certified(SHARES, solve, measure)
     published = (REFERENCE[1, "printed"]["paper GPM"].value, 100.0)
-    return Front("authority (%)", points, published, "the paper's GPM")
+    return Front("authority", "%", points, published, "the paper's GPM")
 
 
 def size_rows(solution: go.Solution) -> list[Row]:

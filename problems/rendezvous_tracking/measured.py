@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.control import Controller, Estimator, Measurement, design_ekf, output_feedback
+from gnc_opt.control import Controller, Estimator, FilterOptions, Measurement, design_ekf, output_feedback
 from gnc_opt.simulation import ClosedLoop, Event, Noise
 from gnc_opt.spacecraft import apply, mrp_to_dcm
 from problems.rendezvous import chaser_model
@@ -65,8 +65,8 @@ class Measured(Guided):
             ],
             sigma0=FIRST,
             process_noise=UNKNOWN,
-            limits=AUTHORITY,
             dt=DT,
+            options=FilterOptions(limits=AUTHORITY),
         )
 
     def controller(self, name: str = "neighbouring-optimal") -> Controller:

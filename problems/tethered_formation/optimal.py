@@ -199,7 +199,8 @@ def front(published: Manoeuvre) -> Front:
         lambda solution: (solution.phase().final_time, solution.objective),
     )
     return Front(
-        "integral of the squared rate (rad^2/s)",
+        "integral of the squared rate",
+        "rad^2/s",
         points,
         (published.last_beyond(1.0), published.effort),
         "published structure, to 1 deg",

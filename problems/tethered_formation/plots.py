@@ -75,7 +75,7 @@ def _published(m: Manoeuvre) -> Figure:
 def _histories(m: Manoeuvre) -> Figure:
     """The publication's other plots: swing rate, climb beside that of the reference, and sigma."""
     figure = new_figure(5.4)
-    axes = _axes(figure, 3, ("swing rate\n(deg/s)", "radial rate\n(m/s)", r"$\sigma$ (rad/s)"))
+    axes = _axes(figure, 3, ("swing rate\n(deg/s)", "radial rate\n(m/s)", r"$\sigma$ (rad/s$^2$)"))
     axes[0].plot(m.times, np.degrees(m.run.state("theta_rate").values[0]), **line_look(0))
     climb = m.run.state("climb").values[0]
     axes[1].plot(m.times, climb, label="flown", **line_look(0))

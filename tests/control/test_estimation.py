@@ -8,7 +8,7 @@ import pytest
 import scipy
 
 import gnc_opt as go
-from gnc_opt.control import Measurement, design_ekf, design_ukf
+from gnc_opt.control import FilterOptions, Measurement, UnscentedOptions, design_ekf, design_ukf
 from gnc_opt.control.estimation.augmented import AugmentedModel
 from gnc_opt.control.estimation.linearization import Regression, cholesky, solved_left, solved_right
 from gnc_opt.control.estimation.space import flat
@@ -130,7 +130,7 @@ def test_noise_enters_as_the_exact_integral_of_a_damped_plant():
             sigma0={"q": 0.0, "v": 0.0},
             process_noise={"v": 1.0},
             dt=0.2,
-            substeps=substeps,
+            options=FilterOptions(substeps=substeps),
         )
         _, z = estimator(0.0, np.nan, 0.0)
         A = np.array([[0, 1], [-2, -0.7]])
@@ -145,7 +145,12 @@ def test_predictions_follow_the_nonlinear_dynamics_within_the_limits():
     q, v, a = model.state("q"), model.state("v"), model.control("a")
     model.ode({q: v, v: a - ca.sin(q)})
     estimator = design_ekf(
-        model, [1.0, 0.0], [Measurement("q", 0.1)], sigma0={"q": 0, "v": 0}, dt=0.05, limits=(-0.5, 0.5)
+        model,
+        [1.0, 0.0],
+        [Measurement("q", 0.1)],
+        sigma0={"q": 0, "v": 0},
+        dt=0.05,
+        options=FilterOptions(limits=(-0.5, 0.5)),
     )
     z, x = None, np.array([1.0, 0.0])
     for k in range(20):
@@ -226,7 +231,9 @@ def test_samples_outside_the_gate_change_nothing_and_are_counted():
 
 
 def test_lost_samples_are_predicted_then_nothing_is_told_until_the_next_good_one():
-    estimator = design_ekf(cart(), [0.0, 1.0], [Measurement("q", 0.1, period=2 * DT)], hold=2, **CART)
+    estimator = design_ekf(
+        cart(), [0.0, 1.0], [Measurement("q", 0.1, period=2 * DT)], options=FilterOptions(hold=2), **CART
+    )
     z, told = None, []
     for k in range(12):
         x, z = estimator(k * DT, 0.1 * k if k in (0, 10) else [np.nan, np.inf, 1e31][k % 3], 0.0, z)
@@ -393,9 +400,11 @@ def test_roots_of_singular_covariances():
         ({"x0": {"q": 0}}, "has no finite 'v'"),
         ({"x0": {"q": 0, "w": 0}}, "no state 'w'"),
         ({"dt": 0}, "control step"),
-        ({"substeps": 0}, "substeps"),
-        ({"hold": -1}, "bridges"),
-        ({"limits": (1, 0)}, "no authority"),
+        ({"options": FilterOptions(substeps=0)}, "substeps"),
+        ({"options": FilterOptions(hold=-1)}, "bridges"),
+        ({"options": FilterOptions(limits=(1, 0))}, "no authority"),
+        ({"options": UnscentedOptions(kappa=1)}, "no points to spread"),
+        ({"options": {"hold": 1}}, "the options of 'EKF'"),
         ({"model": None}, "the model of an estimator"),
     ],
 )
@@ -428,7 +437,7 @@ def test_measurements_that_cannot_be_meant_are_refused(arguments, message):
 
 def test_spread_of_points_is_not_negative():
     with pytest.raises(go.ArgumentError, match="kappa"):
-        design_ukf(cart(), [0, 0], [Measurement("q", 1)], kappa=-1, **CART)
+        design_ukf(cart(), [0, 0], [Measurement("q", 1)], options=UnscentedOptions(kappa=-1), **CART)
 
 
 @pytest.mark.parametrize(

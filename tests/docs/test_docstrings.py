@@ -1,18 +1,22 @@
-"""The examples of docstrings run and print what they say.
+"""Every public name has an example in its docstring, which runs and prints what it says.
 
-Besides ``go`` and ``np`` they know what the README states: ``cart``, ``problem`` and its ``solution``, refined.
+But for errors and enumerations: an example would only repeat what is on the pages of those that raise or return them.
+What the examples begin with stands on the first page of the reference.
 """
 
 from __future__ import annotations
 
 import doctest
+import enum
 import importlib
+import inspect
 import pkgutil
+import runpy
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from pages import ROOT
 
 import gnc_opt as go
 
@@ -30,20 +34,27 @@ def examples() -> list[doctest.DocTest]:
     return sorted(found, key=lambda test: test.name)
 
 
+def public_names() -> list[str]:
+    """Paths of the public classes and functions, errors and enumerations left out."""
+    rooms = [importlib.import_module(name) for name in MODULES if name.count(".") == 1]
+    found = [getattr(room, name) for room in (go, *rooms) for name in getattr(room, "__all__", ())]
+    kinds = (BaseException, enum.Enum)
+    shown = [
+        value
+        for value in found
+        if inspect.isfunction(value) or (inspect.isclass(value) and not issubclass(value, kinds))
+    ]
+    return sorted({f"{value.__module__}.{value.__qualname__}" for value in shown})
+
+
+def test_every_public_name_has_an_example() -> None:
+    assert len(public_names()) > 200
+    assert not set(public_names()) - {example.name for example in examples()}
+
+
 @pytest.fixture(scope="module")
 def names() -> dict[str, Any]:
-    cart = go.Model("double integrator")
-    q, v = cart.state("q", unit="m"), cart.state("v", unit="m/s")
-    a = cart.control("a", unit="m/s^2")
-    cart.ode({q: v, v: a})
-    problem = go.Problem("rest to rest in minimum time")
-    leg = problem.phase("leg", cart)
-    leg.time(initial=0.0, final=(0.1, 10.0))
-    leg.initial(q=1.0, v=0.0)
-    leg.final(q=0.0, v=0.0)
-    leg.bounds(a=(-1.0, 1.0))
-    problem.minimize(leg.final_time)
-    return {"go": go, "np": np, "cart": cart, "problem": problem, "solution": go.solve(problem)}
+    return runpy.run_path(str(ROOT / "website" / "before_examples.py"))
 
 
 @pytest.mark.parametrize("example", examples(), ids=lambda example: example.name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import import_module
 
 import numpy as np
@@ -14,7 +15,11 @@ from problems.dispersed import Rivals, dispersed_rows
 from problems.fronts import Front, Point, certified, front_figure, front_rows
 
 HALVES = Front(
-    "effort", (Point(1.0, 8.0, True), Point(2.0, 4.0, True), Point(4.0, 2.0, True)), (2.0, 12.0), "law"
+    "effort",
+    "N m s^2",
+    (Point(1.0, 8.0, True), Point(2.0, 4.0, True), Point(4.0, 2.0, True)),
+    (2.0, 12.0),
+    "law",
 )
 
 
@@ -42,24 +47,32 @@ def test_what_the_published_law_costs_over_the_front() -> None:
     """On a power law the front is met exactly between its points, too; beyond its ends the last one counts."""
     assert HALVES.excess == pytest.approx(3.0)
     for time, cost in ((2.5, 8 / 2.5), (8.0, 2.0), (0.5, 8.0)):
-        assert Front("", HALVES.points, (time, cost), "").excess == pytest.approx(1.0)
+        assert Front("", "", HALVES.points, (time, cost), "").excess == pytest.approx(1.0)
 
 
 def test_a_point_that_is_not_certified_or_a_front_that_rises_fails() -> None:
     assert all(row.passes for row in front_rows(HALVES)) and len(front_rows(HALVES)) == 5
-    doubtful = Front("", (*HALVES.points[:2], Point(4.0, 2.0, False, "bounds")), (2.0, 12.0), "law")
+    doubtful = Front("", "", (*HALVES.points[:2], Point(4.0, 2.0, False, "bounds")), (2.0, 12.0), "law")
     (row,) = (row for row in front_rows(doubtful) if not row.passes)
     assert row.quantity.startswith("front, 4 s") and row.note == "bounds"
-    rising = Front("", (*HALVES.points, Point(5.0, 2.1, True)), (2.0, 12.0), "law")
+    rising = Front("", "", (*HALVES.points, Point(5.0, 2.1, True)), (2.0, 12.0), "law")
     assert [row.passes for row in front_rows(rising)].count(False) == 1
-    beaten = Front("", HALVES.points, (2.0, 3.9), "law")
+    beaten = Front("", "", HALVES.points, (2.0, 3.9), "law")
     assert [row.passes for row in front_rows(beaten)].count(False) == 1
 
 
 def test_front_is_drawn_with_the_published_point() -> None:
     (ax,) = front_figure(HALVES).axes
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["optimal", "law"]
-    assert ax.get_yscale() == "log" and ax.get_xlabel() == "time (s)"
+    assert ax.get_xlabel() == "time (s)" and ax.get_ylabel() == "effort (N m s$^{2}$)"
+    assert front_rows(HALVES)[0].quantity == "front, 1 s: effort (N m s^2)"
+
+
+def test_front_is_logarithmic_where_it_spans_more_than_a_decade() -> None:
+    """Within one, an axis of powers of ten has no tick that can be read."""
+    (within,) = front_figure(HALVES).axes
+    (beyond,) = front_figure(replace(HALVES, published=(2.0, 21.0))).axes
+    assert (within.get_yscale(), beyond.get_yscale()) == ("linear", "log")
 
 
 def still(gain: float) -> go.ClosedLoop:

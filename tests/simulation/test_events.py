@@ -179,6 +179,19 @@ def test_events_of_one_instant_act_in_order_on_what_the_others_left():
         assert run.events[1].after[1] == pytest.approx(factor(impact), abs=1e-12)
 
 
+@pytest.mark.parametrize("minor", [1, 2])
+def test_events_of_one_step_happen_each_at_its_own_instant(minor):
+    """Falling from 1 m through 0.9, 0.8 and 0.8 - 1e-6 m, in any order of declaration; energy is kept."""
+    plant, h, _ = ball()
+    levels = [0.8, 0.9, 0.8 - 1e-6]
+    events = [Event(f"level {i}", h - level, "falling", reset={}) for i, level in enumerate(levels)]
+    run = falling(plant, *events, dt=0.4, minor_steps=minor).simulate([1.0, 0.0], tf=0.4)
+    assert [event.name for event in run.events] == ["level 1", "level 0", "level 2"]
+    expected = [np.sqrt(2 * (1 - level) / G) for level in (0.9, 0.8, 0.8 - 1e-6)]
+    assert [event.time for event in run.events] == pytest.approx(expected, abs=1e-13)
+    assert [event.before[0] for event in run.events] == pytest.approx([0.9, 0.8, 0.8 - 1e-6], abs=1e-12)
+
+
 def test_conditions_are_judged_before_the_resets_of_the_same_instant():
     plant, h, v = ball()
     slow, fast = (

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.control import Measurement, bridge_dropouts, design_ekf, output_feedback
+from gnc_opt.control import FilterOptions, Measurement, bridge_dropouts, design_ekf, output_feedback
 from gnc_opt.simulation import (
     Campaign,
     Noise,
@@ -154,7 +154,7 @@ def test_outputs_are_measured_and_slow_sensors_held():
 
 def test_an_outage_is_bridged_then_the_controllers_provision_acts(right):
     model = cart()
-    estimator = filter_(model, hold=4)
+    estimator = filter_(model, options=FilterOptions(hold=4))
     short, long = (loop_of(estimator, Outage("gap", 1.0, end)) for end in (1.39, 3.0))
     assert short.simulate(**MISSION).outcome.ok
     failed = long.simulate(**MISSION)
@@ -195,7 +195,13 @@ def test_flight_code_holds_estimator_and_controller(tmp_path):
         Measurement("v", 0.05, period=0.3, delay=0.2, bias=0.1),
     ]
     estimator = design_ekf(
-        model, [1.0, 0.0], sensors, sigma0={"q": 0.1, "v": 0.3}, process_noise={"v": 0.1}, dt=DT, hold=1
+        model,
+        [1.0, 0.0],
+        sensors,
+        sigma0={"q": 0.1, "v": 0.3},
+        process_noise={"v": 0.1},
+        dt=DT,
+        options=FilterOptions(hold=1),
     )
     law = output_feedback(regulator(model), estimator)
     code = go.export_c(law, tmp_path)

@@ -9,7 +9,7 @@ import pytest
 from loops import feedback, scheduled
 
 from gnc_opt.model.model import Model
-from gnc_opt.simulation import ClosedLoop, Delay, Lag, RateLimit
+from gnc_opt.simulation import ClosedLoop, Delay, Lag, RandomHold, RateLimit
 from gnc_opt.simulation.loop import _growth
 from gnc_opt.simulation.wave import Part, Wave, cut, stacked
 
@@ -253,7 +253,7 @@ def test_an_average_knows_how_far_it_is_off():
     assert still.averaged(H) is still
 
 
-@pytest.mark.parametrize(("start", "minor"), [(0.0, 1), (0.0, 3), (50.0, 1)])
+@pytest.mark.parametrize(("start", "minor"), [(0.0, 1), (0.0, 3), (50.0, 1), (-50.0, 1)])
 def test_what_averaging_may_add_is_reckoned_at_every_minor_step(start, minor):
     """x' = 3 u behind two lags: the second one takes the mean of the first, by a plain loop; shares of large states."""
     plant = Model("impulse")
@@ -316,3 +316,15 @@ def test_the_printed_error_is_that_of_the_end_where_errors_grow(options):
     ending = flight.final(flight.nominal[:, None], [0])
     assert flight.substeps == 1 and flight.growth > 5.0
     assert ending.integration_error[0] == pytest.approx(abs(ending.states[0, 0] - 0.5), rel=0.15)
+
+
+@pytest.mark.parametrize("options", [{"substeps": 1}, {"accuracy": 1e-3}])
+def test_noise_is_no_growth_of_errors(options):
+    """The runs that are compared to see errors grow meet the same random numbers: x' = -x + w forgets its errors."""
+    plant = Model("gusty")
+    x, u = plant.state("x"), plant.control("u")
+    plant.ode({x: -x + u})
+    gusts = RandomHold("gusts", 10.0, on="x")
+    loop = ClosedLoop(plant, feedback(plant, [[0.0]]), disturbances=[gusts], dt=0.5, **options)
+    flight = loop.flight([1.0], tf=5.0)
+    assert flight.growth < 2.0 and flight.substeps == 1

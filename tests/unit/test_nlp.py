@@ -373,6 +373,20 @@ def test_callback_sees_iterates_and_may_stop() -> None:
     assert seen[0].infeasibility == pytest.approx(5 * np.exp(3) - 1)
 
 
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_programmes_of_either_kind_of_symbols_can_be_stopped(kind: Any) -> None:
+    """The iterate that is left is judged by the gradient of the Lagrangian, here made of the programme's symbols."""
+    x = kind.sym("x", 2)
+    nlp = NlpProblem(x, kind(0, 1), ca.sumsqr(x - 1) + ca.exp(x[0]), x[0] * x[1])
+    point = NlpPoint(x0=3.0, lbx=0.0, ubx=9.0, lbg=-np.inf, ubg=2.0, p=[])
+    result = NlpSolver(nlp).solve(point, callback=lambda info: info.iteration == 2)
+    assert result.status is Status.INTERRUPTED and result.iterations == 2
+    gradient = 2 * (result.x - 1) + [np.exp(result.x[0]), 0.0] + result.lam_g * result.x[::-1]
+    assert np.asarray(nlp.lagrangian(result.x, [], result.lam_g)[2]).ravel() == pytest.approx(
+        gradient, abs=1e-12
+    )
+
+
 def test_exception_in_the_callback_is_raised_after_the_solve(capfd: pytest.CaptureFixture[str]) -> None:
     def broken(info: IterationInfo) -> None:
         raise KeyError("my own mistake")

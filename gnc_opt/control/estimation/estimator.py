@@ -52,6 +52,14 @@ class Estimator:
     dt : float
         Control step, s.
     explanation : Explanation
+
+    Examples
+    --------
+    >>> from gnc_opt.control import Measurement
+    >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
+    >>> _, memory = ekf(0.0, [1.05], [0.0])
+    >>> print(np.round(ekf.estimate(memory), 3), np.round(np.sqrt(np.diag(ekf.covariance(memory))), 4))
+    [1.05 0.  ] [0.0022 0.02  ]
     """
 
     name: str
@@ -133,6 +141,14 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     ------
     ArgumentError
         They do not fit.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import Measurement
+    >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
+    >>> law = go.output_feedback(regulator, ekf)
+    >>> print(regulator.states.names, law.states.names)  # the speed is not measured any more
+    ('q', 'v') ('q',)
     """
     expect(controller, Controller, "what output_feedback() got", "give what a design function returned")
     expect(
@@ -147,7 +163,7 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     sent = _places(estimator.commands, controller.commands, "command", estimator.name, controller.name)
     _check_names(controller, estimator)
     step, start = _functions(controller, estimator, fed, sent)
-    told = controller.explanation
+    told, flight = controller.explanation, controller.flight
     return replace(
         controller,
         name=f"{controller.name}_{estimator.name}",
@@ -166,6 +182,9 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
             (*told.facts, *estimator.explanation.facts),
         ),
         unbridged=None,
+        flight=None
+        if flight is None
+        else replace(flight, controller=output_feedback(flight.controller, estimator)),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeAlias
 
@@ -32,6 +33,62 @@ _CONSISTENT = 1e-6
 """By how much the way there and back may miss the identity to first order."""
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FilterOptions:
+    """What filters can be told beside the model and the numbers of its noise.
+
+    Attributes
+    ----------
+    limits : tuple of two arrays (n_controls,) or numbers, optional
+        Lower and upper limits of the actuators: the prediction takes the command within them.
+    t0 : float
+        Time of the first control step, s; matters for the first value of delayed measurements that depend on time.
+    substeps : int
+        Integration steps per control step, each of two Runge-Kutta steps.
+    hold : int
+        Control steps in a row that should have brought a sample and brought none for which the prediction is told;
+        then what is no number, until the next sample is taken.
+    name : str, optional
+        For messages and reports; default "EKF" or "UKF".
+
+    Examples
+    --------
+    >>> from gnc_opt.control import FilterOptions, Measurement
+    >>> options = FilterOptions(substeps=2, hold=10, name="navigation")
+    >>> about = {"sigma0": {"q": 0.1, "v": 0.02}, "dt": 0.1}
+    >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], **about, options=options)
+    >>> print(ekf.name)
+    navigation
+    """
+
+    limits: Limits | None = None
+    t0: float = 0.0
+    substeps: int = 1
+    hold: int = HOLD
+    name: str | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class UnscentedOptions(FilterOptions):
+    """What an unscented filter can be told.
+
+    Attributes
+    ----------
+    kappa : float
+        Spread of the points, which lie at sqrt(n + kappa) standard deviations of n errors; >= 0, so that no weight is
+        negative. 0: the cubature filter; 3 - n fits the fourth moments of normal errors.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import Measurement, UnscentedOptions
+    >>> about = {"sigma0": {"q": 0.1, "v": 0.02}, "dt": 0.1}
+    >>> options = UnscentedOptions(kappa=1.0)  # 3 - n of two errors
+    >>> ukf = go.design_ukf(cart, [1, 0], [Measurement("q", 1e-3)], **about, options=options)
+    """
+
+    kappa: float = 0.0
+
+
 def design_ekf(
     model: Model,
     x0: ArrayLike | Mapping[str, ArrayLike],
@@ -40,11 +97,7 @@ def design_ekf(
     sigma0: Deviations,
     dt: float,
     process_noise: Deviations | None = None,
-    limits: Limits | None = None,
-    t0: float = 0.0,
-    substeps: int = 1,
-    hold: int = HOLD,
-    name: str = "EKF",
+    options: FilterOptions | None = None,
 ) -> Estimator:
     """Return an extended Kalman filter; multiplicative for states with a difference and a retraction.
 
@@ -63,16 +116,8 @@ def design_ekf(
     process_noise : mapping, optional
         White noise on the rates of states: standard deviation that it adds to the state, unit per square root of a
         second; 0 for those left out.
-    limits : tuple of two arrays (n_controls,) or numbers, optional
-        Lower and upper limits of the actuators: the prediction takes the command within them.
-    t0 : float
-        Time of the first control step, s; matters for the first value of delayed measurements that depend on time.
-    substeps : int
-        Integration steps per control step, each of two Runge-Kutta steps.
-    hold : int
-        Control steps in a row that should have brought a sample and brought none for which the prediction is told;
-        then what is no number, until the next sample is taken.
-    name : str
+    options : FilterOptions, optional
+        Limits of the actuators, integration, lost samples, name.
 
     Returns
     -------
@@ -83,8 +128,19 @@ def design_ekf(
     ArgumentError, DesignError, UnknownNameError, ModelError
         Bad numbers, unknown states, a measurement that depends on a control, a difference without a retraction or one
         that is not its inverse.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import Measurement
+    >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
+    >>> x, memory = ekf(0.0, [1.05], [0.0])
+    >>> print(np.round(x, 3))  # the sample is a hundred times better than the guess
+    [1.05 0.  ]
     """
-    design = _Design(model, x0, measurements, sigma0, process_noise, limits, dt, t0, substeps, hold, name)
+    told = _read_options(options, "EKF")
+    if isinstance(told, UnscentedOptions):
+        raise ArgumentError("design_ekf() has no points to spread: give FilterOptions(...).")
+    design = _Design(model, x0, measurements, (sigma0, process_noise or {}), dt, told)
     return design.estimator(Tangent(), "extended Kalman filter")
 
 
@@ -96,22 +152,16 @@ def design_ukf(
     sigma0: Deviations,
     dt: float,
     process_noise: Deviations | None = None,
-    limits: Limits | None = None,
-    kappa: float = 0.0,
-    t0: float = 0.0,
-    substeps: int = 1,
-    hold: int = HOLD,
-    name: str = "UKF",
+    options: FilterOptions | None = None,
 ) -> Estimator:
     """Return an unscented Kalman filter, which needs no derivatives; on the manifold as `design_ekf`.
 
     Parameters
     ----------
-    model, x0, measurements, sigma0, dt, process_noise, limits, t0, substeps, hold, name
+    model, x0, measurements, sigma0, dt, process_noise
         As for `design_ekf`.
-    kappa : float
-        Spread of the points, which lie at sqrt(n + kappa) standard deviations of n errors; >= 0, so that no weight is
-        negative. 0: the cubature filter; 3 - n fits the fourth moments of normal errors.
+    options : FilterOptions or UnscentedOptions, optional
+        The latter to choose the spread of the points.
 
     Returns
     -------
@@ -121,9 +171,19 @@ def design_ukf(
     ------
     ArgumentError, DesignError, UnknownNameError, ModelError
         As for `design_ekf`.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import Measurement
+    >>> ukf = go.design_ukf(cart, [1, 0], [Measurement("q", 1e-3)], sigma0={"q": 0.1, "v": 0.02}, dt=0.1)
+    >>> filtered = go.ClosedLoop(cart, go.output_feedback(regulator, ukf), sensors=loop.sensors)
+    >>> print(filtered.simulate([1.05, 0.01], tf=8.0).miss("q") < 0.01)
+    True
     """
+    told = _read_options(options, "UKF")
+    kappa = told.kappa if isinstance(told, UnscentedOptions) else 0.0
     spread = read_positive(kappa, "kappa of design_ukf()", or_zero=True)
-    design = _Design(model, x0, measurements, sigma0, process_noise, limits, dt, t0, substeps, hold, name)
+    design = _Design(model, x0, measurements, (sigma0, process_noise or {}), dt, told)
     return design.estimator(Regression(spread), "unscented Kalman filter")
 
 
@@ -135,23 +195,20 @@ class _Design:
         model: Model,
         x0: ArrayLike | Mapping[str, ArrayLike],
         measurements: Sequence[Measurement],
-        sigma0: Deviations,
-        process_noise: Deviations | None,
-        limits: Limits | None,
+        deviations: tuple[Deviations, Deviations],
         dt: float,
-        t0: float,
-        substeps: int,
-        hold: int,
-        name: str,
+        options: FilterOptions,
     ) -> None:
         expect(model, Model, "the model of an estimator", "give a Model")
-        self.name = read_label(name, "estimator")
+        self.name = name = read_label(options.name, "estimator")
         model.derivative()
         self.model, self.dt = model, read_positive(dt, f"the control step of '{name}'")
-        self.substeps = read_integer(substeps, f"substeps of '{name}'", 1)
-        self.hold = read_integer(hold, f"the number of steps without samples that '{name}' bridges", 0)
+        self.substeps = read_integer(options.substeps, f"substeps of '{name}'", 1)
+        self.hold = read_integer(
+            options.hold, f"the number of steps without samples that '{name}' bridges", 0
+        )
         self.x0 = _read_state(model, x0, name)
-        self.t0 = float(as_vector(t0, 1, f"t0 of '{name}'", ArgumentError)[0])
+        self.t0 = float(as_vector(options.t0, 1, f"t0 of '{name}'", ArgumentError)[0])
         _check_way_back(model, self.x0)
         given = [measurements] if isinstance(measurements, Measurement) else list(measurements)
         for each in given:
@@ -165,14 +222,15 @@ class _Design:
                     f"'{name}' measures '{of}' twice: declare an output of the model for the second sensor."
                 )
         self.augmented = AugmentedModel(model, given, self.dt)
+        sigma0, process_noise = deviations
         missing = [n for n in model.states.names if n not in sigma0]
         if missing:
             raise ArgumentError(
                 f"sigma0 of '{name}' does not tell how well '{missing[0]}' is known: give every state, 0 if exactly."
             )
-        self.limits = read_limits(model, limits)
+        self.limits = read_limits(model, options.limits)
         self.sigma0 = self.augmented.spread(_deviations(model, sigma0, f"sigma0 of '{name}'"), "bias")
-        noise = _deviations(model, process_noise or {}, f"process_noise of '{name}'")
+        noise = _deviations(model, process_noise, f"process_noise of '{name}'")
         self.noise = self.augmented.spread(noise, "bias_walk")
 
     def estimator(self, linearization: Approximation, title: str) -> Estimator:
@@ -269,6 +327,13 @@ class _Design:
         matrices = [np.asarray(m.full()) for m in found]
         sigma = np.concatenate([c.measurement.values("sigma", c.space.errors) for c in augmented.channels])
         return matrices[0], matrices[1], matrices[2], np.diag(sigma**2)
+
+
+def _read_options(options: FilterOptions | None, name: str) -> FilterOptions:
+    """Return the options with a name."""
+    told = FilterOptions() if options is None else options
+    expect(told, FilterOptions, f"the options of '{name}'", "give FilterOptions(...)")
+    return replace(told, name=name) if told.name is None else told
 
 
 def _read_state(model: Model, x0: ArrayLike | Mapping[str, ArrayLike], name: str) -> Array:

@@ -46,6 +46,11 @@ class Measurement:
     ------
     ArgumentError
         Numbers that cannot be meant.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import Measurement
+    >>> camera = Measurement("q", 0.01, period=1.0, delay=0.2, bias=0.05, gate=0.9999)
     """
 
     of: str

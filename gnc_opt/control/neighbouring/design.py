@@ -105,6 +105,13 @@ def design_neighbouring_optimal(
         condition; the message names what to do.
     ArgumentError
         A regulator of another model or without a reference, or bad numbers.
+
+    Examples
+    --------
+    >>> Q = go.bryson(cart.states, q=0.01, v=0.01)
+    >>> guided = go.design_neighbouring_optimal(solution, regulator, Q=Q, last=0.5)
+    >>> print(guided.explain()["switches"])
+    1
     """
     expect(solution, Solution, "the plan of design_neighbouring_optimal()", "give a refined Solution")
     expect(regulator, Controller, "the regulator of design_neighbouring_optimal()", "give design_lqr(...)")

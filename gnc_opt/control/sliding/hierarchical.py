@@ -86,6 +86,21 @@ def design_hierarchical_sliding_mode(
     ------
     DesignError
         The zero dynamics on S = 0 are unstable (with their eigenvalue), and as `design_sliding_mode`.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import ConstantRate, SaturationLayer
+    >>> crane = go.Model("trolley with a load")
+    >>> s, w = crane.state("s", unit="m"), crane.state("w", unit="m/s")
+    >>> angle, rate = crane.state("angle", unit="rad"), crane.state("rate", unit="rad/s")
+    >>> push = crane.control("push", unit="m/s^2")
+    >>> crane.ode({s: w, w: push, angle: rate, rate: -9.81 * angle - push})
+    >>> law = go.design_hierarchical_sliding_mode(
+    ...     *(crane, [0.0, 0.0, 0.0, 0.0]), outputs=("s", "angle"), slopes=[0.5, 1.0], weights=[1.0, -0.5],
+    ...     reaching=ConstantRate(0.5), boundary=SaturationLayer(0.1),
+    ... )
+    >>> print(go.ClosedLoop(crane, law, dt=0.02).simulate([1.0, 0.0, 0.0, 0.0], tf=30.0).miss("s") < 0.05)
+    True
     """
     reference = read_plant(model, reference, "design_hierarchical_sliding_mode")
     errors = hierarchical_errors(model, reference, outputs, slopes, weights)

@@ -43,6 +43,12 @@ class Sign:
     ----------
     slope : float
         Infinite; for the same interface as the layers.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import Sign
+    >>> print([float(Sign()(s)) for s in (-0.5, 0.0, 0.5)])
+    [-1.0, 0.0, 1.0]
     """
 
     slope: float = np.inf
@@ -79,7 +85,14 @@ class _Layer:
 
 @dataclass(frozen=True)
 class SaturationLayer(_Layer):
-    """sat(s / phi): linear inside the boundary layer |s| <= phi (unit of s)."""
+    """sat(s / phi): linear inside the boundary layer |s| <= phi (unit of s).
+
+    Examples
+    --------
+    >>> from gnc_opt.control import SaturationLayer
+    >>> print([float(SaturationLayer(0.1)(s)) for s in (-0.5, 0.05, 0.5)])
+    [-1.0, 0.5, 1.0]
+    """
 
     def __call__(self, s: Any) -> Any:
         """Return the soft sign, SX."""
@@ -92,7 +105,14 @@ class SaturationLayer(_Layer):
 
 @dataclass(frozen=True)
 class TanhLayer(_Layer):
-    """tanh(s / phi): smooth, never quite at full gain."""
+    """tanh(s / phi): smooth, never quite at full gain.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import TanhLayer
+    >>> print([f"{float(TanhLayer(0.1)(s)):.4f}" for s in (-0.5, 0.05, 0.5)])
+    ['-0.9999', '0.4621', '0.9999']
+    """
 
     def __call__(self, s: Any) -> Any:
         """Return the soft sign, SX."""
@@ -257,6 +277,16 @@ class SuperTwisting:
         (Unit of s)^(1/2) per second.
     k2 : float
         Unit of s per second squared.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import Sign, SuperTwisting
+    >>> law = go.design_sliding_mode(
+    ...     *(cart, [0.0, 0.0]), outputs="q", slopes=2.0, reaching=SuperTwisting(1.5, 1.1), boundary=Sign(),
+    ...     bound=0.2, dt=0.01,
+    ... )
+    >>> print(go.ClosedLoop(cart, law).simulate([1.0, 0.0], tf=8.0).miss("q") < 1e-3)
+    True
     """
 
     k1: float

@@ -97,6 +97,17 @@ def design_sliding_mode(
         Undefined relative degree, singular decoupling matrix, disturbances above the gain, gain above the
         authority, steps too long for the boundary layer or the slopes, unstable surface or zero dynamics, a start from
         which the limited loop does not come back.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import ConstantRate, SaturationLayer
+    >>> law = go.design_sliding_mode(
+    ...     *(cart, [0.0, 0.0]), outputs="q", slopes=2.0, bound=0.2,
+    ...     reaching=ConstantRate(0.5), boundary=SaturationLayer(0.1),
+    ... )
+    >>> u, _ = law(0.0, [1.0, 0.0], dt=0.01)
+    >>> print(u)  # far from the surface: the full rate
+    [-0.5]
     """
     reference = read_plant(model, reference, "design_sliding_mode")
     errors = output_errors(model, reference, outputs)

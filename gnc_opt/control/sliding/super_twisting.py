@@ -115,6 +115,16 @@ class SuperTwistingObserver:
         The k7 and k8 of Jia & Meng, J. Astronautics 43(10), 2022, eqs 16-18.
     bound : float
         Largest rate of the unknown part, in units of s per second squared; 0: constant.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import ConstantRate, SaturationLayer, SuperTwistingObserver
+    >>> law = go.design_sliding_mode(
+    ...     *(cart, [0.0, 0.0]), outputs="q", slopes=2.0, reaching=ConstantRate(0.5), boundary=SaturationLayer(0.1),
+    ...     observer=SuperTwistingObserver(1.5, 1.1, bound=0.2), dt=0.01,
+    ... )
+    >>> print(go.ClosedLoop(cart, law).simulate([1.0, 0.0], tf=8.0).miss("q") < 1e-3)
+    True
     """
 
     k1: float

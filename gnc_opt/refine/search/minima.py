@@ -40,6 +40,12 @@ class Minimum:
         Whether the solution has been refined, or comes from the coarse mesh.
     verdict_ok : bool
         Whether it passed the verdict; False if it was not judged.
+
+    Examples
+    --------
+    >>> (only,) = go.multistart(problem, n=2, seed=1, executor="serial", refine=False).minima
+    >>> print(f"{only.objective:.1f}", only.starts, only.refined)
+    2.0 (0, 1) False
     """
 
     solution: Solution

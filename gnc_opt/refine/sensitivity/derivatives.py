@@ -68,6 +68,12 @@ class Sensitivity:
     phases : mapping of PhaseSensitivity
     parameters : mapping of float or array
         Of the optimised parameters.
+
+    Examples
+    --------
+    >>> told = go.sensitivity(solution, initial="q")
+    >>> print(told.quantity, f"{told.final_time:.6f}")
+    initial value of 'q' in phase 'leg' 1.000000
     """
 
     quantity: str

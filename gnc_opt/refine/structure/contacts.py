@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -86,7 +87,7 @@ class StateConstraints:
         """Number of rows."""
         return len(self.samples.leg.path_labels) + self.samples.leg.states.size
 
-    @property
+    @cached_property
     def bounds(self) -> Interval:
         """Limits of all rows."""
         leg = self.samples.leg
@@ -95,10 +96,11 @@ class StateConstraints:
             np.concatenate([leg.path_bounds.upper, leg.state_bounds.upper]),
         )
 
-    def limits(self, row: int) -> tuple[tuple[ArcKind, float], tuple[ArcKind, float]]:
-        """Return both limits of a row, infinite where there is none."""
-        bounds = self.bounds
-        return (ArcKind.LOWER, float(bounds.lower[row])), (ArcKind.UPPER, float(bounds.upper[row]))
+    def limits(self, row: int) -> list[tuple[ArcKind, float]]:
+        """Return the limits that a row has."""
+        box = self.bounds
+        both = (ArcKind.LOWER, float(box.lower[row])), (ArcKind.UPPER, float(box.upper[row]))
+        return [(kind, limit) for kind, limit in both if np.isfinite(limit)]
 
     @property
     def scales(self) -> Array:

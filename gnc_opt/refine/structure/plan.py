@@ -16,9 +16,6 @@ from gnc_opt.transcription.mesh import Mesh
 FIRST_DEGREE, MAX_DEGREE = 6, 12
 """Collocation points of a piece to begin with, and of one segment at most; a piece that needs more is split."""
 
-SETTLED_DEGREE = 9
-"""Collocation points of a piece whose switch times are known: what most pieces need in the end pays at once."""
-
 SINGULAR_DEGREE, MAX_SINGULAR_DEGREE = 4, 28
 """Degree of the polynomial that a control is over a singular piece, to begin with and at most."""
 
@@ -104,12 +101,6 @@ class Plan:
         """Return a plan that starts with the coarsest resolution that suits a mesh of so many points."""
         first = tuple(_first_resolution(structure, k, points) for k in range(structure.pieces))
         return cls(structure, first, points)
-
-    @classmethod
-    def settled(cls, structure: PhaseStructure, points: float) -> Plan:
-        """Return a plan whose switch times are near their optimum."""
-        plan = cls.of(structure, points)
-        return replace(plan, resolutions=tuple(replace(r, degree=9) for r in plan.resolutions))
 
     def restructured(self, structure: PhaseStructure) -> Plan:
         """Return the plan of another structure, as coarse as at first; as loose if nothing else is touched."""
