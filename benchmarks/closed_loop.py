@@ -9,7 +9,7 @@ sides have an error per step far below the tolerance of that comparison.
 
 Four questions:
 
-1. Time per run on one processor, plain loop over campaign. The plain loop's time leaves design, gains and random
+1. Processor time per run, plain loop over campaign. The plain loop's time leaves design, gains and random
    numbers out; the campaign's has random numbers and parameters in. With building the loop, too: "built".
 2. Do the states at the end agree?
 3. How many runs a second does one processor fly, design, building and compiling not counted (TVLQR, integral sliding
@@ -150,21 +150,21 @@ def plain_inputs(campaign: Campaign, flight: Flight, index: int) -> tuple[dict[s
 def measure(runs: int, plain_runs: int, seed: int) -> dict[str, Any]:
     """Return all measurements as plain numbers."""
     tracking = Tracking(plan())
-    begin = time.perf_counter()
+    begin = time.process_time()
     serial = tracking.campaign("TVLQR", runs, seed, "serial")
-    built = time.perf_counter() - begin
+    built = time.process_time() - begin
     assert serial.flight is not None
     flight = serial.flight
-    begin = time.perf_counter()
+    begin = time.process_time()
     flight.final(serial.parameters, [[seed, i] for i in range(runs)])
-    flying = time.perf_counter() - begin
+    flying = time.process_time() - begin
 
     rows, seconds, apart = flight.schedule, [], 0.0
     for index in range(min(plain_runs, runs)):
         parameters, normal = plain_inputs(serial, flight, index)
-        begin = time.perf_counter()
+        begin = time.process_time()
         plain_run(flight, parameters, normal, rows, RTOL, ATOL)
-        seconds.append(time.perf_counter() - begin)
+        seconds.append(time.process_time() - begin)
         end = plain_run(flight, parameters, normal, rows)
         apart = max(apart, float(np.max(np.abs(end - serial.states[:, index]))))
 

@@ -1,7 +1,11 @@
 """The tables of docs/benchmarks.md: ``python -m benchmarks.page [NAME ...]`` measures what is named and writes them.
 
 Numbers are kept in ``benchmarks/numbers/NAME.json`` with command, date, machine and versions, and the page shows them
-all. Without a NAME nothing is measured anew.
+all. Without a NAME nothing is measured anew. What a benchmark needs to know of this machine follows behind two dashes,
+and what it has just written with its own ``--json`` need not be measured twice:
+
+    python -m benchmarks.page ocp_set -- FILE.json
+    python -m benchmarks.page peers --told peers.json -- --environments DIR
 """
 
 from __future__ import annotations
@@ -14,12 +18,15 @@ import os
 import platform
 import re
 import shlex
+import sys
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+from benchmarks.peers.compare import ACCURACIES, best
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "benchmarks.md"
@@ -32,11 +39,22 @@ Cells = Iterable[Sequence[str]]
 
 @dataclass(frozen=True)
 class Benchmark:
-    """What is called, and how its numbers become rows below a heading."""
+    """What is called, and how its numbers become rows below a heading.
+
+    Attributes
+    ----------
+    arguments : tuple of str
+    heading : tuple of str
+    rows : callable
+        Of what it told.
+    needs : str
+        What it must be told of the machine; "" for nothing.
+    """
 
     arguments: tuple[str, ...]
     heading: tuple[str, ...]
     rows: Callable[[Any], Cells]
+    needs: str = ""
 
 
 def _certified(told: Any) -> Cells:
@@ -87,6 +105,54 @@ def _refinement(told: Any) -> Cells:
     yield f"smallest by hand: {told['hand_mesh']}", str(told["hand_points"])
 
 
+def _closed_loop(told: Any) -> Cells:
+    yield "plain loop, SciPy's `solve_ivp` (s per run)", f"{told['plain_s_per_run']:.2f}"
+    yield "campaign (s per run)", f"{told['campaign_s_per_run']:.4f}"
+    yield "times as fast", f"{told['speed_up']:.0f}"
+    yield "times as fast, with design and building", f"{told['speed_up_built']:.0f}"
+    for law, rate in told["runs_per_s"].items():
+        yield f"{law}, in machine code (runs per s)", f"{rate:.0f}"
+    yield "states at the end apart by", _error(told["apart"])
+    yield "runs within all limits", f"{100 * told['pass_rate']:.1f} %"
+    yield "same bits on all processors", "yes" if told["same_bits"] else "no"
+
+
+def _ocp_set(told: Any) -> Cells:
+    for row in told:
+        counts = (str(row[key]) if row[key] is not None else "" for key in ("iterations", "refinements"))
+        errors = (_error(row[key]) for key in ("relative_error", "costate_error"))
+        yield (
+            row["name"],
+            *errors,
+            *counts,
+            f"{row['seconds']:.1f}",
+            _ending(row),
+            "yes" if row["passed"] else "no",
+        )
+
+
+def _ending(row: Any) -> str:
+    """What a solve ended with, or what its verdict leaves."""
+    if row["objective"] is None:
+        return str(row["status"]).replace("_", " ")
+    words = [] if row["verdict_ok"] else [f"fails {', '.join(row['failed'])}"] if row["failed"] else []
+    words += [f"cannot tell {', '.join(row['untold'])}"] if row["untold"] else []
+    return "; ".join(words) or "ok"
+
+
+def _peers(told: Any) -> Cells:
+    found = {
+        program: {way: {int(case): ran for case, ran in cases.items()} for way, cases in ways.items()}
+        for program, ways in told.items()
+    }
+    cases = sorted({case for ways in found.values() for ran in ways.values() for case in ran})
+    for some in ([cases[0]], cases) if len(cases) > 1 else (cases,):
+        which = f"case {some[0]}" if len(some) == 1 else f"mean of {len(some)} cases"
+        for program, ways in found.items():
+            cells = (best(ways, some, accuracy) for accuracy in ACCURACIES)
+            yield f"{program}, {which}", *("never" if cell is None else f"{cell[0]:.2g}" for cell in cells)
+
+
 def _error(value: float | None) -> str:
     return "" if value is None else f"{abs(value):.0e}" if value else "0"
 
@@ -126,27 +192,61 @@ BENCHMARKS = {
         ("problem", "first solve (s)", "refined and judged (s)", "off the reference", "ended", "verdict"),
         _problem_files,
     ),
+    "closed_loop": Benchmark(("--runs", "1000"), ("rendezvous followed by TVLQR", ""), _closed_loop),
+    "ocp_set": Benchmark(
+        (),
+        (
+            "problem",
+            "off the reference",
+            "costates off",
+            "iterations",
+            "passes",
+            "solved (s)",
+            "verdict or ending",
+            "as it should",
+        ),
+        _ocp_set,
+        needs="FILE.json",
+    ),
+    "peers": Benchmark(
+        (),
+        ("program", *(f"to {accuracy:g} s" for accuracy in ACCURACIES)),
+        _peers,
+        needs="--environments DIR",
+    ),
 }
 """Those that the page shows, by the name of their module."""
 
 
-def measure(name: str) -> None:
-    """Run a benchmark and keep its numbers, with what they depend on."""
+def measure(name: str, more: Sequence[str] = (), told: Path | None = None) -> None:
+    """Run a benchmark and keep its numbers, with what they depend on.
+
+    Parameters
+    ----------
+    name : str
+    more : sequence of str
+        Further arguments of the benchmark; of files and folders the page shows the last part.
+    told : Path, optional
+        What it has just written here, with these arguments: then it is not run again.
+    """
     NUMBERS.mkdir(exist_ok=True)
     load = os.getloadavg()[0]
     arguments = BENCHMARKS[name].arguments
     with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "out.json"
-        importlib.import_module(f"benchmarks.{name}").main([*arguments, "--json", str(out)])
-        told = json.loads(out.read_text(encoding="utf-8"))
+        out = Path(folder) / "out.json" if told is None else told
+        if told is None:
+            main_of = importlib.import_module(f"benchmarks.{name}").main
+            main_of([*arguments, *more, "--json", str(out)])
+        numbers = json.loads(out.read_text(encoding="utf-8"))
+    shown = [Path(each).name if Path(each).exists() else each for each in more]
     about = {
         "load": round(load),
-        "command": shlex.join(["python", "-m", f"benchmarks.{name}", *arguments]),
+        "command": shlex.join(["python", "-m", f"benchmarks.{name}", *arguments, *shown]),
         "date": datetime.date.today().isoformat(),
         "machine": machine(),
         "versions": {"python": platform.python_version()}
         | {package: version(package) for package in _PACKAGES},
-        "told": told,
+        "told": numbers,
     }
     (NUMBERS / f"{name}.json").write_text(
         json.dumps(about, indent=1, allow_nan=False) + "\n", encoding="utf-8"
@@ -171,15 +271,15 @@ def numbers(name: str) -> Any:
 
 
 def markdown(name: str) -> str:
-    """Return the table of a benchmark with its origin."""
+    """Return the table of a benchmark with its origin, or how to get it."""
     kept, benchmark = numbers(name), BENCHMARKS[name]
     if kept is None:
-        raise ValueError(f"nothing is known of {name}: run python -m benchmarks.page {name}.")
+        needs = f" -- {benchmark.needs}" if benchmark.needs else ""
+        return f"Not measured yet: `python -m benchmarks.page {name}{needs}` puts the table here.\n"
     busy = f", {kept['load']} other programs at work" if kept["load"] else ""
     versions = ", ".join(f"{package} {number}" for package, number in kept["versions"].items())
-    origin = (f"`{kept['command']}`", kept["date"], kept["machine"] + busy, versions)
-    told = _table(benchmark.heading, benchmark.rows(kept["told"]))
-    return f"{told}\n{_table(('measured by', 'on', 'machine', 'versions'), [origin])}"
+    origin = f"Measured by `{kept['command']}` on {kept['date']}: {kept['machine']}{busy}; {versions}."
+    return f"{_table(benchmark.heading, benchmark.rows(kept['told']))}\n{origin}\n"
 
 
 def _table(heading: Sequence[str], rows: Cells) -> str:
@@ -194,15 +294,26 @@ def written(text: str) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure what is named and write the page."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    split = given.index("--") if "--" in given else len(given)
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.page", description="The tables of docs/benchmarks.md."
+        prog="python -m benchmarks.page",
+        description="The tables of docs/benchmarks.md.",
+        epilog="What stands behind -- goes to the benchmark that is named: "
+        + ", ".join(f"{name} -- {each.needs}" for name, each in BENCHMARKS.items() if each.needs),
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"measured anew: {', '.join(BENCHMARKS)}")
-    for name in (given := parser.parse_args(arguments)).names:
+    parser.add_argument("--told", type=Path, metavar="FILE", help="what it has just written by its --json")
+    options, more = parser.parse_args(given[:split]), given[split + 1 :]
+    for name in options.names:
         if name not in BENCHMARKS:
             parser.error(f"the page has no table of {name}: choose among {', '.join(BENCHMARKS)}")
-    for name in given.names:
-        measure(name)
+        if BENCHMARKS[name].needs and not more:
+            parser.error(f"{name} needs to be told {BENCHMARKS[name].needs}: write it behind --")
+    if (more or options.told) and len(options.names) != 1:
+        parser.error("--told and what stands behind -- are for one benchmark: name one")
+    for name in options.names:
+        measure(name, more, options.told)
     PAGE.write_text(written(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
     return 0
 

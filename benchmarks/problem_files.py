@@ -72,7 +72,7 @@ def measure(name: str, variant: str, tol: float, limit: float) -> Row:
         return Row(
             name, variant, first_s, first_s, first.status.value, first.objective, float("nan"), "not solved"
         )
-    solution = go.refine(first, tol=tol, max_wall_time=limit)
+    solution = go.refine(first, tol=tol, limits=go.RefinementLimits(max_wall_time=limit))
     verdict = go.verify(solution)
     cpu_s = time.process_time() - start
     assert solution.history is not None

@@ -22,7 +22,16 @@ from gnc_opt.problem import Phase, Problem
 from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.problem.guess.data import guess_from_data
 from gnc_opt.problem.guess.simulate import simulate_guess
-from gnc_opt.refine import History, Minimum, Multistart, RefinementStatus, multistart, polish, refine
+from gnc_opt.refine import (
+    History,
+    Minimum,
+    Multistart,
+    RefinementLimits,
+    RefinementStatus,
+    multistart,
+    polish,
+    refine,
+)
 from gnc_opt.refine.sensitivity.derivatives import Sensitivity
 from gnc_opt.refine.sensitivity.sensitivity import sensitivity
 from gnc_opt.resolve import Resolver
@@ -88,6 +97,7 @@ __all__ = [
     "ProblemError",
     "ProblemWarning",
     "Reference",
+    "RefinementLimits",
     "RefinementStatus",
     "Resolver",
     "Result",

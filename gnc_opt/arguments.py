@@ -62,6 +62,8 @@ def read_positive(value: Any, what: str, error: ErrorType = ArgumentError, *, or
 
 def read_numbers(value: Any, what: str, error: ErrorType = ArgumentError) -> Array:
     """Return numbers as a new float array of their own shape; texts, ``None`` and expressions are refused."""
+    if type(value) is np.ndarray and value.dtype == float:  # by far the most frequent
+        return value.copy()
     if isinstance(value, ca.DM):
         value = value.full()
     if _symbolic(value):

@@ -12,6 +12,7 @@ from gnc_opt.arguments import expect, read_positive
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
+from gnc_opt.refine.limits import RefinementLimits
 from gnc_opt.refine.refine import StructureChoice, refine
 from gnc_opt.refine.structure.variation import KnownFlight
 from gnc_opt.solution.failure import SolveError, failure_message
@@ -130,7 +131,8 @@ def solve(
     def refined(found: Solution) -> Solution:
         limit = options.max_wall_time
         left = None if limit is None else max(limit - (time.perf_counter() - begin), SHORTEST)
-        found = refine(found, tol=tol, structure=structure, max_wall_time=left, progress=progress)
+        limits = RefinementLimits(max_wall_time=left)
+        found = refine(found, tol=tol, structure=structure, limits=limits, progress=progress)
         return found if guess is None else said(found, Way.WARM)
 
     final = refined(solution)

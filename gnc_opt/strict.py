@@ -33,6 +33,8 @@ class Strict:
     if not TYPE_CHECKING:  # a type checker must go on refusing misspelt attributes by itself
 
         def __getattr__(self, name: str) -> Any:
+            if name.startswith("__"):  # Python asks for its protocols, and expects most of them to be missing
+                raise AttributeError(name)
             raise _unknown(self, name)
 
 

@@ -10,7 +10,7 @@ dynamics, is left to itself and has to be stable.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -26,7 +26,6 @@ from gnc_opt.control.guard import (
     GROWTH,
     GUARD,
     GuardedLaw,
-    Inverse,
     check_zero_dynamics,
     determinant_on,
     guarded_controller,
@@ -36,7 +35,7 @@ from gnc_opt.control.lie import OutputErrors, Outputs, given_for, output_errors
 from gnc_opt.control.limits import Authority, Limits, read_limits, require_reserve
 from gnc_opt.control.poles import real_polynomial
 from gnc_opt.control.reference import Reference, read_plant
-from gnc_opt.control.rehearsal import FINENESS, Path, Rehearsal, limit_facts, rehearse
+from gnc_opt.control.rehearsal import FINENESS, Path, Rehearsal, Trial, limit_facts, rehearse
 from gnc_opt.control.sampling import spectral_radius, zero_order_hold
 from gnc_opt.control.schedule import reference_times
 from gnc_opt.errors import DesignError
@@ -143,6 +142,10 @@ def design_feedback_linearization(
                 f"the fallback gain has the shape {spare_gain.shape}: give {shape}, controls by errors."
             )
         spare = pair.u_ref - ca.DM(spare_gain) @ model.error_expression(pair.x, pair.x_ref)
+
+    def watch(path: Path) -> Fact:
+        return determinant_on(path, errors, reference, inverse, guard)
+
     return guarded_controller(
         name,
         pair,
@@ -152,7 +155,7 @@ def design_feedback_linearization(
         explanation=Explanation(f"feedback linearisation of '{model.name}'", tuple(facts)),
         rehearsal=None
         if start is None
-        else _rehearsal(errors, reference, inverse, closed, start, authority, dt, guard),
+        else _rehearsal(errors, reference, closed, start, authority, dt, watch),
     )
 
 
@@ -274,22 +277,18 @@ def _sampling_facts(errors: OutputErrors, gain: Array, dt: float | None) -> list
 def _rehearsal(
     errors: OutputErrors,
     reference: Reference,
-    inverse: Inverse,
     poles: Array,
     start: ArrayLike,
     limits: Authority | None,
     dt: float | None,
-    guard: float,
+    watch: Callable[[Path], Fact],
 ) -> Rehearsal:
-    """Return the rehearsal of a start, which refuses a way on which E becomes singular."""
+    """Return the rehearsal of a start; ``watch`` tells of the way, or refuses it."""
     span = max(_SPAN / float(np.min(-poles.real)), reference.duration)
     step = FINENESS / float(np.max(np.abs(poles))) if dt is None else dt
 
-    def watch(path: Path) -> Fact:
-        return determinant_on(path, errors, reference, inverse, guard)
-
     def rehearsal(controller: Controller) -> list[Fact]:
-        path = rehearse(controller, errors, reference, start, limits, dt=step, span=span, watch=watch)
+        path = rehearse(controller, Trial(errors, reference, start, limits, step, span), watch)
         return [watch(path), *limit_facts(path, limits, step)]
 
     return rehearsal

@@ -1,13 +1,13 @@
 """Flight code: a controller as self-contained C99, with its schedule, a header that names everything and a driver.
 
 Three files: ``<name>.h`` (sizes, indices, names, units), ``<name>.c`` (the law and the schedule's table) and
-``<name>_main.c`` (a driver for tests). No library beside the C mathematics is needed, no memory is allocated, and
-no loop depends on data. The order of operations is that of the symbolic law, so results agree to rounding.
+``<name>_main.c`` (a driver for tests). No library beside the C mathematics is needed, and no memory is allocated. The
+order of operations is that of the symbolic law, so results agree to rounding, and no loop depends on data; but for the
+quadratic programme of `design_mpc`, which is solved by a method of its own with a bounded number of iterations.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,8 @@ import numpy as np
 from gnc_opt.arguments import expect, read_name
 from gnc_opt.arrays import Array
 from gnc_opt.control.c_expressions import c_statements
-from gnc_opt.control.controller import Controller
+from gnc_opt.control.c_numbers import DOUBLE
+from gnc_opt.control.controller import Controller, FlightLaw
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout
 
@@ -29,8 +30,6 @@ _C_HEADERS = frozenset({
     "stddef", "stdint", "stdio", "stdlib", "string", "tgmath", "time", "wchar", "wctype",
 })  # fmt: skip
 """Standard headers of C99, without suffix (ISO/IEC 9899:1999, 7.1.2)."""
-_LINE = 8
-"""Numbers on a line of the table."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +78,7 @@ def export_c(
     Parameters
     ----------
     controller : Controller
-        With a law of elementary operations (all but `design_mpc`).
+        What a design function or `output_feedback` returned.
     directory : path
         Made if it is not there.
     dt : float, optional
@@ -97,7 +96,7 @@ def export_c(
     Raises
     ------
     ArgumentError
-        The law holds operations that have no C (a QP), the schedule still changes after the span, nobody knows dt or
+        The law holds operations that have no C, the schedule still changes after the span, nobody knows dt or
         the span, or the files would be called like a header of C.
 
     Examples
@@ -109,15 +108,17 @@ def export_c(
     expect(controller, Controller, "what export_c() got", "give what a design function returned")
     dt = controller.step_length(dt)
     prefix = _read_prefix(_identifier(controller.name) if name is None else name)
-    step = _elementary(controller.step, controller.name)
-    start = _elementary(controller.start, controller.name)
-    first, table = _table(controller, dt, span)
+    form = flight_form(controller)
+    if form.solver is not None and span is not None:
+        raise ArgumentError(f"'{controller.name}' knows the span of its schedule: leave it out.")
+    step, start = (_elementary(f, form) for f in (form.controller.step, form.controller.start))
+    first, table = _table(form.controller, dt, span)
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
     files = {
-        f"{prefix}.h": _header(controller, prefix, dt, first, table.shape[0], (start, step)),
-        f"{prefix}.c": _source(controller, prefix, table, step, start),
-        f"{prefix}_main.c": _driver(controller, prefix),
+        f"{prefix}.h": _header(form, prefix, dt, first, table.shape[0], (start, step)),
+        f"{prefix}.c": _source(form, prefix, table, step, start),
+        f"{prefix}_main.c": _driver(form.controller, prefix),
     }
     for file, text in files.items():
         (folder / file).write_text(text, encoding="ascii")
@@ -135,16 +136,22 @@ def _read_prefix(name: str) -> str:
     return prefix
 
 
-def _elementary(function: Any, name: str) -> Any:
+def flight_form(controller: Controller) -> FlightLaw:
+    """Return the controller as flight code has it: itself, unless it solves a problem at every step."""
+    return FlightLaw(controller) if controller.flight is None else controller.flight
+
+
+def _elementary(function: Any, form: FlightLaw) -> Any:
     """The function as scalar operations."""
-    remedy = "only closed laws can be written as C, for example design_tvlqr()."
-    what = f"the law of '{name}' is not made of elementary operations (it solves a problem at every step)"
+    what = f"the law of '{form.controller.name}' is not made of elementary operations (it calls another function)"
+    remedy = "write it with functions of its own symbols, or take a law of a design function."
     try:
         scalar = function if function.is_a("SXFunction") else function.expand()
     except RuntimeError as error:
         raise ArgumentError(f"{what}: {remedy}") from error
     # CasADi may keep a solver as one call among scalar operations
-    if any(scalar.instruction_id(k) == ca.OP_CALL for k in range(scalar.n_instructions())):
+    calls = any(scalar.instruction_id(k) == ca.OP_CALL for k in range(scalar.n_instructions()))
+    if calls and form.solver is None:
         raise ArgumentError(f"{what}: {remedy}")
     return scalar
 
@@ -175,9 +182,10 @@ def _table(controller: Controller, dt: float, span: tuple[float, float] | None) 
 
 
 def _header(
-    controller: Controller, prefix: str, dt: float, first: float, rows: int, functions: tuple[Any, Any]
+    form: FlightLaw, prefix: str, dt: float, first: float, rows: int, functions: tuple[Any, Any]
 ) -> str:
-    upper = prefix.upper()
+    upper, controller = prefix.upper(), form.controller
+    bounded = "at most" if form.solver is not None else "the same at every step, whatever the data"
     sizes = {
         "N_STATES": controller.states.size,
         "N_COMMANDS": controller.commands.size,
@@ -191,12 +199,12 @@ def _header(
         f"#define {upper}_H",
         "",
         *(f"#define {upper}_{key} {value}" for key, value in sizes.items()),
-        f"#define {upper}_DT {_number(dt)} /* control step, s */",
-        f"#define {upper}_T0 {_number(first)} /* time of the first row of the schedule, s */",
+        f"#define {upper}_DT {DOUBLE(dt)} /* control step, s */",
+        f"#define {upper}_T0 {DOUBLE(first)} /* time of the first row of the schedule, s */",
         "",
-        "/* The same at every step, whatever the data: no loop depends on them, and no memory is allocated. */",
-        f"#define {upper}_OPERATIONS {operations(functions[1])} /* of a step: arithmetic, comparisons, calls */",
-        f"#define {upper}_STACK {stack_bytes(controller, *functions)} /* bytes of the arrays on the stack, at most */",
+        f"/* Of a step, {bounded}; no memory is allocated. */",
+        f"#define {upper}_OPERATIONS {operations(form, functions[1])} /* arithmetic, comparisons, calls */",
+        f"#define {upper}_STACK {stack_bytes(form, *functions)} /* bytes of the arrays on the stack, at most */",
         "",
         "/* What the arrays hold, with units:",
     ]
@@ -228,17 +236,23 @@ def _header(
     return "\n".join(lines)
 
 
-def _source(controller: Controller, prefix: str, table: Array, step: Any, start: Any) -> str:
-    upper = prefix.upper()
+def _source(form: FlightLaw, prefix: str, table: Array, step: Any, start: Any) -> str:
+    upper, controller, numbers = prefix.upper(), form.controller, DOUBLE
     signals, memory = controller.signals.size, controller.memory.size
     lines = [f'#include "{prefix}.h"', "", "#include <math.h>", ""]
     if signals:
-        numbers = ["{" + _wrapped(_number(v) for v in row) + "}" for row in table]
         lines += [
-            f"static const double schedule[{upper}_N_ROWS][{upper}_N_SIGNALS] = {{",
-            ",\n".join(numbers),
-            "};",
+            f"static const double schedule[{upper}_N_ROWS][{upper}_N_SIGNALS] = {numbers.nested(table)};",
             "",
+        ]
+    if form.solver is not None:
+        lines += [
+            "static const double *row_of(long k)",
+            "{",
+            f"    return schedule[k < {upper}_N_ROWS ? k : {upper}_N_ROWS - 1];",
+            "}",
+            "",
+            form.solver.text(numbers),
         ]
     lines += _function("start", ["t", "x", "r"], ["z"], start)
     lines += _function("step", ["t", "x", "r", "z"], ["u", "z_next"], step)
@@ -353,37 +367,23 @@ def _driver(controller: Controller, prefix: str) -> str:
 _MOVES = (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_ASSIGN)
 """Instructions that compute nothing."""
 
-_DOUBLE = 8
-"""Bytes of a double."""
+
+def operations(form: FlightLaw, step: Any) -> int:
+    """Return of how many operations a step consists, at most: arithmetic, comparisons, calls."""
+    own = sum(step.instruction_id(k) not in _MOVES for k in range(step.n_instructions()))
+    return own + (0 if form.solver is None else form.solver.operations)
 
 
-def operations(function: Any) -> int:
-    """Return how many operations an SX function consists of: arithmetic, comparisons, calls."""
-    return sum(function.instruction_id(k) not in _MOVES for k in range(function.n_instructions()))
-
-
-def stack_bytes(controller: Controller, start: Any, step: Any) -> int:
+def stack_bytes(form: FlightLaw, start: Any, step: Any) -> int:
     """Return how many bytes the local arrays of the larger of two functions take, with those of its caller."""
-    row, memory = max(controller.signals.size, 1), max(controller.memory.size, 1)
-    return int(_DOUBLE * (row + max(start.sz_w(), step.sz_w() + memory)))
+    row, memory = max(form.controller.signals.size, 1), max(form.controller.memory.size, 1)
+    solver = 0 if form.solver is None else form.solver.stack
+    return int(DOUBLE.size * (row + max(start.sz_w(), step.sz_w() + memory + solver)))
 
 
 def _entries(layout: Layout) -> list[str]:
     pairs = zip(layout.labels, layout.units, strict=True)
     return [_plain(f"[{i}] {label}, {unit or '-'}") for i, (label, unit) in enumerate(pairs)]
-
-
-def _wrapped(numbers: Iterable[str]) -> str:
-    entries = list(numbers)
-    lines = [", ".join(entries[i : i + _LINE]) for i in range(0, len(entries), _LINE)]
-    return ",\n    ".join(lines)
-
-
-def _number(value: float) -> str:
-    text = repr(float(value))
-    if not np.isfinite(value):
-        raise ArgumentError(f"the flight code would hold the number {text}: a schedule must be finite.")
-    return text
 
 
 def _identifier(name: str) -> str:

@@ -75,18 +75,32 @@ class Path:
         return np.asarray(np.any((self.wanted < below) | (self.wanted > above), axis=0))
 
 
-def rehearse(
-    controller: Controller,
-    errors: OutputErrors,
-    reference: Reference,
-    start: ArrayLike,
-    limits: Authority | None,
-    *,
-    dt: float,
-    span: float,
-    watch: Callable[[Path], object],
-) -> Path:
-    """Fly a law from ``start`` (n_states,) for ``span`` (s), longer where limits hold the errors up.
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """What a law is to show.
+
+    Attributes
+    ----------
+    errors : OutputErrors
+    reference : Reference
+    start : array (n_states,)
+    limits : Authority or None
+    dt : float
+        Control step, s.
+    span : float
+        How long, s.
+    """
+
+    errors: OutputErrors
+    reference: Reference
+    start: ArrayLike
+    limits: Authority | None
+    dt: float
+    span: float
+
+
+def rehearse(controller: Controller, trial: Trial, watch: Callable[[Path], object]) -> Path:
+    """Fly a law from the start for the span of a trial, longer where limits hold the errors up.
 
     ``watch`` is shown the path as it grows, and may refuse it.
 
@@ -95,9 +109,10 @@ def rehearse(
     DesignError
         The state leaves all bounds, or the limits keep the output errors from coming down.
     """
-    x = as_vector(start, errors.pair.x.numel(), "the state at the start", DesignError)
+    errors, reference, limits, dt = trial.errors, trial.reference, trial.limits, trial.dt
+    x = as_vector(trial.start, errors.pair.x.numel(), "the state at the start", DesignError)
     t = reference.initial_time
-    count = int(np.clip(np.ceil(span / dt), 100, _MOST_STEPS))
+    count = int(np.clip(np.ceil(trial.span / dt), 100, _MOST_STEPS))
     act = _step(controller, errors, reference, limits, dt).mapaccum(count)
     state = np.concatenate([x, controller.initial_memory(t, x, dt)])
     values = evaluate_columns(_outputs(errors), [t], x[:, None], reference.x([t]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,37 @@ def evaluate(function: Any, t: ArrayLike, x: ArrayLike, *others: ArrayLike) -> A
     return found if times.ndim else found[:, 0]
 
 
+def fast_call(function: Any, *constants: ArrayLike) -> Callable[..., Array]:
+    """Return a CasADi function's first output at one point, without conversion overhead, for integrators.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        With dense arguments and output.
+    *constants : array
+        Its last arguments, once and for all; what is returned takes the others.
+    """
+    arguments = [np.zeros(function.size1_in(i)) for i in range(function.n_in())]
+    free = len(arguments) - len(constants)
+    for argument, value in zip(arguments[free:], constants, strict=True):
+        argument[:] = value
+    result = np.zeros(function.size1_out(0))
+    buffer, run = function.buffer()
+    for i, argument in enumerate(arguments):
+        if argument.size:
+            buffer.set_arg(i, memoryview(argument.data))
+    if result.size:
+        buffer.set_res(0, memoryview(result.data))
+
+    def call(*values: ArrayLike, _keep_alive: Any = buffer) -> Array:
+        for argument, value in zip(arguments[:free], values, strict=True):
+            argument[:] = value
+        run()
+        return result.copy()
+
+    return call
+
+
 def evaluate_columns(function: Any, n: int, *arguments: Array) -> Array:
     """Evaluate a CasADi function of columns n times, its first output as columns of the result, (rows, n).
 
@@ -38,6 +70,9 @@ def evaluate_columns(function: Any, n: int, *arguments: Array) -> Array:
     *arguments : array (rows,) or (rows, n)
         What stays the same, or one column each time; double precision.
     """
+    pattern = function.sparsity_out(0)
+    if not pattern.nnz():
+        return np.zeros((pattern.numel(), n))
     block = max(min(n, BLOCK), 1)
     mapped = function.map(block) if block > 1 else function
     buffer, run = mapped.buffer()
@@ -52,9 +87,8 @@ def evaluate_columns(function: Any, n: int, *arguments: Array) -> Array:
         if here.size:
             buffer.set_arg(i, here.reshape(-1).data)
         kept.append(here)
-    results = np.empty((block, function.nnz_out(0)))
-    if results.size:
-        buffer.set_res(0, results.reshape(-1).data)
+    results = np.empty((block, pattern.nnz()))
+    buffer.set_res(0, results.reshape(-1).data)
     found = np.empty((n, results.shape[1]))
     for first in range(0, n, block):
         places = slice(first, min(first + block, n))
@@ -62,7 +96,6 @@ def evaluate_columns(function: Any, n: int, *arguments: Array) -> Array:
             here[: places.stop - first] = argument[places]
         run()
         found[places] = results[: places.stop - first]
-    pattern = function.sparsity_out(0)
     if pattern.is_dense():
         return np.ascontiguousarray(found.T)
     dense = np.zeros((pattern.numel(), n))

@@ -29,6 +29,10 @@ class EndedError(Exception):
     """Integration cannot go on; the message says why and where."""
 
 
+class SpentError(EndedError):
+    """The evaluations that were allowed are spent."""
+
+
 class Budget:
     """Counts evaluations of dynamics, and remembers the earliest time at which they are not finite.
 
@@ -36,10 +40,13 @@ class Budget:
     ----------
     labels : sequence of str
         Names of the states.
+    most : int, optional
+        At most so many evaluations; default: `MOST_RATES`.
     """
 
-    def __init__(self, labels: Sequence[str]) -> None:
+    def __init__(self, labels: Sequence[str], most: int | None = None) -> None:
         self.labels = labels
+        self.most = MOST_RATES if most is None else most
         self.count = self.not_finite = 0
         self.earliest, self.edge = np.inf, ""
 
@@ -51,8 +58,8 @@ class Budget:
             self.count += 1
             if not np.isfinite(values).all():
                 self._note(t, x, values)
-            if self.count > MOST_RATES:
-                raise EndedError(f"{MOST_RATES:,} evaluations of the dynamics led to t = {t:.4g} s only")
+            if self.count > self.most:
+                raise SpentError(f"{self.most:,} evaluations of the dynamics led to t = {t:.4g} s only")
             return values
 
         return counted
@@ -66,6 +73,25 @@ class Budget:
             self.edge = f"the rate of state '{self.labels[i]}' is {values[i]} at t = {round(t, 15):.4g} s"
         if self.not_finite > MOST_NOT_FINITE:
             raise EndedError(self.edge or "the state is no number")
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """How exactly dynamics are integrated, and by which kind of method.
+
+    Attributes
+    ----------
+    relative : float
+        The absolute tolerance is this times each state's magnitude.
+    magnitude : array (n_states,)
+        Of the states; `DIVERGED` is measured in it.
+    stiff : bool
+        Implicitly, by Radau's method of order 5: its steps are those of the motion, not of what decays at once.
+    """
+
+    relative: float
+    magnitude: Array
+    stiff: bool = False
 
 
 @dataclass(frozen=True)
@@ -92,13 +118,12 @@ def integrate(
     left: float,
     right: float,
     *,
-    rtol: float,
-    magnitude: Array,
+    tolerance: Tolerance,
     budget: Budget,
     stop: Callable[[float, Array], float] | None = None,
     dense: bool = False,
 ) -> Integration:
-    """Integrate dx/dt = rate(t, x) from ``left`` to ``right`` by DOP853.
+    """Integrate dx/dt = rate(t, x) from ``left`` to ``right`` by DOP853, or by Radau's implicit method.
 
     Parameters
     ----------
@@ -106,10 +131,7 @@ def integrate(
     x : array (n_states,)
         Initial state.
     left, right : float
-    rtol : float
-        Relative tolerance; the absolute one is ``rtol`` times each state's magnitude.
-    magnitude : array (n_states,)
-        Of the states; `DIVERGED` is measured in it.
+    tolerance : Tolerance
     budget : Budget
         May be shared by several calls.
     stop : callable, optional
@@ -119,12 +141,14 @@ def integrate(
 
     Raises
     ------
+    SpentError
+        They take too many evaluations.
     EndedError
-        The dynamics are not finite, diverge or take too many evaluations.
+        The dynamics are not finite, or diverge.
     """
 
     def diverged(_: float, state: Array) -> float:
-        return float(DIVERGED - np.max(np.abs(state) / magnitude))
+        return float(DIVERGED - np.max(np.abs(state) / tolerance.magnitude))
 
     def stopped(t: float, state: Array) -> float:
         return np.inf if stop is None else stop(t, state)
@@ -138,12 +162,14 @@ def integrate(
                 budget.watched(rate),
                 (left, right),
                 x,
-                method="DOP853",
-                rtol=rtol,
-                atol=rtol * magnitude,
+                method="Radau" if tolerance.stiff else "DOP853",
+                rtol=tolerance.relative,
+                atol=tolerance.relative * tolerance.magnitude,
                 events=events,
                 dense_output=dense,
             )
+    except SpentError as error:
+        raise EndedError(budget.edge) if budget.edge else error from None
     except EndedError as error:
         raise EndedError(budget.edge or str(error)) from None
     if run.t_events is not None and run.t_events[0].size:

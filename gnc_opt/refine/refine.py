@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -15,6 +16,7 @@ from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.hp.mesh_refinement import ROOMY, refine_mesh
+from gnc_opt.refine.limits import RefinementLimits
 from gnc_opt.refine.passes import PassLimits, pass_record
 from gnc_opt.refine.structure.detect import affine_channels, regular_channels, structures_of
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
@@ -57,10 +59,7 @@ def refine(
     *,
     tol: float = 1e-8,
     structure: StructureChoice = "auto",
-    max_passes: int = 40,
-    max_points: int = 1000,
-    max_work: float = 15.0,
-    max_wall_time: float | None = None,
+    limits: RefinementLimits | None = None,
     options: SolverOptions | None = None,
     progress: bool = False,
 ) -> Solution:
@@ -80,18 +79,8 @@ def refine(
         arcs and arcs on state bounds.
         ``"auto"``: the latter where the structure has more than one piece, if the result passes the verdict; else hp,
         and the structure again after a few passes and at the end if that does not pass.
-    max_passes : int
-        At most so many solves (of each attempt, where structure and mesh are tried in turn).
-    max_points : int
-        At most so many collocation points in any phase.
-    max_work : float
-        No pass on a mesh begins when these have cost this many times what the given solution did, counted in
-        iterations at one collocation point (`Pass.work`), so that it ends in the same place on every machine. What
-        costs a few seconds (`LEAST_WORK`) is allowed in any case, twice as much of either while the error falls to a
-        third or less from pass to pass; ``math.inf`` allows everything. A structure that is tried unasked may cost half
-        as much before, and a quarter each time that a finer mesh shows another.
-    max_wall_time : float, optional
-        Limit in s on all of it; then, and after Ctrl-C, the best solution so far is returned, without a verdict.
+    limits : RefinementLimits, optional
+        On passes, points, work and wall time. At a limit, and after Ctrl-C, the best solution so far is returned.
     options : SolverOptions, optional
         For the solves; a limit on wall time in it is that of one solve.
     progress : bool
@@ -123,14 +112,14 @@ def refine(
         raise ProblemError(
             f"refine() knows no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
         )
-    if max_work != math.inf:
-        read_positive(max_work, "max_work of refine()")
     begin = time.perf_counter()
-    limit = math.inf if max_wall_time is None else read_positive(max_wall_time, "max_wall_time of refine()")
+    limits = limits or RefinementLimits()
+    expect(limits, RefinementLimits, "the limits of refine()", "write RefinementLimits(max_points=500)")
     _check(solution)
     solution = _released(solution)
-    work = max(max_work * _work(solution), LEAST_WORK)
-    task = _Task(solution, tol, max_passes, max_points, work, options, begin + limit, progress)
+    work = max(limits.max_work * _work(solution), LEAST_WORK)
+    deadline = math.inf if limits.max_wall_time is None else begin + limits.max_wall_time
+    task = _Task(solution, tol, limits.max_passes, limits.max_points, work, options, deadline, progress)
     attempts = task.attempted
     try:
         for attempt in task.attempts(structure):
@@ -186,12 +175,27 @@ class _Attempt:
         """Whether Ctrl-C or the limit on time ended it."""
         return self.history.status is RefinementStatus.INTERRUPTED
 
+    @cached_property
+    def verdict(self) -> Verdict:
+        """On its solution."""
+        return verify(self.solution)
+
     @property
     def final(self) -> bool:
         """Whether nothing else is worth trying: it has been stopped, or it came to rest and passes the verdict."""
         if self.stopped or not self.history.final.solved:  # whose solution is the one that it began with
             return self.stopped
-        return (self.history.converged or not self.solution.structure) and verify(self.solution).ok
+        return (self.history.converged or not self.solution.structure) and self.verdict.ok
+
+    @property
+    def resolvable(self) -> bool:
+        """Whether a condition of the verdict is open that a finer mesh can meet: not only those on the second order."""
+        return any(not condition.sufficient for condition in self.verdict.open)
+
+    @property
+    def nearly_ok(self) -> bool:
+        """Whether every necessary condition of the verdict holds but for what a finer mesh may take away."""
+        return all(c.sufficient or c.value < NEARLY for c in self.verdict.open)
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +236,7 @@ class _Task:
             yield by_mesh
             yield from self._unasked(by_mesh.solution, AGAIN)
         for k in range(1, FURTHER + 1):
-            if not by_mesh.history.converged or not _resolvable(by_mesh.solution) or self._left <= 0:
+            if not by_mesh.history.converged or not by_mesh.resolvable or self._left <= 0:
                 return
             by_mesh = self._by_mesh(by_mesh.solution, self.tol * TIGHTER**k, self.max_passes)
             yield by_mesh
@@ -257,7 +261,7 @@ class _Task:
         """Return where refining the mesh begins: at a structure that is nearly right, its boundaries on the kinks."""
         for a in self.attempted:
             small = a.history.final.points <= ROOMY
-            if a.error <= CLOSE * self.tol and small and _nearly_ok(a.solution):
+            if a.error <= CLOSE * self.tol and small and a.nearly_ok:
                 return replace(a.solution, structure=())
         return self.solution
 
@@ -326,20 +330,12 @@ class _Task:
         )
 
 
-def _resolvable(solution: Solution) -> bool:
-    """Whether a condition of the verdict is open that a finer mesh can meet: not only those on the second order."""
-    return any(not condition.sufficient for condition in verify(solution).open)
-
-
-def _nearly_ok(solution: Solution) -> bool:
-    """Whether every necessary condition of the verdict holds but for what a finer mesh may take away."""
-    return all(c.sufficient or c.value < NEARLY for c in verify(solution).open)
-
-
 def _switches(solution: Solution, found: Mapping[str, PhaseStructure], at_least: int) -> bool:
     """Whether some control can have switches or kinks and the structure has more pieces than that."""
     for name, samples in solution.samples().items():
         if np.any(affine_channels(samples)) and found[name].pieces > at_least:
+            return True
+        if any(found[name].touches[0] + found[name].touches[-1]):
             return True
         # Controls that H determines have nothing to settle if they stay between their bounds.
         if np.any(regular_channels(samples)) and found[name].pieces > 1:
@@ -367,7 +363,7 @@ def _result(given: Solution, attempts: Sequence[_Attempt], tol: float, begin: fl
         meshes = [k for k, a in enumerate(attempts) if not a.solution.structure and a.history.final.solved]
         chosen = meshes[-1] if meshes else len(attempts) - 1
     solution, history = attempts[chosen].solution, attempts[chosen].history
-    verdict = None if attempts[-1].stopped else verify(solution)
+    verdict = None if attempts[-1].stopped else attempts[chosen].verdict
     status = RefinementStatus.INTERRUPTED if verdict is None else history.status
     within = not solution.structure and history.final.error <= tol
     if (history.converged or within) and verdict is not None:

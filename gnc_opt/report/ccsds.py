@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_numbers
+from gnc_opt.arguments import expect, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
 
@@ -26,19 +27,58 @@ _UNIT = 1e-6
 """How far the length of a quaternion may be from 1; it is made 1."""
 
 
+@dataclass(frozen=True)
+class MessageMetadata:
+    """What a CCSDS message says of its object and its clock.
+
+    Parameters
+    ----------
+    epoch : str
+        Date and time of day of t = 0, ``"2027-03-01T12:00:00"``, in the time system.
+    time_system : str
+        By its CCSDS name, ``"UTC"``.
+    object_name, object_id : str
+        Whose orbit or attitude; the id is the international designator, ``"2027-001A"``.
+    originator : str
+        Who writes.
+
+    Raises
+    ------
+    ArgumentError
+        An epoch that is none, or a text that is empty or has several lines.
+
+    Examples
+    --------
+    >>> from gnc_opt.report import MessageMetadata
+    >>> about = MessageMetadata("2027-03-01T12:00:00", "UTC", "CHASER", "2027-001A", "EXAMPLE")
+    """
+
+    epoch: str
+    time_system: str
+    object_name: str
+    object_id: str
+    originator: str
+
+    def __post_init__(self) -> None:
+        _date(self.epoch)
+        for key in ("time_system", "object_name", "object_id", "originator"):
+            _line(key, getattr(self, key))
+
+    @property
+    def object(self) -> dict[str, str]:
+        """Keywords of the object."""
+        return {"OBJECT_NAME": self.object_name, "OBJECT_ID": self.object_id}
+
+
 def write_oem(
     path: str | Path,
     times: ArrayLike,
     r: ArrayLike,
     v: ArrayLike,
     *,
-    epoch: str,
-    time_system: str,
     frame: str,
     center: str,
-    object_name: str,
-    object_id: str,
-    originator: str,
+    metadata: MessageMetadata,
 ) -> Path:
     """Write an orbit ephemeris message.
 
@@ -49,12 +89,10 @@ def write_oem(
         s since the epoch, increasing by a nanosecond at least.
     r, v : array (3, n)
         Position (m) and velocity (m/s) relative to the centre in the frame.
-    epoch : str
-        Date and time of day of t = 0, ``"2027-03-01T12:00:00"``, in the time system.
-    time_system, frame, center : str
-        By their CCSDS names: ``"UTC"``, ``"EME2000"``, ``"EARTH"``.
-    object_name, object_id, originator : str
-        Whose orbit (the id is the international designator, ``"2027-001A"``), and who writes.
+    frame, center : str
+        By their CCSDS names: ``"EME2000"``, ``"EARTH"``.
+    metadata : MessageMetadata
+        Object, epoch and time system, and who writes.
 
     Returns
     -------
@@ -64,25 +102,24 @@ def write_oem(
     Raises
     ------
     ArgumentError
-        Arrays that do not fit or hold no numbers, times that do not increase, an epoch that is none, empty texts.
+        Arrays that do not fit or hold no numbers, times that do not increase, empty texts.
 
     Examples
     --------
-    >>> from gnc_opt.report import write_oem
+    >>> from gnc_opt.report import MessageMetadata, write_oem
     >>> t = np.linspace(0.0, 600.0, 11)
     >>> r = 7e6 * np.array([np.cos(1.078e-3 * t), np.sin(1.078e-3 * t), 0 * t])
     >>> v = 1.078e-3 * np.array([-r[1], r[0], r[2]])
-    >>> message = write_oem(
-    ...     *("orbit.oem", t, r, v), epoch="2027-03-01T12:00:00", time_system="UTC", frame="EME2000",
-    ...     center="EARTH", object_name="CHASER", object_id="2027-001A", originator="EXAMPLE",
-    ... )
+    >>> about = MessageMetadata("2027-03-01T12:00:00", "UTC", "CHASER", "2027-001A", "EXAMPLE")
+    >>> message = write_oem("orbit.oem", t, r, v, frame="EME2000", center="EARTH", metadata=about)
     >>> print(message.read_text().splitlines()[0])
     CCSDS_OEM_VERS = 2.0
     """
-    stamps = _stamps(times, epoch)
+    expect(metadata, MessageMetadata, "the metadata of a message", "write MessageMetadata(epoch, ...)")
+    stamps = _stamps(times, metadata.epoch)
     rows = np.vstack([_vectors(r, 3, stamps.size, "r"), _vectors(v, 3, stamps.size, "v")]) / _KILO
-    about = {"OBJECT_NAME": object_name, "OBJECT_ID": object_id, "CENTER_NAME": center, "REF_FRAME": frame}
-    lines = _message("OEM", "2.0", originator, {**about, "TIME_SYSTEM": time_system, **_span(stamps)})
+    about = metadata.object | {"CENTER_NAME": center, "REF_FRAME": frame}
+    lines = _message("OEM", "2.0", metadata, about | _span(metadata, stamps))
     return _written(path, [*lines, "", *_data(stamps, rows)])
 
 
@@ -91,13 +128,9 @@ def write_aem(
     times: ArrayLike,
     q_BA: ArrayLike,
     *,
-    epoch: str,
-    time_system: str,
     frame_a: str,
     frame_b: str,
-    object_name: str,
-    object_id: str,
-    originator: str,
+    metadata: MessageMetadata,
 ) -> Path:
     """Write an attitude ephemeris message.
 
@@ -109,11 +142,9 @@ def write_aem(
     q_BA : array (4, n)
         Unit quaternion of frame B relative to frame A, scalar part first, as in `gnc_opt.spacecraft`:
         `mrp_to_quaternion` gives it.
-    epoch, time_system : str
-        As for `write_oem`.
     frame_a, frame_b : str
         By their CCSDS names: ``"EME2000"``, ``"SC_BODY_1"``.
-    object_name, object_id, originator : str
+    metadata : MessageMetadata
         As for `write_oem`.
 
     Returns
@@ -128,32 +159,26 @@ def write_aem(
 
     Examples
     --------
-    >>> from gnc_opt.report import write_aem
+    >>> from gnc_opt.report import MessageMetadata, write_aem
     >>> t = np.linspace(0.0, 60.0, 7)
     >>> q_BA = np.array([np.cos(0.01 * t), 0 * t, 0 * t, np.sin(0.01 * t)])  # a turn about z
-    >>> message = write_aem(
-    ...     *("attitude.aem", t, q_BA), epoch="2027-03-01T12:00:00", time_system="UTC", frame_a="EME2000",
-    ...     frame_b="SC_BODY_1", object_name="CHASER", object_id="2027-001A", originator="EXAMPLE",
-    ... )
+    >>> about = MessageMetadata("2027-03-01T12:00:00", "UTC", "CHASER", "2027-001A", "EXAMPLE")
+    >>> frames = {"frame_a": "EME2000", "frame_b": "SC_BODY_1"}
+    >>> message = write_aem("attitude.aem", t, q_BA, **frames, metadata=about)
     >>> print(message.read_text().splitlines()[0])
     CCSDS_AEM_VERS = 1.0
     """
-    stamps = _stamps(times, epoch)
+    expect(metadata, MessageMetadata, "the metadata of a message", "write MessageMetadata(epoch, ...)")
+    stamps = _stamps(times, metadata.epoch)
     q = _vectors(q_BA, 4, stamps.size, "q_BA")
     size = np.linalg.norm(q, axis=0)
     if np.max(np.abs(size - 1.0)) > _UNIT:
         raise ArgumentError(
             f"q_BA has a column of length {size[np.argmax(np.abs(size - 1.0))]:.6g}: give unit quaternions."
         )
-    about = {
-        "OBJECT_NAME": object_name,
-        "OBJECT_ID": object_id,
-        "REF_FRAME_A": frame_a,
-        "REF_FRAME_B": frame_b,
-    }
+    about = metadata.object | {"REF_FRAME_A": frame_a, "REF_FRAME_B": frame_b, "ATTITUDE_DIR": "A2B"}
     form = {"ATTITUDE_TYPE": "QUATERNION", "QUATERNION_TYPE": "LAST"}
-    metadata = {**about, "ATTITUDE_DIR": "A2B", "TIME_SYSTEM": time_system, **_span(stamps), **form}
-    lines = _message("AEM", "1.0", originator, metadata)
+    lines = _message("AEM", "1.0", metadata, about | _span(metadata, stamps) | form)
     scalar_last = np.roll(q / size, -1, axis=0)
     return _written(path, [*lines, "", "DATA_START", *_data(stamps, scalar_last), "DATA_STOP"])
 
@@ -189,20 +214,24 @@ def _vectors(values: ArrayLike, size: int, n: int, name: str) -> Array:
     return numbers
 
 
-def _span(stamps: Any) -> dict[str, str]:
-    return {"START_TIME": stamps[0], "STOP_TIME": stamps[-1]}
+def _span(metadata: MessageMetadata, stamps: Any) -> dict[str, str]:
+    return {"TIME_SYSTEM": metadata.time_system, "START_TIME": stamps[0], "STOP_TIME": stamps[-1]}
 
 
-def _message(kind: str, version: str, originator: str, metadata: Mapping[str, str]) -> Iterator[str]:
-    head = {"CREATION_DATE": str(np.datetime64("now", "s")), "ORIGINATOR": originator}
-    for key, text in (head | dict(metadata)).items():
-        if not isinstance(text, str) or not text.strip() or not text.isprintable():
-            raise ArgumentError(
-                f"{key.lower().replace('_', ' ')} is {shown(text)}: state it in one line of text."
-            )
+def _line(key: str, text: str) -> None:
+    if not isinstance(text, str) or not text.strip() or not text.isprintable():
+        raise ArgumentError(
+            f"{key.lower().replace('_', ' ')} is {shown(text)}: state it in one line of text."
+        )
+
+
+def _message(kind: str, version: str, metadata: MessageMetadata, told: Mapping[str, str]) -> Iterator[str]:
+    head = {"CREATION_DATE": str(np.datetime64("now", "s")), "ORIGINATOR": metadata.originator}
+    for key, text in told.items():
+        _line(key, text)
     yield f"CCSDS_{kind}_VERS = {version}"
     yield from (f"{key} = {text}" for key, text in head.items())
-    yield from ("", "META_START", *(f"{key} = {text}" for key, text in metadata.items()), "META_STOP")
+    yield from ("", "META_START", *(f"{key} = {text}" for key, text in told.items()), "META_STOP")
 
 
 def _data(stamps: Any, rows: Array) -> Iterator[str]:

@@ -86,8 +86,7 @@ class PiecewisePolynomial:
             places = alike.places[segment]
             here = np.flatnonzero(places >= 0)
             basis = interpolation_matrix(alike.nodes, tau[here])
-            terms = zip(alike.values, basis.T, strict=True)
-            result[:, here] = sum(values[:, places[here]] * weights for values, weights in terms)
+            result[:, here] = np.einsum("mnt,tm->nt", alike.values[:, :, places[here]], basis)
         return result if np.ndim(t) else result[:, 0]
 
     def within(self, tau: ArrayLike) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from gnc_opt.arrays import Array
-from gnc_opt.model.integration import Budget, EndedError, Rate, integrate
+from gnc_opt.model.integration import Budget, EndedError, Rate, Tolerance, integrate
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import magnitude
@@ -59,14 +59,14 @@ def propagate(
     """
     edges = leg.flown.jumps if control == "flown" else leg.breaks
     signal = leg.flown if control == "flown" else leg.u
-    magnitude = state_magnitudes(leg)
+    tolerance = Tolerance(rtol, state_magnitudes(leg))
     states = [leg.x(leg.breaks[0])]
     degree = max(leg.mesh.degrees)
     fast, budget, ended = functions.fast_rates(), Budget(leg.states.labels), ""
     for left, right in itertools.pairwise(edges):
         rate = _right_hand_side(fast, signal, left, right, degree)
         try:
-            run = integrate(rate, states[-1], left, right, rtol=rtol, magnitude=magnitude, budget=budget)
+            run = integrate(rate, states[-1], left, right, tolerance=tolerance, budget=budget)
         except EndedError as why:
             ended = str(why)
             break

@@ -31,6 +31,9 @@ NEGLIGIBLE = 1e-4
 MINOR = 1e-2
 """Controls that are worth less than this share of what all are worth together are measured by that share."""
 
+_BY_COST_MAGNITUDE = ("cost_scale", "hamiltonian_scale", "adjoint_residual")
+"""What is kept of samples and depends on the cost magnitude."""
+
 
 @dataclass(frozen=True)
 class EdgeSegment:
@@ -87,6 +90,13 @@ class PhaseSamples:
         ends = np.append(np.flatnonzero(np.diff(segments)), segments.size - 1)
         times[ends] = leg.breaks[1:]  # without rounding
         return cls(leg, functions, times, segments, halves * weights)
+
+    def with_cost_magnitude(self, amount: float) -> PhaseSamples:
+        """Return the same samples with another cost magnitude, and what is known already that does not depend on it."""
+        other = replace(self, cost_magnitude=amount)
+        cached = {k: v for k, v in vars(self).items() if k not in _BY_COST_MAGNITUDE and k not in vars(other)}
+        vars(other).update(cached)
+        return other
 
     def finer(self, count: int) -> PhaseSamples:
         """The phase at ``count`` evenly spread times at least, two Gauss points a step, and at its segments' ends."""
@@ -247,9 +257,11 @@ class PhaseSamples:
         by_cost = np.abs(self.functions.state_gradient(*at, *none))
         by_state = np.abs(self.functions.state_jacobian(*at))
         flown = np.max(np.abs(self.lam_polynomial), axis=1)
-        balanced = np.zeros_like(flown)
+        before, balanced, size = np.full_like(flown, np.nan), np.zeros_like(flown), np.abs(leg.lam(middles))
         for _ in range(flown.size):  # costates along a chain may all vanish
-            costates = np.maximum(np.abs(leg.lam(middles)), balanced[:, None])
+            if np.array_equal(before, balanced):
+                break
+            costates, before = np.maximum(size, balanced[:, None]), balanced
             terms = self.span * np.max(np.einsum("jit,jt->it", by_state, costates) + by_cost, axis=1)
             balanced = np.where(np.isfinite(terms) & (flown <= NEGLIGIBLE * terms), terms, 0.0)
         slopes = np.einsum("jkt,j->kt", np.abs(self.functions.input_jacobian(*at)), balanced)

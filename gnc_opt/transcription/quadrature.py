@@ -129,10 +129,11 @@ def interpolation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
     """
     x, w = _vector(nodes), barycentric_weights(nodes)
     gap = _vector(at)[:, None] - x
+    nearest = np.min(np.abs(gap), axis=1, keepdims=True)
     hit = gap == 0
     gap[hit] = 1.0
-    nearest = np.min(np.abs(gap), axis=1, keepdims=True)
-    basis = np.where(hit.any(axis=1, keepdims=True), hit, w * (nearest / gap))
+    basis = w * (nearest / gap)  # 0 all along a row with a hit
+    basis[hit] = 1.0
     return np.asarray(basis / basis.sum(axis=1, keepdims=True))
 
 

@@ -266,7 +266,7 @@ def _matrix(matrix: Any) -> Any:
     csc.sum_duplicates()
     csc.sort_indices()
     pattern = ca.Sparsity(*csc.shape, csc.indptr.tolist(), csc.indices.tolist())
-    return ca.DM(pattern, csc.data)
+    return ca.DM(pattern, csc.data.tolist())  # an array is converted entry by entry
 
 
 def _nonzeros(expression: Any) -> Any:

@@ -14,10 +14,10 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.solution.quality import NOTHING, Worst, worst_index
 from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.tolerances import AT_LIMIT, RANK, SHORTEST
+from gnc_opt.tolerances import AT_LIMIT, SHORTEST
 from gnc_opt.verify.brief import lasting, least_for_long, without_switches
 from gnc_opt.verify.feasibility import judge
-from gnc_opt.verify.held import left_free
+from gnc_opt.verify.held import left, left_free
 from gnc_opt.verify.least_hamiltonian import POINTS, coupled_gains, limits
 from gnc_opt.verify.verdict import Condition, Result
 
@@ -214,10 +214,8 @@ def undetermined(s: PhaseSamples, tolerance: float) -> tuple[Mask, Mask]:
     """
     loss, unit = _offences(s)[0] / s.control_worth[:, None], s.control_span / np.sqrt(s.control_worth)
     inside = _inside(s)
-    bases = left_free(s, inside, unit)
-    left = np.stack([np.linalg.norm(basis, axis=1) > RANK for basis in bases], axis=1)
-    whole = np.array([basis.shape[1] for basis in bases]) == np.sum(inside, axis=0)
-    singular = left & (loss <= tolerance) & (np.abs(_curvature(s)) <= tolerance)
+    some, whole = left(s, inside, unit)
+    singular = some & (loss <= tolerance) & (np.abs(_curvature(s)) <= tolerance)
     return without_switches(s.times, singular), inside & whole
 
 

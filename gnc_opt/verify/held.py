@@ -35,8 +35,8 @@ def left_free(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
     unit : array (m,)
         What a step of 1 in each control is.
     """
-    rows = _rows(s) * unit[None, :, None]
-    bases = [np.eye(unit.size)[:, here] for here in free.T]
+    rows, axes = _rows(s) * unit[None, :, None], np.eye(unit.size)
+    bases = [axes[:, here] for here in free.T]
     if not rows.size:
         return bases
     for j, basis in enumerate(bases):
@@ -47,6 +47,18 @@ def left_free(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
             _, sizes, across = np.linalg.svd(taken, full_matrices=True)
             bases[j] = basis @ across[int(np.sum(sizes > RANK * sizes[0])) :].T
     return bases
+
+
+def left(s: PhaseSamples, free: Mask, unit: Array) -> tuple[Mask, Mask]:
+    """Return which free controls have something of their own left (m, n_samples), and where all is left (n_samples,).
+
+    Arguments as `left_free`.
+    """
+    if not _rows(s).size:
+        return free, np.ones(s.times.size, dtype=bool)
+    bases = left_free(s, free, unit)
+    some = np.stack([np.linalg.norm(basis, axis=1) > RANK for basis in bases], axis=1)
+    return some, np.array([basis.shape[1] for basis in bases]) == np.sum(free, axis=0)
 
 
 def _rows(s: PhaseSamples) -> Array:

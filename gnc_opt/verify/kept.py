@@ -7,10 +7,13 @@ none, and numbers that were changed in place are noticed.
 from __future__ import annotations
 
 import hashlib
-import json
+from collections.abc import Callable, Mapping
+from dataclasses import is_dataclass
+from functools import cache
 from typing import Any
 
-from gnc_opt.arrays import Array
+import numpy as np
+
 from gnc_opt.solution.solution import SOLUTION_FILES, Solution
 from gnc_opt.verify.verdict import Verdict
 
@@ -37,9 +40,32 @@ def _kept(solution: Solution) -> dict[float, Verdict]:
 
 def _digest(solution: Solution) -> str:
     """Return a digest of all numbers and words that a file would hold."""
-    arrays: dict[str, Array] = {}
-    tree: Any = SOLUTION_FILES.packing.pack(solution, "", arrays)
-    digest = hashlib.blake2b(json.dumps(tree).encode(), digest_size=16)
-    for array in arrays.values():
-        digest.update(array.tobytes())
+    digest = hashlib.blake2b(digest_size=16)
+    _feed(digest.update, solution)
     return digest.hexdigest()
+
+
+def _feed(update: Callable[[bytes], None], value: Any) -> None:
+    if isinstance(value, np.ndarray):
+        update(f"{value.dtype}{value.shape}".encode())
+        update(value.tobytes())
+    elif isinstance(value, (tuple, list)):
+        update(f"{len(value)}".encode())
+        for item in value:
+            _feed(update, item)
+    elif isinstance(value, Mapping):
+        for key, item in value.items():
+            update(repr(key).encode())
+            _feed(update, item)
+    elif is_dataclass(value):
+        update(type(value).__name__.encode())
+        kind: Any = type(value)
+        for name in _stored_fields(kind):
+            _feed(update, getattr(value, name))
+    else:
+        update(repr(value).encode())
+
+
+@cache
+def _stored_fields(kind: type) -> tuple[str, ...]:
+    return tuple(SOLUTION_FILES.packing.stored_fields(kind))

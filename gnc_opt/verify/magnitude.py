@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.problem.functions import end_function
+from gnc_opt.model.evaluation import evaluate_columns
+from gnc_opt.problem.functions import end_values
 from gnc_opt.solution.samples import MINOR, PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.spans import RESOLUTION
@@ -54,24 +55,25 @@ class Magnitudes:
             spans += [integral_spans(s), np.zeros(leg.parameters.size)]
         values.append(solution.parameter_values)
         spans.append(parameter_scale(solution))
+        moves = [
+            (k, int(i), step)
+            for k, span in enumerate(spans)
+            for i in np.flatnonzero(span > 0)
+            for step in (span[i], -span[i])
+        ]
+        columns = [np.tile(v[:, None], 1 + len(moves)) for v in values]
+        for j, (k, i, step) in enumerate(moves, 1):
+            columns[k][i, j] = _within(columns[k][i, j] + step, boxes.get(k), i)
         nu = np.zeros(solution.constraint_multipliers.size)
-
-        def ends_at(arguments: list[Array]) -> Array:
-            cost, constraints, *_ = end_function(problem)(*arguments, nu)
-            return np.append(np.asarray(constraints.full()).ravel(), float(cost))
-
-        base = ends_at(values)
-        largest, parameters = np.zeros(base.size), np.zeros(spans[-1].size)
-        for k, span in enumerate(spans):
-            for i in np.flatnonzero(span > 0):
-                for step in (span[i], -span[i]):
-                    shifted = values[k].copy()
-                    shifted[i] = _within(shifted[i] + step, boxes.get(k), int(i))
-                    change = np.abs(ends_at([*values[:k], shifted, *values[k + 1 :]]) - base)
-                    change = np.where(np.isfinite(change), change, 0.0)
-                    largest = np.maximum(largest, change)
-                    if k == len(spans) - 1:
-                        parameters[i] = max(parameters[i], change[-1] / span[i])
+        found = evaluate_columns(end_values(problem), 1 + len(moves), *columns, nu)
+        base = found[:, 0]
+        with np.errstate(invalid="ignore"):  # what has no value has not changed
+            changes = np.abs(found[:, 1:] - base[:, None])
+        changes = np.where(np.isfinite(changes), changes, 0.0)
+        largest, parameters = np.max(changes, axis=1, initial=0.0), np.zeros(spans[-1].size)
+        for change, (k, i, step) in zip(changes[-1], moves, strict=True):
+            if k == len(spans) - 1:
+                parameters[i] = max(parameters[i], change / abs(step))
         largest = np.fmax(largest, RESOLUTION * np.abs(base))
         return cls(float(largest[-1]), np.where(largest > 0, largest, 1.0)[:-1], parameters)
 

@@ -23,8 +23,8 @@ EXPECTED = {
         Arc ArcKind ArgumentError Campaign ClosedLoop Condition Continuation ContinuationStatus Controller
         DesignError Explanation GncOptError History LinearCovariance LowerBound Mesh Minimum Model ModelError
         Multistart Outcome Phase
-        PhaseSolution Problem ProblemError ProblemWarning Reference RefinementStatus Resolver Result Run
-        RunStatus
+        PhaseSolution Problem ProblemError ProblemWarning Reference RefinementLimits RefinementStatus Resolver
+        Result Run RunStatus
         Sensitivity Solution SolveError SolverOptions Status Sweep Table UnknownAttributeError
         UnknownNameError Verdict bound_below bryson continue_in design_ekf design_feedback_linearization
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
@@ -78,8 +78,8 @@ EXPECTED = {
         plot_verdict save_figure save_film
     """,
     "gnc_opt.report": """
-        search_dict summary summary_dict write_aem write_campaign_report write_json write_oem write_report
-        write_run_report write_search
+        MessageMetadata search_dict summary summary_dict write_aem write_campaign_report write_json write_oem
+        write_report write_run_report write_search
     """,
 }
 """What users may rely on, by package; whoever changes it changes this list."""

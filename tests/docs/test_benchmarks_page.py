@@ -21,11 +21,13 @@ def test_the_page_shows_the_kept_numbers() -> None:
 
 @pytest.mark.parametrize("name", page.BENCHMARKS)
 def test_every_table_has_its_origin(name: str) -> None:
-    table = page.markdown(name)
-    assert f"| `python -m benchmarks.{name}" in table
-    assert re.search(r"\| \d{4}-\d\d-\d\d \| .+ cores, .* \| .*gnc_opt \d", table)
-    for part in table.split("\n\n"):
-        assert len({line.count("|") for line in part.splitlines()}) == 1 and part.count("\n") > 1
+    if page.numbers(name) is None:
+        assert page.markdown(name).startswith(f"Not measured yet: `python -m benchmarks.page {name}")
+        return
+    table, origin = page.markdown(name).split("\n\n")
+    assert len({line.count("|") for line in table.splitlines()}) == 1 and table.count("\n") > 1
+    wanted = rf"Measured by `python -m benchmarks\.{name}.*` on \d{{4}}-\d\d-\d\d: .+ cores, .*; .*gnc_opt \d"
+    assert re.match(wanted, origin)
 
 
 def test_problems_that_are_measured_exist_and_meet_their_references() -> None:
@@ -55,14 +57,68 @@ def test_measuring_keeps_numbers_with_machine_and_date(tmp_path, monkeypatch) ->
     assert page.main(["fake"]) == 0
     text = page.PAGE.read_text()
     assert "| size | spent |\n| --- | --: |\n| 0.1 | 3 |\n" in text and "old" not in text
-    assert (
-        "| `python -m benchmarks.fake --runs 2` | " in text
-        and text.startswith("before")
-        and text.endswith("after\n")
-    )
+    assert "Measured by `python -m benchmarks.fake --runs 2` on " in text
+    assert text.startswith("before") and text.endswith("after\n")
     assert page.main([]) == 0 and page.PAGE.read_text() == text  # the same without measuring
     with pytest.raises(SystemExit):
         page.main(["other"])
+
+
+def test_what_was_just_told_is_not_measured_twice_and_shows_no_folder(  # type: ignore[no-untyped-def]
+    tmp_path, monkeypatch, capsys
+) -> None:
+    told, problems = tmp_path / "told.json", tmp_path / "problems.json"
+    told.write_text("[1, 2]")
+    problems.write_text("[]")
+    rows = page.Benchmark((), ("n",), lambda told: [(str(n),) for n in told], needs="FILE.json")
+    monkeypatch.setattr(page, "BENCHMARKS", {"fake": rows})
+    monkeypatch.setattr(page, "NUMBERS", tmp_path / "numbers")
+    monkeypatch.setattr(page, "version", lambda package: "1")
+    monkeypatch.setattr(page, "PAGE", tmp_path / "page.md")
+    page.PAGE.write_text("<!-- table of benchmarks.fake -->\n<!-- end of the table -->\n")
+    assert page.main([]) == 0
+    assert "Not measured yet: `python -m benchmarks.page fake -- FILE.json`" in page.PAGE.read_text()
+    assert page.main(["fake", "--told", str(told), "--", str(problems)]) == 0
+    text = page.PAGE.read_text()
+    assert "| 1 |\n| 2 |\n" in text and "`python -m benchmarks.fake problems.json`" in text
+    assert str(tmp_path) not in text
+    for wrong in (["fake"], ["--told", str(told)]):
+        with pytest.raises(SystemExit):
+            page.main(wrong)
+    assert "fake needs to be told FILE.json" in capsys.readouterr().err
+
+
+def test_peers_are_as_fast_as_their_fastest_way_that_is_right_everywhere() -> None:
+    quick = {"1": {"s": 0.1, "error": 1e-4}, "2": {"s": 0.3, "error": 1e-5}}
+    slow = {"1": {"s": 2.0, "error": 1e-9}, "2": {"s": 4.0, "error": 1e-9}}
+    told = {"theirs": {"20x3": quick, "80x3": slow}, "lost": {"20x3": {"1": {"failed": "no"}}}}
+    assert list(page.BENCHMARKS["peers"].rows(told)) == [
+        ("theirs, case 1", "0.1", "0.1", "2", "2"),
+        ("lost, case 1", *4 * ["never"]),
+        ("theirs, mean of 2 cases", "0.2", "0.2", "3", "3"),
+        ("lost, mean of 2 cases", *4 * ["never"]),
+    ]
+
+
+def test_what_became_of_a_problem_is_told_in_words() -> None:
+    row = {
+        "name": "a",
+        "objective": 1.0,
+        "relative_error": 1e-9,
+        "costate_error": None,
+        "seconds": 0.52,
+        "iterations": 12,
+        "refinements": 3,
+        "verdict_ok": False,
+        "failed": ["stationarity"],
+        "untold": [],
+        "status": "optimal",
+        "passed": True,
+    }
+    ended = row | {"objective": None, "relative_error": None, "status": "input_error", "iterations": None}
+    (told, refused) = page.BENCHMARKS["ocp_set"].rows([row, ended])
+    assert told == ("a", "1e-09", "", "12", "3", "0.5", "fails stationarity", "yes")
+    assert refused == ("a", "", "", "", "3", "0.5", "input error", "yes")
 
 
 def test_pages_are_in_the_repository() -> None:

@@ -81,6 +81,13 @@ def test_copies_work() -> None:
     assert problem.with_final(q=0.5).phases["leg"].numbers.final.lower[0] == 0.5
 
 
+def test_protocols_that_are_missing_are_asked_for_without_a_search_for_what_was_meant() -> None:
+    _, leg = rest_to_rest()
+    with pytest.raises(AttributeError) as caught:
+        leg.__deepcopy__  # type: ignore[attr-defined]  # noqa: B018
+    assert type(caught.value) is AttributeError
+
+
 def test_subclasses_may_have_attributes_of_their_own() -> None:
     class Cart(go.Model):
         def __init__(self) -> None:

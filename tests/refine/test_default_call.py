@@ -65,3 +65,24 @@ def test_a_warm_solve_stays_on_the_mesh_of_its_guess_unless_told(solution: go.So
 def test_a_tolerance_that_is_none_is_refused_before_solving(tol: object) -> None:
     with pytest.raises(go.ArgumentError, match=r"the tolerance of solve\(\) is"):
         go.solve(dash(), tol=tol)  # type: ignore[arg-type]
+
+
+def test_a_phase_without_controls_is_refined_and_judged() -> None:
+    """The farthest throw from 2 m with 10 m/s: v sqrt(v^2 + 2 g h) / g."""
+    ball = go.Model("ball")
+    x, h = ball.state("x"), ball.state("h")
+    vx, vh = ball.state("vx"), ball.state("vh")
+    ball.ode({x: vx, h: vh, vx: 0.0, vh: -9.81})
+    problem = go.Problem("throw")
+    flight = problem.phase("flight", ball)
+    flight.time(initial=0.0, final=(0.1, 10.0))
+    flight.initial(x=0.0, h=2.0)
+    flight.final(h=0.0)
+    flight.bounds(vx=(0.0, 20.0), vh=(-20.0, 20.0))
+    problem.constrain(
+        "speed", flight.initial_state("vx") ** 2 + flight.initial_state("vh") ** 2, equals=100.0
+    )
+    problem.maximize(flight.final_state("x"))
+    thrown = go.solve(problem, mesh="2x4")
+    assert thrown.history is not None and thrown.history.converged and go.verify(thrown).ok
+    assert thrown.objective == pytest.approx(10.0 * (100.0 + 2 * 9.81 * 2.0) ** 0.5 / 9.81, abs=1e-8)

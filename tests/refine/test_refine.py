@@ -144,7 +144,7 @@ def test_a_structure_that_stands_but_is_not_accurate_is_no_convergence(
 
 
 def test_a_refinement_that_does_not_reach_its_tolerance_says_so(cubic: go.Solution) -> None:
-    refined = go.refine(cubic, tol=1e-12, max_passes=1)
+    refined = go.refine(cubic, tol=1e-12, limits=go.RefinementLimits(max_passes=1))
     assert told(refined).status is RefinementStatus.PASS_LIMIT
     assert "NOT CONVERGED (pass limit)" in str(refined) and "(wanted 1.0e-12)" in str(refined)
 
@@ -237,11 +237,11 @@ def test_ctrl_c_in_the_structure_loop_ends_it_all(monkeypatch: pytest.MonkeyPatc
 
 
 def test_no_time_left_returns_what_was_given(cubic: go.Solution) -> None:
-    stopped = go.refine(cubic, tol=1e-9, max_wall_time=1e-9)
+    stopped = go.refine(cubic, tol=1e-9, limits=go.RefinementLimits(max_wall_time=1e-9))
     assert told(stopped).status is RefinementStatus.INTERRUPTED
     assert stopped.objective == cubic.objective and stopped.phase() is cubic.phase()
-    with pytest.raises(go.GncOptError, match="max_wall_time of refine"):
-        go.refine(cubic, max_wall_time=-1.0)
+    with pytest.raises(go.GncOptError, match="max_wall_time of RefinementLimits"):
+        go.RefinementLimits(max_wall_time=-1.0)
 
 
 def test_the_limit_of_solve_covers_refining(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -250,9 +250,10 @@ def test_the_limit_of_solve_covers_refining(monkeypatch: pytest.MonkeyPatch) -> 
     module = importlib.import_module("gnc_opt.solve")
     given: list[float] = []
 
-    def refine(solution: go.Solution, *, max_wall_time: float, **_: Any) -> go.Solution:
-        given.append(max_wall_time)
-        return go.refine(solution, max_wall_time=max_wall_time)
+    def refine(solution: go.Solution, *, limits: go.RefinementLimits, **_: Any) -> go.Solution:
+        assert limits.max_wall_time is not None
+        given.append(limits.max_wall_time)
+        return go.refine(solution, limits=limits)
 
     monkeypatch.setattr(module, "refine", refine)
     begin = time.perf_counter()
@@ -312,12 +313,12 @@ def test_work_that_is_spent_ends_it_and_is_told(cart: go.Solution, monkeypatch: 
 
     module = importlib.import_module("gnc_opt.refine.refine")
     monkeypatch.setattr(module, "LEAST_WORK", 1.0)
-    refined = go.refine(cart, structure="none", max_work=1e-9)
+    refined = go.refine(cart, structure="none", limits=go.RefinementLimits(max_work=1e-9))
     history = told(refined)
     assert history.status is RefinementStatus.WORK_LIMIT and len(history.passes) == 2
     assert "NOT CONVERGED (work limit)" in str(refined) and "max_work" in history.message
-    with pytest.raises(go.GncOptError, match="max_work of refine"):
-        go.refine(cart, max_work=0.0)
+    with pytest.raises(go.GncOptError, match="max_work of RefinementLimits"):
+        go.RefinementLimits(max_work=0.0)
 
 
 def test_the_same_arcs_are_not_tried_twice(cart: go.Solution, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.special import spherical_in
 
 import gnc_opt as go
 from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.refine.structure.detect import detect, switching
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.plan import MAX_DEGREE, MAX_SEGMENTS, SETTLED_DEGREE, Resolution
+from gnc_opt.refine.structure.plan import MAX_DEGREE, MAX_SEGMENTS, Resolution
+from gnc_opt.refine.structure.resolved import FEWEST
 from problems import van_der_pol
 
 LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER
@@ -137,11 +139,26 @@ def test_only_the_piece_that_is_inaccurate_is_solved_more_finely() -> None:
     leg.final(q=0.0, v=0.0)
     leg.bounds(a=(-1.0, 1.0))
     problem.minimize(leg.final_time)
-    solution = go.refine(go.solve(problem, mesh="10x4", tol=None), structure="bang-bang")
+    first = go.solve(problem, mesh="10x4", tol=None)
+    solution = go.refine(first, structure="bang-bang")
     assert solution.objective == pytest.approx(2.0, abs=1e-9)
     assert solution.state("z")(2.0 - 1e-9) == pytest.approx(1 / 30, rel=1e-6)
-    first, *others = solution.phase().mesh.degrees
-    assert first == SETTLED_DEGREE and all(degree > first for degree in others)
+    assert solution.history is not None and len(solution.history.passes) == 1
+    leg, scale = solution.phase(), first.samples()["leg"].state_scale[2]
+    assert leg.mesh.degrees[0] == FEWEST
+    # Legendre series of the exponential function (DLMF 10.60.8): what the points leave of it at the end, and one fewer.
+    n, (start, end) = leg.mesh.degrees[-1], leg.breaks[-2:]
+    terms = np.arange(n - 1, n + 30)
+    series = (2 * terms + 1) * spherical_in(terms, 15 * (end - start)) * np.exp(15 * (end + start - 4))
+    left = np.cumsum((end - start) * series[::-1] / scale)[::-1]
+    assert left[1] <= 1e-10 < left[0] and set(leg.mesh.degrees[1:]) == {n}
+    whole, at_most = (
+        (2 * terms + 1) * spherical_in(terms, 30 * (end - start)) * np.exp(30 * (end - 2)),
+        MAX_DEGREE,
+    )
+    assert (
+        np.sum(2 * (end - start) * whole[terms >= at_most] / scale) > 1e-10
+    )  # so that half as many are too few
 
 
 # --- detection ------------------------------------------------------------------------------------------------

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import astuple, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -168,6 +169,17 @@ def test_what_the_hamiltonian_is_made_of(right: PhaseSamples) -> None:
     assert idle.hamiltonian_scale == pytest.approx(0.125)
     assert replace(idle, cost_magnitude=8e4).hamiltonian_scale == pytest.approx(1e-4 * 8e4 / 4)
     assert idle.span == 4.0
+
+
+def test_another_cost_magnitude_keeps_only_what_does_not_depend_on_it(right: PhaseSamples) -> None:
+    names = [name for name, kind in vars(PhaseSamples).items() if isinstance(kind, cached_property)]
+    for name in names:  # all known beforehand
+        getattr(right, name)
+    kept, anew = right.with_cost_magnitude(1e6), replace(right, cost_magnitude=1e6)
+    assert kept.x is right.x and kept.cost_magnitude == 1e6
+    for name in names:
+        np.testing.assert_array_equal(getattr(kept, name), getattr(anew, name), err_msg=name)
+    assert kept.cost_scale != right.cost_scale
 
 
 # --- what controls are worth --------------------------------------------------------------------------------
@@ -519,7 +531,10 @@ def test_three_figures_of_all_phases() -> None:
     wrong = samples(CART, state_bounds=interval([-9, -9], [9, 1.4]))
     found = measure_quality([samples(CART), wrong, samples(CART)])
     assert found.max_bound_violation == pytest.approx(0.1 / 1.5) and found.bound_where.endswith("v")
-    assert found.max_defect < 1e-12 and found.terminal_error < 1e-9 and "misses by" in found.terminal_where
+    assert found.max_defect < 1e-12 and found.terminal_error < 1e-9
+    cut = samples(CART, control_bounds=interval(-5.0, 20.0), breaks=(0.0, 0.5, 1.0))
+    found = measure_quality([samples(CART), cut])
+    assert (found.terminal_error, found.terminal_where) == astuple(worst_terminal_error(cut))
 
 
 # --- propagation ------------------------------------------------------------------------------------------

@@ -50,6 +50,15 @@ class FilterOptions:
         then what is no number, until the next sample is taken.
     name : str, optional
         For messages and reports; default "EKF" or "UKF".
+
+    Examples
+    --------
+    >>> from gnc_opt.control import FilterOptions, Measurement
+    >>> options = FilterOptions(substeps=2, hold=10, name="navigation")
+    >>> about = {"sigma0": {"q": 0.1, "v": 0.02}, "dt": 0.1}
+    >>> ekf = go.design_ekf(cart, [1, 0], [Measurement("q", 1e-3)], **about, options=options)
+    >>> print(ekf.name)
+    navigation
     """
 
     limits: Limits | None = None
@@ -68,6 +77,13 @@ class UnscentedOptions(FilterOptions):
     kappa : float
         Spread of the points, which lie at sqrt(n + kappa) standard deviations of n errors; >= 0, so that no weight is
         negative. 0: the cubature filter; 3 - n fits the fourth moments of normal errors.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import Measurement, UnscentedOptions
+    >>> about = {"sigma0": {"q": 0.1, "v": 0.02}, "dt": 0.1}
+    >>> options = UnscentedOptions(kappa=1.0)  # 3 - n of two errors
+    >>> ukf = go.design_ukf(cart, [1, 0], [Measurement("q", 1e-3)], **about, options=options)
     """
 
     kappa: float = 0.0

@@ -74,6 +74,12 @@ class Rows:
         one = np.where(np.isfinite(self.state_lower), np.abs(self.state_lower), np.abs(self.state_upper))
         return np.where(np.isfinite(half), half, np.where(np.isfinite(one) & (one > 0), one, 1.0))
 
+    @property
+    def roots(self) -> Array:
+        """Roots of the prices: in units of them the squares of the slacks have the weight one."""
+        price = self.price[self.soft] * self.state_scale[self.soft] ** 2
+        return np.sqrt(np.maximum(price, _LEAST_PRICE))
+
 
 @dataclass(frozen=True, eq=False)
 class Programme:
@@ -185,7 +191,7 @@ class Horizon:
         squares = np.zeros(self.unknowns)
         squares[: m * self.count] = squares[self.free :] = 1.0
         gradient = np.zeros(self.unknowns)
-        gradient[self.free :] = np.tile(self._root, self.count)
+        gradient[self.free :] = np.tile(self.rows.roots, self.count)
         h = ca.diag(ca.sparsify(ca.DM(squares)))
         return Programme(h, ca.DM(gradient), a, low, high, self.equations, self.free)
 
@@ -211,12 +217,6 @@ class Horizon:
     @property
     def _scaled(self) -> Any:
         return ca.diag(ca.DM(self.scale))
-
-    @property
-    def _root(self) -> Array:
-        """Roots of the prices: in units of them the squares of the slacks have the weight one."""
-        soft, rows = self.rows.soft, self.rows
-        return np.sqrt(np.maximum(rows.price[soft] * rows.state_scale[soft] ** 2, _LEAST_PRICE))
 
     def _omega(self, j: int) -> int:
         return j * self.sizes[1]
@@ -261,7 +261,7 @@ class Horizon:
                     blocks = {self._error(j + 1) + e: ca.DM(self.scale[e] / scale[i])}
                     if i in rows.soft:
                         slack = rows.soft.index(i)
-                        blocks[self.free + j * len(rows.soft) + slack] = ca.DM(-side / self._root[slack])
+                        blocks[self.free + j * len(rows.soft) + slack] = ca.DM(-side / self.rows.roots[slack])
                     rest = (limit[i] - x_ref[j * limited + i]) / scale[i]
                     found.append((self._row(blocks), *((-ca.inf, rest) if side > 0 else (rest, ca.inf))))
         return found

@@ -43,6 +43,7 @@ from gnc_opt.control.linear.gains import SampledGains, riccati_gains
 from gnc_opt.control.linear.riccati import gain_of
 from gnc_opt.control.linear.weights import Weight, read_cost, read_weight, require_semidefinite
 from gnc_opt.control.predictive.horizon import Horizon, Programme, Rows
+from gnc_opt.control.predictive.programme_code import ProgrammeCode, flight_law
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, reference_times
 from gnc_opt.errors import ArgumentError, DesignError, did_you_mean, shown, unknown_name
@@ -161,7 +162,7 @@ def design_mpc(
     schedule = _Schedule(ReferenceSchedule(reference), windows, rows.states)
     signals = reference_signals(reference, *schedule.more())
     step, start, memory = _law(deviation, schedule, rows, signals, solver)
-    regulator = Controller(
+    plain = Controller(
         name=name,
         step=step,
         start=start,
@@ -178,7 +179,8 @@ def design_mpc(
             (*_facts(gains, windows, rows, model.states, solver), *reserve_shares(reference, bounds)),
         ),
     )
-    return bridge_dropouts(regulator)
+    code = _programme_code(windows, rows, model)
+    return bridge_dropouts(replace(plain, flight=flight_law(code, deviation, plain, reference)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,6 +315,15 @@ def _solution(task: Programme, regulated: Any, plan: Any, multipliers: Any, solv
     inside = ca.logic_and(ca.mmin(value[k:] - task.low[k:]) >= 0, ca.mmin(task.high[k:] - value[k:]) >= 0)
     either = ca.Function.if_else("either", keep, solve)  # calls one of them
     return list(either(inside, *arguments))
+
+
+def _programme_code(windows: _Windows, rows: Rows, model: Model) -> ProgrammeCode:
+    """Return the programme for flight code, with the matrices of every step of the reference."""
+    last, sliding = len(windows.gains.steps) - 1, windows.terminal is None
+    firsts = [last + windows.count] if windows.constant else range(last + 1)
+    found = [windows(k) for k in firsts]
+    parts = [np.concatenate([w[i][:1] if sliding else w[i] for w in found]) for i in range(4)]
+    return ProgrammeCode(rows, rows.roots, tuple(parts), sliding, windows.count, model.states.size)
 
 
 def _error_scale(windows: _Windows) -> Array:

@@ -24,7 +24,7 @@ from gnc_opt.control.guard import (
 from gnc_opt.control.lie import OutputErrors
 from gnc_opt.control.limits import saturated
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.rehearsal import FINENESS, Path, Rehearsal, limit_facts, rehearse
+from gnc_opt.control.rehearsal import FINENESS, Path, Rehearsal, Trial, limit_facts, rehearse
 from gnc_opt.control.sampling import spectral_radius, zero_order_hold
 from gnc_opt.control.sliding.reaching import ExponentialRate
 from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
@@ -177,7 +177,7 @@ def _reaching(
         def watch(path: Path) -> Fact:
             return determinant_on(path, errors, reference, inverse, options.guard)
 
-        path = rehearse(controller, errors, reference, x, switching.limits, dt=step, span=span, watch=watch)
+        path = rehearse(controller, Trial(errors, reference, x, switching.limits, step, span), watch)
         times, remark = ideal, "upper bound with ideal switching and the disturbance at its bound"
         if path.cut(switching.limits).any():
             times, remark = (

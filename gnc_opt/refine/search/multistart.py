@@ -21,6 +21,7 @@ from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, did_you_mea
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem.guess.random import with_random_guess
 from gnc_opt.problem.problem import Problem
+from gnc_opt.refine.limits import RefinementLimits
 from gnc_opt.refine.refine import StructureChoice
 from gnc_opt.refine.refine import refine as refine_solution
 from gnc_opt.refine.search.minima import Minimum, equal, merged
@@ -396,9 +397,8 @@ class _Fine:
     def _refined(
         self, minimum: Minimum, coarse: Solution, structure: StructureChoice, max_points: int = MOST_POINTS
     ) -> Minimum:
-        solution = refine_solution(
-            coarse, structure=structure, tol=self.tol, max_passes=MOST_PASSES, max_points=max_points
-        )
+        limits = RefinementLimits(max_passes=MOST_PASSES, max_points=max_points)
+        solution = refine_solution(coarse, structure=structure, tol=self.tol, limits=limits)
         if solution.history is not None and solution.history.status is RefinementStatus.INTERRUPTED:
             raise KeyboardInterrupt
         if not solution.status.solved or is_spurious(solution):

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -86,7 +87,7 @@ class StateConstraints:
         """Number of rows."""
         return len(self.samples.leg.path_labels) + self.samples.leg.states.size
 
-    @property
+    @cached_property
     def bounds(self) -> Interval:
         """Limits of all rows."""
         leg = self.samples.leg
@@ -95,10 +96,11 @@ class StateConstraints:
             np.concatenate([leg.path_bounds.upper, leg.state_bounds.upper]),
         )
 
-    def limits(self, row: int) -> tuple[tuple[ArcKind, float], tuple[ArcKind, float]]:
-        """Return both limits of a row, infinite where there is none."""
-        bounds = self.bounds
-        return (ArcKind.LOWER, float(bounds.lower[row])), (ArcKind.UPPER, float(bounds.upper[row]))
+    def limits(self, row: int) -> list[tuple[ArcKind, float]]:
+        """Return the limits that a row has."""
+        box = self.bounds
+        both = (ArcKind.LOWER, float(box.lower[row])), (ArcKind.UPPER, float(box.upper[row]))
+        return [(kind, limit) for kind, limit in both if np.isfinite(limit)]
 
     @property
     def scales(self) -> Array:
@@ -239,6 +241,10 @@ class _Run:
         if order == 1:
             runs = _joined(runs)
         for a, b in runs:
+            at_end = self._end_touched(structure, a, b, samples)
+            if at_end is not None:
+                structure = structure.with_touch(self.row, structure.times[at_end], self.kind)
+                continue
             if order == 1:
                 start, end = self._between(a, first), self._between(b, last)
                 start, end = (self._switch(structure, t, samples) for t in (start, end))
@@ -250,6 +256,23 @@ class _Run:
             if first < time < last:
                 structure = structure.with_touch(self.row, time, self.kind)
         return structure
+
+    def _end_touched(self, structure: PhaseStructure, a: int, b: int, samples: PhaseSamples) -> int | None:
+        """The end of the phase, 0 or -1, at which alone a path constraint is met by free states, or None.
+
+        A mesh of Gauss points has no row there, so that its points beside the end push for it.
+        """
+        leg, path = samples.leg, self.row - len(structure.controls)
+        if b - a > FEW or path >= structure.n_paths:
+            return None
+        points, ends = leg.point_times, ((0, leg.initial_bounds, a), (-1, leg.final_bounds, b - 1))
+        for end, given, node in ends:
+            slope = samples.functions.path_state_jacobian(
+                samples.times[end], samples.x[:, end], samples.u[:, end]
+            )
+            if self.times[node] == points[end] and np.any(slope[path] * samples.state_scale * ~given.fixed):
+                return end
+        return None
 
     def possible(self, structure: PhaseStructure) -> bool:
         """Whether it can be a contact: one of first order stays on its limit, which takes a control that is free."""

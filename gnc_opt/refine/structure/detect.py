@@ -76,7 +76,8 @@ def detect(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> Phas
         if affine[i]:
             _limit(limits, i, rows[i], paths)
     changes = _change_times(samples, rows)
-    for labels in [*paths, *_state_labels(samples, np.asarray(rows))]:
+    controls = np.asarray(rows).reshape(leg.controls.size, samples.times.size)  # also if there are none
+    for labels in [*paths, *_state_labels(samples, controls)]:
         rows.append(labels)
         changes.append(_middles(samples, labels))
     first, last = leg.breaks[0], leg.breaks[-1]

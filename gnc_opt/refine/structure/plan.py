@@ -16,9 +16,6 @@ from gnc_opt.transcription.mesh import Mesh
 FIRST_DEGREE, MAX_DEGREE = 6, 12
 """Collocation points of a piece to begin with, and of one segment at most; a piece that needs more is split."""
 
-SETTLED_DEGREE = 9
-"""Collocation points of a piece whose switch times are known: what most pieces need in the end pays at once."""
-
 SINGULAR_DEGREE, MAX_SINGULAR_DEGREE = 4, 28
 """Degree of the polynomial that a control is over a singular piece, to begin with and at most."""
 
@@ -105,12 +102,6 @@ class Plan:
         first = tuple(_first_resolution(structure, k, points) for k in range(structure.pieces))
         return cls(structure, first, points)
 
-    @classmethod
-    def settled(cls, structure: PhaseStructure, points: float) -> Plan:
-        """Return a plan whose switch times are near their optimum."""
-        plan = cls.of(structure, points)
-        return replace(plan, resolutions=tuple(replace(r, degree=9) for r in plan.resolutions))
-
     def restructured(self, structure: PhaseStructure) -> Plan:
         """Return the plan of another structure, as coarse as at first; as loose if nothing else is touched."""
         same = [t for t in structure.touches if t] == [t for t in self.structure.touches if t]
@@ -160,7 +151,10 @@ class Plan:
         )
 
     def _junctions(self) -> tuple[Junction, ...]:
-        """Where state constraints that determine a control reach their limit to stay there, or touch it."""
+        """Where state constraints that determine a control reach their limit to stay there, or touch it.
+
+        Within the phase a touch has S = dS/dt = 0; at its ends S = 0, for which a mesh of Gauss points has no row.
+        """
         structure, found = self.structure, []
         n_controls = len(structure.controls)
         for k in range(1, structure.pieces):
@@ -169,6 +163,10 @@ class Plan:
             touched = [(i, kind, 2) for i, kind in structure.touches[k]]
             found += [
                 Junction(i - n_controls, self.piece_ends[k], kind, n) for i, kind, n in entered + touched
+            ]
+        for k in (0, -1):
+            found += [
+                Junction(i - n_controls, self.piece_ends[k], kind, 1) for i, kind in structure.touches[k]
             ]
         return tuple(found)
 

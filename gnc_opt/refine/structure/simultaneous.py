@@ -42,13 +42,12 @@ def settle_costates(solution: Solution) -> Solution:
 
     Solutions without simultaneous switches, and those that are not bang-bang, are returned as they are.
     """
+    samples = list(solution.samples().values())
+    if obstacle(samples) or all(len(group) == 1 for s in samples for group in Switches.of(s).groups):
+        return solution
     judged = from_problem(solution)
     samples = list(judged.samples().values())
-    if obstacle(samples):
-        return solution
     switches = {s.leg.name: Switches.of(s) for s in samples}
-    if all(len(group) == 1 for s in switches.values() for group in s.groups):
-        return solution
     before = ends_of(judged)
     unknowns = Unknowns.of(judged, samples, switches)
     pieces = {name: s.pieces(next(s.orders())) for name, s in switches.items()}

@@ -25,6 +25,7 @@ from gnc_opt.refine.structure.mending import KINKS_MOVED, RAISED, SMOOTHED, impr
 from gnc_opt.refine.structure.newton import settle
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import Plan, points_of
+from gnc_opt.refine.structure.resolved import resolved
 from gnc_opt.refine.structure.simultaneous import settle_costates
 from gnc_opt.solution.history import History, Pass, RefinementStatus
 from gnc_opt.solution.solution import Solution
@@ -83,7 +84,7 @@ def optimise_switches(
     with pass_meter(solution.problem_name, tol, progress) as show:
         try:
             loop = _Loop(problem, tol, limits or PassLimits(), chosen, show, tries)
-            guess, settled = _settled(solution, plans)
+            guess, settled = _settled(solution, plans, loop.aim)
             status = loop.run(guess, settled)
             if status is RefinementStatus.FAILED and guess is not solution:
                 status = loop.run(solution, plans)
@@ -118,8 +119,8 @@ def _best(tries: list[_Try], status: RefinementStatus) -> int | None:
     return min(solved, key=lambda k: tries[k].record.error, default=None)
 
 
-def _settled(solution: Solution, plans: dict[str, Plan]) -> tuple[Solution, dict[str, Plan]]:
-    """Go near the optimum, where Newton's method on switch times finds it."""
+def _settled(solution: Solution, plans: dict[str, Plan], aim: float) -> tuple[Solution, dict[str, Plan]]:
+    """Go near the optimum, where Newton's method on switch times finds it, with a mesh fine enough for that."""
     if len(plans) > 1:
         return solution, plans  # The flow of one phase says nothing about the others.
     ((name, plan),) = plans.items()
@@ -127,7 +128,7 @@ def _settled(solution: Solution, plans: dict[str, Plan]) -> tuple[Solution, dict
     if found is None:
         return solution, plans
     structure, guess = found
-    return guess, {name: Plan.settled(structure, plan.points)}
+    return guess, {name: resolved(Plan.of(structure, plan.points), solution.samples()[name], guess, aim)}
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,90 @@
+"""How finely pieces are collocated along which the trajectory is known already.
+
+The slopes of states and costates along a segment, as Legendre series, tell what n collocation points leave of them: the
+terms from the n-th on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from gnc_opt.arrays import Array
+from gnc_opt.refine.structure.plan import MAX_DEGREE, MAX_SEGMENTS, Plan, Resolution
+from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.solution.solution import Solution
+from gnc_opt.transcription.quadrature import gauss_rule
+
+FEWEST = 4
+"""Collocation points of a segment at least."""
+
+TERMS = MAX_DEGREE + 4
+"""Of the series; those beyond them are nothing beside the last."""
+
+HELPED = 0.1
+"""Halving segments has helped if it leaves at most this share."""
+
+MARGIN = 0.1
+"""Share of the tolerance that the terms left out may amount to."""
+
+
+def resolved(plan: Plan, s: PhaseSamples, flown: Solution, tol: float) -> Plan:
+    """Return the plan with as many collocation points as the flight along its pieces needs.
+
+    Parameters
+    ----------
+    plan : Plan
+        Every control is on a bound all along.
+    s : PhaseSamples
+        Of a solution nearby: what states and costates are measured in.
+    flown : Solution
+        Of one phase.
+    tol : float
+        On the defects between the nodes, in those measures.
+    """
+    left = _left_out(s, flown)
+    times = np.asarray(plan.structure.times)
+    at_once = left(times)
+    found = [_resolution(left, row, times[k], times[k + 1], MARGIN * tol) for k, row in enumerate(at_once)]
+    return replace(plan, resolutions=tuple(found))
+
+
+def _resolution(
+    left: Callable[[Array], Array], whole: Array, start: float, end: float, most: float
+) -> Resolution:
+    """The fewest segments that are fine enough with `MAX_DEGREE` points at most, and the points of each."""
+    segments, worst = 1, whole
+    while worst[MAX_DEGREE] > most and segments < MAX_SEGMENTS:
+        halved = np.max(left(np.linspace(start, end, 2 * segments + 1)), axis=0)
+        if not halved[MAX_DEGREE] < HELPED * worst[MAX_DEGREE]:  # what is left is how far the flight is off
+            break
+        segments, worst = 2 * segments, halved
+    fine = np.flatnonzero(worst[FEWEST:MAX_DEGREE] <= most)
+    return Resolution(segments, FEWEST + int(fine[0]) if fine.size else MAX_DEGREE)
+
+
+def _left_out(s: PhaseSamples, flown: Solution) -> Callable[[Array], Array]:
+    """Return what n = 0, 1, ... points leave of the slopes along segments between some times, (n_segments, TERMS)."""
+    (leg,) = flown.phases.values()
+    rule = gauss_rule(TERMS)
+    series = np.linalg.inv(legendre.legvander(rule.points, TERMS - 1))
+
+    def left(breaks: Array) -> Array:
+        lengths = np.diff(breaks)
+        t = (breaks[:-1, None] + 0.5 * lengths[:, None] * (1 + rule.points)).ravel()
+        x, u, lam = leg.x(t), leg.u(t), leg.lam(t)
+        free = np.zeros((len(leg.path_labels), t.size))
+        slopes = np.vstack(
+            [
+                s.functions.rates(t, x, u) / s.state_scale[:, None],
+                s.functions.state_gradient(t, x, u, lam, free) * (s.state_scale / s.cost_scale)[:, None],
+            ]
+        )
+        terms = np.abs(slopes.reshape(slopes.shape[0], lengths.size, TERMS) @ series.T)
+        amounts = np.max(terms, axis=0) * lengths[:, None]
+        return np.asarray(np.cumsum(amounts[:, ::-1], axis=1)[:, ::-1])
+
+    return left
