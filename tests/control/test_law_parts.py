@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import minimize
 
-from gnc_opt.control.c_expressions import _constant
+from gnc_opt.control.c_numbers import DOUBLE, wrapped
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.explanation import Explanation
@@ -18,11 +18,9 @@ from gnc_opt.control.feedback_linearization import _chains, _gain, _optimal_gain
 from gnc_opt.control.flight_code import (
     _entries,
     _identifier,
-    _number,
     _plain,
     _read_prefix,
     _table,
-    _wrapped,
     export_c,
 )
 from gnc_opt.control.guard import Inverse, Memory, _solve, _Stacked
@@ -782,7 +780,7 @@ def test_rows_mean_what_they_say():
     assert g.ravel() == pytest.approx([*np.zeros(10), *root, *root]) and task.free == found.free == 10
     assert np.array(ca.DM(task.h)) == pytest.approx(np.diag([1.0] * 4 + [0.0] * 6 + [1.0] * 4))
     assert a.shape == (20, found.unknowns) == (20, 14)
-    rest = np.array(found.regulated(ca.DM(e_0))).ravel()
+    rest = np.array(found.alone(ca.DM(e_0), ca.DM(u_ff), ca.DM(x_ref), ca.DM(previous))[0]).ravel()
     alone = flown(found, e_0, u_ff, np.zeros(4))[1]
     assert rest == pytest.approx([*np.zeros(4), *(alone / np.tile(found.scale, 2)), *np.zeros(4)])
 
@@ -910,7 +908,7 @@ def test_windows_of_a_horizon_are_the_recursion_from_its_end():
 
 
 def test_constants_and_texts_of_c():
-    assert [_constant(v) for v in (np.nan, INF, -INF, 0.1, -2)] == [
+    assert [DOUBLE(v) for v in (np.nan, INF, -INF, 0.1, -2)] == [
         "NAN",
         "INFINITY",
         "-INFINITY",
@@ -922,15 +920,15 @@ def test_constants_and_texts_of_c():
         and _identifier("2nd") == "law_2nd"
         and _identifier("ä!") == "law_"
     )
-    assert _plain("a /* b */ ä") == "a / * b * / ?" and _number(0.1) == "0.1"
-    assert _wrapped(["1"] * 3) == "1, 1, 1" and _wrapped(["1"] * 40).count("\n") >= 1
+    assert _plain("a /* b */ ä") == "a / * b * / ?" and DOUBLE.entry(0.1) == "0.1"
+    assert wrapped(["1"] * 3) == "1, 1, 1" and wrapped(["1"] * 40).count("\n") >= 1
     assert _entries(Layout("s", (Variable("r", 2, "m"), Variable("n")))) == [
         "[0] r[0], m",
         "[1] r[1], m",
         "[2] n, -",
     ]
     for act in (
-        lambda: _number(INF),
+        lambda: DOUBLE.entry(INF),
         lambda: _read_prefix("math"),
         lambda: _read_prefix("Math"),
         lambda: _read_prefix("a b"),
