@@ -86,6 +86,13 @@ class CodeOptions:
     samples : (times (n,), measured (n_states, n)), optional
         A flight, of one control step after the other: ``(run.times[:-1], run.measured)``. The code is compiled
         (``cc``) and run over it, and what its commands miss the law's by is told.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import CodeOptions
+    >>> code = go.export_c(regulator, "small", options=CodeOptions(precision="float32"))
+    >>> print(code.table_bytes)
+    12
     """
 
     precision: Literal["float64", "float32"] = "float64"
