@@ -111,6 +111,12 @@ def data_rows() -> list[Row]:
     return [
         *rows,
         remark("data: formula of the final sigma, y", FINAL_SIGMA[1], published=said, reason=reason),
+        remark(
+            "the curves of figures 3 to 15",
+            (),
+            published=Claim("drawn", False),
+            reason="not reproducible digit by digit: images without numbers; ours are in the report",
+        ),
     ]
 
 
