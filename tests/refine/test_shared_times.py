@@ -74,7 +74,9 @@ def test_a_slew_from_standstill_fills_its_wheels_together() -> None:
     assert slew.converged and go.verify(slew).ok
     assert slew.objective == pytest.approx(28.27688, abs=1e-4)
     left = [max(a.end for a in slew.structure if a.channel == f"h[{i}]") for i in range(3)]
-    np.testing.assert_allclose(left[:2], slew.objective - 5.0, atol=1e-6)  # the third one has the least inertia
+    np.testing.assert_allclose(
+        left[:2], slew.objective - 5.0, atol=1e-6
+    )  # the third one has the least inertia
 
 
 # --- boundaries, and instants beside them -------------------------------------------------------------------------
