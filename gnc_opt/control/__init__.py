@@ -9,7 +9,7 @@ from gnc_opt.control.estimation.measurement import Measurement
 from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.feedback_linearization import design_feedback_linearization
 from gnc_opt.control.feedforward import feedforward
-from gnc_opt.control.flight_code import FlightCode, export_c
+from gnc_opt.control.flight_code import CodeOptions, FlightCode, export_c
 from gnc_opt.control.functional_mockup import MockupUnit, export_fmu
 from gnc_opt.control.lie import (
     decoupling_matrix,
@@ -41,6 +41,7 @@ from gnc_opt.control.sliding.sliding_mode import design_sliding_mode
 from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
 
 __all__ = [
+    "CodeOptions",
     "ConstantRate",
     "Controller",
     "Deviation",

@@ -35,7 +35,8 @@ EXPECTED = {
         table table_from_csv verify verify_trajectory
     """,
     "gnc_opt.control": """
-        ConstantRate Controller Deviation Estimator Explanation ExponentialRate Fact FilterOptions FlightCode
+        CodeOptions ConstantRate Controller Deviation Estimator Explanation ExponentialRate Fact FilterOptions
+        FlightCode
         Measurement MockupUnit PowerRate PredictiveReaching Reference SaturationLayer Sign SuperTwisting
         SuperTwistingObserver
         TanhLayer UnscentedOptions bridge_dropouts bryson decoupling_matrix design_ekf design_feedback_linearization
