@@ -15,14 +15,9 @@ from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.explanation import Explanation
 from gnc_opt.control.feedback_linearization import _chains, _gain, _optimal_gain, _places, _polynomial
-from gnc_opt.control.flight_code import (
-    _entries,
-    _identifier,
-    _plain,
-    _read_prefix,
-    _table,
-    export_c,
-)
+from gnc_opt.control.flight_code import _identifier, _read_prefix, export_c
+from gnc_opt.control.flight_files import _entries, _plain
+from gnc_opt.control.flight_table import flight_table
 from gnc_opt.control.guard import Inverse, Memory, _solve, _Stacked
 from gnc_opt.control.lie import (
     Pair,
@@ -944,13 +939,16 @@ def scheduled(rows, signals=1, span=(0.0, 1.0)):
 
 def test_the_rows_of_a_schedule_in_c():
     """From the beginning of the span in steps to its end, and the row that is good from there on."""
-    first, table = _table(scheduled(lambda t, dt: np.minimum(t, 1.0)[None, :], span=(0.5, 1.0)), 0.2, None)
-    assert first == 0.5 and table.ravel() == pytest.approx([0.5, 0.7, 0.9, 1.0])
-    assert _table(scheduled(lambda t, dt: np.minimum(t, 1.0)[None, :]), 0.25, None)[
-        1
-    ].ravel() == pytest.approx([0, 0.25, 0.5, 0.75, 1])
-    assert _table(scheduled(None, 0), 0.1, None)[1].shape == (1, 0)
-    assert _table(scheduled(lambda t, dt: 0 * t[None, :], span=None), 0.1, (2.0, 2.0))[1].shape == (1, 1)
+
+    def table(law, dt, span=None):
+        return flight_table(law, dt, span, 0.0)
+
+    found = table(scheduled(lambda t, dt: np.minimum(t, 1.0)[None, :], span=(0.5, 1.0)), 0.2)
+    assert found.first == 0.5 and found.rows.ravel() == pytest.approx([0.5, 0.7, 0.9, 1.0])
+    found = table(scheduled(lambda t, dt: np.minimum(t, 1.0)[None, :]), 0.25)
+    assert found.rows.ravel() == pytest.approx([0, 0.25, 0.5, 0.75, 1])
+    assert table(scheduled(None, 0), 0.1).rows.shape == (1, 0)
+    assert table(scheduled(lambda t, dt: 0 * t[None, :], span=None), 0.1, (2.0, 2.0)).rows.shape == (1, 1)
     for wrong, span, message in (
         (scheduled(lambda t, dt: t[None, :]), None, "still changes by"),
         (scheduled(lambda t, dt: 0 * t[None, :], span=None), None, "does not tell"),
@@ -958,7 +956,7 @@ def test_the_rows_of_a_schedule_in_c():
         (scheduled(lambda t, dt: 0 * t[None, :]), (0.0, INF), "finite"),
     ):
         with pytest.raises(ArgumentError, match=message):
-            _table(wrong, 0.1, span)
+            table(wrong, 0.1, span)
 
 
 def test_the_header_tells_what_the_arrays_hold(tmp_path):

@@ -29,14 +29,21 @@ TRUE = np.array([103.0, 72.75, 51.0]), 1.02 * np.array([0.7, 1.0, 1.8, 2.5])
 Body = tuple[np.ndarray, np.ndarray]
 
 
-def rate(t: float, state: np.ndarray, torque: np.ndarray, body: Body, push: float = PUSH) -> np.ndarray:
+def rate(
+    t: float,
+    state: np.ndarray,
+    torque: np.ndarray,
+    body: Body,
+    wave: float | np.ndarray = PUSH,
+    level: float | np.ndarray = 0.5 * PUSH,
+) -> np.ndarray:
     """Hub and four modes, all in numbers, with the moments and the frequencies of a body."""
     moments, stiff = body[0], body[1][:, None]
     damped = 2 * DAMPING[:, None] * stiff
     q, w, eta, eta_rate = state[:4], state[4:7], state[7:11], state[11:]
     relative = w - orbital(q)
     turn = 0.5 * np.vstack([-np.sum(q[1:] * relative, axis=0), q[0] * relative + cross(q[1:], relative)])
-    pushed = torque + push * (np.sin(t) + 0.5)
+    pushed = torque + wave * np.sin(t) + level
     momentum = moments[:, None] * w + COUPLING @ eta_rate
     free = -damped * eta_rate - stiff**2 * eta
     mass = np.block([[np.diag(moments), COUPLING], [COUPLING.T, np.eye(4)]])
@@ -51,17 +58,24 @@ def rest() -> np.ndarray:
     return first
 
 
-def integrated(torques: np.ndarray, body: Body) -> np.ndarray:
+def integrated(
+    torques: np.ndarray,
+    body: Body,
+    starts: np.ndarray | None = None,
+    wave: float | np.ndarray = PUSH,
+    level: float | np.ndarray = 0.5 * PUSH,
+) -> np.ndarray:
     """States (n_steps + 1, 15, n_runs) under torques (3, n_steps, n_runs), by Runge and Kutta's rule."""
-    state, h, path = np.tile(rest()[:, None], torques.shape[2]), 0.025, []
+    state = np.tile(rest()[:, None], torques.shape[2]) if starts is None else starts
+    h, path = 0.025, []
     for k in range(torques.shape[1]):
         u = torques[:, k]
         path.append(state)
         for t in (0.05 * k, 0.05 * k + h):
-            k1 = rate(t, state, u, body)
-            k2 = rate(t + h / 2, state + h / 2 * k1, u, body)
-            k3 = rate(t + h / 2, state + h / 2 * k2, u, body)
-            state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(t + h, state + h * k3, u, body))
+            k1 = rate(t, state, u, body, wave, level)
+            k2 = rate(t + h / 2, state + h / 2 * k1, u, body, wave, level)
+            k3 = rate(t + h / 2, state + h / 2 * k2, u, body, wave, level)
+            state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(t + h, state + h * k3, u, body, wave, level))
     return np.array([*path, state])
 
 

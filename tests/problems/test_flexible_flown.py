@@ -4,10 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from flexible import TRUE, angle, integrated, vibration
+from few_runs import few_runs
+from flexible import TRUE, angle, integrated, rest, vibration
 
+from gnc_opt.spacecraft import quaternion_angle
 from problems.flexible_spacecraft import flown
-from problems.flexible_spacecraft.flown import FLOWN, KNOWN, Conditions, flight, flown_rows, plan, worth
+from problems.flexible_spacecraft.flown import (
+    FLOWN,
+    KNOWN,
+    Conditions,
+    flight,
+    flown_rows,
+    plan,
+    rivals,
+    worth,
+)
 from problems.flown import Flight
 
 NAMES = ("published", *FLOWN)
@@ -42,6 +53,22 @@ def test_flights_are_what_another_program_makes_of_the_applied_torques() -> None
         assert np.max(np.abs(torque)) == pytest.approx(0.27, rel=1e-6)
     assert worth(runs[2]).effort == pytest.approx(worth(runs[0]).effort, rel=0.02)
     assert [row.quantity for row in flown_rows() if not row.passes] == []
+
+
+@pytest.mark.slow
+def test_dispersed_runs_are_what_another_program_makes_of_the_applied_torques() -> None:
+    """From their own starts and under their own pushes, for the plans and for the published law."""
+    for campaign in few_runs("flexible_spacecraft", rivals()).values():
+        runs = [campaign.rerun(i) for i in range(3)]
+        torques = np.stack([run.applied for run in runs], axis=-1)
+        starts = np.stack([run.states[:, 0] for run in runs], axis=-1)
+        pushes = [campaign.parameter(name)[..., :3] for name in ("wave.amplitude", "push.level")]
+        ends = integrated(torques, TRUE, starts, *pushes)[-1]
+        turned = np.degrees(quaternion_angle(starts[:4], rest()[:4, None]))
+        assert np.all((turned > 0) & (turned <= 2.0)) and np.ptp(turned) > 0.1
+        found = np.array([np.sum(np.abs(torques), axis=(0, 1)) * 0.05, [angle(q) for q in ends[:4].T]])
+        told = [campaign.measure("effort(torque)")[:3], np.degrees(campaign.measure("angle(q_BO)")[:3])]
+        np.testing.assert_allclose(told, found, rtol=1e-3)
 
 
 def test_another_condition_is_flown_and_not_judged(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -223,10 +223,12 @@ def test_least_time_and_effort_is_an_extremal_by_another_program() -> None:
         x, costate = y[:15], y[15:30]
         u = torque(costate)
         moved = x[:, None] + 1e-30j * np.eye(15)
-        slopes = rate(t, moved, u[:, None], BELIEVED, 0.0).imag / 1e-30  # columns: with respect to each state
+        slopes = (
+            rate(t, moved, u[:, None], BELIEVED, 0.0, 0.0).imag / 1e-30
+        )  # columns: with respect to each state
         cost = 1 + price * np.sum((u / limit) ** 2)
         return np.concatenate(
-            [rate(t, x[:, None], u[:, None], BELIEVED, 0.0)[:, 0], -(slopes.T @ costate), [cost]]
+            [rate(t, x[:, None], u[:, None], BELIEVED, 0.0, 0.0)[:, 0], -(slopes.T @ costate), [cost]]
         )
 
     first = np.concatenate([at_first(), leg.lam_start[:, 0], [0.0]])
