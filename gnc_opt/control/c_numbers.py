@@ -75,8 +75,8 @@ class CNumbers:
         return _CALL.sub(rf"\1{self.suffix}(", _LITERAL.sub(rf"\1{self.suffix}", text))
 
     def typed(self, text: str) -> str:
-        """Return C with the type in place of ``real``."""
-        return re.sub(r"\breal\b", self.type, text)
+        """Return C with the type in place of ``real_t``."""
+        return re.sub(r"\breal_t\b", self.type, text)
 
     def nested(self, values: Array) -> str:
         """Return the initializer of an array of any dimension."""

@@ -266,6 +266,15 @@ def test_nothing_undefined_and_no_foreign_memory_with_samples_of_all_kinds(tmp_p
     assert found == pytest.approx(python(controller, times, states, 0.1), rel=1e-12, abs=1e-14)
 
 
+@needs_compiler
+def test_options_that_know_no_nan_are_refused(tmp_path):
+    code = export_c(holder(0.1), tmp_path)
+    with pytest.raises(subprocess.CalledProcessError) as refused:
+        compiled(code, "-O0", "-ffast-math")
+    assert b"lost samples would pass" in refused.value.stderr
+    compiled(code, "-O0", "-ffast-math", "-fno-finite-math-only")
+
+
 def test_header_tells_operations_and_stack(tmp_path):
     """Of a law by hand: u = -(2 x0 + 3 x1) has four operations; the arrays are those declared in the source."""
     model, _ = pendulum()

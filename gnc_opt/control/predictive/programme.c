@@ -18,26 +18,26 @@
 /* What the rows depend on beside y. */
 typedef struct {
     long first;
-    const real *e, *before;
+    const real_t *e, *before;
 } situation;
 
 typedef struct {
     int count;
     int row[SIZE + 1];
-    real side[SIZE + 1]; /* 1 at a lower limit, -1 at an upper one */
-    real mu[SIZE + 1]; /* multipliers, positive at lower limits */
-    real square[SIZE + 1]; /* of each row */
-    real l[FACTOR], d[SIZE + 1]; /* lower triangle by rows, the ones on its diagonal left out */
+    real_t side[SIZE + 1]; /* 1 at a lower limit, -1 at an upper one */
+    real_t mu[SIZE + 1]; /* multipliers, positive at lower limits */
+    real_t square[SIZE + 1]; /* of each row */
+    real_t l[FACTOR], d[SIZE + 1]; /* lower triangle by rows, the ones on its diagonal left out */
 } active_set;
 
-static real *factor_row(active_set *set, int i) { return &set->l[i * (i + 1) / 2]; }
+static real_t *factor_row(active_set *set, int i) { return &set->l[i * (i + 1) / 2]; }
 
-static real magnitude(real a) { return a < 0 ? -a : a; }
+static real_t magnitude(real_t a) { return a < 0 ? -a : a; }
 
 /* c = M y + c0; of the linear part alone if there is no situation but its first row. */
-static void rows_of(const situation *at, int affine, const real *y, real *c)
+static void rows_of(const situation *at, int affine, const real_t *y, real_t *c)
 {
-    real e[N_E], next[N_E], u[N_U], last[N_U];
+    real_t e[N_E], next[N_E], u[N_U], last[N_U];
     int i, j, k;
     for (i = 0; i < N_E; ++i)
         e[i] = affine ? at->e[i] : 0;
@@ -45,8 +45,8 @@ static void rows_of(const situation *at, int affine, const real *y, real *c)
         last[i] = affine ? at->before[i] : 0;
     for (j = 0; j < HORIZON; ++j) {
         const matrices *m = matrices_of(at->first, j);
-        const real *omega = &y[j * N_Y], *reference = row_of(at->first + j + 1);
-        const real *feedforward = row_of(at->first + j) + N_X;
+        const real_t *omega = &y[j * N_Y], *reference = row_of(at->first + j + 1);
+        const real_t *feedforward = row_of(at->first + j) + N_X;
         for (i = 0; i < N_U; ++i) {
             u[i] = affine ? feedforward[i] : 0;
             for (k = 0; k < N_E; ++k)
@@ -75,7 +75,7 @@ static void rows_of(const situation *at, int affine, const real *y, real *c)
                 if (affine)
                     *c -= ((k < 0 ? state_lower[i] : state_upper[i]) - reference[limited_state[i]]) * state_scale[i];
                 if (limited_slack[i] >= 0)
-                    *c -= k * (omega[N_U + limited_slack[i]] / slack_root[limited_slack[i]] - (affine ? 1 : 0));
+                    *c -= (real_t)k * (omega[N_U + limited_slack[i]] / slack_root[limited_slack[i]] - (affine ? 1 : 0));
                 ++c;
             }
         for (i = 0; i < N_S; ++i)
@@ -84,9 +84,9 @@ static void rows_of(const situation *at, int affine, const real *y, real *c)
 }
 
 /* y = M' lambda */
-static void transposed(long first, const real *lambda, real *y)
+static void transposed(long first, const real_t *lambda, real_t *y)
 {
-    real p[N_E], next[N_E], by_command[N_U], later[N_U];
+    real_t p[N_E], next[N_E], by_command[N_U], later[N_U];
     int i, j, k;
     for (i = 0; i < N_E; ++i)
         p[i] = 0;
@@ -94,8 +94,8 @@ static void transposed(long first, const real *lambda, real *y)
         later[i] = 0;
     for (j = HORIZON - 1; j >= 0; --j) {
         const matrices *m = matrices_of(first, j);
-        const real *of_states = &lambda[j * N_ROWS_OF_STEP + N_U + RATES * N_U], *of_slacks = of_states + 2 * N_L;
-        real *out = &y[j * N_Y];
+        const real_t *of_states = &lambda[j * N_ROWS_OF_STEP + N_U + RATES * N_U], *of_slacks = of_states + 2 * N_L;
+        real_t *out = &y[j * N_Y];
         for (i = 0; i < N_S; ++i)
             out[N_U + i] = of_slacks[i];
         for (i = 0; i < N_L; ++i) {
@@ -104,7 +104,7 @@ static void transposed(long first, const real *lambda, real *y)
                 out[N_U + limited_slack[i]] += (of_states[i] - of_states[N_L + i]) / slack_root[limited_slack[i]];
         }
         for (i = 0; i < N_U; ++i) {
-            const real change = RATES ? lambda[j * N_ROWS_OF_STEP + RATES * N_U + i] * rate_scale[i] : 0;
+            const real_t change = RATES ? lambda[j * N_ROWS_OF_STEP + RATES * N_U + i] * rate_scale[i] : 0;
             by_command[i] = lambda[j * N_ROWS_OF_STEP + i] * command_scale[i] + change - later[i];
             later[i] = change;
         }
@@ -127,9 +127,9 @@ static void transposed(long first, const real *lambda, real *y)
     }
 }
 
-static void add_row(active_set *set, long first, int row, real side)
+static void add_row(active_set *set, long first, int row, real_t side)
 {
-    real lambda[ROWS], y[SIZE], c[ROWS], *l;
+    real_t lambda[ROWS], y[SIZE], c[ROWS], *l;
     const situation at = {first, 0, 0};
     int i, k;
     const int n = set->count;
@@ -141,13 +141,13 @@ static void add_row(active_set *set, long first, int row, real side)
     l = factor_row(set, n);
     set->d[n] = c[row];
     for (i = 0; i < n; ++i) {
-        const real *other = factor_row(set, i);
+        const real_t *other = factor_row(set, i);
         l[i] = c[set->row[i]];
         for (k = 0; k < i; ++k)
             l[i] -= other[k] * l[k];
     }
     for (i = 0; i < n; ++i) {
-        const real scaled = l[i] / set->d[i];
+        const real_t scaled = l[i] / set->d[i];
         set->d[n] -= scaled * l[i];
         l[i] = scaled;
     }
@@ -164,10 +164,10 @@ static void add_row(active_set *set, long first, int row, real side)
  * Saunders, Methods for modifying matrix factorizations, Math. Comp. 28 (1974), method C1). */
 static void take_away(active_set *set, int r)
 {
-    real column[SIZE + 1], weight = set->d[r];
+    real_t column[SIZE + 1], weight = set->d[r];
     int i, k;
     for (i = r + 1; i < set->count; ++i) {
-        real *to = factor_row(set, i - 1), *from = factor_row(set, i);
+        real_t *to = factor_row(set, i - 1), *from = factor_row(set, i);
         column[i - 1] = from[r];
         for (k = 0; k < r; ++k)
             to[k] = from[k];
@@ -181,15 +181,15 @@ static void take_away(active_set *set, int r)
     }
     set->count -= 1;
     for (k = r; k < set->count; ++k) {
-        const real p = column[k], grown = set->d[k] + weight * p * p;
-        real share = 0;
+        const real_t p = column[k], grown = set->d[k] + weight * p * p;
+        real_t share = 0;
         if (grown > 0) {
             share = weight * p / grown;
             weight *= set->d[k] / grown;
         }
         set->d[k] = grown;
         for (i = k + 1; i < set->count; ++i) {
-            real *l = factor_row(set, i);
+            real_t *l = factor_row(set, i);
             column[i] -= p * l[k];
             l[k] += share * column[i];
         }
@@ -201,7 +201,7 @@ static void take_away(active_set *set, int r)
 
 /* The change of the multipliers that closes the gaps of the active rows; of the last row's direction alone, and 0, if
  * it depends on the others. */
-static int step_of(active_set *set, const real *gap, real *step)
+static int step_of(active_set *set, const real_t *gap, real_t *step)
 {
     const int n = set->count, independent = n == 0 || set->d[n - 1] > 0;
     int i, k;
@@ -221,9 +221,9 @@ static int step_of(active_set *set, const real *gap, real *step)
 }
 
 /* The row that is farthest outside, -1 if none is; its side is 1 beyond a lower limit, -1 beyond an upper one. */
-static int farthest(const real *c, real tolerance, real *side)
+static int farthest(const real_t *c, real_t tolerance, real_t *side)
 {
-    real most = tolerance;
+    real_t most = tolerance;
     int i, found = -1;
     for (i = 0; i < ROWS; ++i) {
         const int kind = i % N_ROWS_OF_STEP;
@@ -241,17 +241,17 @@ static int farthest(const real *c, real tolerance, real *side)
     return found;
 }
 
-static real gap_of(const active_set *set, const real *c, int i)
+static real_t gap_of(const active_set *set, const real_t *c, int i)
 {
     const int kind = set->row[i] % N_ROWS_OF_STEP;
     return (set->side[i] > 0 ? row_lower[kind] : row_upper[kind]) - c[set->row[i]];
 }
 
 /* The least y for this situation; 0 if there is none, or if the iterations do not suffice. */
-static int least(const situation *at, real *y)
+static int least(const situation *at, real_t *y)
 {
     active_set set;
-    real lambda[ROWS], c[ROWS], gap[SIZE + 1], step[SIZE + 1];
+    real_t lambda[ROWS], c[ROWS], gap[SIZE + 1], step[SIZE + 1];
     int i, j, iteration, settled = 1;
     set.count = 0;
     for (j = 0; j < HORIZON; ++j) /* slacks at zero, which the least |y| of its own is not at */
@@ -260,7 +260,7 @@ static int least(const situation *at, real *y)
             set.mu[set.count - 1] = slack_root[i];
         }
     for (iteration = 0; iteration < MOST; ++iteration) {
-        real most = 0, length = 1, tolerance;
+        real_t most = 0, length = 1, tolerance;
         int blocking = -1, independent;
         for (i = 0; i < ROWS; ++i)
             lambda[i] = 0;
@@ -282,7 +282,7 @@ static int least(const situation *at, real *y)
                 most = magnitude(gap[i]);
         }
         if (settled && most <= tolerance) {
-            real side = 0;
+            real_t side = 0;
             const int row = farthest(c, tolerance, &side);
             if (row < 0)
                 return 1;
@@ -293,7 +293,7 @@ static int least(const situation *at, real *y)
         }
         independent = step_of(&set, gap, step);
         for (i = 0; i < set.count; ++i) {
-            const real toward = set.side[i] * step[i], left = set.side[i] * set.mu[i];
+            const real_t toward = set.side[i] * step[i], left = set.side[i] * set.mu[i];
             if (toward < 0 && (!independent || left + toward < 0) && (blocking < 0 || -left > length * toward)) {
                 length = left > 0 ? -left / toward : 0;
                 blocking = i;
@@ -311,10 +311,10 @@ static int least(const situation *at, real *y)
 }
 
 /* What the first command adds to its feedforward: the regulator's share, and the programme's if there is a solution. */
-static void programme(const real *row, const real *e, const real *before, real *v, real *solved)
+static void programme(const real_t *row, const real_t *e, const real_t *before, real_t *v, real_t *solved)
 {
     situation at;
-    real y[SIZE];
+    real_t y[SIZE];
     const matrices *m;
     int i, k, found;
     at.first = (long)row[0];
@@ -330,5 +330,5 @@ static void programme(const real *row, const real *e, const real *before, real *
             for (k = 0; k < N_U; ++k)
                 v[i] += m->g[i][k] * y[k];
     }
-    solved[0] = found;
+    solved[0] = (real_t)found;
 }
