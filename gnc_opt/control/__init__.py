@@ -18,6 +18,7 @@ from gnc_opt.control.lie import (
     relative_degrees,
     zero_dynamics,
 )
+from gnc_opt.control.linear.gain_schedule import design_gain_schedule
 from gnc_opt.control.linear.lqr import design_lqr
 from gnc_opt.control.linear.tvlqr import design_tvlqr
 from gnc_opt.control.linear.weights import bryson
@@ -67,6 +68,7 @@ __all__ = [
     "decoupling_matrix",
     "design_ekf",
     "design_feedback_linearization",
+    "design_gain_schedule",
     "design_hierarchical_sliding_mode",
     "design_integral_sliding_mode",
     "design_lqr",
