@@ -18,7 +18,12 @@ from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.hp.mesh_refinement import ROOMY, refine_mesh
 from gnc_opt.refine.limits import RefinementLimits
 from gnc_opt.refine.passes import PassLimits, pass_record
-from gnc_opt.refine.structure.detect import affine_channels, regular_channels, structures_of
+from gnc_opt.refine.structure.detect import (
+    affine_channels,
+    curved_channels,
+    regular_channels,
+    structures_of,
+)
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.switching import TIGHT, optimise_switches
 from gnc_opt.solution.history import History, RefinementStatus, work_of
@@ -336,6 +341,8 @@ def _switches(solution: Solution, found: Mapping[str, PhaseStructure], at_least:
         if np.any(affine_channels(samples)) and found[name].pieces > at_least:
             return True
         if any(found[name].touches[0] + found[name].touches[-1]):
+            return True
+        if np.any(curved_channels(samples)) and found[name].pieces > max(at_least, 1):
             return True
         # Controls that H determines have nothing to settle if they stay between their bounds.
         if np.any(regular_channels(samples)) and found[name].pieces > 1:
