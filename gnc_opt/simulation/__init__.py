@@ -28,7 +28,7 @@ from gnc_opt.simulation.flight import Flight
 from gnc_opt.simulation.loop import ClosedLoop
 from gnc_opt.simulation.monte_carlo import monte_carlo
 from gnc_opt.simulation.outcome import Outcome, RunStatus
-from gnc_opt.simulation.plant import Plant, PlantFlight, fly_plant
+from gnc_opt.simulation.plant import PlantFlight, fly_plant
 from gnc_opt.simulation.quantity import Quantity
 from gnc_opt.simulation.replanner import Replanner
 from gnc_opt.simulation.run import Run
@@ -64,7 +64,6 @@ __all__ = [
     "Occurrence",
     "Outage",
     "Outcome",
-    "Plant",
     "PlantFlight",
     "Pwm",
     "Pwpf",

@@ -22,14 +22,7 @@ from gnc_opt.tolerances import STEP_SLACK
 
 @runtime_checkable
 class Plant(Protocol):
-    """What `fly_plant` asks of a plant, in turns: measure, step, measure, step.
-
-    Examples
-    --------
-    >>> from gnc_opt.simulation import Plant
-    >>> print(isinstance(3, Plant))
-    False
-    """
+    """What `fly_plant` asks of a plant, in turns: measure, step, measure, step."""
 
     def measure(self, t: float) -> ArrayLike:
         """Return what the controller is told at t (s), (n_states,) in its order; not a number where it is lost."""

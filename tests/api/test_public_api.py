@@ -48,7 +48,7 @@ EXPECTED = {
     "gnc_opt.simulation": """
         Allocation Ball Bias Block Campaign Choice ClosedLoop Consistency Constant Deadband Delay Disturbance
         Ending Envelope Event Expression Flight Hold InnovationTest Lag MinimumImpulse Mixer Noise
-        NonNegativeAllocation Normal Occurrence Outage Outcome Plant PlantFlight Pwm Pwpf Quantisation
+        NonNegativeAllocation Normal Occurrence Outage Outcome PlantFlight Pwm Pwpf Quantisation
         Quantity RandomHold
         RandomWalk RateLimit Replan Replanner Run
         RunStatus Sampling
