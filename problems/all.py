@@ -2,7 +2,7 @@
 
 A page is a reproducibility matrix: what the publication says, ours, what an independent computation says, and why they
 differ where they do; below it the front of what less time costs, and plans beside the published law over many
-dispersed runs.
+dispersed runs, and a film of an optimum where it moves in space.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from rich.console import Console
@@ -30,7 +31,9 @@ SYSTEMS = {
     "tethered_formation": "Tethered pair",
 }
 """Folders with their titles; each has ``report.comparison``, which returns its rows, and ``report.front``; those in
-which laws are flown have ``flown.rivals``."""
+which laws are flown have ``flown.rivals``, those that can be seen moving in space ``report.moving``."""
+FILM_SECONDS, FILM_RATE = 6.0, 10.0
+"""Of the films: how long they are, and pictures per second."""
 FLOWN = ("formation_flying", "reaction_wheels", "flexible_spacecraft", "tethered_formation")
 PAGES = Path(__file__).parent.parent / "docs" / "systems"
 MOVED = 1e-6
@@ -44,11 +47,16 @@ def table_rows(name: str) -> list[Row]:
 
 
 def study_rows(name: str, folder: Path, runs: int) -> list[Row]:
-    """Return the rows of a system's front and of dispersed runs; draw the front into a folder."""
+    """Return the rows of a system's front and of dispersed runs; draw the front, and film an optimum, into a folder."""
+    from gnc_opt.plot import save_film
     from gnc_opt.plot.style import save_figure
 
-    front: Front = import_module(f"problems.{name}.report").front()
+    report = import_module(f"problems.{name}.report")
+    front: Front = report.front()
     save_figure(front_figure(front), folder / f"{name}.png")
+    if hasattr(report, "moving"):
+        solution, view = report.moving()
+        save_film(solution, folder / f"{name}.gif", view, seconds=FILM_SECONDS, rate=FILM_RATE)
     rows = front_rows(front)
     if name in FLOWN and runs > 0:
         rivals: Rivals = import_module(f"problems.{name}.flown").rivals()
@@ -56,8 +64,8 @@ def study_rows(name: str, folder: Path, runs: int) -> list[Row]:
     return rows
 
 
-def page(title: str, rows: Sequence[Row], figure: str = "") -> str:
-    """Return the matrix of a system, Markdown, with the figure of its front."""
+def page(title: str, rows: Sequence[Row], pictures: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Return the matrix of a system, Markdown, with pictures by what they show."""
     lines = [
         f"# {title}",
         "",
@@ -65,7 +73,7 @@ def page(title: str, rows: Sequence[Row], figure: str = "") -> str:
         "",
         count(rows) + ".",
         "",
-        *([f"![what less time costs]({figure})", ""] if figure else []),
+        *(line for shows, file in pictures.items() for line in (f"![{shows}]({file})", "")),
         "| quantity | publication | ours | independent | |",
         "|---|---|---|---|---|",
     ]
@@ -76,6 +84,12 @@ def page(title: str, rows: Sequence[Row], figure: str = "") -> str:
                 cells[i] = f"{claim.text}: {'agrees' if claim.agrees else otherwise}"
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(lines) + "\n"
+
+
+def pictures(name: str, folder: Path) -> dict[str, str]:
+    """Return the pictures of a system's page that are in a folder, by what they show."""
+    shown = {"what less time costs": f"{name}.png", "an optimum in motion": f"{name}.gif"}
+    return {shows: file for shows, file in shown.items() if (folder / file).exists()}
 
 
 def changes(before: Sequence[dict[str, Any]], rows: Sequence[Row], *, all_rows: bool = True) -> list[str]:
@@ -156,7 +170,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         before = json.loads(told.read_text(encoding="utf-8"))["rows"] if told.exists() else None
         if not options.quick:
             write_json(told, rows)
-            text = page(SYSTEMS[name], rows, f"{name}.png")
+            text = page(SYSTEMS[name], rows, pictures(name, options.pages))
             (options.pages / f"{name}.md").write_text(text, encoding="utf-8")
         spent = time.perf_counter() - begin
         console.print(f"{name}: {count(rows)}; {spent:.0f} s", markup=False, soft_wrap=True)

@@ -32,8 +32,21 @@ def heading(example: Example) -> str:
 
 
 def pages(pictures: bool) -> dict[str, str]:
-    """Return the Markdown of every example by its place in the site."""
-    return {f"gallery/{e.name}.md": "\n".join(_page(e, pictures)) for e in examples()}
+    """Return the Markdown of every example and of their overview by its place in the site."""
+    each = {f"gallery/{e.name}.md": "\n".join(_page(e, pictures)) for e in examples()}
+    return {"gallery/index.md": "\n".join(_overview(pictures))} | each
+
+
+def _overview(pictures: bool) -> Iterator[str]:
+    """All exhibits at a glance: the controls, or the states of what has none."""
+    yield "# Gallery\n"
+    yield "Every problem that comes along, solved and drawn. [A table](../problems.md) tells what each teaches.\n"
+    yield '<div class="exhibits" markdown>\n'
+    for example in examples():
+        title, kind = heading(example), shown(example)[-1]
+        picture = f"![{title}: {kind}]({example.name}_{kind}.svg)<br>" if pictures else ""
+        yield f"[{picture}{title}]({example.name}.md)\n"
+    yield "</div>\n"
 
 
 def _page(example: Example, pictures: bool) -> Iterator[str]:
@@ -48,7 +61,10 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
         yield f"Its results: [{example.name.replace('_', ' ')}](../{example.name}.md).\n"
     yield f"Run it: `gnc-opt examples {example.name}`, or `python -m problems.{example.name}` in the repository.\n"
     if pictures:
-        yield "".join(f"![{kind}]({example.name}_{kind}.svg)\n\n" for kind in shown(example))
+        files = {kind: f"{example.name}_{kind}.svg" for kind in shown(example)}
+        yield "".join(
+            f"[![{heading(example)}: {kind}]({f})]({f})\n\n" for kind, f in files.items()
+        )  # to look closer
     for path in sorted(example.path.glob("*.py")) if example.is_system else [example.path]:
         place = path.relative_to(ROOT)
         code = path.read_text(encoding="utf-8")

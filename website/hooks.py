@@ -46,6 +46,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     sections = {
         title: pages for entry in config.nav if isinstance(entry, dict) for title, pages in entry.items()
     }
+    sections["Gallery"].insert(0, "gallery/index.md")
     sections["Gallery"].extend({gallery.heading(e): f"gallery/{e.name}.md"} for e in examples())
     sections["API reference"].append("api/index.md")
     sections["API reference"].extend({room: f"api/{room}.md"} for room in api.entries())
@@ -72,10 +73,10 @@ def on_page_markdown(markdown: str, page: Page, **more: Any) -> str:
     place = page.file.src_uri
     if place not in FROM_ROOT and page.file.generated_by:
         return markdown
-    markdown = markdown.replace(_REFERENCE_OF_README, _REFERENCE_OF_SITE)
     pieces = re.split(f"({_FENCE.pattern})", markdown, flags=_FENCE.flags)
     source = FROM_ROOT.get(place, f"docs/{place}")
-    return "".join(piece if piece.startswith("```") else relinked(piece, source, place) for piece in pieces)
+    shown = (piece if piece.startswith("```") else relinked(piece, source, place) for piece in pieces)
+    return "".join(shown).replace(_REFERENCE_OF_README, _REFERENCE_OF_SITE)
 
 
 def relinked(text: str, source: str, place: str) -> str:

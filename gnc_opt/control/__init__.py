@@ -9,7 +9,7 @@ from gnc_opt.control.estimation.measurement import Measurement
 from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.feedback_linearization import design_feedback_linearization
 from gnc_opt.control.feedforward import feedforward
-from gnc_opt.control.flight_code import FlightCode, export_c
+from gnc_opt.control.flight_code import CodeOptions, FlightCode, export_c
 from gnc_opt.control.functional_mockup import MockupUnit, export_fmu
 from gnc_opt.control.lie import (
     decoupling_matrix,
@@ -18,6 +18,7 @@ from gnc_opt.control.lie import (
     relative_degrees,
     zero_dynamics,
 )
+from gnc_opt.control.linear.gain_schedule import design_gain_schedule
 from gnc_opt.control.linear.lqr import design_lqr
 from gnc_opt.control.linear.tvlqr import design_tvlqr
 from gnc_opt.control.linear.weights import bryson
@@ -41,6 +42,7 @@ from gnc_opt.control.sliding.sliding_mode import design_sliding_mode
 from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
 
 __all__ = [
+    "CodeOptions",
     "ConstantRate",
     "Controller",
     "Deviation",
@@ -66,6 +68,7 @@ __all__ = [
     "decoupling_matrix",
     "design_ekf",
     "design_feedback_linearization",
+    "design_gain_schedule",
     "design_hierarchical_sliding_mode",
     "design_integral_sliding_mode",
     "design_lqr",

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
+from gnc_opt.control.c_numbers import DOUBLE, CNumbers
 from gnc_opt.errors import ArgumentError
 
 _FORMS: dict[str, str] = {
@@ -65,7 +65,9 @@ _OPERATIONS: dict[int, str] = {getattr(ca, f"OP_{name}"): form for name, form in
 _NAMES: dict[int, str] = {getattr(ca, name): name[3:].lower() for name in dir(ca) if name.startswith("OP_")}
 
 
-def c_statements(function: Any, inputs: list[str], outputs: list[str]) -> list[str]:
+def c_statements(
+    function: Any, inputs: list[str], outputs: list[str], numbers: CNumbers = DOUBLE
+) -> list[str]:
     """Return the body of a C function that evaluates a CasADi function.
 
     Parameters
@@ -73,7 +75,9 @@ def c_statements(function: Any, inputs: list[str], outputs: list[str]) -> list[s
     function : casadi.Function
         Of class SXFunction.
     inputs, outputs : list of str
-        C names: a scalar ``double`` for the first input, pointers for the others.
+        C names: a scalar for the first input, pointers for the others.
+    numbers : CNumbers
+        Their type.
 
     Raises
     ------
@@ -87,7 +91,7 @@ def c_statements(function: Any, inputs: list[str], outputs: list[str]) -> list[s
         operation = function.instruction_id(k)
         source, target = function.instruction_input(k), function.instruction_output(k)
         if operation == ca.OP_CONST:
-            body.append(f"w[{target[0]}] = {_constant(function.instruction_constant(k))};")
+            body.append(f"w[{target[0]}] = {numbers(function.instruction_constant(k))};")
         elif operation == ca.OP_INPUT:
             used_inputs.add(source[0])
             body.append(f"w[{target[0]}] = {read[source[0]][source[1]]};")
@@ -96,15 +100,17 @@ def c_statements(function: Any, inputs: list[str], outputs: list[str]) -> list[s
             written.add((target[0], row))
             body.append(f"{outputs[target[0]]}[{row}] = w[{source[0]}];")
         elif operation in _OPERATIONS:
-            form = _OPERATIONS[operation].format(*(f"w[{i}]" for i in source))
+            form = numbers.expression(_OPERATIONS[operation]).format(*(f"w[{i}]" for i in source))
             body.append(f"w[{target[0]}] = {form};")
+        elif operation == ca.OP_CALL:
+            body += _call(function, source, target, numbers)
         else:
             raise ArgumentError(
                 f"operation '{_NAMES[operation]}' of function '{function.name()}' has no form in C: "
                 "write the law with elementary functions."
             )
     zeros = [
-        f"{outputs[k]}[{row}] = 0.0;"
+        f"{outputs[k]}[{row}] = {numbers(0.0)};"
         for k in range(function.n_out())
         for row in range(function.size1_out(k))
         if (k, row) not in written
@@ -112,7 +118,7 @@ def c_statements(function: Any, inputs: list[str], outputs: list[str]) -> list[s
     touched = {k for k, _ in written} | {k for k in range(function.n_out()) if function.size1_out(k)}
     unused = [f"(void){inputs[k]};" for k in range(function.n_in()) if k not in used_inputs]
     unused += [f"(void){outputs[k]};" for k in range(function.n_out()) if k not in touched]
-    work = [f"double w[{function.sz_w()}];"] if body else []
+    work = [f"{numbers.type} w[{function.sz_w()}];"] if body else []
     return [*work, *unused, *body, *zeros]
 
 
@@ -125,9 +131,23 @@ def _input_names(function: Any, inputs: list[str]) -> list[list[str]]:
     return names
 
 
-def _constant(value: float) -> str:
-    if np.isnan(value):
-        return "NAN"
-    if np.isinf(value):
-        return "INFINITY" if value > 0 else "-INFINITY"
-    return repr(float(value))
+def _call(function: Any, source: list[int], target: list[int], numbers: CNumbers) -> list[str]:
+    """The call of the only function that a law calls: copies in and out, for its arguments are arrays."""
+    (name,) = function.get_function()
+    called = function.get_function(name)
+    lines, arguments = ["{"], []
+    for kind, places, count, size in (
+        ("in", source, called.n_in(), called.nnz_in),
+        ("out", target, called.n_out(), called.nnz_out),
+    ):
+        left = list(places)
+        for k in range(count):
+            own, left = left[: size(k)], left[size(k) :]
+            given = f" = {{{', '.join(f'w[{i}]' for i in own)}}}" if kind == "in" else ""
+            const = "const " if kind == "in" else ""
+            lines.append(f"    {const}{numbers.type} {kind}_{k}[{size(k)}]{given};")
+            arguments.append((f"{kind}_{k}", own))
+    lines.append(f"    {name}({', '.join(array for array, _ in arguments)});")
+    for array, own in arguments[called.n_in() :]:
+        lines += [f"    w[{i}] = {array}[{j}];" for j, i in enumerate(own) if i >= 0]
+    return [*lines, "}"]

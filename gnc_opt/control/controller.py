@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
+from gnc_opt.control.c_numbers import CNumbers
 from gnc_opt.control.explanation import Explanation
 from gnc_opt.control.python_control import sampled_system
 from gnc_opt.errors import ArgumentError
@@ -21,6 +22,37 @@ from gnc_opt.tolerances import SAME_TIME
 Schedule: TypeAlias = Callable[[Array, float], Array]
 """``schedule(times, dt)`` returns what the law needs to know beforehand, (n_signals, n_times), for control steps that
 begin at ``times`` (n,) and last ``dt`` (s)."""
+
+
+class SolverCode(Protocol):
+    """The C of the solver that a law calls once."""
+
+    @property
+    def operations(self) -> int:
+        """Arithmetic operations and comparisons of a call, at most."""
+
+    @property
+    def stack(self) -> int:
+        """Numbers on the stack of a call, at most."""
+
+    def text(self, numbers: CNumbers) -> str:
+        """Return tables and functions, behind ``schedule`` and ``row_of``."""
+
+
+@dataclass(frozen=True, eq=False)
+class FlightLaw:
+    """A law with a solver inside as flight code has it.
+
+    Attributes
+    ----------
+    controller : Controller
+        Of elementary operations and, with a solver, one call, named as the C function.
+    solver : SolverCode, optional
+    """
+
+    controller: Controller
+    solver: SolverCode | None = None
+
 
 _INPUTS, _OUTPUTS = ["t", "x", "r", "z"], ["u", "z_next"]
 
@@ -47,6 +79,8 @@ class Controller:
     estimated : Layout, optional
         The states that the law feeds back, where an estimator makes them of what is measured, see `output_feedback`;
         ``states`` then are measurements.
+    flight : FlightLaw, optional
+        The form of the law in flight code, where its own solves a problem at every step.
     schedule : callable
         See `Schedule`.
     dt : float or None
@@ -82,6 +116,7 @@ class Controller:
     span: tuple[float, float] | None = None
     unbridged: Controller | None = field(default=None, repr=False)
     estimated: Layout | None = None
+    flight: FlightLaw | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         sizes = (1, self.states.size, self.signals.size, self.memory.size)

@@ -88,6 +88,9 @@ def bridge_dropouts(controller: Controller, *, hold: int = HOLD, safe: ArrayLike
         Variable(INVALID, 1),
     )
     step, start = _functions(inner, hold, given)
+    flight = inner.flight
+    if flight is not None:
+        flight = replace(flight, controller=bridge_dropouts(flight.controller, hold=hold, safe=safe))
     words = "the feedforward" if given is None else f"the command {given}"
     remark = f"lost samples bridged with the last good one; then {words} and the alarm '{INVALID}'"
     told = inner.explanation
@@ -99,6 +102,7 @@ def bridge_dropouts(controller: Controller, *, hold: int = HOLD, safe: ArrayLike
         alarms=(*inner.alarms, INVALID),
         explanation=Explanation(told.title, (*told.facts, Fact("dropouts", str(hold), remark=remark))),
         unbridged=inner,
+        flight=flight,
     )
 
 

@@ -1,36 +1,37 @@
 """Flight code: a controller as self-contained C99, with its schedule, a header that names everything and a driver.
 
 Three files: ``<name>.h`` (sizes, indices, names, units), ``<name>.c`` (the law and the schedule's table) and
-``<name>_main.c`` (a driver for tests). No library beside the C mathematics is needed, no memory is allocated, and
-no loop depends on data. The order of operations is that of the symbolic law, so results agree to rounding.
+``<name>_main.c`` (a driver for tests). No library beside the C mathematics is needed, and no memory is allocated. The
+order of operations is that of the symbolic law, so results agree to rounding, and no loop depends on data; but for the
+quadratic programme of `design_mpc`, which is solved by a method of its own with a bounded number of iterations.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_name
+from gnc_opt.arguments import expect, read_name, read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.control.c_expressions import c_statements
-from gnc_opt.control.controller import Controller
-from gnc_opt.errors import ArgumentError
-from gnc_opt.model.layout import Layout
+from gnc_opt.control.c_numbers import DOUBLE, FLOAT
+from gnc_opt.control.controller import Controller, FlightLaw
+from gnc_opt.control.flight_comparison import command_error
+from gnc_opt.control.flight_files import FlightFiles
+from gnc_opt.control.flight_table import flight_table
+from gnc_opt.errors import ArgumentError, did_you_mean, shown
 
-_TAIL_TOLERANCE = 1e-12
+_NUMBERS = {"float64": DOUBLE, "float32": FLOAT}
 _C_HEADERS = frozenset({
     "assert", "complex", "ctype", "errno", "fenv", "float", "inttypes", "iso646",
     "limits", "locale", "math", "setjmp", "signal", "stdarg", "stdbool",
     "stddef", "stdint", "stdio", "stdlib", "string", "tgmath", "time", "wchar", "wctype",
 })  # fmt: skip
 """Standard headers of C99, without suffix (ISO/IEC 9899:1999, 7.1.2)."""
-_LINE = 8
-"""Numbers on a line of the table."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,12 @@ class FlightCode:
         Of the schedule's table.
     dt : float
         Control step, s.
+    table_bytes : int
+        Of the schedule.
+    table_error : float
+        Of the schedule between its knots, relative to the largest number of each column; 0 if every row is kept.
+    command_error : array (n_commands,) or None
+        Largest difference of the compiled code's commands from the law's over the given samples.
 
     Examples
     --------
@@ -60,6 +67,37 @@ class FlightCode:
     name: str
     rows: int
     dt: float
+    table_bytes: int
+    table_error: float
+    command_error: Array | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CodeOptions:
+    """How flight code is made smaller, and what it is then compared on.
+
+    Attributes
+    ----------
+    precision : {"float64", "float32"}
+        Of all numbers but times, which stay double: a clock in single precision would lose the row of the schedule.
+    table_tolerance : float
+        Largest error of interpolated gains, relative to the largest of each; 0: no interpolation. References and
+        feedforwards are kept row by row.
+    samples : (times (n,), measured (n_states, n)), optional
+        A flight, of one control step after the other: ``(run.times[:-1], run.measured)``. The code is compiled
+        (``cc``) and run over it, and what its commands miss the law's by is told.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import CodeOptions
+    >>> code = go.export_c(regulator, "small", options=CodeOptions(precision="float32"))
+    >>> print(code.table_bytes)
+    12
+    """
+
+    precision: Literal["float64", "float32"] = "float64"
+    table_tolerance: float = 0.0
+    samples: tuple[ArrayLike, ArrayLike] | None = None
 
 
 def export_c(
@@ -69,6 +107,7 @@ def export_c(
     dt: float | None = None,
     name: str | None = None,
     span: tuple[float, float] | None = None,
+    options: CodeOptions | None = None,
 ) -> FlightCode:
     """Write a controller as C99 into a directory.
 
@@ -79,7 +118,7 @@ def export_c(
     Parameters
     ----------
     controller : Controller
-        With a law of elementary operations (all but `design_mpc`).
+        What a design function or `output_feedback` returned.
     directory : path
         Made if it is not there.
     dt : float, optional
@@ -88,6 +127,8 @@ def export_c(
         Prefix of the C identifiers, by default the controller's name in small letters.
     span : (initial_time, final_time), optional
         Times between which the schedule changes, if the controller does not tell.
+    options : CodeOptions, optional
+        Single precision, interpolated gains, and a flight over which the code is compared with the law.
 
     Returns
     -------
@@ -97,8 +138,10 @@ def export_c(
     Raises
     ------
     ArgumentError
-        The law holds operations that have no C (a QP), the schedule still changes after the span, nobody knows dt or
-        the span, or the files would be called like a header of C.
+        The law holds operations that have no C, the schedule still changes after the span, nobody knows dt or
+        the span, or the files would be called like a header of C; options that do not fit.
+    GncOptError
+        Samples, and no C compiler, or it failed.
 
     Examples
     --------
@@ -109,20 +152,53 @@ def export_c(
     expect(controller, Controller, "what export_c() got", "give what a design function returned")
     dt = controller.step_length(dt)
     prefix = _read_prefix(_identifier(controller.name) if name is None else name)
-    step = _elementary(controller.step, controller.name)
-    start = _elementary(controller.start, controller.name)
-    first, table = _table(controller, dt, span)
+    form = flight_form(controller)
+    if form.solver is not None and span is not None:
+        raise ArgumentError(f"'{controller.name}' knows the span of its schedule: leave it out.")
+    told = _read_options(options, form)
+    step, start = (_elementary(f, form) for f in (form.controller.step, form.controller.start))
+    table = flight_table(form.controller, dt, span, float(told.table_tolerance))
+    files = FlightFiles(form, start, step, table, prefix, dt, _NUMBERS[told.precision])
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
-    files = {
-        f"{prefix}.h": _header(controller, prefix, dt, first, table.shape[0], (start, step)),
-        f"{prefix}.c": _source(controller, prefix, table, step, start),
-        f"{prefix}_main.c": _driver(controller, prefix),
-    }
-    for file, text in files.items():
-        (folder / file).write_text(text, encoding="ascii")
-    paths = [folder / file for file in files]
-    return FlightCode(paths[0], paths[1], paths[2], prefix, table.shape[0], dt)
+    header, source, driver = (folder / f"{prefix}{end}" for end in (".h", ".c", "_main.c"))
+    header.write_text(files.header(), encoding="ascii")
+    source.write_text(files.source(), encoding="ascii")
+    driver.write_text(files.driver(), encoding="ascii")
+    size = table.size(files.numbers)
+    code = FlightCode(header, source, driver, prefix, len(table.rows), dt, size, table.error)
+    if told.samples is None:
+        return code
+    missed = command_error(controller, source, driver, told.samples, dt)
+    header.write_text(files.header(_remarks(code, told, missed)), encoding="ascii")
+    return replace(code, command_error=missed)
+
+
+def _read_options(options: CodeOptions | None, form: FlightLaw) -> CodeOptions:
+    told = CodeOptions() if options is None else options
+    expect(told, CodeOptions, "the options of export_c()", "give CodeOptions(...)")
+    if told.precision not in _NUMBERS:
+        raise ArgumentError(
+            f"there is no precision {shown(told.precision)}: {did_you_mean(str(told.precision), list(_NUMBERS))}"
+        )
+    tolerance = read_positive(told.table_tolerance, "the table tolerance of export_c()", or_zero=True)
+    if tolerance and form.solver is not None:
+        raise ArgumentError(
+            f"the schedule of '{form.controller.name}' has no gains to interpolate: leave table_tolerance out."
+        )
+    return told
+
+
+def _remarks(code: FlightCode, options: CodeOptions, missed: Array) -> tuple[str, ...]:
+    """What the options cost, for the header."""
+    count = np.size(options.samples[0]) if options.samples is not None else 0
+    by = ", ".join(f"{v:.2g}" for v in missed)
+    told = [
+        f"compared with the law in double precision over {count} samples: commands differ by at most {by}"
+    ]
+    if options.table_tolerance:
+        told.append(f"interpolated gains: off by at most {code.table_error:.2g} of the largest of each")
+    return tuple(told)
 
 
 def _read_prefix(name: str) -> str:
@@ -135,262 +211,26 @@ def _read_prefix(name: str) -> str:
     return prefix
 
 
-def _elementary(function: Any, name: str) -> Any:
+def flight_form(controller: Controller) -> FlightLaw:
+    """Return the controller as flight code has it: itself, unless it solves a problem at every step."""
+    return FlightLaw(controller) if controller.flight is None else controller.flight
+
+
+def _elementary(function: Any, form: FlightLaw) -> Any:
     """The function as scalar operations."""
-    remedy = "only closed laws can be written as C, for example design_tvlqr()."
-    what = f"the law of '{name}' is not made of elementary operations (it solves a problem at every step)"
+    what = f"the law of '{form.controller.name}' is not made of elementary operations (it calls another function)"
+    remedy = "write it with functions of its own symbols, or take a law of a design function."
     try:
         scalar = function if function.is_a("SXFunction") else function.expand()
     except RuntimeError as error:
         raise ArgumentError(f"{what}: {remedy}") from error
     # CasADi may keep a solver as one call among scalar operations
-    if any(scalar.instruction_id(k) == ca.OP_CALL for k in range(scalar.n_instructions())):
+    calls = any(scalar.instruction_id(k) == ca.OP_CALL for k in range(scalar.n_instructions()))
+    if calls and form.solver is None:
         raise ArgumentError(f"{what}: {remedy}")
     return scalar
-
-
-def _table(controller: Controller, dt: float, span: tuple[float, float] | None) -> tuple[float, Array]:
-    """The time of the first row and the rows (n_rows, n_signals), the last of them good for ever."""
-    if controller.signals.size == 0:
-        return 0.0, np.zeros((1, 0))
-    found = controller.span if span is None else span
-    if found is None:
-        raise ArgumentError(
-            f"the schedule of '{controller.name}' does not tell when it ends: give export_c(..., span=(t_0, t_f))."
-        )
-    first, last = (float(t) for t in found)
-    if not (np.isfinite(first) and np.isfinite(last) and first <= last):
-        raise ArgumentError(f"the span of a schedule is {found}: give finite times (t_0, t_f), t_0 <= t_f.")
-    # rounding: a row at the end itself is of the tail; a little before it is not
-    count = int(np.ceil((last - first) / dt - 1e-9)) + 1
-    times = first + dt * np.append(np.arange(count + 1), count + 1000)
-    rows = controller.schedule(times, dt).T
-    change = np.max(np.abs(rows[count:] - rows[count - 1]), initial=0.0)
-    if change > _TAIL_TOLERANCE * max(np.max(np.abs(rows[count - 1]), initial=0.0), 1.0):
-        raise ArgumentError(
-            f"the schedule of '{controller.name}' still changes by {change:.3g} after {last:g} s: "
-            "give a span that holds all its changes."
-        )
-    return first, rows[:count]
-
-
-def _header(
-    controller: Controller, prefix: str, dt: float, first: float, rows: int, functions: tuple[Any, Any]
-) -> str:
-    upper = prefix.upper()
-    sizes = {
-        "N_STATES": controller.states.size,
-        "N_COMMANDS": controller.commands.size,
-        "N_SIGNALS": controller.signals.size,
-        "N_MEMORY": controller.memory.size,
-        "N_ROWS": rows,
-    }
-    lines = [
-        f"/* {_plain(controller.name)}: discrete-time control law, written by gnc_opt. */",
-        f"#ifndef {upper}_H",
-        f"#define {upper}_H",
-        "",
-        *(f"#define {upper}_{key} {value}" for key, value in sizes.items()),
-        f"#define {upper}_DT {_number(dt)} /* control step, s */",
-        f"#define {upper}_T0 {_number(first)} /* time of the first row of the schedule, s */",
-        "",
-        "/* The same at every step, whatever the data: no loop depends on them, and no memory is allocated. */",
-        f"#define {upper}_OPERATIONS {operations(functions[1])} /* of a step: arithmetic, comparisons, calls */",
-        f"#define {upper}_STACK {stack_bytes(controller, *functions)} /* bytes of the arrays on the stack, at most */",
-        "",
-        "/* What the arrays hold, with units:",
-    ]
-    parts = {
-        "x (states, measured)": controller.states,
-        "u (commands)": controller.commands,
-        "r (schedule)": controller.signals,
-        "z (memory)": controller.memory,
-    }
-    for title, layout in parts.items():
-        lines.append(f" * {title}: {layout.size}")
-        lines += [f" *   {entry}" for entry in _entries(layout)]
-    if controller.alarms:
-        lines.append(f" * alarms (not 0: the law gave up): {', '.join(controller.alarms)}, entries of z")
-    lines += [
-        " */",
-        "",
-        "/* Arrays of no entries may be passed as null pointers. */",
-        "/* Look up the row r of the schedule for the control step that t (s) lies in. */",
-        f"void {prefix}_signal(double t, double *r);",
-        "/* Set the memory z from the first measurement x at t (s). */",
-        f"void {prefix}_start(double t, const double *x, double *z);",
-        "/* Return the command u for the control step that begins at t (s), and update the memory z. */",
-        f"void {prefix}_step(double t, const double *x, double *z, double *u);",
-        "",
-        "#endif",
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def _source(controller: Controller, prefix: str, table: Array, step: Any, start: Any) -> str:
-    upper = prefix.upper()
-    signals, memory = controller.signals.size, controller.memory.size
-    lines = [f'#include "{prefix}.h"', "", "#include <math.h>", ""]
-    if signals:
-        numbers = ["{" + _wrapped(_number(v) for v in row) + "}" for row in table]
-        lines += [
-            f"static const double schedule[{upper}_N_ROWS][{upper}_N_SIGNALS] = {{",
-            ",\n".join(numbers),
-            "};",
-            "",
-        ]
-    lines += _function("start", ["t", "x", "r"], ["z"], start)
-    lines += _function("step", ["t", "x", "r", "z"], ["u", "z_next"], step)
-    lines += [f"void {prefix}_signal(double t, double *r)", "{"]
-    if signals:
-        lines += [
-            f"    const double place = floor((t - {upper}_T0) / {upper}_DT + 1e-6);",
-            "    long row = 0;",
-            "    int i;",
-            "    /* written so that a time which is not a number takes the first row */",
-            f"    if (place >= {upper}_N_ROWS - 1)",
-            f"        row = {upper}_N_ROWS - 1;",
-            "    else if (place > 0)",
-            "        row = (long)place;",
-            f"    for (i = 0; i < {upper}_N_SIGNALS; ++i)",
-            "        r[i] = schedule[row][i];",
-        ]
-    else:
-        lines += ["    (void)t;", "    (void)r;"]
-    lines += [
-        "}",
-        "",
-        f"void {prefix}_start(double t, const double *x, double *z)",
-        "{",
-        f"    double r[{max(signals, 1)}];",
-        f"    {prefix}_signal(t, r);",
-        "    start(t, x, r, z);",
-        "}",
-        "",
-        f"void {prefix}_step(double t, const double *x, double *z, double *u)",
-        "{",
-        f"    double r[{max(signals, 1)}];",
-        f"    double z_next[{max(memory, 1)}];",
-    ]
-    if memory:
-        lines.append("    int i;")
-    lines += [f"    {prefix}_signal(t, r);", "    step(t, x, r, z, u, z_next);"]
-    if memory:
-        lines += [f"    for (i = 0; i < {upper}_N_MEMORY; ++i)", "        z[i] = z_next[i];"]
-    return "\n".join([*lines, "}", ""])
-
-
-def _function(name: str, inputs: list[str], outputs: list[str], function: Any) -> list[str]:
-    arguments = [f"double {inputs[0]}", *(f"const double *{i}" for i in inputs[1:])]
-    arguments += [f"double *{o}" for o in outputs]
-    return [
-        f"static void {name}({', '.join(arguments)})",
-        "{",
-        *(f"    {line}" for line in c_statements(function, inputs, outputs)),
-        "}",
-        "",
-    ]
-
-
-def _driver(controller: Controller, prefix: str) -> str:
-    upper = prefix.upper()
-    memory = max(controller.memory.size, 1)
-    return "\n".join(
-        [
-            "/* Test driver: reads lines of a time and a state, writes the commands of successive steps.",
-            " * With an argument it runs a built-in case instead: three steps with all states at 0.1. */",
-            "#include <stdio.h>",
-            "",
-            f'#include "{prefix}.h"',
-            "",
-            "static int read_line(double *t, double *x)",
-            "{",
-            "    int i;",
-            '    if (scanf("%lf", t) != 1)',
-            "        return 0;",
-            f"    for (i = 0; i < {upper}_N_STATES; ++i)",
-            '        if (scanf("%lf", &x[i]) != 1)',
-            "            return 0;",
-            "    return 1;",
-            "}",
-            "",
-            "static void run(double t, const double *x, double *z, int *begun)",
-            "{",
-            f"    double u[{upper}_N_COMMANDS];",
-            "    int i;",
-            "    if (!*begun)",
-            f"        {prefix}_start(t, x, z);",
-            "    *begun = 1;",
-            f"    {prefix}_step(t, x, z, u);",
-            f"    for (i = 0; i < {upper}_N_COMMANDS; ++i)",
-            f'        printf("%.17g%s", u[i], i + 1 < {upper}_N_COMMANDS ? " " : "\\n");',
-            "}",
-            "",
-            "int main(int argc, char **argv)",
-            "{",
-            f"    double x[{upper}_N_STATES];",
-            f"    double z[{memory}] = {{0.0}};",
-            f"    double t = {upper}_T0;",
-            "    int begun = 0, k;",
-            "    (void)argv;",
-            "    if (argc > 1) {",
-            f"        for (k = 0; k < {upper}_N_STATES; ++k)",
-            "            x[k] = 0.1;",
-            "        for (k = 0; k < 3; ++k)",
-            f"            run({upper}_T0 + k * {upper}_DT, x, z, &begun);",
-            "        return 0;",
-            "    }",
-            "    while (read_line(&t, x))",
-            "        run(t, x, z, &begun);",
-            "    return 0;",
-            "}",
-            "",
-        ]
-    )
-
-
-_MOVES = (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_ASSIGN)
-"""Instructions that compute nothing."""
-
-_DOUBLE = 8
-"""Bytes of a double."""
-
-
-def operations(function: Any) -> int:
-    """Return how many operations an SX function consists of: arithmetic, comparisons, calls."""
-    return sum(function.instruction_id(k) not in _MOVES for k in range(function.n_instructions()))
-
-
-def stack_bytes(controller: Controller, start: Any, step: Any) -> int:
-    """Return how many bytes the local arrays of the larger of two functions take, with those of its caller."""
-    row, memory = max(controller.signals.size, 1), max(controller.memory.size, 1)
-    return int(_DOUBLE * (row + max(start.sz_w(), step.sz_w() + memory)))
-
-
-def _entries(layout: Layout) -> list[str]:
-    pairs = zip(layout.labels, layout.units, strict=True)
-    return [_plain(f"[{i}] {label}, {unit or '-'}") for i, (label, unit) in enumerate(pairs)]
-
-
-def _wrapped(numbers: Iterable[str]) -> str:
-    entries = list(numbers)
-    lines = [", ".join(entries[i : i + _LINE]) for i in range(0, len(entries), _LINE)]
-    return ",\n    ".join(lines)
-
-
-def _number(value: float) -> str:
-    text = repr(float(value))
-    if not np.isfinite(value):
-        raise ArgumentError(f"the flight code would hold the number {text}: a schedule must be finite.")
-    return text
 
 
 def _identifier(name: str) -> str:
     text = "".join(c.lower() if c.isascii() and c.isalnum() else "_" for c in name).strip("_")
     return f"law_{text}" if not text or text[0].isdigit() else text
-
-
-def _plain(text: str) -> str:
-    """Text that can stand in a comment of any compiler."""
-    return text.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *")

@@ -21,7 +21,7 @@ from xml.etree import ElementTree
 
 from gnc_opt.archive import written_whole
 from gnc_opt.control.controller import Controller
-from gnc_opt.control.flight_code import FlightCode, export_c
+from gnc_opt.control.flight_code import FlightCode, export_c, flight_form
 from gnc_opt.errors import ArgumentError, GncOptError
 
 _INTERFACE = Path(__file__).with_name("fmi2_cosimulation.c")
@@ -81,7 +81,7 @@ def export_fmu(
     Parameters
     ----------
     controller : Controller
-        With a law of elementary operations (all but `design_mpc`).
+        As for `export_c`.
     file : path
         ``<name>.fmu``; its stem is the model identifier. Folders are made.
     dt, span
@@ -123,6 +123,7 @@ def export_fmu(
     with tempfile.TemporaryDirectory() as folder:
         sources = Path(folder)
         code = export_c(controller, sources, dt=dt, span=span, name=file.stem)
+        controller = flight_form(controller).controller
         code.driver.unlink()
         shutil.copy(_INTERFACE, sources)
         guid = _guid(sources)

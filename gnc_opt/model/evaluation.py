@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,37 @@ def evaluate(function: Any, t: ArrayLike, x: ArrayLike, *others: ArrayLike) -> A
     times, *columns = checked(function, t, x, *others)
     found = evaluate_columns(function, times.size, times.reshape(1, -1), *columns)
     return found if times.ndim else found[:, 0]
+
+
+def fast_call(function: Any, *constants: ArrayLike) -> Callable[..., Array]:
+    """Return a CasADi function's first output at one point, without conversion overhead, for integrators.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        With dense arguments and output.
+    *constants : array
+        Its last arguments, once and for all; what is returned takes the others.
+    """
+    arguments = [np.zeros(function.size1_in(i)) for i in range(function.n_in())]
+    free = len(arguments) - len(constants)
+    for argument, value in zip(arguments[free:], constants, strict=True):
+        argument[:] = value
+    result = np.zeros(function.size1_out(0))
+    buffer, run = function.buffer()
+    for i, argument in enumerate(arguments):
+        if argument.size:
+            buffer.set_arg(i, memoryview(argument.data))
+    if result.size:
+        buffer.set_res(0, memoryview(result.data))
+
+    def call(*values: ArrayLike, _keep_alive: Any = buffer) -> Array:
+        for argument, value in zip(arguments[:free], values, strict=True):
+            argument[:] = value
+        run()
+        return result.copy()
+
+    return call
 
 
 def evaluate_columns(function: Any, n: int, *arguments: Array) -> Array:

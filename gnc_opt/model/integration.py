@@ -29,6 +29,10 @@ class EndedError(Exception):
     """Integration cannot go on; the message says why and where."""
 
 
+class SpentError(EndedError):
+    """The evaluations that were allowed are spent."""
+
+
 class Budget:
     """Counts evaluations of dynamics, and remembers the earliest time at which they are not finite.
 
@@ -36,10 +40,13 @@ class Budget:
     ----------
     labels : sequence of str
         Names of the states.
+    most : int, optional
+        At most so many evaluations; default: `MOST_RATES`.
     """
 
-    def __init__(self, labels: Sequence[str]) -> None:
+    def __init__(self, labels: Sequence[str], most: int | None = None) -> None:
         self.labels = labels
+        self.most = MOST_RATES if most is None else most
         self.count = self.not_finite = 0
         self.earliest, self.edge = np.inf, ""
 
@@ -51,8 +58,8 @@ class Budget:
             self.count += 1
             if not np.isfinite(values).all():
                 self._note(t, x, values)
-            if self.count > MOST_RATES:
-                raise EndedError(f"{MOST_RATES:,} evaluations of the dynamics led to t = {t:.4g} s only")
+            if self.count > self.most:
+                raise SpentError(f"{self.most:,} evaluations of the dynamics led to t = {t:.4g} s only")
             return values
 
         return counted
@@ -70,7 +77,7 @@ class Budget:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How exactly dynamics are integrated.
+    """How exactly dynamics are integrated, and by which kind of method.
 
     Attributes
     ----------
@@ -78,10 +85,13 @@ class Tolerance:
         The absolute tolerance is this times each state's magnitude.
     magnitude : array (n_states,)
         Of the states; `DIVERGED` is measured in it.
+    stiff : bool
+        Implicitly, by Radau's method of order 5: its steps are those of the motion, not of what decays at once.
     """
 
     relative: float
     magnitude: Array
+    stiff: bool = False
 
 
 @dataclass(frozen=True)
@@ -113,7 +123,7 @@ def integrate(
     stop: Callable[[float, Array], float] | None = None,
     dense: bool = False,
 ) -> Integration:
-    """Integrate dx/dt = rate(t, x) from ``left`` to ``right`` by DOP853.
+    """Integrate dx/dt = rate(t, x) from ``left`` to ``right`` by DOP853, or by Radau's implicit method.
 
     Parameters
     ----------
@@ -131,8 +141,10 @@ def integrate(
 
     Raises
     ------
+    SpentError
+        They take too many evaluations.
     EndedError
-        The dynamics are not finite, diverge or take too many evaluations.
+        The dynamics are not finite, or diverge.
     """
 
     def diverged(_: float, state: Array) -> float:
@@ -150,12 +162,14 @@ def integrate(
                 budget.watched(rate),
                 (left, right),
                 x,
-                method="DOP853",
+                method="Radau" if tolerance.stiff else "DOP853",
                 rtol=tolerance.relative,
                 atol=tolerance.relative * tolerance.magnitude,
                 events=events,
                 dense_output=dense,
             )
+    except SpentError as error:
+        raise EndedError(budget.edge) if budget.edge else error from None
     except EndedError as error:
         raise EndedError(budget.edge or str(error)) from None
     if run.t_events is not None and run.t_events[0].size:

@@ -12,11 +12,16 @@ from gnc_opt.model.layout import Variable
 from gnc_opt.problem.check_norms import warn_of_norms
 from gnc_opt.problem.check_smooth import check_guess_in_tables, warn_of_kinks
 from gnc_opt.problem.check_values import check_values
+from gnc_opt.problem.guess.bent import bent
 from gnc_opt.problem.interval import Interval, intersect
 from gnc_opt.problem.norms import restated
 from gnc_opt.problem.phase import Phase
+from gnc_opt.problem.ranges import ranges_of
 from gnc_opt.problem.statement import Statement
 from gnc_opt.tolerances import ROUNDING
+
+OFF_LIMIT = 1e-5
+"""A path constraint beyond its limit by less than this, relative to its size or 1, may be meant to be at it."""
 
 
 def check_problem(problem: Statement) -> None:
@@ -28,6 +33,7 @@ def check_problem(problem: Statement) -> None:
     for leg in problem.phases.values():
         _check_times(leg)
         _check_boundary_values(leg)
+        _check_paths_at_ends(problem, leg)
     first = "checked" not in problem.builds
     solved = restated(problem)
     if first:
@@ -39,7 +45,7 @@ def check_problem(problem: Statement) -> None:
         problem.builds["checked"] = True
     for leg in problem.phases.values():
         check_guess_in_tables(problem, leg, warn=first)
-    check_values(solved)
+    check_values(bent(solved))
     if first:
         for leg in solved.phases.values():
             warn_of_norms(solved, leg)
@@ -81,6 +87,32 @@ def _check_boundary_values(leg: Phase) -> None:
                 f"the {end} value of '{leg.model.states.labels[i]}' in {leg.where} is {_show(values, i)}, "
                 f"outside its bounds {_show(leg.numbers.states, i)}: correct one of the two."
             )
+
+
+def _check_paths_at_ends(problem: Statement, leg: Phase) -> None:
+    """Refuse ends at which a path constraint cannot hold, whatever controls and free parameters are there."""
+    box, numbers, q = leg.path_interval(), leg.numbers, problem.parameter_interval()
+    if not box.lower.size:
+        return
+    function = leg.once("paths and parameters", lambda: _paths(problem, leg))
+    p = Interval(leg.model.parameter_values, leg.model.parameter_values)
+    for end, time, values in zip(
+        ("initial", "final"), leg.times(), (numbers.initial, numbers.final), strict=True
+    ):
+        arguments = (time, intersect(values, numbers.states), numbers.controls, p, q)
+        reached = ranges_of(function, arguments)
+        slack = OFF_LIMIT * (1.0 + np.minimum(np.abs(reached.lower), np.abs(reached.upper)))
+        for i in np.flatnonzero((reached.lower > box.upper + slack) | (reached.upper < box.lower - slack)):
+            k = int(i)
+            raise ProblemError(
+                f"path constraint '{leg.path_labels[k]}' cannot hold with the {end} values of {leg.where}: it is "
+                f"{_show(reached, k)} there, outside its limits {_show(box, k)}: correct one of the two."
+            )
+
+
+def _paths(problem: Statement, leg: Phase) -> Any:
+    arguments = (*leg.model.arguments(), problem.parameter_symbols())
+    return ca.Function("paths", arguments, [ca.densify(problem.bind(leg, leg.path_expression()))])
 
 
 def _show(interval: Interval | None, i: int) -> str:

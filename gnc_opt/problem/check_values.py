@@ -109,22 +109,33 @@ def try_along(
     return tried
 
 
+def not_finite_at_guess(problem: Statement, leg: Phase) -> NotFinite | None:
+    """Return the first function along the guess of a phase that is not finite, or has a derivative that is not."""
+    return first_not_finite(problem, leg, *_along_guess(leg), _parameter_guess(problem))
+
+
+def _along_guess(leg: Phase) -> tuple[Array, Array, Array]:
+    """Times, states and controls of the guess, a little off their bounds."""
+    start = start_phase(
+        leg, np.array([0.0, *_FRACTIONS, 1.0])
+    )  # with the ends, where users' functions are told of
+    state_scales, control_scales = phase_magnitudes(leg)
+    states = _inside(start.states[:, 1:-1], leg.numbers.states, state_scales)
+    controls = _inside(start.controls[:, 1:-1], leg.numbers.controls, control_scales)
+    return start.times[0] + _FRACTIONS * (start.times[1] - start.times[0]), states, controls
+
+
 def _check_along(problem: Statement, leg: Phase) -> list[Any]:
     """Try what varies along a phase; return its arguments of the cost and the boundary constraints."""
     numbers, q = leg.numbers, _parameter_guess(problem)
-    start = start_phase(leg, np.array([0.0, *_FRACTIONS, 1.0]))
-    span = start.times[1] - start.times[0]
-    times = start.times[0] + _FRACTIONS * span
-    state_scales, control_scales = phase_magnitudes(leg)
-    states = _inside(start.states[:, 1:-1], numbers.states, state_scales)
-    controls = _inside(start.controls[:, 1:-1], numbers.controls, control_scales)
-    bad = first_not_finite(problem, leg, times, states, controls, q)
+    start, state_scales = start_phase(leg, np.array([0.0, 1.0])), phase_magnitudes(leg)[0]
+    bad = not_finite_at_guess(problem, leg)
     if bad:
         raise _not_finite(f"{bad.what} at the guess in {leg.where} at t = {bad.time:.4g} s", bad.point)
     integrals = np.zeros(0)
     if leg.integrands:
-        integrands = try_along(problem, leg, times, states, controls, q)["integral"]
-        integrals = integrands.values.mean(axis=1) * span
+        integrands = try_along(problem, leg, *_along_guess(leg), q)["integral"]
+        integrals = integrands.values.mean(axis=1) * (start.times[1] - start.times[0])
     first = _inside(start.states[:, :1], intersect(numbers.initial, numbers.states), state_scales)
     last = _inside(start.states[:, -1:], intersect(numbers.final, numbers.states), state_scales)
     return [first, last, start.times[0], start.times[1], integrals, leg.model.parameter_values]

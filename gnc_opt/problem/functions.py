@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.errors import ProblemError
-from gnc_opt.model.evaluation import evaluate
+from gnc_opt.model.evaluation import evaluate, fast_call
 from gnc_opt.model.symbol import as_expression
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
@@ -64,21 +64,8 @@ class PhaseFunctions:
     def fast_rates(self) -> Callable[[float, Array, Array], Array]:
         """Return dx/dt as a function of (t, x, u) at one time without conversion overhead, for integrators."""
         function = self.functions["rates"]
-        arguments = [np.zeros(function.size1_in(i)) for i in range(function.n_in())]
-        arguments[5][:], arguments[6][:], arguments[7][:] = self.weights, self.p, self.q
-        result = np.zeros(function.size1_out(0))
-        buffer, run = function.buffer()
-        for i, argument in enumerate(arguments):
-            if argument.size:
-                buffer.set_arg(i, memoryview(argument.data))
-        buffer.set_res(0, memoryview(result.data))
-
-        def rates(t: float, x: Array, u: Array, _keep_alive: Any = buffer) -> Array:
-            arguments[0][0], arguments[1][:], arguments[2][:] = t, x, u
-            run()
-            return result.copy()
-
-        return rates
+        costates, multipliers = (np.zeros(function.size1_in(i)) for i in (3, 4))
+        return fast_call(function, costates, multipliers, self.weights, self.p, self.q)
 
     def paths(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Path constraint values, shape (n_paths, ...)."""

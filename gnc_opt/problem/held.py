@@ -48,7 +48,7 @@ class Junction:
     constraint : int
         Row among the path constraints, then the states.
     boundary : int
-        Index of the interior mesh break.
+        Index of the mesh break; 0 and K are the phase's ends.
     kind : ArcKind
         LOWER or UPPER: the limit that is met.
     conditions : int

@@ -335,6 +335,8 @@ def _switches(solution: Solution, found: Mapping[str, PhaseStructure], at_least:
     for name, samples in solution.samples().items():
         if np.any(affine_channels(samples)) and found[name].pieces > at_least:
             return True
+        if any(found[name].touches[0] + found[name].touches[-1]):
+            return True
         # Controls that H determines have nothing to settle if they stay between their bounds.
         if np.any(regular_channels(samples)) and found[name].pieces > 1:
             return True

@@ -332,13 +332,13 @@ class Flight:
         course : Course, optional
             What is followed; default the schedule as planned before the flight.
         """
-        followed = self.schedule if course is None else course.schedule
+        followed = self._planned if course is None else course.schedule.T
         first_noise = 1 + self.schedule.shape[0]
         numbers = self._numbers(seed, known.shape[1] - first_noise)
         for first, last in itertools.pairwise(self._edges):
             rows = known[: last - first]
             rows[:, 0] = self.times[first:last]
-            rows[:, 1:first_noise] = followed[:, first:last].T
+            rows[:, 1:first_noise] = followed[first:last]
             rows[:, first_noise:] = numbers(first, last)
             yield first, rows
 
@@ -355,6 +355,11 @@ class Flight:
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
         generator = np.random.Generator(np.random.Philox(sequence))
         return lambda first, last: generator.standard_normal((last - first, size))
+
+    @cached_property
+    def _planned(self) -> Array:
+        """The schedule by rows, as every run reads it."""
+        return np.ascontiguousarray(self.schedule.T)
 
     @cached_property
     def _plant_parameters(self) -> list[int]:

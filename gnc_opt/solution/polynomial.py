@@ -14,6 +14,8 @@ from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.tolerances import ROUNDING
 from gnc_opt.transcription.quadrature import (
     MAX_POINTS,
+    barycentric_basis,
+    barycentric_weights,
     differentiation_matrix,
     gauss_rule,
     interpolation_matrix,
@@ -85,7 +87,9 @@ class PiecewisePolynomial:
         for alike in self._alike:
             places = alike.places[segment]
             here = np.flatnonzero(places >= 0)
-            basis = interpolation_matrix(alike.nodes, tau[here])
+            if not here.size:
+                continue
+            basis = barycentric_basis(alike.nodes, alike.weights, tau[here])
             result[:, here] = np.einsum("mnt,tm->nt", alike.values[:, :, places[here]], basis)
         return result if np.ndim(t) else result[:, 0]
 
@@ -94,7 +98,7 @@ class PiecewisePolynomial:
         at = np.atleast_1d(read_numbers(tau, "the place"))
         result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
         for alike in self._alike:
-            basis = interpolation_matrix(alike.nodes, at)
+            basis = barycentric_basis(alike.nodes, alike.weights, at)
             result[:, alike.places >= 0] = np.tensordot(alike.values, basis, axes=(0, 1))
         return result
 
@@ -163,13 +167,15 @@ class _Alike:
 
     Attributes
     ----------
-    nodes : array (m,)
+    nodes, weights : array (m,)
+        The latter barycentric.
     values : array (m, n, n_alike)
     places : int array (K,)
         Where each segment is among them, -1 for others.
     """
 
     nodes: Array
+    weights: Array
     values: Array
     places: Indices
 
@@ -178,7 +184,8 @@ class _Alike:
         places = np.full(len(signal.nodes), -1)
         places[segments] = np.arange(segments.size)
         values = np.stack([signal.values[k].T for k in segments], axis=2)
-        return cls(signal.nodes[segments[0]], values, places)
+        nodes = signal.nodes[segments[0]]
+        return cls(nodes, barycentric_weights(nodes), values, places)
 
 
 def _node_integrals(nodes: Array) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 from gnc_opt.arguments import expect
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError
+from gnc_opt.problem.guess.bent import bent
 from gnc_opt.problem.guess.trajectory import start_phase
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
@@ -49,10 +50,11 @@ def program_start(transcription: Transcription, problem: Problem, guess: Solutio
     ProblemError
         The solution has other phases, states or controls than the problem.
     """
-    start = start_from_guess(transcription, problem)
     if guess is None:
-        return ProgramStart(with_integrals(transcription, problem, start))
-    return start_from_solution(transcription, problem, guess, start)
+        return ProgramStart(
+            with_integrals(transcription, problem, start_from_guess(transcription, bent(problem)))
+        )
+    return start_from_solution(transcription, problem, guess, start_from_guess(transcription, problem))
 
 
 def start_from_guess(transcription: Transcription, problem: Problem) -> Array:

@@ -127,8 +127,12 @@ def interpolation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
     Second barycentric form; a row whose abscissa is a node is exactly a unit vector. Meant for abscissae in
     or close to the span of the nodes. Errors as `barycentric_weights`.
     """
-    x, w = _vector(nodes), barycentric_weights(nodes)
-    gap = _vector(at)[:, None] - x
+    return barycentric_basis(_vector(nodes), barycentric_weights(nodes), _vector(at))
+
+
+def barycentric_basis(x: Array, w: Array, at: Array) -> Array:
+    """Return `interpolation_matrix` for nodes and abscissae that have been read, and the nodes' barycentric weights."""
+    gap = at[:, None] - x
     nearest = np.min(np.abs(gap), axis=1, keepdims=True)
     hit = gap == 0
     gap[hit] = 1.0

@@ -161,11 +161,13 @@ class Transcription(Numbering):
         leg, part = self.problem.phases[name], self.parts[name]
         mesh = part.collocation.mesh
         t, x, _, p = leg.model.arguments()
-        arc, ends = int(mesh.segment_arcs[junction.boundary]), ca.SX.sym("ends", 2)
+        segment, ends = min(junction.boundary, mesh.segments - 1), ca.SX.sym("ends", 2)
+        arc = int(mesh.segment_arcs[segment])
         derivatives = constraint_order(self.problem, leg, junction.constraint).derivatives
         orders = junction_orders(junction, len(leg.path_labels))
         outputs = ca.vertcat(*[derivatives[k] for k in orders], ca.SX(0, 1))
-        time = ends[0] + float(mesh.arc_starts[junction.boundary]) * (ends[1] - ends[0])
+        fraction = float(mesh.arc_starts[segment]) if junction.boundary < mesh.segments else 1.0
+        time = ends[0] + fraction * (ends[1] - ends[0])
         places = part.times[[arc, arc + 1]]
         free, fixed = np.flatnonzero(places < self.n_variables), np.flatnonzero(places >= self.n_variables)
         function = PointFunction.build(

@@ -60,25 +60,17 @@ def transversality(samples: list[PhaseSamples], ends: EndGradients, tolerance: f
     """Costates at free end values and H at free times match the gradients of cost and constraints."""
     worst = NOTHING
     for s in samples:
-        name, leg = s.leg.name, s.leg
-        starts = -(s.lam[:, 0] + ends.initial_state[name])
-        finals = s.lam[:, -1] - ends.final_state[name]
         worth = s.state_scale / s.cost_scale
         # The multiplier that would explain the gap must be one that the end's bounds can exert.
-        pushes = np.zeros(2)
-        for k, (end, gap, values, box) in enumerate(
-            (
-                ("start", starts, s.x[:, 0], _both(leg.initial_bounds, leg.state_bounds)),
-                ("end", finals, s.x[:, -1], _both(leg.final_bounds, leg.state_bounds)),
-            )
-        ):
-            explained, pushes[k] = end_push(s, -k, gap, *box.near(values, AT_LIMIT * s.state_scale))
-            offence = _unexplained((gap - explained) * worth, values, box, s.state_scale)
+        pushes = {end: end_push(s, at, ends) for end, at in (("start", 0), ("end", -1))}
+        for (end, push), at in zip(pushes.items(), (0, -1), strict=True):
+            left = (push.gap - push.explained) * worth
+            offence = _unexplained(left, s.x[:, at], push.limits, s.state_scale)
             i = int(np.argmax(offence))
-            worst = worst.or_worse(
-                Worst(float(offence[i]), f"phase {name}, {end}, costate of {leg.states.labels[i]}")
-            )
-        worst = worst.or_worse(_time_transversality(s, ends, pushes))
+            place = f"phase {s.leg.name}, {end}, costate of {s.leg.states.labels[i]}"
+            worst = worst.or_worse(Worst(float(offence[i]), place))
+        drifts = np.array([push.drift for push in pushes.values()])
+        worst = worst.or_worse(_time_transversality(s, ends, drifts))
     return judge(
         "transversality",
         worst,
@@ -117,10 +109,6 @@ def _time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Array) -> 
     worst = Worst(float(offence[i]), f"phase {name}, H at its {('start', 'end')[i]}")
     excess = float(np.abs(alone[0])) / s.hamiltonian_scale
     return worst.or_worse(Worst(excess, f"phase {name}, multiplier of its duration"))
-
-
-def _both(a: Interval, b: Interval) -> Interval:
-    return Interval(np.maximum(a.lower, b.lower), np.minimum(a.upper, b.upper))
 
 
 def _unexplained(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
@@ -283,8 +271,9 @@ def parameters(
     for s in samples:
         if gradient.size:
             density = s.functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu)
-            gradient = gradient + density @ s.weights
-            size = size + np.abs(density) @ s.weights
+            atoms = _parameter_atoms(s, ends)
+            gradient = gradient + density @ s.weights + np.sum(atoms, axis=1)
+            size = size + np.abs(density) @ s.weights + np.sum(np.abs(atoms), axis=1)
     worst = Worst(0.0, "no free parameter")
     if gradient.size:
         # L + z q stationary: the multiplier a bound would have to exert is -gradient.
@@ -298,3 +287,17 @@ def parameters(
         "The derivative of the cost (with constraints) with respect to a free parameter must vanish, or push against "
         "the bound on which it sits.",
     )
+
+
+def _parameter_atoms(s: PhaseSamples, ends: EndGradients) -> Array:
+    """What pushes of no duration do to parameters, where path constraints are touched or met at an end (q, n_atoms)."""
+    leg = s.leg
+    pushes = [end_push(s, at, ends).multipliers for at in (0, -1)]
+    atoms = np.column_stack([pushes[0], jumps_explained(s)[2], pushes[1]])
+    times = leg.breaks[[0, *range(1, leg.mesh.segments), -1]]
+    x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (leg.x, leg.flown))
+    none = np.zeros_like(x)
+    by_parameter, idle = (
+        s.functions.parameter_gradient(times, x, u, none, mu) for mu in (atoms, 0.0 * atoms)
+    )
+    return np.asarray(by_parameter - idle)

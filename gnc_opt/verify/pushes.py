@@ -26,7 +26,8 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.problem.functions import PhaseFunctions
+from gnc_opt.problem.functions import EndGradients, PhaseFunctions
+from gnc_opt.problem.interval import Interval, intersect
 from gnc_opt.solution.samples import EdgeSegment, PhaseSamples, sampling_rule
 from gnc_opt.tolerances import AT_LIMIT
 from gnc_opt.verify.brief import BRIEF
@@ -96,7 +97,7 @@ def path_gradients(
     return by_state, by_time
 
 
-def jumps_explained(s: PhaseSamples) -> tuple[Array, Array]:
+def jumps_explained(s: PhaseSamples) -> tuple[Array, Array, Array]:
     """What active constraints make of jumps at the inner segment boundaries.
 
     A jump the wrong way is explained as far as a push beside it makes up for it, see `pushed_beside`.
@@ -107,11 +108,13 @@ def jumps_explained(s: PhaseSamples) -> tuple[Array, Array]:
         What is left of the jumps of costates.
     hamiltonian : array (K - 1,)
         By how much H rises with those that are explained.
+    atoms : array (n_paths, K - 1)
+        Multipliers of the path constraints that explain them, >= 0 at upper limits.
     """
     breaks = s.leg.breaks[1:-1]
     jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
     pushers = Pushers.at(s, breaks, s.leg.x(breaks), s.leg.flown(breaks))
-    rest, rises = jumps.copy(), np.zeros(breaks.size)
+    rest, rises, every = jumps.copy(), np.zeros(breaks.size), np.zeros(pushers.active.shape)
     scale, spare = s.state_scale, _spare_pushes(s)
     for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
         directions = pushers.directions[:, pushers.active[:, k], k]
@@ -119,39 +122,64 @@ def jumps_explained(s: PhaseSamples) -> tuple[Array, Array]:
         sizes, _ = scipy.optimize.nnls(
             directions * scale[:, None], (jumps[:, k] - directions @ least) * scale
         )
+        every[pushers.active[:, k], k] = sizes + least
         rest[:, k] -= directions @ (sizes + least)
         rises[k] = pushers.drifts[pushers.active[:, k], k] @ (sizes + least)
-    return rest, rises
+    upper, lower = np.split(every, 2)
+    atoms = np.zeros((len(s.leg.path_labels), breaks.size))
+    atoms[s.pure_paths] = (upper - lower)[s.leg.states.size :]
+    return rest, rises, atoms
 
 
-def end_push(s: PhaseSamples, at: int, gap: Array, at_lower: Mask, at_upper: Mask) -> tuple[Array, float]:
-    """What path constraints without controls that are active at an end of the phase make of a gap in its costate.
+@dataclass(frozen=True)
+class EndPush:
+    """What transversality leaves at an end of a phase, and what path constraints without controls make of it there.
 
-    Parameters
+    Attributes
     ----------
-    at : int
-        The sample: 0 at the start, -1 at the end.
     gap : array (n_states,)
-        What transversality leaves.
-    at_lower, at_upper : bool array (n_states,)
-        Where states are on limits of their own, which push too.
-
-    Returns
-    -------
+        What is left: of the costate, less the gradients of cost and boundary constraints.
+    multipliers : array (n_paths,)
+        Atoms of the path constraints that are active there, >= 0 at upper limits; zero for all others.
     explained : array (n_states,)
+        The part of the gap that they explain.
     drift : float
-        What the same push does to the gap of H.
+        What they do to the gap of H.
+    limits : Interval
+        Of the states there.
     """
-    sides = s.leg.states.size + np.arange(s.pure_paths.size)
-    sides = np.concatenate([sides, sides + s.leg.states.size + s.pure_paths.size])
+
+    gap: Array
+    multipliers: Array
+    explained: Array
+    drift: float
+    limits: Interval
+
+
+def end_push(s: PhaseSamples, at: int, ends: EndGradients) -> EndPush:
+    """Explain a gap in the costate at the start (``at`` = 0) or the end (-1) of a phase by what is active there.
+
+    States that are on limits of their own push too.
+    """
+    leg, name, pure, n = s.leg, s.leg.name, s.pure_paths, s.leg.states.size
+    given = leg.final_bounds if at else leg.initial_bounds
+    limits = intersect(given, leg.state_bounds)
+    gap = s.lam[:, -1] - ends.final_state[name] if at else -(s.lam[:, 0] + ends.initial_state[name])
+    multipliers, rows = np.zeros(len(leg.path_labels)), np.concatenate([pure, pure])
+    nothing = EndPush(gap, multipliers, np.zeros(n), 0.0, limits)
     pushers = Pushers.at(s, s.times[[at]], s.x[:, [at]], s.u[:, [at]])
-    sides = sides[pushers.active[sides, 0]]
+    sides = np.concatenate([n + np.arange(pure.size), 2 * n + pure.size + np.arange(pure.size)])
+    active = pushers.active[sides, 0]
+    rows, signs, sides = rows[active], np.repeat([1.0, -1.0], pure.size)[active], sides[active]
     if not sides.size or not np.all(np.isfinite(gap)):
-        return np.zeros(gap.size), 0.0
-    own = np.eye(gap.size)
+        return nothing
+    at_lower, at_upper = limits.near(s.x[:, at], AT_LIMIT * s.state_scale)
+    own = np.eye(n)
     every = np.hstack([pushers.directions[:, sides, 0], own[:, at_upper], -own[:, at_lower]])
     sizes = scipy.optimize.nnls(every * s.state_scale[:, None], gap * s.state_scale)[0][: sides.size]
-    return every[:, : sides.size] @ sizes, float(pushers.drifts[sides, 0] @ sizes)
+    np.add.at(multipliers, rows, signs * sizes)
+    drift = float(pushers.drifts[sides, 0] @ sizes)
+    return EndPush(gap, multipliers, every[:, : sides.size] @ sizes, drift, limits)
 
 
 def pushed_beside(s: PhaseSamples, densities: Array) -> Array:

@@ -17,6 +17,7 @@ from gnc_opt.solution.solution import Solution
 from gnc_opt.verify import controls, costates, feasibility, second_order
 from gnc_opt.verify.conjugate_points import conjugate_points
 from gnc_opt.verify.convex import is_convex
+from gnc_opt.verify.end_limits import with_end_limits
 from gnc_opt.verify.judged import (
     costates_kept_twice,
     ends_of,
@@ -158,6 +159,7 @@ def _second_order(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
 ) -> list[Condition]:
     """By the switch times where they alone are left to vary, else on the mesh."""
+    solution, ends = with_end_limits(solution, samples, ends)
     found = _second_variation(solution, samples, ends, tolerance)
     told = all(c.result is Result.PASS for c in found)
     return found if told or not is_convex(solution.need_problem("verify")) else [_of_convex(c) for c in found]

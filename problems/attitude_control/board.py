@@ -90,7 +90,14 @@ def within_limits(controller: Controller) -> Controller:
     torques = clip(torques, (h - most) / CLOSING, (h + most) / CLOSING)
     torques = clip(torques, -SHARE * MAX_TORQUE, SHARE * MAX_TORQUE)
     return bridge_dropouts(
-        replace(inner, step=law(t, x, r, z, torques, after), commands=craft.controls, unbridged=None, dt=DT)
+        replace(
+            inner,
+            step=law(t, x, r, z, torques, after),
+            commands=craft.controls,
+            unbridged=None,
+            flight=None,
+            dt=DT,
+        )
     )
 
 

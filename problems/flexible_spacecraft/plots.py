@@ -105,8 +105,8 @@ def tracking_figure() -> Figure:
     """Draw attitude error and modal energy of the disturbed runs, published law and optimal slews."""
     runs = (
         ("QSMC, J", disturbed("J")),
-        ("least time, TVLQR", tracked("fast, reserve", "TVLQR")),
-        ("least time, RQSMC", tracked("fast, reserve", "RQSMC")),
+        ("least time and effort, TVLQR", tracked("prompt", "TVLQR")),
+        ("least time and effort, RQSMC", tracked("prompt", "RQSMC")),
         ("least vibration, TVLQR", tracked("gentle", "TVLQR")),
     )
     with style():

@@ -15,7 +15,7 @@ import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.control import Controller
 from gnc_opt.errors import GncOptError
-from gnc_opt.simulation import ClosedLoop, Disturbance, Run, Saturation
+from gnc_opt.simulation import ClosedLoop, Constant, Disturbance, Run, Saturation, Sinusoid
 from gnc_opt.simulation.block import Defaults, Parameters, Tick, scalar
 from gnc_opt.spacecraft import FlexibleBody, quaternion_angle, quaternion_to_dcm
 from problems.flexible_spacecraft.laws import (
@@ -68,6 +68,14 @@ class PublishedDisturbance(Disturbance):
 
     def value(self, t: Any, x: Any, state: Any, p: Parameters) -> Any:
         return p["amplitude"] * (ca.sin(t) + state)
+
+
+def mean_disturbance(amplitude: float = DISTURBANCE) -> tuple[Disturbance, ...]:
+    """Return `PublishedDisturbance` with its random part at its mean: runs with it can be computed by others."""
+    return (
+        Sinusoid("wave", amplitude, 1.0, on="torque"),
+        Constant("push", amplitude / 2, on="torque"),
+    )
 
 
 def loop(

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import gnc_opt as go
+from gnc_opt.plot import View
 from problems.comparison import Row, run_comparison
 from problems.formation_flying.flown import flown, flown_rows
-from problems.formation_flying.optimal import front, optimal_rows
+from problems.formation_flying.optimal import front, optimal_rows, plan
 from problems.formation_flying.published import (
     claim_rows,
     course_rows,
@@ -17,7 +19,7 @@ from problems.formation_flying.published import (
     truth_rows,
 )
 
-__all__ = ["comparison", "front", "main"]
+__all__ = ["comparison", "front", "main", "moving"]
 
 
 def comparison() -> list[Row]:
@@ -32,6 +34,11 @@ def comparison() -> list[Row]:
         + claim_rows()
     )
     return published + optimal_rows() + flown_rows()
+
+
+def moving() -> tuple[go.Solution, View]:
+    """Return what a film shows: the least time to the formation."""
+    return plan("least time").solution, View("r", force="a")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

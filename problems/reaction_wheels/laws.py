@@ -46,6 +46,10 @@ PRINTED_FLC = (0.0316, 0.2535)
 """K1 (1/s^2) and K2 (1/s) as printed."""
 PRINTED_LQR = (0.2608, (2.5091, 2.5091, 2.4566))
 """K_q (N m) and K_omega (N m s) about x, y, z, as printed."""
+FLC_WEIGHTS = (0.1, 100.0)
+"""Of the errors and of the effort, as printed."""
+LQR_WEIGHTS = (13131.0, 170.0, 2500.0)
+"""Of the rates, of the quaternion's vector part and of the body torque, as printed."""
 SINGULAR = 0.05
 """Smallest scalar part of the output's quaternion with which feedback linearisation works."""
 MARGIN = 0.5 * SINGULAR**2
@@ -55,7 +59,7 @@ MARGIN = 0.5 * SINGULAR**2
 # --- gains ----------------------------------------------------------------------------------------------
 
 
-def flc_gains(weight: float = 0.1, effort: float = 100.0) -> tuple[float, float]:
+def flc_gains(weight: float = FLC_WEIGHTS[0], effort: float = FLC_WEIGHTS[1]) -> tuple[float, float]:
     """Return K1 (1/s^2) and K2 (1/s) of the double integrator with weights ``weight * I`` and ``effort``."""
     a, b = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
     p = solve_continuous_are(a, b, weight * np.eye(2), [[effort]])
@@ -63,7 +67,9 @@ def flc_gains(weight: float = 0.1, effort: float = 100.0) -> tuple[float, float]
     return float(k[0, 0]), float(k[0, 1])
 
 
-def lqr_gains(rate: float = 13131.0, attitude: float = 170.0, effort: float = 2500.0) -> tuple[Array, Array]:
+def lqr_gains(
+    rate: float = LQR_WEIGHTS[0], attitude: float = LQR_WEIGHTS[1], effort: float = LQR_WEIGHTS[2]
+) -> tuple[Array, Array]:
     """Return K_q and K_omega (3, 3) from the Riccati equation of the model at rest, for the body torque.
 
     Weights of the rates, of the quaternion's vector part and of the body torque, as in the paper. At rest the wheels'

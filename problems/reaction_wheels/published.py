@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from problems.comparison import Claim, Row, compare, printed, remark
 from problems.reaction_wheels.laws import (
+    FLC_WEIGHTS,
+    LQR_WEIGHTS,
     PRINTED_FLC,
     Law,
     Linear,
@@ -182,6 +184,8 @@ def data_rows() -> Iterator[Row]:
         ("K_V (V/rpm)", VOLTAGE_CONSTANT, "1.294e-3"),
         ("final time (s)", DURATION, "60"),
         ("beta and theta of the pyramid (deg)", (tilt, turn), "35.264, 45"),
+        ("weights of the FLC's regulator: errors, effort", FLC_WEIGHTS, "0.1, 100"),
+        ("weights of the LQR: rates, vector part, torque", LQR_WEIGHTS, "13131, 170, 2500"),
     ):
         yield remark(f"data: {name}", ours, published=text)
     for manoeuvre, angles in MANOEUVRES.items():

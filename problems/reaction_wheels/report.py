@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import gnc_opt as go
+from gnc_opt.plot import View
 from gnc_opt.report import write_report
 from problems.comparison import Row, run_comparison
 from problems.reaction_wheels.flown import flown, flown_rows
 from problems.reaction_wheels.optimal import SLEWS, front, optimal_rows, optimal_slew
 from problems.reaction_wheels.published import rows
 
-__all__ = ["comparison", "front", "main"]
+__all__ = ["comparison", "front", "main", "moving"]
 
 
 def comparison() -> list[Row]:
@@ -28,6 +29,11 @@ def write_figures(folder: Path) -> list[Path]:
         solution = optimal_slew(name)
         write_report(solution, go.verify(solution), folder / name.replace(",", "").replace(" ", "_"))
     return plots.write_figures(folder)
+
+
+def moving() -> tuple[go.Solution, View]:
+    """Return what a film shows: the least energy of manoeuvre 3."""
+    return optimal_slew("energy"), View(attitude="q")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 import gnc_opt as go
+from gnc_opt.plot import View
 from problems.comparison import Claim, Row, compare, printed, remark, show, write_json
 from problems.fronts import Front, certified
 from problems.rendezvous import search
@@ -30,6 +31,7 @@ from problems.rendezvous.model import (
     MAX_TORQUE,
     MESH,
     PAPER_MESH,
+    VIEW,
     Equation,
     build,
 )
@@ -111,6 +113,12 @@ def data_rows() -> list[Row]:
     return [
         *rows,
         remark("data: formula of the final sigma, y", FINAL_SIGMA[1], published=said, reason=reason),
+        remark(
+            "the curves of figures 3 to 15",
+            (),
+            published=Claim("drawn", False),
+            reason="not reproducible digit by digit: images without numbers; ours are in the report",
+        ),
     ]
 
 
@@ -139,6 +147,11 @@ def front() -> Front:
     points = certified(SHARES, solve, measure)
     published = (REFERENCE[1, "printed"]["paper GPM"].value, 100.0)
     return Front("authority", "%", points, published, "the paper's GPM")
+
+
+def moving() -> tuple[go.Solution, View]:
+    """Return what a film shows: the optimum of case 1."""
+    return go.solve(build(1), tol=1e-8), VIEW
 
 
 def size_rows(solution: go.Solution) -> list[Row]:

@@ -129,6 +129,7 @@ def limit_rows(runs: Mapping[str, Manoeuvre]) -> list[Row]:
     excess = max(float(np.max(np.abs(m.angle))) for m in runs.values()) - np.degrees(MAX_ANGLE)
     overstep = max(float(np.max(np.abs(m.rate))) for m in runs.values()) - 0.1
     ratio = switching.variation() / mpc.variation()
+    off, largest_angle = np.abs(mpc.height), float(np.max(np.abs(mpc.angle)))
     lost = "data and gains of the publication are lost"
     return [
         compare("MPC: time on the limit of the angle, s", 51.1, mpc.at_angle_limit.size * step, absolute=0.5),
@@ -166,6 +167,20 @@ def limit_rows(runs: Mapping[str, Manoeuvre]) -> list[Row]:
         compare("... after 150 s", 412.0, switching.variation(150.0) / mpc.variation(150.0), absolute=10.0),
         remark("MPC: overshoot, deg", mpc.overshoot, published="about 16.1", reason=lost),
         at_most("MPC: swing after 150 s, deg", 1.0, mpc.late_swing(), published="at equilibrium"),
+        compare(
+            "MPC: error of r, largest and at 200 s, m",
+            (31.08, 7.02),
+            (float(np.max(off)), float(off[-1])),
+            absolute=0.01,
+            published=Claim("grows, then shrinks", 10 * off[0] < np.max(off) > 2 * off[-1]),
+        ),
+        compare(
+            "MPC: thrust angle at 200 s, deg",
+            0.169,
+            float(mpc.angle[-1]),
+            absolute=0.001,
+            published=Claim("decays to 0", abs(mpc.angle[-1]) < 0.01 * largest_angle),
+        ),
     ]
 
 

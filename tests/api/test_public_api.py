@@ -35,11 +35,12 @@ EXPECTED = {
         table table_from_csv verify verify_trajectory
     """,
     "gnc_opt.control": """
-        ConstantRate Controller Deviation Estimator Explanation ExponentialRate Fact FilterOptions FlightCode
+        CodeOptions ConstantRate Controller Deviation Estimator Explanation ExponentialRate Fact FilterOptions
+        FlightCode
         Measurement MockupUnit PowerRate PredictiveReaching Reference SaturationLayer Sign SuperTwisting
         SuperTwistingObserver
         TanhLayer UnscentedOptions bridge_dropouts bryson decoupling_matrix design_ekf design_feedback_linearization
-        design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
+        design_gain_schedule design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
         design_neighbouring_extremal design_neighbouring_optimal
         design_sliding_mode design_tvlqr design_ukf export_c export_fmu feedforward first_memory law
         lie_derivative output_errors output_feedback relative_degrees trim zero_dynamics

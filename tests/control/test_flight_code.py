@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -15,7 +16,6 @@ from gnc_opt.control.explanation import Explanation
 from gnc_opt.control.flight_code import export_c
 from gnc_opt.control.linear.lqr import design_lqr
 from gnc_opt.control.linear.tvlqr import design_tvlqr
-from gnc_opt.control.predictive.mpc import design_mpc
 from gnc_opt.control.reference import Reference
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout, Variable
@@ -228,10 +228,17 @@ def test_files_are_not_called_like_headers_of_c(tmp_path, name):
 
 
 def test_refusals(tmp_path):
-    model, reference = pendulum()
-    horizon = design_mpc(model, reference, Q=1, R=1, horizon=0.2, dt=0.1, limits=(-9, 9))
-    with pytest.raises(ArgumentError, match="'MPC' is not made of elementary operations"):
-        export_c(horizon, tmp_path)
+    model, _ = pendulum()
+    t, x, a = ca.MX.sym("t"), ca.MX.sym("x", 2), ca.MX.sym("a")
+    root = ca.rootfinder("root", "newton", {"x": a, "p": x, "g": a**3 + a - x[0]})
+    solving = law_of([], ca.SX.sym("t"), ca.SX.sym("x", 2))
+    solving = replace(
+        solving,
+        commands=Layout("command", (Variable("u", 1),)),
+        step=law(t, x, ca.MX.sym("r", 0), ca.MX.sym("z", 1), root(0, x), ca.MX(1, 1)),
+    )
+    with pytest.raises(ArgumentError, match="'every operation' is not made of elementary operations"):
+        export_c(solving, tmp_path, dt=0.1)
     with pytest.raises(ArgumentError, match="fits any control step: give dt"):
         export_c(follower(), tmp_path)
     with pytest.raises(ArgumentError, match="still changes by"):
@@ -257,6 +264,15 @@ def test_nothing_undefined_and_no_foreign_memory_with_samples_of_all_kinds(tmp_p
     )
     found = run(program, times, states)
     assert found == pytest.approx(python(controller, times, states, 0.1), rel=1e-12, abs=1e-14)
+
+
+@needs_compiler
+def test_options_that_know_no_nan_are_refused(tmp_path):
+    code = export_c(holder(0.1), tmp_path)
+    with pytest.raises(subprocess.CalledProcessError) as refused:
+        compiled(code, "-O0", "-ffast-math")
+    assert b"lost samples would pass" in refused.value.stderr
+    compiled(code, "-O0", "-ffast-math", "-fno-finite-math-only")
 
 
 def test_header_tells_operations_and_stack(tmp_path):

@@ -10,21 +10,14 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import minimize
 
-from gnc_opt.control.c_expressions import _constant
+from gnc_opt.control.c_numbers import DOUBLE, wrapped
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.explanation import Explanation
 from gnc_opt.control.feedback_linearization import _chains, _gain, _optimal_gain, _places, _polynomial
-from gnc_opt.control.flight_code import (
-    _entries,
-    _identifier,
-    _number,
-    _plain,
-    _read_prefix,
-    _table,
-    _wrapped,
-    export_c,
-)
+from gnc_opt.control.flight_code import _identifier, _read_prefix, export_c
+from gnc_opt.control.flight_files import _entries, _plain
+from gnc_opt.control.flight_table import flight_table
 from gnc_opt.control.guard import Inverse, Memory, _solve, _Stacked
 from gnc_opt.control.lie import (
     Pair,
@@ -782,7 +775,7 @@ def test_rows_mean_what_they_say():
     assert g.ravel() == pytest.approx([*np.zeros(10), *root, *root]) and task.free == found.free == 10
     assert np.array(ca.DM(task.h)) == pytest.approx(np.diag([1.0] * 4 + [0.0] * 6 + [1.0] * 4))
     assert a.shape == (20, found.unknowns) == (20, 14)
-    rest = np.array(found.regulated(ca.DM(e_0))).ravel()
+    rest = np.array(found.alone(ca.DM(e_0), ca.DM(u_ff), ca.DM(x_ref), ca.DM(previous))[0]).ravel()
     alone = flown(found, e_0, u_ff, np.zeros(4))[1]
     assert rest == pytest.approx([*np.zeros(4), *(alone / np.tile(found.scale, 2)), *np.zeros(4)])
 
@@ -910,7 +903,7 @@ def test_windows_of_a_horizon_are_the_recursion_from_its_end():
 
 
 def test_constants_and_texts_of_c():
-    assert [_constant(v) for v in (np.nan, INF, -INF, 0.1, -2)] == [
+    assert [DOUBLE(v) for v in (np.nan, INF, -INF, 0.1, -2)] == [
         "NAN",
         "INFINITY",
         "-INFINITY",
@@ -922,15 +915,15 @@ def test_constants_and_texts_of_c():
         and _identifier("2nd") == "law_2nd"
         and _identifier("ä!") == "law_"
     )
-    assert _plain("a /* b */ ä") == "a / * b * / ?" and _number(0.1) == "0.1"
-    assert _wrapped(["1"] * 3) == "1, 1, 1" and _wrapped(["1"] * 40).count("\n") >= 1
+    assert _plain("a /* b */ ä") == "a / * b * / ?" and DOUBLE.entry(0.1) == "0.1"
+    assert wrapped(["1"] * 3) == "1, 1, 1" and wrapped(["1"] * 40).count("\n") >= 1
     assert _entries(Layout("s", (Variable("r", 2, "m"), Variable("n")))) == [
         "[0] r[0], m",
         "[1] r[1], m",
         "[2] n, -",
     ]
     for act in (
-        lambda: _number(INF),
+        lambda: DOUBLE.entry(INF),
         lambda: _read_prefix("math"),
         lambda: _read_prefix("Math"),
         lambda: _read_prefix("a b"),
@@ -946,13 +939,16 @@ def scheduled(rows, signals=1, span=(0.0, 1.0)):
 
 def test_the_rows_of_a_schedule_in_c():
     """From the beginning of the span in steps to its end, and the row that is good from there on."""
-    first, table = _table(scheduled(lambda t, dt: np.minimum(t, 1.0)[None, :], span=(0.5, 1.0)), 0.2, None)
-    assert first == 0.5 and table.ravel() == pytest.approx([0.5, 0.7, 0.9, 1.0])
-    assert _table(scheduled(lambda t, dt: np.minimum(t, 1.0)[None, :]), 0.25, None)[
-        1
-    ].ravel() == pytest.approx([0, 0.25, 0.5, 0.75, 1])
-    assert _table(scheduled(None, 0), 0.1, None)[1].shape == (1, 0)
-    assert _table(scheduled(lambda t, dt: 0 * t[None, :], span=None), 0.1, (2.0, 2.0))[1].shape == (1, 1)
+
+    def table(law, dt, span=None):
+        return flight_table(law, dt, span, 0.0)
+
+    found = table(scheduled(lambda t, dt: np.minimum(t, 1.0)[None, :], span=(0.5, 1.0)), 0.2)
+    assert found.first == 0.5 and found.rows.ravel() == pytest.approx([0.5, 0.7, 0.9, 1.0])
+    found = table(scheduled(lambda t, dt: np.minimum(t, 1.0)[None, :]), 0.25)
+    assert found.rows.ravel() == pytest.approx([0, 0.25, 0.5, 0.75, 1])
+    assert table(scheduled(None, 0), 0.1).rows.shape == (1, 0)
+    assert table(scheduled(lambda t, dt: 0 * t[None, :], span=None), 0.1, (2.0, 2.0)).rows.shape == (1, 1)
     for wrong, span, message in (
         (scheduled(lambda t, dt: t[None, :]), None, "still changes by"),
         (scheduled(lambda t, dt: 0 * t[None, :], span=None), None, "does not tell"),
@@ -960,7 +956,7 @@ def test_the_rows_of_a_schedule_in_c():
         (scheduled(lambda t, dt: 0 * t[None, :]), (0.0, INF), "finite"),
     ):
         with pytest.raises(ArgumentError, match=message):
-            _table(wrong, 0.1, span)
+            table(wrong, 0.1, span)
 
 
 def test_the_header_tells_what_the_arrays_hold(tmp_path):

@@ -60,7 +60,7 @@ def fly(controller, x, steps, disturbance=0.0):
 # --- without limits in reach --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("solver", ["piqp", "osqp"])
+@pytest.mark.parametrize("solver", ["piqp", "osqp", "daqp"])
 def test_without_limits_it_is_the_sampled_regulator(solver):
     regulator = design_lqr(cart(), [0, 0], Q=1, R=1, dt=DT)
     controller = tracker(limits=(-100, 100), rate_limits=1e4, state_limits={"v": (-50, 50)}, solver=solver)
@@ -251,7 +251,7 @@ def test_where_no_limit_is_met_no_solver_is_asked():
     assert z[controller.memory.slice("qp_alarm")] == 0
 
 
-@pytest.mark.parametrize("solver", ["piqp", "osqp"])
+@pytest.mark.parametrize("solver", ["piqp", "osqp", "daqp"])
 @pytest.mark.parametrize("along", [False, True])
 def test_hard_limits_of_states_are_those_of_an_independent_optimisation(solver, along):
     """Along a reference, too, where the dynamics change: the plan in controls alone, by SciPy."""

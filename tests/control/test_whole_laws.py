@@ -196,7 +196,7 @@ def test_the_schedule_of_a_horizon_holds_what_lies_ahead():
     assert both[:, 0] == pytest.approx(law.signal(0.4)) and both[:, 1] == pytest.approx(law.signal(0.6))
 
 
-@pytest.mark.parametrize("solver", ["piqp", "osqp"])
+@pytest.mark.parametrize("solver", ["piqp", "osqp", "daqp"])
 def test_commands_within_limits_of_size_and_rate_are_those_of_the_programme(solver):
     """Against a general solver on the same three steps, with the cost to go at their end."""
     law = predictive(limits=(-1.0, 1.5), rate_limits=3.0, solver=solver)

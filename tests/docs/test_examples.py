@@ -99,7 +99,7 @@ def test_blocks_say_what_they_are(page: Page) -> None:
     """A block without a language would escape its test."""
     assert page.text.count("```") == 2 * len(page.blocks)
     languages = {block.language for block in page.blocks}
-    assert languages <= {"python", "text", "sh"}, languages
+    assert languages <= {"python", "text", "sh", "c"}, languages
 
 
 # --- the comparison can fail --------------------------------------------------------------------------

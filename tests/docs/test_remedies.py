@@ -19,6 +19,8 @@ ENDINGS = {
     "status": ("How a solve ends", [status.value for status in go.Status]),
     "refinement": ("How a refinement ends", [status.value for status in go.RefinementStatus]),
     "conditions": ("Conditions of the verdict", CONDITIONS),
+    "continuation": ("How a continuation ends", [status.value for status in go.ContinuationStatus]),
+    "runs": ("What becomes of a run", [status.value for status in go.RunStatus]),
 }
 """By the folder of their pages: section of the index and names."""
 

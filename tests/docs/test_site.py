@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
+import types
 from pathlib import Path
 
 import pytest
@@ -43,7 +44,12 @@ def test_every_room_has_its_page() -> None:
 
 def test_every_problem_has_its_exhibit() -> None:
     pages = gallery.pages(pictures=False)
-    assert set(pages) == {f"gallery/{each.name}.md" for each in examples()}
+    assert set(pages) == {f"gallery/{name}.md" for name in ("index", *(each.name for each in examples()))}
+    overview = gallery.pages(pictures=True)["gallery/index.md"]
+    for each in examples():
+        kind = gallery.shown(each)[-1]
+        picture = f"![{gallery.heading(each)}: {kind}]({each.name}_{kind}.svg)"
+        assert f"[{picture}<br>{gallery.heading(each)}]({each.name}.md)" in overview
     assert "**Known answer**: 5.457865264 s" in pages["gallery/zermelo.md"]
     assert "def headings()" in pages["gallery/zermelo.md"]
     assert re.search(
@@ -70,7 +76,9 @@ def test_a_problem_without_controls_or_without_a_plan_of_its_own_has_a_picture()
 
 def test_the_first_page_leads_to_the_reference() -> None:
     """The README cannot: it is generated."""
-    assert hooks._REFERENCE_OF_README in " ".join(README.text.split())
+    place = types.SimpleNamespace(file=types.SimpleNamespace(src_uri="index.md", generated_by="hooks"))
+    shown = hooks.on_page_markdown(README.text, place)
+    assert "[API reference](api/index.md)" in shown and "[Gallery](problems.md)" in shown
 
 
 @pytest.mark.parametrize(

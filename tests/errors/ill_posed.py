@@ -77,7 +77,7 @@ def overdetermined() -> go.Problem:
 def path_out_of_reach() -> go.Problem:
     """A path constraint that no control can satisfy."""
     problem, leg, _, u = _integrator("path out of reach", u=(-1.0, 1.0))
-    leg.path("ceiling", leg.model.symbol("x"), upper=0.5)
+    leg.path("ceiling", u**2 - 2 * u, upper=-1.5)
     problem.minimize(leg.integral(u**2))
     return problem
 

@@ -106,6 +106,27 @@ def test_value_that_rounding_puts_outside_its_bound() -> None:
     assert go.solve(problem, mesh="3x3", tol=None).status.solved
 
 
+@mistake(
+    go.ProblemError, "path constraint 'wall'", "final values of phase 'leg'", "it is [0.5, 2.5] there", "0.3]"
+)
+def test_end_that_a_path_constraint_forbids_for_every_control() -> None:
+    problem, model = go.Problem("p"), cart()
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.final(q=1.0)
+    leg.bounds(a=(-1.0, 1.0))
+    leg.path("wall", 1.5 * model.symbol("q") + model.symbol("a"), upper=0.3)
+    problem.minimize(leg.integral(model.symbol("a") ** 2))
+    problem.check()  # wrong
+
+
+@pytest.mark.parametrize("limit", [0.5, 0.5 - 1e-7])
+def test_end_at_which_a_path_constraint_is_just_met(limit: float) -> None:
+    problem, leg = rest_to_rest()
+    leg.path("wall", leg.model.symbol("q") / 2, upper=limit)
+    problem.check()
+
+
 # --- declared and not used --------------------------------------------------------------------------------
 
 

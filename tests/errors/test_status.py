@@ -31,7 +31,7 @@ def ended(build: Build, scheme: str = "LG", **options: object) -> go.Solution:
         (ill_posed.too_little_time, go.Status.INFEASIBLE, "q defect, phase leg, segment"),
         (ill_posed.windows_apart, go.Status.INFEASIBLE, "constraint link_first_second_time"),
         (ill_posed.overdetermined, go.Status.INFEASIBLE, "x defect, phase leg, segment 10"),
-        (ill_posed.path_out_of_reach, go.Status.INFEASIBLE, "phase leg, segment 1, point"),
+        (ill_posed.path_out_of_reach, go.Status.INFEASIBLE, "path ceiling, phase leg, segment"),
         (ill_posed.free_ride, go.Status.UNBOUNDED, "u, phase leg, segment 10"),
         (ill_posed.concave, go.Status.UNBOUNDED, "u, phase leg, segment"),
         (ill_posed.endless, go.Status.UNBOUNDED, "final time, phase leg runs off"),

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
+from gnc_opt.problem.guess import simulate
+from gnc_opt.problem.guess.bent import bent
 from gnc_opt.problem.guess.trajectory import start_phase
 
 FRACTIONS = np.linspace(0.0, 1.0, 11)
@@ -244,3 +246,81 @@ def test_parameters_of_the_same_name_and_size_are_guessed_as_they_were_found() -
     assert warm.parameter("d") == pytest.approx(3.0, abs=1e-6)
     none = go.guess_from_solution(aimed(d=1), found)
     assert list(none.parameter_guess["d"]) == [-1.0]
+
+
+# --- stiff flights --------------------------------------------------------------------------------------------
+
+
+def filtered(bandwidth: float) -> go.Problem:
+    """A double integrator behind a first-order filter, by much faster than the motion."""
+    model = go.Model("filtered")
+    x, v, a = (model.state(name) for name in "xva")
+    u = model.control("u")
+    model.ode({x: v, v: a, a: bandwidth * (u - a)})
+    problem = go.Problem("filtered")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=4.0)
+    leg.initial(x=1.0, v=0.0, a=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.final_state("x"))
+    return problem
+
+
+def test_a_stiff_flight_goes_on_implicitly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Behind the filter with its lag 1/b the motion is x = 1 + c (t^2 / 2 - t / b + ...) with the command c."""
+    monkeypatch.setattr(simulate, "MOST_EXPLICIT", 3000)
+    start = guessed(go.simulate_guess(filtered(1e6), {"u": 0.5}), "leg")
+    assert start.states[0, -1] == pytest.approx(1 + 0.5 * (4**2 / 2 - 4e-6), abs=1e-4)
+    assert start.states[1, -1] == pytest.approx(2.0, abs=1e-4)
+
+
+def test_a_law_that_switches_without_end_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the line x + v = 0 it slides: sign() is 1 and -1 in turn at every step."""
+    monkeypatch.setattr(simulate, "MOST_EXPLICIT", 2000)
+    monkeypatch.setattr(simulate, "MOST_IMPLICIT", 4000)
+    problem = filtered(1e5)
+    x, v = (problem.phases["leg"].model.symbol(name) for name in "xv")
+    with pytest.raises(go.ProblemError, match=r"4,000 evaluations .* led to t = .* s only\): .*tanh"):
+        go.simulate_guess(problem, {"u": -ca.sign(x + v)})
+
+
+# --- lines through a singular point ---------------------------------------------------------------------------
+
+
+def past_a_disc(centre: float = 0.0) -> go.Problem:
+    """From (-5, 0) to (5, 0) m at rest in 10 s, at least 1 m from a point, told by a distance."""
+    model = go.Model("mover")
+    r, v = model.state("r", 2), model.state("v", 2)
+    a = model.control("a", 2)
+    model.ode({r: v, v: a})
+    problem = go.Problem("past a disc")
+    leg = problem.phase("move", model)
+    leg.time(initial=0.0, final=10.0)
+    leg.initial(r=[-5.0, 0.0], v=[0.0, 0.0])
+    leg.final(r=[5.0, 0.0], v=[0.0, 0.0])
+    leg.path("distance", ca.norm_2(r - ca.DM([0.0, centre])), lower=1.0)
+    problem.minimize(leg.integral(ca.sumsqr(a)))
+    return problem
+
+
+def test_a_line_through_the_centre_of_a_keep_out_is_bent() -> None:
+    """Alone the way along x costs 12 d^2 / T^3 = 1.2; aside by 1 m at half time 2 * 12 / (T / 2)^3 = 0.192 more."""
+    solution = go.solve(past_a_disc())
+    assert solution.converged and go.verify(solution).ok
+    assert solution.objective == pytest.approx(1.2 + 0.192, rel=1e-9)
+    assert abs(solution.state("r")(5.0)[1]) == pytest.approx(1.0, abs=1e-8)
+
+
+def test_only_lines_that_nobody_gave_are_bent() -> None:
+    """A line that misses the centre stays; so do the user's states: a guess of theirs through the centre is refused."""
+    clear = past_a_disc(0.1)
+    assert bent(clear) is clear
+    r = bent(past_a_disc()).phases["move"].numbers.guess.values["r"]
+    np.testing.assert_allclose(r(np.array([0.0, 10.0])), [[-5.0, 5.0], [0.0, 0.0]], atol=1e-12)
+    assert np.min(np.linalg.norm(r(np.linspace(0.0, 10.0, 201)), axis=0)) > 0.01
+    problem = past_a_disc()
+    problem.phases["move"].guess(r=([-5.0, 0.0], [5.0, 0.0]))
+    with pytest.raises(
+        go.ProblemError, match=r"derivative of path constraint 'distance' .* nan at the guess"
+    ):
+        problem.check()

@@ -34,6 +34,7 @@ PRINTED: dict[str, tuple[tuple[str, str], ...]] = {
         ("final sigma, y", "0.4142"),
         ("formula of the final sigma", "tan(90/2)"),
         ("final position", "0, 0, -10"),
+        ("figures 3 to 15", "drawn"),
         ("segments and points", "20, 3"),
         ("variables", "1333"),
         ("constraints", "960"),
@@ -77,6 +78,8 @@ PRINTED: dict[str, tuple[tuple[str, str], ...]] = {
         ("K_V", "1.294e-3"),
         ("final time", "60"),
         ("pyramid", "35.264, 45"),
+        ("weights of the FLC", "0.1, 100"),
+        ("weights of the LQR", "13131, 170, 2500"),
         *(
             (f"target of manoeuvre {m}", angles)
             for m, angles in enumerate(
@@ -139,6 +142,7 @@ PRINTED: dict[str, tuple[tuple[str, str], ...]] = {
         ("J, k = 0: braking torque", "0.17, -0.043, -0.24"),
         ("surface", "on the surface by 80 s"),
         ("effort of k = 0.05 / k = 0", "< 1"),
+        ("|q_i| after 200 s", "about 0.001"),
     ),
     "tethered_formation": (
         ("limit of the angle", "pi/9"),
@@ -147,6 +151,8 @@ PRINTED: dict[str, tuple[tuple[str, str], ...]] = {
         ("control step", "0.1"),
         ("overshoot", "about 16.1"),
         ("swing after 150 s", "at equilibrium"),
+        ("error of r", "grows, then shrinks"),
+        ("thrust angle at 200 s", "decays to 0"),
         ("", "about 70"),
         ("angle beyond 20 deg", "never"),
         ("", "much weaker"),

@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy
+from few_runs import few_runs
 from printed import missing
 
 import gnc_opt as go
 from problems import formation_flying
 from problems.comparison import Row
 from problems.flown import Flight
-from problems.formation_flying.flown import KNOWN, Conditions, flight, flown_rows, follow, worth
+from problems.formation_flying.flown import KNOWN, Conditions, flight, flown_rows, follow, rivals, worth
 from problems.formation_flying.laws import FEW_STEPS, integral_law, optimal_sliding_mode, step_of
 from problems.formation_flying.model import (
     PERIOD,
@@ -181,11 +182,11 @@ def test_optima_against_what_is_known() -> None:
     assert plan("least time").solution.objective == pytest.approx(LEAST_TIME, abs=1e-4)
 
 
-@pytest.mark.slow
-def test_flights_are_what_another_program_makes_of_the_applied_thrust() -> None:
-    """Gravity of an oblate earth on both craft, in numbers; Runge and Kutta's rule at the steps of the controller."""
-    names = ("published", "least Delta-V", "least time")
-    runs = [flight(name) for name in names]
+def integrated(starts: np.ndarray, thrust: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states (n_steps + 1, 6, n_runs) under gravity of an oblate earth on both craft, and thrust.
+
+    In numbers alone; Runge and Kutta's rule at the steps of the controller.
+    """
     mu, a, re, j2 = 398600e9, 7171e3, 6378137.0, 0.0010826
     n = np.sqrt(mu / a**3)
 
@@ -202,16 +203,38 @@ def test_flights_are_what_another_program_makes_of_the_applied_thrust() -> None:
         turning = np.stack([2 * n * v[1] + n**2 * x[0], -2 * n * v[0] + n**2 * x[1], 0 * v[2]])
         return np.concatenate([v, pull(leader + x) - field + n**2 * leader + turning + u])
 
-    thrust = np.stack([run.applied for run in runs], axis=-1)
-    h = 2 * np.pi / n / thrust.shape[1]
-    path = [np.tile(START[:, None], 3)]
+    h, path = 2 * np.pi / n / thrust.shape[1], [starts]
     for k in range(thrust.shape[1]):
         y, u = path[-1], thrust[:, k]
         k1 = rate(y, u)
         k2 = rate(y + h / 2 * k1, u)
         k3 = rate(y + h / 2 * k2, u)
         path.append(y + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(y + h * k3, u)))
-    states, times = np.array(path), h * np.arange(len(path))
+    return h * np.arange(len(path)), np.array(path)
+
+
+@pytest.mark.slow
+def test_dispersed_runs_are_what_another_program_makes_of_the_applied_thrust() -> None:
+    """From their own starts, for the plans and for the published law."""
+    for campaign in few_runs("formation_flying", rivals()).values():
+        runs = [campaign.rerun(i) for i in range(3)]
+        starts = np.stack([run.states[:, 0] for run in runs], axis=-1)
+        thrust = np.stack([run.applied for run in runs], axis=-1)
+        times, states = integrated(starts, thrust)
+        off = np.linalg.norm((starts - START[:, None]).reshape(2, 3, 3), axis=1)
+        assert np.all(off <= [[20.0], [0.02]]) and np.all(np.ptp(off, axis=1) > [0.1, 1e-4])
+        miss = states[-1, :3] - np.array([[500.0], [0.0], [500 * np.sqrt(3)]])
+        found = [np.sum(np.abs(thrust), axis=(0, 1)) * times[1], np.linalg.norm(miss, axis=0)]
+        np.testing.assert_allclose([campaign.measure(m)[:3] for m in ("effort(a)", "r")], found, rtol=1e-3)
+
+
+@pytest.mark.slow
+def test_flights_are_what_another_program_makes_of_the_applied_thrust() -> None:
+    names = ("published", "least Delta-V", "least time")
+    runs = [flight(name) for name in names]
+    thrust = np.stack([run.applied for run in runs], axis=-1)
+    times, states = integrated(np.tile(START[:, None], 3), thrust)
+    n, h = 2 * np.pi / times[-1], times[1]
     ring = np.stack(
         [500 * np.cos(n * times), -1000 * np.sin(n * times), 500 * np.sqrt(3) * np.cos(n * times)], axis=-1
     )

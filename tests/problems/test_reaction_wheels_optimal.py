@@ -10,15 +10,14 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from few_runs import few_runs
 from scipy.integrate import simpson, solve_bvp, solve_ivp
 
 import gnc_opt as go
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.spacecraft import quaternion_angle
 from problems import reaction_wheels
-from problems.all import PAGES
 from problems.comparison import compare
-from problems.dispersed import dispersed_rows
 from problems.flown import Flight
 from problems.reaction_wheels import (
     AXES,
@@ -242,17 +241,8 @@ def test_flights_are_what_another_program_makes_of_the_applied_torques() -> None
 
 
 def test_wheels_fly_as_their_page_says() -> None:
-    """A few of its runs, plan and published law: medians on either side of what all of them gave."""
-    told = json.loads((PAGES / "reaction_wheels.json").read_text(encoding="utf-8"))
-    rows = {row["quantity"]: row["ours"] for row in told["rows"] if " runs, " in row["quantity"]}
-    few = rivals().fly(9, executor="serial")
-    for row in dispersed_rows(rivals(), few)[:-1]:
-        (known,) = (
-            ours for quantity, ours in rows.items() if row.quantity.partition(" runs, ")[2] in quantity
-        )
-        ours, page = np.array(row.ours).reshape(2, 3), np.array(known).reshape(2, 3)
-        np.testing.assert_allclose(ours[:, 0], page[:, 0], rtol=0.15)
-        assert np.all(ours[:, 2] <= page[:, 2] * (1 + 1e-6))  # they are among them
+    """A few of its runs, plan and published law."""
+    few_runs("reaction_wheels", rivals())
 
 
 def test_problem_without_such_a_goal_or_manoeuvre() -> None:

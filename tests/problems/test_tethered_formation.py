@@ -7,6 +7,7 @@ import subprocess
 
 import numpy as np
 import pytest
+from few_runs import few_runs
 from printed import missing
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
@@ -29,7 +30,15 @@ from problems.tethered_formation import (
     solve,
     tether_model,
 )
-from problems.tethered_formation.flown import KNOWN, KNOWN_HEIGHT, Conditions, flight, flown_rows, worth
+from problems.tethered_formation.flown import (
+    KNOWN,
+    KNOWN_HEIGHT,
+    Conditions,
+    flight,
+    flown_rows,
+    rivals,
+    worth,
+)
 from problems.tethered_formation.laws import Gains, design_swing_law, predictive, surface
 from problems.tethered_formation.optimal import (
     DISTURBED,
@@ -293,12 +302,12 @@ def test_optima_against_what_is_known(runs):
     assert optimum("planned").verdict.ok
 
 
-@pytest.mark.slow
-def test_flights_are_what_another_program_makes_of_the_applied_rates():
-    """Newton's law for leader, follower and three points of the tether, gravity exact, the angle linear in a step."""
-    names, c = ("published", "time", "effort"), Conditions()
-    flights = [flight(name) for name in names]
-    mp, md, mt, d, force, mu, r0 = 500.0, c.follower_mass, 1.0, 100.0, 100.0, 3.986004418e14, 7e6
+def integrated(swings, swing_rates, rates, md):
+    """States (n_steps + 1, 5, n_runs) and angles of thrust from a circular orbit under rates (n_runs, n_steps).
+
+    Newton's law for leader, follower and three points of the tether, gravity exact, the angle linear in a step.
+    """
+    mp, mt, d, force, mu, r0 = 500.0, 1.0, 100.0, 100.0, 3.986004418e14, 7e6
     m = mp + md + mt
     kappa, reduced = (md + mt / 2) / m, (mp + mt / 2) * (md + mt / 2) / m - mt / 6
     points = [(0.0, mp), (1.0, md)] + [
@@ -321,10 +330,10 @@ def test_flights_are_what_another_program_makes_of_the_applied_rates():
         alpha = (a[1] - 2 * climb * alpha_rate) / r
         return np.array([climb, a[0] + r * alpha_rate**2, alpha, theta_rate, turn - alpha])
 
-    start = [r0, 0.0, np.sqrt(mu / r0**3), np.radians(c.swing), 0.0]
-    y, gamma, h = np.tile(np.array(start)[:, None], 3), np.zeros(3), 0.1
-    path = [y]
-    rates = np.concatenate([f.run.applied for f in flights])
+    orbit = np.array([r0, 0.0, np.sqrt(mu / r0**3)])
+    y = np.vstack([np.tile(orbit[:, None], len(rates)), swings, swing_rates])
+    gamma, h = np.zeros(len(rates)), 0.1
+    path, angles = [y], [gamma]
     for v in rates.T:
         middle, end = gamma + h / 2 * v, gamma + h * v
         k1 = rate(y, gamma)
@@ -332,8 +341,37 @@ def test_flights_are_what_another_program_makes_of_the_applied_rates():
         k3 = rate(y + h / 2 * k2, middle)
         y, gamma = y + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(y + h * k3, end)), end
         path.append(y)
-        assert np.max(np.abs(gamma)) <= np.radians(20.0) + 1e-9
-    states, times = np.array(path), h * np.arange(len(path))
+        angles.append(gamma)
+    return np.array(path), np.array(angles)
+
+
+@pytest.mark.slow
+def test_dispersed_runs_are_what_another_program_makes_of_the_applied_rates():
+    """From their own swings, for the plans and for the published structure."""
+    c = Conditions()
+    for campaign in few_runs("tethered_formation", rivals()).values():
+        runs = [campaign.rerun(i) for i in range(3)]
+        starts = np.array(
+            [[run.state(name).values[0, 0] for name in ("theta", "theta_rate")] for run in runs]
+        )
+        off = np.abs(np.degrees(starts - [np.radians(c.swing), 0.0]))
+        assert np.all(off <= [1.0, 0.05]) and np.all(np.ptp(off, axis=0) > [0.01, 1e-4])
+        rates = np.concatenate([run.applied for run in runs])
+        states, angles = integrated(starts[:, 0], starts[:, 1], rates, c.follower_mass)
+        found = [np.sum(rates**2, axis=1) * 0.1, np.abs(states[-1, 3]), np.abs(states[-1, 0] - 7e6 - 409.494)]
+        told = [campaign.measure(name)[:3] for name in ("energy(gamma_rate)", "theta", "height")]
+        np.testing.assert_allclose(told, found, rtol=2e-3)
+        assert np.max(np.abs(angles)) <= np.radians(20.0) + 1e-9
+
+
+@pytest.mark.slow
+def test_flights_are_what_another_program_makes_of_the_applied_rates():
+    names, c = ("published", "time", "effort"), Conditions()
+    flights = [flight(name) for name in names]
+    rates, h, r0 = np.concatenate([f.run.applied for f in flights]), 0.1, 7e6
+    states, angles = integrated(np.full(3, np.radians(c.swing)), np.zeros(3), rates, c.follower_mass)
+    times = h * np.arange(len(states))
+    assert np.max(np.abs(angles)) <= np.radians(20.0) + 1e-9
     assert np.max(np.abs(rates)) <= 0.1 + 1e-12
     for i, name in enumerate(names):
         swing = np.degrees(states[:, 3, i])

@@ -163,7 +163,7 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     sent = _places(estimator.commands, controller.commands, "command", estimator.name, controller.name)
     _check_names(controller, estimator)
     step, start = _functions(controller, estimator, fed, sent)
-    told = controller.explanation
+    told, flight = controller.explanation, controller.flight
     return replace(
         controller,
         name=f"{controller.name}_{estimator.name}",
@@ -182,6 +182,9 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
             (*told.facts, *estimator.explanation.facts),
         ),
         unbridged=None,
+        flight=None
+        if flight is None
+        else replace(flight, controller=output_feedback(flight.controller, estimator)),
     )
 
 

@@ -74,6 +74,12 @@ class Rows:
         one = np.where(np.isfinite(self.state_lower), np.abs(self.state_lower), np.abs(self.state_upper))
         return np.where(np.isfinite(half), half, np.where(np.isfinite(one) & (one > 0), one, 1.0))
 
+    @property
+    def roots(self) -> Array:
+        """Roots of the prices: in units of them the squares of the slacks have the weight one."""
+        price = self.price[self.soft] * self.state_scale[self.soft] ** 2
+        return np.sqrt(np.maximum(price, _LEAST_PRICE))
+
 
 @dataclass(frozen=True, eq=False)
 class Programme:
@@ -125,11 +131,14 @@ class Horizon:
         A - B K, B L^-T, K and L^-T of each step, DM or MX.
     scale : array (n_errors,)
         What an unknown error is measured in.
+    condensed : bool
+        Without errors among the unknowns: no equations, and dense rows.
     """
 
     rows: Rows
     matrices: list[list[Any]]
     scale: Array
+    condensed: bool = False
 
     @property
     def count(self) -> int:
@@ -145,7 +154,7 @@ class Horizon:
     @property
     def free(self) -> int:
         """Number of unknowns that may have any sign."""
-        return self.count * sum(self.sizes)
+        return self.count * (self.sizes[1] if self.condensed else sum(self.sizes))
 
     @property
     def unknowns(self) -> int:
@@ -155,7 +164,7 @@ class Horizon:
     @property
     def equations(self) -> int:
         """Number of equations."""
-        return self.count * self.sizes[0]
+        return 0 if self.condensed else self.count * self.sizes[0]
 
     def programme(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Programme:
         """Return the programme.
@@ -171,40 +180,49 @@ class Horizon:
         previous : column (m,)
             The command before the horizon.
         """
-        rows, (_, m) = self.rows, self.sizes
-        commands = [self.command(j, e_0, u_ff[m * j : m * (j + 1)]) for j in range(self.count)]
-        found = [self._step(j, e_0) for j in range(self.count)]
+        rows, (_, m), errors = self.rows, self.sizes, self._errors(e_0)
+        commands = [self._command(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.count)]
+        found = [] if self.condensed else [self._step(j, e_0) for j in range(self.count)]
         found += [_between(*command, rows.lower, rows.upper) for command in commands]
         if rows.change is not None:
             before = (ca.DM(m, self.unknowns), previous)
             for row, u in commands:
                 found.append(_between(row - before[0], u - before[1], -rows.change, rows.change))
                 before = (row, u)
-        found += self._states(x_ref)
+        found += self._states(x_ref, errors)
         a, low, high = (ca.vertcat(*parts) for parts in zip(*found, strict=True))
         squares = np.zeros(self.unknowns)
         squares[: m * self.count] = squares[self.free :] = 1.0
         gradient = np.zeros(self.unknowns)
-        gradient[self.free :] = np.tile(self._root, self.count)
+        gradient[self.free :] = np.tile(self.rows.roots, self.count)
         h = ca.diag(ca.sparsify(ca.DM(squares)))
         return Programme(h, ca.DM(gradient), a, low, high, self.equations, self.free)
 
-    def regulated(self, e_0: Any) -> Any:
-        """Return the unknowns where the regulator is left alone."""
-        _, m = self.sizes
-        e, errors = e_0, []
-        for a in self.matrices[0]:
-            e = a @ e
-            errors.append(ca.diag(ca.DM(1 / self.scale)) @ e)
-        return ca.vertcat(ca.DM.zeros(m * self.count), *errors, ca.DM.zeros(self.unknowns - self.free))
+    def alone(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> tuple[Any, Any]:
+        """Return the unknowns where the regulator is left alone, and whether it meets no limit then.
 
-    def command(self, j: int, e_0: Any, u_ff: Any) -> tuple[Any, Any]:
-        """Return the j-th command as a row of the unknowns and what there is beside it."""
-        _, _, k, g = (matrices[j] for matrices in self.matrices)
-        row = {self._omega(j): g}
-        if j == 0:
-            return self._row(row), u_ff - k @ e_0
-        return self._row(row | {self._error(j): -k @ self._scaled}), u_ff
+        Arguments as of `programme`.
+        """
+        rows, (_, m) = self.rows, self.sizes
+        e, errors, room, limited = e_0, [], [], len(rows.states)
+        for j, (a, _, k, _) in enumerate(zip(*self.matrices, strict=True)):
+            u = u_ff[m * j : m * (j + 1)] - k @ e
+            room += [u - rows.lower, rows.upper - u]
+            if rows.change is not None:
+                room += [u - previous + rows.change, rows.change - u + previous]
+                previous = u
+            e = a @ e
+            errors.append(e / self.scale)
+            x = [x_ref[limited * j + i] + e[place] for i, place in enumerate(rows.errors)]
+            room += [x[i] - rows.state_lower[i] for i in rows.below]
+            room += [rows.state_upper[i] - x[i] for i in rows.above]
+        between = [] if self.condensed else errors
+        unknowns = ca.vertcat(ca.DM.zeros(m * self.count), *between, ca.DM.zeros(self.unknowns - self.free))
+        return unknowns, ca.mmin(ca.vertcat(*room)) >= 0
+
+    def first_command(self, e_0: Any, u_ff: Any) -> tuple[Any, Any]:
+        """Return the first command as rows of the unknowns and what there is beside them."""
+        return self._command(0, (ca.DM(self.sizes[0], self.unknowns), e_0), u_ff)
 
     # --- internals ----------------------------------------------------------------------------------------
 
@@ -212,11 +230,22 @@ class Horizon:
     def _scaled(self) -> Any:
         return ca.diag(ca.DM(self.scale))
 
-    @property
-    def _root(self) -> Array:
-        """Roots of the prices: in units of them the squares of the slacks have the weight one."""
-        soft, rows = self.rows.soft, self.rows
-        return np.sqrt(np.maximum(rows.price[soft] * rows.state_scale[soft] ** 2, _LEAST_PRICE))
+    def _errors(self, e_0: Any) -> list[tuple[Any, Any]]:
+        """Return the errors at the beginning and at the end of every step, as rows of the unknowns and the rest."""
+        n, _ = self.sizes
+        found = [(ca.DM(n, self.unknowns), e_0)]
+        for j in range(self.count):
+            if self.condensed:
+                a, f, (rows, rest) = self.matrices[0][j], self.matrices[1][j], found[-1]
+                found.append((a @ rows + self._row({self._omega(j): f}), a @ rest))
+            else:
+                found.append((self._row({self._error(j + 1): self._scaled}), ca.DM.zeros(n)))
+        return found
+
+    def _command(self, j: int, errors: tuple[Any, Any], u_ff: Any) -> tuple[Any, Any]:
+        """Return the j-th command as rows of the unknowns and what there is beside them, from the errors before it."""
+        (rows, rest), k, g = errors, self.matrices[2][j], self.matrices[3][j]
+        return self._row({self._omega(j): g}) - k @ rows, u_ff - k @ rest
 
     def _omega(self, j: int) -> int:
         return j * self.sizes[1]
@@ -250,20 +279,21 @@ class Horizon:
             ca.DM.zeros(n),
         )
 
-    def _states(self, x_ref: Any) -> list[tuple[Any, Any, Any]]:
+    def _states(self, x_ref: Any, errors: list[tuple[Any, Any]]) -> list[tuple[Any, Any, Any]]:
         """The rows of the limited states."""
         rows, limited, scale = self.rows, len(self.rows.states), self.rows.state_scale
         found = []
         for side, which, limit in ((-1, rows.below, rows.state_lower), (1, rows.above, rows.state_upper)):
             for j in range(self.count):
                 for i in which:
-                    e = rows.errors[i]
-                    blocks = {self._error(j + 1) + e: ca.DM(self.scale[e] / scale[i])}
+                    row, rest = (part[rows.errors[i], :] for part in errors[j + 1])
+                    row = row / scale[i]
                     if i in rows.soft:
                         slack = rows.soft.index(i)
-                        blocks[self.free + j * len(rows.soft) + slack] = ca.DM(-side / self._root[slack])
-                    rest = (limit[i] - x_ref[j * limited + i]) / scale[i]
-                    found.append((self._row(blocks), *((-ca.inf, rest) if side > 0 else (rest, ca.inf))))
+                        place = self.free + j * len(rows.soft) + slack
+                        row = row + self._row({place: ca.DM(-side / rows.roots[slack])})
+                    room = (limit[i] - x_ref[j * limited + i] - rest) / scale[i]
+                    found.append((row, *((-ca.inf, room) if side > 0 else (room, ca.inf))))
         return found
 
 

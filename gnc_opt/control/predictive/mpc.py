@@ -6,10 +6,10 @@ optimal one of the unconstrained problem and a sum of squares,
 
 .. math:: e_0^T P_0 e_0 + \sum_j w_j^T S_j w_j, \qquad S_j = R_j + B_j^T P_{j+1} B_j = L_j L_j^T,
 
-so the programme for :math:`\omega_j = L_j^T w_j` is to find the point of least norm within the limits, with the errors
-as further unknowns, so that it is sparse. As long as no limit is met the answer is :math:`\omega = 0`, the sampled
-regulator, and no solver is asked. Limits of controls and rates are hard; those of states are soft (exact penalty), so
-that the programme has a solution, unless they are named hard.
+so the programme for :math:`\omega_j = L_j^T w_j` is to find the point of least norm within the limits: condensed, or
+with the errors as further unknowns, so that it is sparse. As long as no limit is met the answer is :math:`\omega = 0`,
+the sampled regulator, and no solver is asked. Limits of controls and rates are hard; those of states are soft (exact
+penalty), so that the programme has a solution, unless they are named hard.
 
 The point that the solver returns is judged anew at every step by its optimality conditions; if it fails, the clipped
 regulator's command is given and an alarm is raised.
@@ -42,7 +42,8 @@ from gnc_opt.control.linear.facts import regulator_facts
 from gnc_opt.control.linear.gains import SampledGains, riccati_gains
 from gnc_opt.control.linear.riccati import gain_of
 from gnc_opt.control.linear.weights import Weight, read_cost, read_weight, require_semidefinite
-from gnc_opt.control.predictive.horizon import Horizon, Programme, Rows
+from gnc_opt.control.predictive.horizon import Horizon, Rows
+from gnc_opt.control.predictive.programme_code import ProgrammeCode, flight_law
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, reference_times
 from gnc_opt.errors import ArgumentError, DesignError, did_you_mean, shown, unknown_name
@@ -50,7 +51,7 @@ from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, alike
 
-QpSolver: TypeAlias = Literal["piqp", "osqp"]
+QpSolver: TypeAlias = Literal["piqp", "osqp", "daqp"]
 
 
 QP_TOLERANCE = 1e-6
@@ -59,6 +60,7 @@ QP_TOLERANCE = 1e-6
 _PIQP = {"eps_abs": 1e-13, "eps_rel": 1e-13, "eps_duality_gap_abs": 1e-13, "eps_duality_gap_rel": 1e-13}
 _OPTIONS: dict[str, dict[str, Any]] = {
     "piqp": {"piqp": {"verbose": False, **_PIQP}},
+    "daqp": {"daqp": {"primal_tol": 1e-9, "dual_tol": 1e-9}},
     "osqp": {"osqp": {"verbose": False, "eps_abs": 1e-8, "eps_rel": 1e-8, "max_iter": 20000, "polish": True}},
 }
 
@@ -78,7 +80,7 @@ def design_mpc(
     N: ArrayLike | None = None,
     terminal: Weight | Literal["riccati"] = "riccati",
     state_penalty: float = 1e3,
-    solver: QpSolver = "piqp",
+    solver: QpSolver | None = None,
     name: str = "MPC",
 ) -> Controller:
     """Design a model predictive controller that follows a reference within limits.
@@ -106,8 +108,10 @@ def design_mpc(
         Of the errors at the end of the horizon; ``"riccati"`` is the cost to go of the (time-varying) regulator.
     state_penalty : float
         Price of leaving a state limit by half its range, relative to the cost to go of an error as large.
-    solver : {"piqp", "osqp"}
-        Sparse interior-point or operator-splitting method.
+    solver : {"piqp", "osqp", "daqp"}, optional
+        Sparse interior-point or operator-splitting method; or a dual active-set method without errors among the
+        unknowns, for horizons along which few limits are met. Default: the last one, or the first one where states are
+        limited.
     name : str
         For messages and reports.
 
@@ -135,6 +139,7 @@ def design_mpc(
     expect(
         reference, Reference, "the reference of design_mpc()", "give a Reference, or Reference.constant(...)"
     )
+    solver = solver or ("piqp" if state_limits else "daqp")
     if solver not in get_args(QpSolver):
         raise ArgumentError(
             f"there is no QP solver {shown(solver)}: {did_you_mean(str(solver), get_args(QpSolver))}"
@@ -161,7 +166,7 @@ def design_mpc(
     schedule = _Schedule(ReferenceSchedule(reference), windows, rows.states)
     signals = reference_signals(reference, *schedule.more())
     step, start, memory = _law(deviation, schedule, rows, signals, solver)
-    regulator = Controller(
+    plain = Controller(
         name=name,
         step=step,
         start=start,
@@ -178,7 +183,8 @@ def design_mpc(
             (*_facts(gains, windows, rows, model.states, solver), *reserve_shares(reference, bounds)),
         ),
     )
-    return bridge_dropouts(regulator)
+    code = _programme_code(windows, rows, model)
+    return bridge_dropouts(replace(plain, flight=flight_law(code, deviation, plain, reference)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,26 +261,25 @@ def _law(
     states, m = deviation.model.states.size, rows.lower.size
     count, limited = schedule.windows.count, len(schedule.limited)
     t, x, r = ca.MX.sym("t"), ca.MX.sym("x", states), ca.MX.sym("r", signals.size)
-    x_ref, u_ff = r[:states], r[states : states + m * count]
-    x_limited = r[states + m * count : states + (m + limited) * count]
+    x_ref, *given = ca.vertsplit(
+        r, [0, states, states + m * count, states + (m + limited) * count, signals.size]
+    )
+    u_ff = given[0]
     sx, sx_ref = ca.SX.sym("x", states), ca.SX.sym("x_ref", states)
     error = ca.Function("e", [sx, sx_ref], [deviation.expression(sx, sx_ref)])
     e = error(x, x_ref)
-    windows = schedule.windows
-    matrices = _matrices(schedule, r, states + (m + limited) * count)
-    horizon = Horizon(rows, matrices, _error_scale(windows))
+    horizon = _horizon(schedule, rows, given[2], solver)
     size, n_rows = horizon.unknowns, horizon.equations + rows.count * count
     z = ca.MX.sym("z", m + size + n_rows + 1)
     previous, plan, multipliers, alarm = ca.vertsplit(
         z, [0, m, m + size, m + size + n_rows, m + size + n_rows + 1]
     )
-    task = horizon.programme(e, u_ff, x_limited, previous)
-    y, lam_a, solved = _solution(task, horizon.regulated(e), plan, multipliers, solver)
+    y, lam_a, solved = _solution(schedule, rows, (e, *given, previous), plan, multipliers, solver)
 
     lower, upper = ca.DM(rows.lower), ca.DM(rows.upper)
     if rows.change is not None:
         lower, upper = ca.fmax(lower, previous - rows.change), ca.fmin(upper, previous + rows.change)
-    row, regulator = horizon.command(0, e, u_ff[:m])
+    row, regulator = horizon.first_command(e, u_ff[:m])
     u = clip(regulator + ca.if_else(solved, row @ y, 0), lower, upper)
     after = ca.vertcat(
         u,
@@ -292,27 +297,50 @@ def _law(
     )
 
 
-def _solution(task: Programme, regulated: Any, plan: Any, multipliers: Any, solver: str) -> list[Any]:
+def _solution(
+    schedule: _Schedule, rows: Rows, given: tuple[Any, ...], plan: Any, multipliers: Any, solver: str
+) -> list[Any]:
     """Return unknowns, multipliers and whether they are the solution.
 
-    They are those of the regulator if it meets no limit, else what the solver finds.
+    They are those of the regulator if it meets no limit, else what the solver finds. ``given`` are the errors, the
+    feedforward and the reference of the limited states over the horizon, the matrices and the command before.
     """
+    # Elementary operations, as they are carried out at every step; the programme is only built where it is solved.
+    symbols = [ca.SX.sym(f"i{k}", argument.shape[0]) for k, argument in enumerate(given)]
+    e, u_ff, x_limited, matrices, previous = symbols
+    alone = _horizon(schedule, rows, matrices, solver).alone(e, u_ff, x_limited, previous)
+    regulated, inside = ca.Function("alone", symbols, list(alone))(*given)
+    symbols = [
+        ca.MX.sym(f"i{k}", argument.shape[0])
+        for k, argument in enumerate((*given, plan, multipliers, regulated))
+    ]
+    e, u_ff, x_limited, matrices, previous, x0, lam0, rest = symbols
+    task = _horizon(schedule, rows, matrices, solver).programme(e, u_ff, x_limited, previous)
     shape = {"h": task.h.sparsity(), "a": task.a.sparsity()}
     qp = ca.conic("qp", solver, shape, {**_OPTIONS[solver], "error_on_fail": False})
-    least = np.full(regulated.shape[0], -np.inf)
+    least = np.full(rest.shape[0], -np.inf)
     least[task.free :] = 0  # slacks are not negative
-    arguments = (task.a, task.low, task.high, plan, multipliers, regulated)
-    symbols = [ca.MX.sym(f"i{k}", argument.sparsity()) for k, argument in enumerate(map(ca.MX, arguments))]
-    a, low, high, x0, lam0, rest = symbols
-    found = qp(h=task.h, g=task.g, a=a, lba=low, uba=high, lbx=least, x0=x0, lam_a0=lam0)
-    judged = replace(task, a=a, low=low, high=high)
-    solved = judged.optimality_residual(found["x"], found["lam_a"], found["lam_x"]) <= QP_TOLERANCE
+    found = qp(h=task.h, g=task.g, a=task.a, lba=task.low, uba=task.high, lbx=least, x0=x0, lam_a0=lam0)
+    solved = task.optimality_residual(found["x"], found["lam_a"], found["lam_x"]) <= QP_TOLERANCE
     solve = ca.Function("solve", symbols, [found["x"], found["lam_a"], solved])
     keep = ca.Function("keep", symbols, [rest, ca.MX.zeros(multipliers.shape[0]), ca.MX(1)])
-    value, k = task.a @ regulated, task.equal
-    inside = ca.logic_and(ca.mmin(value[k:] - task.low[k:]) >= 0, ca.mmin(task.high[k:] - value[k:]) >= 0)
     either = ca.Function.if_else("either", keep, solve)  # calls one of them
-    return list(either(inside, *arguments))
+    return list(either(inside, *given, plan, multipliers, regulated))
+
+
+def _horizon(schedule: _Schedule, rows: Rows, matrices: Any, solver: str) -> Horizon:
+    """Return the horizon that suits a solver, with its matrices as the schedule's row tells them."""
+    scale = _error_scale(schedule.windows)
+    return Horizon(rows, _matrices(schedule, matrices), scale, condensed=solver == "daqp")
+
+
+def _programme_code(windows: _Windows, rows: Rows, model: Model) -> ProgrammeCode:
+    """Return the programme for flight code, with the matrices of every step of the reference."""
+    last, sliding = len(windows.gains.steps) - 1, windows.terminal is None
+    firsts = [last + windows.count] if windows.constant else range(last + 1)
+    found = [windows(k) for k in firsts]
+    parts = [np.concatenate([w[i][:1] if sliding else w[i] for w in found]) for i in range(4)]
+    return ProgrammeCode(rows, rows.roots, tuple(parts), sliding, windows.count, model.states.size)
 
 
 def _error_scale(windows: _Windows) -> Array:
@@ -321,9 +349,9 @@ def _error_scale(windows: _Windows) -> Array:
     return np.asarray(1 / np.sqrt(np.where(costs > 0, costs, 1.0)))
 
 
-def _matrices(schedule: _Schedule, r: Any, place: int) -> list[list[Any]]:
-    """A - B K, B L^-T, K, L^-T of each step: numbers if they never change, else from the schedule's row."""
-    windows = schedule.windows
+def _matrices(schedule: _Schedule, r: Any) -> list[list[Any]]:
+    """A - B K, B L^-T, K, L^-T of each step: numbers if they never change, else from the end of the schedule's row."""
+    windows, place = schedule.windows, 0
     if windows.constant:
         last = len(windows.gains.steps) - 1 + windows.count
         return [[ca.DM(matrix) for matrix in matrices] for matrices in windows(last)]

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import expect, read_integer, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.integration import Budget, EndedError, Tolerance, integrate
+from gnc_opt.model.evaluation import fast_call
+from gnc_opt.model.integration import Budget, EndedError, Integration, Rate, SpentError, Tolerance, integrate
 from gnc_opt.model.layout import as_vector
 from gnc_opt.model.symbol import as_expression
 from gnc_opt.problem.guess.trajectory import end_values, guess_times, put_control
@@ -20,7 +21,15 @@ from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.tolerances import magnitude
 
-RTOL = 1e-8
+RTOL, STIFF_RTOL = 1e-8, 1e-5
+"""Of an explicit flight, and of an implicit one, whose steps are dear: a guess needs no digits."""
+
+MOST_EXPLICIT, MOST_IMPLICIT = 50_000, 20_000
+"""Evaluations of the dynamics after which an explicit flight is taken for stiff, and an implicit one is given up: a law
+that switches without end stops that one, too. Some seconds together; 500 revolutions of a spiral take as many."""
+
+
+_SMOOTHER = " (one that jumps, such as sign(s), switches without end: write tanh(s / width) instead)"
 
 
 def simulate_guess(
@@ -61,8 +70,9 @@ def simulate_guess(
     Raises
     ------
     ProblemError
-        Unknown names, a law that uses controls, a flight that diverges or becomes NaN (with the time), or one in
-        which ``until`` does not become zero.
+        Unknown names, a law that uses controls, a flight that diverges or becomes NaN (with the time), one that takes
+        too many evaluations of the dynamics, explicitly and then implicitly, or one in which ``until`` does not
+        become zero.
 
     Examples
     --------
@@ -80,32 +90,21 @@ def simulate_guess(
     law = _law(problem, leg, controls)
     q = np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
     p, start = leg.model.parameter_values, _initial(leg, initial or {})
-    rates = ca.Function(
-        "rates",
-        [*leg.model.arguments(), problem.parameter_symbols()],
-        [problem.bind(leg, leg.model.derivative())],
-    )
+    arguments = [*leg.model.arguments(), problem.parameter_symbols()]
+    rates = ca.Function("rates", arguments, [ca.densify(problem.bind(leg, leg.model.derivative()))])
+    fast = fast_call(rates, p, q)
 
     def rate(t: float, x: Array) -> Array:
-        return np.asarray(rates(t, x, law(t, x), p, q).full()[:, 0])
+        return fast(t, x, law(t, x))
 
     stop = None if until is None else _stop(problem, leg, until)
     sizes = magnitude(np.maximum(np.abs(start), np.abs(end_values(leg)[1])))
     try:
-        flight = integrate(
-            rate,
-            start,
-            t0,
-            tf,
-            tolerance=Tolerance(RTOL, sizes),
-            budget=Budget(leg.model.states.labels),
-            stop=stop,
-            dense=True,
-        )
+        flight = _flight(rate, start, (t0, tf), sizes, leg, stop)
     except EndedError as error:
         raise ProblemError(
-            f"the flight that simulate_guess() makes of {leg.where} cannot go on ({error}): change the law, the "
-            "initial state or the duration."
+            f"the flight that simulate_guess() makes of {leg.where} cannot go on ({error}): change the law"
+            f"{_SMOOTHER if isinstance(error, SpentError) else ''}, the initial state or the duration."
         ) from None
     end = float(flight.times[-1])
     if stop is not None and end >= tf:
@@ -120,6 +119,24 @@ def simulate_guess(
     values = {name: states[leg.model.states.slice(name)] for name in leg.model.states.names}
     values |= {name: flown[leg.model.controls.slice(name)] for name in leg.model.controls.names}
     return problem.with_guess(leg.name, times, **values)
+
+
+def _flight(
+    rate: Rate,
+    start: Array,
+    times: tuple[float, float],
+    sizes: Array,
+    leg: Phase,
+    stop: Callable[[float, Array], float] | None,
+) -> Integration:
+    """Fly explicitly; what is too stiff for that, implicitly."""
+    labels = leg.model.states.labels
+    try:
+        explicit, budget = Tolerance(RTOL, sizes), Budget(labels, MOST_EXPLICIT)
+        return integrate(rate, start, *times, tolerance=explicit, budget=budget, stop=stop, dense=True)
+    except SpentError:
+        implicit, budget = Tolerance(STIFF_RTOL, sizes, stiff=True), Budget(labels, MOST_IMPLICIT)
+        return integrate(rate, start, *times, tolerance=implicit, budget=budget, stop=stop, dense=True)
 
 
 def _initial(leg: Phase, given: Mapping[str, ArrayLike]) -> Array:
@@ -176,5 +193,6 @@ def _function(problem: Problem, leg: Phase, expression: Any, what: str) -> Calla
         raise ProblemError(f"{what} uses controls of {leg.where}: write it in time, states and parameters.")
     q = problem.parameter_symbols()
     function = ca.Function("law", [t, x, p, q], [ca.densify(problem.bind(leg, expression))])
-    values = leg.model.parameter_values, np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
-    return lambda time, state: np.array(function(time, state, *values).full()[:, 0])
+    return fast_call(
+        function, leg.model.parameter_values, np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
+    )

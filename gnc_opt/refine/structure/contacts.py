@@ -241,6 +241,10 @@ class _Run:
         if order == 1:
             runs = _joined(runs)
         for a, b in runs:
+            at_end = self._end_touched(structure, a, b, samples)
+            if at_end is not None:
+                structure = structure.with_touch(self.row, structure.times[at_end], self.kind)
+                continue
             if order == 1:
                 start, end = self._between(a, first), self._between(b, last)
                 start, end = (self._switch(structure, t, samples) for t in (start, end))
@@ -252,6 +256,23 @@ class _Run:
             if first < time < last:
                 structure = structure.with_touch(self.row, time, self.kind)
         return structure
+
+    def _end_touched(self, structure: PhaseStructure, a: int, b: int, samples: PhaseSamples) -> int | None:
+        """The end of the phase, 0 or -1, at which alone a path constraint is met by free states, or None.
+
+        A mesh of Gauss points has no row there, so that its points beside the end push for it.
+        """
+        leg, path = samples.leg, self.row - len(structure.controls)
+        if b - a > FEW or path >= structure.n_paths:
+            return None
+        points, ends = leg.point_times, ((0, leg.initial_bounds, a), (-1, leg.final_bounds, b - 1))
+        for end, given, node in ends:
+            slope = samples.functions.path_state_jacobian(
+                samples.times[end], samples.x[:, end], samples.u[:, end]
+            )
+            if self.times[node] == points[end] and np.any(slope[path] * samples.state_scale * ~given.fixed):
+                return end
+        return None
 
     def possible(self, structure: PhaseStructure) -> bool:
         """Whether it can be a contact: one of first order stays on its limit, which takes a control that is free."""

@@ -219,24 +219,30 @@ class PhaseStructure:
         inner = 0 < piece < self.pieces - 1
         times = [*self.times[:piece], *([middle] if inner else []), *self.times[piece + 2 :]]
         joined = tuple(dict.fromkeys((*self.touches[piece], *self.touches[piece + 1])))
+        if not inner:  # what it touched with its free end is touched by no piece that is left
+            joined = self.touches[0] if piece == 0 else self.touches[-1]
         touches = [*self.touches[:piece], joined, *self.touches[piece + 2 :]]
         if piece == 0:
             times = [self.times[0], *self.times[2:]]
         elif piece == self.pieces - 1:
             times = [*self.times[:-2], self.times[-1]]
-        if not inner:
-            touches[piece] = ()
         return self._merged(times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches)
 
     def emptied(self, piece: int) -> PhaseStructure:
-        """Return the structure after a piece has vanished; of an arc on a limit of second order a touch is left."""
+        """Return the structure after a piece has vanished; of an arc on a limit a touch is left.
+
+        That needs a limit of second order, or one of a path constraint at an end of the phase.
+        """
         kinds, left = self.kinds[piece], self.without(piece)
-        if 0 < piece < self.pieces - 1:
-            middle = 0.5 * (self.times[piece] + self.times[piece + 1])
-            for i, (kind, order) in enumerate(zip(kinds, self.orders, strict=True)):
-                beside = (self.kinds[piece - 1][i], self.kinds[piece + 1][i])
-                if order > 1 and kind.at_limit and not any(k.at_limit for k in beside):
-                    left = left.with_touch(i, middle, kind)
+        inner = 0 < piece < self.pieces - 1
+        middle = 0.5 * (self.times[piece] + self.times[piece + 1])
+        time = middle if inner else self.times[0] if piece == 0 else self.times[-1]
+        paths = range(self._n_free, self._n_free + self.n_paths)
+        for i, (kind, order) in enumerate(zip(kinds, self.orders, strict=True)):
+            beside = [self.kinds[k][i] for k in (piece - 1, piece + 1) if 0 <= k < self.pieces]
+            may_touch = order > 1 if inner else order > 0 and i in paths
+            if may_touch and kind.at_limit and not any(k.at_limit for k in beside):
+                left = left.with_touch(i, time, kind)
         return left
 
     def swapped(self, piece: int) -> PhaseStructure | None:
@@ -271,7 +277,7 @@ class PhaseStructure:
         return self._merged(times, tuple(tuple(piece) for piece in kinds), touches)
 
     def with_touch(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
-        """Return the structure with a row at a limit for an instant between its ends."""
+        """Return the structure with a row at a limit for an instant."""
         times = sorted({*self.times, time})
         touches = self._touches_at(times)
         touches[times.index(time)] += ((row, kind),)
@@ -328,7 +334,7 @@ class PhaseStructure:
             self,
             times=(*[times[k] for k in kept], times[-1]),
             kinds=tuple(kinds[k] for k in kept),
-            touches=(*[touches[k] for k in kept], ()),
+            touches=(*[touches[k] for k in kept], touches[-1]),
         )
 
 

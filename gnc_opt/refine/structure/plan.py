@@ -151,7 +151,10 @@ class Plan:
         )
 
     def _junctions(self) -> tuple[Junction, ...]:
-        """Where state constraints that determine a control reach their limit to stay there, or touch it."""
+        """Where state constraints that determine a control reach their limit to stay there, or touch it.
+
+        Within the phase a touch has S = dS/dt = 0; at its ends S = 0, for which a mesh of Gauss points has no row.
+        """
         structure, found = self.structure, []
         n_controls = len(structure.controls)
         for k in range(1, structure.pieces):
@@ -160,6 +163,10 @@ class Plan:
             touched = [(i, kind, 2) for i, kind in structure.touches[k]]
             found += [
                 Junction(i - n_controls, self.piece_ends[k], kind, n) for i, kind, n in entered + touched
+            ]
+        for k in (0, -1):
+            found += [
+                Junction(i - n_controls, self.piece_ends[k], kind, 1) for i, kind in structure.touches[k]
             ]
         return tuple(found)
 

@@ -20,6 +20,7 @@ from gnc_opt.problem.arc import Arc
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.passes import PassLimits, pass_meter, pass_record
+from gnc_opt.refine.structure.apart import shared, solve_apart
 from gnc_opt.refine.structure.detect import structures_of
 from gnc_opt.refine.structure.mending import KINKS_MOVED, RAISED, SMOOTHED, improve, smoother
 from gnc_opt.refine.structure.newton import settle
@@ -30,6 +31,7 @@ from gnc_opt.refine.structure.simultaneous import settle_costates
 from gnc_opt.solution.history import History, Pass, RefinementStatus
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
+from gnc_opt.verify.verify import verify
 
 PATIENCE = 4
 """Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
@@ -98,8 +100,19 @@ def optimise_switches(
         return solution, history
     solution, plans = tries[best].solution, tries[best].plans
     if status is RefinementStatus.CONVERGED:
-        solution = settle_costates(solution)
+        solution = _with_unique_costates(solution, plans, chosen, loop.limits.deadline)
     return replace(solution, structure=_arcs(solution, plans)), history
+
+
+def _with_unique_costates(
+    solution: Solution, plans: Mapping[str, Plan], options: SolverOptions, deadline: float
+) -> Solution:
+    """Return the solution with costates that make every switching function vanish where switches share a time."""
+    settled = settle_costates(solution)
+    if not any(shared(plan.structure) for plan in plans.values()) or verify(settled).ok:
+        return settled
+    apart = solve_apart(solution, plans, options, deadline)
+    return settled if apart is None or not verify(apart).ok else apart
 
 
 @dataclass(frozen=True, eq=False)
