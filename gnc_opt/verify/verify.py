@@ -27,6 +27,7 @@ from gnc_opt.verify.judged import (
     stored_numbers,
 )
 from gnc_opt.verify.kept import keep_verdict, kept_verdict
+from gnc_opt.verify.least_cost import reaches_least_cost
 from gnc_opt.verify.magnitude import Magnitudes
 from gnc_opt.verify.normality import beside_normal, normality
 from gnc_opt.verify.pushes import settle_edges
@@ -139,6 +140,9 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         vanished = next(s.leg.name for s in samples if not s.has_length)
         along, switches = ([_without_length(c, vanished) for c in part] for part in (along, switches))
     judged = [*along, costates.parameters(solution, samples, ends, amounts.parameters, tol), *switches]
+    doubted = told and any(c.result is not Result.PASS for c in judged)
+    if doubted and reaches_least_cost(problem, samples, ends.cost, amounts.cost, tol):
+        judged = [_of_least_cost(c) for c in judged]
     if any(_leaves_open(c) for c in judged) and told and has_one_solution(problem):
         judged = [_of_one_solution(c) if _leaves_open(c) else c for c in judged]
     if any(kinks_of(problem, leg) is not None for leg in problem.phases.values()):
@@ -197,6 +201,15 @@ def _of_convex(condition: Condition) -> Condition:
         return condition
     where = f"{condition.where}; the problem is convex, nothing curves downwards, and the minimum may be one of many"
     return replace(condition, result=Result.CANNOT_TELL, where=where)
+
+
+def _of_least_cost(condition: Condition) -> Condition:
+    """Where nothing can cost less, costates are rounding and say nothing against it; whether it is strict is open."""
+    if condition.result is Result.PASS:
+        return condition
+    result = Result.CANNOT_TELL if condition.sufficient else Result.PASS
+    where = f"{condition.where}; the cost is the least that there can be, and the minimum may be one of many"
+    return replace(condition, result=result, where=where)
 
 
 def _leaves_open(condition: Condition) -> bool:

@@ -227,3 +227,22 @@ def test_held_arcs_are_checked() -> None:
         problem.with_arcs(arcs=[[1]], states=[[1], [0]])
     with pytest.raises(go.ProblemError, match="2 rows"):
         problem.with_arcs(arcs=[[1]], states=[[1]])
+
+
+@pytest.mark.parametrize("k", [0.1, -0.2])
+def test_a_control_in_which_h_bends_jumps_from_bound_to_bound(k: float) -> None:
+    """A thrust of u + k u^3 takes 2 / sqrt(1 + k) over 1 m; H is convex in u before the switch, concave behind it."""
+    cart = go.Model("cart")
+    q, v, u = cart.state("q"), cart.state("v"), cart.control("u")
+    cart.ode({q: v, v: u + k * u**3})
+    problem = go.Problem("rest to rest")
+    leg = problem.phase("leg", cart)
+    leg.time(0.0, (0.1, 10.0))
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    found = go.solve(problem)
+    assert found.objective == pytest.approx(2 / np.sqrt(1 + k), abs=1e-12)
+    assert [arc.kind.value for arc in found.structure] == ["upper", "lower"]
+    assert go.verify(found).minimum

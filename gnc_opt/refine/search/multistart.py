@@ -6,6 +6,7 @@ merged, and the distinct minima that remain are refined, judged and merged once 
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -366,7 +367,8 @@ class _Fine:
         if self.structure == "bang-bang" or found.verdict_ok:
             return found
         points = max(leg.mesh.size for leg in coarse.phases.values())
-        return self._refined(minimum, coarse, "none", max_points=WORTHWHILE * points)
+        by_mesh = self._refined(minimum, coarse, "none", max_points=WORTHWHILE * points)
+        return by_mesh if by_mesh.verdict_ok or _error(by_mesh) < _error(found) else found
 
     def _switched(self, minimum: Minimum, coarse: Solution) -> Minimum:
         """Refine to exact switch times, from up to three places.
@@ -410,6 +412,12 @@ class _Fine:
             refined=True,
             verdict_ok=verify(solution).ok,
         )
+
+
+def _error(minimum: Minimum) -> float:
+    """Return the error that refining left; infinite if it has not been refined."""
+    history = minimum.solution.history
+    return math.inf if history is None or not minimum.refined else history.final.error
 
 
 def _halved(mesh: Mesh) -> Mesh:

@@ -67,7 +67,9 @@ def detect(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> Phas
     limits = linear_limits(samples)
     held = [[(d.start, d.end) for d in determined if d.control == i] for i in range(leg.controls.size)]
     rows = [
-        _linear_labels(samples, i, held[i]) if affine[i] else _nonlinear_labels(samples, i)
+        _linear_labels(samples, i, held[i])
+        if affine[i]
+        else _nonlinear_labels(samples, i, short=0.0 if regular[i] else SHORT)
         for i in range(leg.controls.size)
     ]
     mixed = _mixed_paths(samples, regular)
@@ -106,6 +108,16 @@ def affine_channels(samples: PhaseSamples) -> Mask:
     for i in limits.rows:
         bounded[i] = all(limits.ended(i))
     return _linear(samples) & bounded
+
+
+def curved_channels(samples: PhaseSamples) -> Mask:
+    """Return in which controls between two finite bounds H is neither linear nor convex all along the phase, (m,).
+
+    Where H is least at a bound they jump from one to the other, as those do that it is linear in.
+    """
+    bounds = samples.leg.control_bounds
+    bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
+    return np.asarray(bounded & ~_linear(samples) & ~regular_channels(samples))
 
 
 def linear_limits(samples: PhaseSamples) -> LinearLimits:
@@ -214,10 +226,20 @@ def _singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> list[i
     return [k for k in found if k - 1 in found or k + 1 in found]
 
 
-def _nonlinear_labels(samples: PhaseSamples, i: int) -> KindArray:
+def _nonlinear_labels(samples: PhaseSamples, i: int, short: float = 0.0) -> KindArray:
+    """LOWER, UPPER or INTERIOR at each sample; from bound to bound within so many segments is a jump."""
     at_lower, at_upper = samples.leg.control_bounds.near(samples.u, REACHED * samples.control_scale)
     gradient = samples.control_gradient[i]
-    return _at_limits(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
+    labels = _at_limits(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
+    lengths = np.diff(samples.leg.breaks)[samples.segments]
+    edges = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1), labels.size]
+    for first, last in itertools.pairwise(edges):
+        ends = {*labels[max(first - 1, 0) : first], *labels[last : last + 1]}
+        width = samples.times[last - 1] - samples.times[first]
+        if ends == {ArcKind.LOWER, ArcKind.UPPER} and width < short * np.max(lengths[first:last]):
+            high = samples.u[i, first:last] > samples.leg.control_bounds.middle[i]
+            labels[first:last] = choose(high, ArcKind.UPPER, ArcKind.LOWER)
+    return labels
 
 
 def _mixed_paths(samples: PhaseSamples, regular: Mask) -> Mask:

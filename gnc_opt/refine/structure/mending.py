@@ -11,7 +11,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure.contacts import StateConstraints, crossed_contact, pushed_contact, wrong_touch
-from gnc_opt.refine.structure.detect import affine_channels, linear_limits
+from gnc_opt.refine.structure.detect import affine_channels, curved_channels, linear_limits
 from gnc_opt.refine.structure.junctions import move_kinks
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose, signs_of
 from gnc_opt.refine.structure.plan import Plan, Resolution
@@ -158,7 +158,7 @@ def _offences(samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray
     """How much each control and path constraint offends where it is, and the place that it asks for.
 
     A control on a bound with a switching function of the wrong sign offends by the gain in H; it asks for the other
-    bound, or to become interior where H is strictly convex in it. An interior control offends by the share of
+    bound, or to become interior where H is not linear in it. An interior control offends by the share of
     its range by which it leaves its bounds, and asks for the bound. Mixed path constraints likewise.
     """
     bounds, paths = samples.leg.control_bounds, samples.leg.path_bounds
@@ -176,12 +176,13 @@ def _offences(samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray
     linear = linear_limits(samples).paths
     limiting = np.append(np.zeros(samples.leg.controls.size, dtype=bool), linear)[:, None]
     affine = np.append(affine_channels(samples), np.zeros(len(values), dtype=bool))[:, None] | limiting
-    judged = (affine | regular) & (signs != 0)
+    curved = np.append(curved_channels(samples), np.zeros(len(values), dtype=bool))[:, None]
+    judged = (affine | regular | curved) & (signs != 0)
     excess = np.maximum(above, below) / scales[:, None]
     offence = np.where(judged, signs * pull, np.where(regular & (kinds == ArcKind.INTERIOR), excess, 0.0))
     opposite = choose(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
     crossed = choose(above > below, ArcKind.UPPER, ArcKind.LOWER)
-    return offence, choose(judged, choose(regular | limiting, ArcKind.INTERIOR, opposite), crossed)
+    return offence, choose(judged, choose(regular | limiting | curved, ArcKind.INTERIOR, opposite), crossed)
 
 
 def _saturated(

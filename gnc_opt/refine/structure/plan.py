@@ -103,9 +103,19 @@ class Plan:
         return cls(structure, first, points)
 
     def restructured(self, structure: PhaseStructure) -> Plan:
-        """Return the plan of another structure, as coarse as at first; as loose if nothing else is touched."""
+        """Return the plan of another structure, as coarse as at first; as loose if nothing else is touched.
+
+        Beside a bang that H bends along, a short interior arc shows on a fine mesh only: there the mesh stays as fine.
+        """
         same = [t for t in structure.touches if t] == [t for t in self.structure.touches if t]
-        return replace(Plan.of(structure, self.points), loose=self.loose and same)
+        plan = replace(Plan.of(structure, self.points), loose=self.loose and same)
+        if structure.bends and structure.pieces > self.structure.pieces:
+            finest = max(self.resolutions, key=lambda r: (r.degree, r.segments))
+            finer = tuple(
+                replace(r, segments=finest.segments, degree=finest.degree) for r in plan.resolutions
+            )
+            return replace(plan, resolutions=finer)
+        return plan
 
     @property
     def segment_pieces(self) -> Indices:
