@@ -13,11 +13,34 @@ import gnc_opt as go
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure.mending import _collapse
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.switching import optimise_switches
+from gnc_opt.refine.structure.switching import _best, optimise_switches
 from gnc_opt.solution.samples import PhaseSamples
 from problems import rendezvous
 
 LOW, UP = ArcKind.LOWER, ArcKind.UPPER
+
+
+@pytest.mark.parametrize(
+    ("errors", "status", "kept"),
+    [
+        (
+            (3.0e-10, 3.001e-10, 3.002e-10),
+            go.RefinementStatus.WORK_LIMIT,
+            2,
+        ),  # the last mended more than errors show
+        ((3.0e-10, 3.2e-10, 9e-9), go.RefinementStatus.WORK_LIMIT, 0),
+        ((9e-9, 3e-10, None), go.RefinementStatus.PASS_LIMIT, 1),
+        ((3e-10, 9e-9), go.RefinementStatus.CONVERGED, 1),
+        ((float("nan"), None), go.RefinementStatus.STALLED, 0),
+        ((None,), go.RefinementStatus.FAILED, None),
+    ],
+)
+def test_the_last_of_equally_accurate_passes_is_kept(
+    errors: tuple[float | None, ...], status: go.RefinementStatus, kept: int | None
+) -> None:
+    records = [SimpleNamespace(solved=e is not None, error=e) for e in errors]
+    assert _best([cast(Any, SimpleNamespace(record=record)) for record in records], status) == kept
+
 
 # --- operations on structures -----------------------------------------------------------------------------
 

@@ -42,6 +42,9 @@ FINEST = 1e-9
 SAME = 1e-7
 """Share of a phase below which two times are the same for a loop that runs in a circle."""
 
+ALIKE = 1.01
+"""Ratio of errors of passes that differ by rounding."""
+
 TIGHT, MOST_ITERATIONS = 1e-11, 200
 """Of each solve: switch times are as good as the solver's optimality, and a warm start needs few iterations."""
 
@@ -125,11 +128,15 @@ class _Try:
 
 
 def _best(tries: list[_Try], status: RefinementStatus) -> int | None:
-    """Return the pass to keep: where the loop came to rest, or the one with the least error; None without any."""
-    solved = [k for k, t in enumerate(tries) if t.record.solved]
-    if status is RefinementStatus.CONVERGED:
-        return solved[-1]
-    return min(solved, key=lambda k: tries[k].record.error, default=None)
+    """Return the pass to keep: where the loop came to rest, or the one with the least error; None without any.
+
+    Of passes with the same error but for rounding the last one, which mended what the error does not show.
+    """
+    solved = {k: t.record.error for k, t in enumerate(tries) if t.record.solved}
+    if not solved or status is RefinementStatus.CONVERGED:
+        return max(solved, default=None)
+    least = min(solved.values())
+    return max((k for k, error in solved.items() if error <= ALIKE * least), default=min(solved))
 
 
 def _settled(solution: Solution, plans: dict[str, Plan], aim: float) -> tuple[Solution, dict[str, Plan]]:
