@@ -250,13 +250,13 @@ def test_main_writes_statistics_and_figures(tracking, guided, tmp_path, capsys, 
     monkeypatch.setattr(
         "problems.rendezvous_tracking.report.price_of_robustness", lambda case: [(1.0, 2.0), (0.5, 3.0)]
     )
-    arguments = ["--runs", "4", "--mpc-runs", "1", "--json", str(tmp_path / "out.json")]
+    arguments = ["--runs", "2", "--mpc-runs", "1", "--json", str(tmp_path / "out.json")]
     assert main([*arguments, "--report", str(tmp_path / "figures")]) == 0
     told = json.loads((tmp_path / "out.json").read_text())
     assert set(told["controllers"]) == {
         "open loop", "TVLQR", "integral sliding mode", "MPC", "guided", "guided, filtered"
     }  # fmt: skip
-    assert told["controllers"]["TVLQR"]["passed"]["passed"] == 4
+    assert told["controllers"]["TVLQR"]["passed"]["passed"] == 2
     assert "Price of robustness" in capsys.readouterr().out
     assert {"terminal_errors.png", "price_of_robustness.png"} <= {
         p.name for p in (tmp_path / "figures").iterdir()
