@@ -125,7 +125,7 @@ class Cover:
         modules = {t.split("::")[0] for t in direct}
         beside = {t for t in self.seconds if t.split("::")[0] in modules} - direct
         chosen, total = [], 0.0
-        own = f"tests/{Path(file).parent.name}/"
+        own = f"tests/{Path(file).parts[1]}/"
         for group in (direct, beside):
             for test in sorted(group, key=lambda t: (not t.startswith(own), self.seconds.get(t, 0.0), t)):
                 total += self.seconds.get(test, 0.0)
