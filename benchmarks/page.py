@@ -106,7 +106,7 @@ def _refinement(told: Any) -> Cells:
 
 
 def _closed_loop(told: Any) -> Cells:
-    yield "plain loop, SciPy's `solve_ivp` (s per run)", f"{told['plain_s_per_run']:.2f}"
+    yield "plain loop by SciPy (s per run)", f"{told['plain_s_per_run']:.2f}"
     yield "campaign (s per run)", f"{told['campaign_s_per_run']:.4f}"
     yield "times as fast", f"{told['speed_up']:.0f}"
     yield "times as fast, with design and building", f"{told['speed_up_built']:.0f}"

@@ -30,11 +30,14 @@ SYSTEMS = {
     "flexible_spacecraft": "Flexible spacecraft",
     "tethered_formation": "Tethered pair",
 }
-"""Folders with their titles; each has ``report.comparison``, which returns its rows, and ``report.front``; those in
-which laws are flown have ``flown.rivals``, those that can be seen moving in space ``report.moving``."""
+"""Folders with their titles; each has ``report.comparison``, which returns its rows, and ``report.front``; those
+that can be seen moving in space ``report.moving``."""
 FILM_SECONDS, FILM_RATE = 6.0, 10.0
 """Of the films: how long they are, and pictures per second."""
-FLOWN = ("formation_flying", "reaction_wheels", "flexible_spacecraft", "tethered_formation")
+FLOWN = {name: f"problems.{name}.flown" for name in SYSTEMS} | {
+    "rendezvous": "problems.rendezvous_tracking.flown"
+}
+"""Modules that fly them, each with ``rivals``."""
 PAGES = Path(__file__).parent.parent / "docs" / "systems"
 MOVED = 1e-6
 """A number has changed if it moved by more than this share of itself."""
@@ -58,8 +61,8 @@ def study_rows(name: str, folder: Path, runs: int) -> list[Row]:
         solution, view = report.moving()
         save_film(solution, folder / f"{name}.gif", view, seconds=FILM_SECONDS, rate=FILM_RATE)
     rows = front_rows(front)
-    if name in FLOWN and runs > 0:
-        rivals: Rivals = import_module(f"problems.{name}.flown").rivals()
+    if runs > 0:
+        rivals: Rivals = import_module(FLOWN[name]).rivals()
         rows += dispersed_rows(rivals, rivals.fly(runs))
     return rows
 

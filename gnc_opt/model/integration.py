@@ -115,22 +115,22 @@ class Integration:
 def integrate(
     rate: Rate,
     x: Array,
-    left: float,
-    right: float,
+    span: tuple[float, float],
     *,
     tolerance: Tolerance,
     budget: Budget,
     stop: Callable[[float, Array], float] | None = None,
     dense: bool = False,
 ) -> Integration:
-    """Integrate dx/dt = rate(t, x) from ``left`` to ``right`` by DOP853, or by Radau's implicit method.
+    """Integrate dx/dt = rate(t, x) over a span by DOP853, or by Radau's implicit method.
 
     Parameters
     ----------
     rate : callable
     x : array (n_states,)
         Initial state.
-    left, right : float
+    span : tuple of two floats
+        Where to begin and to end; the latter may be the earlier.
     tolerance : Tolerance
     budget : Budget
         May be shared by several calls.
@@ -160,7 +160,7 @@ def integrate(
         with np.errstate(all="ignore"):
             run = scipy.integrate.solve_ivp(
                 budget.watched(rate),
-                (left, right),
+                span,
                 x,
                 method="Radau" if tolerance.stiff else "DOP853",
                 rtol=tolerance.relative,

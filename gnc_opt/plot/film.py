@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.animation import FFMpegWriter, PillowWriter
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import NullFormatter
 
 from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
@@ -143,6 +144,9 @@ def _pictures(shown: Motion, paths: Sequence[Array], view: View) -> tuple[Figure
         ("", "", ""),
         view.down,
     )
+    if view.position is None:  # directions have no place that numbers could tell
+        for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
+            axis.set_major_formatter(NullFormatter())
     decimals = max(0, 2 - int(np.floor(np.log10(shown.times[-1] - shown.times[0]))))
     clock = ax.text2D(0.02, 0.96, "", transform=ax.transAxes)
     legend_on_top(figure, _handles(view))

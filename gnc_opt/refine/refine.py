@@ -30,7 +30,7 @@ from gnc_opt.solution.history import History, RefinementStatus, work_of
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
 from gnc_opt.verify.kept import keep_verdict
-from gnc_opt.verify.verdict import Verdict
+from gnc_opt.verify.verdict import Result, Verdict
 from gnc_opt.verify.verify import TOLERANCE, verify
 
 StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]
@@ -57,6 +57,12 @@ CLOSE, NEARLY = 1e2, 1e-2
 
 NAMED = 3
 """So many open conditions are named."""
+
+_CHATTERING = (
+    "A singular arc, {where}, may be of higher order: such arcs meet arcs on bounds by chattering only, ever faster "
+    "switches that no mesh resolves. The cost is then right to what it moved by in the last passes; with a small "
+    "penalty on the control there is an optimum that can be resolved."
+)
 
 
 def refine(
@@ -408,4 +414,10 @@ def _message(status: RefinementStatus, history: History, verdict: Verdict | None
         )
         more = f"; and {len(left) - NAMED} more" if len(left) > NAMED else ""
         text += f". Open: {named}{more}"
-    return f"{text}. {status.remedy}"
+    return f"{text}. {status.remedy}{'' if verdict is None else _on_singular_arcs(verdict)}"
+
+
+def _on_singular_arcs(verdict: Verdict) -> str:
+    """Say what may keep a refinement with singular arcs from its end, and where they are."""
+    told = [c for c in verdict.conditions if c.name == "singular arcs" and c.result is not Result.PASS]
+    return "".join(f" {_CHATTERING.format(where=c.where)}" for c in told)

@@ -43,7 +43,7 @@ def solve_meter(name: str, console: Console | None = None) -> Iterator[Show]:
         ``show(iteration, objective, infeasibility)``: the NLP's iterate; infeasibility is the largest scaled
         violation.
     """
-    console = Console(stderr=True) if console is None else console
+    console = _standard_error() if console is None else console
     meter = _Meter(name, console)
     try:
         yield meter.show
@@ -103,7 +103,7 @@ def refinement_meter(name: str, tolerance: float, console: Console | None = None
     callable
         ``show(record)``
     """
-    console = Console(stderr=True) if console is None else console
+    console = _standard_error() if console is None else console
     console.print(Text(f"{name}: refining to {tolerance:.1e}", style="bold"))
     count = 0
     with console.status("solving") as status:
@@ -184,7 +184,7 @@ def campaign_meter(total: int, console: Console | None = None) -> Iterator[ShowR
 @contextmanager
 def _bar(name: str, total: int, console: Console | None) -> Iterator[Callable[[int, str], None]]:
     """One bar; yields ``advance(count, note)``, whose note stands behind the bar."""
-    console = Console(stderr=True) if console is None else console
+    console = _standard_error() if console is None else console
     columns = (
         TextColumn("{task.description}", style="bold"),
         BarColumn(),
@@ -199,3 +199,9 @@ def _bar(name: str, total: int, console: Console | None) -> Iterator[Callable[[i
             progress.update(bar, advance=count, note=note, refresh=console.is_terminal)
 
         yield advance
+
+
+def _standard_error() -> Console:
+    """Return standard error; notebooks write over a line as terminals do, which needs no widgets of theirs."""
+    notebook = Console().is_jupyter
+    return Console(stderr=True, force_jupyter=False, force_terminal=True if notebook else None)

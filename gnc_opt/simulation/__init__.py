@@ -28,6 +28,7 @@ from gnc_opt.simulation.flight import Flight
 from gnc_opt.simulation.loop import ClosedLoop
 from gnc_opt.simulation.monte_carlo import monte_carlo
 from gnc_opt.simulation.outcome import Outcome, RunStatus
+from gnc_opt.simulation.plant import PlantFlight, fly_plant
 from gnc_opt.simulation.quantity import Quantity
 from gnc_opt.simulation.replanner import Replanner
 from gnc_opt.simulation.run import Run
@@ -63,6 +64,7 @@ __all__ = [
     "Occurrence",
     "Outage",
     "Outcome",
+    "PlantFlight",
     "Pwm",
     "Pwpf",
     "Quantisation",
@@ -87,5 +89,6 @@ __all__ = [
     "Uniform",
     "WheelArray",
     "consistency",
+    "fly_plant",
     "monte_carlo",
 ]

@@ -134,6 +134,9 @@ class Campaign(Strict):
 
         return campaign_table(self)
 
+    def __repr__(self) -> str:
+        return f"<{str(self).splitlines()[0]}>"
+
     def _repr_html_(self) -> str:
         """For notebooks."""
         return preformatted(str(self))

@@ -146,6 +146,9 @@ class Run(Strict):
         lines.insert(-1, "  saturated     " + _listed(self.layouts["command"], self.saturation, None))
         return "\n".join(lines)
 
+    def __repr__(self) -> str:
+        return f"<{str(self).splitlines()[0]}>"
+
     def _repr_html_(self) -> str:
         """For notebooks."""
         return preformatted(str(self))

@@ -66,7 +66,7 @@ def propagate(
     for left, right in itertools.pairwise(edges):
         rate = _right_hand_side(fast, signal, left, right, degree)
         try:
-            run = integrate(rate, states[-1], left, right, tolerance=tolerance, budget=budget)
+            run = integrate(rate, states[-1], (left, right), tolerance=tolerance, budget=budget)
         except EndedError as why:
             ended = str(why)
             break

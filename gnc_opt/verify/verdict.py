@@ -178,6 +178,9 @@ class Verdict:
         ]
         return "\n".join([*lines, f"verdict: {self.word}"])
 
+    def __repr__(self) -> str:
+        return f"<verdict on '{self.problem_name}': {self.word}>"
+
     def _repr_html_(self) -> str:
         """For notebooks: every condition with its number and place, then what those that do not pass mean."""
         rows = [

@@ -87,17 +87,19 @@ def optimal_figure() -> Figure:
 
 
 def chattering_figure() -> Figure:
-    """Draw the torque about x with tanh and with sign, commands held for 0.1 s."""
+    """Draw the torque about x with tanh and with sign, commands held for 0.1 s: all of it, and two seconds."""
     with style():
         figure = new_figure(3.6)
-        axes = figure.subplots(2, 1, sharex=True)
-        for ax, name, label in zip(axes, ("J tanh", "J sign"), ("tanh", "sign"), strict=True):
+        axes = figure.subplots(2, 2, sharex="col", sharey=True, width_ratios=(2, 1))
+        for row, name, label in zip(axes, ("J tanh", "J sign"), ("tanh", "sign"), strict=True):
             signal = standard(name).control("torque")
-            ax.step(signal.times, signal.values[0], where="post", linewidth=0.8, **line_look(0))
-            ax.set_ylabel(axis_label(f"torque x, {label}", "N m"))
-            ax.set_xlim(0, 120)
-            ax.set_ylim(-1.1 * MAX_TORQUE, 1.1 * MAX_TORQUE)
-        axes[-1].set_xlabel("time (s)")
+            for ax, shown in zip(row, ((0, 120), (80, 82)), strict=True):
+                ax.step(signal.times, signal.values[0], where="post", linewidth=0.8, **line_look(0))
+                ax.set_xlim(*shown)
+                ax.set_ylim(-1.1 * MAX_TORQUE, 1.1 * MAX_TORQUE)
+            row[0].set_ylabel(axis_label(f"torque x, {label}", "N m"))
+        for ax in axes[-1]:
+            ax.set_xlabel("time (s)")
     return figure
 
 

@@ -7,6 +7,7 @@ To be read in this order: `problems.rendezvous.model`, then here
 * `tracking`: the plan, the plant and what it differs by, the controllers, and how their runs are judged;
 * `guided`: the plan without reserve, its switches corrected on board;
 * `measured`: the same by range, bearing, star tracker and gyro, through a filter;
+* `flown`: the optimum and the solution on the paper's mesh over the same runs;
 * `basilisk`: the plan and its regulator in another maker's plant;
 * `plots`, `report`: what is drawn and printed.
 """

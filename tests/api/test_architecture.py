@@ -26,6 +26,18 @@ SHOWING = {
 }
 """Imports upwards that are allowed, inside functions only: they draw or print."""
 
+MANY = 7
+"""Parameters of a function; of more, those that belong together are a frozen dataclass."""
+
+DESIGNS = """
+    design_feedback_linearization design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
+    design_neighbouring_optimal design_sliding_mode design_tvlqr
+"""
+FLIGHTS = "failure_probability linear_covariance monte_carlo sobol_indices worst_case"
+STATEMENTS = "continue_in from_casadi from_functions multistart solve solve_mesh"
+WITH_MANY = {*DESIGNS.split(), *FLIGHTS.split(), *STATEMENTS.split()}
+"""Functions with more: their keywords are independent of each other, and are read best where they are called."""
+
 
 @pytest.fixture(scope="module")
 def graph() -> grimp.ImportGraph:
@@ -95,3 +107,15 @@ def test_no_two_classes_have_one_name() -> None:
                 homes[node.name].append(str(file.relative_to(ROOT)))
     assert len(homes) > 100
     assert {name: files for name, files in homes.items() if len(files) > 1} == {}
+
+
+def test_few_functions_have_many_parameters() -> None:
+    """Who takes one from the list has grouped what belongs together; who adds one says in the commit why not."""
+    found = {
+        node.name
+        for file in (ROOT / "gnc_opt").rglob("*.py")
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef)
+        and len([a for a in (*node.args.args, *node.args.kwonlyargs) if a.arg not in ("self", "cls")]) > MANY
+    }
+    assert found == WITH_MANY

@@ -48,11 +48,12 @@ EXPECTED = {
     "gnc_opt.simulation": """
         Allocation Ball Bias Block Campaign Choice ClosedLoop Consistency Constant Deadband Delay Disturbance
         Ending Envelope Event Expression Flight Hold InnovationTest Lag MinimumImpulse Mixer Noise
-        NonNegativeAllocation Normal Occurrence Outage Outcome Pwm Pwpf Quantisation Quantity RandomHold
+        NonNegativeAllocation Normal Occurrence Outage Outcome PlantFlight Pwm Pwpf Quantisation
+        Quantity RandomHold
         RandomWalk RateLimit Replan Replanner Run
         RunStatus Sampling
         Saturation Scale ScaleFactor SchmittTrigger SensorDelay Sinusoid Sphere ThrusterSet Turn
-        Uniform WheelArray consistency monte_carlo
+        Uniform WheelArray consistency fly_plant monte_carlo
     """,
     "gnc_opt.analysis": """
         Agreement Correlations FailureProbability LinearCovariance LoopResponse Share SobolIndices WorstCase

@@ -14,12 +14,6 @@ from pathlib import Path
 PACKAGES = ["", ".control", ".simulation", ".analysis", ".spacecraft", ".plot", ".report"]
 LIST = Path(__file__).with_name("signatures.txt")
 
-WIDE = 7
-"""Parameters of a function that are not many."""
-
-MOST_WIDE = 28
-"""Functions with more; they may become fewer."""
-
 
 def public() -> Iterator[tuple[str, object]]:
     """Each public class and function once, by the shortest of its names."""

@@ -159,7 +159,7 @@ def test_control_lists_every_design() -> None:
 def test_control_lists_everything_a_loop_can_hold() -> None:
     made_of = {name for name in simulation.__all__ if inspect.isclass(getattr(simulation, name))}
     results = {"Block", "Campaign", "ClosedLoop", "Ending", "Flight", "Outcome", "Run", "RunStatus"}
-    results |= {"Consistency", "Envelope", "InnovationTest", "Occurrence", "Replan"}
+    results |= {"Consistency", "Envelope", "InnovationTest", "Occurrence", "Replan", "PlantFlight"}
     assert made_of - results <= told_in_table(doc("control")), (
         made_of - results - told_in_table(doc("control"))
     )

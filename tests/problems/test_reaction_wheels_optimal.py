@@ -297,7 +297,7 @@ def test_flight_code_agrees(tmp_path, name: str) -> None:
 @pytest.mark.slow
 def test_main_writes_all_rows(tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
     assert reaction_wheels.main(["--json", str(tmp_path / "out.json")]) == 0
-    assert "25 of 78 agree with the publication, 53 differ for stated reasons" in capsys.readouterr().out
+    assert "27 of 80 agree with the publication, 53 differ for stated reasons" in capsys.readouterr().out
     told = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
     assert told["independent"]["agree"] == told["independent"]["compared"] >= 130
     assert told["failed"] == [] and told["settings"] == []

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
+import numpy as np
 import pytest
 
 import gnc_opt as go
@@ -356,3 +359,26 @@ def test_an_attempt_without_a_solution_convinces_nobody(cart: go.Solution) -> No
     assert attempt(good, told(good)).final
     fruitless = replace(told(good), passes=(replace(told(good).final, solved=False),), chosen=0)
     assert not attempt(good, fruitless).final
+
+
+def test_an_arc_that_chatters_is_told() -> None:
+    """An aircraft turns with a limited bank rate: straight flight is singular of second order, phi and psi held by u.
+
+    One pass of each kind is not enough for it, nor would any number be.
+    """
+    aircraft = go.Model("aircraft")
+    r, heading, bank = aircraft.state("r", 2), aircraft.state("heading"), aircraft.state("bank")
+    rate = aircraft.control("rate")
+    turn = 9.81 / 20.0 * ca.tan(bank)
+    aircraft.ode({r: 20.0 * ca.vertcat(ca.cos(heading), ca.sin(heading)), heading: turn, bank: rate})
+    problem = go.Problem("turn")
+    leg = problem.phase("turn", aircraft)
+    leg.time(initial=0.0, final=(3.0, 120.0))
+    leg.initial(r=[0.0, 0.0], heading=0.0, bank=0.0)
+    leg.final(r=[-200.0, 300.0], heading=np.pi, bank=0.0)
+    leg.bounds(rate=(-0.5, 0.5), bank=(-0.7, 0.7))
+    problem.minimize(leg.final_time)
+    coarse = go.solve(problem, tol=None)
+    told = go.refine(coarse, tol=1e-6, limits=go.RefinementLimits(max_passes=1)).history
+    assert not told.converged
+    assert re.search(r"A singular arc, from phase turn, t = \S+ s, rate, .* chattering only", told.message)

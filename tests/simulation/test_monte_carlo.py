@@ -404,7 +404,8 @@ def test_a_script_that_new_processes_would_run_again_is_told_of_its_guard(tmp_pa
     script = tmp_path / "script.py"
     without_fork = "import gnc_opt.workers.processes as processes\nprocesses.processes_fork = lambda: False\n"
     spawning = "import multiprocessing\nmultiprocessing.set_start_method('spawn', force=True)\n"
-    script.write_text(without_fork + spawning + SCRIPT.replace(", executor=spawned", ""))
+    one_run = SCRIPT.replace("loop, 4,", "loop, 1,").replace(", executor=spawned", "")
+    script.write_text(without_fork + spawning + one_run)
     ended = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, timeout=300)
     assert ended.returncode != 0
     # The tracker of semaphores may have its say behind it.

@@ -166,6 +166,8 @@ def test_stacked_waves_keep_their_own_times():
     lines = stacked([wave(LINES, None), own], H)
     assert lines.tau is None and lines.straight and lines.blur is not None
     assert stacked([wave(LINES, None), held(1.0)], H).blur is None
+    mixed = stacked([wave(LINES, None), wave()], H)  # what does not lag has any time constant, and no decay
+    assert number(mixed.tau)[2:].tolist() == list(TAU) and mixed.tau.shape == mixed.mean.shape == (4, 1)
     one = wave()
     assert stacked([one], H) is one
 

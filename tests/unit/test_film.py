@@ -9,6 +9,8 @@ from PIL import Image
 import gnc_opt as go
 from gnc_opt import cli
 from gnc_opt.plot import Thruster, View, save_film
+from gnc_opt.plot import film as film_module
+from gnc_opt.plot.style import new_figure
 from gnc_opt.plot.view import motion, span
 from gnc_opt.spacecraft import mrp_rate
 
@@ -124,6 +126,20 @@ def test_film_of_a_solution_and_of_runs(solution, tmp_path):
             frames.append(np.asarray(film.convert("L"), dtype=float))
     assert all(np.any(frames[0] != frame) for frame in frames[1:])
     assert [path] == list(path.parent.iterdir())
+
+
+@pytest.mark.parametrize(("view", "numbered"), [(View("r"), True), (View(attitude="sigma"), False)])
+def test_axes_have_numbers_only_where_there_is_a_place(solution, monkeypatch, tmp_path, view, numbered):
+    figures = []
+    monkeypatch.setattr(
+        film_module, "new_figure", lambda height: figures.append(new_figure(height)) or figures[0]
+    )
+    save_film(solution, tmp_path / "f.gif", view, seconds=0.25, rate=8)
+    figures[0].canvas.draw()
+    labels = [
+        label.get_text() for axis in "xyz" for label in getattr(figures[0].axes[0], f"get_{axis}ticklabels")()
+    ]
+    assert any(labels) == numbered
 
 
 def test_what_cannot_be_filmed_is_told(solution, tmp_path, monkeypatch):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+import rich.console
 
 import gnc_opt as go
+from gnc_opt.report.progress import campaign_meter
 
 HOSTILE = "<script>alert('a')</script> & <b>"
 TAGS = {"div", "p", "strong", "table", "thead", "tbody", "tr", "th", "td", "pre"}
@@ -60,6 +63,7 @@ def test_verdict(solution: go.Solution) -> None:
     tree = parsed(verdict)
     assert [row[:2] for row in rows(tree)[1:]] == [[c.name, c.result.value] for c in verdict.conditions]
     assert f"verdict on '{HOSTILE}': {verdict.word}" in "".join(tree.itertext())
+    assert repr(verdict) == f"<verdict on '{HOSTILE}': {verdict.word}>"
 
 
 def test_a_verdict_that_is_not_ok_says_what_that_means(solution: go.Solution) -> None:
@@ -78,3 +82,18 @@ def test_run_and_campaign() -> None:
     for shown in (campaign, campaign.rerun(0)):
         assert "".join(parsed(shown).itertext()) == str(shown)
         assert HOSTILE in str(shown)
+    assert repr(campaign).startswith("<campaign of 3 runs, seed 1") and "\n" not in repr(campaign)
+    assert repr(campaign.rerun(0)) == "<run of 0.5 s in 5 control steps: ok>"
+
+
+def test_progress_needs_no_widgets(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Rich would ask for ipywidgets, and show nothing without them."""
+    monkeypatch.setattr(rich.console, "_is_jupyter", lambda: True)
+    with warnings.catch_warnings(), campaign_meter(3) as show:
+        warnings.simplefilter("error")
+        show(1, 0)
+        show(2, 1)
+    told = capsys.readouterr()
+    assert told.err.count("\r") >= 3 and "3/3" in told.err and "1 failed" in told.err and not told.out

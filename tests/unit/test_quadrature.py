@@ -1,8 +1,9 @@
 """Quadrature tables against an independent truth: power-series Legendre polynomials in 100-digit decimals."""
 
 import math
+from collections.abc import Callable
 from decimal import Context, Decimal, getcontext, localcontext
-from functools import cache
+from functools import cache, wraps
 from itertools import pairwise
 from math import comb
 from typing import Any
@@ -33,7 +34,20 @@ EXACT_DEGREE = {"LG": -1, "LGR": -2, "LGL": -3}  # to be added to 2 n
 ALL = [(s, n) for s in SCHEMES for n in range(FEWEST[s], MAX_POINTS + 1)]
 SOME = [(s, n) for s in SCHEMES for n in (1, 2, 3, 5, 8, 16, 33, 64) if n >= FEWEST[s]]
 
-each_rule = pytest.mark.parametrize(("scheme", "n"), ALL)
+
+def each_rule(test: Callable[[Scheme, int], None]) -> Callable[[Scheme], None]:
+    """Run a test for every number of points of a scheme."""
+
+    @pytest.mark.parametrize("scheme", SCHEMES)
+    @wraps(test, assigned=("__name__", "__doc__"), updated=())
+    def for_every_number_of_points(scheme: Scheme) -> None:
+        for n in range(FEWEST[scheme], MAX_POINTS + 1):
+            test(scheme, n)
+
+    del for_every_number_of_points.__wrapped__  # type: ignore[attr-defined]
+    return for_every_number_of_points
+
+
 some_rules = pytest.mark.parametrize(("scheme", "n"), SOME)
 any_rule = st.sampled_from(ALL)
 

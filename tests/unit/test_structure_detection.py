@@ -14,6 +14,7 @@ import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure import detect as d
+from gnc_opt.refine.structure.contacts import Determined
 from gnc_opt.refine.structure.phase_structure import choose, signs_of
 from gnc_opt.solution.samples import PhaseSamples
 
@@ -204,6 +205,18 @@ def test_a_singular_arc_between_bangs_ends_between_samples() -> None:
     found = d.detect(flight(lambda t, k: [(-1.0 if k < 2 else 1.0 if k > 5 else 0.3) + 0 * t], lam))
     assert [piece[0] for piece in found.kinds] == [LOW, SING, UP]
     assert found.times == pytest.approx((0.0, 2.0, 6.0, 8.0), abs=0.1)
+
+
+def test_a_control_that_a_state_constraint_determines_lies_between_its_bounds_whatever_its_sign_is() -> None:
+    held = [Determined(0, 1.0, 3.0), Determined(1, 5.0, 6.0)]  # the other one is of another control
+    found = d.detect(
+        flight(
+            lambda t, k: [(0.3 if k in (1, 2) else -1.0 if k < 3 else 1.0) + 0 * t], lambda t, k: [3.0 - t]
+        ),
+        held,
+    )
+    assert [piece[0] for piece in found.kinds] == [LOW, SING, UP]
+    assert found.times == pytest.approx((0.0, 1.0, 3.0, 8.0), abs=0.2)
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,9 @@ from wrong import double_integrator, energy, with_leg
 
 import gnc_opt as go
 from gnc_opt.problem.interval import Interval
+from gnc_opt.verify.feasibility import paths
+from gnc_opt.verify.judged import from_problem
+from gnc_opt.verify.verify import TOLERANCE
 
 RADIUS = 10.0
 FREE = -1e30
@@ -65,9 +68,8 @@ def flown_by(
         path_bounds=Interval(np.array([limit]), np.array([np.inf])),
         path_multipliers=np.zeros((1, solution.phase().point_times.size)),
     )
-    return go.verify(replace(limited, problem=fly_by(miss, length, time, form, origin, limit)))[
-        "path constraints"
-    ]
+    judged = from_problem(replace(limited, problem=fly_by(miss, length, time, form, origin, limit)))
+    return paths(list(judged.samples().values()), TOLERANCE)
 
 
 FORMS: dict[str, tuple[Callable[[Any], Any], float]] = {

@@ -93,7 +93,7 @@ def design_gain_schedule(
     >>> law = design_gain_schedule(cart, path, over={"v": [-1, 1]}, at=lambda v: ([0, v], [0]), Q=1, R=1, dt=0.1)
     >>> u, _ = law(0.0, [1.0, 0.5])
     >>> print(np.round(u, 3))
-    [-1.756]
+    [-1.736]
     """
     expect(reference, Reference, "the reference of design_gain_schedule()", "give Reference.constant(...)")
     deviation, cost = Deviation(model), read_cost(model, Q, R, None)

@@ -133,10 +133,10 @@ def _flight(
     labels = leg.model.states.labels
     try:
         explicit, budget = Tolerance(RTOL, sizes), Budget(labels, MOST_EXPLICIT)
-        return integrate(rate, start, *times, tolerance=explicit, budget=budget, stop=stop, dense=True)
+        return integrate(rate, start, times, tolerance=explicit, budget=budget, stop=stop, dense=True)
     except SpentError:
         implicit, budget = Tolerance(STIFF_RTOL, sizes, stiff=True), Budget(labels, MOST_IMPLICIT)
-        return integrate(rate, start, *times, tolerance=implicit, budget=budget, stop=stop, dense=True)
+        return integrate(rate, start, times, tolerance=implicit, budget=budget, stop=stop, dense=True)
 
 
 def _initial(leg: Phase, given: Mapping[str, ArrayLike]) -> Array:
