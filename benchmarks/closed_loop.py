@@ -13,7 +13,7 @@ Four questions:
    numbers out; the campaign's has random numbers and parameters in. With building the loop, too: "built".
 2. Do the states at the end agree?
 3. How many runs a second does one processor fly, design, building and compiling not counted (TVLQR, integral sliding
-   mode)?
+   mode, predictive control)?
 4. How long do the campaigns take with one process per processor, everything included (TVLQR, integral sliding mode,
    open loop), and do they have the bits of the campaign on one?
 
@@ -57,7 +57,7 @@ from problems.rendezvous_tracking import DISPERSIONS, DT, FORCE_STEP, NOISE, TOR
 
 SPEED_UP = 50.0
 """Least accepted ratio of times per run."""
-RATES = {"TVLQR": 800.0, "integral sliding mode": 300.0}
+RATES = {"TVLQR": 800.0, "integral sliding mode": 300.0, "MPC": 30.0}
 """Least accepted runs per second of processor time."""
 LONGEST = 60.0
 """Of the campaigns together, s."""

@@ -115,8 +115,8 @@ class Cover:
     def tests(self, file: str, span: tuple[int, int], budget: float) -> list[str]:
         """Return the tests that come by some lines, and the others of their modules, up to a time budget (s).
 
-        Those of the file's own room before others, the quickest first; what one test of a module has computed, the
-        others may have used from a cache.
+        Those of the file's own package, and of parts by hand, before others, the quickest first; what one test of a
+        module has computed, the others may have used from a cache.
         """
         direct = {t for n in range(span[0], span[1] + 1) for t in self.lines[file].get(n, ())}
         if not direct:  # run on import
@@ -125,7 +125,7 @@ class Cover:
         modules = {t.split("::")[0] for t in direct}
         beside = {t for t in self.seconds if t.split("::")[0] in modules} - direct
         chosen, total = [], 0.0
-        own = f"tests/{Path(file).parts[1]}/"
+        own = (f"tests/{Path(file).parts[1]}/", "tests/unit/")
         for group in (direct, beside):
             for test in sorted(group, key=lambda t: (not t.startswith(own), self.seconds.get(t, 0.0), t)):
                 total += self.seconds.get(test, 0.0)

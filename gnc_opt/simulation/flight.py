@@ -188,15 +188,16 @@ class Flight:
         refused: dict[int, str] = {}
         replans = np.zeros((2, P.shape[1]))
         followed = np.full((self.followed.size, P.shape[1]), np.nan)
+        again = False
         for i, seed in enumerate(seeds):
             culprit = self.refusal(P[:, i])
             if culprit:
                 refused[i] = culprit
                 continue
             course = self._course()
-            for first, rows in self.legs(seed, known, course):
+            for first, rows in self.legs(seed, known, course, again=again):
                 if first == 0:
-                    X, C = self._begun(rows[0], P[:, i])
+                    X, C, again = *self._begun(rows[0], P[:, i]), True
                 elif self.replanner is not None:
                     self._consider(course, first, X, rows, C)
                 if recorder is None:
@@ -320,7 +321,9 @@ class Flight:
         i = int(bad[0])
         return f"'{self.layout.labels[i]}' is {P[i]:g}, outside [{lower[i]:g}, {upper[i]:g}]"
 
-    def legs(self, seed: Any, known: Array, course: Course | None = None) -> Iterator[tuple[int, Array]]:
+    def legs(
+        self, seed: Any, known: Array, course: Course | None = None, *, again: bool = False
+    ) -> Iterator[tuple[int, Array]]:
         """Yield the first steps of the legs of a run, and what is known and drawn for their steps (n_steps, n_known).
 
         Parameters
@@ -331,14 +334,19 @@ class Flight:
             Whose rows are written and yielded.
         course : Course, optional
             What is followed; default the schedule as planned before the flight.
+        again : bool
+            Whether the rows are those of an earlier run: what is known of them need not be written if one leg is all.
         """
-        followed = self._planned if course is None else course.schedule.T
+        planned = course is None or course.schedule is self.schedule
+        followed = self._planned if course is None or planned else course.schedule.T
         first_noise = 1 + self.schedule.shape[0]
         numbers = self._numbers(seed, known.shape[1] - first_noise)
+        written = again and planned and len(self._edges) == 2
         for first, last in itertools.pairwise(self._edges):
             rows = known[: last - first]
-            rows[:, 0] = self.times[first:last]
-            rows[:, 1:first_noise] = followed[first:last]
+            if not written:
+                rows[:, 0] = self.times[first:last]
+                rows[:, 1:first_noise] = followed[first:last]
             rows[:, first_noise:] = numbers(first, last)
             yield first, rows
 

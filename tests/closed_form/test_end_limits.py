@@ -163,3 +163,17 @@ def test_a_limit_at_the_end_pushes_but_does_not_pull(gain: float, result: Result
     verdict = go.verify_trajectory(problem, t, {"q": ROOT * t**2 / 2, "v": ROOT * t}, {"a": 0 * t + ROOT})
     assert verdict["transversality"].result is result, verdict
     assert verdict.minimum == (result is Result.PASS)
+
+
+def test_limits_met_at_both_ends_are_found_once() -> None:
+    # At constant speed from q - t = -1/5 to 1/5, which costs nothing and gains 3 (6/5 + 1/5).
+    model, q, _, a = cart()
+    problem = go.Problem("corridor that moves")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.path("corridor", (q - model.time) ** 2, upper=0.04)
+    problem.minimize(leg.integral(a**2 / 2) + 3 * leg.initial_state("q") - 3 * leg.final_state("q"))
+    found = go.solve(problem)
+    assert found.objective == pytest.approx(-4.2, abs=1e-8)
+    assert go.verify(found).ok and found.history is not None
+    assert sum("contact" in str(p.actions) for p in found.history.passes) <= 1

@@ -5,18 +5,22 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from test_flight_code import (
     COMPILER,
     FLAGS,
+    NO_C,
     compiled,
     follower,
     holder,
+    law_of,
     needs_compiler,
     pendulum,
     python,
     run,
+    scalar_operations,
 )
 from test_mpc import DT, A, B, tracker
 
@@ -165,3 +169,18 @@ def test_the_task_of_the_page_compiles(tmp_path):
     command = [COMPILER, *FLAGS, "-fsyntax-only", str(tmp_path / "task.c")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert code.header.exists() and done.returncode == 0, done.stderr
+
+
+@needs_compiler
+def test_every_operation_has_its_single_form(tmp_path):
+    t, x = ca.SX.sym("t"), ca.SX.sym("x", 2)
+    values = [f(x[0], x[1]) for name, f in scalar_operations().items() if name not in NO_C]
+    law = law_of([*values, t, ca.SX(3.5)], t, x)
+    times, measured = 0.1 * np.arange(12), 2 * np.random.default_rng(8).normal(size=(2, 12))
+    measured = measured.astype(np.float32).astype(float)  # the same numbers in both
+    options = CodeOptions(precision="float32", samples=(times, measured))
+    code = go.export_c(law, tmp_path, dt=0.1, options=options)
+    compiled(code, *SINGLE)
+    size = np.max(np.abs(python(law, times, measured.T, 0.1)), axis=0)
+    assert np.all(code.command_error <= 2e-5 * (1 + size))
+    assert np.max(code.command_error) > 1e-8

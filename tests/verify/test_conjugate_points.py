@@ -7,6 +7,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import gnc_opt as go
 from gnc_opt.verify import Condition, Result
@@ -50,6 +51,39 @@ def test_great_circle_is_conjugate_at_the_other_pole(arc: float) -> None:
     assert condition.result is (Result.PASS if arc < 1 else Result.FAIL)
     if arc > 1:
         assert first_time(condition) == pytest.approx(1 / arc, abs=1e-4)
+
+
+@pytest.mark.parametrize(("least", "most", "result"), [(0.5, 1.0, Result.PASS), (0.05, 0.3, Result.FAIL)])
+def test_the_deep_one_of_two_catenaries_is_no_least_film(least: float, most: float, result: Result) -> None:
+    """Between rings of radius 1, 0.8 apart: r = c cosh((x - 0.4) / c), of which the deep one has a conjugate point.
+
+    That is where a tangent of the catenary meets the one at its start on the axis of the film (Bliss, Calculus of
+    Variations, 1925, section 43): f(x) = x - c coth(x / c), about the middle, is the same at both.
+    """
+    c = brentq(lambda c: c * np.cosh(0.4 / c) - 1, least, most)
+    film = go.Model("film")
+    r, slope = film.state("r"), film.control("slope")
+    film.ode({r: slope})
+    problem = go.Problem("soap film")
+    leg = problem.phase("leg", film)
+    leg.time(0.0, 0.8)
+    leg.initial(r=1.0)
+    leg.final(r=1.0)
+    problem.minimize(leg.integral(r * ca.sqrt(1 + slope**2)))
+    t = 0.4 + c * np.arcsinh(np.linspace(-1, 1, 161) * np.sinh(0.4 / c))
+    t[[0, -1]] = 0.0, 0.8
+    verdict = go.verify_trajectory(
+        problem, t, {"r": c * np.cosh((t - 0.4) / c)}, {"slope": np.sinh((t - 0.4) / c)}
+    )
+    assert verdict["conjugate points"].result is verdict["second order"].result is result
+    assert verdict.minimum == (result is Result.PASS)
+    if result is Result.FAIL:
+
+        def meets(x: float) -> float:
+            return float(x - c / np.tanh(x / c))
+
+        conjugate = 0.4 + brentq(lambda x: meets(x) - meets(-0.4), 1e-3, 0.4)
+        assert first_time(verdict["conjugate points"]) == pytest.approx(conjugate, abs=1e-4)
 
 
 def oscillators(duration: float) -> go.Problem:

@@ -274,6 +274,11 @@ class _Run:
                 return end
         return None
 
+    def known(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
+        """Whether it is what the barrier of an interior-point method leaves beside an end that is touched already."""
+        end = self._end_touched(structure, 0, self.times.size, samples)
+        return end is not None and (self.row, self.kind) in structure.touches[end]
+
     def possible(self, structure: PhaseStructure) -> bool:
         """Whether it can be a contact: one of first order stays on its limit, which takes a control that is free."""
         return structure.orders[self.row] > 1 or bool(self._free(structure))
@@ -318,7 +323,7 @@ def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) ->
         worth = np.where(structure.contact(first + run.row, run.times), 0.0, run.worth)
         if np.any(worth > 0):
             found.append(replace(run, row=first + run.row, worth=worth))
-    return [run for run in found if run.possible(structure)]
+    return [run for run in found if run.possible(structure) and not run.known(structure, constraints.samples)]
 
 
 def _pushing_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[_Run]:
