@@ -169,7 +169,9 @@ def integrate(
                 dense_output=dense,
             )
     except SpentError as error:
-        raise EndedError(budget.edge) if budget.edge else error from None
+        if budget.edge:
+            raise EndedError(budget.edge) from None
+        raise
     except EndedError as error:
         raise EndedError(budget.edge or str(error)) from None
     if run.t_events is not None and run.t_events[0].size:

@@ -35,10 +35,10 @@ def least_cost(problem: Problem) -> float:
 def reaches_least_cost(
     problem: Problem, samples: Sequence[PhaseSamples], cost: float, amount: float, tolerance: float
 ) -> bool:
-    """Whether the cost is at its least possible value within the tolerance, and its costates are rounding.
+    """Whether the cost is at its least possible value but for rounding, and so are its costates.
 
-    Where a cost with second derivatives is within the share ``tolerance`` of what it amounts to, its first derivatives
-    are within the square root of that.
+    Where the first derivatives of a cost with second derivatives are within the share ``tolerance`` of what it amounts
+    to, the cost is within the square of that.
 
     Parameters
     ----------
@@ -48,8 +48,8 @@ def reaches_least_cost(
         What the cost amounts to (module `magnitude`).
     """
     above = problem.sense * cost - least_cost(problem)
-    small = all(s.cost_scale <= np.sqrt(tolerance) * amount for s in samples)
-    return bool(above <= tolerance * amount and small)
+    worths = [np.max(np.abs(s.lam_polynomial) * s.state_scale[:, None], initial=0.0) for s in samples]
+    return bool(above <= tolerance**2 * amount and max(worths) <= tolerance * amount)
 
 
 def _given(leg: Phase) -> Interval:

@@ -204,8 +204,11 @@ def _of_convex(condition: Condition) -> Condition:
 
 
 def _of_least_cost(condition: Condition) -> Condition:
-    """Where nothing can cost less, costates are rounding and say nothing against it; whether it is strict is open."""
-    if condition.result is Result.PASS:
+    """Where nothing can cost less, costates are rounding and say nothing against it; whether it is strict is open.
+
+    Constraints that leave the cost no say (normality) are told whatever it is.
+    """
+    if condition.result is Result.PASS or condition.name == "normality":
         return condition
     result = Result.CANNOT_TELL if condition.sufficient else Result.PASS
     where = f"{condition.where}; the cost is the least that there can be, and the minimum may be one of many"

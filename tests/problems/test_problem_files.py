@@ -99,8 +99,9 @@ def module(name: str) -> ModuleType:
 
 
 def inner_times(leg: go.PhaseSolution, number: int = 61) -> Array:
-    """Times strictly inside a phase: at a seam a costate has two values."""
-    return np.linspace(leg.initial_time, leg.final_time, number)[1:-1]
+    """Times strictly inside a phase and its segments: at a seam costates and controls have two values."""
+    times = np.linspace(leg.initial_time, leg.final_time, number)[1:-1]
+    return times[np.min(np.abs(times[:, None] - leg.breaks), axis=1) > 1e-9 * leg.duration]
 
 
 # --- reference values and verdicts ----------------------------------------------------------------------
