@@ -168,7 +168,7 @@ def integrate(
                 events=events,
                 dense_output=dense,
             )
-    except SpentError as error:
+    except SpentError:
         if budget.edge:
             raise EndedError(budget.edge) from None
         raise
