@@ -12,8 +12,10 @@ import pytest
 import scipy
 
 import gnc_opt as go
+from gnc_opt.analysis import loop_response
 from gnc_opt.control import Deviation
 from gnc_opt.errors import GncOptError
+from gnc_opt.simulation import ClosedLoop
 from gnc_opt.spacecraft import quaternion_difference, quaternion_rate
 
 STEP = 0.1
@@ -134,3 +136,29 @@ def test_a_plant_of_python_control_becomes_a_model() -> None:
     law = go.design_lqr(model, np.zeros(2), Q=np.ones(2), R=np.ones(1))
     gain = law.explain()["gain"]
     np.testing.assert_allclose(gain, control.lqr(plant, np.eye(2), np.eye(1))[0], rtol=1e-9)
+
+
+def test_frequency_response_and_margins_are_those_of_python_control(cart: go.Model) -> None:
+    """A loop with one command: open loop, sensitivity, gain, phase and disk margins."""
+    control = python_control()
+    single = go.Model("cart")
+    r, v, force = single.state("r"), single.state("v"), single.control("F")
+    single.ode({r: v, v: (force - 0.4 * v) / 2.0})
+    regulator = go.design_lqr(single, np.zeros(2), Q=np.ones(2), R=[1.0], dt=STEP, limits=(-10.0, 10.0))
+    response = loop_response(ClosedLoop(single, regulator, dt=STEP), x0=[0.1, 0.0], tf=1.0)
+    plant = Deviation(single).to_control(0.0, np.zeros(2), np.zeros(1), dt=STEP)
+    law = regulator.to_control()
+    law = law.linearize(np.zeros(law.nstates), np.zeros(2))
+    loop = -law * plant  # u = u_ff - K e: the law brings its own minus
+    omega = np.geomspace(0.05, 0.99 * np.pi / STEP, 40)
+    found = control.frequency_response(loop, omega).frdata[0, 0]
+    np.testing.assert_allclose(response.open_loop(omega)[:, 0, 0], found, rtol=1e-4)
+    np.testing.assert_allclose(response.sensitivity(omega)[:, 0, 0], 1 / (1 + found), rtol=1e-4)
+    ours, phase = response.margins(), control.stability_margins(loop)[1]
+    # The phase is -180 degrees at half the sampling rate only, which the package's margins leave out.
+    assert ours.gain_up[0] == pytest.approx(-1 / loop(-1).real, rel=1e-4)
+    assert np.max(np.abs(control.feedback(ours.gain_up[0] * loop).poles())) == pytest.approx(1.0, abs=1e-5)
+    assert np.degrees(ours.phase[0]) == pytest.approx(phase, rel=1e-4)
+    if hasattr(control, "disk_margins"):  # since 0.10.2
+        fine = np.geomspace(0.05, 0.999 * np.pi / STEP, 4000)
+        assert ours.disk == pytest.approx(control.disk_margins(loop, fine)[0], rel=1e-3)
