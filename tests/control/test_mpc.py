@@ -57,6 +57,13 @@ def fly(controller, x, steps, disturbance=0.0):
     return np.array(states), np.array(commands), z
 
 
+def test_limits_of_states_are_solved_for_sparsely_unless_told_otherwise():
+    limited = {"state_limits": {"v": (-50, 50)}}
+    for options, solver in (({}, "daqp"), (limited, "piqp"), ({**limited, "solver": "daqp"}, "daqp")):
+        (told,) = (fact for fact in tracker(**options).explanation.facts if fact.name == "horizon")
+        assert told.remark.endswith(f"by {solver}")
+
+
 # --- without limits in reach --------------------------------------------------------------------------
 
 

@@ -118,8 +118,8 @@ def design_mpc(
     Returns
     -------
     Controller
-        Memory ``previous_command``, ``plan``, ``multipliers`` (the warm start) and the alarm ``qp_alarm``, 1 from the
-        first programme on that was not solved.
+        Memory ``previous_command``, ``plan``, ``multipliers`` (the warm start; the active-set method begins without)
+        and the alarm ``qp_alarm``, 1 from the first programme on that was not solved.
 
     Raises
     ------
