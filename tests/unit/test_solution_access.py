@@ -18,10 +18,10 @@ from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.nlp import NlpResult, SolverOptions, Status
 from gnc_opt.solution import solve_mesh as tries
 from gnc_opt.solution.attempt import Attempt
-from gnc_opt.solution.diagnosis import find_violations
+from gnc_opt.solution.diagnosis import Violation, find_violations
 from gnc_opt.solution.failure import SolveError, failure_message
 from gnc_opt.solution.history import Actions, History, Pass, RefinementStatus
-from gnc_opt.solution.solution import Solution, Violation, load
+from gnc_opt.solution.solution import Solution, load
 from gnc_opt.transcription.mesh import Mesh
 
 # --- answers ----------------------------------------------------------------------------------------------
