@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -702,6 +703,26 @@ def test_a_scalar_riccati_equation_has_its_closed_form():
     assert [level.P(t)[0, 0] for t in (0.0, 1.0, 2.0)] == pytest.approx([2.0] * 3)
     assert riccati_defect(gains, COST) < 1e-6
     assert riccati_defect(gains, QuadraticCost(1.01 * COST.q, COST.r, COST.n)) > 1e-3
+
+
+def test_the_riccati_equation_is_looked_at_in_the_middle_of_equal_parts_of_each_piece():
+    """Eight parts over 4 s: two of them in the first piece, six in the second; the difference quotient beside them."""
+    asked = []
+
+    def known(t):
+        asked.append(t)
+        return np.array([[2.0]])
+
+    gains = SimpleNamespace(
+        pieces=((5.0, 6.0, None), (6.0, 9.0, None)), P=known, deviation=Deviation(scalar_plant()),
+        reference=SimpleNamespace(duration=4.0, x=lambda t: [t], u=lambda t: [1.0]),
+    )  # fmt: skip
+    assert riccati_defect(gains, COST, 8) == 0.0
+    middles = np.array([5.25, 5.75, 6.25, 6.75, 7.25, 7.75, 8.25, 8.75])
+    assert asked[::5] == pytest.approx(middles)
+    steps = np.reshape(asked, (8, 5))[:, 1:] - middles[:, None]
+    assert steps / steps[:, -1:] == pytest.approx(np.tile([-1.0, -0.5, 0.5, 1.0], (8, 1)), abs=1e-9)
+    assert np.all((steps[:, -1] > 0) & (steps[:, -1] < 0.1))
 
 
 @pytest.mark.parametrize(("start", "span"), [(0.0, 2.0), (1e6, 2.0), (0.0, 2e-4)])

@@ -30,9 +30,10 @@ from gnc_opt.control.lie import (
     zero_dynamics,
 )
 from gnc_opt.control.linear.gains import SampledGains
+from gnc_opt.control.predictive import programme_code
 from gnc_opt.control.predictive.horizon import Horizon, Programme, Rows
 from gnc_opt.control.predictive.mpc import _error_scale, _rates, _state_rows, _steps, _subtracts, _Windows
-from gnc_opt.control.predictive.programme_code import _Numbered
+from gnc_opt.control.predictive.programme_code import ProgrammeCode, _Numbered
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.sampling import SampledStep
 from gnc_opt.control.sliding.integral_sliding_mode import _nominal, _poles, _surface
@@ -802,6 +803,17 @@ def test_left_alone_the_regulator_meets_each_limit_just_where_it_is():
                 here = replace(found, rows=replace(limits, **{name: limit}))
                 asked = (ca.DM(values) for values in (e_0, u_ff, x_ref, previous))
                 assert bool(here.alone(*asked)[1]) is (off > 0), (name, i)
+
+
+def test_operations_of_a_programme_by_hand():
+    """One control over two errors and one step: a sweep, there and back, is 2 * 3^2 products and 6 for 1 + 3 rows."""
+    limits = Rows(np.full(1, -1.0), np.ones(1), None, (), (), np.zeros(0), np.zeros(0), np.zeros(0))
+    code = ProgrammeCode(limits, np.zeros(0), (np.zeros((1, 2, 2)),) * 4, True, 1, 2)
+    assert code.unknowns == code.limits == 1
+    sweep, tries = 2 * 3**2 + 6 * 4, programme_code._MOST * 2
+    row = 2 * sweep + 4
+    assert code.operations == tries * (2 * sweep + 6 + 2 * 9 + row + 12) + 2 * 3
+    assert code.stack == (3 + 5 * 2 + 1) + 4 + 6 * 2 + 4 + 3
 
 
 def test_steps_have_their_number_in_the_table():
