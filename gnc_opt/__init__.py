@@ -45,7 +45,7 @@ from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.verify import Condition, Result, Verdict, verify, verify_trajectory
 
 if TYPE_CHECKING:
-    from gnc_opt.analysis import LinearCovariance, linear_covariance
+    from gnc_opt.analysis import Experiment, LinearCovariance, linear_covariance
     from gnc_opt.control import (
         Controller,
         Explanation,
@@ -80,6 +80,7 @@ __all__ = [
     "ContinuationStatus",
     "Controller",
     "DesignError",
+    "Experiment",
     "Explanation",
     "GncOptError",
     "History",

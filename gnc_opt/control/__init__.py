@@ -22,7 +22,7 @@ from gnc_opt.control.linear.gain_schedule import design_gain_schedule
 from gnc_opt.control.linear.lqr import design_lqr
 from gnc_opt.control.linear.tvlqr import design_tvlqr
 from gnc_opt.control.linear.weights import bryson
-from gnc_opt.control.neighbouring.design import design_neighbouring_optimal
+from gnc_opt.control.neighbouring.design import GuidanceOptions, design_neighbouring_optimal
 from gnc_opt.control.neighbouring.extremal import design_neighbouring_extremal
 from gnc_opt.control.predictive.mpc import design_mpc
 from gnc_opt.control.reference import Reference, trim
@@ -52,6 +52,7 @@ __all__ = [
     "Fact",
     "FilterOptions",
     "FlightCode",
+    "GuidanceOptions",
     "Measurement",
     "MockupUnit",
     "PowerRate",

@@ -21,7 +21,7 @@ import gnc_opt
 EXPECTED = {
     "gnc_opt": """
         Arc ArcKind ArgumentError Campaign ClosedLoop Condition Continuation ContinuationStatus Controller
-        DesignError Explanation GncOptError History LinearCovariance LowerBound Mesh Minimum Model ModelError
+        DesignError Experiment Explanation GncOptError History LinearCovariance LowerBound Mesh Minimum Model ModelError
         Multistart Outcome Phase
         PhaseSolution Problem ProblemError ProblemWarning Reference RefinementLimits RefinementStatus Resolver
         Result Run RunStatus
@@ -36,7 +36,7 @@ EXPECTED = {
     """,
     "gnc_opt.control": """
         CodeOptions ConstantRate Controller Deviation Estimator Explanation ExponentialRate Fact FilterOptions
-        FlightCode
+        FlightCode GuidanceOptions
         Measurement MockupUnit PowerRate PredictiveReaching Reference SaturationLayer Sign SuperTwisting
         SuperTwistingObserver
         TanhLayer UnscentedOptions bridge_dropouts bryson decoupling_matrix design_ekf design_feedback_linearization
@@ -56,7 +56,7 @@ EXPECTED = {
         Uniform WheelArray consistency fly_plant monte_carlo
     """,
     "gnc_opt.analysis": """
-        Agreement Correlations FailureProbability LinearCovariance LoopResponse Share SobolIndices WorstCase
+        Agreement Correlations Experiment FailureProbability LinearCovariance LoopResponse Share SobolIndices WorstCase
         correlations failure_probability linear_covariance loop_response sobol_indices worst_case
     """,
     "gnc_opt.spacecraft": """

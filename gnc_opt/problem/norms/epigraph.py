@@ -25,7 +25,8 @@ from gnc_opt.problem.norms.domain import Domain
 from gnc_opt.problem.norms.extrema import is_smooth, pieces, rows_of
 from gnc_opt.problem.norms.kinks import Extremum, kinks_that_cost, limited_sense
 from gnc_opt.problem.norms.succeed import free_name, with_values_of
-from gnc_opt.problem.phase import Phase, PhaseGuess
+from gnc_opt.problem.phase import Phase
+from gnc_opt.problem.phase_numbers import PhaseGuess
 from gnc_opt.problem.restatement import Restatement
 from gnc_opt.problem.statement import Statement
 

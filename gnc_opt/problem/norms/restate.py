@@ -21,7 +21,8 @@ from gnc_opt.problem.norms.form import Form, box_rows
 from gnc_opt.problem.norms.roots import without_roots
 from gnc_opt.problem.norms.split import Bends, SplitForm
 from gnc_opt.problem.norms.succeed import with_values_of
-from gnc_opt.problem.phase import Phase, PhaseGuess, PhaseNumbers
+from gnc_opt.problem.phase import Phase
+from gnc_opt.problem.phase_numbers import PhaseGuess, PhaseNumbers
 from gnc_opt.problem.statement import Statement
 from gnc_opt.problem.tables import along
 
