@@ -113,15 +113,14 @@ def _meridian(unit: float, cost: float, wrong: bool) -> Answer:
 
 
 def _parameter_and_end(unit: float, cost: float, wrong: bool) -> Answer:
-    """s^2 + k^2 + c k s of an end s and a parameter k is definite for c < 2."""
+    """Beside u = 1 and k = 0: s^2 + k^2 + c k s of an end off by s and a parameter k is definite for c < 2."""
     problem, leg, (_, u) = _moved(unit, 1.0)
     k = problem.parameter("k", lower=-5.0, upper=5.0, guess=0.0)
     leg.initial(x=0.0)
-    leg.bounds(u=(-5.0 * unit, 5.0 * unit))
-    coupling = 2.5 if wrong else 1.5
-    problem.minimize(cost * (leg.integral(u**2) + k**2 + coupling * k * leg.final_state("x") / unit))
+    off, coupling = leg.final_state("x") / unit - 1.0, 2.5 if wrong else 1.5
+    problem.minimize(cost * (leg.integral((u - 1.0) ** 2) + k**2 + coupling * k * off))
     t = np.linspace(0.0, 1.0, 11)
-    return Answer(problem, t, [0 * t], 0 * t, {"k": 0.0})
+    return Answer(problem, t, [unit * t], unit + 0 * t, {"k": 0.0})
 
 
 def _swing(unit: float, cost: float, wrong: bool) -> Answer:
