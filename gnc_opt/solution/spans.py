@@ -101,8 +101,8 @@ def control_spans(
         What the products of costates and rates in H amount to, which counts where all controls are idle, as the heading
         along a straight line; if all that is rounding, a control has its size, or 1.
     asked : array (n_controls,)
-        What the controls would have to be to do what the flight does (`steering`): the span of those without a range
-        that are rounding beside it, as where the dynamics fly by themselves and costates are rounding too.
+        What the controls would have to be to do what the flight does (`steering`). A control without a range that
+        nothing moves spans that, or its own size if that is less; one that is rounding beside it has no size.
     """
     extent, size = _width(leg.control_bounds), np.max(np.abs(flown), axis=1, initial=0.0)
     moved = np.ptp(flown, axis=1) if flown.size else size
@@ -115,8 +115,10 @@ def control_spans(
     largest = largest if largest > IDLE**2 * terms else terms
     alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
     spans = shared(np.where(spans > IDLE * alike, spans, alike), leg.controls)
-    drifts = (extent == 0) & (size <= EQUAL * asked) & (spans <= IDLE * asked)
-    spans = shared(np.where(drifts, asked, spans), leg.controls)
+    itself = np.where(size > EQUAL * asked, np.minimum(size, asked), asked)
+    unmoved = (extent == 0) & (np.fmax(moved, pulled) <= IDLE * itself)
+    unmoved &= spans <= np.fmax(IDLE * itself, RESOLUTION * size)
+    spans = shared(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
     return _otherwise(np.where(spans > ROUNDING, spans, extent), magnitude(size))
 
 

@@ -235,11 +235,12 @@ def test_where_all_controls_are_idle_what_the_costates_add_to_h_counts(level: fl
     [
         (1e-12, (-np.inf, np.inf), 0.0, 5.0),  # rounding beside what the flight does by itself
         (1e-12, (-np.inf, np.inf), 1e-3, 5e-4),  # costates move it
-        (1e-3, (-np.inf, np.inf), 0.0, 1e-3 * RESOLUTION),  # a little thrust that never changes
+        (1e-3, (-np.inf, np.inf), 0.0, 1e-3),  # a little thrust that never changes
+        (80.0, (-np.inf, np.inf), 0.0, 5.0),  # counted from far away
         (1e-12, (-3.0, 3.0), 0.0, 6.0),  # its range
     ],
 )
-def test_a_control_that_is_rounding_beside_the_drift_is_measured_by_what_the_drift_does(
+def test_a_control_that_nothing_moves_is_measured_by_what_the_flight_does_or_by_itself(
     size: float, bounds: tuple[float, float], pull: float, span: float
 ) -> None:
     flown, pulls, bends = ([[value] * 2] for value in (size, pull, 2.0))
