@@ -19,7 +19,7 @@ from gnc_opt.control.feedback_linearization import _chains, _gain, _optimal_gain
 from gnc_opt.control.flight_code import _identifier, _read_prefix, export_c
 from gnc_opt.control.flight_files import _entries, _plain
 from gnc_opt.control.flight_table import flight_table
-from gnc_opt.control.guard import Inverse, Memory, _solve, _Stacked
+from gnc_opt.control.guard import Inverse, Memory, _solve
 from gnc_opt.control.lie import (
     Pair,
     _labels,
@@ -36,6 +36,7 @@ from gnc_opt.control.predictive.mpc import _error_scale, _rates, _state_rows, _s
 from gnc_opt.control.predictive.programme_code import ProgrammeCode, _Numbered
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.sampling import SampledStep
+from gnc_opt.control.schedule import StackedSchedule
 from gnc_opt.control.sliding.integral_sliding_mode import _nominal, _poles, _surface
 from gnc_opt.control.sliding.reaching import (
     ConstantRate,
@@ -612,7 +613,7 @@ def test_inverses_are_exact_or_of_least_length():
     inverse = Inverse(wide, ca.SX(1), 1.0, 1.0)
     assert np.array(ca.Function("f", [x], [inverse(ca.DM([5.0]))])(1.0)).ravel() == pytest.approx([1.0, 2.0])
     assert Memory("m", ca.SX.sym("m", 3), 0, 0, "N").variable == Variable("m", 3, "N")
-    both = _Stacked(lambda t, dt: t[None, :], lambda t, dt: dt * t[None, :])
+    both = StackedSchedule(lambda t, dt: t[None, :], lambda t, dt: dt * t[None, :])
     assert both(np.array([1.0, 2.0]), 0.5).tolist() == [[1, 2], [0.5, 1]]
 
 
