@@ -497,7 +497,8 @@ def test_brysons_rule():
     ("q", "r", "n", "message"),
     [
         ([1.0, -1.0], 1.0, None, "Q of 'v' is -1"), ([[1.0, 2], [2, 1]], 1.0, None, "Q is not positive semidefinite"),
-        ([[0.0, 1], [1, 1]], 1.0, None, "Q is not positive semidefinite"), (1.0, 0.0, None, "R of 'a' is 0"),
+        ([[0.0, 1], [1, 1]], 1.0, None, "Q is not positive semidefinite"),
+        ([[0.0, 1e-12], [1e-12, 1]], 1.0, None, "Q is not positive semidefinite"), (1.0, 0.0, None, "R of 'a' is 0"),
         (1.0, 1.0, [[1.0]], r"N has the shape"), (1.0, 1.0, [[NAN], [0.0]], "N has the shape"),
         (1.0, 1.0, [[2.0], [0.0]], r"\[\[Q, N\], \[N', R\]\]"),
     ],
