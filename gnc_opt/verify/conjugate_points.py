@@ -254,16 +254,16 @@ def _never_moved(flows: Array) -> Array | None:
     y obeys the adjoint equation; how much of it the controls have moved, a quadratic form of y, goes along with it.
     """
     n = flows.shape[1] // 2
-    basis, moved = np.eye(n), np.zeros((n, n))
+    basis, moved, triangle = np.eye(n), np.zeros((n, n)), np.triu(np.ones((n, n)))
     for flow, size in zip(flows, np.linalg.norm(flows[:, :n, n:], axis=(1, 2)), strict=True):
         by_control = flow[:n, n:] @ basis
         if size > 0:
             moved = moved + by_control.T @ by_control / size**2
-        basis, growth = np.linalg.qr(flow[n:, n:] @ basis)
-        shrunk = np.linalg.inv(growth)
+        basis, growth = _orthonormalised(flow[n:, n:] @ basis)
+        shrunk = _inverse(growth * triangle)
         moved = shrunk.T @ moved @ shrunk
         # What has been moved enough need not grow beyond rounding of the rest.
-        if not np.trace(moved) <= len(flows):
+        if not moved.trace() <= len(flows):
             shares, vectors = np.linalg.eigh(moved)
             moved = (vectors * np.clip(shares, 0.0, len(flows))) @ vectors.T
     shares, vectors = np.linalg.eigh(moved / len(flows))
@@ -298,16 +298,35 @@ def _angles(frame: Array, never: Array, flows: Array) -> Array:
     """
     n, k = never.shape
     frames, beside = np.empty((len(flows), 2 * n, n)), np.tile(np.eye(n)[:, k:], (len(flows), 1, 1))
+    image = np.zeros((n, n))  # of its columns of zeros QR makes what is missing in an orthonormal basis
     for j, flow in enumerate(flows):
-        frames[j] = frame = np.linalg.qr(flow @ frame)[0]
+        frames[j] = frame = _orthonormalised(flow @ frame)[0]
         if k:
-            never = np.linalg.qr(flow[n:, n:] @ never, mode="complete")[0]
-            beside[j], never = never[:, k:], never[:, :k]
+            image[:, :k] = flow[n:, n:] @ never
+            completed = _orthonormalised(image)[0]
+            beside[j], never = completed[:, k:], completed[:, :k]
     unitary = frames[:, :n] + 1j * frames[:, n:]
     product = beside.transpose(0, 2, 1) @ unitary @ unitary.transpose(0, 2, 1) @ beside
     angles = np.zeros((len(flows) + 1, n - k))
     angles[1:] = np.angle(-np.linalg.eigvals(product)) % (2 * np.pi)
     return angles
+
+
+def _orthonormalised(matrix: Array) -> tuple[Array, Array]:
+    """Q and R of a matrix with no more columns than rows, whose R has anything below its diagonal.
+
+    By LAPACK itself: for small matrices, which come by the thousand, NumPy takes eight times as long around it.
+    """
+    factors, reflectors, _, _ = scipy.linalg.lapack.dgeqrf(matrix)
+    return scipy.linalg.lapack.dorgqr(factors, reflectors)[0], factors
+
+
+def _inverse(upper: Array) -> Array:
+    """Inverse of an upper triangular matrix (n, n)."""
+    inverse, singular = scipy.linalg.lapack.dtrtri(upper)
+    if singular:
+        raise np.linalg.LinAlgError("a flow is singular")
+    return np.asarray(inverse)
 
 
 def _system(s: PhaseSamples, times: Array) -> tuple[Array, Array]:

@@ -1,0 +1,116 @@
+"""Kinks along a phase that cost the more the larger they are, or limit that: which ones, and in which direction."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.model.graph import replaced
+from gnc_opt.problem.constraint import Constraint
+from gnc_opt.problem.norms.domain import Domain
+from gnc_opt.problem.norms.extrema import Pieces, drawn, outermost, pieces, rows_of
+from gnc_opt.problem.phase import Phase
+from gnc_opt.problem.statement import Statement
+from gnc_opt.problem.tables import table_uses
+from gnc_opt.tolerances import EQUAL
+
+
+@dataclass(frozen=True, eq=False)
+class Extremum:
+    """A kink that an optimum pushes against, as the largest or least of its pieces.
+
+    Attributes
+    ----------
+    node : casadi.SX
+    sense : int
+        1 if it is the largest of its pieces and less of it is better, -1 if it is the least and more is better.
+    pieces : list of casadi.SX
+    """
+
+    node: Any
+    sense: int
+    pieces: Pieces
+
+
+def kinks_that_cost(problem: Statement, leg: Phase, domain: Domain) -> dict[str, list[Extremum]]:
+    """Return the kinks of the integrands that are convex where less is better, by the names of their integrals."""
+    ignored, found = _of_tables(problem, leg), {}
+    wanted = _integral_senses(problem, leg)
+    for name, (_, integrand) in leg.integrands.items():
+        nodes = outermost(integrand, ignored) if wanted[name] else []
+        if nodes:
+            found[name] = list(_kinks(integrand, nodes, wanted[name], domain))
+    return {name: kinks for name, kinks in found.items() if kinks}
+
+
+def kinks_that_limit(problem: Statement, leg: Phase, domain: Domain) -> dict[tuple[str, int], list[Extremum]]:
+    """Return the kinks of path constraints that are convex towards their only limit, by constraint and row."""
+    ignored, found = _of_tables(problem, leg), {}
+    for name, constraint in leg.paths.items():
+        for i, row in enumerate(rows_of(constraint.expression)):
+            sense = limited_sense(constraint, i)
+            nodes = outermost(row, ignored) if sense else []
+            if nodes:
+                found[name, i] = list(_kinks(row, nodes, sense, domain))
+    return {place: kinks for place, kinks in found.items() if kinks}
+
+
+def limited_sense(constraint: Constraint, row: int) -> int:
+    """Return 1 for a row with a limit from above alone, -1 from below alone, else 0."""
+    below, above = np.isfinite([constraint.interval.lower[row], constraint.interval.upper[row]])
+    return int(above) - int(below)
+
+
+def _kinks(expression: Any, nodes: list[Any], sense: int, domain: Domain) -> Iterator[Extremum]:
+    for node, direction in zip(nodes, domain.directions(expression, nodes), strict=True):
+        own = sense * direction
+        found = pieces(node, own, domain) if own else None
+        if found is not None and len(found) > 1 and not _is_rounded(expression, Extremum(node, own, found)):
+            yield Extremum(node, own, found)
+
+
+def _is_rounded(expression: Any, kink: Extremum) -> bool:
+    """Whether an expression has no slope in a kink wherever two of its pieces meet: ``fmax(a, 0)**2``."""
+    z = ca.SX.sym("z")
+    of_z = replaced(expression, {kink.node.element_hash(): z})
+    slope = ca.densify(ca.jacobian(of_z, z))
+    for first, second in combinations(kink.pieces, 2):
+        symbol = next((s for s in ca.symvar(second - first) if _affine(second - first, s)), None)
+        if symbol is None:
+            return False
+        gap = second - first
+        meets = -ca.substitute(gap, symbol, 0.0) / ca.jacobian(gap, symbol)
+        column = ca.vertcat(ca.substitute(slope, z, first), first, *kink.pieces)
+        slopes, here, *others = drawn(ca.substitute(column, symbol, meets))
+        largest = np.all(kink.sense * (here - np.array(others)) >= -EQUAL)
+        if largest and np.any(np.abs(slopes) > EQUAL):
+            return False
+    return True
+
+
+def _affine(expression: Any, symbol: Any) -> bool:
+    return not any(ca.which_depends(expression, symbol, 2, True))
+
+
+def _integral_senses(problem: Statement, leg: Phase) -> dict[str, int]:
+    """Return 1 for integrals of which less is never worse, -1 for more, 0 for both or neither, by name."""
+    domain = Domain.at_ends(problem)
+    ends = problem.bind(leg, ca.vertcat(problem.sense * problem.cost, problem.constraint_expression()))
+    box = problem.constraint_interval()
+    lower, upper = np.isfinite(np.append(-np.inf, box.lower)), np.isfinite(np.append(0.0, box.upper))
+    senses = {}
+    for name, (symbol, _) in leg.integrands.items():
+        slopes = ca.jacobian(ends, symbol)
+        rows = [i for i in range(ends.numel()) if not slopes[i].is_zero()]
+        own = {domain.sign(slopes[i]) * (int(upper[i]) - int(lower[i])) for i in rows}
+        senses[name] = own.pop() if len(own) == 1 else 0
+    return senses
+
+
+def _of_tables(problem: Statement, leg: Phase) -> frozenset[int]:
+    return frozenset[int]().union(*(use.hashes for use in table_uses(problem, problem.phases[leg.name])))

@@ -1,0 +1,197 @@
+"""Kinks that users write: what costs by them is split or bounded from above, limits by them are several smooth ones."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+import scipy
+
+import gnc_opt as go
+from gnc_opt.problem.norms import restated
+
+DURATION = 2.0
+
+Cost = Callable[[Any, Any, Any], Any]
+
+
+def cart(cost: Cost, limit: Cost | None = None, bounds: Any = None) -> go.Problem:
+    """A unit of travel, rest to rest, in two seconds."""
+    model = go.Model("cart")
+    x, v, a = model.state("x"), model.state("v"), model.control("a")
+    model.ode({x: v, v: a})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=DURATION)
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=1.0, v=0.0)
+    if bounds is not None:
+        leg.bounds(a=bounds)
+    if limit is not None:
+        leg.path("limit", limit(x, v, a))
+    problem.minimize(leg.integral(cost(x, v, a)))
+    return problem
+
+
+def solved_leg(*arguments: Any) -> Any:
+    return restated(cart(*arguments)).phases["leg"]
+
+
+def at(leg: Any, expression: Any, x: Any, u: Any) -> np.ndarray:
+    _, states, controls, _ = leg.model.arguments()
+    return ca.Function("at", [states, controls], [ca.densify(expression)])(x, u).full().ravel()
+
+
+PIECEWISE: dict[str, tuple[Cost, Callable[[float], float], tuple[float, ...]]] = {
+    "fmax": (lambda x, v, a: ca.fmax(2 * a, -a), lambda a: max(2 * a, -a), (0.0,)),
+    "fmin": (lambda x, v, a: -ca.fmin(-2 * a, a), lambda a: max(2 * a, -a), (0.0,)),
+    "if_else": (
+        lambda x, v, a: ca.if_else(a > 0.5, 3 * a, 2 * a + 0.5),
+        lambda a: max(3 * a, 2 * a + 0.5),
+        (0.5,),
+    ),
+    "dead zone": (
+        lambda x, v, a: ca.fmax(ca.fabs(a) - 0.5, 0),
+        lambda a: max(abs(a) - 0.5, 0),
+        (-0.5, 0.5),
+    ),
+    "several": (
+        lambda x, v, a: ca.fabs(a) + 2 * ca.fmax(a - 1, 0) + a,
+        lambda a: abs(a) + 2 * max(a - 1, 0) + a,
+        (0.0, 1.0),
+    ),
+    "a part never seen": (
+        lambda x, v, a: ca.fmax(ca.fmax(a, -a), 0.1 * a - 1),
+        abs,
+        (0.0,),
+    ),
+    "other units": (lambda x, v, a: ca.fabs(3 - 6 * a) / 6, lambda a: abs(a - 0.5), (0.5,)),
+}
+
+
+@pytest.mark.parametrize("case", PIECEWISE.values(), ids=PIECEWISE)
+def test_costs_with_corners_of_a_control_are_linear_in_its_parts(case: Any) -> None:
+    cost, value, corners = case
+    leg = solved_leg(cost, None, (-2.0, 3.0))
+    (split,) = leg.model.composed_controls.values()
+    assert [c for (c,) in split.corners] == pytest.approx(corners)
+    assert not any(ca.which_depends(leg.integrand_expression(), leg.model.symbols("control"), 2, True))
+    for a in (-2.0, -0.7, 0.2, 0.9, 3.0):
+        parts = np.concatenate(split.decompose(np.array([[a]])))[:, 0]
+        assert at(leg, leg.integrand_expression(), [0, 0], parts) == pytest.approx(value(a))
+        np.testing.assert_allclose(at(leg, leg.model.derivative(), [0, 0.3], parts), [0.3, a])
+        assert split.compose(*parts[:, None]) == pytest.approx(a)
+    box = leg.numbers.controls
+    np.testing.assert_allclose(box.upper, np.diff([-2.0, *corners, 3.0])[[*range(1, len(corners) + 1), 0]])
+    np.testing.assert_array_equal(box.lower, 0.0)
+
+
+def test_bounds_that_leave_out_a_corner_are_kept() -> None:
+    leg = solved_leg(PIECEWISE["dead zone"][0], None, (-0.2, 2.0))
+    np.testing.assert_allclose(leg.numbers.controls.lower, [0.3, 0.0, 0.0])
+    np.testing.assert_allclose(leg.numbers.controls.upper, [1.0, 1.5, 0.0])
+
+
+def test_a_corner_that_moves_with_states_is_an_epigraph() -> None:
+    leg = solved_leg(lambda x, v, a: a**2 + ca.fabs(a + v))
+    assert leg.model.controls.names == ("a", "epigraph")
+    np.testing.assert_allclose(at(leg, leg.integrand_expression(), [0.0, 0.5], [0.2, 7.0]), 7.04)
+    np.testing.assert_allclose(np.sort(at(leg, leg.path_expression(), [0.0, 0.5], [0.2, 0.9])), [0.2, 1.6])
+    np.testing.assert_array_equal(leg.path_interval().lower, 0.0)
+
+
+def test_a_constant_piece_bounds_its_epigraph() -> None:
+    leg = solved_leg(lambda x, v, a: a**2 + ca.fmax(a * v, 0.0))
+    assert leg.numbers.controls.lower[1] == 0.0
+    assert leg.path_expression().numel() == 1
+
+
+def test_the_guess_of_an_epigraph_is_its_kink_along_the_guess() -> None:
+    from gnc_opt.problem.guess.trajectory import start_phase
+
+    problem = cart(lambda x, v, a: a**2 + ca.fabs(a + v))
+    problem.phases["leg"].guess(v=(1.0, -2.0), a=-0.5)
+    start = start_phase(restated(problem).phases["leg"], np.array([0.0, 1.0]), perturbed=False)
+    np.testing.assert_allclose(start.controls, [[-0.5, -0.5], [0.5, 2.5]])
+
+
+LIMITS: dict[str, tuple[Cost, list[float]]] = {
+    "sum": (lambda x, v, a: ca.fabs(a) + ca.fabs(v) <= 2, [-0.9, -0.1, 0.1, 0.9]),
+    "fmax": (lambda x, v, a: ca.fmax(a, 3 * v) <= 2, [0.4, 1.5]),
+    "fmin": (lambda x, v, a: ca.fmin(a, 3 * v) >= -2, [0.4, 1.5]),
+    "norm_inf": (lambda x, v, a: ca.norm_inf(ca.vertcat(a, v)) <= 2, [-0.5, -0.4, 0.4, 0.5]),
+    "moving": (lambda x, v, a: ca.fabs(a) <= 1 + x, [-2.4, -1.6]),
+}
+
+
+@pytest.mark.parametrize("case", LIMITS.values(), ids=LIMITS)
+def test_limits_of_kinks_are_limits_of_their_pieces(case: Any) -> None:
+    limit, values = case
+    leg = solved_leg(lambda x, v, a: a**2, limit)
+    assert leg.model.controls.names == ("a",)
+    np.testing.assert_allclose(np.sort(at(leg, leg.path_expression(), [1.0, 0.5], [0.4])), values)
+
+
+@pytest.mark.parametrize(
+    "limit",
+    [
+        lambda x, v, a: ca.fabs(a) >= 0.5,
+        lambda x, v, a: ca.fabs(a) + v == 0.5,
+        lambda x, v, a: ca.fmin(a, v) <= 0.5,
+    ],
+)
+def test_limits_that_leave_holes_stay_and_are_warned_of(limit: Cost) -> None:
+    problem = cart(lambda x, v, a: a**2, limit)
+    assert restated(problem) is problem
+    with pytest.warns(go.ProblemWarning, match="kink"):
+        problem.check()
+
+
+def test_a_factor_of_unknown_sign_is_not_taken_for_a_cost() -> None:
+    problem = cart(lambda x, v, a: a**2 + v * ca.fabs(a))
+    assert restated(problem) is problem
+    bounded = problem.with_bounds(v=(0.0, None))
+    assert restated(bounded).phases["leg"].model.controls.names == ("a_plus", "a_minus")
+
+
+# --- solutions --------------------------------------------------------------------------------------------
+
+
+def least_cost(corner: float, below: float, above: float) -> float:
+    """The least integral of a**2 and what costs by two slopes beside a corner: the costate of v is linear in time."""
+    t = np.linspace(0.0, DURATION, 40001)
+
+    def control(line: Any) -> Any:
+        wanted = [-(line[0] + line[1] * t + slope) / 2 for slope in (below, above)]
+        return np.where(wanted[1] > corner, wanted[1], np.minimum(corner, wanted[0]))
+
+    def misses(line: Any) -> list[float]:
+        a = control(line)
+        return [scipy.integrate.trapezoid(a, t), scipy.integrate.trapezoid((DURATION - t) * a, t) - 1.0]
+
+    a = control(scipy.optimize.root(misses, [-2.0, 2.0], tol=1e-13).x)
+    cost = a**2 + np.where(a > corner, above, below) * (a - corner)
+    return float(scipy.integrate.trapezoid(cost, t))
+
+
+TWO_SLOPES: dict[str, tuple[Cost, float, float, float]] = {
+    "fmax": (lambda x, v, a: a**2 + ca.fmax(a, 0), 0.0, 0.0, 1.0),
+    "battery": (lambda x, v, a: a**2 + ca.if_else(a > 0, a / 0.8, 0.8 * a), 0.0, 0.8, 1.25),
+    "shifted": (lambda x, v, a: a**2 + ca.fabs(a - 0.3), 0.3, -1.0, 1.0),
+}
+
+
+@pytest.mark.parametrize("case", TWO_SLOPES.values(), ids=TWO_SLOPES)
+def test_dead_zones_of_costs_with_corners_meet_their_closed_form(case: Any) -> None:
+    cost, corner, below, above = case
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        solution = go.solve(cart(cost), mesh="10x3")
+    assert go.verify(solution).minimum
+    assert solution.objective == pytest.approx(least_cost(corner, below, above), rel=1e-7)
+    flown = solution.flown_control("a")(np.linspace(0, DURATION, 201))
+    assert 0.05 < np.mean(np.isclose(flown, corner, atol=1e-9)) < 0.95
