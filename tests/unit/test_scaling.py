@@ -78,7 +78,9 @@ def test_what_zero_is_rounded_to_is_no_magnitude() -> None:
     assert phase_magnitudes(flown.get_phase())[0][0] == pytest.approx(nearby, rel=1e-6)
     best = 1e-3 * (1 - np.cos(0.01 * 100.0)) / 0.01  # turning at the limit all the time
     problem.maximize(leg.final_state("latitude"))
-    found = go.solve(problem.with_guess("leg", latitude=(0.0, 6e-18), heading=np.pi / 2), mesh="6x6", tol=None)
+    found = go.solve(
+        problem.with_guess("leg", latitude=(0.0, 6e-18), heading=np.pi / 2), mesh="6x6", tol=None
+    )
     assert found.objective == pytest.approx(best, rel=1e-8)
 
 
