@@ -95,7 +95,7 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
 
 
 def read_range(lower: Any, upper: Any, size: int, what: str) -> Interval:
-    """Return the range of ``size`` components; an end is a number, an array or ``None`` (no limit), or has such entries."""
+    """Return the range of ``size`` components; each end is a number, an array or ``None`` (no limit)."""
     low = _end(lower, -np.inf, size, f"the lower limit of {what}")
     high = _end(upper, np.inf, size, f"the upper limit of {what}")
     return checked(Interval(low, high), what)
