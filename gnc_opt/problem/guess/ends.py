@@ -79,7 +79,7 @@ class _Link:
             known.append(np.where(limited, intersect(here, box).middle, guessed))
         handed = leg.handed_over(name)
         jump = np.zeros(box.lower.size) if handed is None else handed[1]
-        return cls(leg, *known, box, float(times[1] - times[0]), jump)
+        return cls(leg, known[0], known[1], box, float(times[1] - times[0]), jump)
 
 
 def _chain(leg: Phase, name: str) -> list[_Link]:
