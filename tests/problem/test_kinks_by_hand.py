@@ -158,6 +158,51 @@ def test_a_factor_of_unknown_sign_is_not_taken_for_a_cost() -> None:
     assert restated(bounded).phases["leg"].model.controls.names == ("a_plus", "a_minus")
 
 
+def test_kinks_of_states_are_epigraphs_and_those_of_time_stay() -> None:
+    leg = solved_leg(lambda x, v, a: a**2 + ca.fabs(x - 0.5))
+    assert leg.model.controls.names == ("a", "epigraph")
+    clock = cart(lambda x, v, a: a**2)
+    clock.cost += clock.phases["leg"].integral(ca.fabs(clock.phases["leg"].model.time - 0.5))
+    assert restated(clock) is clock
+
+
+# --- ends -------------------------------------------------------------------------------------------------
+
+
+def hurled(cost: Cost, limit: Cost | None = None) -> go.Problem:
+    """A cart at rest that ends anywhere in two seconds, for its effort E and where it ends: (x, v, E).
+
+    The least effort to an end is 1.5 x**2 - 3 x v + 2 v**2 (the inverse of the Gramian).
+    """
+    problem = cart(lambda x, v, a: 0.0 * a)
+    stated = go.Problem("hurled")
+    leg = stated.phase("leg", problem.phases["leg"].model)
+    leg.time(initial=0.0, final=DURATION)
+    leg.initial(x=0.0, v=0.0)
+    x, v = leg.final_state("x"), leg.final_state("v")
+    effort = leg.integral(leg.model.symbol("a") ** 2)
+    if limit is not None:
+        stated.constrain("near", limit(x, v, effort))
+    stated.minimize(cost(x, v, effort))
+    return stated
+
+
+@pytest.mark.parametrize(
+    ("cost", "limit", "least"),
+    [
+        (lambda x, v, e: e + 4 * ca.fabs(x - 1) + ca.fabs(v), None, 1.0),  # rests on x = 1, at v = 1/2
+        (lambda x, v, e: e, lambda x, v, e: ca.fabs(x - 1) + ca.fabs(v) <= 0.2, 0.96),  # at x = 0.8, v = 0
+        (lambda x, v, e: ca.fmax(e, 3 * (2 - x)), None, 3 * (2 - (np.sqrt(18) - 3) / 0.75)),
+    ],
+)
+def test_kinks_of_end_costs_and_end_conditions_meet_their_closed_form(
+    cost: Any, limit: Any, least: float
+) -> None:
+    solution = go.solve(hurled(cost, limit), mesh="4x3")
+    assert go.verify(solution).ok
+    assert solution.objective == pytest.approx(least, rel=1e-7)
+
+
 # --- solutions --------------------------------------------------------------------------------------------
 
 

@@ -44,7 +44,7 @@ def kinks_that_cost(problem: Statement, leg: Phase, domain: Domain) -> dict[str,
     for name, (_, integrand) in leg.integrands.items():
         nodes = outermost(integrand, ignored) if wanted[name] else []
         if nodes:
-            found[name] = list(_kinks(integrand, nodes, wanted[name], domain))
+            found[name] = list(extrema_of(integrand, nodes, wanted[name], domain))
     return {name: kinks for name, kinks in found.items() if kinks}
 
 
@@ -56,7 +56,7 @@ def kinks_that_limit(problem: Statement, leg: Phase, domain: Domain) -> dict[tup
             sense = limited_sense(constraint, i)
             nodes = outermost(row, ignored) if sense else []
             if nodes:
-                found[name, i] = list(_kinks(row, nodes, sense, domain))
+                found[name, i] = list(extrema_of(row, nodes, sense, domain))
     return {place: kinks for place, kinks in found.items() if kinks}
 
 
@@ -66,7 +66,8 @@ def limited_sense(constraint: Constraint, row: int) -> int:
     return int(above) - int(below)
 
 
-def _kinks(expression: Any, nodes: list[Any], sense: int, domain: Domain) -> Iterator[Extremum]:
+def extrema_of(expression: Any, nodes: list[Any], sense: int, domain: Domain) -> Iterator[Extremum]:
+    """Yield those kinks of a scalar that are convex where less of it (sense 1), or more of it (-1), is better."""
     for node, direction in zip(nodes, domain.directions(expression, nodes), strict=True):
         own = sense * direction
         found = pieces(node, own, domain) if own else None
