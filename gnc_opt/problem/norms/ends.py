@@ -55,7 +55,7 @@ class EndForm:
         parameters: dict[str, tuple[Symbol, float]] = {}
         taken = {*problem.parameters.names, *constraints}
         taken |= {name for leg in problem.phases.values() for name in leg.model.parameters.names}
-        nodes = outermost(problem.cost, frozenset())
+        nodes = outermost(problem.cost, frozenset(), domain)
         for kink in extrema_of(problem.cost, nodes, int(problem.sense), domain):
             name = f"epigraph_of_cost_{len(parameters) + 1}"
             while name in taken:
