@@ -19,7 +19,8 @@ from gnc_opt.model.layout import Variable
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol
 from gnc_opt.problem.constraint import Constraint
-from gnc_opt.problem.guess.trajectory import guess_times, start_phase
+from gnc_opt.problem.guess.ends import guess_times
+from gnc_opt.problem.guess.trajectory import start_phase
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.norms.domain import Domain
 from gnc_opt.problem.norms.extrema import is_smooth, pieces, rows_of

@@ -11,7 +11,8 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.model.graph import operations_in
 from gnc_opt.model.norms import ROOTS
-from gnc_opt.problem.guess.trajectory import guess_times, start_phase
+from gnc_opt.problem.guess.ends import guess_times
+from gnc_opt.problem.guess.trajectory import start_phase
 from gnc_opt.problem.interval import Interval, free
 from gnc_opt.problem.norms.domain import Domain
 from gnc_opt.problem.norms.ends import EndForm, has_end_kinks
