@@ -110,6 +110,34 @@ def test_a_constant_piece_bounds_its_epigraph() -> None:
     assert leg.path_expression().numel() == 1
 
 
+def test_the_largest_of_several_controls_is_one_epigraph() -> None:
+    model = go.Model("plane")
+    v, a = model.state("v", 2), model.control("a", 2)
+    model.ode({v: a})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    problem.minimize(leg.integral(ca.sumsqr(a) + ca.norm_inf(a)))
+    solved = restated(problem).phases["leg"]
+    assert solved.model.controls.names == ("a", "epigraph")
+    values = at(solved, solved.path_expression(), [0.0, 0.0], [0.2, -0.7, 1.0])
+    np.testing.assert_allclose(np.sort(values), [0.3, 0.8, 1.2, 1.7])
+
+
+def test_rates_of_states_with_given_ends_keep_their_kinks() -> None:
+    """A dead zone of an actuator: neither more nor less speed at the end is better."""
+    model = go.Model("cart")
+    v, a = model.state("v"), model.control("a")
+    model.ode({v: ca.fmax(a - 0.2, 0) + ca.fmin(a + 0.2, 0)})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(v=0.0)
+    leg.final(v=0.0)
+    problem.minimize(leg.integral(a**2))
+    assert restated(problem) is problem
+
+
 def test_the_guess_of_an_epigraph_is_its_kink_along_the_guess() -> None:
     from gnc_opt.problem.guess.trajectory import start_phase
 
@@ -147,13 +175,15 @@ def test_limits_of_kinks_are_limits_of_their_pieces(case: Any) -> None:
 def test_limits_that_leave_holes_stay_and_are_warned_of(limit: Cost) -> None:
     problem = cart(lambda x, v, a: a**2, limit)
     assert restated(problem) is problem
-    with pytest.warns(go.ProblemWarning, match="kink"):
+    with pytest.warns(go.ProblemWarning, match="kink: it leaves a hole, or is limited from both sides"):
         problem.check()
 
 
 def test_a_factor_of_unknown_sign_is_not_taken_for_a_cost() -> None:
     problem = cart(lambda x, v, a: a**2 + v * ca.fabs(a))
     assert restated(problem) is problem
+    with pytest.warns(go.ProblemWarning, match="give bounds that tell the signs of its factors"):
+        problem.check()
     bounded = problem.with_bounds(v=(0.0, None))
     assert restated(bounded).phases["leg"].model.controls.names == ("a_plus", "a_minus")
 
