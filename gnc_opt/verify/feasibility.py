@@ -11,6 +11,7 @@ import scipy
 from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import EndGradients
 from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.distance import shares
 from gnc_opt.solution.quality import (
     NOTHING,
@@ -26,6 +27,7 @@ from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.spans import RESOLUTION
 from gnc_opt.tolerances import ROUNDING, TINY
 from gnc_opt.verify.magnitude import parameter_scale
+from gnc_opt.verify.parts import worst_of_parts
 from gnc_opt.verify.verdict import Condition, Result
 
 UNSTABLE = 1e6
@@ -49,11 +51,12 @@ def judge(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
     return Condition(name, result, worst.value, tolerance, worst.where, meaning)
 
 
-def dynamics(samples: list[PhaseSamples], tolerance: float) -> Condition:
+def dynamics(problem: Problem, samples: list[PhaseSamples], tolerance: float) -> Condition:
     """The trajectory satisfies the differential equation between the nodes."""
     worst = NOTHING
     for s in samples:
         worst = worst.or_worse(worst_defect(s)).or_worse(worst_defect(s, s.finer(SCANNED)))
+        worst = worst.or_worse(worst_of_parts(problem, s))
     return judge(
         "dynamics",
         worst,

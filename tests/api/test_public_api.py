@@ -28,7 +28,7 @@ EXPECTED = {
         Sensitivity Solution SolveError SolverOptions Status Sweep Table UnknownAttributeError
         UnknownNameError Verdict bound_below bryson continue_in design_ekf design_feedback_linearization
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
-        design_neighbouring_extremal design_neighbouring_optimal
+        design_neighbouring_extremal design_neighbouring_optimal design_scheduled_ekf
         design_sliding_mode design_tvlqr design_ukf export_c export_fmu feedforward guess_from_data guess_from_solution
         linear_covariance load
         monte_carlo multistart output_feedback polish refine sensitivity simulate_guess smooth_abs solve sweep
@@ -41,7 +41,7 @@ EXPECTED = {
         SuperTwistingObserver
         TanhLayer UnscentedOptions bridge_dropouts bryson decoupling_matrix design_ekf design_feedback_linearization
         design_gain_schedule design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
-        design_neighbouring_extremal design_neighbouring_optimal
+        design_neighbouring_extremal design_neighbouring_optimal design_scheduled_ekf
         design_sliding_mode design_tvlqr design_ukf export_c export_fmu feedforward first_memory law
         lie_derivative output_errors output_feedback relative_degrees trim zero_dynamics
     """,

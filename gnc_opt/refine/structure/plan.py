@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gnc_opt.arrays import Indices, Mask
+from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.held import Junction, Smooth
 from gnc_opt.problem.problem import Problem
@@ -28,6 +29,16 @@ INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
 MAX_SEGMENTS = 64
 """Segments of a piece at most."""
 
+GAIN, STEP = 1.0, 3
+"""A point more gains so many decades where a piece is smooth; fewer points than this are not worth a solve."""
+
+HALVED = 3.0
+"""Decades that halving a segment of `MAX_DEGREE` points gains: its polynomials converge like their 12th power of its
+length where it is smooth, and hardly where it is not."""
+
+BOLD = 6.0
+"""No more decades than this are expected of one pass."""
+
 COARSE = 100
 """Collocation points per phase up to which a mesh says nothing about pieces; a finer one was asked for."""
 
@@ -42,23 +53,66 @@ class Resolution:
     Attributes
     ----------
     segments, degree : int
-        Equal segments and their collocation points.
+        Number of segments, and collocation points of each.
     smooth : int
         Degree of the polynomials that singular controls are over the whole piece; 0: no such polynomials.
     gradient : float
         Largest dH/du that was left along the piece with the degree before; see `smoother`.
+    edges : tuple of float
+        Where segments meet, in shares of the piece; none: they are equally long.
     """
 
     segments: int = 1
     degree: int = FIRST_DEGREE
     smooth: int = 0
     gradient: float = np.inf
+    edges: tuple[float, ...] = ()
 
-    def finer(self) -> Resolution:
-        """Return the next finer resolution of states and costates; the finest one is itself."""
+    @property
+    def shares(self) -> Array:
+        """Boundaries of the segments, in shares of the piece: (segments + 1,) from 0 to 1."""
+        if self.edges:
+            return np.array([0.0, *self.edges, 1.0])
+        return np.linspace(0.0, 1.0, self.segments + 1)
+
+    def finer(self, decades: Array) -> Resolution:
+        """Return the resolution with which errors fall by so many decades; the finest one is itself.
+
+        First with more points, then by halving segments where that is not enough: those that are worst first, as far as
+        there may be more. Along a singular control's polynomial, whose degree is what most of the errors come from, all
+        segments step by step.
+
+        Parameters
+        ----------
+        decades : array (segments,)
+            Of each segment; none of its points is too few where it is not positive.
+        """
+        most = float(np.max(decades))
+        if most <= 0:
+            return self
         if self.degree < MAX_DEGREE:
-            return replace(self, degree=min(self.degree + 3, MAX_DEGREE))
-        return replace(self, segments=min(2 * self.segments, MAX_SEGMENTS))
+            points = STEP if self.smooth else max(STEP, math.ceil(most / GAIN))
+            return replace(self, degree=min(self.degree + points, MAX_DEGREE))
+        if self.smooth:
+            return replace(self, segments=min(2 * self.segments, MAX_SEGMENTS))
+        parts = 2 ** np.ceil(np.clip(decades, 0.0, BOLD) / HALVED).astype(int)
+        return self._cut(parts, np.argsort(-decades, kind="stable"))
+
+    def _cut(self, parts: Indices, order: Indices) -> Resolution:
+        """Return the resolution with every segment cut in equal parts, in this order up to `MAX_SEGMENTS`."""
+        allowed, room = np.ones_like(parts), MAX_SEGMENTS - self.segments
+        for k in order:
+            allowed[k] = min(parts[k], room + 1)
+            room -= allowed[k] - 1
+        count = int(np.sum(allowed))
+        if np.all(allowed == allowed[0]) and not self.edges:
+            return replace(self, segments=count)
+        shares = self.shares
+        pieces = [
+            np.linspace(left, right, n + 1)[1:]
+            for left, right, n in zip(shares[:-1], shares[1:], allowed, strict=True)
+        ]
+        return replace(self, segments=count, edges=tuple(map(float, np.concatenate(pieces)[:-1])))
 
     def smoother(self, gradient: float) -> Resolution:
         """Return the resolution with singular controls of a higher degree, and points enough for them.
@@ -69,8 +123,11 @@ class Resolution:
         if self.smooth == 0 or gradient > HELPED * self.gradient:
             return self
         smooth = min(self.smooth + 4, MAX_SINGULAR_DEGREE)
-        segments = max(self.segments, int(np.ceil(2 * smooth / self.degree)))
-        return replace(self, smooth=smooth, segments=segments, gradient=gradient)
+        raised, wanted = (
+            replace(self, smooth=smooth, gradient=gradient),
+            int(np.ceil(2 * smooth / self.degree)),
+        )
+        return raised if wanted <= self.segments else replace(raised, segments=wanted, edges=())
 
 
 @dataclass(frozen=True)
@@ -133,7 +190,7 @@ class Plan:
         degrees: list[int] = []
         for k, r in enumerate(self.resolutions):
             left, right = self.structure.times[k], self.structure.times[k + 1]
-            times += [left + (right - left) * (i + 1) / r.segments for i in range(r.segments)]
+            times += [left + (right - left) * float(share) for share in r.shares[1:]]
             degrees += [r.degree] * r.segments
         fractions = (np.asarray(times) - times[0]) / (times[-1] - times[0])
         inner = range(1, self.structure.pieces)
