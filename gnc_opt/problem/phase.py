@@ -428,6 +428,11 @@ class Phase(Strict):
         """Stacked SX symbols of all integrals."""
         return ca.vertcat(*[s for s, _ in self.integrands.values()]) if self.integrands else ca.SX(0, 1)
 
+    @property
+    def siblings(self) -> tuple[Phase, ...]:
+        """All phases of the problem, this one among them."""
+        return tuple(self._owner.phases.values())
+
     def handed_over(self, state: str) -> tuple[Phase, Array] | None:
         """Return the earlier phase that a link takes a state from, and the jump (n,); None if it begins here."""
         if state not in self.handed:

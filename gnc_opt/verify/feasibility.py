@@ -11,6 +11,7 @@ import scipy
 from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import EndGradients
 from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.distance import shares
 from gnc_opt.solution.quality import (
     NOTHING,
@@ -26,10 +27,14 @@ from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.spans import RESOLUTION
 from gnc_opt.tolerances import ROUNDING, TINY
 from gnc_opt.verify.magnitude import parameter_scale
+from gnc_opt.verify.parts import worst_of_parts
 from gnc_opt.verify.verdict import Condition, Result
 
 UNSTABLE = 1e6
 """Growth of integration errors beyond which propagating a whole phase in one go says nothing."""
+
+PART = 1e3
+"""Growth of errors after which a propagation in parts starts anew: samples are interpolated to 1e-9 or so."""
 
 SCANNED, SCANNED_PATHS = 4096, 32768
 """Times at which the dynamics and integrands of a phase, and its path constraints, are looked at beside the samples:
@@ -46,11 +51,12 @@ def judge(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
     return Condition(name, result, worst.value, tolerance, worst.where, meaning)
 
 
-def dynamics(samples: list[PhaseSamples], tolerance: float) -> Condition:
+def dynamics(problem: Problem, samples: list[PhaseSamples], tolerance: float) -> Condition:
     """The trajectory satisfies the differential equation between the nodes."""
     worst = NOTHING
     for s in samples:
         worst = worst.or_worse(worst_defect(s)).or_worse(worst_defect(s, s.finer(SCANNED)))
+        worst = worst.or_worse(worst_of_parts(problem, s))
     return judge(
         "dynamics",
         worst,
@@ -87,7 +93,7 @@ def propagation(samples: list[PhaseSamples], tolerance: float) -> Condition:
         value=parts.value,
         where=f"{parts.where}, in parts",
         meaning=f"The dynamics amplify errors about {growth:.0e} times over the phase, so that a propagation in one go "
-        f"says nothing about the solution: it starts anew wherever they have grown {UNSTABLE:.0e} times. Where such "
+        f"says nothing about the solution: it starts anew wherever they have grown {PART:.0e} times. Where such "
         "a part misses, the condition 'dynamics' judges segment by segment.",
         sufficient=True,  # a second opinion: what is necessary is told by 'dynamics'
     )
@@ -125,11 +131,11 @@ def _transitions(samples: PhaseSamples) -> Iterator[Array]:
 
 
 def _restarts(samples: PhaseSamples) -> list[float]:
-    """Times before which errors have grown by `UNSTABLE` since the start, or since the last of these times."""
+    """Times before which errors have grown by `PART` since the start, or since the last of these times."""
     transition, times = np.eye(samples.state_scale.size), []
     for time, step in zip(samples.leg.breaks, _transitions(samples), strict=False):
         transition = step @ transition
-        if np.linalg.norm(transition, 2) > UNSTABLE:
+        if np.linalg.norm(transition, 2) > PART:
             times.append(float(time))
             transition = step
     return [time for time in times if time > samples.leg.breaks[0]]

@@ -105,7 +105,7 @@ def _judge(solution: Solution, tol: float) -> Verdict:
     missing = missing_number(stored, told)
     samples = [settle_edges(s.with_cost_magnitude(amounts.cost), tol) for s in samples]
     conditions = [
-        feasibility.dynamics(samples, tol),
+        feasibility.dynamics(solution.need_problem("verify"), samples, tol),
         feasibility.propagation(samples, tol),
         feasibility.bounds(solution, samples, tol),
         feasibility.paths(samples, tol),

@@ -25,6 +25,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -323,8 +324,12 @@ class Tracking:
         executor: Executor | Literal["serial"] | None = None,
         *,
         progress: bool = False,
+        checkpoint: Path | None = None,
     ) -> Campaign:
-        """Fly one of `CONTROLLERS`; the same seed gives all of them the same plants and starts."""
+        """Fly one of `CONTROLLERS`; the same seed gives all of them the same plants and starts.
+
+        Runs that are in the folder of the checkpoint are not flown again.
+        """
         return monte_carlo(
             self.loop(self.controller(name)),
             runs,
@@ -335,6 +340,7 @@ class Tracking:
             limits=LIMITS,
             executor=executor,
             progress=progress,
+            checkpoint=checkpoint,
         )
 
 

@@ -27,7 +27,7 @@ from gnc_opt.control.linear.gains import (
     riccati_gains,
 )
 from gnc_opt.control.linear.linearization_table import LinearizationTable
-from gnc_opt.control.linear.margins import margins
+from gnc_opt.control.linear.margins import _at_rest, margins
 from gnc_opt.control.linear.riccati import (
     gain_of,
     require_detectable,
@@ -497,7 +497,8 @@ def test_brysons_rule():
     ("q", "r", "n", "message"),
     [
         ([1.0, -1.0], 1.0, None, "Q of 'v' is -1"), ([[1.0, 2], [2, 1]], 1.0, None, "Q is not positive semidefinite"),
-        ([[0.0, 1], [1, 1]], 1.0, None, "Q is not positive semidefinite"), (1.0, 0.0, None, "R of 'a' is 0"),
+        ([[0.0, 1], [1, 1]], 1.0, None, "Q is not positive semidefinite"),
+        ([[0.0, 1e-12], [1e-12, 1]], 1.0, None, "Q is not positive semidefinite"), (1.0, 0.0, None, "R of 'a' is 0"),
         (1.0, 1.0, [[1.0]], r"N has the shape"), (1.0, 1.0, [[NAN], [0.0]], "N has the shape"),
         (1.0, 1.0, [[2.0], [0.0]], r"\[\[Q, N\], \[N', R\]\]"),
     ],
@@ -597,6 +598,14 @@ def test_modes_out_of_reach_are_named():
     require_detectable(np.diag([1.0, -1.0]), np.diag([1.0, 0.0]), ("x", "y"))
 
 
+def test_a_mode_is_named_by_the_states_that_have_a_part_in_it():
+    """Of three integrators with two inputs across (1, 0.4, 0.02): the third has hardly a part."""
+    direction = np.array([[1.0, 0.4, 0.02]])
+    across = np.linalg.svd(direction)[2][1:].T
+    (mode,) = unreached(np.zeros((3, 3)), across, ("x", "y", "z"))
+    assert mode.states == ("x", "y") and abs(mode.eigenvalue) < 1e-12
+
+
 @pytest.mark.parametrize(
     ("value", "sampled", "ok"),
     [
@@ -663,6 +672,19 @@ def test_a_loop_that_meets_the_positive_axis_alone_bears_any_gain():
     loop = 0.5j * w / (1 - w**2 + 0.1j * w)
     assert abs(loop) == pytest.approx(1.0) and found.phase == pytest.approx([np.pi + np.angle(loop)])
     assert found.delay == pytest.approx([(np.pi + np.angle(loop)) / w])
+
+
+@pytest.mark.parametrize("c", [1e6 / 3, -1e6 / 3, 0.3])
+@pytest.mark.parametrize("dt", [None, 0.1])
+def test_what_integrates_but_for_rounding_has_no_gain_at_rest(c, dt):
+    """A mode of the rate zero, or of one per step, of a matrix whose entries cancel to rounding."""
+    rate = np.array([[-c, c], [c / 7, -c / 7]]) * (1 + np.array([[0.0, 1e-16], [0.0, 3e-16]]))
+    a = rate if dt is None else np.eye(2) + rate
+    assert _at_rest(a, np.array([1.0, 0.0]), np.array([2.0, 1.0]), dt) == INF
+    slow = a - 1e-3 * abs(c) * np.eye(2)
+    still = -slow if dt is None else np.eye(2) - slow
+    expected = np.array([2.0, 1.0]) @ np.linalg.inv(still) @ np.array([1.0, 0.0])
+    assert _at_rest(slow, np.array([1.0, 0.0]), np.array([2.0, 1.0]), dt) == pytest.approx(expected)
 
 
 def test_channels_are_judged_with_the_others_closed():
@@ -834,6 +856,9 @@ def test_a_table_of_linearizations_is_the_linearization():
         )
         deviation = Deviation(reference.model)
         table = LinearizationTable(deviation, reference)
+        smooth = [values is not None for _, _, values in table._parts]
+        assert all(smooth) if control(0.5) != [0.277] else not all(smooth)
+        assert len(smooth) < 20
         for t in (0.0, 0.3, 0.999, 1.0, 1.5, 2.0):
             a, b = table(t)
             exact = deviation.linearize(t, reference.x(t), reference.u(t))

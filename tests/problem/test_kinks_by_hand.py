@@ -110,6 +110,34 @@ def test_a_constant_piece_bounds_its_epigraph() -> None:
     assert leg.path_expression().numel() == 1
 
 
+def test_the_largest_of_several_controls_is_one_epigraph() -> None:
+    model = go.Model("plane")
+    v, a = model.state("v", 2), model.control("a", 2)
+    model.ode({v: a})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    problem.minimize(leg.integral(ca.sumsqr(a) + ca.norm_inf(a)))
+    solved = restated(problem).phases["leg"]
+    assert solved.model.controls.names == ("a", "epigraph")
+    values = at(solved, solved.path_expression(), [0.0, 0.0], [0.2, -0.7, 1.0])
+    np.testing.assert_allclose(np.sort(values), [0.3, 0.8, 1.2, 1.7])
+
+
+def test_rates_of_states_with_given_ends_keep_their_kinks() -> None:
+    """A dead zone of an actuator: neither more nor less speed at the end is better."""
+    model = go.Model("cart")
+    v, a = model.state("v"), model.control("a")
+    model.ode({v: ca.fmax(a - 0.2, 0) + ca.fmin(a + 0.2, 0)})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(v=0.0)
+    leg.final(v=0.0)
+    problem.minimize(leg.integral(a**2))
+    assert restated(problem) is problem
+
+
 def test_the_guess_of_an_epigraph_is_its_kink_along_the_guess() -> None:
     from gnc_opt.problem.guess.trajectory import start_phase
 
@@ -124,6 +152,7 @@ LIMITS: dict[str, tuple[Cost, list[float]]] = {
     "fmax": (lambda x, v, a: ca.fmax(a, 3 * v) <= 2, [0.4, 1.5]),
     "fmin": (lambda x, v, a: ca.fmin(a, 3 * v) >= -2, [0.4, 1.5]),
     "norm_inf": (lambda x, v, a: ca.norm_inf(ca.vertcat(a, v)) <= 2, [-0.5, -0.4, 0.4, 0.5]),
+    "of a state": (lambda x, v, a: ca.fmax(a, -a + x) <= 2, [0.4, 0.6]),
     "moving": (lambda x, v, a: ca.fabs(a) <= 1 + x, [-2.4, -1.6]),
 }
 
@@ -137,6 +166,25 @@ def test_limits_of_kinks_are_limits_of_their_pieces(case: Any) -> None:
 
 
 @pytest.mark.parametrize(
+    ("limit", "lower", "upper"),
+    [
+        (lambda x, v, a: ca.fabs(a) <= 2, -2.0, 2.0),
+        (lambda x, v, a: 3 - ca.fabs(2 * a - 1) >= 0, -1.0, 2.0),
+        (lambda x, v, a: ca.fmax(a, -4 * a) <= 5, -1.25, 3.0),
+    ],
+)
+def test_limits_of_kinks_of_one_control_are_its_bounds(limit: Cost, lower: float, upper: float) -> None:
+    leg = solved_leg(lambda x, v, a: a**2, limit, (-10.0, 3.0))
+    assert not leg.paths
+    assert (leg.numbers.controls.lower[0], leg.numbers.controls.upper[0]) == pytest.approx((lower, upper))
+
+
+def test_limits_of_kinks_that_cost_are_those_of_the_parts() -> None:
+    leg = solved_leg(lambda x, v, a: ca.fabs(a), lambda x, v, a: 3 * ca.fabs(a) <= 1 + x)
+    np.testing.assert_allclose(at(leg, leg.path_expression(), [0.5, 0.0], [0.3, 0.7]), [3.0 - 1.5])
+
+
+@pytest.mark.parametrize(
     "limit",
     [
         lambda x, v, a: ca.fabs(a) >= 0.5,
@@ -147,15 +195,62 @@ def test_limits_of_kinks_are_limits_of_their_pieces(case: Any) -> None:
 def test_limits_that_leave_holes_stay_and_are_warned_of(limit: Cost) -> None:
     problem = cart(lambda x, v, a: a**2, limit)
     assert restated(problem) is problem
-    with pytest.warns(go.ProblemWarning, match="kink"):
+    with pytest.warns(go.ProblemWarning, match="kink: it leaves a hole, or is limited from both sides"):
         problem.check()
 
 
 def test_a_factor_of_unknown_sign_is_not_taken_for_a_cost() -> None:
     problem = cart(lambda x, v, a: a**2 + v * ca.fabs(a))
     assert restated(problem) is problem
+    with pytest.warns(go.ProblemWarning, match="give bounds that tell the signs of its factors"):
+        problem.check()
     bounded = problem.with_bounds(v=(0.0, None))
     assert restated(bounded).phases["leg"].model.controls.names == ("a_plus", "a_minus")
+
+
+def test_kinks_of_states_are_epigraphs_and_those_of_time_stay() -> None:
+    leg = solved_leg(lambda x, v, a: a**2 + ca.fabs(x - 0.5))
+    assert leg.model.controls.names == ("a", "epigraph")
+    clock = cart(lambda x, v, a: a**2)
+    clock.cost += clock.phases["leg"].integral(ca.fabs(clock.phases["leg"].model.time - 0.5))
+    assert restated(clock) is clock
+
+
+# --- ends -------------------------------------------------------------------------------------------------
+
+
+def hurled(cost: Cost, limit: Cost | None = None) -> go.Problem:
+    """A cart at rest that ends anywhere in two seconds, for its effort E and where it ends: (x, v, E).
+
+    The least effort to an end is 1.5 x**2 - 3 x v + 2 v**2 (the inverse of the Gramian).
+    """
+    problem = cart(lambda x, v, a: 0.0 * a)
+    stated = go.Problem("hurled")
+    leg = stated.phase("leg", problem.phases["leg"].model)
+    leg.time(initial=0.0, final=DURATION)
+    leg.initial(x=0.0, v=0.0)
+    x, v = leg.final_state("x"), leg.final_state("v")
+    effort = leg.integral(leg.model.symbol("a") ** 2)
+    if limit is not None:
+        stated.constrain("near", limit(x, v, effort))
+    stated.minimize(cost(x, v, effort))
+    return stated
+
+
+@pytest.mark.parametrize(
+    ("cost", "limit", "least"),
+    [
+        (lambda x, v, e: e + 4 * ca.fabs(x - 1) + ca.fabs(v), None, 1.0),  # rests on x = 1, at v = 1/2
+        (lambda x, v, e: e, lambda x, v, e: ca.fabs(x - 1) + ca.fabs(v) <= 0.2, 0.96),  # at x = 0.8, v = 0
+        (lambda x, v, e: ca.fmax(e, 3 * (2 - x)), None, 3 * (2 - (np.sqrt(18) - 3) / 0.75)),
+    ],
+)
+def test_kinks_of_end_costs_and_end_conditions_meet_their_closed_form(
+    cost: Any, limit: Any, least: float
+) -> None:
+    solution = go.solve(hurled(cost, limit), mesh="4x3")
+    assert go.verify(solution).ok
+    assert solution.objective == pytest.approx(least, rel=1e-7)
 
 
 # --- solutions --------------------------------------------------------------------------------------------
@@ -195,3 +290,70 @@ def test_dead_zones_of_costs_with_corners_meet_their_closed_form(case: Any) -> N
     assert solution.objective == pytest.approx(least_cost(corner, below, above), rel=1e-7)
     flown = solution.flown_control("a")(np.linspace(0, DURATION, 201))
     assert 0.05 < np.mean(np.isclose(flown, corner, atol=1e-9)) < 0.95
+
+
+# --- rates ------------------------------------------------------------------------------------------------
+
+
+def rocket(cost: Callable[[Any, Any, Any], Any]) -> go.Problem:
+    """A unit of travel in three seconds, rest to rest, by engines that push both ways and burn |T| / 3."""
+    model = go.Model("rocket")
+    x, v, m, T = model.state("x"), model.state("v"), model.state("m"), model.control("T")
+    model.ode({x: v, v: T / m, m: -ca.fabs(T) / 3.0})
+    problem = go.Problem("rocket")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=3.0)
+    leg.initial(x=0.0, v=0.0, m=1.0)
+    leg.final(x=1.0, v=0.0)
+    leg.bounds(T=(-1.0, 1.0), m=(0.2, 1.0))
+    problem.minimize(cost(leg, T, m))
+    return problem
+
+
+def mass_left() -> float:
+    """Full thrust, coast, full thrust back, by Tsiolkovsky's equation: the mass falls to m, then to m**2."""
+
+    def misses(m: float) -> float:
+        speed, second = -3 * np.log(m), 3 * (m - m**2)
+        up = scipy.integrate.quad(lambda t: -3 * np.log(1 - t / 3), 0.0, 3 * (1 - m))[0]
+        down = scipy.integrate.quad(lambda t: speed + 3 * np.log(1 - t / (3 * m)), 0.0, second)[0]
+        return float(up + down + speed * (3.0 - 3 * (1 - m) - second) - 1.0)
+
+    return float(scipy.optimize.brentq(misses, 0.7, 0.999)) ** 2
+
+
+@pytest.mark.parametrize(
+    "cost", [lambda leg, T, m: -leg.final_state("m"), lambda leg, T, m: leg.integral(ca.fabs(T)) / 3 - 1]
+)
+def test_mass_flows_of_absolute_thrust_meet_their_closed_form(cost: Any) -> None:
+    solution = go.solve(rocket(cost), mesh="10x3")
+    assert go.verify(solution).ok
+    assert -solution.objective == pytest.approx(mass_left(), rel=1e-8)
+    assert solution.state("m")(3.0) == pytest.approx(mass_left(), rel=1e-8)
+
+
+def test_parts_that_push_at_once_fail_the_verdict() -> None:
+    """Mass costs more than thrust does here: it would be thrown away both ways, without a thrust."""
+    wasteful = rocket(lambda leg, T, m: leg.integral(m) + 0.001 * leg.integral(ca.fabs(T)))
+    solution = go.solve(wasteful, mesh="10x3", throw=False, tol=None)
+    condition = go.verify(solution)["dynamics"]
+    assert condition.result is go.Result.FAIL
+    assert "parts of T push at once, which moves m" in condition.where
+
+
+def test_a_battery_that_gives_back_less_than_it_took_is_drained_least() -> None:
+    """Energy against |v|: the store is a state, its rate bends where the force changes sign."""
+    model = go.Model("train")
+    x, v, energy, F = model.state("x"), model.state("v"), model.state("E"), model.control("F")
+    model.ode({x: v, v: F, energy: -ca.if_else(F > 0, F * v / 0.8, 0.8 * F * v)})
+    problem = go.Problem("train")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=4.0)
+    leg.initial(x=0.0, v=0.0, E=1.0)
+    leg.final(x=2.0, v=0.0)
+    leg.bounds(F=(-1.0, 1.0), v=(0.0, None))
+    problem.maximize(leg.final_state("E"))
+    solution = go.solve(problem, mesh="10x3")
+    cruise = 2.0 - np.sqrt(2.0)  # x = 4 v - v**2 at full force up and down
+    assert go.verify(solution).ok
+    assert solution.objective == pytest.approx(1.0 - (1 / 0.8 - 0.8) * cruise**2 / 2, rel=1e-8)

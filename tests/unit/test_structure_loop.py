@@ -268,6 +268,23 @@ def test_a_piece_without_length_is_dropped() -> None:
         PhaseStructure((0.0, 1e-9), ((LOW,),)),
     ):
         assert m._collapse(LEG, structure, set()) == (None, "")
+    for share, dropped in ((0.99, True), (1.01, False)):
+        late = replace(vanished, times=(50.0, 51.0, 51.0 + share * 2 * m.VANISHED, 52.0))
+        assert (m._collapse(LEG, late, set())[0] is not None) is dropped
+
+
+@pytest.mark.parametrize(("share", "dropped"), [(0.9, True), (1.1, False)])
+def test_a_kink_that_leaves_hardly_any_piece_drops_it(
+    monkeypatch: pytest.MonkeyPatch, share: float, dropped: bool
+) -> None:
+    """By the length of the phase, wherever it begins."""
+    structure = PhaseStructure((80.0, 81.0, 82.0, 84.0), ((LOW,), (FREE,), (UP,)), (True,))
+    moved = structure.at((80.0, 82.0 - share * 4 * m.VANISHED, 82.0, 84.0))
+    monkeypatch.setattr(m, "move_kinks", lambda *_: moved)
+    monkeypatch.setattr(m, "_finer", lambda *_: None)
+    found, what = m._adjust(SimpleNamespace(samples=LEG), Plan.of(structure, 7.0), 1e-9)  # type: ignore[arg-type]
+    assert what == ("piece 2 dropped" if dropped else "kinks moved")
+    assert found.structure.pieces == (2 if dropped else 3) and found.points == 7.0
 
 
 def test_switches_of_two_controls_are_swapped_once() -> None:
@@ -282,11 +299,16 @@ def test_switches_of_two_controls_are_swapped_once() -> None:
     assert m._collapse(other, crossed, seen)[1].endswith("swapped")  # type: ignore[arg-type]
 
 
-def test_a_swapped_piece_gets_room_but_never_more_than_half_of_its_neighbours() -> None:
-    near = PhaseStructure((0.0, 1.0, 1.0, 1.0004, 4.0), ((LOW, LOW), (LOW, UP), (UP, UP), (LOW, UP)))
-    assert m._spread(near, 1).times == pytest.approx((0.0, 1 - 0.002, 1.0002, 1.0004, 4.0))
-    close = PhaseStructure((0.0, 0.9996, 1.0, 1.0, 4.0), ((LOW, LOW), (LOW, UP), (UP, UP), (LOW, UP)))
-    assert m._spread(close, 2).times == pytest.approx((0.0, 0.9996, 0.9998, 1.002, 4.0))
+@pytest.mark.parametrize("start", [0.0, -7.0, 30.0])
+def test_a_swapped_piece_gets_room_but_never_more_than_half_of_its_neighbours(start: float) -> None:
+    def spread(times: tuple[float, ...], piece: int) -> Any:
+        kinds = ((LOW, LOW), (LOW, UP), (UP, UP), (LOW, UP))
+        found = m._spread(PhaseStructure(tuple(start + t for t in times), kinds), piece)
+        return np.asarray(found.times) - start
+
+    assert spread((0.0, 1.0, 1.0, 1.0004, 4.0), 1) == pytest.approx((0.0, 1 - 0.002, 1.0002, 1.0004, 4.0))
+    assert spread((0.0, 0.9996, 1.0, 1.0, 4.0), 2) == pytest.approx((0.0, 0.9996, 0.9998, 1.002, 4.0))
+    assert spread((0.0, 1.0, 1.001, 3.0, 4.0), 1) == pytest.approx((0.0, 0.9985, 1.0025, 3.0, 4.0))
 
 
 # --- arcs that are missing --------------------------------------------------------------------------------

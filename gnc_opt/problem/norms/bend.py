@@ -15,8 +15,8 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.problem.norms.domain import Domain
-from gnc_opt.problem.norms.extrema import Pieces, drawn
+from gnc_opt.problem.norms.domain import Domain, drawn
+from gnc_opt.problem.norms.extrema import Pieces
 from gnc_opt.tolerances import EQUAL
 
 

@@ -8,11 +8,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from gnc_opt.arrays import Array
 from gnc_opt.model.graph import replaced
 from gnc_opt.problem.interval import Interval, free, intersect
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.ranges import ranges_of
 from gnc_opt.problem.statement import Statement
+
+_DRAWS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +93,33 @@ class Domain:
     def sign(self, expression: Any) -> int:
         """Return 1 for a scalar that is never negative, -1 for one that is never positive, else 0."""
         found = self.ranges(expression)
-        return 1 if found.lower[0] >= 0 else -int(found.upper[0] <= 0)
+        if found.lower[0] >= 0 or found.upper[0] <= 0:
+            return 1 if found.lower[0] >= 0 else -1
+        if expression.is_symbolic():
+            return 0
+        for symbol in ca.symvar(
+            expression
+        ):  # a factor that occurs twice hides from intervals: v / 0.8 - 0.8 v
+            if is_affine(expression, symbol) and not np.any(drawn(ca.substitute(expression, symbol, 0.0))):
+                return self.sign(symbol) * self.sign(ca.jacobian(expression, symbol))
+        return 0
+
+
+def is_affine(column: Any, symbol: Any) -> bool:
+    """Whether all of a column is affine in a scalar symbol."""
+    return not any(ca.which_depends(column, symbol, 2, True))
+
+
+def drawn(column: Any) -> Array:
+    """Return the values of a column, (n, n_draws), for some values of all of its symbols."""
+    symbols = ca.vertcat(*ca.symvar(column))
+    rng = np.random.default_rng(20)
+    size = (symbols.numel(), _DRAWS)
+    values = rng.uniform(0.5, 1.5, size) * np.where(rng.random(size) < 0.4, -1.0, 1.0)
+    function = ca.Function("drawn", [symbols if symbols.numel() else ca.SX(0, 1)], [ca.densify(column)])
+    return np.asarray(
+        function(values).full() if symbols.numel() else np.tile(function(np.zeros(0)).full(), _DRAWS)
+    )
 
 
 def _presumed_states(leg: Phase) -> Interval:

@@ -19,7 +19,8 @@ from gnc_opt.model.layout import Variable
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol
 from gnc_opt.problem.constraint import Constraint
-from gnc_opt.problem.guess.trajectory import guess_times, start_phase
+from gnc_opt.problem.guess.ends import guess_times
+from gnc_opt.problem.guess.trajectory import start_phase
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.norms.domain import Domain
 from gnc_opt.problem.norms.extrema import is_smooth, pieces, rows_of
@@ -49,9 +50,11 @@ class Kinked:
     @classmethod
     def of(cls, problem: Statement, leg: Phase, domain: Domain) -> Kinked:
         """Find them."""
-        u = leg.model.symbols("control")
+        _, x, u, _ = leg.model.arguments()
         found = kinks_that_cost(problem, leg, domain)
-        costs = {name: [k for k in own if ca.depends_on(k.node, u)] for name, own in found.items()}
+        costs = {
+            name: [k for k in own if ca.depends_on(k.node, ca.vertcat(x, u))] for name, own in found.items()
+        }
         limits = {name: smooth_limits(c, domain) for name, c in leg.paths.items()}
         return cls(
             {name: own for name, own in costs.items() if own},
@@ -81,6 +84,15 @@ def smooth_limits(constraint: Constraint, domain: Domain) -> Constraint | None:
     return Constraint(constraint.name, ca.vertcat(*expressions), Interval(np.array(lower), np.array(upper)))
 
 
+def above_pieces(symbol: Symbol, kink: Extremum) -> tuple[Constraint, float]:
+    """Return the constraint that keeps a symbol above the pieces of a kink, and the largest constant among them."""
+    above = [kink.sense * e for e in kink.pieces]
+    rows = [symbol - e for e in above if not e.is_constant()]
+    constants = [float(e) for e in above if e.is_constant()]
+    limits = Interval(np.zeros(len(rows)), np.full(len(rows), np.inf))
+    return Constraint(symbol.variable.name, ca.vertcat(*rows), limits), max(constants, default=-np.inf)
+
+
 def _holds(expression: Any, lower: float, upper: float) -> bool:
     """Whether an expression is a constant within limits."""
     return bool(expression.is_constant() and lower <= float(expression) <= upper)
@@ -99,7 +111,7 @@ class EpigraphForm:
     kinks : dict of Extremum
         By the control that takes its place.
     least : dict of float
-        Constant pieces, as bounds of those.
+        The least that those may be.
     """
 
     model: Model
@@ -124,14 +136,7 @@ class EpigraphForm:
                 s = symbols[place] = _new(old, len(symbols))
                 label = s.variable.name
                 kinks[label] = kink
-                above = [kink.sense * e for e in kink.pieces]
-                rows = [s - e for e in above if not e.is_constant()]
-                constants = [float(e) for e in above if e.is_constant()]
-                if constants:
-                    least[label] = max(constants)
-                paths[label] = Constraint(
-                    label, ca.vertcat(*rows), Interval(np.zeros(len(rows)), np.full(len(rows), np.inf))
-                )
+                paths[label], least[label] = above_pieces(s, kink)
                 texts.append(f"a kink of integral '{name}' is solved for as {label}, kept beyond its pieces")
             value = {k.node.element_hash(): k.sense * symbols[k.node.element_hash()] for k in own}
             symbol, integrand = integrands[name]
@@ -151,7 +156,7 @@ class EpigraphForm:
     def apply(self, problem: Statement, leg: Phase) -> None:
         """Give a phase this form with its own numbers."""
         stated = leg.clone()
-        least = np.array([self.least.get(name, -np.inf) for name in self.kinks])
+        least = np.array([self.least[name] for name in self.kinks])
         box = leg.numbers.controls
         guess = leg.numbers.guess
         values = {name: _along_guess(problem, stated, kink) for name, kink in self.kinks.items()}

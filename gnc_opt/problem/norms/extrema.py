@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.model.graph import nodes_of
-from gnc_opt.problem.norms.domain import Domain
+from gnc_opt.problem.norms.domain import Domain, drawn, is_affine
 from gnc_opt.tolerances import EQUAL
 
 KINKED = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN, ca.OP_IF_ELSE_ZERO)
@@ -18,8 +18,6 @@ KINKED = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN, ca.OP_IF_ELSE_ZERO)
 
 MOST = 16
 """Pieces of a kink: a sum of four absolute values has as many."""
-
-_DRAWS = 6
 
 Pieces: TypeAlias = list[Any]
 
@@ -29,7 +27,7 @@ def is_smooth(expression: Any) -> bool:
     return not any(node.op() in KINKED for node in nodes_of(expression))
 
 
-def outermost(expression: Any, ignored: frozenset[int]) -> list[Any]:
+def outermost(expression: Any, ignored: frozenset[int], domain: Domain) -> list[Any]:
     """Return the kinks of a scalar expression that are in no other one.
 
     Parameters
@@ -37,6 +35,7 @@ def outermost(expression: Any, ignored: frozenset[int]) -> list[Any]:
     expression : casadi.SX
     ignored : frozenset of int
         Hashes of nodes that are left alone: those of tables.
+    domain : Domain
     """
     found: dict[int, Any] = {}
     seen: set[int] = set()
@@ -47,7 +46,7 @@ def outermost(expression: Any, ignored: frozenset[int]) -> list[Any]:
         if place in seen or place in ignored:
             continue
         seen.add(place)
-        if _extremum(node) is not None:
+        if _extremum(node, domain) is not None:
             found[place] = node
         else:
             waiting += [node.dep(i) for i in range(node.n_dep())]
@@ -63,7 +62,7 @@ def pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
 def _pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
     if is_smooth(node):
         return [node]
-    extremum = _extremum(node)
+    extremum = _extremum(node, domain)
     if extremum is not None:
         own, operands = extremum
         if own != sense:
@@ -111,7 +110,7 @@ def _scaled(found: Pieces | None, factor: Any) -> Pieces | None:
     return None if found is None else [factor * e for e in found]
 
 
-def _extremum(node: Any) -> tuple[int, Pieces] | None:
+def _extremum(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
     """Return 1 for a largest value, -1 for a least one, and of what; None if a node is neither."""
     operation = node.op()
     if operation == ca.OP_FABS:
@@ -120,10 +119,10 @@ def _extremum(node: Any) -> tuple[int, Pieces] | None:
         return 1, [node.dep(0), node.dep(1)]
     if operation == ca.OP_FMIN:
         return -1, [node.dep(0), node.dep(1)]
-    return _chosen(node) if operation == ca.OP_ADD else None
+    return _chosen(node, domain) if operation == ca.OP_ADD else None
 
 
-def _chosen(node: Any) -> tuple[int, Pieces] | None:
+def _chosen(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
     """``if_else(a < b, ...)`` that is continuous, and bends where a = b, is the larger or the smaller of its values."""
     first, second = node.dep(0), node.dep(1)
     if first.op() != ca.OP_IF_ELSE_ZERO or second.op() != ca.OP_IF_ELSE_ZERO:
@@ -133,21 +132,21 @@ def _chosen(node: Any) -> tuple[int, Pieces] | None:
     if not opposed or condition.op() not in (ca.OP_LT, ca.OP_LE):
         return None
     when, otherwise = first.dep(1), second.dep(1)
-    gap, rise = drawn(ca.vertcat(condition.dep(1) - condition.dep(0), when - otherwise))
-    ratio = rise / gap
-    if not np.all(np.isfinite(ratio)) or np.ptp(ratio) > EQUAL * np.max(np.abs(ratio)) or ratio[0] == 0:
-        return None
-    return (1 if ratio[0] > 0 else -1), [when, otherwise]
+    gap, rise = condition.dep(1) - condition.dep(0), when - otherwise
+    for symbol in ca.symvar(gap):
+        if not is_affine(ca.vertcat(gap, rise), symbol):
+            continue
+        across, up = ca.jacobian(gap, symbol), ca.jacobian(rise, symbol)
+        left = drawn(ca.substitute(rise, symbol, meeting(gap, symbol)))
+        sense = domain.sign(across) * domain.sign(up)
+        if sense != 0 and np.all(np.abs(left) < EQUAL):
+            return sense, [when, otherwise]
+    return None
 
 
-def drawn(column: Any) -> Any:
-    """Return the values of a column, (n, n_draws), for some values of all of its symbols."""
-    symbols = ca.vertcat(*ca.symvar(column))
-    rng = np.random.default_rng(20)
-    size = (symbols.numel(), _DRAWS)
-    values = rng.uniform(0.5, 1.5, size) * np.where(rng.random(size) < 0.4, -1.0, 1.0)
-    function = ca.Function("drawn", [symbols if symbols.numel() else ca.SX(0, 1)], [ca.densify(column)])
-    return function(values).full() if symbols.numel() else np.tile(function(np.zeros(0)).full(), _DRAWS)
+def meeting(gap: Any, symbol: Any) -> Any:
+    """Return where a scalar that is affine in a symbol vanishes."""
+    return -ca.substitute(gap, symbol, 0.0) / ca.jacobian(gap, symbol)
 
 
 def _without_dominated(found: Pieces, sense: int) -> Pieces:

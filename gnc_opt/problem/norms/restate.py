@@ -11,9 +11,12 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.model.graph import operations_in
 from gnc_opt.model.norms import ROOTS
-from gnc_opt.problem.guess.trajectory import guess_times, start_phase
+from gnc_opt.problem.guess.ends import guess_times
+from gnc_opt.problem.guess.trajectory import start_phase
 from gnc_opt.problem.interval import Interval, free
+from gnc_opt.problem.norms.bounds import bound_controls, bounds_by_hand
 from gnc_opt.problem.norms.domain import Domain
+from gnc_opt.problem.norms.ends import EndForm, has_end_kinks
 from gnc_opt.problem.norms.epigraph import EpigraphForm, Kinked
 from gnc_opt.problem.norms.extrema import KINKED
 from gnc_opt.problem.norms.find import guessed_controls, norm_by_hand
@@ -35,7 +38,8 @@ def restated(problem: P) -> P:
     Both have the same states, costates and cost. Variations of a problem with other numbers are restated as variations
     of one another.
     """
-    if not any(_may_have_norms(problem, leg) for leg in problem.phases.values()):
+    kinked_ends = has_end_kinks(problem)
+    if not kinked_ends and not any(_may_have_norms(problem, leg) for leg in problem.phases.values()):
         return problem
     twin, keys = problem.clone(), []
     for leg in twin.phases.values():
@@ -50,10 +54,20 @@ def restated(problem: P) -> P:
         rootless = problem.once(("rootless", *key), lambda leg=leg: without_roots(leg))  # type: ignore[misc]
         leg.paths |= rootless
         keys.append((*key, *rootless))
-    if all(len(key) == 3 for key in keys):
+    ends = _restate_ends(problem, twin) if kinked_ends else ()
+    if all(len(key) == 3 for key in keys) and not ends:
         return problem
-    twin.builds = problem.builds.setdefault(("restated", *keys), {})
+    twin.builds = problem.builds.setdefault(("restated", *keys, *ends), {})
     return twin
+
+
+def _restate_ends(problem: Statement, twin: Statement) -> tuple[Any, ...]:
+    """Restate the kinks of cost and boundary constraints; return what tells the form from others."""
+    domain = Domain.at_ends(problem)
+    form = problem.once(("ends", domain.key), lambda: EndForm.of(problem, domain))
+    if form.texts:
+        form.apply(twin)
+    return form.key if form.texts else ()
 
 
 def _may_have_norms(problem: Statement, leg: Phase) -> bool:
@@ -79,6 +93,11 @@ def _straighten(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[A
     if not _has_kinks(problem, leg, told):
         return ()
     domain = Domain.along(problem, leg)
+    bounds = problem.once(("bounds", *told, domain.key), lambda: bounds_by_hand(leg, domain))
+    if bounds:
+        told = (*told, *bounds)
+        bound_controls(leg, bounds)
+        domain = Domain.along(problem, leg)
     bends = problem.once(("bends", *told, domain.key), lambda: Bends.of(problem, leg, domain))
     if bends.at:
         told = (*told, *bends.key)

@@ -14,7 +14,7 @@ import casadi as ca
 
 from gnc_opt.model.composed import SplitControl
 from gnc_opt.model.graph import replaced
-from gnc_opt.model.layout import Variable
+from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol
 from gnc_opt.problem.constraint import Constraint
@@ -23,7 +23,13 @@ from gnc_opt.problem.norms.bend import Bend, corners_of
 from gnc_opt.problem.norms.domain import Domain
 from gnc_opt.problem.norms.extrema import rows_of
 from gnc_opt.problem.norms.find import stated_controls
-from gnc_opt.problem.norms.kinks import Extremum, kinks_that_cost, kinks_that_limit
+from gnc_opt.problem.norms.kinks import (
+    Extremum,
+    kinks_of_rates,
+    kinks_that_cost,
+    kinks_that_drain,
+    kinks_that_limit,
+)
 from gnc_opt.problem.norms.succeed import free_name, with_values_of
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.restatement import Restatement
@@ -58,27 +64,25 @@ class Bends:
             tried = (Bend.of(k.node, k.sense, k.pieces, controls, domain) for k in kinks)
             return [bend for bend in tried if bend is not None]
 
-        costs: dict[Place, list[Bend]] = {
+        pushed: dict[Place, list[Bend]] = {
             ("integral", name, 0): bends(kinks)
             for name, kinks in kinks_that_cost(problem, leg, domain).items()
         }
-        every = [bend for own in costs.values() for bend in own]
-        corners = {
-            place: corners_of(bend for bend in every if bend.place == place)
-            for v in leg.model.controls.variables
-            for place in range(*leg.model.controls.slice(v.name).indices(leg.model.controls.size))
+        pushed |= {
+            ("rate", name, 0): bends(kinks) for name, kinks in kinks_that_drain(problem, leg, domain).items()
         }
-        for v in leg.model.controls.variables:
-            own = range(*leg.model.controls.slice(v.name).indices(leg.model.controls.size))
-            if len({len(corners[i]) for i in own}) > 1 or not all(corners[i] for i in own):
-                for i in own:
-                    del corners[i]
-        limits: dict[Place, list[Bend]] = {
+        corners = _corners(leg.model.controls, [bend for own in pushed.values() for bend in own])
+        others: dict[Place, list[Bend]] = {
             ("path", *place): bends(kinks) for place, kinks in kinks_that_limit(problem, leg, domain).items()
         }
+        if corners:
+            others |= {
+                ("rate", name, 0): bends(kinks)
+                for name, kinks in kinks_of_rates(problem, leg, domain).items()
+            }
         kept = {
             place: [b for b in own if set(b.corners) <= set(corners.get(b.place, ()))]
-            for place, own in (costs | limits).items()
+            for place, own in (pushed | others).items()
         }
         return cls({place: own for place, own in kept.items() if own}, corners)
 
@@ -86,6 +90,17 @@ class Bends:
     def key(self) -> tuple[Any, ...]:
         """The same for the same form."""
         return tuple((place, *(b.node.element_hash() for b in own)) for place, own in self.at.items())
+
+
+def _corners(layout: Layout, bends: list[Bend]) -> dict[int, tuple[float, ...]]:
+    """Return the corners of controls all of whose components have as many, by the places of those."""
+    corners: dict[int, tuple[float, ...]] = {}
+    for v in layout.variables:
+        places = range(*layout.slice(v.name).indices(layout.size))
+        own = {i: corners_of(bend for bend in bends if bend.place == i) for i in places}
+        if all(own.values()) and len({len(found) for found in own.values()}) == 1:
+            corners |= own
+    return corners
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,13 +154,20 @@ class SplitForm:
             }
             return split(replaced(expression, known))
 
+        drains = {place: own for place, own in bends.at.items() if place[0] == "rate"}
+        drained = {
+            b.node.element_hash(): b.expressed(symbols[b.place], beyond[b.place])
+            for own in drains.values()
+            for b in own
+        }
+        relied = {layout.labels[b.place] for own in drains.values() for b in own}
         lengths = {v.length for v in leg.vectors}
         stated = ca.vertcat(*(old.symbol(c.name) for c in splits))
         return cls(
             old.in_controls(
                 list(_new_controls(old, parts)),
                 [(c, split(ca.SX(old.symbol(c.name)))) for c in splits],
-                split,
+                lambda expression: split(replaced(expression, drained)),
             ),
             {
                 name: c
@@ -162,7 +184,13 @@ class SplitForm:
                 name: (symbol, straight(e, ("integral", name, 0)))
                 for name, (symbol, e) in leg.integrands.items()
             },
-            Restatement(old, stated, split(stated), tuple(map(_told, splits))),
+            Restatement(
+                old,
+                stated,
+                split(stated),
+                tuple(map(_told, splits)),
+                tuple(c.name for c in splits if relied & set(c.variable.labels)),
+            ),
             tuple(splits),
         )
 
