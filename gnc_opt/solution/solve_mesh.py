@@ -35,6 +35,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, SolverOptions, Status
+from gnc_opt.nlp.monitor import ProgressCallback
 from gnc_opt.problem.guess.flown import with_flown_guess
 from gnc_opt.problem.guess.random import with_random_guess
 from gnc_opt.problem.norms import restated
@@ -242,7 +243,7 @@ def _shows_what_happens(solution: Solution) -> bool:
 def _solve_point(
     solver: NlpSolver,
     point: NlpPoint,
-    show: ShowIteration | None,
+    show: ProgressCallback | None,
     deadline: float,
     first: NlpResult | None = None,
 ) -> NlpResult:
