@@ -19,7 +19,7 @@ from gnc_opt.refine.passes import PassLimits
 from gnc_opt.refine.structure import junctions as j
 from gnc_opt.refine.structure import mending as m
 from gnc_opt.refine.structure import switching as s
-from gnc_opt.refine.structure.contacts import StateConstraints
+from gnc_opt.refine.structure.state_constraints import StateConstraints
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import (
     COARSE,

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gnc_opt.nlp import SolverOptions
+from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem.arc import Arc
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import estimate_errors
@@ -28,6 +28,7 @@ from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import Plan, points_of
 from gnc_opt.refine.structure.resolved import resolved
 from gnc_opt.refine.structure.simultaneous import settle_costates
+from gnc_opt.refine.structure.vectors import with_magnitudes_at_limits
 from gnc_opt.solution.history import History, Pass, RefinementStatus
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
@@ -84,6 +85,7 @@ def optimise_switches(
     problem = solution.need_problem("refine")
     chosen = options or SolverOptions(tolerance=TIGHT, max_iterations=MOST_ITERATIONS)
     found = structures or structures_of(solution)
+    solution = with_magnitudes_at_limits(solution)
     plans = {name: Plan.of(s, points_of(solution.phases[name].mesh)) for name, s in found.items()}
     tries: list[_Try] = []
     with pass_meter(solution.problem_name, tol, progress) as show:
@@ -176,8 +178,9 @@ class _Loop:
             found = _solve(self.problem, plans, solution, self.options, self.limits.deadline)
             if not found.status.solved:
                 self._note(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
-                interrupted = found.status.value == "interrupted"
-                return RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
+                if found.status is Status.INTERRUPTED:
+                    return RefinementStatus.INTERRUPTED
+                return self._limited(RefinementStatus.FAILED)
             solution = found
             current = {name: _at_solution(plan, solution, name) for name, plan in plans.items()}
             plans, action = improve(solution, current, swapped, self.aim)
@@ -208,8 +211,8 @@ class _Loop:
 
     def _limited(self, status: RefinementStatus) -> RefinementStatus:
         """How it ends at a limit: at rest if its last structure stands with the accuracy that was asked for."""
-        last = self.records[-1:]
-        rests = any(r.solved and r.actions == RAISED and r.error <= self.tol for r in last)
+        last = [r for r in self.records if r.solved][-1:]
+        rests = any(_adjusting(r) and r.error <= self.tol for r in last)
         return RefinementStatus.CONVERGED if rests else status
 
 
