@@ -50,6 +50,8 @@ def test_from_rest_to_rest_at_top_speed(straight: go.Solution) -> None:
     assert straight.objective == pytest.approx(math.sqrt(29.0) + 1.0, abs=1e-8)
     held = [(arc.start, arc.end) for arc in straight.structure if arc.channel == "speed"]
     np.testing.assert_allclose(held, [(1.0, math.sqrt(29.0))], atol=1e-6)
+    told = [arc.kind for arc in straight.structure if arc.channel == "a_magnitude"]
+    assert told == [UP, SINGULAR, UP]
     times = np.array([0.5, 3.0, straight.objective - 0.5])
     pushes = np.array([5.0, 2.0])[:, None] / math.sqrt(29.0) * np.array([1.0, 0.0, -1.0])
     np.testing.assert_allclose(straight.phase().flown_control("a")(times), pushes, atol=1e-6)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gnc_opt.nlp import SolverOptions, Status
+from gnc_opt.nlp import SolverOptions
 from gnc_opt.problem.arc import Arc
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import estimate_errors
@@ -28,7 +28,7 @@ from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import Plan, points_of
 from gnc_opt.refine.structure.resolved import resolved
 from gnc_opt.refine.structure.simultaneous import settle_costates
-from gnc_opt.refine.structure.vectors import with_magnitudes_at_limits
+from gnc_opt.refine.structure.vectors import with_magnitudes_at_limits, with_singular_magnitudes
 from gnc_opt.solution.history import History, Pass, RefinementStatus
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
@@ -178,9 +178,8 @@ class _Loop:
             found = _solve(self.problem, plans, solution, self.options, self.limits.deadline)
             if not found.status.solved:
                 self._note(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
-                if found.status is Status.INTERRUPTED:
-                    return RefinementStatus.INTERRUPTED
-                return self._limited(RefinementStatus.FAILED)
+                interrupted = found.status.value == "interrupted"
+                return RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
             solution = found
             current = {name: _at_solution(plan, solution, name) for name, plan in plans.items()}
             plans, action = improve(solution, current, swapped, self.aim)
@@ -211,8 +210,8 @@ class _Loop:
 
     def _limited(self, status: RefinementStatus) -> RefinementStatus:
         """How it ends at a limit: at rest if its last structure stands with the accuracy that was asked for."""
-        last = [r for r in self.records if r.solved][-1:]
-        rests = any(_adjusting(r) and r.error <= self.tol for r in last)
+        last = self.records[-1:]
+        rests = any(r.solved and r.actions == RAISED and r.error <= self.tol for r in last)
         return RefinementStatus.CONVERGED if rests else status
 
 
@@ -281,5 +280,5 @@ def _arcs(solution: Solution, plans: Mapping[str, Plan]) -> tuple[Arc, ...]:
     arcs: list[Arc] = []
     for name, s in solution.samples().items():
         labels = (*s.leg.controls.labels, *s.leg.path_labels, *s.leg.states.labels)
-        arcs += plans[name].structure.arcs(name, labels)
+        arcs += with_singular_magnitudes(s, plans[name].structure).arcs(name, labels)
     return tuple(arcs)

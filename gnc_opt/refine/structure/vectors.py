@@ -17,7 +17,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.composed import VectorControl
 from gnc_opt.problem.arc import ArcKind
-from gnc_opt.refine.structure.phase_structure import KindArray, choose
+from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
@@ -130,13 +130,24 @@ def label_vectors(s: PhaseSamples, rows: list[KindArray]) -> dict[int, tuple[int
 
 def with_magnitudes_at_limits(solution: Solution) -> Solution:
     """Return the solution with the same vectors, the magnitudes at their limits wherever only the product matters."""
-    phases = dict(solution.phases)
-    for name, s in solution.samples().items():
-        u = s.leg.u
-        values = [v.copy() for v in u.values]
-        for v in product_vectors(s):
+    for name, leg in solution.phases.items():
+        if not any(isinstance(c, VectorControl) for c in leg.composed_controls):
+            continue
+        u, values = leg.u, [v.copy() for v in leg.u.values]
+        for v in product_vectors(solution.samples()[name]):
             for here in values:
                 here[v.direction] *= here[v.magnitude] / v.most
                 here[v.magnitude] = v.most
-        phases[name] = replace(s.leg, u=PiecewisePolynomial(u.breaks, u.nodes, tuple(values)))
-    return replace(solution, phases=phases)
+        changed = replace(leg, u=PiecewisePolynomial(u.breaks, u.nodes, tuple(values)))
+        solution = replace(solution, phases={**solution.phases, name: changed})
+    return solution
+
+
+def with_singular_magnitudes(s: PhaseSamples, structure: PhaseStructure) -> PhaseStructure:
+    """Return the structure with magnitudes as singular as their directions: that is how vectors are told."""
+    for v in product_vectors(s):
+        for k, kinds in enumerate(structure.kinds):
+            if kinds[v.direction[0]] is ArcKind.SINGULAR:
+                start, end = structure.times[k : k + 2]
+                structure = structure.with_arc(v.magnitude, start, end, ArcKind.SINGULAR)
+    return structure
