@@ -45,7 +45,7 @@ from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.verify import Condition, Result, Verdict, verify, verify_trajectory
 
 if TYPE_CHECKING:
-    from gnc_opt.analysis import LinearCovariance, linear_covariance
+    from gnc_opt.analysis import Experiment, LinearCovariance, linear_covariance
     from gnc_opt.control import (
         Controller,
         Explanation,
@@ -59,6 +59,7 @@ if TYPE_CHECKING:
         design_mpc,
         design_neighbouring_extremal,
         design_neighbouring_optimal,
+        design_scheduled_ekf,
         design_sliding_mode,
         design_tvlqr,
         design_ukf,
@@ -80,6 +81,7 @@ __all__ = [
     "ContinuationStatus",
     "Controller",
     "DesignError",
+    "Experiment",
     "Explanation",
     "GncOptError",
     "History",
@@ -124,6 +126,7 @@ __all__ = [
     "design_mpc",
     "design_neighbouring_extremal",
     "design_neighbouring_optimal",
+    "design_scheduled_ekf",
     "design_sliding_mode",
     "design_tvlqr",
     "design_ukf",

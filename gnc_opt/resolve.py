@@ -8,7 +8,7 @@ from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.structure.variation import KnownFlight, on_the_way
 from gnc_opt.solution.solution import Solution
-from gnc_opt.solution.solve_mesh import solve_mesh
+from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.solve import Way, said, solve
 
 WARM_ITERATIONS = 50
@@ -108,7 +108,9 @@ class Resolver:
         elif self.tol is None:
             meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
             guess, scheme = on_the_way(start, problem), self.solution.scheme
-            found = solve_mesh(problem, meshes, scheme=scheme, guess=guess, warm_iterations=WARM_ITERATIONS)
+            found = solve_mesh(
+                problem, meshes, scheme=scheme, guess=guess, limits=SolveLimits(WARM_ITERATIONS)
+            )
             if found.status.solved:
                 return said(found, Way.WARM)
         if not self.cold:

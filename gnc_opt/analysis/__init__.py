@@ -3,6 +3,7 @@
 from gnc_opt.analysis.agreement import Agreement
 from gnc_opt.analysis.covariance import LinearCovariance, linear_covariance
 from gnc_opt.analysis.drivers import Correlations, Share, SobolIndices, correlations, sobol_indices
+from gnc_opt.analysis.experiment import Experiment
 from gnc_opt.analysis.frequency import LoopResponse, loop_response
 from gnc_opt.analysis.rare import FailureProbability, failure_probability
 from gnc_opt.analysis.worst import WorstCase, worst_case
@@ -10,6 +11,7 @@ from gnc_opt.analysis.worst import WorstCase, worst_case
 __all__ = [
     "Agreement",
     "Correlations",
+    "Experiment",
     "FailureProbability",
     "LinearCovariance",
     "LoopResponse",

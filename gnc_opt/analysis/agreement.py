@@ -41,7 +41,8 @@ class Agreement:
 
     Examples
     --------
-    >>> told = go.linear_covariance(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread, checks=0)
+    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> told = go.linear_covariance(experiment, checks=0)
     >>> agreement = told.compare(campaign)
     >>> print(agreement.labels, agreement.runs, agreement.ok)
     ('q', 'v') 20 True

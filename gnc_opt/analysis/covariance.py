@@ -26,9 +26,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
 from gnc_opt.analysis.agreement import Agreement, agreement
+from gnc_opt.analysis.experiment import Experiment
 from gnc_opt.analysis.linearization import Linearization
 from gnc_opt.analysis.scatter import Scatter, Sources
 from gnc_opt.arguments import expect, read_integer, read_positive
@@ -36,9 +36,8 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.layout import Layout
 from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.dispersion import Dispersions, check_dispersions, dispersed
+from gnc_opt.simulation.dispersion import Dispersions, dispersed
 from gnc_opt.simulation.flight import LEG, Flight
-from gnc_opt.simulation.loop import ClosedLoop
 from gnc_opt.simulation.statistics import CONFIDENCE
 from gnc_opt.strict import Strict
 from gnc_opt.tolerances import TINY
@@ -83,7 +82,8 @@ class LinearCovariance(Strict):
 
     Examples
     --------
-    >>> told = go.linear_covariance(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread, checks=0)
+    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> told = go.linear_covariance(experiment, checks=0)
     >>> print({source: f"{share:.0%}" for source, share in told.budget("q").items()})
     {'initial.q': '55%', 'gauge': '43%', 'initial.v': '1%'}
     """
@@ -194,39 +194,24 @@ class LinearCovariance(Strict):
 
 
 def linear_covariance(
-    loop: ClosedLoop,
+    experiment: Experiment,
     *,
-    x0: ArrayLike | Mapping[str, ArrayLike],
-    tf: float,
-    t0: float = 0.0,
-    dispersions: Dispersions | None = None,
-    parameters: Mapping[str, ArrayLike] | None = None,
     every: int = 1,
     checks: int = _CHECKS,
-    seed: int = 0,
 ) -> LinearCovariance:
     """Return the covariances of a closed loop's errors along its nominal run, by source.
 
-    The arguments are those of `monte_carlo`, whose runs it predicts; one pass takes as long as some dozens of them.
+    It predicts the runs of `monte_carlo`; one pass takes as long as some dozens of them.
 
     Parameters
     ----------
-    loop : ClosedLoop
-        Without events.
-    x0 : array (n_states,) or mapping by name
-        Nominal initial state.
-    t0, tf : float
-        First and last time, s.
-    dispersions : mapping
-        By dotted name of ``loop.layout``, see `monte_carlo`; only their means and covariances matter here.
-    parameters : mapping
-        Nominal changes of parameters by dotted name.
+    experiment : Experiment
+        Whose loop has no events. Only the means and covariances of its dispersions matter here; its seed is that of
+        the runs to compare with.
     every : int
         Of so many control steps one is kept; the end always is.
     checks : int
         Runs that are flown beside their linear predictions, for `LinearCovariance.nonlinearity`; 0: none.
-    seed : int
-        Of these runs.
 
     Returns
     -------
@@ -239,21 +224,20 @@ def linear_covariance(
 
     Examples
     --------
-    >>> told = go.linear_covariance(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread, checks=0)
+    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> told = go.linear_covariance(experiment, checks=0)
     >>> print(told.sources)
     ('initial.q', 'initial.v', 'gauge')
     >>> print(f"{1e3 * told.std('q')[0, -1]:.2f} mm at the end")
     0.26 mm at the end
     """
-    expect(loop, ClosedLoop, "what linear_covariance() got", "give a ClosedLoop")
+    expect(experiment, Experiment, "what linear_covariance() got", "give an Experiment")
     every = read_integer(every, "the number of control steps of which one is kept", 1)
     checks = read_integer(checks, "the number of runs to compare with", 0)
-    read_integer(seed, "the seed of linear_covariance()", 0)
-    dispersions = {} if dispersions is None else dispersions
-    flight = loop.flight(x0, t0=t0, tf=tf, parameters=parameters)
-    check_dispersions(dispersions, flight.layout, flight.nominal)
+    flight, dispersions = experiment.flight, experiment.dispersions
     columns = [int(i) for name in dispersions for i in range(flight.layout.size)[flight.layout.slice(name)]]
-    return _Pass(Linearization(flight, loop.wiring, columns), dispersions, every, checks, seed).result()
+    linearization = Linearization(flight, experiment.loop.wiring, columns)
+    return _Pass(linearization, dispersions, every, checks, experiment.seed).result()
 
 
 class _Pass:

@@ -27,16 +27,13 @@ from typing import Literal
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike
 
 from gnc_opt.analysis.experiment import Experiment
 from gnc_opt.arguments import expect, read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.criteria import Judge
-from gnc_opt.simulation.dispersion import Dispersions, dispersed
-from gnc_opt.simulation.loop import ClosedLoop
+from gnc_opt.simulation.dispersion import dispersed
 from gnc_opt.simulation.statistics import CONFIDENCE
 from gnc_opt.workers import Shared, WorkerPool
 
@@ -96,8 +93,8 @@ class SobolIndices:
     Examples
     --------
     >>> from gnc_opt.analysis import sobol_indices
-    >>> asked = {"x0": [1.0, 0.0], "tf": 3.0, "dispersions": spread, "executor": "serial"}
-    >>> shares = sobol_indices(loop, "max(overshoot)", **asked, n=50)
+    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=3.0, dispersions=spread)
+    >>> shares = sobol_indices(experiment, "max(overshoot)", n=50, executor="serial")
     >>> print(tuple(shares.first), shares.rows, f"{shares.mean:.2f}")
     ('initial.q', 'initial.v', 'noise') 50 -0.13
     """
@@ -125,35 +122,25 @@ class SobolIndices:
 
 
 def sobol_indices(
-    loop: ClosedLoop,
+    experiment: Experiment,
     measure: str,
     *,
-    x0: ArrayLike | Mapping[str, ArrayLike],
-    tf: float,
-    dispersions: Dispersions,
-    t0: float = 0.0,
-    parameters: Mapping[str, ArrayLike] | None = None,
-    target: Mapping[str, ArrayLike] | None = None,
-    judge: Mapping[str, Judge] | None = None,
     n: int = 500,
     confidence: float = CONFIDENCE,
-    seed: int = 0,
     executor: Executor | Literal["serial"] | None = None,
 ) -> SobolIndices:
     """Divide the variance of a measure among the dispersions and the noise.
 
     Parameters
     ----------
-    loop : ClosedLoop
+    experiment : Experiment
+        A vector that is dispersed is one factor.
     measure : str
-        As in `Campaign.measure`, or one of ``judge``.
-    x0, t0, tf, dispersions, parameters, target, judge
-        As in `monte_carlo`. A vector that is dispersed is one factor.
+        As in `Campaign.measure`, or one of the experiment's ``judge``.
     n : int
         Rows; a row takes two runs and one more for each factor.
     confidence : float
         Of each interval, in (0, 1).
-    seed : int
     executor : concurrent.futures.Executor or "serial", optional
         As in `monte_carlo`.
 
@@ -171,18 +158,17 @@ def sobol_indices(
     Examples
     --------
     >>> from gnc_opt.analysis import sobol_indices
-    >>> asked = {"x0": [1.0, 0.0], "tf": 3.0, "dispersions": spread, "executor": "serial"}
-    >>> shares = sobol_indices(loop, "max(overshoot)", **asked, n=50)
+    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=3.0, dispersions=spread)
+    >>> shares = sobol_indices(experiment, "max(overshoot)", n=50, executor="serial")
     >>> print(max(shares.total, key=lambda name: shares.total[name].value))
     initial.q
     """
-    mission = {"x0": x0, "t0": t0, "tf": tf, "parameters": parameters}
     name = "sobol_indices()"
-    experiment = Experiment.of(name, loop, mission, dispersions, target, judge, [measure])
+    expect(experiment, Experiment, f"what {name} got", "give an Experiment")
+    experiment.require(measure)
     count = read_integer(n, f"the number of rows of {name}", 10)
-    seed = read_integer(seed, f"the seed of {name}", 0)
     level = _confidence(confidence, name)
-    design = _Design(experiment, measure, seed)
+    design = _Design(experiment, measure)
     shared = Shared.picklable(
         design, name, 'define judge= functions at the top of a module, or use executor="serial"'
     )
@@ -198,7 +184,7 @@ def sobol_indices(
     usable = np.isfinite(f).all(axis=0)
     if np.sum(usable) < max(10, count // 2):
         raise GncOptError(f"of {count} rows {count - np.sum(usable)} have a failed run: disperse less.")
-    return _indices(measure, design.factors, f[:, usable], count, level, seed)
+    return _indices(measure, design.factors, f[:, usable], count, level, experiment.seed)
 
 
 def _indices(
@@ -238,7 +224,6 @@ class _Design:
 
     experiment: Experiment
     measure: str
-    seed: int
 
     @property
     def factors(self) -> tuple[str, ...]:
@@ -250,9 +235,9 @@ class _Design:
         flight, dispersions = self.experiment.flight, self.experiment.dispersions
         a, b = (
             np.stack([dispersed(dispersions, flight.layout, flight.nominal, s, i) for i in rows], axis=1)
-            for s in (2 * self.seed, 2 * self.seed + _OTHER)
+            for s in (2 * self.experiment.seed, 2 * self.experiment.seed + _OTHER)
         )
-        numbers = [[[2 * self.seed + k, i] for i in rows] for k in (0, _OTHER)]
+        numbers = [[[2 * self.experiment.seed + k, i] for i in rows] for k in (0, _OTHER)]
         found = [self._values(a, numbers[0]), self._values(b, numbers[1])]
         for name in dispersions:
             mixed, place = a.copy(), flight.layout.slice(name)

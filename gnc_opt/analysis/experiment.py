@@ -7,7 +7,7 @@ those of the control steps. Whoever knows them can fly the run again, change som
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect
+from gnc_opt.arguments import expect, read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.campaign import Campaign
@@ -36,41 +36,82 @@ _LEAST = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A flight, how its runs differ, and what is measured of them.
+    """A closed loop on one flight, how its runs differ, and what is measured of them.
 
-    Attributes
+    The words are those of `monte_carlo`, the random numbers those of ``seed``.
+
+    Parameters
     ----------
-    flight : Flight
+    loop : ClosedLoop
+    x0 : array (n_states,) or mapping by name
+        Nominal initial state.
+    tf, t0 : float
+        Last and first time, s.
     dispersions : mapping
-        By dotted name.
-    criteria : Criteria
+        By dotted name of ``loop.layout``.
+    parameters : mapping, optional
+        Nominal changes of parameters by dotted name.
+    target : mapping, optional
+        What states are compared with at the end, by name; default the reference at the end.
+    judge : mapping, optional
+        Measures of one's own: functions of the campaign that return a number per run, by name.
+    seed : int
+
+    Raises
+    ------
+    ArgumentError, UnknownNameError
+        Something does not fit; the message names it.
+
+    Examples
+    --------
+    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> print(experiment.size, experiment.noise_size)  # random numbers of a run, and of each of its control steps
+    2 1
     """
 
-    flight: Flight
-    dispersions: Dispersions
-    criteria: Criteria
+    loop: ClosedLoop
+    x0: ArrayLike | Mapping[str, ArrayLike] = field(kw_only=True)
+    tf: float = field(kw_only=True)
+    t0: float = field(default=0.0, kw_only=True)
+    dispersions: Dispersions = field(default_factory=dict, kw_only=True)
+    parameters: Mapping[str, ArrayLike] | None = field(default=None, kw_only=True)
+    target: Mapping[str, ArrayLike] | None = field(default=None, kw_only=True)
+    judge: Mapping[str, Judge] | None = field(default=None, kw_only=True)
+    seed: int = field(default=0, kw_only=True)
 
-    @classmethod
-    def of(
-        cls,
-        caller: str,
-        loop: ClosedLoop,
-        mission: Mapping[str, Any],
-        dispersions: Dispersions | None,
-        target: Mapping[str, ArrayLike] | None,
-        judge: Mapping[str, Judge] | None,
-        measures: Sequence[str],
-    ) -> Experiment:
-        """Read what analyses are given; ``mission`` are the arguments of `ClosedLoop.flight`."""
-        expect(loop, ClosedLoop, f"what {caller} flies", "give a ClosedLoop")
-        flight = loop.flight(**mission)
-        check_dispersions({} if dispersions is None else dispersions, flight.layout, flight.nominal)
-        experiment = cls(flight, dict(dispersions or {}), Criteria(target or {}, {}, judge or {}))
-        empty = experiment.campaign(np.empty((flight.layout.size, 0)), [])
-        for name in measures:
-            if name not in experiment.criteria.judge:
-                empty.measure(name)  # refuses what is none
-        return experiment
+    def __post_init__(self) -> None:
+        expect(self.loop, ClosedLoop, "what an experiment flies", "give a ClosedLoop")
+        set_ = object.__setattr__
+        set_(self, "seed", read_integer(self.seed, "the seed of an experiment", 0))
+        check_dispersions(self.dispersions, self.flight.layout, self.flight.nominal)
+        set_(self, "dispersions", dict(self.dispersions))
+        self.criteria.goal(self.flight)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {
+            name: value for name, value in vars(self).items() if name != "loop"
+        }  # the flight is enough to fly
+
+    @cached_property
+    def flight(self) -> Flight:
+        """What is flown, numeric."""
+        return self.loop.flight(self.x0, t0=self.t0, tf=self.tf, parameters=self.parameters)
+
+    @cached_property
+    def criteria(self) -> Criteria:
+        """What runs are compared with, and one's own measures."""
+        return Criteria(self.target or {}, {}, self.judge or {})
+
+    def require(self, measure: str) -> None:
+        """Refuse what is no measure of the runs.
+
+        Raises
+        ------
+        UnknownNameError, ArgumentError
+            There is none of this name, or the error is relative to nothing.
+        """
+        if measure not in self.criteria.judge:
+            self.campaign(np.empty((self.flight.layout.size, 0)), []).measure(measure)
 
     # --- numbers ------------------------------------------------------------------------------------------
 
@@ -89,7 +130,7 @@ class Experiment:
         """Number of numbers of a control step."""
         return int(self.flight.kernel.known.size - 1 - self.flight.schedule.shape[0])
 
-    def parameters(self, z: Array) -> Array:
+    def columns(self, z: Array) -> Array:
         """Return the columns P (n_parameters, n) of standard normal numbers (size, n)."""
         columns = []
         for numbers in z.T:

@@ -22,22 +22,18 @@ simulation, Probabilistic Engineering Mechanics 41 (2015), section 3.4.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike
 
 from gnc_opt.analysis.experiment import Experiment
-from gnc_opt.arguments import read_integer, read_numbers
+from gnc_opt.arguments import expect, read_integer, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
-from gnc_opt.simulation.criteria import Judge
-from gnc_opt.simulation.dispersion import Dispersions
-from gnc_opt.simulation.loop import ClosedLoop
 from gnc_opt.simulation.statistics import CONFIDENCE
 from gnc_opt.workers import Shared, WorkerPool
 
@@ -79,8 +75,9 @@ class FailureProbability:
     Examples
     --------
     >>> from gnc_opt.analysis import failure_probability
-    >>> asked = {"x0": [1.0, 0.0], "tf": 8.0, "dispersions": spread, "executor": "serial"}
-    >>> print(failure_probability(loop, "max(overshoot)", 0.006, **asked, n=50, repetitions=3))
+    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> asked = {"n": 50, "repetitions": 3, "executor": "serial"}
+    >>> print(failure_probability(experiment, "max(overshoot)", 0.006, **asked))
     P(max(overshoot) > 0.006) = 0.000212 (2.1e-05 to 0.0022, 95 %), 635 runs in 3 repetitions
     """
 
@@ -102,21 +99,13 @@ class FailureProbability:
 
 
 def failure_probability(
-    loop: ClosedLoop,
+    experiment: Experiment,
     measure: str,
     limit: float,
     *,
-    x0: ArrayLike | Mapping[str, ArrayLike],
-    tf: float,
-    t0: float = 0.0,
-    dispersions: Dispersions | None = None,
-    parameters: Mapping[str, ArrayLike] | None = None,
-    target: Mapping[str, ArrayLike] | None = None,
-    judge: Mapping[str, Judge] | None = None,
     n: int = 500,
     repetitions: int = 10,
     confidence: float = CONFIDENCE,
-    seed: int = 0,
     executor: Executor | Literal["serial"] | None = None,
 ) -> FailureProbability:
     """Estimate how probable it is that a run is not OK or a measure exceeds its limit, however rare.
@@ -126,20 +115,18 @@ def failure_probability(
 
     Parameters
     ----------
-    loop : ClosedLoop
+    experiment : Experiment
+        Noise is part of what is drawn.
     measure : str
-        As in `Campaign.measure`, or one of ``judge``.
+        As in `Campaign.measure`, or one of the experiment's ``judge``.
     limit : float
         Largest permitted value.
-    x0, t0, tf, dispersions, parameters, target, judge
-        As in `monte_carlo`. Noise is part of what is drawn.
     n : int
         Runs of a level, a multiple of ten.
     repetitions : int
         Independent ones, at least 3.
     confidence : float
         Of the interval, in (0, 1).
-    seed : int
     executor : concurrent.futures.Executor or "serial", optional
         As in `monte_carlo`.
 
@@ -157,14 +144,15 @@ def failure_probability(
     Examples
     --------
     >>> from gnc_opt.analysis import failure_probability
-    >>> asked = {"x0": [1.0, 0.0], "tf": 8.0, "dispersions": spread, "executor": "serial"}
-    >>> rare = failure_probability(loop, "max(overshoot)", 0.006, **asked, n=50, repetitions=3)
+    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
+    >>> asked = {"n": 50, "repetitions": 3, "executor": "serial"}
+    >>> rare = failure_probability(experiment, "max(overshoot)", 0.006, **asked)
     >>> print(rare.low < rare.probability < rare.high, rare.runs)
     True 635
     """
-    mission = {"x0": x0, "t0": t0, "tf": tf, "parameters": parameters}
     name = "failure_probability()"
-    experiment = Experiment.of(name, loop, mission, dispersions, target, judge, [measure])
+    expect(experiment, Experiment, f"what {name} got", "give an Experiment")
+    experiment.require(measure)
     bound = float(read_numbers(limit, f"the limit of '{measure}'").reshape(-1)[0])
     if not np.isfinite(bound):
         raise ArgumentError(f"the limit of '{measure}' is {bound:g}: give a finite number.")
@@ -172,10 +160,9 @@ def failure_probability(
     if count % round(1 / SHARE):
         raise ArgumentError(f"a level of {name} has {count} runs: give a multiple of {round(1 / SHARE)}.")
     repetitions = read_integer(repetitions, f"the number of repetitions of {name}", 3)
-    read_integer(seed, f"the seed of {name}", 0)
     if not 0 < confidence < 1:
         raise ArgumentError(f"the confidence of {name} is {confidence!r}: give a number between 0 and 1.")
-    search = _Search(experiment, measure, bound, count, int(seed))
+    search = _Search(experiment, measure, bound, count)
     shared = Shared.picklable(
         search, name, 'define judge= functions at the top of a module, or use executor="serial"'
     )
@@ -235,11 +222,12 @@ class _Search:
     measure: str
     limit: float
     count: int
-    seed: int
 
     def repetition(self, index: int) -> Estimate:
         """Return the estimate of a repetition."""
-        generator = np.random.Generator(np.random.Philox(np.random.SeedSequence([self.seed, index])))
+        generator = np.random.Generator(
+            np.random.Philox(np.random.SeedSequence([self.experiment.seed, index]))
+        )
         noise = self.experiment.flight.n_steps * self.experiment.noise_size
         return subset_simulation(self.value, self.experiment.size + noise, self.limit, self.count, generator)
 
@@ -247,7 +235,7 @@ class _Search:
         size = self.experiment.size
         shape = (self.experiment.flight.n_steps, self.experiment.noise_size)
         numbers: list[Any] = [column.reshape(shape) for column in z[size:].T]
-        return self.experiment.values(self.measure, self.experiment.parameters(z[:size]), numbers)
+        return self.experiment.values(self.measure, self.experiment.columns(z[:size]), numbers)
 
 
 def subset_simulation(

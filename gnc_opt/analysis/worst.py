@@ -11,15 +11,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike
 
 from gnc_opt.analysis.experiment import Experiment, normal_numbers
-from gnc_opt.arguments import read_integer
+from gnc_opt.arguments import expect, read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.simulation.criteria import Judge
-from gnc_opt.simulation.dispersion import Ball, Choice, Dispersion, Dispersions, Normal, Sphere, Turn, Uniform
-from gnc_opt.simulation.loop import ClosedLoop
+from gnc_opt.simulation.dispersion import Ball, Choice, Dispersion, Normal, Sphere, Turn, Uniform
 from gnc_opt.simulation.run import Run
 
 _FAILED = 1e150
@@ -49,7 +46,8 @@ class WorstCase:
     >>> from gnc_opt.analysis import worst_case
     >>> from gnc_opt.simulation import Uniform
     >>> bounded = {"initial.q": Uniform(-0.1, 0.1)}
-    >>> worst = worst_case(loop, "max(overshoot)", x0=[1.0, 0.0], tf=3.0, dispersions=bounded, generations=3)
+    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=3.0, dispersions=bounded)
+    >>> worst = worst_case(experiment, "max(overshoot)", generations=3)
     >>> print(worst.value > worst.nominal, worst.runs)
     True 135
     """
@@ -72,35 +70,22 @@ class WorstCase:
 
 
 def worst_case(
-    loop: ClosedLoop,
+    experiment: Experiment,
     measure: str,
     *,
-    x0: ArrayLike | Mapping[str, ArrayLike],
-    tf: float,
-    dispersions: Dispersions,
-    t0: float = 0.0,
-    parameters: Mapping[str, ArrayLike] | None = None,
-    target: Mapping[str, ArrayLike] | None = None,
-    judge: Mapping[str, Judge] | None = None,
     generations: int = 40,
-    seed: int = 0,
 ) -> WorstCase:
     """Search the worst run within the bounds of the dispersions, without noise.
 
     Parameters
     ----------
-    loop : ClosedLoop
+    experiment : Experiment
+        Its dispersions are bounded: `Uniform`, `Ball`, `Normal` with ``truncate`` and the like. How probable a value
+        is does not matter; the seed is that of the search.
     measure : str
-        As in `Campaign.measure`, or one of ``judge``.
-    x0, t0, tf, parameters, target, judge
-        As in `monte_carlo`.
-    dispersions : mapping
-        As in `monte_carlo`, bounded ones: `Uniform`, `Ball`, `Normal` with ``truncate`` and the like. How probable a
-        value is does not matter.
+        As in `Campaign.measure`, or one of the experiment's ``judge``.
     generations : int
         Of the search, at most; each flies 15 runs per number that is dispersed (at least 30).
-    seed : int
-        Of the search.
 
     Returns
     -------
@@ -116,14 +101,15 @@ def worst_case(
     >>> from gnc_opt.analysis import worst_case
     >>> from gnc_opt.simulation import Uniform
     >>> bounded = {"initial.q": Uniform(-0.1, 0.1)}
-    >>> worst = worst_case(loop, "max(overshoot)", x0=[1.0, 0.0], tf=3.0, dispersions=bounded, generations=3)
+    >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=3.0, dispersions=bounded)
+    >>> worst = worst_case(experiment, "max(overshoot)", generations=3)
     >>> print(f"{worst.parameters['initial.q'][0]:.3f}")  # as far as it can be
     0.900
     """
-    mission = {"x0": x0, "t0": t0, "tf": tf, "parameters": parameters}
-    experiment = Experiment.of("worst_case()", loop, mission, dispersions, target, judge, [measure])
+    expect(experiment, Experiment, "what worst_case() got", "give an Experiment")
+    experiment.require(measure)
     generations = read_integer(generations, "the number of generations of worst_case()", 1)
-    seed = read_integer(seed, "the seed of worst_case()", 0)
+    dispersions = experiment.dispersions
     if not dispersions:
         raise ArgumentError("nothing is dispersed, so the nominal run is the worst: give dispersions.")
     for name, dispersion in dispersions.items():
@@ -142,16 +128,17 @@ def worst_case(
 
     def cost(cube: Array) -> Array:
         columns = np.reshape(cube, (experiment.size, -1))
-        found = values(experiment.parameters(normal_numbers(columns)))
+        found = values(experiment.columns(normal_numbers(columns)))
         return -np.minimum(found, _FAILED)
 
     people = max(15, 30 // experiment.size)
+    generator = np.random.default_rng(experiment.seed)
     search = scipy.optimize.differential_evolution(
-        cost, [(0.0, 1.0)] * experiment.size, maxiter=generations, popsize=people, seed=np.random.default_rng(seed),
+        cost, [(0.0, 1.0)] * experiment.size, maxiter=generations, popsize=people, seed=generator,
         vectorized=True, updating="deferred", polish=False, init="sobol",
     )  # fmt: skip
     best = _polished(cost, search.x)
-    P = experiment.parameters(normal_numbers(best[:, None]))
+    P = experiment.columns(normal_numbers(best[:, None]))
     nominal = values(flight.nominal[:, None])[0]
     return WorstCase(
         measure,

@@ -4,8 +4,10 @@ from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.dropout import bridge_dropouts
 from gnc_opt.control.estimation.estimator import Estimator, output_feedback
-from gnc_opt.control.estimation.kalman import FilterOptions, UnscentedOptions, design_ekf, design_ukf
+from gnc_opt.control.estimation.kalman import design_ekf, design_ukf
 from gnc_opt.control.estimation.measurement import Measurement
+from gnc_opt.control.estimation.options import FilterOptions, UnscentedOptions
+from gnc_opt.control.estimation.scheduled import design_scheduled_ekf
 from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.feedback_linearization import design_feedback_linearization
 from gnc_opt.control.feedforward import feedforward
@@ -22,7 +24,7 @@ from gnc_opt.control.linear.gain_schedule import design_gain_schedule
 from gnc_opt.control.linear.lqr import design_lqr
 from gnc_opt.control.linear.tvlqr import design_tvlqr
 from gnc_opt.control.linear.weights import bryson
-from gnc_opt.control.neighbouring.design import design_neighbouring_optimal
+from gnc_opt.control.neighbouring.design import GuidanceOptions, design_neighbouring_optimal
 from gnc_opt.control.neighbouring.extremal import design_neighbouring_extremal
 from gnc_opt.control.predictive.mpc import design_mpc
 from gnc_opt.control.reference import Reference, trim
@@ -52,6 +54,7 @@ __all__ = [
     "Fact",
     "FilterOptions",
     "FlightCode",
+    "GuidanceOptions",
     "Measurement",
     "MockupUnit",
     "PowerRate",
@@ -75,6 +78,7 @@ __all__ = [
     "design_mpc",
     "design_neighbouring_extremal",
     "design_neighbouring_optimal",
+    "design_scheduled_ekf",
     "design_sliding_mode",
     "design_tvlqr",
     "design_ukf",

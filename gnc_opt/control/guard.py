@@ -13,14 +13,18 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, Schedule, first_memory, law
 from gnc_opt.control.dropout import bridge_dropouts
 from gnc_opt.control.explanation import Explanation, Fact, number_text
 from gnc_opt.control.lie import OutputErrors, Pair, zero_dynamics
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.rehearsal import Path, Rehearsal
-from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, reference_times
+from gnc_opt.control.schedule import (
+    ReferenceSchedule,
+    StackedSchedule,
+    reference_signals,
+    reference_times,
+)
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.tolerances import dependent
@@ -213,7 +217,7 @@ def guarded_controller(
         variables += nominal.variables
         inner_signals = nominal.signals
         alarms += tuple(f"nominal_{alarm}" for alarm in nominal.controller.alarms)
-        schedule = _Stacked(schedule, nominal.controller.schedule)
+        schedule = StackedSchedule(schedule, nominal.controller.schedule)
         z, r = ca.vertcat(z, nominal.z), ca.vertcat(r, nominal.r)
         start = ca.vertcat(start, nominal.start)
         after = ca.vertcat(after, nominal.after)
@@ -272,17 +276,6 @@ class Nominal:
     def signals(self) -> list[Variable]:
         """The signals of the inner controller, renamed."""
         return [_renamed(v) for v in self.controller.signals.variables]
-
-
-@dataclass(frozen=True, eq=False)
-class _Stacked:
-    """Two schedules, one above the other."""
-
-    upper: Schedule
-    lower: Schedule
-
-    def __call__(self, times: Array, dt: float) -> Array:
-        return np.vstack([self.upper(times, dt), self.lower(times, dt)])
 
 
 def _renamed(variable: Variable) -> Variable:

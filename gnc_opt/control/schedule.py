@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gnc_opt.arrays import Array
+from gnc_opt.control.controller import Schedule
 from gnc_opt.control.reference import Reference
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.tolerances import SAME_TIME
@@ -33,6 +34,17 @@ class ReferenceSchedule:
 
     def __call__(self, times: Array, dt: float) -> Array:
         return np.vstack([self.reference.x(times), self.reference.mean_control(times, dt)])
+
+
+@dataclass(frozen=True, eq=False)
+class StackedSchedule:
+    """Two schedules, one above the other."""
+
+    upper: Schedule
+    lower: Schedule
+
+    def __call__(self, times: Array, dt: float) -> Array:
+        return np.vstack([self.upper(times, dt), self.lower(times, dt)])
 
 
 def reference_times(reference: Reference, samples: int = LOOKS) -> Array:

@@ -42,16 +42,31 @@ class ComposedControl:
 
 @dataclass(frozen=True)
 class SplitControl(ComposedControl):
-    """The difference of two controls >= 0, of which an optimum that pays for both uses one at a time."""
+    """The sum of controls >= 0 less another one, of which an optimum that pays for all fills one after the other.
+
+    Attributes
+    ----------
+    corners : tuple of tuple of float
+        Where each part but the last one begins, for each component; the last one is what u is below the first corner.
+        Empty for two parts that meet at zero.
+    """
+
+    corners: tuple[tuple[float, ...], ...] = ()
 
     def compose(self, *parts: Any) -> Any:
-        """Return first - second."""
-        first, second = parts
-        return first - second
+        """Return the first corner and all parts but the last one, less the last one."""
+        first, *others, last = parts
+        value = sum(others, first) - last
+        if not self.corners or not any(self.corners[0]):
+            return value
+        return value + np.reshape(self.corners[0], (-1, *[1] * (np.ndim(first) - 1)))
 
-    def decompose(self, u: Array) -> tuple[Array, Array]:
-        """Return the positive and the negative part."""
-        return np.maximum(u, 0.0), np.maximum(-u, 0.0)
+    def decompose(self, u: Array) -> tuple[Array, ...]:
+        """Return what u has of each part."""
+        corners = np.array(self.corners or [(0.0,) * u.shape[0]])[:, :, None]
+        ends = np.concatenate([corners[1:], np.full((1, *corners.shape[1:]), np.inf)])
+        plus = (np.clip(u, start, end) - start for start, end in zip(corners, ends, strict=True))
+        return (*plus, np.maximum(corners[0] - u, 0.0))
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import casadi as ca
@@ -52,6 +52,11 @@ def rebuilt(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
             done[place] = new
         waiting.pop()
     return ca.vertcat(*(done[e.element_hash()] for e in elements)) if elements else expression
+
+
+def replaced(expression: Any, instead: Mapping[int, Any]) -> Any:
+    """Return a column, as `rebuilt` does, with what stands in place of some nodes by their hashes."""
+    return rebuilt(expression, lambda node: instead.get(node.element_hash()))
 
 
 def _same_operation(node: Any, old: list[Any], new: list[Any]) -> Any:

@@ -67,7 +67,7 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
     ----------
     value : None, number, array-like or tuple (lower, upper)
         ``None`` is free; a number, list or array is a fixed value; a tuple of two is a range, each end a
-        number, an array or ``None`` (no limit).
+        number, an array or ``None`` (no limit). In a list ``None`` leaves that component free.
     size : int
         Number of components; scalars are repeated.
     what : str
@@ -81,10 +81,10 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
     if value is None:
         return free(size)
     if not isinstance(value, tuple):
-        fixed = as_vector(value, size, what)
-        if np.any(np.isnan(fixed)):
+        fixed = Interval(_end(value, -np.inf, size, what), _end(value, np.inf, size, what))
+        if np.any(np.isnan(fixed.lower)):
             raise ProblemError(f"{what} is NaN: give a number, or None to leave it free.")
-        return checked(Interval(fixed, fixed), what)
+        return checked(fixed, what)
     if len(value) != 2:
         raise ProblemError(
             f"{what} is a tuple of {len(value)} entries, but a tuple means (lower, upper): write a value as "
@@ -95,10 +95,19 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
 
 
 def read_range(lower: Any, upper: Any, size: int, what: str) -> Interval:
-    """Return the range of ``size`` components; an end is a number, an array or ``None`` (no limit)."""
-    low = as_vector(-np.inf if lower is None else lower, size, f"the lower limit of {what}")
-    high = as_vector(np.inf if upper is None else upper, size, f"the upper limit of {what}")
+    """Return the range of ``size`` components; each end is a number, an array or ``None`` (no limit)."""
+    low = _end(lower, -np.inf, size, f"the lower limit of {what}")
+    high = _end(upper, np.inf, size, f"the upper limit of {what}")
     return checked(Interval(low, high), what)
+
+
+def _end(value: Any, none: float, size: int, what: str) -> Array:
+    """Return one end of a range as a vector, with ``none`` where it, or an entry of it, is ``None``."""
+    if value is None:
+        value = none
+    elif isinstance(value, (list, tuple)):
+        value = [none if entry is None else entry for entry in value]
+    return as_vector(value, size, what)
 
 
 def refuse_ambiguous(value: tuple[Any, Any], size: int, what: str, otherwise: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,14 +21,21 @@ FARTHEST = 10.0
 SAMPLES = np.linspace(0.0, 1.0, 9)
 """Where guess and dynamics are looked at, as fractions of a phase."""
 
+ROUNDING = 1e-12
+"""Share of what a state moves beside a guess below which its value, or rate, on the guess is what zero is rounded to: a
+latitude flown due east is 1e-17, which is no magnitude."""
+
+BESIDE = 0.01
+"""How far beside a guess that is, as a share of each state's own magnitude there."""
+
 
 def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Array]:
     """Return typical magnitudes of states (n,) and controls (m,) of a phase.
 
     In this order: the user's scale, the model's nominal value, finite bounds, the guess and, for controls, what path
-    constraints leave them; for states, what the dynamics do to them over the phase: all of it where the guess is zero,
-    at most `FARTHEST` times the guess elsewhere (stiff dynamics at a poor guess point far beyond where the state will
-    ever go).
+    constraints leave them; for states, what the dynamics do to them over the phase: all of it where the guess is zero
+    but for rounding, at most `FARTHEST` times the guess elsewhere (stiff dynamics at a poor guess point far beyond
+    where the state will ever go).
     """
     start = start_phase(leg, SAMPLES, perturbed=False)
     numbers = leg.numbers
@@ -36,7 +44,9 @@ def phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Arr
         _override(controls, leg.model.controls, numbers.scales)
     reach = np.max(np.abs(start.states), axis=1, initial=0.0)
     drift = _drift(leg, start, controls)
-    reach = np.where(reach > 0, np.clip(drift, reach, FARTHEST * reach), drift)
+    beside = _drift(leg, replace(start, states=start.states + BESIDE * reach[:, None]), controls)
+    drift = np.where(drift > ROUNDING * beside, drift, beside)
+    reach = np.where(reach > ROUNDING * beside, np.clip(drift, reach, FARTHEST * reach), drift)
     states = magnitude_within(numbers.states, reach)
     if overridden:
         _override(states, leg.model.states, numbers.scales)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any, Protocol
 
 import casadi as ca
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_label
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.composed import SplitControl, VectorControl
+from gnc_opt.model.composed import VectorControl
 from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol, as_expression
@@ -22,6 +22,8 @@ from gnc_opt.problem.constraint import Constraint, make_constraint
 from gnc_opt.problem.guess.values import GuessValue, read_guess_times, sample_guess
 from gnc_opt.problem.held import Held, Junction, Smooth, read_kinds
 from gnc_opt.problem.interval import Interval, free, intersect, read_interval
+from gnc_opt.problem.named_ranges import merged, one_sided, without_negative_parts
+from gnc_opt.problem.phase_numbers import PhaseGuess, PhaseNumbers
 from gnc_opt.problem.restatement import Restatement
 from gnc_opt.strict import Strict
 
@@ -39,30 +41,6 @@ class Owner(Protocol):
     def refuse_foreign(self, leg: Phase, expression: Any, what: str, /) -> None: ...
 
     def once(self, key: Any, build: Callable[[], Any], /) -> Any: ...
-
-
-@dataclass(frozen=True)
-class PhaseGuess:
-    """What the user knows about the trajectory beforehand: values by name and their times."""
-
-    time: Array | None = None
-    values: Mapping[str, GuessValue] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class PhaseNumbers:
-    """The numbers of a phase; they may change without a new transcription."""
-
-    initial_time: Interval | None
-    final_time: Interval | None
-    duration: Interval
-    initial: Interval
-    final: Interval
-    states: Interval
-    controls: Interval
-    guess: PhaseGuess = PhaseGuess()
-    scales: Mapping[str, Array] = field(default_factory=dict)
-    arcs: Held | None = None
 
 
 class Phase(Strict):
@@ -102,7 +80,7 @@ class Phase(Strict):
         self.numbers = PhaseNumbers(
             None, None, Interval(np.zeros(1), np.full(1, np.inf)), free(n), free(n), free(n), free(m)
         )
-        self.numbers = replace(self.numbers, controls=self._without_negative_parts())
+        self.numbers = replace(self.numbers, controls=without_negative_parts(model))
         self.paths: dict[str, Constraint] = {}
         self._curved: set[str] = set()
         self._told_on_sphere: dict[str, bool] = {}
@@ -161,18 +139,20 @@ class Phase(Strict):
 
     def initial(self, **values: Any) -> None:
         """State the initial values of states by name; states left out are free."""
-        self._set(initial=self._merge(self.numbers.initial, values, "initial value"))
+        self._set(
+            initial=merged(self.numbers.initial, self.model.states, values, "initial value", self.where)
+        )
 
     def final(self, **values: Any) -> None:
         """State the final values of states by name; states left out are free."""
-        self._set(final=self._merge(self.numbers.final, values, "final value"))
+        self._set(final=merged(self.numbers.final, self.model.states, values, "final value", self.where))
 
     def bounds(self, **ranges: Any) -> None:
         """State bounds of states and controls over the whole phase: ``bounds(a=(-1, 1), v=(None, 3))``."""
-        states, controls = self._split(self._one_sided(ranges), "bounds")
+        states, controls = self._split(one_sided(self.model, ranges, self.where), "bounds")
         self._set(
-            states=self._merge(self.numbers.states, states, "bounds"),
-            controls=self._merge(self.numbers.controls, controls, "bounds", self.model.controls),
+            states=merged(self.numbers.states, self.model.states, states, "bounds", self.where),
+            controls=merged(self.numbers.controls, self.model.controls, controls, "bounds", self.where),
         )
 
     def bounds_norm(self, **ranges: Any) -> None:
@@ -448,6 +428,11 @@ class Phase(Strict):
         """Stacked SX symbols of all integrals."""
         return ca.vertcat(*[s for s, _ in self.integrands.values()]) if self.integrands else ca.SX(0, 1)
 
+    @property
+    def siblings(self) -> tuple[Phase, ...]:
+        """All phases of the problem, this one among them."""
+        return tuple(self._owner.phases.values())
+
     def handed_over(self, state: str) -> tuple[Phase, Array] | None:
         """Return the earlier phase that a link takes a state from, and the jump (n,); None if it begins here."""
         if state not in self.handed:
@@ -475,56 +460,12 @@ class Phase(Strict):
             raise unknown_name("state", key, self.where, self._ends[end])
         return self._ends[end][key]
 
-    def _merge(
-        self, old: Interval, values: Mapping[str, Any], what: str, layout: Layout | None = None
-    ) -> Interval:
-        layout = layout or self.model.states
-        lower, upper = old.lower.copy(), old.upper.copy()
-        for name, value in values.items():
-            if name not in layout:
-                raise unknown_name(layout.kind, name, self.where, layout.names)
-            place = layout.slice(name)
-            interval = read_interval(value, layout[name].size, f"the {what} of '{name}' in {self.where}")
-            lower[place], upper[place] = interval.lower, interval.upper
-        return Interval(lower, upper)
-
     def _split(self, values: Mapping[str, Any], what: str) -> tuple[dict[str, Any], dict[str, Any]]:
         states: dict[str, Any] = {}
         controls: dict[str, Any] = {}
         for name, value in values.items():
             (states if self._owner_layout(name, what).kind == "state" else controls)[name] = value
         return states, controls
-
-    def _without_negative_parts(self) -> Interval:
-        """Return the bounds of controls before any are stated: parts of split controls and magnitudes are >= 0."""
-        box = free(self.model.controls.size)
-        for control in self.model.composed_controls.values():
-            for part in control.parts if isinstance(control, SplitControl) else control.parts[:1]:
-                box.lower[self.model.controls.slice(part)] = 0.0
-        return box
-
-    def _one_sided(self, ranges: Mapping[str, Any]) -> dict[str, Any]:
-        """Return ranges in which those of split controls are of their two parts: u = plus - minus."""
-        parts: dict[str, Any] = {}
-        for name, value in ranges.items():
-            composed = self.model.composed_controls.get(name)
-            if composed is None:
-                parts[name] = value
-                continue
-            what = f"the bounds of '{name}' in {self.where}"
-            if not isinstance(composed, SplitControl):
-                raise ProblemError(
-                    f"{what} are those of a vector: give bounds_norm({name}=...), or path() for its components."
-                )
-            box = read_interval(value, composed.variable.size, what)
-            if np.any(box.lower > 0) or np.any(box.upper < 0):
-                raise ProblemError(
-                    f"{what} leave out zero, which a split control needs: declare it with control()."
-                )
-            plus, minus = composed.parts
-            parts[plus] = (np.zeros(box.upper.size), box.upper)
-            parts[minus] = (np.zeros(box.lower.size), -box.lower)
-        return parts
 
     def _owner_layout(self, name: str, what: str) -> Layout:
         for layout in (self.model.states, self.model.controls):

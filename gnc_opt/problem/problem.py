@@ -150,9 +150,7 @@ class Problem(Statement):
             raise ProblemError(f"the guess of {what} is {start}: give finite numbers.")
         for leg in self.phases.values():
             refuse_other_size(name, size, leg.model, self.name)
-        self._parameters[name] = Symbol(Variable(name, size, unit))
-        self.parameter_bounds[name] = bounds
-        self.parameter_guess[name] = start
+        self.add_parameter(Symbol(Variable(name, size, unit)), bounds, start)
         self.changed()
         return self._parameters[name]
 

@@ -24,12 +24,16 @@ class Restatement:
         What they are in the controls that are solved for, (k, 1).
     texts : tuple of str
         What was restated, a clause per norm.
+    filled_in_order : tuple of str
+        Split controls of which rates are those that were stated only if no part is used before those nearer to the
+        first corner are full.
     """
 
     model: Model
     stated: Any
     solved: Any
     texts: tuple[str, ...]
+    filled_in_order: tuple[str, ...] = ()
 
     def of(self, expression: Any) -> Any:
         """Return an expression of what was stated in what is solved for."""
@@ -44,4 +48,5 @@ class Restatement:
             ca.vertcat(earlier.stated, self.stated),
             ca.vertcat(self.of(earlier.solved), self.solved),
             (*earlier.texts, *self.texts),
+            (*earlier.filled_in_order, *self.filled_in_order),
         )

@@ -69,6 +69,13 @@ class Statement(Strict):
             "parameter", tuple(s.variable for s in self._parameters.values()), f"problem '{self.name}'"
         )
 
+    def add_parameter(self, symbol: Symbol, bounds: Interval, guess: Array) -> None:
+        """Let a symbol be a free parameter from now on."""
+        name = symbol.variable.name
+        self._parameters[name] = symbol
+        self.parameter_bounds[name] = bounds
+        self.parameter_guess[name] = guess
+
     def parameter_symbols(self) -> Any:
         """Stacked SX symbols of the free parameters."""
         return ca.vertcat(*self._parameters.values()) if self._parameters else ca.SX(0, 1)

@@ -28,7 +28,7 @@ from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.switching import TIGHT, optimise_switches
 from gnc_opt.solution.history import History, RefinementStatus, work_of
 from gnc_opt.solution.solution import Solution
-from gnc_opt.solution.solve_mesh import solve_mesh
+from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.verify.kept import keep_verdict
 from gnc_opt.verify.verdict import Result, Verdict
 from gnc_opt.verify.verify import TOLERANCE, verify
@@ -303,7 +303,7 @@ class _Task:
             scheme=next(iter(start.phases.values())).scheme,
             guess=start,
             options=self.options,
-            deadline=self.deadline,
+            limits=SolveLimits(deadline=self.deadline),
         )
 
     def _structured(self, start: Solution, found: Mapping[str, PhaseStructure], share: float) -> _Attempt:

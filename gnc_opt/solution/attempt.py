@@ -17,8 +17,9 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.covector import Iterate
 from gnc_opt.solution.diagnosis import find_violations
 from gnc_opt.solution.extract import extract_phases
-from gnc_opt.solution.solution import Solution, Statistics
+from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.start import ProgramStart, program_start
+from gnc_opt.solution.statistics import Statistics
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.scaling import Scaling, scale_rows, scale_variables
 from gnc_opt.transcription.scheme import Scheme

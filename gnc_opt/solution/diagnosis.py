@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from gnc_opt.arrays import Array
@@ -10,7 +12,6 @@ from gnc_opt.problem.check_values import first_not_finite
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.phase_solution import PhaseSolution
-from gnc_opt.solution.solution import Violation
 from gnc_opt.transcription.scaling import Scaling
 from gnc_opt.transcription.transcription import Transcription
 
@@ -18,6 +19,28 @@ _MOST = 10
 _NEGLIGIBLE = 1e-9
 _RUNNING_OFF = 1e6
 """Scaled variables beyond this are named when a problem is unbounded."""
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A constraint or bound that the iterate breaks.
+
+    Attributes
+    ----------
+    name : str
+        E.g. ``"v_L[2] defect, phase approach, segment 3, point 2"``.
+    amount : float
+        By how much, relative to the scale of the row or variable.
+
+    Examples
+    --------
+    >>> failed = go.solve(problem.with_bounds(a=(-0.01, 0.01)), mesh="4x3", tol=None, throw=False)
+    >>> print(failed.status.value, failed.violations[0].amount > 0.0)
+    infeasible True
+    """
+
+    name: str
+    amount: float
 
 
 def find_violations(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -27,7 +27,8 @@ class Propagation:
     states : array (n_states, n_times)
         NaN after the propagation ended.
     error : array (n_states,)
-        Final state minus the solution's final state; infinite if the propagation ended early.
+        Final state minus the solution's final state, or the largest such difference of the parts; infinite if the
+        propagation ended early.
     ended : str
         Why and where it ended early, e.g. ``"the rate of state 'h' is nan at t = 2.5 s"``; else empty.
     """
@@ -44,6 +45,7 @@ def propagate(
     *,
     control: Literal["flown", "polynomial"] = "flown",
     rtol: float = 1e-11,
+    anew: Sequence[float] = (),
 ) -> Propagation:
     """Integrate the dynamics over a phase by DOP853, restarting at every discontinuity of the control.
 
@@ -56,8 +58,12 @@ def propagate(
         The bounded signal that can be flown, or the collocation polynomial as it is.
     rtol : float
         Relative tolerance; the absolute one is ``rtol`` times each state's magnitude.
+    anew : sequence of float, s
+        Times at which the propagation starts anew from the solution's states.
     """
     edges = leg.flown.jumps if control == "flown" else leg.breaks
+    edges = np.union1d(edges, anew)
+    error = np.zeros(leg.states.size)
     signal = leg.flown if control == "flown" else leg.u
     tolerance = Tolerance(rtol, state_magnitudes(leg))
     states = [leg.x(leg.breaks[0])]
@@ -71,9 +77,13 @@ def propagate(
             ended = str(why)
             break
         states.append(run.states[:, -1])
+        if right in anew:
+            gap, states[-1] = states[-1] - leg.x(right, "left"), leg.x(right)
+            error = np.where(np.abs(gap) > np.abs(error), gap, error)
     columns = np.full((states[0].size, edges.size), np.nan)
     columns[:, : len(states)] = np.stack(states, axis=1)
-    error = columns[:, -1] - leg.x(leg.breaks[-1], "left")
+    gap = columns[:, -1] - leg.x(leg.breaks[-1], "left")
+    error = np.where(np.abs(gap) > np.abs(error), gap, error)
     return Propagation(edges, columns, np.where(np.isfinite(error), error, np.inf), ended)
 
 

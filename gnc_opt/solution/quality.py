@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -120,10 +120,10 @@ def worst_path_violation(samples: PhaseSamples, at: PhaseSamples | None = None) 
     return Worst(float(offences[i]), samples.place_at(found.times[i], what))
 
 
-def worst_terminal_error(samples: PhaseSamples) -> Worst:
-    """Return the worst final miss of the flown control."""
+def worst_terminal_error(samples: PhaseSamples, anew: Sequence[float] = ()) -> Worst:
+    """Return the worst final miss of the flown control, or of the parts between times at which it starts anew."""
     leg = samples.leg
-    run = propagate(leg, samples.functions)
+    run = propagate(leg, samples.functions, anew=anew)
     misses = np.abs(run.error) / samples.end_scale
     i = int(np.argmax(misses))
     unit = leg.states.units[i]

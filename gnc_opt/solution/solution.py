@@ -26,6 +26,7 @@ from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
 from gnc_opt.problem.tables import OutsideTable, outside_tables, table_uses
+from gnc_opt.solution.diagnosis import Violation
 from gnc_opt.solution.export import records
 from gnc_opt.solution.history import Actions, History, Pass, RefinementStatus
 from gnc_opt.solution.lower_bound import LowerBound
@@ -34,69 +35,9 @@ from gnc_opt.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.solution.propagation import Propagation, propagate
 from gnc_opt.solution.quality import Quality, measure_quality
 from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.solution.statistics import Statistics
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.scheme import Scheme
-
-
-@dataclass(frozen=True)
-class Statistics:
-    """What the solve cost.
-
-    Attributes
-    ----------
-    iterations : int
-    build_s, solve_s : float
-        Wall time of transcription and of the solver.
-    function_s, linear_solver_s : float
-        Shares of ``solve_s``: evaluating functions and derivatives; the rest.
-    build_reused : bool
-        Whether an earlier transcription served again.
-
-    Examples
-    --------
-    >>> print(solution.statistics.iterations > 0)
-    True
-    """
-
-    iterations: int
-    build_s: float
-    solve_s: float
-    function_s: float
-    linear_solver_s: float
-    build_reused: bool = False
-
-    def after(self, earlier: Statistics) -> Statistics:
-        """Return these together with what an earlier try of the same solve cost."""
-        return replace(
-            self,
-            iterations=self.iterations + earlier.iterations,
-            build_s=self.build_s + earlier.build_s,
-            solve_s=self.solve_s + earlier.solve_s,
-            function_s=self.function_s + earlier.function_s,
-            linear_solver_s=self.linear_solver_s + earlier.linear_solver_s,
-        )
-
-
-@dataclass(frozen=True)
-class Violation:
-    """A constraint or bound that the iterate breaks.
-
-    Attributes
-    ----------
-    name : str
-        E.g. ``"v_L[2] defect, phase approach, segment 3, point 2"``.
-    amount : float
-        By how much, relative to the scale of the row or variable.
-
-    Examples
-    --------
-    >>> failed = go.solve(problem.with_bounds(a=(-0.01, 0.01)), mesh="4x3", tol=None, throw=False)
-    >>> print(failed.status.value, failed.violations[0].amount > 0.0)
-    infeasible True
-    """
-
-    name: str
-    amount: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)

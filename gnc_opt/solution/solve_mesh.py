@@ -94,6 +94,22 @@ SHARP = 1e-12
 """Solver tolerance that tells active limits from others."""
 
 
+@dataclass(frozen=True)
+class SolveLimits:
+    """When a solve on a mesh gives up sooner than the solver's options say.
+
+    Attributes
+    ----------
+    warm_iterations : int, optional
+        A start from a guess that takes more iterations has lost its way: `TRAJECTORY_ONLY`.
+    deadline : float
+        When to stop, as `time.perf_counter` counts.
+    """
+
+    warm_iterations: int | None = None
+    deadline: float = math.inf
+
+
 def solve_mesh(
     problem: Problem,
     mesh: MeshLike | Mapping[str, MeshLike] | None = None,
@@ -101,8 +117,7 @@ def solve_mesh(
     scheme: Scheme = GAUSS,
     guess: Solution | None = None,
     options: SolverOptions | None = None,
-    warm_iterations: int | None = None,
-    deadline: float = math.inf,
+    limits: SolveLimits = SolveLimits(),
     progress: bool = False,
 ) -> Solution:
     """Solve a problem on one mesh, by as many tries as it takes, and return the last iterate, solved or not.
@@ -117,10 +132,8 @@ def solve_mesh(
     guess : Solution, optional
         Start from its trajectory and multipliers.
     options : SolverOptions, optional
-    warm_iterations : int, optional
-        A start from a guess that takes more iterations has lost its way: `TRAJECTORY_ONLY`.
-    deadline : float
-        When to stop, as `time.perf_counter` counts, if the options do not stop it sooner.
+    limits : SolveLimits
+        When to give up sooner than the options say.
     progress : bool
         Show iterations while solving.
     """
@@ -129,12 +142,12 @@ def solve_mesh(
         meshes = {name: guess.phases[name].mesh for name in problem.phases}
     else:
         meshes = read_meshes(mesh, problem.phases, problem.name)
-    task = _Task(problem, meshes, scheme, chosen, progress, deadline)
+    task = _Task(problem, meshes, scheme, chosen, progress, limits.deadline)
     if guess is None:
         return _coarse_to_fine(task)
-    if warm_iterations is None:
+    if limits.warm_iterations is None:
         return task.solve(guess)
-    found = task.brief(warm_iterations).solve(guess)
+    found = task.brief(limits.warm_iterations).solve(guess)
     if found.status not in TRAJECTORY_ONLY:
         return found
     start, cold = guess_from_solution(problem, guess), replace(chosen, mu_init=COLD_MU)

@@ -28,11 +28,16 @@ def lasting(times: Array, offence: Array) -> Array:
 
 def without_switches(times: Array, inside: Mask) -> Mask:
     """Where controls are between their bounds (m, n_times) for longer than a switch, smeared by a polynomial, takes."""
-    arcs = inside.copy()
+    return lasting_longer(times, inside, SMEARED)
+
+
+def lasting_longer(times: Array, here: Mask, share: float) -> Mask:
+    """Where something holds (m, n_times) for longer than a share of the phase."""
+    arcs = here.copy()
     for row in arcs:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
         for first, end in edges.reshape(-1, 2):
-            row[first:end] &= times[end - 1] - times[first] > SMEARED * (times[-1] - times[0])
+            row[first:end] &= times[end - 1] - times[first] > share * (times[-1] - times[0])
     return arcs
 
 

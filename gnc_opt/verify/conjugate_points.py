@@ -1,10 +1,7 @@
 r"""Conjugate points: the second order of smooth arcs in continuous time, without collocation.
 
-Where :math:`H_{uu} > 0` in the controls that are off their bounds, variations of an extremal satisfy the linear
-Hamiltonian system
-
-.. math:: \dot X = (f_x - f_u H_{uu}^{-1} H_{ux}) X - f_u H_{uu}^{-1} f_u^T \Lambda, \qquad
-          \dot \Lambda = -(H_{xx} - H_{xu} H_{uu}^{-1} H_{ux}) X - (f_x - f_u H_{uu}^{-1} H_{ux})^T \Lambda.
+Where :math:`H_{uu} > 0` in the controls that are off their bounds, variations of an extremal satisfy a linear
+Hamiltonian system in (X, :math:`\Lambda`), the accessory equations (`gnc_opt.solution.accessory`).
 
 From X = 0 at the start of a phase, a time at which X is singular is conjugate to it: a variation that vanishes at both
 costs nothing to second order, and past it less than nothing (Jacobi's condition; Bryson & Ho, Applied Optimal
@@ -32,9 +29,9 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.model.evaluation import evaluate
 from gnc_opt.problem.functions import end_function
 from gnc_opt.problem.problem import Problem
+from gnc_opt.solution.accessory import AccessoryEquations, fine_times, on_free
 from gnc_opt.solution.propagation import state_magnitudes
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
@@ -165,7 +162,7 @@ def _is_smooth(problem: Problem, s: PhaseSamples) -> bool:
             return False
     scaled = s.control_hessian * s.control_scale[:, None, None] * s.control_scale[None, :, None]
     free = _free(s, s.u)
-    curvature = _on_free(scaled.transpose(2, 0, 1) / s.hamiltonian_scale, free)
+    curvature = on_free(scaled.transpose(2, 0, 1) / s.hamiltonian_scale, free)
     return bool(np.any(free) and np.all(np.linalg.eigvalsh(curvature) > CONVEX))
 
 
@@ -194,15 +191,9 @@ def _free(s: PhaseSamples, u: Array) -> Mask:
     return np.asarray(~(lower | upper)).T
 
 
-def _on_free(hessians: Array, free: Mask) -> Array:
-    """Hessians (n_times, m, m) on the free controls, the identity on the others."""
-    both = free[:, :, None] & free[:, None, :]
-    return np.where(both, hessians, np.eye(free.shape[1]))
-
-
 def _conjugate_times(solution: Solution, s: PhaseSamples) -> list[tuple[int, float | None]]:
     """The first time conjugate to each end: infinite if there is none, None if that cannot be told."""
-    system = functools.cache(lambda steps: _system(s, _times(s, steps)))
+    system = functools.cache(lambda steps: _system(s, fine_times(s.leg, steps, LEAST)))
 
     def first(frame: Array, end: int) -> float | None:
         found = _first_crossing(s, system(STEPS), frame, end)
@@ -254,16 +245,16 @@ def _never_moved(flows: Array) -> Array | None:
     y obeys the adjoint equation; how much of it the controls have moved, a quadratic form of y, goes along with it.
     """
     n = flows.shape[1] // 2
-    basis, moved = np.eye(n), np.zeros((n, n))
+    basis, moved, triangle = np.eye(n), np.zeros((n, n)), np.triu(np.ones((n, n)))
     for flow, size in zip(flows, np.linalg.norm(flows[:, :n, n:], axis=(1, 2)), strict=True):
         by_control = flow[:n, n:] @ basis
         if size > 0:
             moved = moved + by_control.T @ by_control / size**2
-        basis, growth = np.linalg.qr(flow[n:, n:] @ basis)
-        shrunk = np.linalg.inv(growth)
+        basis, growth = _orthonormalised(flow[n:, n:] @ basis)
+        shrunk = _inverse(growth * triangle)
         moved = shrunk.T @ moved @ shrunk
         # What has been moved enough need not grow beyond rounding of the rest.
-        if not np.trace(moved) <= len(flows):
+        if not moved.trace() <= len(flows):
             shares, vectors = np.linalg.eigh(moved)
             moved = (vectors * np.clip(shares, 0.0, len(flows))) @ vectors.T
     shares, vectors = np.linalg.eigh(moved / len(flows))
@@ -278,14 +269,6 @@ def _in_plane(directions: Array, frame: Array) -> Array:
     return np.asarray(directions @ across[:, int(np.sum(cosines > np.sqrt(UNREACHABLE))) :])
 
 
-def _times(s: PhaseSamples, steps: int) -> Array:
-    pieces = []
-    for left, right in zip(s.leg.breaks[:-1], s.leg.breaks[1:], strict=True):
-        count = LEAST + int(steps * (right - left) / s.leg.duration)
-        pieces.append(np.linspace(left, right, count + 1)[:-1])
-    return np.append(np.concatenate(pieces), s.leg.breaks[-1])
-
-
 def _angles(frame: Array, never: Array, flows: Array) -> Array:
     """Angles of the eigenvalues of M M^T from -1, in [0, 2 pi), after each step (n_times, n - k).
 
@@ -298,11 +281,13 @@ def _angles(frame: Array, never: Array, flows: Array) -> Array:
     """
     n, k = never.shape
     frames, beside = np.empty((len(flows), 2 * n, n)), np.tile(np.eye(n)[:, k:], (len(flows), 1, 1))
+    image = np.zeros((n, n))  # of its columns of zeros QR makes what is missing in an orthonormal basis
     for j, flow in enumerate(flows):
-        frames[j] = frame = np.linalg.qr(flow @ frame)[0]
+        frames[j] = frame = _orthonormalised(flow @ frame)[0]
         if k:
-            never = np.linalg.qr(flow[n:, n:] @ never, mode="complete")[0]
-            beside[j], never = never[:, k:], never[:, :k]
+            image[:, :k] = flow[n:, n:] @ never
+            completed = _orthonormalised(image)[0]
+            beside[j], never = completed[:, k:], completed[:, :k]
     unitary = frames[:, :n] + 1j * frames[:, n:]
     product = beside.transpose(0, 2, 1) @ unitary @ unitary.transpose(0, 2, 1) @ beside
     angles = np.zeros((len(flows) + 1, n - k))
@@ -310,59 +295,31 @@ def _angles(frame: Array, never: Array, flows: Array) -> Array:
     return angles
 
 
-def _system(s: PhaseSamples, times: Array) -> tuple[Array, Array]:
-    """Times (k + 1,), and the flow of the linear Hamiltonian system over each step (k, 2n, 2n).
+def _orthonormalised(matrix: Array) -> tuple[Array, Array]:
+    """Q and R of a matrix with no more columns than rows, whose R has anything below its diagonal.
 
-    States are in shares of their magnitudes. By Magnus' expansion of fourth order, which keeps the flow symplectic
-    (Iserles et al., Acta Numerica 9, 2000).
+    By LAPACK itself: for small matrices, which come by the thousand, NumPy takes eight times as long around it.
     """
-    width, middle = np.diff(times), 0.5 * (times[:-1] + times[1:])
-    derivatives = _variations(s)
-    first, second = (_matrices(s, derivatives, middle + sign * width / np.sqrt(12)) for sign in (-1.0, 1.0))
-    h = width[:, None, None]
-    exponent = 0.5 * h * (first + second) + np.sqrt(3) / 12 * h**2 * (second @ first - first @ second)
+    factors, reflectors, _, _ = scipy.linalg.lapack.dgeqrf(matrix)
+    return scipy.linalg.lapack.dorgqr(factors, reflectors)[0], factors
+
+
+def _inverse(upper: Array) -> Array:
+    """Inverse of an upper triangular matrix (n, n)."""
+    inverse, singular = scipy.linalg.lapack.dtrtri(upper)
+    if singular:
+        raise np.linalg.LinAlgError("a flow is singular")
+    return np.asarray(inverse)
+
+
+def _system(s: PhaseSamples, times: Array) -> tuple[Array, Array]:
+    """Times (k + 1,), and the flow of the accessory equations over each step (k, 2n, 2n)."""
+    equations = AccessoryEquations(s.leg, s.functions, s.control_scale)
     with np.errstate(all="ignore"):
-        return times, np.asarray(scipy.linalg.expm(exponent))
-
-
-def _matrices(s: PhaseSamples, derivatives: tuple[Any, Any], times: Array) -> Array:
-    leg, n = s.leg, s.leg.states.size
-    x, u, lam = leg.x(times), leg.flown(times), leg.lam(times)
-    hessian, jacobian = derivatives
-    numbers = (s.functions.weights, s.functions.p, s.functions.q)
-    # Coordinates, not yardsticks: a state that rests may be varied as any other.
-    states = state_magnitudes(s.leg)
-    size = np.concatenate([states, s.control_scale])
-    second = evaluate(hessian, times, x, u, lam, *numbers).reshape(size.size, size.size, -1)
-    slope = evaluate(jacobian, times, x, u, lam, *numbers).reshape(n, size.size, -1)
-    second = (second * size[:, None, None] * size[None, :, None] / _worth(s)).transpose(2, 0, 1)
-    slope = (slope / states[:, None, None] * size[None, :, None]).transpose(2, 0, 1)
-    free = _free(s, u)
-    by_u = np.where(free[:, None, :], slope[:, :, n:], 0.0)
-    mixed = np.where(free[:, :, None], second[:, n:, :n], 0.0)
-    solved = np.linalg.solve(
-        _on_free(second[:, n:, n:], free), np.concatenate([mixed, by_u.transpose(0, 2, 1)], axis=2)
-    )
-    own = slope[:, :, :n] - by_u @ solved[:, :, :n]
-    upper = np.concatenate([own, -by_u @ solved[:, :, n:]], axis=2)
-    feedback = second[:, :n, :n] - mixed.transpose(0, 2, 1) @ solved[:, :, :n]
-    return np.concatenate([upper, np.concatenate([-feedback, -own.transpose(0, 2, 1)], axis=2)], axis=1)
+        return times, equations.flows(times, _worth(s), lambda u: _free(s, u))
 
 
 def _worth(s: PhaseSamples) -> float:
     """What costates are measured by: with H_uu of this over the duration, X and Lambda are of one size."""
     scaled = s.control_hessian * s.control_scale[:, None, None] * s.control_scale[None, :, None]
     return max(float(np.median(np.linalg.norm(scaled, axis=(0, 1)))) * s.span, TINY)
-
-
-def _variations(s: PhaseSamples) -> tuple[Any, Any]:
-    """Hessian of H and Jacobian of the dynamics by states and controls, of (t, x, u, lam, weights, p, q)."""
-    functions = s.functions.functions
-    t, x, u, lam, mu, weights, p, q = (ca.SX.sym("v", functions["hamiltonian"].size1_in(i)) for i in range(8))
-    none = ca.SX.zeros(mu.shape[0])
-    varied = ca.vertcat(x, u)
-    hessian = ca.hessian(functions["hamiltonian"](t, x, u, lam, none, weights, p, q), varied)[0]
-    jacobian = ca.jacobian(functions["rates"](t, x, u, lam, none, weights, p, q), varied)
-    inputs = [t, x, u, lam, weights, p, q]
-    by_time = [ca.Function("variations", inputs, [ca.densify(ca.vec(e.T))]) for e in (hessian, jacobian)]
-    return by_time[0], by_time[1]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import scipy
@@ -10,6 +11,7 @@ import scipy
 from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import EndGradients
 from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.distance import shares
 from gnc_opt.solution.quality import (
     NOTHING,
@@ -25,6 +27,7 @@ from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.spans import RESOLUTION
 from gnc_opt.tolerances import ROUNDING, TINY
 from gnc_opt.verify.magnitude import parameter_scale
+from gnc_opt.verify.parts import worst_of_parts
 from gnc_opt.verify.verdict import Condition, Result
 
 UNSTABLE = 1e6
@@ -45,11 +48,12 @@ def judge(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
     return Condition(name, result, worst.value, tolerance, worst.where, meaning)
 
 
-def dynamics(samples: list[PhaseSamples], tolerance: float) -> Condition:
+def dynamics(problem: Problem, samples: list[PhaseSamples], tolerance: float) -> Condition:
     """The trajectory satisfies the differential equation between the nodes."""
     worst = NOTHING
     for s in samples:
         worst = worst.or_worse(worst_defect(s)).or_worse(worst_defect(s, s.finer(SCANNED)))
+        worst = worst.or_worse(worst_of_parts(problem, s))
     return judge(
         "dynamics",
         worst,
@@ -75,18 +79,21 @@ def propagation(samples: list[PhaseSamples], tolerance: float) -> Condition:
     if condition.result is not Result.FAIL:
         return condition
     growth = max((_growth(s) for s, gap in zip(samples, gaps, strict=True) if not gap), default=1.0)
-    if growth > UNSTABLE:
-        return Condition(
-            condition.name,
-            Result.CANNOT_TELL,
-            worst.value,
-            tolerance,
-            worst.where,
-            f"The dynamics amplify errors about {growth:.0e} times over the phase, so that a propagation in one go "
-            "says nothing about the solution; the condition 'dynamics' judges it segment by segment.",
-            sufficient=True,  # a second opinion: what is necessary is told by 'dynamics'
-        )
-    return condition
+    if growth <= UNSTABLE:
+        return condition
+    parts = NOTHING
+    for s, gap in zip(samples, gaps, strict=True):
+        parts = parts.or_worse(gap or worst_terminal_error(s, _restarts(s)))
+    return replace(
+        condition,
+        result=Result.PASS if parts.value <= tolerance else Result.CANNOT_TELL,
+        value=parts.value,
+        where=f"{parts.where}, in parts",
+        meaning=f"The dynamics amplify errors about {growth:.0e} times over the phase, so that a propagation in one go "
+        f"says nothing about the solution: it starts anew wherever they have grown {UNSTABLE:.0e} times. Where such "
+        "a part misses, the condition 'dynamics' judges segment by segment.",
+        sufficient=True,  # a second opinion: what is necessary is told by 'dynamics'
+    )
 
 
 def _missing_number(s: PhaseSamples) -> Worst | None:
@@ -98,23 +105,37 @@ def _missing_number(s: PhaseSamples) -> Worst | None:
 
 
 def _growth(samples: PhaseSamples) -> float:
-    """Return how much the linearised dynamics amplify an error over the phase at most.
-
-    Product of the norms of the segments' transition matrices exp(A h), A = df/dx in scaled states.
-    """
-    leg, scale = samples.leg, samples.state_scale
-    middles = 0.5 * (leg.breaks[:-1] + leg.breaks[1:])
-    jacobians = samples.functions.state_jacobian(middles, leg.x(middles), leg.flown(middles))
-    if not np.all(np.isfinite(jacobians)):  # an iterate beyond a singularity of the dynamics
-        return 1.0
-    scaled = jacobians * scale[None, :, None] / scale[:, None, None]
-    transition, largest = np.eye(scale.size), 1.0
-    for k, width in enumerate(np.diff(leg.breaks)):
-        transition = scipy.linalg.expm(np.clip(scaled[:, :, k] * width, -50.0, 50.0)) @ transition
+    """Return how much the linearised dynamics amplify an error over the phase at most."""
+    transition, largest = np.eye(samples.state_scale.size), 1.0
+    for step in _transitions(samples):
+        transition = step @ transition
         largest = max(largest, float(np.linalg.norm(transition, 2)))
         if not largest < 1e12:
             break
     return largest
+
+
+def _transitions(samples: PhaseSamples) -> Iterator[Array]:
+    """Transition matrices exp(A h) of the segments, A = df/dx in scaled states; none where that is no number."""
+    leg, scale = samples.leg, samples.state_scale
+    middles = 0.5 * (leg.breaks[:-1] + leg.breaks[1:])
+    jacobians = samples.functions.state_jacobian(middles, leg.x(middles), leg.flown(middles))
+    if not np.all(np.isfinite(jacobians)):  # an iterate beyond a singularity of the dynamics
+        return
+    scaled = jacobians * scale[None, :, None] / scale[:, None, None]
+    for k, width in enumerate(np.diff(leg.breaks)):
+        yield scipy.linalg.expm(np.clip(scaled[:, :, k] * width, -50.0, 50.0))
+
+
+def _restarts(samples: PhaseSamples) -> list[float]:
+    """Times before which errors have grown by `UNSTABLE` since the start, or since the last of these times."""
+    transition, times = np.eye(samples.state_scale.size), []
+    for time, step in zip(samples.leg.breaks, _transitions(samples), strict=False):
+        transition = step @ transition
+        if np.linalg.norm(transition, 2) > UNSTABLE:
+            times.append(float(time))
+            transition = step
+    return [time for time in times if time > samples.leg.breaks[0]]
 
 
 def bounds(solution: Solution, samples: list[PhaseSamples], tolerance: float) -> Condition:

@@ -8,32 +8,43 @@ below. A flight that reaches that bound is a global minimum, whatever its costat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from gnc_opt.arrays import Array
+from gnc_opt.problem.constraint import make_constraint
 from gnc_opt.problem.interval import Interval, intersect
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.problem.ranges import ranges_of
 from gnc_opt.problem.symbols import parameter_arguments
 from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.solution.solution import Solution
+from gnc_opt.verify.judged import ends_of, from_problem
+from gnc_opt.verify.magnitude import Magnitudes
 
 
 def least_cost(problem: Problem) -> float:
     """Return what the minimised cost is at least, by interval arithmetic; minus infinity if nothing is known."""
+    return float(_least(problem, [problem.sense * problem.cost])[0])
+
+
+def _least(problem: Problem, expressions: Sequence[Any]) -> Array:
+    """Return what expressions of the ends are at least."""
     q, boxes = problem.parameter_interval(), []
     for leg in problem.phases.values():
         p = _given(leg)
         ends = [intersect(given, leg.numbers.states) for given in (leg.numbers.initial, leg.numbers.final)]
         boxes += [*ends, *leg.times(), _integrals(problem, leg, q), p]
-    return float(ranges_of(problem.once("cost of ends", lambda: _cost(problem)), [*boxes, q]).lower[0])
+    return ranges_of(_of_ends(problem, expressions), [*boxes, q]).lower
 
 
 def reaches_least_cost(
-    problem: Problem, samples: Sequence[PhaseSamples], cost: float, amount: float, tolerance: float
+    solution: Solution, samples: Sequence[PhaseSamples], cost: float, amount: float, tolerance: float
 ) -> bool:
     """Whether the cost is at its least possible value but for rounding, and so are its costates.
 
@@ -42,14 +53,72 @@ def reaches_least_cost(
 
     Parameters
     ----------
+    solution : Solution
+        With all that its problem tells (`from_problem`).
     cost : float
         As the problem states it.
     amount : float
         What the cost amounts to (module `magnitude`).
     """
+    problem = solution.need_problem("verify")
     above = problem.sense * cost - least_cost(problem)
     worths = [np.max(np.abs(s.lam_polynomial) * s.state_scale[:, None], initial=0.0) for s in samples]
-    return bool(above <= tolerance**2 * amount and max(worths) <= tolerance * amount)
+    near = above <= tolerance**2 * amount and max(worths) <= tolerance * amount
+    return bool(near and np.all(_above_least(solution) <= tolerance**2))
+
+
+def _above_least(solution: Solution) -> Array:
+    """Return how far each term of the cost is above its least value, in shares of what it amounts to.
+
+    Each is a boundary constraint of a problem of its own, which the verdict's yardsticks are taken of.
+    """
+    problem = solution.need_problem("verify").clone()
+    terms = list(_addends(problem.sense * problem.cost))
+    for leg in problem.phases.values():
+        for symbol, integrand in list(leg.integrands.values()):
+            shares = [leg.integral(part) for part in _addends(integrand)]
+            terms = [
+                part
+                for term in terms
+                for part in _addends(ca.substitute(term, symbol, sum(shares[1:], shares[0])))
+            ]
+    problem.constraints = {
+        f"term {k}": make_constraint(f"term {k}", term, None, 0.0, None, "a term of the cost")
+        for k, term in enumerate(terms)
+    }
+    problem.changed()
+    none = {name: np.zeros(len(leg.integrands)) for name, leg in problem.phases.items()}
+    apart = replace(
+        solution,
+        problem=problem,
+        phases={
+            k: replace(v, integrals=none[k], integral_weights=none[k]) for k, v in solution.phases.items()
+        },
+        constraint_labels=problem.constraint_labels(),
+        constraint_values=np.zeros(len(terms)),
+        constraint_multipliers=np.zeros(len(terms)),
+    )
+    apart = from_problem(apart)
+    amounts = Magnitudes.of(apart, list(apart.samples().values())).constraints
+    return np.asarray((ends_of(apart).constraints - _least(problem, terms)) / amounts)
+
+
+def _addends(expression: Any, factor: float = 1.0) -> Iterator[Any]:
+    """Yield what a sum is made of, multiplied out where a factor is a number."""
+    if expression.op() in (ca.OP_ADD, ca.OP_SUB):
+        first, second = (expression.dep(k) for k in range(2))
+        yield from _addends(first, factor)
+        yield from _addends(second, -factor if expression.op() == ca.OP_SUB else factor)
+    elif expression.op() in (ca.OP_NEG, ca.OP_TWICE):
+        yield from _addends(expression.dep(0), -factor if expression.op() == ca.OP_NEG else 2.0 * factor)
+    elif expression.op() == ca.OP_MUL and expression.dep(0).is_constant():
+        yield from _addends(expression.dep(1), factor * float(expression.dep(0)))
+    elif expression.op() == ca.OP_MUL and expression.dep(1).is_constant():
+        yield from _addends(expression.dep(0), factor * float(expression.dep(1)))
+    elif expression.op() == ca.OP_DIV and expression.dep(1).is_constant():
+        yield from _addends(expression.dep(0), factor / float(expression.dep(1)))
+    else:
+        yield factor * expression
 
 
 def _given(leg: Phase) -> Interval:
@@ -74,11 +143,11 @@ def _integrands(problem: Problem, leg: Phase) -> Any:
     return ca.Function("integrands", arguments, [ca.densify(problem.bind(leg, leg.integrand_expression()))])
 
 
-def _cost(problem: Problem) -> Any:
-    cost, arguments = problem.sense * problem.cost, []
+def _of_ends(problem: Problem, expressions: Sequence[Any]) -> Any:
+    column, arguments = ca.vertcat(*expressions), []
     legs = problem.phases.values()
     for leg, parameters in zip(legs, parameter_arguments(legs), strict=True):
-        cost = problem.bind(leg, cost)
+        column = problem.bind(leg, column)
         arguments += [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time]
         arguments += [leg.integral_symbols(), parameters]
-    return ca.Function("cost", [*arguments, problem.parameter_symbols()], [ca.densify(cost)])
+    return ca.Function("of_ends", [*arguments, problem.parameter_symbols()], [ca.densify(column)])

@@ -12,10 +12,15 @@ For constant A, B, H it is if the pencil
 has full column rank for some s (H. L. Trentelman, A. A. Stoorvogel & M. Hautus, Control Theory for Linear Systems,
 2001, section 8.2). A phase starts from :math:`\delta x = 0` if its initial states are given, or if end conditions lead
 over to them from phases of which there is one solution only.
+
+A control on its bound whose switching function vanishes at isolated times only is the same in all solutions: the first
+order already costs what differs from it, :math:`\int |\partial H/\partial u_i|\,|\delta u_i|\,dt`. Its column of B
+falls out, and with all of them the phase has one solution whatever A is.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
@@ -25,7 +30,11 @@ import scipy
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
+from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.tolerances import AT_LIMIT
+from gnc_opt.verify.brief import BRIEF, SMEARED, lasting_longer
 from gnc_opt.verify.convex import is_convex
+from gnc_opt.verify.switches import GRAZES
 
 _FULL = 1e-9
 """Least singular value of matrices of full rank, rows and columns scaled to one."""
@@ -34,8 +43,14 @@ _ANYWHERE = 0.73 + 0.41j
 """A value of s, in units of the largest entry of A; the rank is less than usual for a few values only."""
 
 
-def has_one_solution(problem: Problem) -> bool:
-    """Whether a problem is convex and cannot have two solutions, as far as constant matrices tell."""
+def has_one_solution(problem: Problem, determined: Mapping[str, Mask] | None = None) -> bool:
+    """Whether a problem is convex and cannot have two solutions, as far as constant matrices tell.
+
+    Parameters
+    ----------
+    determined : mapping from phase names to bool array (m,)
+        Controls that are the same in all solutions (`determined_by_slope`); by default none.
+    """
     if not is_convex(problem) or problem.parameters.size:
         return False
     legs = list(problem.phases.values())
@@ -54,7 +69,9 @@ def has_one_solution(problem: Problem) -> bool:
     waiting, places = legs, _places(legs)
     while waiting:
         settled = [leg for leg in waiting if _starts_alike(equal, same, places[leg.name][0])]
-        if not settled or not all(_left_invertible(problem, leg) for leg in settled):
+        if not settled or not all(
+            _left_invertible(problem, leg, (determined or {}).get(leg.name)) for leg in settled
+        ):
             return False
         for leg in settled:
             same[np.concatenate(places[leg.name])] = True
@@ -85,8 +102,24 @@ def _starts_alike(equal: Array, same: Mask, initial: Indices) -> bool:
     return left.size == 0 or _full_column_rank(rows[:, left])
 
 
-def _left_invertible(problem: Problem, leg: Phase) -> bool:
+def determined_by_slope(s: PhaseSamples) -> Mask:
+    """Which controls are on their bounds all along, with switching functions that vanish for `BRIEF` at most (m,).
+
+    A zero of any order at one time is no longer; one that lasts leaves a control open there.
+    """
+    at_lower, at_upper = s.leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale)
+    worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
+    opens = lasting_longer(s.times, ~(worth > GRAZES), BRIEF)
+    between = lasting_longer(s.times, ~(at_lower | at_upper), SMEARED)
+    return np.asarray(~np.any(opens | between, axis=1))
+
+
+def _left_invertible(problem: Problem, leg: Phase, determined: Mask | None) -> bool:
     _, x, u, p = leg.model.arguments()
+    if determined is not None:
+        u = u[np.flatnonzero(~determined).tolist()]
+        if u.is_empty():
+            return True
     rates = leg.model.derivative()
     z = ca.vertcat(x, u)
     curved = ca.SX(z.numel(), z.numel())

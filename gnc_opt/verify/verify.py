@@ -10,6 +10,7 @@ from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.problem.cost_unit import cost_unit
 from gnc_opt.problem.functions import EndGradients
 from gnc_opt.problem.kinks import kinks_of
+from gnc_opt.problem.problem import Problem
 from gnc_opt.problem.tables import table_uses
 from gnc_opt.solution.quality import NOTHING
 from gnc_opt.solution.samples import PhaseSamples
@@ -40,7 +41,7 @@ from gnc_opt.verify.reduced_hessian import (
 )
 from gnc_opt.verify.singular import generalised_legendre_clebsch, of_first_order
 from gnc_opt.verify.smoothness import beyond_theorems, roughness, smoothness
-from gnc_opt.verify.uniqueness import has_one_solution
+from gnc_opt.verify.uniqueness import determined_by_slope, has_one_solution
 from gnc_opt.verify.verdict import Condition, Result, Verdict
 
 TOLERANCE = 1e-5
@@ -104,7 +105,7 @@ def _judge(solution: Solution, tol: float) -> Verdict:
     missing = missing_number(stored, told)
     samples = [settle_edges(s.with_cost_magnitude(amounts.cost), tol) for s in samples]
     conditions = [
-        feasibility.dynamics(samples, tol),
+        feasibility.dynamics(solution.need_problem("verify"), samples, tol),
         feasibility.propagation(samples, tol),
         feasibility.bounds(solution, samples, tol),
         feasibility.paths(samples, tol),
@@ -141,9 +142,9 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         along, switches = ([_without_length(c, vanished) for c in part] for part in (along, switches))
     judged = [*along, costates.parameters(solution, samples, ends, amounts.parameters, tol), *switches]
     doubted = told and any(c.result is not Result.PASS for c in judged)
-    if doubted and reaches_least_cost(problem, samples, ends.cost, amounts.cost, tol):
+    if doubted and reaches_least_cost(solution, samples, ends.cost, amounts.cost, tol):
         judged = [_of_least_cost(c) for c in judged]
-    if any(_leaves_open(c) for c in judged) and told and has_one_solution(problem):
+    if any(_leaves_open(c) for c in judged) and told and _is_only_one(problem, lasting):
         judged = [_of_one_solution(c) if _leaves_open(c) else c for c in judged]
     if any(kinks_of(problem, leg) is not None for leg in problem.phases.values()):
         rough = None if missing.value else roughness(problem, lasting, tol)
@@ -213,6 +214,13 @@ def _of_least_cost(condition: Condition) -> Condition:
     result = Result.CANNOT_TELL if condition.sufficient else Result.PASS
     where = f"{condition.where}; the cost is the least that there can be, and the minimum may be one of many"
     return replace(condition, result=result, where=where)
+
+
+def _is_only_one(problem: Problem, samples: list[PhaseSamples]) -> bool:
+    every_phase_lasts = len(samples) == len(problem.phases)
+    return every_phase_lasts and has_one_solution(
+        problem, {s.leg.name: determined_by_slope(s) for s in samples}
+    )
 
 
 def _leaves_open(condition: Condition) -> bool:

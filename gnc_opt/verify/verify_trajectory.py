@@ -21,7 +21,8 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.extract import extract_phases, model_parameters
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import PiecewisePolynomial
-from gnc_opt.solution.solution import Solution, Statistics
+from gnc_opt.solution.solution import Solution
+from gnc_opt.solution.statistics import Statistics
 from gnc_opt.tolerances import AT_LIMIT
 from gnc_opt.transcription.scheme import GAUSS
 from gnc_opt.transcription.transcription import transcribe

@@ -6,7 +6,8 @@ To be read in this order: `problems.rendezvous.model`, then here
 
 * `tracking`: the plan, the plant and what it differs by, the controllers, and how their runs are judged;
 * `guided`: the plan without reserve, its switches corrected on board;
-* `measured`: the same by range, bearing, star tracker and gyro, through a filter;
+* `measured`: both by range, bearing, star tracker and gyro, through a filter;
+* `replanned`: the same, with the problem solved again in flight;
 * `flown`: the optimum and the solution on the paper's mesh over the same runs;
 * `basilisk`: the plan and its regulator in another maker's plant;
 * `plots`, `report`: what is drawn and printed.
@@ -14,7 +15,8 @@ To be read in this order: `problems.rendezvous.model`, then here
 
 from problems.rendezvous import CASES
 from problems.rendezvous_tracking.guided import Guided, settled
-from problems.rendezvous_tracking.measured import Measured
+from problems.rendezvous_tracking.measured import Filtered, Measured
+from problems.rendezvous_tracking.replanned import Replanned
 from problems.rendezvous_tracking.report import main
 from problems.rendezvous_tracking.tracking import (
     ACCEPTED,
@@ -64,8 +66,10 @@ __all__ = [
     "SETTLING",
     "TORQUE_STEP",
     "Conditions",
+    "Filtered",
     "Guided",
     "Measured",
+    "Replanned",
     "Tracking",
     "example_run",
     "main",

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.control import Controller, design_lqr, design_neighbouring_optimal
+from gnc_opt.control import Controller, GuidanceOptions, design_lqr, design_neighbouring_optimal
 from gnc_opt.simulation import Campaign, Run
 from problems.rendezvous_tracking.tracking import AUTHORITY, DT, LIMITS, SETTLING, Tracking
 
@@ -34,9 +34,8 @@ class Guided(Tracking):
         final = reference.x(reference.final_time)
         regulator = design_lqr(model, final, **self._weights, dt=DT, limits=AUTHORITY)
         weight = self._weights["Q"]
-        return design_neighbouring_optimal(
-            self.solution, regulator, Q=weight, last=LAST, reserve=REGULATED, delay=self.conditions.lag
-        )
+        options = GuidanceOptions(reserve=REGULATED, delay=self.conditions.lag)
+        return design_neighbouring_optimal(self.solution, regulator, Q=weight, last=LAST, options=options)
 
     def controller(self, name: str = "neighbouring-optimal") -> Controller:
         """Return the guidance."""

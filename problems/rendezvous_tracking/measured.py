@@ -15,17 +15,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.control import Controller, Estimator, FilterOptions, Measurement, design_ekf, output_feedback
+from gnc_opt.control import (
+    Controller,
+    Estimator,
+    FilterOptions,
+    Measurement,
+    design_ekf,
+    design_scheduled_ekf,
+    output_feedback,
+)
 from gnc_opt.simulation import ClosedLoop, Event, Noise
 from gnc_opt.spacecraft import apply, mrp_to_dcm
 from problems.rendezvous import chaser_model
 from problems.rendezvous_tracking.guided import Guided
-from problems.rendezvous_tracking.tracking import AUTHORITY, DT, NOISE, turned
+from problems.rendezvous_tracking.tracking import ACCURACY, AUTHORITY, DT, NOISE, Tracking, turned
 
 RANGE_NOISE, BEARING_NOISE = 0.02, 5e-4
 """m, and the components of a unit vector."""
@@ -35,6 +44,13 @@ FIRST = {"omega": 1e-4, "sigma": 0.02, "v_L": 1e-3, "r_L": 0.1}
 """Errors of the planned start (1 sigma), rad/s, rad, m/s, m."""
 UNKNOWN = {"omega": 3e-4, "v_L": 1e-3}
 """Process noise: what wrong mass, inertia, lag and force do to rates and velocity, rad/s^1.5 and m/s^1.5."""
+KNOWN: dict[str, Any] = {
+    "sigma0": FIRST,
+    "process_noise": UNKNOWN,
+    "dt": DT,
+    "options": FilterOptions(limits=AUTHORITY),
+}
+"""What the filters are told."""
 
 
 def observed_chaser() -> go.Model:
@@ -47,6 +63,56 @@ def observed_chaser() -> go.Model:
     return chaser
 
 
+SENSORS = (
+    Measurement("omega", NOISE["omega"]),
+    Measurement("sigma", NOISE["sigma"]),
+    Measurement("range", RANGE_NOISE),
+    Measurement("bearing", BEARING_NOISE),
+)
+"""As the filters see them."""
+
+
+def sensed(flown: Tracking, controller: Controller, *, keep_out: bool = False) -> ClosedLoop:
+    """Return the loop of `tracking` with these sensors, a controller of them and, if wanted, the keep-out sphere."""
+    noise, chaser = flown.conditions.noise, observed_chaser()
+    r = chaser.symbol("r_L")
+    sensors = [
+        Noise("gyro", noise * NOISE["omega"], on="omega"),
+        Noise("attitude sensor", np.full(3, noise * NOISE["sigma"]), turned, on="sigma"),
+        Noise("range finder", noise * RANGE_NOISE, on="range"),
+        Noise("camera", noise * BEARING_NOISE, on="bearing"),
+    ]
+    return ClosedLoop(
+        chaser,
+        controller,
+        flown.actuators,
+        sensors,
+        flown.disturbances,
+        events=[Event("too close", r.T @ r - KEEP_OUT**2, "falling", failure=True)] if keep_out else [],
+        dt=DT,
+        accuracy=ACCURACY,
+    )
+
+
+@dataclass(frozen=True)
+class Filtered(Tracking):
+    """The plan with reserve, followed by the TVLQR behind a filter: one that makes its gains in flight, one before."""
+
+    def filter(self, name: str) -> Estimator:
+        """Return "EKF" or "scheduled EKF"."""
+        if name == "EKF":
+            return design_ekf(observed_chaser(), self.initial, SENSORS, **KNOWN)
+        return design_scheduled_ekf(observed_chaser(), self.reference, SENSORS, **KNOWN)
+
+    def controller(self, name: str) -> Controller:
+        """Return the TVLQR behind one of them."""
+        return output_feedback(self.tvlqr, self.filter(name))
+
+    def loop(self, controller: Controller) -> ClosedLoop:
+        """Return the loop of `tracking` with these sensors."""
+        return sensed(self, controller)
+
+
 @dataclass(frozen=True)
 class Measured(Guided):
     """The guidance behind a filter."""
@@ -54,20 +120,7 @@ class Measured(Guided):
     @cached_property
     def filter(self) -> Estimator:
         """The extended Kalman filter."""
-        return design_ekf(
-            observed_chaser(),
-            self.initial,
-            [
-                Measurement("omega", NOISE["omega"]),
-                Measurement("sigma", NOISE["sigma"]),
-                Measurement("range", RANGE_NOISE),
-                Measurement("bearing", BEARING_NOISE),
-            ],
-            sigma0=FIRST,
-            process_noise=UNKNOWN,
-            dt=DT,
-            options=FilterOptions(limits=AUTHORITY),
-        )
+        return design_ekf(observed_chaser(), self.initial, SENSORS, **KNOWN)
 
     def controller(self, name: str = "neighbouring-optimal") -> Controller:
         """Return the guidance fed by the filter."""
@@ -75,22 +128,4 @@ class Measured(Guided):
 
     def loop(self, controller: Controller) -> ClosedLoop:
         """Return the loop of `tracking` with these sensors and the keep-out sphere."""
-        plain, chaser = super().loop(self.guidance), observed_chaser()
-        inside = chaser.symbol("r_L").T @ chaser.symbol("r_L") - KEEP_OUT**2
-        noise = self.conditions.noise
-        sensors = [
-            Noise("gyro", noise * NOISE["omega"], on="omega"),
-            Noise("attitude sensor", np.full(3, noise * NOISE["sigma"]), turned, on="sigma"),
-            Noise("range finder", noise * RANGE_NOISE, on="range"),
-            Noise("camera", noise * BEARING_NOISE, on="bearing"),
-        ]
-        return ClosedLoop(
-            chaser,
-            controller,
-            plain.actuators,
-            sensors,
-            plain.disturbances,
-            events=[Event("too close", inside, "falling", failure=True)],
-            dt=DT,
-            accuracy=plain.accuracy,
-        )
+        return sensed(self, controller, keep_out=True)

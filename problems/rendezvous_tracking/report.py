@@ -22,7 +22,8 @@ from gnc_opt.simulation import Campaign
 from problems.flown import with_settings
 from problems.rendezvous import CASES
 from problems.rendezvous_tracking.guided import Guided
-from problems.rendezvous_tracking.measured import Measured
+from problems.rendezvous_tracking.measured import Filtered, Measured
+from problems.rendezvous_tracking.replanned import PLANNED, REPLANNED_RUNS, Replanned
 from problems.rendezvous_tracking.tracking import (
     MPC_RUNS,
     SETTLING,
@@ -33,8 +34,10 @@ from problems.rendezvous_tracking.tracking import (
     price_of_robustness,
 )
 
-GUIDED = {"guided": Guided, "guided, filtered": Measured}
-"""Flights with the whole authority, judged as long after their own planned end."""
+GUIDED = ("guided", "guided, filtered", "planned again, filtered")
+"""Flights with more of the authority than the reserve leaves, judged as long after their own planned end."""
+FILTERS = ("EKF", "scheduled EKF")
+"""Behind which the TVLQR flies, too."""
 DEMANDED = 0.99
 """Pass rate of the controllers with feedback."""
 _LEVELS = (0.5, 0.99)
@@ -124,23 +127,40 @@ def _run(options: argparse.Namespace) -> int:
     )
     campaigns: dict[str, Campaign] = {}
     seconds: dict[str, float] = {}
+
+    def how(name: str) -> dict[str, Any]:
+        place = (
+            None
+            if options.checkpoint is None
+            else options.checkpoint / name.replace(", ", "-").replace(" ", "_")
+        )
+        return {"progress": console.is_terminal, "checkpoint": place}
+
     for name in conditions.laws:
         runs = min(options.runs, options.mpc_runs) if name == "MPC" else options.runs
         if runs < 1:
             continue
         begin = time.perf_counter()
-        campaigns[name] = tracking.campaign(name, runs, options.seed, progress=console.is_terminal)
+        campaigns[name] = tracking.campaign(name, runs, options.seed, **how(name))
         seconds[name] = time.perf_counter() - begin
         console.print(f"{name}: {runs} runs in {seconds[name]:.1f} s, design included")
     followed = dict(campaigns)
-    for name, kind in GUIDED.items() if options.runs and conditions.law == "all" else ():
-        begin = time.perf_counter()
-        guided = kind(plan(options.case, 1.0), conditions)
-        campaigns[name] = guided.campaign(name, options.runs, options.seed, progress=console.is_terminal)
+    everything = options.runs and conditions.law == "all"
+    filtered = Filtered(tracking.solution, conditions)
+    for name in FILTERS if everything else ():
+        title, begin = f"TVLQR, {name}", time.perf_counter()
+        campaigns[title] = filtered.campaign(name, options.runs, options.seed, **how(title))
+        seconds[title] = time.perf_counter() - begin
+    for name in GUIDED if everything else ():
+        runs = min(options.runs, options.replanned_runs) if name.startswith("planned") else options.runs
+        if runs < 1:
+            continue
+        begin, guided = time.perf_counter(), _guided(name, options.case, conditions)
+        campaigns[name] = guided.campaign(name, runs, options.seed, **how(name))
         seconds[name] = time.perf_counter() - begin
         arrivals = guided.arrivals(campaigns[name])
         console.print(
-            f"{name}: {options.runs} runs, arrival by the last plan after {np.mean(arrivals):.3f} s on average, "
+            f"{name}: {runs} runs, arrival by the last plan after {np.mean(arrivals):.3f} s on average, "
             f"{np.max(arrivals):.3f} s at the latest"
         )
     console.print()
@@ -163,6 +183,13 @@ def _run(options: argparse.Namespace) -> int:
     for name in missed:
         console.print(f"{name} passes {rates[name]:.1%} of its runs; {DEMANDED:.0%} are demanded.")
     return 1 if missed else 0
+
+
+def _guided(name: str, case: int, conditions: Conditions) -> Guided:
+    """Return one of `GUIDED`."""
+    if name.startswith("planned"):
+        return Replanned(plan(case, PLANNED, refined=False), conditions, case)
+    return (Measured if "filtered" in name else Guided)(plan(case, 1.0), conditions)
 
 
 def _summary(
@@ -198,7 +225,15 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--case", type=int, choices=list(CASES), default=1, help="initial position")
     parser.add_argument("--runs", type=int, default=1000, help="per controller, default 1000")
     parser.add_argument("--mpc-runs", type=int, default=MPC_RUNS, help=f"of the MPC at most, {MPC_RUNS}")
+    parser.add_argument(
+        "--replanned-runs", type=int, default=REPLANNED_RUNS,
+        help=f"of the flight that is planned again at most, {REPLANNED_RUNS}",
+    )  # fmt: skip
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--checkpoint", type=Path, metavar="DIR",
+        help="keep finished runs in a folder per controller; those that are there are not flown again",
+    )  # fmt: skip
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE",
         help="another law, gain, dispersion or noise: a field of problems.rendezvous_tracking.Conditions",

@@ -25,6 +25,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -44,9 +45,11 @@ from gnc_opt.control import (
 )
 from gnc_opt.simulation import (
     Ball,
+    Block,
     Campaign,
     ClosedLoop,
     Constant,
+    Disturbance,
     Lag,
     Noise,
     Normal,
@@ -68,6 +71,8 @@ DT = 0.1
 """Control step, s."""
 SETTLING = 20.0
 """Time after the planned arrival, s."""
+ACCURACY = 1e-7
+"""Of the integration."""
 
 LIMITS = {
     "r_L": 0.05,
@@ -275,29 +280,40 @@ class Tracking:
             ),
         }
 
+    @property
+    def actuators(self) -> list[Block]:
+        """The thrusters."""
+        lag = self.conditions.lag
+        return [
+            Quantisation("torque steps", TORQUE_STEP, on="T_B"),
+            Quantisation("force steps", FORCE_STEP, on="F_B"),
+            Saturation("torque limit", -MAX_TORQUE, MAX_TORQUE, on="T_B"),
+            Saturation("force limit", -MAX_FORCE, MAX_FORCE, on="F_B"),
+            Lag("torque lag", lag, on="T_B"),
+            Lag("force lag", lag, on="F_B"),
+        ]
+
+    @property
+    def disturbances(self) -> list[Disturbance]:
+        """What pushes."""
+        return [Constant("differential force", np.zeros(3), on="v_L")]
+
     def loop(self, controller: Controller) -> ClosedLoop:
         """Return the closed loop with all effects, before they are dispersed."""
-        lag, noise = self.conditions.lag, self.conditions.noise
+        noise = self.conditions.noise
         return ClosedLoop(
             chaser_model("exact"),
             controller,
-            [
-                Quantisation("torque steps", TORQUE_STEP, on="T_B"),
-                Quantisation("force steps", FORCE_STEP, on="F_B"),
-                Saturation("torque limit", -MAX_TORQUE, MAX_TORQUE, on="T_B"),
-                Saturation("force limit", -MAX_FORCE, MAX_FORCE, on="F_B"),
-                Lag("torque lag", lag, on="T_B"),
-                Lag("force lag", lag, on="F_B"),
-            ],
+            self.actuators,
             [
                 Noise("gyro", noise * NOISE["omega"], on="omega"),
                 Noise("attitude sensor", np.full(3, noise * NOISE["sigma"]), turned, on="sigma"),
                 Noise("velocity filter", noise * NOISE["v_L"], on="v_L"),
                 Noise("position filter", noise * NOISE["r_L"], on="r_L"),
             ],
-            [Constant("differential force", np.zeros(3), on="v_L")],
+            self.disturbances,
             dt=DT,
-            accuracy=1e-7,
+            accuracy=ACCURACY,
         )
 
     def campaign(
@@ -308,8 +324,12 @@ class Tracking:
         executor: Executor | Literal["serial"] | None = None,
         *,
         progress: bool = False,
+        checkpoint: Path | None = None,
     ) -> Campaign:
-        """Fly one of `CONTROLLERS`; the same seed gives all of them the same plants and starts."""
+        """Fly one of `CONTROLLERS`; the same seed gives all of them the same plants and starts.
+
+        Runs that are in the folder of the checkpoint are not flown again.
+        """
         return monte_carlo(
             self.loop(self.controller(name)),
             runs,
@@ -320,6 +340,7 @@ class Tracking:
             limits=LIMITS,
             executor=executor,
             progress=progress,
+            checkpoint=checkpoint,
         )
 
 

@@ -33,7 +33,7 @@ SPREAD = {"initial.q": Normal(0.2), "initial.v": Normal(0.1, mean=0.05)}
 
 @pytest.fixture(scope="module")
 def found() -> go.LinearCovariance:
-    return go.linear_covariance(loop_of(), **MISSION, dispersions=SPREAD)
+    return go.linear_covariance(go.Experiment(loop_of(), **MISSION, dispersions=SPREAD))
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +112,7 @@ def test_5000_runs_agree_within_the_chi_square_band(found, campaign):
 
 def test_a_wrong_prediction_is_outside(campaign):
     wrong = go.linear_covariance(
-        loop_of(), **MISSION, dispersions=SPREAD | {"initial.q": Normal(0.2)}, checks=0
+        go.Experiment(loop_of(), **MISSION, dispersions=SPREAD | {"initial.q": Normal(0.2)}), checks=0
     )
     smaller = replace(wrong, parts={kind: 0.9 * part for kind, part in wrong.parts.items()})
     assert not smaller.compare(campaign).ok
@@ -132,7 +132,7 @@ def test_a_limit_that_is_met_is_told_and_runs_confirm_it():
     """Far from the limit nothing bends; where it is met, the variance of the runs leaves the band."""
     for limit, linear in ((50.0, True), (0.35, False)):
         loop = loop_of(actuators=[Saturation("limit", -limit, limit)])
-        predicted = go.linear_covariance(loop, **MISSION, dispersions=SPREAD)
+        predicted = go.linear_covariance(go.Experiment(loop, **MISSION, dispersions=SPREAD))
         runs = go.monte_carlo(loop, 1000, **MISSION, seed=2, dispersions=SPREAD, executor="serial")
         assert predicted.linear("q") is linear
         assert predicted.compare(runs).ok is linear
@@ -143,7 +143,7 @@ def test_nonlinearity_bounds_the_error_of_the_standard_deviation():
     """q' = v with a gain that is dispersed: the standard deviation is off by less than the nonlinearity."""
     spread = SPREAD | {"plant.m": Normal(0.3, relative=True, truncate=2.5)}
     loop = loop_of()
-    predicted = go.linear_covariance(loop, **MISSION, dispersions=spread, checks=200)
+    predicted = go.linear_covariance(go.Experiment(loop, **MISSION, dispersions=spread), checks=200)
     runs = go.monte_carlo(loop, 1500, **MISSION, seed=4, dispersions=spread, executor="serial")
     for name in ("q", "v"):
         sigma, bend = predicted.std(name)[0, -1], predicted.nonlinearity(name)[0, -1]
@@ -166,7 +166,7 @@ def test_delays_lags_and_an_estimator_are_part_of_the_loop():
         minor_steps=2,
     )
     spread = {"initial.q": Normal(0.2), "initial.v": Normal(0.1), "motor.tau": Uniform(-0.02, 0.02)}
-    predicted = go.linear_covariance(loop, **MISSION, dispersions=spread, every=7)
+    predicted = go.linear_covariance(go.Experiment(loop, **MISSION, dispersions=spread), every=7)
     assert predicted.times[[0, 1, -1]] == pytest.approx([0.0, 0.7, 6.0])
     runs = go.monte_carlo(loop, 1000, **MISSION, seed=5, dispersions=spread, executor="serial")
     agreed = predicted.compare(runs)
@@ -176,7 +176,7 @@ def test_delays_lags_and_an_estimator_are_part_of_the_loop():
 
 def test_without_a_source_nothing_scatters():
     model = sled()
-    quiet = go.linear_covariance(go.ClosedLoop(model, regulator(model)), **MISSION, checks=2)
+    quiet = go.linear_covariance(go.Experiment(go.ClosedLoop(model, regulator(model)), **MISSION), checks=2)
     assert quiet.sources == () and np.all(quiet.std("q") == 0) and np.all(quiet.nonlinearity("q") == 0)
     assert quiet.budget("q") == {} and "sigma" in str(quiet)
 
@@ -201,7 +201,7 @@ def test_attitudes_scatter_as_turns_whatever_their_parameters(kind):
     rest = go.Reference.constant(body, [*first, 0, 0, 0], [0, 0, 0])
     loop = go.ClosedLoop(body, go.feedforward(rest), dt=0.5)
     spread = {"initial.a": Turn(0.01), "initial.omega": Normal(1e-3)}
-    found = go.linear_covariance(loop, x0=[*first, 0, 0, 0], tf=10.0, dispersions=spread)
+    found = go.linear_covariance(go.Experiment(loop, x0=[*first, 0, 0, 0], tf=10.0, dispersions=spread))
     e = found.std("a")
     assert e[:, 0] == pytest.approx(np.full(3, e[0, 0]), rel=1e-6)
     unit = e[0, 0] / (0.01 / np.sqrt(3))  # what a unit of the difference is worth in rad
@@ -250,15 +250,19 @@ def test_what_cannot_be_linearized_is_refused():
     law = regulator(model)
     ends = go.ClosedLoop(model, law, events=[Event("gate", model.symbol("q"))])
     with pytest.raises(go.ArgumentError, match=r"has events \('gate'\)"):
-        go.linear_covariance(ends, **MISSION)
+        go.linear_covariance(go.Experiment(ends, **MISSION))
     with pytest.raises(go.ArgumentError, match=r"Odd\(\) does not tell its mean"):
-        go.linear_covariance(loop_of(), **MISSION, dispersions={"plant.m": Odd()})
+        go.linear_covariance(go.Experiment(loop_of(), **MISSION, dispersions={"plant.m": Odd()}))
     with pytest.raises(go.ArgumentError, match="give a ClosedLoop"):
-        go.linear_covariance(model, **MISSION)
+        go.Experiment(model, **MISSION)
+    with pytest.raises(go.ArgumentError, match="give an Experiment"):
+        go.linear_covariance(loop_of())
+    with pytest.raises(go.ArgumentError, match="seed of an experiment"):
+        go.Experiment(loop_of(), **MISSION, seed=-1)
     with pytest.raises(go.UnknownNameError, match=r"did you mean 'initial\.q'"):
-        go.linear_covariance(loop_of(), **MISSION, dispersions={"initial.Q": Normal(1.0)})
+        go.linear_covariance(go.Experiment(loop_of(), **MISSION, dispersions={"initial.Q": Normal(1.0)}))
     with pytest.raises(go.ArgumentError, match="number of runs to compare with"):
-        go.linear_covariance(loop_of(), **MISSION, checks=-1)
+        go.linear_covariance(go.Experiment(loop_of(), **MISSION), checks=-1)
 
 
 def test_a_derivative_that_is_not_finite_is_named():
@@ -267,7 +271,7 @@ def test_a_derivative_that_is_not_finite_is_named():
     model.ode({q: ca.sqrt(q) + a})
     law = go.feedforward(go.Reference.constant(model, [0.0], [0.0]))
     with pytest.raises(go.ArgumentError, match="derivative of 'q' of the closed loop is not finite at 0 s"):
-        go.linear_covariance(go.ClosedLoop(model, law, dt=0.1, substeps=1), x0=[0.0], tf=1.0)
+        go.linear_covariance(go.Experiment(go.ClosedLoop(model, law, dt=0.1, substeps=1), x0=[0.0], tf=1.0))
 
 
 def test_mistakes_with_the_result_are_refused(found, campaign):
@@ -275,7 +279,7 @@ def test_mistakes_with_the_result_are_refused(found, campaign):
         found.std("command(f)")
     with pytest.raises(go.ArgumentError, match="give checks="):
         replace(found, checked=0).linear("q")
-    other = go.linear_covariance(loop_of(), x0=[0.5, 0.0], tf=3.0, checks=0)
+    other = go.linear_covariance(go.Experiment(loop_of(), x0=[0.5, 0.0], tf=3.0), checks=0)
     with pytest.raises(go.ArgumentError, match="another loop or span"):
         other.compare(campaign)
     with pytest.raises(go.ArgumentError, match=r"number in \(0, 1\)"):

@@ -57,13 +57,20 @@ def test_a_common_failure_is_counted_at_once():
 def test_of_a_loop_it_is_the_tail_of_its_normal_ends():
     """Dispersions and noise alike: q(t_f) is normal, with the mean and sigma of the linear covariance."""
     loop, p = loop_of(), 1e-4
-    theory = go.linear_covariance(loop, **MISSION, dispersions=SPREAD, checks=0)
+    theory = go.linear_covariance(go.Experiment(loop, **MISSION, dispersions=SPREAD), checks=0)
     middle, sigma = theory.nominal[0, -1] + theory.mean[0, -1], theory.std("q")[0, -1]
     limit = middle + sigma * scipy.stats.norm.isf(p)
     found = failure_probability(
-        loop, "end", limit, **MISSION, dispersions=SPREAD, judge={"end": lambda runs: runs.state("q")[0]},
-        n=200, repetitions=6, confidence=0.99, seed=5, executor="serial",
-    )  # fmt: skip
+        go.Experiment(
+            loop, **MISSION, dispersions=SPREAD, judge={"end": lambda runs: runs.state("q")[0]}, seed=5
+        ),
+        "end",
+        limit,
+        n=200,
+        repetitions=6,
+        confidence=0.99,
+        executor="serial",
+    )
     assert found.low < p < found.high and found.high / found.low < 30
     assert found.estimates.shape == (6,) and found.levels[-1] == limit
     assert np.all(np.diff(found.levels) > 0)
@@ -74,28 +81,41 @@ def test_of_a_loop_it_is_the_tail_of_its_normal_ends():
 def test_runs_that_fail_count_as_failures():
     loop = loop_of(plausible={"q": 1.2})  # start above 1.2: more than 3.5 sigma
     found = failure_probability(
-        loop, "q", 1e3, **MISSION, dispersions={"initial.q": Normal(0.2)}, n=100, repetitions=3, executor="serial"
-    )  # fmt: skip
+        go.Experiment(loop, **MISSION, dispersions={"initial.q": Normal(0.2)}),
+        "q",
+        1e3,
+        n=100,
+        repetitions=3,
+        executor="serial",
+    )
     assert 0 < found.probability < 0.1
 
 
 def test_what_never_fails_and_mistakes_are_refused():
     loop = loop_of()
     with pytest.raises(go.GncOptError, match="or never: the largest value found"):
-        failure_probability(loop, "one", 2.0, **MISSION, n=10, repetitions=3, executor="serial",
-                            judge={"one": lambda runs: np.ones(len(runs))})  # fmt: skip
+        failure_probability(
+            go.Experiment(loop, **MISSION, judge={"one": lambda runs: np.ones(len(runs))}),
+            "one",
+            2.0,
+            n=10,
+            repetitions=3,
+            executor="serial",
+        )
+    plain = go.Experiment(loop, **MISSION)
     with pytest.raises(go.ArgumentError, match="multiple of 10"):
-        failure_probability(loop, "q", 1.0, **MISSION, n=105)
+        failure_probability(plain, "q", 1.0, n=105)
     with pytest.raises(go.ArgumentError, match="number of repetitions"):
-        failure_probability(loop, "q", 1.0, **MISSION, repetitions=2)
+        failure_probability(plain, "q", 1.0, repetitions=2)
     with pytest.raises(go.ArgumentError, match="give a finite number"):
-        failure_probability(loop, "q", np.inf, **MISSION)
+        failure_probability(plain, "q", np.inf)
     with pytest.raises(go.UnknownNameError):
-        failure_probability(loop, "Q", 1.0, **MISSION)
+        failure_probability(plain, "Q", 1.0)
 
 
 def test_the_same_seed_gives_the_same_bits_on_any_executor():
-    arguments = {**MISSION, "dispersions": SPREAD, "n": 20, "repetitions": 3}
     loop = loop_of(actuators=[Saturation("limit", -1.0, 1.0)])
-    alone = failure_probability(loop, "q", 0.3, **arguments, executor="serial")
-    assert np.array_equal(alone.estimates, failure_probability(loop, "q", 0.3, **arguments).estimates)
+    experiment = go.Experiment(loop, **MISSION, dispersions=SPREAD)
+    asked = {"n": 20, "repetitions": 3}
+    alone = failure_probability(experiment, "q", 0.3, **asked, executor="serial")
+    assert np.array_equal(alone.estimates, failure_probability(experiment, "q", 0.3, **asked).estimates)

@@ -13,7 +13,7 @@ def test_of_a_linear_loop_it_is_a_corner():
     loop = loop_of()
     bounds = {"initial.q": Uniform(-0.2, 0.3), "initial.v": Uniform(-0.1, 0.1)}
     mission = {"x0": [0.0, 0.0], "tf": 0.5}
-    found = worst_case(loop, "q", **mission, dispersions=bounds, generations=8)
+    found = worst_case(go.Experiment(loop, **mission, dispersions=bounds), "q", generations=8)
     corners = [[q, v] for q in (-0.2, 0.3) for v in (-0.1, 0.1)]
     flight = loop.flight([0.0, 0.0], tf=0.5)
     quiet = np.zeros((flight.n_steps, 3))
@@ -35,9 +35,16 @@ def test_an_inner_maximum_is_the_resonance():
     loop = go.ClosedLoop(spring, law, disturbances=[shaker], dt=0.2, accuracy=1e-6)
     bounds = {"shaker.frequency": Uniform(-0.9, 2.0), "shaker.phase": Uniform(-0.1, 0.1)}
     found = worst_case(
-        loop, "energy", x0=[0, 0, 0], tf=100.0, dispersions=bounds, generations=8,
-        judge={"energy": lambda runs: runs.state("e")[0]},
-    )  # fmt: skip
+        go.Experiment(
+            loop,
+            x0=[0, 0, 0],
+            tf=100.0,
+            dispersions=bounds,
+            judge={"energy": lambda runs: runs.state("e")[0]},
+        ),
+        "energy",
+        generations=8,
+    )
     w = np.sqrt(4 - 0.2**2 / 2)
     assert found.parameters["shaker.frequency"][0] == pytest.approx(w, rel=0.01)
     steady = 0.5 / ((4 - w**2) ** 2 + (0.2 * w) ** 2)  # mean square, less what (1 - e^(-0.1 t))^2 takes away
@@ -47,7 +54,7 @@ def test_an_inner_maximum_is_the_resonance():
 def test_directions_and_choices_are_searched_too():
     loop = loop_of()
     bounds = {"initial.q": Ball(0.3), "plant.m": Choice([1.0, 2.0, 4.0])}
-    found = worst_case(loop, "q", x0=[0.5, 0.0], tf=1.0, dispersions=bounds, generations=6)
+    found = worst_case(go.Experiment(loop, x0=[0.5, 0.0], tf=1.0, dispersions=bounds), "q", generations=6)
     assert found.parameters["plant.m"][0] == 4.0  # what is slow to brake
     assert found.parameters["initial.q"][0] == pytest.approx(0.8, abs=1e-6)
 
@@ -55,8 +62,8 @@ def test_directions_and_choices_are_searched_too():
 def test_what_has_no_bounds_is_refused():
     loop, mission = loop_of(), {"x0": [0.0, 0.0], "tf": 0.5}
     with pytest.raises(go.ArgumentError, match=r"'initial\.q' has no bounds: give Uniform"):
-        worst_case(loop, "q", **mission, dispersions={"initial.q": Normal(0.1)})
+        worst_case(go.Experiment(loop, **mission, dispersions={"initial.q": Normal(0.1)}), "q")
     with pytest.raises(go.ArgumentError, match="nothing is dispersed"):
-        worst_case(loop, "q", **mission, dispersions={})
+        worst_case(go.Experiment(loop, **mission, dispersions={}), "q")
     with pytest.raises(go.ArgumentError, match="number of generations"):
-        worst_case(loop, "q", **mission, dispersions={"initial.q": Ball(0.1)}, generations=0)
+        worst_case(go.Experiment(loop, **mission, dispersions={"initial.q": Ball(0.1)}), "q", generations=0)

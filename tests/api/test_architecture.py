@@ -31,11 +31,10 @@ MANY = 7
 
 DESIGNS = """
     design_feedback_linearization design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
-    design_neighbouring_optimal design_sliding_mode design_tvlqr
+    design_sliding_mode design_tvlqr
 """
-FLIGHTS = "failure_probability linear_covariance monte_carlo sobol_indices worst_case"
-STATEMENTS = "continue_in from_casadi from_functions multistart solve solve_mesh"
-WITH_MANY = {*DESIGNS.split(), *FLIGHTS.split(), *STATEMENTS.split()}
+STATEMENTS = "continue_in from_casadi from_functions monte_carlo multistart solve"
+WITH_MANY = {*DESIGNS.split(), *STATEMENTS.split()}
 """Functions with more: their keywords are independent of each other, and are read best where they are called."""
 
 

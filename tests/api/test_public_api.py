@@ -21,14 +21,14 @@ import gnc_opt
 EXPECTED = {
     "gnc_opt": """
         Arc ArcKind ArgumentError Campaign ClosedLoop Condition Continuation ContinuationStatus Controller
-        DesignError Explanation GncOptError History LinearCovariance LowerBound Mesh Minimum Model ModelError
+        DesignError Experiment Explanation GncOptError History LinearCovariance LowerBound Mesh Minimum Model ModelError
         Multistart Outcome Phase
         PhaseSolution Problem ProblemError ProblemWarning Reference RefinementLimits RefinementStatus Resolver
         Result Run RunStatus
         Sensitivity Solution SolveError SolverOptions Status Sweep Table UnknownAttributeError
         UnknownNameError Verdict bound_below bryson continue_in design_ekf design_feedback_linearization
         design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
-        design_neighbouring_extremal design_neighbouring_optimal
+        design_neighbouring_extremal design_neighbouring_optimal design_scheduled_ekf
         design_sliding_mode design_tvlqr design_ukf export_c export_fmu feedforward guess_from_data guess_from_solution
         linear_covariance load
         monte_carlo multistart output_feedback polish refine sensitivity simulate_guess smooth_abs solve sweep
@@ -36,12 +36,12 @@ EXPECTED = {
     """,
     "gnc_opt.control": """
         CodeOptions ConstantRate Controller Deviation Estimator Explanation ExponentialRate Fact FilterOptions
-        FlightCode
+        FlightCode GuidanceOptions
         Measurement MockupUnit PowerRate PredictiveReaching Reference SaturationLayer Sign SuperTwisting
         SuperTwistingObserver
         TanhLayer UnscentedOptions bridge_dropouts bryson decoupling_matrix design_ekf design_feedback_linearization
         design_gain_schedule design_hierarchical_sliding_mode design_integral_sliding_mode design_lqr design_mpc
-        design_neighbouring_extremal design_neighbouring_optimal
+        design_neighbouring_extremal design_neighbouring_optimal design_scheduled_ekf
         design_sliding_mode design_tvlqr design_ukf export_c export_fmu feedforward first_memory law
         lie_derivative output_errors output_feedback relative_degrees trim zero_dynamics
     """,
@@ -56,7 +56,7 @@ EXPECTED = {
         Uniform WheelArray consistency fly_plant monte_carlo
     """,
     "gnc_opt.analysis": """
-        Agreement Correlations FailureProbability LinearCovariance LoopResponse Share SobolIndices WorstCase
+        Agreement Correlations Experiment FailureProbability LinearCovariance LoopResponse Share SobolIndices WorstCase
         correlations failure_probability linear_covariance loop_response sobol_indices worst_case
     """,
     "gnc_opt.spacecraft": """

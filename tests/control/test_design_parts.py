@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -26,7 +27,7 @@ from gnc_opt.control.linear.gains import (
     riccati_gains,
 )
 from gnc_opt.control.linear.linearization_table import LinearizationTable
-from gnc_opt.control.linear.margins import margins
+from gnc_opt.control.linear.margins import _at_rest, margins
 from gnc_opt.control.linear.riccati import (
     gain_of,
     require_detectable,
@@ -390,6 +391,25 @@ def test_a_reference_is_followed_within_and_rests_after_its_end():
             strict.u(t)
 
 
+def test_where_two_phases_meet_the_later_one_holds():
+    """In any order of times; each phase is asked for no time but its own."""
+
+    def phase(begin, end, value):
+        def signal(t):
+            assert np.all((begin <= t) & (t <= end))
+            return np.array([value + 0 * t, t])
+
+        return signal
+
+    reference = Reference.__new__(Reference)
+    phases = [phase(0.0, 1.0, 10.0), phase(1.0, 2.5, 20.0), phase(2.5, 3.0, 30.0)]
+    reference._set(cart(), phases, [lambda t: 0 * t[None, :]] * 3, [0.0, 1.0, 2.5, 3.0], np.zeros(0), "hold")
+    times = [2.5, 0.0, 1.0, 0.999, 3.0, 2.499]
+    assert reference.x(times).tolist() == [[30.0, 10.0, 20.0, 10.0, 30.0, 20.0], times]
+    assert reference.x(1.0).tolist() == [20.0, 1.0]
+    assert reference.x([-1e-10, 3.0 + 1e-10])[1].tolist() == [0.0, 3.0]
+
+
 def test_a_mean_command_has_the_impulse_of_the_reference():
     reference = Reference.from_functions(
         cart(), lambda t: [0.0, 0.0], lambda t: [t**5 if t < 2 else -t], 0.0, 3.0, jumps=[2.0], tail="hold"
@@ -477,7 +497,8 @@ def test_brysons_rule():
     ("q", "r", "n", "message"),
     [
         ([1.0, -1.0], 1.0, None, "Q of 'v' is -1"), ([[1.0, 2], [2, 1]], 1.0, None, "Q is not positive semidefinite"),
-        ([[0.0, 1], [1, 1]], 1.0, None, "Q is not positive semidefinite"), (1.0, 0.0, None, "R of 'a' is 0"),
+        ([[0.0, 1], [1, 1]], 1.0, None, "Q is not positive semidefinite"),
+        ([[0.0, 1e-12], [1e-12, 1]], 1.0, None, "Q is not positive semidefinite"), (1.0, 0.0, None, "R of 'a' is 0"),
         (1.0, 1.0, [[1.0]], r"N has the shape"), (1.0, 1.0, [[NAN], [0.0]], "N has the shape"),
         (1.0, 1.0, [[2.0], [0.0]], r"\[\[Q, N\], \[N', R\]\]"),
     ],
@@ -577,6 +598,14 @@ def test_modes_out_of_reach_are_named():
     require_detectable(np.diag([1.0, -1.0]), np.diag([1.0, 0.0]), ("x", "y"))
 
 
+def test_a_mode_is_named_by_the_states_that_have_a_part_in_it():
+    """Of three integrators with two inputs across (1, 0.4, 0.02): the third has hardly a part."""
+    direction = np.array([[1.0, 0.4, 0.02]])
+    across = np.linalg.svd(direction)[2][1:].T
+    (mode,) = unreached(np.zeros((3, 3)), across, ("x", "y", "z"))
+    assert mode.states == ("x", "y") and abs(mode.eigenvalue) < 1e-12
+
+
 @pytest.mark.parametrize(
     ("value", "sampled", "ok"),
     [
@@ -635,6 +664,29 @@ def test_the_disk_margin_is_that_of_the_highest_peak():
     assert margins(a, b, k).disk == pytest.approx(-1 / best.fun, rel=1e-9)
 
 
+def test_a_loop_that_meets_the_positive_axis_alone_bears_any_gain():
+    """L = 0.5 s / (s^2 + 0.1 s + 1) is 5 at 1 rad/s: no gain is lost there; |L| = 1 where |1 - w^2| = w sqrt(0.24)."""
+    found = margins(np.array([[0.0, 1.0], [-1.0, -0.1]]), np.array([[0.0], [1.0]]), np.array([[0.0, 0.5]]))
+    assert found.gain_up.tolist() == [INF] and found.gain_down.tolist() == [0.0]
+    w = (np.sqrt(0.24) + np.sqrt(4.24)) / 2  # above the resonance, where L lags
+    loop = 0.5j * w / (1 - w**2 + 0.1j * w)
+    assert abs(loop) == pytest.approx(1.0) and found.phase == pytest.approx([np.pi + np.angle(loop)])
+    assert found.delay == pytest.approx([(np.pi + np.angle(loop)) / w])
+
+
+@pytest.mark.parametrize("c", [1e6 / 3, -1e6 / 3, 0.3])
+@pytest.mark.parametrize("dt", [None, 0.1])
+def test_what_integrates_but_for_rounding_has_no_gain_at_rest(c, dt):
+    """A mode of the rate zero, or of one per step, of a matrix whose entries cancel to rounding."""
+    rate = np.array([[-c, c], [c / 7, -c / 7]]) * (1 + np.array([[0.0, 1e-16], [0.0, 3e-16]]))
+    a = rate if dt is None else np.eye(2) + rate
+    assert _at_rest(a, np.array([1.0, 0.0]), np.array([2.0, 1.0]), dt) == INF
+    slow = a - 1e-3 * abs(c) * np.eye(2)
+    still = -slow if dt is None else np.eye(2) - slow
+    expected = np.array([2.0, 1.0]) @ np.linalg.inv(still) @ np.array([1.0, 0.0])
+    assert _at_rest(slow, np.array([1.0, 0.0]), np.array([2.0, 1.0]), dt) == pytest.approx(expected)
+
+
 def test_channels_are_judged_with_the_others_closed():
     a, b = np.diag([0.0, 1.0]), np.eye(2)
     found = margins(a, b, np.diag([3.0, 4.0]))
@@ -675,6 +727,26 @@ def test_a_scalar_riccati_equation_has_its_closed_form():
     assert riccati_defect(gains, QuadraticCost(1.01 * COST.q, COST.r, COST.n)) > 1e-3
 
 
+def test_the_riccati_equation_is_looked_at_in_the_middle_of_equal_parts_of_each_piece():
+    """Eight parts over 4 s: two of them in the first piece, six in the second; the difference quotient beside them."""
+    asked = []
+
+    def known(t):
+        asked.append(t)
+        return np.array([[2.0]])
+
+    gains = SimpleNamespace(
+        pieces=((5.0, 6.0, None), (6.0, 9.0, None)), P=known, deviation=Deviation(scalar_plant()),
+        reference=SimpleNamespace(duration=4.0, x=lambda t: [t], u=lambda t: [1.0]),
+    )  # fmt: skip
+    assert riccati_defect(gains, COST, 8) == 0.0
+    middles = np.array([5.25, 5.75, 6.25, 6.75, 7.25, 7.75, 8.25, 8.75])
+    assert asked[::5] == pytest.approx(middles)
+    steps = np.reshape(asked, (8, 5))[:, 1:] - middles[:, None]
+    assert steps / steps[:, -1:] == pytest.approx(np.tile([-1.0, -0.5, 0.5, 1.0], (8, 1)), abs=1e-9)
+    assert np.all((steps[:, -1] > 0) & (steps[:, -1] < 0.1))
+
+
 @pytest.mark.parametrize(("start", "span"), [(0.0, 2.0), (1e6, 2.0), (0.0, 2e-4)])
 def test_gains_early_late_and_brief_know_on_which_side_of_a_jump_they_are(start, span):
     """x' = w x + u about x = 0, where w jumps from 1 to -2 per unit of time: -p' = 2 w p - p^2 + 4, from p = 1."""
@@ -701,6 +773,8 @@ def test_gains_early_late_and_brief_know_on_which_side_of_a_jump_they_are(start,
 
         p = float(solve_ivp(rate, (right, left), [p], rtol=1e-12, atol=1e-13, method="DOP853").y[0, -1])
         assert gains.P(start + left * unit)[0, 0] == pytest.approx(p, rel=2e-8)
+    assert riccati_defect(gains, cost) < 1e-5
+    assert riccati_defect(gains, cost._replace(q=1.01 * cost.q)) > 1e-3
 
 
 def test_a_sampled_recursion_by_hand():
@@ -782,6 +856,9 @@ def test_a_table_of_linearizations_is_the_linearization():
         )
         deviation = Deviation(reference.model)
         table = LinearizationTable(deviation, reference)
+        smooth = [values is not None for _, _, values in table._parts]
+        assert all(smooth) if control(0.5) != [0.277] else not all(smooth)
+        assert len(smooth) < 20
         for t in (0.0, 0.3, 0.999, 1.0, 1.5, 2.0):
             a, b = table(t)
             exact = deviation.linearize(t, reference.x(t), reference.u(t))

@@ -487,9 +487,40 @@ def test_the_slope_of_moving_dynamics_is_that_of_the_middle_of_a_step():
     t, h, density = 1.5, 0.2, 3.0
     own, after, u = ca.SX.sym("x"), ca.SX.sym("after"), ca.SX.sym("u")
     found = ca.Function("F", [own, after, u], [*augmented.transition(t, own, after, u, h, ca.SX([density]))])
-    whole, noise = (float(v) for v in found(1.0, 1.4, 0.0))
+    whole, early, late = (float(v) for v in found(1.0, 1.4, 0.0))
     rate = (t + h / 2) ** 2
     full = 1 + rate * h + (rate * h) ** 2 / 2 + (rate * h) ** 3 / 6
     half = 1 + rate * h / 2 + (rate * h / 2) ** 2 / 2
     assert whole == pytest.approx(full, rel=1e-14)
+    noise = whole * early * whole + late
     assert noise == pytest.approx(h / 6 * density * (full**2 + 4 * half**2 + 1), rel=1e-14)
+
+
+def test_the_slope_of_bent_dynamics_is_that_of_the_middle_between_both_ends():
+    """x' = -x^2 from 1 to 0.8: F is the series of exp(a h) with a = -2 * 0.9, the noise weighed by Simpson's rule."""
+    model = go.Model("bent")
+    x = model.state("x")
+    model.control("u")
+    model.ode({x: -(x**2)})
+    augmented = AugmentedModel(model, [Measurement("x", 1.0)], 0.1)
+    own, after, u = ca.SX.sym("x"), ca.SX.sym("after"), ca.SX.sym("u")
+    h, density = 0.25, 2.0
+    step = augmented.transition(0.0, own, after, u, h, ca.SX([density]))
+    whole, noise = (float(v) for v in ca.Function("F", [own, after, u], [*step])(1.0, 0.8, 0.0))
+    full, half = -1.8 * h, -0.9 * h
+    assert whole == pytest.approx(1 + full + full**2 / 2 + full**3 / 6, rel=1e-14)
+    assert whole == pytest.approx(0.8**2, abs=5e-3)  # x(t) = 1 / (1 + t), dx/dx_0 = x^2
+    middle = 1 + half + half**2 / 2
+    assert noise == pytest.approx(h / 6 * density * (whole**2 + 4 * middle**2 + 1), rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("times", "counted"),
+    [({}, False), ({"period": DT}, False), ({"period": 2 * DT}, True), ({"delay": DT}, True)],
+)
+def test_samples_are_counted_only_if_not_every_step_brings_one(times, counted):
+    model = go.Model("m")
+    q, a = model.state("q"), model.control("a")
+    model.ode({q: a})
+    (channel,) = AugmentedModel(model, [Measurement("q", 1.0, **times)], DT).channels
+    assert channel.counted is counted

@@ -1,5 +1,7 @@
 """Designs that cannot work are refused with numbers: no authority, steps too long for the switching gain."""
 
+import re
+
 import numpy as np
 import pytest
 from stepping import step_through
@@ -8,16 +10,29 @@ import gnc_opt as go
 from gnc_opt.control import (
     ConstantRate,
     ExponentialRate,
+    FilterOptions,
+    Measurement,
     Reference,
     SaturationLayer,
     Sign,
     SuperTwisting,
+    UnscentedOptions,
+    bridge_dropouts,
+    bryson,
+    design_ekf,
+    design_gain_schedule,
     design_integral_sliding_mode,
     design_lqr,
     design_mpc,
+    design_neighbouring_extremal,
+    design_neighbouring_optimal,
     design_sliding_mode,
+    design_tvlqr,
+    design_ukf,
+    feedforward,
+    output_feedback,
 )
-from gnc_opt.errors import DesignError
+from gnc_opt.errors import ArgumentError, DesignError
 
 
 def cart() -> go.Model:
@@ -123,3 +138,66 @@ def test_regulator_of_a_control_without_effect_is_refused():
     model.ode({q: v, v: 0.0 * a})
     with pytest.raises(DesignError, match="stabilis"):
         design_lqr(model, Reference.constant(model, [0, 0], [0]), Q=1, R=1)
+
+
+# --- what is not what it is taken for -----------------------------------------------------------------------
+
+REST = Reference.constant(cart(), [0.0, 0.0], [0.0])
+WEIGHTS = {"Q": 1.0, "R": 1.0}
+LAW = design_lqr(cart(), [0.0, 0.0], **WEIGHTS, dt=0.1)
+FILTER = {"sigma0": {"q": 1.0, "v": 1.0}, "dt": 0.1}
+SEEN = [Measurement("q", 0.1)]
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (lambda: Reference("solution"), "Reference() got"),
+        (lambda: Reference.constant("cart", [0.0, 0.0]), "model of a reference"),
+        (lambda: design_lqr("cart", [0.0, 0.0], **WEIGHTS), "plant of design_lqr()"),
+        (lambda: design_tvlqr(cart(), [0.0, 0.0], **WEIGHTS), "reference of design_tvlqr()"),
+        (
+            lambda: design_mpc(cart(), [0.0, 0.0], **WEIGHTS, horizon=1.0, dt=0.1, limits=(-1, 1)),
+            "reference of design_mpc()",
+        ),
+        (
+            lambda: design_gain_schedule(
+                cart(), [0.0, 0.0], over={"v": [-1, 1]}, at=lambda v: ([0, v], [0]), **WEIGHTS, dt=0.1
+            ),
+            "reference of design_gain_schedule()",
+        ),
+        (
+            lambda: design_gain_schedule(
+                cart(), REST, over=["v"], at=lambda v: ([0, v], [0]), **WEIGHTS, dt=0.1
+            ),
+            "over of design_gain_schedule()",
+        ),
+        (lambda: feedforward([0.0, 0.0]), "feedforward() got"),
+        (lambda: bryson(cart(), q=1.0), "bryson() got"),
+        (lambda: bridge_dropouts("law"), "bridge_dropouts() got"),
+        (lambda: output_feedback("law", design_ekf(cart(), [0, 0], SEEN, **FILTER)), "output_feedback() got"),
+        (lambda: output_feedback(LAW, "filter"), "output_feedback() got"),
+        (lambda: design_ekf("cart", [0, 0], SEEN, **FILTER), "model of an estimator"),
+        (lambda: design_ekf(cart(), [0, 0], ["q"], **FILTER), "one of the measurements of 'EKF'"),
+        (lambda: design_ekf(cart(), [0, 0], SEEN, **FILTER | {"sigma0": [1.0, 1.0]}), "sigma0"),
+        (lambda: design_ekf(cart(), [0, 0], SEEN, **FILTER, options={"hold": 3}), "options of 'EKF'"),
+        (lambda: design_ukf(cart(), [0, 0], SEEN, **FILTER, options={"hold": 3}), "options of 'UKF'"),
+        (lambda: design_neighbouring_extremal("plan", last=1.0), "plan of design_neighbouring_extremal()"),
+        (
+            lambda: design_neighbouring_optimal("plan", LAW, Q=1.0, last=1.0),
+            "plan of design_neighbouring_optimal()",
+        ),
+        (lambda: go.export_c("law", "folder"), "export_c() got"),
+        (lambda: go.export_c(LAW, "folder", options={"single": True}), "options of export_c()"),
+    ],
+)
+def test_what_a_function_cannot_take_is_named_with_what_it_takes(asked, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ArgumentError, match=f"^(what|the|one|over|its)?.*{re.escape(words)}"):
+        asked()
+
+
+def test_options_of_an_unscented_filter_are_no_options_of_an_extended_one():
+    options = UnscentedOptions(kappa=1.0)
+    assert design_ukf(cart(), [0, 0], SEEN, **FILTER, options=options).name == "UKF"
+    assert design_ukf(cart(), [0, 0], SEEN, **FILTER, options=FilterOptions(name="plain")).name == "plain"

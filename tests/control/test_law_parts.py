@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import casadi as ca
@@ -18,7 +19,7 @@ from gnc_opt.control.feedback_linearization import _chains, _gain, _optimal_gain
 from gnc_opt.control.flight_code import _identifier, _read_prefix, export_c
 from gnc_opt.control.flight_files import _entries, _plain
 from gnc_opt.control.flight_table import flight_table
-from gnc_opt.control.guard import Inverse, Memory, _solve, _Stacked
+from gnc_opt.control.guard import Inverse, Memory, _solve
 from gnc_opt.control.lie import (
     Pair,
     _labels,
@@ -29,10 +30,13 @@ from gnc_opt.control.lie import (
     zero_dynamics,
 )
 from gnc_opt.control.linear.gains import SampledGains
+from gnc_opt.control.predictive import programme_code
 from gnc_opt.control.predictive.horizon import Horizon, Programme, Rows
 from gnc_opt.control.predictive.mpc import _error_scale, _rates, _state_rows, _steps, _subtracts, _Windows
+from gnc_opt.control.predictive.programme_code import ProgrammeCode, _Numbered
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.sampling import SampledStep
+from gnc_opt.control.schedule import StackedSchedule
 from gnc_opt.control.sliding.integral_sliding_mode import _nominal, _poles, _surface
 from gnc_opt.control.sliding.reaching import (
     ConstantRate,
@@ -609,7 +613,7 @@ def test_inverses_are_exact_or_of_least_length():
     inverse = Inverse(wide, ca.SX(1), 1.0, 1.0)
     assert np.array(ca.Function("f", [x], [inverse(ca.DM([5.0]))])(1.0)).ravel() == pytest.approx([1.0, 2.0])
     assert Memory("m", ca.SX.sym("m", 3), 0, 0, "N").variable == Variable("m", 3, "N")
-    both = _Stacked(lambda t, dt: t[None, :], lambda t, dt: dt * t[None, :])
+    both = StackedSchedule(lambda t, dt: t[None, :], lambda t, dt: dt * t[None, :])
     assert both(np.array([1.0, 2.0]), 0.5).tolist() == [[1, 2], [0.5, 1]]
 
 
@@ -778,6 +782,49 @@ def test_rows_mean_what_they_say():
     rest = np.array(found.alone(ca.DM(e_0), ca.DM(u_ff), ca.DM(x_ref), ca.DM(previous))[0]).ravel()
     alone = flown(found, e_0, u_ff, np.zeros(4))[1]
     assert rest == pytest.approx([*np.zeros(4), *(alone / np.tile(found.scale, 2)), *np.zeros(4)])
+
+
+def test_left_alone_the_regulator_meets_each_limit_just_where_it_is():
+    """Controls, their changes and two limited states, each limit by itself, a little wider or closer than the worst."""
+    wide = np.full(2, 1e3)
+    limits = Rows(-wide, wide, wide, (2, 0), (2, 0), -wide, wide, np.ones(2))
+    found = horizon(limits)
+    e_0, u_ff, x_ref, previous = (RNG.normal(size=size) for size in (3, 4, 4, 2))
+    u, e = (part.reshape(2, -1) for part in flown(found, e_0, u_ff, np.zeros(4)))
+    x, change = x_ref.reshape(2, 2) + e[:, [2, 0]], np.abs(np.diff(np.vstack([previous, u]), axis=0))
+    worst = {
+        "lower": u.min(axis=0), "upper": u.max(axis=0), "change": change.max(axis=0),
+        "state_lower": x.min(axis=0), "state_upper": x.max(axis=0),
+    }  # fmt: skip
+    for name, values in worst.items():
+        for i in range(2):
+            for off in (1e-9, -1e-9):
+                limit = getattr(limits, name).copy()
+                limit[i] = values[i] + (-off if name.endswith("lower") else off)
+                here = replace(found, rows=replace(limits, **{name: limit}))
+                asked = (ca.DM(values) for values in (e_0, u_ff, x_ref, previous))
+                assert bool(here.alone(*asked)[1]) is (off > 0), (name, i)
+
+
+def test_operations_of_a_programme_by_hand():
+    """One control over two errors and one step: a sweep, there and back, is 2 * 3^2 products and 6 for 1 + 3 rows."""
+    limits = Rows(np.full(1, -1.0), np.ones(1), None, (), (), np.zeros(0), np.zeros(0), np.zeros(0))
+    code = ProgrammeCode(limits, np.zeros(0), (np.zeros((1, 2, 2)),) * 4, True, 1, 2)
+    assert code.unknowns == code.limits == 1
+    sweep, tries = 2 * 3**2 + 6 * 4, programme_code._MOST * 2
+    row = 2 * sweep + 4
+    assert code.operations == tries * (2 * sweep + 6 + 2 * 9 + row + 12) + 2 * 3
+    assert code.stack == (3 + 5 * 2 + 1) + 4 + 6 * 2 + 4 + 3
+
+
+def test_steps_have_their_number_in_the_table():
+    """From 0 to the step in which the reference ends; times are what a clock tells, with its rounding."""
+    row = _Numbered(lambda times, dt: np.zeros((1, times.size)), (1.0, 2.0))
+    times = np.array([0.0, 1.0, 1.25 - 1e-9, 1.25, 1.49, 1.75, 2.0, 9.0])
+    assert row(times, 0.25)[1].tolist() == [0, 0, 1, 1, 1, 3, 4, 4]
+    assert row(np.array([1.9, 2.0, 3.0]), 0.3)[1].tolist() == [3, 3, 4]
+    for span in (1.0 - 1e-12, 1.0 + 1e-12):
+        assert _Numbered(row.reference, (0.0, span))(np.array([7.0]), 0.1)[1].tolist() == [10]
 
 
 def test_hard_limits_have_no_slack_and_one_step_is_a_horizon():

@@ -9,7 +9,14 @@ import pytest
 from test_flight_code import compiled, needs_compiler, python, run
 
 import gnc_opt as go
-from gnc_opt.control import bryson, design_lqr, design_neighbouring_optimal, design_tvlqr, export_c
+from gnc_opt.control import (
+    GuidanceOptions,
+    bryson,
+    design_lqr,
+    design_neighbouring_optimal,
+    design_tvlqr,
+    export_c,
+)
 from gnc_opt.control.neighbouring.design import _accurate
 from gnc_opt.control.neighbouring.optimum import find_optimum
 from gnc_opt.control.neighbouring.prediction import Prediction, RegulatedEnd
@@ -74,13 +81,10 @@ def regulator(solution, dt=DT):
     return design_lqr(model, [0.0, 0.0], **weights, dt=dt, limits=(-1.0, 1.0))
 
 
-def guidance(solution, **options):
-    options = {
-        "last": 0.5,
-        "reserve": 0.0,
-        "Q": bryson(Reference(solution).model.errors, **ACCEPTED),
-    } | options
-    return design_neighbouring_optimal(solution, regulator(solution), **options)
+def guidance(solution, Q=None, last=0.5, reserve=0.0, **options):
+    Q = bryson(Reference(solution).model.errors, **ACCEPTED) if Q is None else Q
+    told = GuidanceOptions(reserve=reserve, **options)
+    return design_neighbouring_optimal(solution, regulator(solution), Q=Q, last=last, options=told)
 
 
 @pytest.fixture(scope="module")

@@ -1,12 +1,20 @@
 """A start and limits are judged together: against an own loop by SciPy, from both sides."""
 
+from types import SimpleNamespace
+
 import casadi as ca
 import numpy as np
 import pytest
 import scipy
 
 import gnc_opt as go
-from gnc_opt.control import ConstantRate, SaturationLayer, design_feedback_linearization, design_sliding_mode
+from gnc_opt.control import (
+    ConstantRate,
+    SaturationLayer,
+    design_feedback_linearization,
+    design_sliding_mode,
+    rehearsal,
+)
 from gnc_opt.errors import DesignError
 
 GRAVITY = 9.81
@@ -69,6 +77,55 @@ def test_a_start_that_the_limits_hold_passes_and_the_time_at_the_limits_is_told(
     at_limits = 0.01 * np.sum(np.abs(commands) > 5)
     assert at_limits > 0
     assert controller.explain()["limits act for"] == pytest.approx(at_limits, abs=0.011)
+
+
+def path(outputs, wanted=((0.0,),)):
+    outputs, wanted = np.array(outputs, dtype=float), np.array(wanted, dtype=float)
+    times = 0.1 * np.arange(outputs.shape[1])
+    return rehearsal.Path(times, np.zeros((1, times.size)), wanted, np.zeros((0, times.size)), outputs)
+
+
+def test_what_is_left_of_an_error_is_its_largest_in_the_last_tenth():
+    """In shares of the largest of all; of few steps the last one counts, and what is zero all along has come down."""
+    ten = [8.0, -4.0, *[1.0] * 15, 0.0, 2.0, -1.0]
+    found = path([ten, [0.0] * 20, [-v for v in ten]])
+    assert rehearsal._left(found, 20).tolist() == [2 / 8, 0.0, 2 / 8]
+    assert rehearsal._left(found, 19).tolist() == [1 / 8, 0.0, 1 / 8] == rehearsal._left(found, 5).tolist()
+    assert rehearsal._left(found, 30).tolist() == [2 / 8, 0.0, 2 / 8]
+
+
+def test_a_command_is_cut_beyond_its_limits_but_for_rounding():
+    limits = (np.array([-1.0, -4.0]), np.array([1.0, 4.0]))
+    wanted = [[1.0, 1.1, -1.1, 0.0, 0.0, 1 + 1e-14], [0.0, 0.0, 0.0, -4.1, 4.1, -4 - 1e-14]]
+    found = path([[1.0] * 7], wanted)
+    assert found.cut(limits).tolist() == [False, True, True, True, True, False]
+    assert found.cut(None).tolist() == [False] * 6
+    (fact,) = rehearsal.limit_facts(found, limits, 0.25)
+    assert fact.value == 1.0 and fact.unit == "s" and rehearsal.limit_facts(found, None, 0.25) == []
+
+
+def test_what_the_limits_keep_up_is_named_with_its_first_and_largest_excess():
+    limits = (np.array([-1.0, -4.0]), np.array([1.0, 4.0]))
+    wanted = [[0.0, 3.0, 0.0, 9.0], [0.0, -4.5, 0.0, 0.0]]
+    found = path([[1.0, 1.0, 1.0, 1.0, 0.2], [1.0, 1.0, 1.0, 2.0, -1.5]], wanted)
+    model = go.Model("two")
+    model.control("F"), model.control("T")
+    errors = SimpleNamespace(labels=["q", "th"], pair=SimpleNamespace(model=model))
+    told = rehearsal._stuck(found, errors, limits, 10)
+    assert "keep th from coming down: the law asks control 'F' for 3 at t = 0.1 s" in told
+    assert "limits are -1 and 1, and the error is still -1.5 at t = 0.4 s" in told
+    other = rehearsal._stuck(path([[1.0] * 3], [[1.2, 0.0], [-4.5, 0.0]]), errors, limits, 10)
+    assert "control 'T' for -4.5 at t = 0 s, where its limits are -4 and 4" in other
+
+
+@pytest.mark.parametrize(("rate", "steps"), [(0.5, 2), (3.01, 4), (100.0, 50)])
+def test_integration_steps_follow_the_fastest_mode(rate, steps):
+    """A tenth of its time constant, 0.1 s here; at least two and at most fifty."""
+    model = go.Model("mode")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: -rate * x + u})
+    errors = SimpleNamespace(pair=SimpleNamespace(t=model.time, x=x, u=u, f=model.derivative()))
+    assert rehearsal._inner_steps(errors, go.Reference.constant(model, [0.0]), 0.1) == steps
 
 
 def test_reaching_time_is_that_of_the_limited_command():

@@ -151,9 +151,19 @@ def test_nan_as_final_value() -> None:
     rest_to_rest()[1].final(q=np.nan)  # wrong
 
 
-@mistake(go.ProblemError, "initial value of 'r'", "None", "not a number")
-def test_value_with_holes() -> None:
-    voyage()[1].initial(r=[0.0, None, 0.0])  # wrong
+@mistake(go.ProblemError, "initial value of 'r'", "'x'", "not a number")
+def test_value_with_text() -> None:
+    voyage()[1].initial(r=[0.0, "x", None])  # wrong
+
+
+def test_none_in_a_list_leaves_a_component_free() -> None:
+    _, leg = voyage()
+    leg.initial(r=[0.0, None, 3.0])
+    np.testing.assert_array_equal(leg.numbers.initial.lower[:3], [0.0, -np.inf, 3.0])
+    np.testing.assert_array_equal(leg.numbers.initial.upper[:3], [0.0, np.inf, 3.0])
+    leg.bounds(tilt=([None, -2.0], [1.0, None]))
+    np.testing.assert_array_equal(leg.numbers.controls.lower[3:], [-np.inf, -2.0])
+    np.testing.assert_array_equal(leg.numbers.controls.upper[3:], [1.0, np.inf])
 
 
 @mistake(go.ProblemError, "initial value of 'q'", "infinity")

@@ -51,7 +51,7 @@ def test_kinks_and_jumps_are_told_once(rate: Any, message: str) -> None:
 
 def test_the_place_of_a_kink() -> None:
     with pytest.warns(go.ProblemWarning, match="path constraint 'limit' of phase 'leg'"):
-        cart(lambda t, x, u: 0.0, ca.fabs).check()
+        cart(lambda t, x, u: 0.0, lambda x: -ca.fabs(x)).check()
 
 
 def test_kinks_of_what_does_not_change_are_not_told() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.guess.trajectory import end_values
+from gnc_opt.problem.guess.ends import end_values
 
 
 def cart(problem: go.Problem, name: str, limit: tuple[float, float]) -> go.Phase:
@@ -103,8 +103,8 @@ def test_mistakes_get_a_sentence(call: Any, message: str) -> None:
         call(problem)
 
 
-def test_a_state_that_is_free_stays_where_a_link_takes_it_from() -> None:
-    """Masses of upper stages follow from what is left of the lower ones, through several links, bounds and guesses."""
+def test_guessed_states_go_straight_along_linked_phases() -> None:
+    """To the next known value, through several links; masses follow from what is left of the lower stages."""
     problem = go.Problem("stages")
     legs = []
     for name in ("one", "two", "three"):
@@ -117,14 +117,39 @@ def test_a_state_that_is_free_stays_where_a_link_takes_it_from() -> None:
     legs[2].final(h=10.0)
     ends = {leg.name: [part.tolist() for part in end_values(leg)] for leg in legs}
     assert ends == {
-        "one": [[0.0, 100.0], [0.0, 100.0]],
-        "two": [[0.0, 70.0], [0.0, 70.0]],
-        "three": [[10.0, 65.0], [10.0, 65.0]],
+        "one": [[0.0, 100.0], [pytest.approx(10 / 3), 100.0]],
+        "two": [[pytest.approx(10 / 3), 70.0], [pytest.approx(20 / 3), 70.0]],
+        "three": [[pytest.approx(20 / 3), 65.0], [10.0, 65.0]],
     }
     legs[0].guess(m=(100.0, 60.0))
     legs[1].bounds(m=(40.0, None))
     assert [end_values(leg)[0][1] for leg in legs] == [100.0, 40.0, 35.0]
     assert end_values(problem.with_initial("two", m=50.0).phases["three"])[0][1] == 45.0
+
+
+def test_guessed_states_go_straight_between_waypoints_in_the_times_of_the_phases() -> None:
+    """Per component; a start that is not known takes the next value; jumps are left out of the line."""
+    problem = go.Problem("waypoints")
+    legs = []
+    for name in ("a", "b", "c", "d"):
+        model = go.Model(name)
+        r, u = model.state("r", 2), model.control("u", 2)
+        model.ode({r: u})
+        legs.append(problem.phase(name, model))
+    problem.sequence(*legs, durations={"a": 1.0, "b": 3.0, "c": 2.0, "d": 1.0})
+    legs[0].initial(r=[0.0, None])
+    legs[1].final(r=[8.0, 5.0])
+    legs[2].initial(r=[None, 7.0])
+    legs[3].final(r=[2.0, None])
+    ends = [np.stack(end_values(leg)) for leg in legs]
+    np.testing.assert_allclose([[a[0], b[0]] for a, b in ends], [[0, 2], [2, 8], [8, 4], [4, 2]], rtol=1e-14)
+    np.testing.assert_allclose([[a[1], b[1]] for a, b in ends], [[5, 5], [5, 5], [7, 7], [7, 7]], rtol=1e-14)
+    problem = go.Problem("a jump on the way")
+    first, second = rocket(problem, "first"), rocket(problem, "second")
+    problem.sequence(first, second, durations={"first": 1.0, "second": 1.0}, drops={"first": {"m": 10.0}})
+    first.initial(v=0.0, m=100.0)
+    second.final(v=5.0, m=50.0)
+    assert [leg_end[1] for leg in (first, second) for leg_end in end_values(leg)] == [100.0, 80.0, 70.0, 50.0]
 
 
 def test_a_link_back_hands_nothing_over() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -111,19 +113,11 @@ def test_a_state_constraint_determines_the_controls_that_can_hold_it() -> None:
 
 def test_a_piece_gets_higher_degrees_then_twice_the_segments() -> None:
     r, seen = Resolution(), []
-    while r.finer() != r:
-        r = r.finer()
+    while (finer := r.finer(np.full(r.segments, 0.5))) != r:
+        r = finer
         seen.append((r.segments, r.degree))
-    assert seen == [
-        (1, 9),
-        (1, MAX_DEGREE),
-        (2, MAX_DEGREE),
-        (4, 12),
-        (8, 12),
-        (16, 12),
-        (32, 12),
-        (MAX_SEGMENTS, 12),
-    ]
+    halved = [(n, MAX_DEGREE) for n in (2, 4, 8, 16, 32, MAX_SEGMENTS)]
+    assert seen == [(1, 9), (1, MAX_DEGREE), *halved] and r.edges == ()
 
 
 def test_only_the_piece_that_is_inaccurate_is_solved_more_finely() -> None:
@@ -146,19 +140,22 @@ def test_only_the_piece_that_is_inaccurate_is_solved_more_finely() -> None:
     assert solution.history is not None and len(solution.history.passes) == 1
     leg, scale = solution.phase(), first.samples()["leg"].state_scale[2]
     assert leg.mesh.degrees[0] == FEWEST
-    # Legendre series of the exponential function (DLMF 10.60.8): what the points leave of it at the end, and one fewer.
-    n, (start, end) = leg.mesh.degrees[-1], leg.breaks[-2:]
-    terms = np.arange(n - 1, n + 30)
-    series = (2 * terms + 1) * spherical_in(terms, 15 * (end - start)) * np.exp(15 * (end + start - 4))
-    left = np.cumsum((end - start) * series[::-1] / scale)[::-1]
-    assert left[1] <= 1e-10 < left[0] and set(leg.mesh.degrees[1:]) == {n}
-    whole, at_most = (
-        (2 * terms + 1) * spherical_in(terms, 30 * (end - start)) * np.exp(30 * (end - 2)),
-        MAX_DEGREE,
-    )
-    assert (
-        np.sum(2 * (end - start) * whole[terms >= at_most] / scale) > 1e-10
-    )  # so that half as many are too few
+    n = leg.mesh.degrees[-1]
+    assert set(leg.mesh.degrees[1:]) == {n}
+
+    def left(start: float, end: float, points: int) -> float:
+        """What points leave of the Legendre series of the exponential function (DLMF 10.60.8) along a segment."""
+        terms = np.arange(points, points + 30)
+        series = (2 * terms + 1) * spherical_in(terms, 15 * (end - start)) * np.exp(15 * (end + start - 4))
+        return float(np.sum((end - start) * series) / scale)
+
+    edges = leg.breaks[1:]
+    segments = list(itertools.pairwise(edges))
+    assert max(left(*ends, n) for ends in segments) <= 1e-10 < max(left(*ends, n - 1) for ends in segments)
+    # Short at the steep end only: of two neighbours, whatever is one half of could not have been one.
+    widths = np.diff(edges)
+    assert widths[0] > 1.9 * widths[-1] and np.all(widths[:-1] > 0.99 * widths[1:])
+    assert left(edges[-3], edges[-1], MAX_DEGREE) > 1e-10
 
 
 # --- detection ------------------------------------------------------------------------------------------------

@@ -40,7 +40,7 @@ from gnc_opt.simulation import (
     ThrusterSet,
     WheelArray,
 )
-from gnc_opt.simulation.actuators import trigger
+from gnc_opt.simulation.actuators.on_off import trigger
 from gnc_opt.simulation.allocation import effect_matrix, pseudo_inverse
 from gnc_opt.simulation.block import POSITIVE, Block, Tick, clip, differs, rows, scalar, values
 from gnc_opt.simulation.signals import chain, kinds, put, take

@@ -85,10 +85,8 @@ def test_limits_and_searches_know_them():
     assert np.array_equal(runs.passed(), runs.measure("max(intrusion)") <= 0)
     assert 0 < runs.pass_rate().passed < 40
     found = worst_case(
-        loop_of(),
+        go.Experiment(loop_of(), **MISSION, dispersions={"initial.q": Uniform(-0.5, 0.5)}),
         "max(kinetic energy)",
-        **MISSION,
-        dispersions={"initial.q": Uniform(-0.5, 0.5)},
         generations=3,
     )
     assert found.parameters["initial.q"][0] == pytest.approx(1.5)

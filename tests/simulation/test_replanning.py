@@ -218,7 +218,10 @@ def two_phases() -> Any:
         (lambda: Replanner(resolver(), every=0.1), "write lambda"),  # type: ignore[arg-type]
         (lambda: Replanner(two_phases, every=0.1), "has 2 phases"),
         (lambda: loop(every(0.015)), "multiple of the control step"),
-        (lambda: linear_covariance(loop(every()), x0=[-1.0, 0.0], tf=1.0), "re-plans in flight"),
+        (
+            lambda: linear_covariance(go.Experiment(loop(every()), x0=[-1.0, 0.0], tf=1.0)),
+            "re-plans in flight",
+        ),
         (lambda: loop(3), "replanner of a closed loop"),  # type: ignore[arg-type]
         (lambda: loop(every(), controller=feedforward(_another_way())), "follows something else"),
         (

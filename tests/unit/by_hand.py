@@ -16,7 +16,8 @@ from gnc_opt.problem.interval import Interval, free
 from gnc_opt.solution.phase_solution import PhaseSolution, piecewise
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.solution.solution import Solution, Statistics
+from gnc_opt.solution.solution import Solution
+from gnc_opt.solution.statistics import Statistics
 from gnc_opt.transcription.quadrature import collocation_rule
 from gnc_opt.transcription.scheme import Scheme
 

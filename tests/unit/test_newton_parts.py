@@ -60,6 +60,13 @@ def test_where_conditions_leave_nothing_open_the_step_meets_them() -> None:
     assert model_minimum(np.eye(3), np.ones(3), rows, -rows @ wanted) == pytest.approx(wanted)
 
 
+def test_conditions_that_are_all_but_one_are_met_on_average() -> None:
+    """The step that would meet both is 1e12 long."""
+    rows = np.array([[1.0, 0.0], [1.0, 1e-12]])
+    found = model_minimum(np.eye(2), np.zeros(2), rows, np.array([-1.0, -2.0]))
+    assert found == pytest.approx([1.5, 0.0], abs=1e-9)
+
+
 def test_negative_curvatures_are_reversed() -> None:
     """x is held; along y and z, curvatures of -2 and 5 and slopes of 4 and -10: down both, by 2 and by 2."""
     hessian, gradient = np.diag([7.0, -2.0, 5.0]), np.array([1.0, 4.0, -10.0])

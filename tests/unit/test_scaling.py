@@ -61,6 +61,29 @@ def test_a_small_guess_does_not_hide_what_the_dynamics_do() -> None:
     assert phase_magnitudes(leg)[0][1] == pytest.approx(50.0)
 
 
+def test_what_zero_is_rounded_to_is_no_magnitude() -> None:
+    """A flight due east: the latitude of the guess is 1e-17, its rate too. What moves it nearby tells."""
+    model = go.Model("point over a sphere")
+    latitude, heading = model.state("latitude", unit="rad"), model.state("heading", unit="rad")
+    turn = model.control("turn", unit="rad/s")
+    model.ode({latitude: 1e-3 * ca.cos(heading), heading: turn})
+    problem = go.Problem("east")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=100.0)
+    leg.bounds(turn=(-0.01, 0.01))
+    leg.initial(latitude=0.0, heading=np.pi / 2)
+    nearby = phase_magnitudes(leg)[0][0]
+    assert 1e-4 < nearby < 0.1  # 1e-3 rad/s for 100 s at most
+    flown = problem.with_guess("leg", latitude=(0.0, 6e-18), heading=np.pi / 2)
+    assert phase_magnitudes(flown.get_phase())[0][0] == pytest.approx(nearby, rel=1e-6)
+    best = 1e-3 * (1 - np.cos(0.01 * 100.0)) / 0.01  # turning at the limit all the time
+    problem.maximize(leg.final_state("latitude"))
+    found = go.solve(
+        problem.with_guess("leg", latitude=(0.0, 6e-18), heading=np.pi / 2), mesh="6x6", tol=None
+    )
+    assert found.objective == pytest.approx(best, rel=1e-8)
+
+
 def test_path_constraints_tell_how_large_a_control_may_be() -> None:
     """|u| <= 40, and from 0 to 40 at once; what is broken without the control, or holds with any, tells nothing."""
     _, leg = double_integrator()

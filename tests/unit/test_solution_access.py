@@ -18,10 +18,10 @@ from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.nlp import NlpResult, SolverOptions, Status
 from gnc_opt.solution import solve_mesh as tries
 from gnc_opt.solution.attempt import Attempt
-from gnc_opt.solution.diagnosis import find_violations
+from gnc_opt.solution.diagnosis import Violation, find_violations
 from gnc_opt.solution.failure import SolveError, failure_message
 from gnc_opt.solution.history import Actions, History, Pass, RefinementStatus
-from gnc_opt.solution.solution import Solution, Violation, load
+from gnc_opt.solution.solution import Solution, load
 from gnc_opt.transcription.mesh import Mesh
 
 # --- answers ----------------------------------------------------------------------------------------------
@@ -435,7 +435,7 @@ def test_a_warm_start_is_given_so_many_iterations(moved: Solution, monkeypatch: 
     monkeypatch.setattr(tries._Task, "solve", solve)
     problem = moved.need_problem("x")
     found = tries.solve_mesh(
-        problem, guess=moved, warm_iterations=7, options=SolverOptions(max_iterations=50)
+        problem, guess=moved, limits=tries.SolveLimits(7), options=SolverOptions(max_iterations=50)
     )
     assert [entry[:3] for entry in taken] == [
         (moved, 7, SolverOptions().mu_init),
@@ -445,7 +445,9 @@ def test_a_warm_start_is_given_so_many_iterations(moved: Solution, monkeypatch: 
         taken[0][3] is None and taken[1][3].status is Status.ITERATION_LIMIT
     )  # what the first one took counts
     assert found.status is Status.OPTIMAL
-    tries.solve_mesh(problem, guess=moved, warm_iterations=70, options=SolverOptions(max_iterations=50))
+    tries.solve_mesh(
+        problem, guess=moved, limits=tries.SolveLimits(70), options=SolverOptions(max_iterations=50)
+    )
     assert taken[2][1] == 50
     monkeypatch.setattr(tries._Task, "solve", lambda *a, **k: replace(moved, status=Status.INTERRUPTED))
-    assert tries.solve_mesh(problem, guess=moved, warm_iterations=7).status is Status.INTERRUPTED
+    assert tries.solve_mesh(problem, guess=moved, limits=tries.SolveLimits(7)).status is Status.INTERRUPTED

@@ -8,7 +8,7 @@ import pytest
 import gnc_opt as go
 from gnc_opt.solution.diagnosis import _running_off
 from gnc_opt.solution.history import History, Pass, RefinementStatus
-from gnc_opt.solution.solution import Statistics
+from gnc_opt.solution.statistics import Statistics
 from gnc_opt.transcription.scheme import SCHEMES, Scheme
 
 

@@ -98,6 +98,13 @@ def test_the_label_that_spreads_is_the_one_that_is_meant() -> None:
     assert text(labels[::PER_SEGMENT]) == "uuuu"
 
 
+def test_arcs_of_one_sample_at_the_ends_spread_too() -> None:
+    for before in ("slll", "llls"):
+        labels = kinds(before)
+        d._spread(sampled(1), labels, SING, np.ones(4, dtype=bool))
+        assert text(labels) == "ssss"
+
+
 def absorbed(before: str, u: list[float], gradient: list[float]) -> str:
     labels = np.repeat(kinds(before), PER_SEGMENT)
     d._absorb(
@@ -243,6 +250,31 @@ def test_the_switching_function_at_a_time_is_that_of_the_samples() -> None:
     assert d.switching(found, t)[0] == pytest.approx(6 - 12 * t + 5 + t + 2 * t)
     line = flight(lambda t, k: [0 * t], lambda t, k: [3.7 - t])
     assert d.switching(line, np.ones(1)) == pytest.approx(np.array([[2.7]]))
+
+
+@pytest.mark.parametrize(("back", "share", "jump"), [(0, 1.001, True), (0, 0.999, False), (1, 9.0, False)])
+def test_from_bound_to_bound_within_so_many_segments_is_a_jump_of_a_convex_control(
+    back: int, share: float, jump: bool
+) -> None:
+    """Between its bounds from the second segment of three on; the way back to the same bound is none."""
+    ends = ((-5.0, -8.0), (5.0, 8.0)) if not back else ((-5.0, -8.0), (-5.0, -8.0))
+
+    def u(t: Any, k: int) -> Any:
+        return [20 * (t - 0.5) + 0.3 if k == 1 else ends[k // 2][0] + 0 * t]
+
+    def lam(t: Any, k: int) -> Any:
+        pull = 8.0 if k == 0 or (k == 2 and back) else -8.0
+        return [0 * t, pull + 0 * t]
+
+    found = samples(CART, u=u, lam=lam, control_bounds=interval(-5.0, 5.0), breaks=(0.0, 0.3, 0.7, 1.0))
+    plain = d._nonlinear_labels(found, 0)
+    inner = found.times[plain == FREE]
+    assert set(found.segments[plain == FREE]) == {1}
+    labels = d._nonlinear_labels(found, 0, share * (inner[-1] - inner[0]) / 0.4)
+    between = found.u[0] > 0
+    expected = np.where(between, UP, LOW)[found.segments == 1] if jump else [FREE] * inner.size
+    assert labels[plain == FREE].tolist() == list(expected)
+    assert labels[plain != FREE].tolist() == plain[plain != FREE].tolist()
 
 
 def test_a_convex_control_is_at_a_bound_if_it_touches_and_is_pulled_there() -> None:
@@ -463,6 +495,7 @@ def test_labels_between_changes() -> None:
     labels = kinds("llluuusss")
     assert text(d._labels_at(labels, [1.0, 2.0], np.array([0.5, 1.5, 1.9, 2.5]))) == "luus"
     assert text(d._labels_at(kinds("lll"), [], np.array([0.5, 9.0]))) == "ll"
+    assert text(d._labels_at(kinds("lus"), [1.0, 2.0], np.array([0.5, 1.5, 2.5]))) == "lus"
 
 
 def test_limits_signs_and_choices() -> None:

@@ -56,12 +56,38 @@ def test_a_singular_control_gets_four_degrees_more_and_points_for_them() -> None
     assert Resolution(9, 6, MAX_SINGULAR_DEGREE - 1).smoother(0.1).smooth == MAX_SINGULAR_DEGREE
 
 
-def test_finer_pieces() -> None:
-    assert Resolution(1, 11).finer() == Resolution(1, MAX_DEGREE)
-    assert Resolution(1, MAX_DEGREE).finer() == Resolution(2, MAX_DEGREE)
-    finest = Resolution(MAX_SEGMENTS, MAX_DEGREE)
-    assert finest.finer() == finest and Resolution(MAX_SEGMENTS - 12, MAX_DEGREE).finer() == finest
-    assert Resolution() == Resolution(1, FIRST_DEGREE, 0, np.inf)
+def test_finer_pieces_get_points_first_as_many_as_there_are_decades_to_gain() -> None:
+    assert Resolution() == Resolution(1, FIRST_DEGREE, 0, np.inf, ())
+    assert Resolution(1, 6).finer(np.array([0.1])) == Resolution(1, 9)
+    assert Resolution(2, 6).finer(np.array([-1.0, 3.5])) == Resolution(2, 10)
+    assert Resolution(1, 11).finer(np.array([8.0])) == Resolution(1, MAX_DEGREE)
+    assert Resolution(3, 7).finer(np.array([0.0, -1.0, -9.0])) == Resolution(3, 7)
+
+
+def test_finer_pieces_are_halved_where_they_are_inaccurate() -> None:
+    full = Resolution(2, MAX_DEGREE)
+    assert full.finer(np.array([0.1, 3.0])) == Resolution(4, MAX_DEGREE)
+    uneven = full.finer(np.array([0.0, 0.1]))
+    assert uneven == Resolution(3, MAX_DEGREE, edges=(0.5, 0.75))
+    assert uneven.shares.tolist() == [0.0, 0.5, 0.75, 1.0] and full.shares.tolist() == [0.0, 0.5, 1.0]
+    again = uneven.finer(np.array([-1.0, -1.0, 3.1]))  # more than one halving gains: four parts
+    assert again.edges == (0.5, 0.75, 0.8125, 0.875, 0.9375) and again.segments == 6
+    assert uneven.finer(np.full(3, 1.0)).edges == (0.25, 0.5, 0.625, 0.75, 0.875)
+    assert full.finer(np.full(2, 99.0)).segments == 8
+    # The worst first, where not all that is asked for is allowed.
+    nearly = Resolution(MAX_SEGMENTS - 1, MAX_DEGREE)
+    worst = nearly.finer(np.linspace(0.1, 0.2, MAX_SEGMENTS - 1))
+    assert worst.segments == MAX_SEGMENTS
+    assert np.diff(worst.shares)[-2:] == pytest.approx(0.5 / (MAX_SEGMENTS - 1), rel=1e-12)
+    assert worst.finer(np.full(MAX_SEGMENTS, 1.0)) == worst
+
+
+def test_pieces_with_polynomials_of_a_singular_control_get_finer_step_by_step() -> None:
+    first = Resolution(2, 6, SINGULAR_DEGREE)
+    assert first.finer(np.array([9.0, -1.0])) == Resolution(2, 9, SINGULAR_DEGREE)
+    assert replace(first, degree=12).finer(np.array([9.0, -1.0])) == Resolution(4, 12, SINGULAR_DEGREE)
+    finest = Resolution(MAX_SEGMENTS, 12, 4)
+    assert finest.finer(np.full(MAX_SEGMENTS, 1.0)) == finest
 
 
 # --- plans ------------------------------------------------------------------------------------------------
@@ -80,6 +106,12 @@ def test_each_kind_of_piece_begins_with_its_resolution() -> None:
     assert Plan.of(interior).resolutions == (Resolution(), Resolution(6, INTERIOR_DEGREE))
     held = PhaseStructure((0.0, 1.0, 2.0), ((SING, FREE), (SING, UP)), n_controls=1)
     assert Plan.of(held).resolutions == (Resolution(2, FIRST_DEGREE, SINGULAR_DEGREE), Resolution())
+
+
+def test_uneven_segments_lie_where_their_piece_says() -> None:
+    plan = Plan(THREE, (Resolution(), Resolution(3, edges=(0.5, 0.75)), Resolution()))
+    assert np.asarray(plan.mesh().breaks) * 4 + 1 == pytest.approx([1, 2, 3, 3.5, 4, 5])
+    assert plan.mesh().movable == (1, 4)
 
 
 @pytest.mark.parametrize(
@@ -236,6 +268,23 @@ def test_a_piece_without_length_is_dropped() -> None:
         PhaseStructure((0.0, 1e-9), ((LOW,),)),
     ):
         assert m._collapse(LEG, structure, set()) == (None, "")
+    for share, dropped in ((0.99, True), (1.01, False)):
+        late = replace(vanished, times=(50.0, 51.0, 51.0 + share * 2 * m.VANISHED, 52.0))
+        assert (m._collapse(LEG, late, set())[0] is not None) is dropped
+
+
+@pytest.mark.parametrize(("share", "dropped"), [(0.9, True), (1.1, False)])
+def test_a_kink_that_leaves_hardly_any_piece_drops_it(
+    monkeypatch: pytest.MonkeyPatch, share: float, dropped: bool
+) -> None:
+    """By the length of the phase, wherever it begins."""
+    structure = PhaseStructure((80.0, 81.0, 82.0, 84.0), ((LOW,), (FREE,), (UP,)), (True,))
+    moved = structure.at((80.0, 82.0 - share * 4 * m.VANISHED, 82.0, 84.0))
+    monkeypatch.setattr(m, "move_kinks", lambda *_: moved)
+    monkeypatch.setattr(m, "_finer", lambda *_: None)
+    found, what = m._adjust(SimpleNamespace(samples=LEG), Plan.of(structure, 7.0), 1e-9)  # type: ignore[arg-type]
+    assert what == ("piece 2 dropped" if dropped else "kinks moved")
+    assert found.structure.pieces == (2 if dropped else 3) and found.points == 7.0
 
 
 def test_switches_of_two_controls_are_swapped_once() -> None:
@@ -250,11 +299,16 @@ def test_switches_of_two_controls_are_swapped_once() -> None:
     assert m._collapse(other, crossed, seen)[1].endswith("swapped")  # type: ignore[arg-type]
 
 
-def test_a_swapped_piece_gets_room_but_never_more_than_half_of_its_neighbours() -> None:
-    near = PhaseStructure((0.0, 1.0, 1.0, 1.0004, 4.0), ((LOW, LOW), (LOW, UP), (UP, UP), (LOW, UP)))
-    assert m._spread(near, 1).times == pytest.approx((0.0, 1 - 0.002, 1.0002, 1.0004, 4.0))
-    close = PhaseStructure((0.0, 0.9996, 1.0, 1.0, 4.0), ((LOW, LOW), (LOW, UP), (UP, UP), (LOW, UP)))
-    assert m._spread(close, 2).times == pytest.approx((0.0, 0.9996, 0.9998, 1.002, 4.0))
+@pytest.mark.parametrize("start", [0.0, -7.0, 30.0])
+def test_a_swapped_piece_gets_room_but_never_more_than_half_of_its_neighbours(start: float) -> None:
+    def spread(times: tuple[float, ...], piece: int) -> Any:
+        kinds = ((LOW, LOW), (LOW, UP), (UP, UP), (LOW, UP))
+        found = m._spread(PhaseStructure(tuple(start + t for t in times), kinds), piece)
+        return np.asarray(found.times) - start
+
+    assert spread((0.0, 1.0, 1.0, 1.0004, 4.0), 1) == pytest.approx((0.0, 1 - 0.002, 1.0002, 1.0004, 4.0))
+    assert spread((0.0, 0.9996, 1.0, 1.0, 4.0), 2) == pytest.approx((0.0, 0.9996, 0.9998, 1.002, 4.0))
+    assert spread((0.0, 1.0, 1.001, 3.0, 4.0), 1) == pytest.approx((0.0, 0.9985, 1.0025, 3.0, 4.0))
 
 
 # --- arcs that are missing --------------------------------------------------------------------------------
@@ -481,10 +535,10 @@ def test_multipliers_along_a_contact_are_rough_and_do_not_count() -> None:
     plan = Plan(contact, (Resolution(1, 4), Resolution(1, 4)))
     wrong = samples(CART, lam=lambda t, k: [-12 + t, -6 + 12 * t - 0.5 * t**2])
     found = m._finer(wrong, plan, 1e-9)
-    assert found is not None and [r.degree for r in found.resolutions] == [7, 4]
+    assert found is not None and [r.degree for r in found.resolutions] == [MAX_DEGREE, 4]
     bent = samples(CART, lambda t, k: [3 * t**2 - 2 * t**3, 6 * t - 6 * t**2 + 0.4 * k * (t - 0.5)])
     found = m._finer(bent, plan, 1e-9)
-    assert found is not None and [r.degree for r in found.resolutions] == [4, 7]
+    assert found is not None and [r.degree for r in found.resolutions] == [4, MAX_DEGREE]
 
 
 def test_an_open_gradient_of_a_singular_control_asks_for_a_higher_degree() -> None:
@@ -729,7 +783,12 @@ def test_what_vanishes_is_mended_first_then_kinks_and_points_then_what_is_missin
     ],
 )
 def test_what_is_worse_is_raised(error: float, gradient: float, wanted: Resolution) -> None:
-    assert m._next_resolution(Resolution(2, 6, 4), error, gradient, 1e-9) == wanted
+    assert m._next_resolution(Resolution(2, 6, 4), np.array([1e-12, error]), gradient, 1e-9) == wanted
+
+
+def test_errors_that_are_no_numbers_ask_for_the_finest() -> None:
+    found = m._next_resolution(Resolution(2, MAX_DEGREE), np.array([np.nan, 1e-12]), 0.0, 1e-9)
+    assert found == Resolution(5, MAX_DEGREE, edges=(0.125, 0.25, 0.375, 0.5))
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,31 @@ def test_a_flight_whose_structure_is_not_known_is_no_guide() -> None:
     assert v.KnownFlight.of(KNOWN) is None
     two = {"leg": KNOWN.phase(), "other": replace(KNOWN.phase(), name="other")}
     assert v.KnownFlight.of(replace(KNOWN, structure=arcs, phases=two)) is None
+
+
+@dataclass(frozen=True)
+class Step:
+    steps: int
+
+
+@pytest.mark.parametrize(("answers", "steps"), [((1, 1), v.STEPS // 2), ((1, 0), v.STEPS), ((0, 0), None)])
+def test_variations_are_flown_on_half_the_grid_if_that_leaves_something_to_spare(
+    monkeypatch: pytest.MonkeyPatch, answers: Any, steps: int | None
+) -> None:
+    asked: list[Any] = []
+
+    def settle(start: Any, structure: Any, accuracy: float, step: Any = None) -> Any:
+        asked.append((accuracy, step))
+        flight = SimpleNamespace(step=step or Step(v.STEPS))
+        return (f"structure {len(asked)}", flight) if answers[len(asked) - 1] else None
+
+    monkeypatch.setattr(v, "settle_flow", settle)
+    found = v.KnownFlight(KNOWN, "known", np.ones(2)).differentiated()  # type: ignore[arg-type]
+    tries = [(v.ACCURACY, None), (v.SPARE * v.ACCURACY, Step(v.STEPS // 2))]
+    assert asked == tries[: 1 + answers[0]] and v.SPARE < 1
+    assert (found and found.step) == (steps and Step(steps))
+    if found:
+        assert found.structure == f"structure {sum(answers)}"
 
 
 @pytest.mark.parametrize("first", [0.0, 1.0, -1.0, 1.5, (0.2, 0.3)])

@@ -13,11 +13,12 @@ import scipy
 from numpy.typing import NDArray
 
 import gnc_opt as go
+from gnc_opt.solution.accessory import AccessoryEquations
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.transcription.transcription import transcribe
 from gnc_opt.verify import Result, feasibility
 from gnc_opt.verify.brief import lasting
-from gnc_opt.verify.conjugate_points import _matrices, _system, _variations, _worth
+from gnc_opt.verify.conjugate_points import _free, _system, _worth
 from gnc_opt.verify.costates import _slack_offence, _time_transversality, _unexplained, hamiltonian
 from gnc_opt.verify.critical_cone import CriticalCone, _close_arcs, _nodes, _variable_lines
 from gnc_opt.verify.induced import InducedProblem, Unknowns
@@ -250,7 +251,8 @@ def test_linear_hamiltonian_system(free: list[int]) -> None:
         lambda t, k: np.array([1 + t, 1 - t]),
         weights=(1.0,), breaks=(0.0, 0.5, 2.0), control_bounds=box,
     )  # fmt: skip
-    found = _matrices(s, _variations(s), np.array([0.25, 1.5]))
+    equations = AccessoryEquations(s.leg, s.functions, s.control_scale)
+    found = equations.matrices(np.array([0.25, 1.5]), _worth(s), lambda u: _free(s, u))
     for k, t in enumerate((0.25, 1.5)):
         np.testing.assert_allclose(found[k], linear_system(s, t, free), rtol=1e-9, atol=1e-12)
     if free != [0, 1]:
@@ -263,6 +265,11 @@ def test_linear_hamiltonian_system(free: list[int]) -> None:
     )  # fmt: skip
     np.testing.assert_allclose(whole, exact.y[:, -1].reshape(4, 4), rtol=2e-6, atol=2e-6)
     assert times.size == 41 and flows.shape == (40, 4, 4)
+    back = equations.flows(times, _worth(s), backward=True)
+    np.testing.assert_allclose(back @ flows, np.tile(np.eye(4), (40, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        equations.matrices(times, 7.0), equations.matrices(times, 7.0, lambda u: _free(s, u))
+    )
 
 
 # --- pushes -----------------------------------------------------------------------------------------------

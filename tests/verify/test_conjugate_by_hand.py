@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import gnc_opt as go
+from gnc_opt.solution.accessory import on_free
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT, CONVEX
 from gnc_opt.verify import Result, conjugate_points
@@ -21,7 +22,6 @@ from gnc_opt.verify.conjugate_points import (
     _conjugate_times,
     _end_derivatives,
     _is_smooth,
-    _on_free,
     _only_adds,
     _worth,
 )
@@ -158,7 +158,7 @@ def test_integrals_times_a_parameter_or_in_a_constraint_do_not_only_add() -> Non
 def test_free_controls_in_a_hessian() -> None:
     hessians = np.array([[[2.0, 3.0], [3.0, 5.0]]] * 4)
     free = np.array([[True, True], [True, False], [False, True], [False, False]])
-    found = _on_free(hessians, free)
+    found = on_free(hessians, free)
     np.testing.assert_array_equal(
         found, [[[2, 3], [3, 5]], [[2, 0], [0, 1]], [[1, 0], [0, 5]], [[1, 0], [0, 1]]]
     )
@@ -247,7 +247,7 @@ def test_times_that_two_grids_agree_on(
     states = np.diag([1.0, 0.0]) if frame == "partly" else frame * np.eye(2)
     frames = {START: np.eye(4)[:, 2:], END: np.vstack([states, np.eye(2)])}
     monkeypatch.setattr(conjugate_points, "_end_frame", lambda solution, s, end: frames[end])
-    monkeypatch.setattr(conjugate_points, "_times", lambda s, steps: steps)
+    monkeypatch.setattr(conjugate_points, "fine_times", lambda leg, steps, least: steps)
     monkeypatch.setattr(conjugate_points, "_system", lambda s, steps: steps)
 
     def crossing(s: Any, system: int, frame: Array, end: int) -> Any:

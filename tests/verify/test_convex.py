@@ -223,3 +223,35 @@ def test_a_singular_minimum_that_no_curvature_tells_is_the_only_one() -> None:
     assert solution.objective == pytest.approx(1 / 3, abs=1e-7)
     verdict = go.verify(solution)
     assert verdict.minimum, verdict.explain()
+
+
+def priced(price: Any, order: int = 1, most: float = 1.0) -> go.Verdict:
+    """Full push backwards for 2 s, along a chain of integrators; what is priced is the product with the first state."""
+    model = go.Model("chain")
+    x, u = [model.state(name) for name in "qv"[:order]], model.control("u")
+    model.ode(dict(zip(x, [*x[1:], u], strict=True)))
+    problem = go.Problem("priced")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    leg.initial(**dict.fromkeys("qv"[:order], 0.0))
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.integral(price(model.time, x[0], u)))
+    t = np.linspace(0.0, 2.0, 41)
+    chain = [-most * t**2 / 2, -most * t] if order == 2 else [-most * t]
+    return go.verify_trajectory(problem, t, chain, -most + 0 * t)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_one_bang_whose_costate_vanishes_at_a_free_end_is_the_only_minimum(order: int) -> None:
+    """The switching function has a zero of that order at the end, which no curvature of switch times tells."""
+    assert priced(lambda t, q, u: q, order).minimum
+    assert not priced(lambda t, q, u: q, order, 0.999).ok
+    assert not priced(lambda t, q, u: -q, order).ok
+
+
+def test_a_switching_function_that_touches_zero_leaves_nothing_open_and_one_that_rests_there_does() -> None:
+    touching = priced(lambda t, q, u: (t - 1) ** 2 * u)
+    assert touching.minimum and "one solution only" in touching["strict switches"].where
+    resting = priced(lambda t, q, u: ca.if_else(t < 1, 1 - t, 0.0) * u)  # from 1 s on any push costs nothing
+    assert resting.ok and not resting.minimum
+    assert not priced(lambda t, q, u: (t - 0.9) * u).ok

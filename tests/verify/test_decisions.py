@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
+from gnc_opt.solution.accessory import fine_times
 from gnc_opt.solution.propagation import state_magnitudes
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.verify import Result, conjugate_points, reduced_hessian, second_order, singular
@@ -290,7 +291,7 @@ def test_directions_that_controls_reach_too_late(still: int, told: bool) -> None
 
 def test_steps_of_the_system() -> None:
     """300 over the phase and 4 more in every segment, at the breaks too."""
-    times = conjugate_points._times(resting(), 300)
+    times = fine_times(resting().leg, 300, 4)
     assert times.size == 75 + 4 + 225 + 4 + 1
     np.testing.assert_allclose(times[[0, 79, -1]], [1.0, 1.5, 3.0])
     np.testing.assert_allclose(np.diff(times)[[0, 78, 79]], [0.5 / 79, 0.5 / 79, 1.5 / 229])

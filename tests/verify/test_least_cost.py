@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.verify.least_cost import least_cost
+from gnc_opt.verify.least_cost import _addends, least_cost
 from gnc_opt.verify.verdict import Verdict
 
 
@@ -75,6 +75,41 @@ def test_costates_that_are_no_rounding_fail() -> None:
 def test_a_flight_beside_the_perfect_one_fails() -> None:
     beside = {"q": 0.51 * T**2, "v": 1.02 * T}
     assert not go.verify_trajectory(tracking(2.0), T, beside, {"a": 0 * T + 1.02}).ok
+
+
+def stiff(weight: float, wrong: bool) -> go.Verdict:
+    """Two pushes against each other, which a weight holds together: (u - w - 1)^2 is left to gain."""
+    model = go.Model("pair")
+    x, u, w = model.state("x"), model.control("u"), model.control("w")
+    model.ode({x: u})
+    problem = go.Problem("stiff")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-5.0, 5.0), w=(-5.0, 5.0))
+    problem.minimize(3.0 * leg.integral((weight * (u + w) ** 2 + (u - w - 1) ** 2) / 2 - 4.0))
+    t, push = np.linspace(0.0, 1.0, 11), 0.0 if wrong else 0.5
+    return go.verify_trajectory(problem, t, push * t, [push + 0 * t, -push + 0 * t])
+
+
+@pytest.mark.parametrize("weight", [1.0, 1e4, 1e8, 1e12])
+def test_what_a_stiff_term_amounts_to_does_not_hide_that_another_could_be_less(weight: float) -> None:
+    right, wrong = stiff(weight, False), stiff(weight, True)
+    assert right.ok
+    assert not any("least that there can be" in c.where for c in wrong.conditions)
+    assert not wrong.minimum and wrong.ok is (weight > 1e8)  # a gain below 1e-9 of the whole is not told
+
+
+def test_sums_are_taken_apart() -> None:
+    x = ca.SX.sym("x", 3)
+    parts = ca.vertcat(*_addends(2 * (x[0] - 3 * (x[1] + x[2]) / 4) - (x[0] * x[1] - x[2] * 5.0)))
+    assert ca.DM(ca.substitute(parts, x, ca.DM([3.0, 4.0, 8.0]))).full().ravel().tolist() == [
+        6,
+        -6,
+        -12,
+        -12,
+        40,
+    ]
 
 
 # --- the bound ---------------------------------------------------------------------------------------------

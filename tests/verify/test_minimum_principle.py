@@ -41,7 +41,7 @@ GAINS = [
     ("affine, in a path", 1, lambda u: 1 + 0.3 * u[0], ((lambda u: u[0], -0.5),), 0.15, 0.3),
     ("affine, one in a path", 2, lambda u: 1 + u[0] + 0.3 * u[1], ((lambda u: u[1], -0.5),), 1.15, 1.3),
     ("a product", 2, lambda u: 1 + u[0] * u[1], (), 1.0, 1.0),
-    ("a kink", 1, lambda u: 1 + ca.fmax(u[0], -0.5 * u[0]), (), 0.0, 1.0),
+    ("a kink", 1, lambda u: 1 + ca.fmax(ca.fmin(u[0], 1), -0.5 * u[0]), (), 0.0, 1.0),
     ("a kink that is no minimum", 1, lambda u: 1 - ca.fabs(u[0]), (), 1.0, 0.0),
     ("a step", 1, lambda u: 1 - 0.5 * ca.logic_and(u[0] > 0.6, u[0] < 0.9), (), 0.5, 0.0),
 ]

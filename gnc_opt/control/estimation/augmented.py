@@ -125,10 +125,11 @@ class AugmentedModel:
         after = own + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         return ca.Function("flow", [t, x, u], [ca.vertcat(after, rest)])
 
-    def transition(self, t: Any, x: Any, after: Any, u: Any, h: float, density: Any) -> tuple[Any, Any]:
-        """Return F (n_errors, n_errors) of a step h (s) from x to ``after``, and the covariance of the noise in it.
+    def transition(self, t: Any, x: Any, after: Any, u: Any, h: float, density: Any) -> tuple[Any, Any, Any]:
+        """Return F (n_errors, n_errors) of a step h (s) from x to ``after``, and two covariances of the noise in it.
 
-        ``density`` (n_errors, n_errors) is that of the noise per second; see `filter` for the formulas.
+        P becomes ``F (P + early) F' + late``. ``density`` (n_errors, n_errors) is that of the noise per second; see
+        `filter` for the formulas.
         """
         n = self.model.states.size
         own, end = x[:n], after[:n]
@@ -141,7 +142,7 @@ class AugmentedModel:
         whole = ca.diagcat(last @ change @ vehicle.move_slope(own), rest)
         change = one + h / 2 * A + h**2 / 8 * square  # for the noise, which is small already
         half = ca.diagcat(last @ change @ vehicle.move_slope(middle), rest)
-        return whole, h / 6 * (whole @ density @ whole.T + 4 * half @ density @ half.T + density)
+        return whole, h / 6 * density, h / 6 * (4 * half @ density @ half.T + density)
 
     def direct_slope(self, channel: Channel) -> Any:
         """Return the slope (m, n_errors) of a measurement that sees errors as they are, else ``None``."""

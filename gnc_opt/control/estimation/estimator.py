@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -11,26 +12,58 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect
 from gnc_opt.arrays import Array
-from gnc_opt.control.controller import Controller, first_memory, law
+from gnc_opt.control.controller import Controller, Schedule, first_memory, law
 from gnc_opt.control.estimation.filter import COVARIANCE
 from gnc_opt.control.explanation import Explanation
+from gnc_opt.control.schedule import StackedSchedule
 from gnc_opt.errors import ArgumentError, did_you_mean
 from gnc_opt.model.layout import Layout, as_vector
 
 
+class Covariances(Protocol):
+    """Where the covariances of an estimator's errors are."""
+
+    def of(self, memory: Array, layout: Layout) -> Array:
+        """Return that of all errors (n, n) of a memory (n_memory,), or (m, n, n) of many (n_memory, m)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Remembered:
+    """Covariances in the memory.
+
+    Attributes
+    ----------
+    rows, columns : int arrays (k,)
+        What of the lower triangle the entries of ``covariance`` are.
+    size : int
+        Number of errors.
+    """
+
+    rows: Any
+    columns: Any
+    size: int
+
+    def of(self, memory: Array, layout: Layout) -> Array:
+        """Return the covariances, see `Covariances`."""
+        column = memory[layout.slice(COVARIANCE)]
+        full = np.zeros((self.size, self.size, *column.shape[1:]))
+        full[self.rows, self.columns] = full[self.columns, self.rows] = column
+        return np.moveaxis(full, -1, 0) if column.ndim > 1 else full
+
+
 @dataclass(frozen=True, eq=False)
 class Estimator:
-    """A discrete-time estimator: ``(t, y, z) -> (x, z)``, then ``(t, u, z) -> z`` until the next control step.
+    """A discrete-time estimator: ``(t, y, r, z) -> (x, z)``, then ``(t, u, z) -> z`` until the next control step.
 
-    At a control step that begins at t it gets the samples y and its memory z, the prediction for t; it returns the
-    estimated states x, and, once the command u is known, the prediction for the next step.
+    At a control step that begins at t it gets the samples y, a row r of its schedule and its memory z, the prediction
+    for t; it returns the estimated states x, and, once the command u is known, the prediction for the next step.
 
     Attributes
     ----------
     name : str
     update, predict : casadi.Function
-        ``(t, y, z) -> (x, z)`` and ``(t, u, z) -> z``, columns. x is not a number while nothing has been measured for
-        longer than the estimator's ``hold``.
+        ``(t, y, r, z) -> (x, z)`` and ``(t, u, z) -> z``, columns. x is not a number while nothing has been measured
+        for longer than the estimator's ``hold``.
     first : array (n_memory,)
         The memory at the first step.
     states, errors : Layout
@@ -39,12 +72,13 @@ class Estimator:
         Of y.
     commands : Layout
         Of u.
-    places : tuple of two int arrays (n,)
-        Rows and columns of the covariance of all errors that the entries of ``covariance`` in the memory are.
+    covariances : Covariances
+        Where those of the errors are.
     memory : Layout
         ``<state>_hat``, ``<measurement>_bias_hat`` and what else is estimated, ``covariance`` (of all errors, what of
-        its lower triangle can differ from zero), and for each measurement ``<measurement>_nis`` (sum of the normalised
-        innovations squared of the samples taken), ``<measurement>_taken`` and ``<measurement>_refused`` (how many).
+        its lower triangle can differ from zero; where it is known beforehand ``predicted_for``, s), and for each
+        measurement ``<measurement>_nis`` (sum of the normalised innovations squared of the samples taken),
+        ``<measurement>_taken`` and ``<measurement>_refused`` (how many).
     error : casadi.Function
         ``(x, x_ref) -> e``, the error of states.
     sizes : mapping of str to int
@@ -52,6 +86,12 @@ class Estimator:
     dt : float
         Control step, s.
     explanation : Explanation
+    signals : Layout
+        Of r, what is known beforehand; nothing by default.
+    schedule : callable, optional
+        Of r, see `gnc_opt.control.controller.Schedule`.
+    span : tuple of two floats, optional
+        Times (s) between which it changes.
 
     Examples
     --------
@@ -70,12 +110,15 @@ class Estimator:
     errors: Layout
     measured: Layout
     commands: Layout
-    places: tuple[Any, Any]
+    covariances: Covariances
     memory: Layout
     error: Any
     sizes: dict[str, int]
     dt: float
     explanation: Explanation
+    signals: Layout = field(default_factory=partial(Layout, "signal"))
+    schedule: Schedule | None = None
+    span: tuple[float, float] | None = None
 
     def explain(self) -> Explanation:
         """Return the facts of the design; print them to read them."""
@@ -99,7 +142,8 @@ class Estimator:
         """
         sample = as_vector(y, self.measured.size, f"the samples given to '{self.name}'", ArgumentError)
         command = as_vector(u, self.commands.size, f"the command given to '{self.name}'", ArgumentError)
-        x, after = self.update(float(t), sample, self.first if z is None else z)
+        row = np.zeros(0) if self.schedule is None else self.schedule(np.array([float(t)]), self.dt)[:, 0]
+        x, after = self.update(float(t), sample, row, self.first if z is None else z)
         return np.asarray(x.full()[:, 0]), np.asarray(self.predict(float(t), command, after).full()[:, 0])
 
     def estimate(self, memory: ArrayLike) -> Array:
@@ -110,12 +154,9 @@ class Estimator:
     def covariance(self, memory: ArrayLike) -> Array:
         """Return the covariance of the errors of the states (n_errors, n_errors) of a memory (n_memory,), or
         (n, n_errors, n_errors) of many (n_memory, n); biases and what else is estimated left out."""
-        column = np.asarray(memory, dtype=float)[self.memory.slice(COVARIANCE)]
-        n, (rows, columns) = self.errors.size, self.places
-        full = np.zeros((n, n, *column.shape[1:]))
-        own = (rows < n) & (columns < n)
-        full[rows[own], columns[own]] = full[columns[own], rows[own]] = column[own]
-        return np.moveaxis(full, -1, 0) if column.ndim > 1 else full
+        return self.covariances.of(np.asarray(memory, dtype=float), self.memory)[
+            ..., : self.errors.size, : self.errors.size
+        ]
 
 
 def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
@@ -171,6 +212,7 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
         start=start,
         states=estimator.measured,
         estimated=controller.states,
+        **_known_beforehand(controller, estimator),
         memory=Layout(
             "memory",
             (*estimator.memory.variables, *controller.memory.variables),
@@ -188,6 +230,21 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     )
 
 
+def _known_beforehand(controller: Controller, estimator: Estimator) -> dict[str, Any]:
+    """Return signals, schedule and span of both."""
+    if estimator.schedule is None:
+        return {}
+    spans = [span for span in (controller.span, estimator.span) if span is not None]
+    whole = len(spans) == 2 or (len(spans) == 1 and not controller.signals.size)
+    return {
+        "signals": Layout(
+            "signal", (*controller.signals.variables, *estimator.signals.variables), "the schedule"
+        ),
+        "schedule": StackedSchedule(controller.schedule, estimator.schedule),
+        "span": (min(begin for begin, _ in spans), max(end for _, end in spans)) if whole else None,
+    }
+
+
 def _functions(
     controller: Controller, estimator: Estimator, fed: list[int], sent: list[int]
 ) -> tuple[Any, Any]:
@@ -195,14 +252,16 @@ def _functions(
     kind = ca.SX if scalar else ca.MX
     size = estimator.memory.size
     t, y = kind.sym("t"), kind.sym("y", estimator.measured.size)
-    r, z = kind.sym("r", controller.signals.size), kind.sym("z", size + controller.memory.size)
+    sizes = controller.signals.size, controller.signals.size + estimator.signals.size
+    row, z = kind.sym("r", sizes[1]), kind.sym("z", size + controller.memory.size)
+    r, known = ca.vertsplit(row, [0, *sizes])
     own, inner = ca.vertsplit(z, [0, size, size + controller.memory.size])
-    x, after = estimator.update(t, y, own)
+    x, after = estimator.update(t, y, known, own)
     u, inner_after = controller.step(t, x[fed], r, inner)
-    step = law(t, y, r, z, u, ca.vertcat(estimator.predict(t, u[sent], after), inner_after))
-    x_first, _ = estimator.update(t, y, ca.DM(estimator.first))
+    step = law(t, y, row, z, u, ca.vertcat(estimator.predict(t, u[sent], after), inner_after))
+    x_first, _ = estimator.update(t, y, known, ca.DM(estimator.first))
     begun = ca.vertcat(ca.DM(estimator.first), controller.start(t, x_first[fed], r))
-    return step, first_memory(t, y, r, begun)
+    return step, first_memory(t, y, row, begun)
 
 
 def _places(wanted: Layout, there: Layout, kind: str, whose: str, where: str) -> list[int]:
@@ -228,4 +287,9 @@ def _check_names(controller: Controller, estimator: Estimator) -> None:
         if name in controller.memory:
             raise ArgumentError(
                 f"'{controller.name}' and '{estimator.name}' both remember a '{name}': rename the state or the output."
+            )
+    for name in estimator.signals.names:
+        if name in controller.signals:
+            raise ArgumentError(
+                f"the schedules of '{controller.name}' and '{estimator.name}' both have a '{name}': rename the output."
             )

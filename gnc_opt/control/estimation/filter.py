@@ -41,18 +41,14 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.control.estimation.augmented import AugmentedModel, Channel
-from gnc_opt.control.estimation.chi_square import chi_square
+from gnc_opt.control.estimation.augmented import AugmentedModel
 from gnc_opt.control.estimation.linearization import Approximation, Map, Tangent, cholesky, solved_left
+from gnc_opt.control.estimation.tally import Tally, counters
 from gnc_opt.control.limits import Authority, saturated
 from gnc_opt.model.layout import Layout, Variable
-from gnc_opt.tolerances import LARGEST
 
 COVARIANCE = "covariance"
 """The entry of the memory with what of the lower triangle of P can differ from zero, column by column."""
-
-LOST = "lost_steps"
-"""The entry that counts control steps in a row that should have brought a sample and brought none."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +58,8 @@ class Filter:
     Attributes
     ----------
     update : casadi.Function
-        ``(t, y, z) -> (x, z)``: the estimated states of the model with the samples y at t (s), and the memory.
+        ``(t, y, r, z) -> (x, z)``: the estimated states of the model with the samples y at t (s), and the memory;
+        r has no rows.
     predict : casadi.Function
         ``(t, u, z) -> z``: the memory at the next control step, u applied until then.
     memory : Layout
@@ -102,18 +99,15 @@ class _Builder:
         self.augmented, self.linearization = augmented, linearization
         self.density = ca.diag(ca.SX(ca.sparsify(ca.DM(noise**2))))
         self.limits, self.substeps, self.hold = limits, substeps, hold
+        self.no_row = ca.SX.sym("r", 0)
         self.pattern = self._pattern()
         self.memory = self._layout()
 
     def _layout(self) -> Layout:
         augmented = self.augmented
         entries = [Variable(f"{v.name}_hat", v.size, v.unit) for v in augmented.states.variables]
-        entries.append(Variable(COVARIANCE, self.pattern.nnz()))
-        for channel in augmented.channels:
-            entries += [Variable(f"{channel.name}_{what}") for what in ("nis", "taken", "refused")]
-            if channel.counted:
-                entries.append(Variable(f"{channel.name}_next"))
-        return Layout("memory", (*entries, Variable(LOST)), f"the estimator of '{augmented.model.name}'")
+        entries += [Variable(COVARIANCE, self.pattern.nnz()), *counters(augmented.channels)]
+        return Layout("memory", tuple(entries), f"the estimator of '{augmented.model.name}'")
 
     def _pattern(self) -> Any:
         """Return the sparsity of the lower triangle of P: what can ever differ from zero.
@@ -128,12 +122,12 @@ class _Builder:
             ca.SX.sym("x", augmented.space.size),
             ca.SX.sym("u", augmented.model.controls.size),
         )
-        F, noise = augmented.transition(t, x, x, u, augmented.dt, self.density)
+        F, early, late = augmented.transition(t, x, x, u, augmented.dt, self.density)
         maps = [_mask(F)]
         if augmented.remembers:
             maps.append(_mask(self._tangent_of_shift(t, x)[1]))
         rows = np.vstack([_mask(view.slope) for view in self._views(t, x, ca.SX(n, n))])
-        P = np.eye(n, dtype=bool) | _mask(noise)
+        P = np.eye(n, dtype=bool) | _mask(early) | _mask(late)
         while True:
             new = P.copy()
             for each in maps:
@@ -165,33 +159,24 @@ class _Builder:
     # --- update -------------------------------------------------------------------------------------------
 
     def update(self) -> Any:
-        """Return ``(t, y, z) -> (x, z)``."""
+        """Return ``(t, y, r, z) -> (x, z)``."""
         augmented = self.augmented
         sizes = [0, *np.cumsum([c.variable.size for c in augmented.channels]).tolist()]
         t, y, z = ca.SX.sym("t"), ca.SX.sym("y", sizes[-1]), ca.SX.sym("z", self.memory.size)
-        entries = {name: z[self.memory.slice(name)] for name in self.memory.names}
         x, P = self._state(z)
-        views = self._views(t, x, P)
+        views, tally = self._views(t, x, P), Tally(self.memory, z)
         error = ca.SX.zeros(augmented.errors.size)
-        any_due, any_taken = ca.SX(0), ca.SX(0)
         for channel, sample, view in zip(augmented.channels, ca.vertsplit(y, sizes), views, strict=True):
-            name = channel.name
-            due = entries[f"{name}_next"] < 0.5 if channel.counted else ca.SX(1)
-            innovation, taken, refused, nis = _judged(channel, sample, due, view, error, P)
-            error, P = _joseph(P, view.slope, innovation, taken, error)
-            entries[f"{name}_nis"] += ca.if_else(taken, nis, 0)
-            entries[f"{name}_taken"] += taken
-            entries[f"{name}_refused"] += refused
-            if channel.counted:
-                left = entries[f"{name}_next"]
-                entries[f"{name}_next"] = ca.if_else(due, channel.period - 1, left - 1)
-            any_due, any_taken = ca.fmax(any_due, due), ca.fmax(any_taken, taken)
-        entries[LOST] = ca.if_else(any_taken, 0, entries[LOST] + any_due)
+            good = tally.good(channel, sample)
+            nu = solved_left(view.root, ca.if_else(good, channel.space.difference(sample, view.y), 0))
+            gated = channel.measurement.gate is not None
+            after, found, nis = _joseph(P, view.slope, nu, ca.SX(1) if gated else good, error)
+            taken = tally.take(channel, good, nis)
+            error, P = (_chosen(taken, after, error), _chosen(taken, found, P)) if gated else (after, found)
         x = augmented.space.retraction(x, error)
-        trusted = entries[LOST] < self.hold + 0.5
-        told = ca.if_else(trusted, x[: augmented.model.states.size], np.nan)
-        after = self._memory(entries, x, P)
-        return ca.Function("update", [t, y, z], [told, after], ["t", "y", "z"], ["x", "z_next"])
+        told = tally.told(x[: augmented.model.states.size], self.hold)
+        outputs = ca.cse([told, self._memory(tally.entries, x, P)])
+        return ca.Function("update", [t, y, self.no_row, z], outputs, ["t", "y", "r", "z"], ["x", "z_next"])
 
     def _views(self, t: Any, x: Any, P: Any) -> list[_View]:
         """Return how the measurements see the errors of x at t."""
@@ -229,12 +214,11 @@ class _Builder:
         for i in range(self.substeps):
             begin = t + i * h
             after = flow(begin, x, u)
-            F, noise = augmented.transition(begin, x, after, u, h, self.density)
-            x, P = self.linearization.carry(_held(flow, begin, u), space, x, P, after, F)
-            P = P + noise
-        return ca.Function(
-            "predict", [t, command, z], [self._memory(entries, x, P)], ["t", "u", "z"], ["z_next"]
-        )
+            F, early, late = augmented.transition(begin, x, after, u, h, self.density)
+            x, P = self.linearization.carry(_held(flow, begin, u), space, x, P + early, after, F)
+            P = P + late
+        outputs = ca.cse([self._memory(entries, x, P)])
+        return ca.Function("predict", [t, command, z], outputs, ["t", "u", "z"], ["z_next"])
 
 
 @dataclass(frozen=True)
@@ -246,35 +230,21 @@ class _View:
     root: Any
 
 
-def _judged(
-    channel: Channel, sample: Any, due: Any, view: _View, error: Any, P: Any
-) -> tuple[Any, Any, Any, Any]:
-    """Return the whitened innovation of a sample, whether it is taken, whether the gate refuses it, and its NIS.
+def _joseph(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any, Any, Any]:
+    """Return the error with what whitened components with the slopes H (m, n) and innovations nu tell, P, and the NIS.
 
-    ``error`` is what the measurements before have told, P the covariance of what is left.
+    ``error`` is what the measurements before have told, P the covariance of what is left. Neither changes if the
+    components are not taken. The NIS is the sum of those of the components one after the other, which are independent.
     """
-    good = ca.logic_and(ca.sum1(ca.fabs(sample) <= LARGEST) == sample.shape[0], due)
-    innovation = solved_left(view.root, ca.if_else(good, channel.space.difference(sample, view.y), 0))
-    root = cholesky(view.slope @ P @ view.slope.T + ca.SX.eye(view.slope.shape[0]))
-    nis = ca.sumsqr(solved_left(root, innovation - view.slope @ error))
-    gate = channel.measurement.gate
-    if gate is None:
-        return innovation, good, ca.SX(0), nis
-    passes = nis <= chi_square(channel.space.errors, gate)
-    return innovation, ca.logic_and(good, passes), ca.logic_and(good, ca.logic_not(passes)), nis
-
-
-def _joseph(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any, Any]:
-    """Return the error with what whitened components with the slopes H (m, n) and innovations nu tell, and P with them.
-
-    Nothing changes if they are not taken.
-    """
+    nis = ca.SX(0)
     for i in range(H.shape[0]):
         h = ca.sparsify(H[i, :].T)
         g = P @ h
-        k = taken * g / (ca.dot(h, g) + 1)
-        error = error + k * (nu[i] - ca.dot(h, error))
-        left = P - k @ g.T
+        variance, left_over = ca.dot(h, g) + 1, nu[i] - ca.dot(h, error)
+        nis += left_over**2 / variance
+        k = taken / variance * g
+        error = error + k * left_over
+        left = ca.tril2symm(ca.tril(P - k @ g.T))
         if h.nnz() == 1:
             # left h is k where rounding is left out: with it in its place no difference is left in that column
             (j,) = h.sparsity().row()
@@ -282,7 +252,14 @@ def _joseph(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any, Any]:
             P = _mirrored(left, j)
         else:
             P = ca.tril2symm(ca.tril(left + (k - left @ h) @ k.T))
-    return error, P
+    return error, P, nis
+
+
+def _chosen(condition: Any, yes: Any, no: Any) -> Any:
+    """Return the one matrix or the other, symmetric both of them if they are square."""
+    if yes.shape[0] != yes.shape[1]:
+        return ca.if_else(condition, yes, no)
+    return ca.tril2symm(ca.if_else(condition, ca.tril(yes), ca.tril(no)))
 
 
 def _mirrored(matrix: Any, j: int) -> Any:

@@ -1,10 +1,7 @@
 r"""Accessory problem: the neighbours of a smooth extremal, and the feedback on which they lie.
 
-Variations of an extremal whose controls are off their limits and whose H is strictly convex in them satisfy
-
-.. math::
-   \dot X &= A X - B \Lambda, \qquad A = f_x - f_u H_{uu}^{-1} H_{ux}, \quad B = f_u H_{uu}^{-1} f_u^T, \\
-   \dot \Lambda &= -C X - A^T \Lambda, \qquad C = H_{xx} - H_{xu} H_{uu}^{-1} H_{ux} .
+Variations of an extremal whose controls are off their limits and whose H is strictly convex in them satisfy the
+accessory equations (`gnc_opt.solution.accessory`), a linear Hamiltonian system in (X, :math:`\Lambda`).
 
 What the end admits is a plane of :math:`(\delta x, \delta\lambda, dt_f)` with, for the cost :math:`\Phi(x_f, t_f)`
 beside the integral,
@@ -31,7 +28,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -40,9 +36,8 @@ import scipy
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.control.neighbouring.smooth_plan import SmoothPlan
 from gnc_opt.errors import DesignError
-from gnc_opt.model.evaluation import evaluate
 from gnc_opt.problem.functions import end_function
-from gnc_opt.solution.propagation import state_magnitudes
+from gnc_opt.solution.accessory import AccessoryEquations, fine_times
 from gnc_opt.tolerances import RANK, magnitude
 
 _STEPS, _LEAST = 400, 4
@@ -96,80 +91,31 @@ class _Accessory:
 
     @cached_property
     def times(self) -> Array:
-        leg = self.plan.leg
-        pieces = [
-            np.linspace(left, right, _LEAST + int(_STEPS * (right - left) / leg.duration) + 1)[:-1]
-            for left, right in zip(leg.breaks[:-1], leg.breaks[1:], strict=True)
-        ]
-        return np.append(np.concatenate(pieces), leg.breaks[-1])
+        return fine_times(self.plan.leg, _STEPS, _LEAST)
 
     @cached_property
-    def sizes(self) -> tuple[Array, Array]:
-        """Of states and controls: their largest magnitudes along the plan."""
+    def equations(self) -> AccessoryEquations:
         leg = self.plan.leg
-        return state_magnitudes(leg), magnitude(np.max(np.abs(leg.flown(self.times)), axis=1))
+        size = magnitude(np.max(np.abs(leg.flown(self.times)), axis=1))
+        return AccessoryEquations(leg, self.plan.functions, size)
 
     @cached_property
     def worth(self) -> float:
         """What costates are measured by: with H_uu of this over the duration, X and Lambda are of one size."""
-        curvature = self.slopes(self.times)[0]
+        curvature = self.equations.slopes(self.times).by_uu
         return float(np.median(np.linalg.norm(curvature, axis=(1, 2)))) * self.plan.leg.duration
-
-    def slopes(self, times: Array) -> tuple[Array, ...]:
-        """Return H_uu, H_ux, H_xx, f_x and f_u in shares of states and controls, time first."""
-        leg, function = self.plan.leg, self._derivatives
-        n, m = leg.states.size, leg.controls.size
-        numbers = (self.plan.functions.weights, self.plan.functions.p, self.plan.functions.q)
-        flat = evaluate(function, times, leg.x(times), leg.flown(times), leg.lam(times), *numbers)
-        states, controls = self.sizes
-        size = np.concatenate([states, controls])
-        hessian = flat[: (n + m) ** 2].reshape(n + m, n + m, -1) * size[:, None, None] * size[:, None]
-        slope = flat[(n + m) ** 2 :].reshape(n, n + m, -1) / states[:, None, None] * size[:, None]
-        hessian, slope = hessian.transpose(2, 0, 1), slope.transpose(2, 0, 1)
-        return hessian[:, n:, n:], hessian[:, n:, :n], hessian[:, :n, :n], slope[:, :, :n], slope[:, :, n:]
-
-    @cached_property
-    def _derivatives(self) -> Any:
-        """``(t, x, u, lam, weights, p, q)`` to the Hessian of H and the Jacobian of f by (x, u), row by row."""
-        functions = self.plan.functions.functions
-        t, x, u, lam, mu, weights, p, q = (
-            ca.SX.sym("v", functions["hamiltonian"].size1_in(i)) for i in range(8)
-        )
-        both, none = ca.vertcat(x, u), ca.SX.zeros(mu.shape[0])
-        hessian = ca.hessian(functions["hamiltonian"](t, x, u, lam, none, weights, p, q), both)[0]
-        slope = ca.jacobian(functions["rates"](t, x, u, lam, none, weights, p, q), both)
-        flat = [ca.densify(ca.vec(e.T)) for e in (hessian, slope)]
-        return ca.Function("accessory", [t, x, u, lam, weights, p, q], [ca.vertcat(*flat)])
-
-    # --- flow ---------------------------------------------------------------------------------------------
 
     @cached_property
     def flows(self) -> Array:
-        """The flow of (X, Lambda) from the end of each step to its beginning, (k, 2n, 2n).
-
-        By Magnus' expansion of fourth order, which keeps it symplectic (Iserles et al., Acta Numerica 9, 2000).
-        """
-        width, middle = np.diff(self.times), 0.5 * (self.times[:-1] + self.times[1:])
-        late, early = (self._matrices(middle + sign * width / np.sqrt(12)) for sign in (1.0, -1.0))
-        h = -width[:, None, None]
-        exponent = 0.5 * h * (late + early) + np.sqrt(3) / 12 * h**2 * (early @ late - late @ early)
-        return np.asarray(scipy.linalg.expm(exponent))
-
-    def _matrices(self, times: Array) -> Array:
-        by_uu, by_ux, by_xx, f_x, f_u = self.slopes(times)
-        solved = np.linalg.solve(by_uu, np.concatenate([by_ux, f_u.transpose(0, 2, 1)], axis=2))
-        n = f_x.shape[1]
-        own, across = f_x - f_u @ solved[:, :, :n], f_u @ solved[:, :, n:]
-        down = (by_xx - by_ux.transpose(0, 2, 1) @ solved[:, :, :n]) / self.worth
-        upper = np.concatenate([own, -self.worth * across], axis=2)
-        return np.concatenate([upper, np.concatenate([-down, -own.transpose(0, 2, 1)], axis=2)], axis=1)
+        """The flow of (X, Lambda) from the end of each step to its beginning, (k, 2n, 2n)."""
+        return self.equations.flows(self.times, self.worth, backward=True)
 
     # --- end ----------------------------------------------------------------------------------------------
 
     def end_plane(self) -> Array:
         """Return the columns of (X, Lambda, T) at the end, (2n + 1, n), the last row zero where it is given."""
         plan, leg = self.plan, self.plan.leg
-        n, duration, (states, _) = leg.states.size, leg.duration, self.sizes
+        n, duration, states = leg.states.size, leg.duration, self.equations.state_size
         t, x, lam = leg.final_time, leg.x(leg.final_time, "left"), leg.lam(leg.final_time, "left")
         u = leg.flown(leg.final_time, "left")
         f, none = plan.functions.rates(t, x, u), np.zeros(len(leg.path_labels))
@@ -229,7 +175,8 @@ class _Accessory:
     def feedback(self, until: float) -> Feedback:
         """Return the feedback up to a time (s)."""
         self._require_convex()
-        n, (states, controls) = self.plan.leg.states.size, self.sizes
+        n = self.plan.leg.states.size
+        states, controls = self.equations.state_size, self.equations.control_size
         plane = self.end_plane()
         frames = np.empty((self.times.size, 2 * n + 1, n))
         frames[-1] = plane
@@ -243,7 +190,7 @@ class _Accessory:
         told = np.linalg.solve(X.transpose(0, 2, 1), np.concatenate([Lam, T], axis=1).transpose(0, 2, 1))
         told = told.transpose(0, 2, 1)
         S = 0.5 * (told[:, :n] + told[:, :n].transpose(0, 2, 1)) * self.worth
-        by_uu, by_ux, _, _, f_u = self.slopes(self.times[early])
+        by_uu, by_ux, _, _, f_u = self.equations.slopes(self.times[early])
         K = np.linalg.solve(by_uu, by_ux + f_u.transpose(0, 2, 1) @ S)
         return Feedback(
             self.times[early],
@@ -253,7 +200,7 @@ class _Accessory:
         )
 
     def _require_convex(self) -> None:
-        curvature = np.linalg.eigvalsh(self.slopes(self.times)[0])
+        curvature = np.linalg.eigvalsh(self.equations.slopes(self.times).by_uu)
         k = int(np.argmin(curvature[:, 0]))
         if not curvature[k, 0] > _CONVEX * np.max(np.abs(curvature)):
             raise DesignError(

@@ -55,17 +55,54 @@ _HALVINGS = 7
 """Deviations of the start that are tried: the range of the state in the plan, and halves of it."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class GuidanceOptions:
+    """What `design_neighbouring_optimal` can be told beside the plan and what is accepted at its end.
+
+    Attributes
+    ----------
+    reserve : float
+        Share of the planned controls that the plan leaves to the regulator in the last part, in [0, 1).
+    delay : float
+        By how much the actuators are late, s: commands are given so much earlier. A lag counts as its time constant.
+    corrections : int
+        Newton steps per control step.
+
+    Raises
+    ------
+    ArgumentError
+        A number is out of its range.
+
+    Examples
+    --------
+    >>> from gnc_opt.control import GuidanceOptions
+    >>> options = GuidanceOptions(reserve=0.0, corrections=2)
+    >>> guided = go.design_neighbouring_optimal(solution, regulator, Q=1.0, last=0.5, options=options)
+    >>> print(guided.explain()["last part"])
+    0.5
+    """
+
+    reserve: float = 0.1
+    delay: float = 0.0
+    corrections: int = 1
+
+    def __post_init__(self) -> None:
+        read_positive(self.reserve, "the reserve of neighbouring-optimal guidance", or_zero=True)
+        if self.reserve >= 1:
+            raise ArgumentError(f"the reserve is {shown(self.reserve)}: give a share in [0, 1).")
+        read_positive(self.delay, "the delay of neighbouring-optimal guidance", or_zero=True)
+        read_integer(self.corrections, "the number of corrections of neighbouring-optimal guidance", 1)
+
+
 def design_neighbouring_optimal(
     solution: Solution,
     regulator: Controller,
     *,
     Q: Weight,
     last: float,
-    reserve: float = 0.1,
-    delay: float = 0.0,
-    corrections: int = 1,
     dt: float | None = None,
     name: str = "neighbouring-optimal guidance",
+    options: GuidanceOptions | None = None,
 ) -> Controller:
     """Design the guidance that corrects the switch times and the end of a bang-bang plan of least time.
 
@@ -81,16 +118,12 @@ def design_neighbouring_optimal(
         Of the errors at the end, 1 over the squares of what is accepted: `bryson` makes them.
     last : float
         Length of the last part, s; switches after its beginning are not corrected any more.
-    reserve : float
-        Share of the planned controls that the plan leaves to the regulator there, in [0, 1).
-    delay : float
-        By how much the actuators are late, s: commands are given so much earlier. A lag counts as its time constant.
-    corrections : int
-        Newton steps per control step.
     dt : float, optional
         Control step, s; default the regulator's.
     name : str
         For messages and reports.
+    options : GuidanceOptions, optional
+        Reserve of the last part, delay of the actuators, corrections per step.
 
     Returns
     -------
@@ -121,12 +154,14 @@ def design_neighbouring_optimal(
     _check_regulator(inner, plan)
     weight = read_weight(Q, plan.reference.model.errors, "the weight Q")
     require_definite(weight, plan.reference.model.errors.labels, "the weight Q")
-    ending = _read_ending(last, reserve, plan)
-    late = read_positive(delay, "the delay of design_neighbouring_optimal()", or_zero=True)
-    count = read_integer(corrections, "the number of corrections of design_neighbouring_optimal()", 1)
+    options = GuidanceOptions() if options is None else options
+    expect(
+        options, GuidanceOptions, "the options of design_neighbouring_optimal()", "give GuidanceOptions(...)"
+    )
+    ending = _read_ending(last, options.reserve, plan)
     prediction = _accurate(plan, ending, weight)
     optimum = find_optimum(prediction)
-    guidance = _Guidance(prediction, optimum, weight, inner, step, late, count)
+    guidance = _Guidance(prediction, optimum, weight, inner, step, options)
     signals = reference_signals(plan.reference)
     law_, start = guidance.functions(signals.size)
     own = (
@@ -177,10 +212,7 @@ def _read_ending(last: float, reserve: float, plan: SwitchingPlan) -> RegulatedE
         raise ArgumentError(
             f"the last part of {length:g} s is no part of a flight of {duration:g} s: shorten it."
         )
-    share = read_positive(reserve, "the reserve of design_neighbouring_optimal()", or_zero=True)
-    if share >= 1:
-        raise ArgumentError(f"the reserve is {shown(reserve)}: give a share in [0, 1).")
-    return RegulatedEnd(length, share)
+    return RegulatedEnd(length, reserve)
 
 
 def _accurate(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array) -> Prediction:
@@ -208,8 +240,7 @@ class _Guidance:
     weight: Array
     regulator: Controller
     dt: float
-    delay: float
-    corrections: int
+    options: GuidanceOptions
 
     @property
     def plan(self) -> SwitchingPlan:
@@ -225,7 +256,7 @@ class _Guidance:
         price = _TIME / duration
         system = best.S.T @ self.weight @ best.S + price * best.H
         right = (best.S.T @ self.weight) @ psi + price * (slope + ca.DM(np.eye(best.tau.size)[-1]))
-        open_ = ca.vertcat(*[tau[k] > t + self.delay for k in range(best.tau.size - 1)], 1)
+        open_ = ca.vertcat(*[tau[k] > t + self.options.delay for k in range(best.tau.size - 1)], 1)
         matrix = (open_ @ open_.T) * system + ca.diag(ca.if_else(open_, (_SHIFT * duration) ** -2, 1))
         step = -ca.ldl_solve(open_ * right, *ca.ldl(matrix, False))
         miss = ca.sqrt(psi.T @ self.weight @ psi)
@@ -233,7 +264,7 @@ class _Guidance:
 
     def _in_turn(self, t: Any, tau: Any, open_: Any, new: Any) -> Any:
         """Return corrected times: none that has passed, each switch of a control after the one before, the end last."""
-        soonest, found = t + self.delay, ca.vertsplit(new)
+        soonest, found = t + self.options.delay, ca.vertsplit(new)
         before: dict[int, Any] = {}
         for k, channel in enumerate(self.plan.channels):
             least = ca.fmax(soonest, before[channel]) if channel in before else soonest
@@ -248,12 +279,12 @@ class _Guidance:
         z = ca.SX.sym("z", n + 2 + inner.memory.size)
         planned, tracked, own = z[:n], z[n], z[n + 2 :]
         tau = planned
-        for _ in range(self.corrections):
+        for _ in range(self.options.corrections):
             tau, miss = self.correct(t, x, tau)
         # the last part begins with the step that it begins in; from then on the plan stays
         tracking = ca.logic_or(tracked, t + self.dt / 2 >= planned[-1] - self.prediction.ending.length)
         tau = ca.if_else(tracking, planned, tau)
-        means = self.prediction.mean_controls(t + self.delay, self.dt, tau)
+        means = self.prediction.mean_controls(t + self.options.delay, self.dt, tau)
         row = ca.vertcat(self.prediction.reference(t, tau), means)
         command, memory = inner.step(t, x, row, own)
         u = ca.if_else(tracking, command, means)
@@ -309,7 +340,7 @@ class _Guidance:
         return found
 
     def _met(self, x: Array) -> bool:
-        at, tau = self.plan.initial_time - self.delay, self.optimum.tau
+        at, tau = self.plan.initial_time - self.options.delay, self.optimum.tau
         allowed = OFF + float(self.correct(at, self.plan.initial, tau)[1])
         for _ in range(_TRIES):
             tau, miss = self.correct(at, x, tau)

@@ -18,6 +18,7 @@ from gnc_opt.control.lie import OutputErrors
 from gnc_opt.control.limits import Authority, Limits, read_limits, require_reserve
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.schedule import reference_times
+from gnc_opt.control.sliding.overpowered import gain_exceeded, twist_outrun
 from gnc_opt.control.sliding.reaching import (
     Boundary,
     Law,
@@ -30,12 +31,6 @@ from gnc_opt.control.sliding.reaching import (
 from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver, sampled_band
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
-
-OVERPOWERED = "overpowered"
-"""The alarm of a law whose gain a disturbance exceeds."""
-
-PATIENCE = 10
-"""Control steps in a row outside the boundary layer after which that is no noise."""
 
 _FULL = 0.99
 """Share of the gain that counts as all of it: the hyperbolic tangent never gets there."""
@@ -123,29 +118,15 @@ class Switching:
         return wanted + twist, [Memory("twist", twist, ca.SX.zeros(size), grown)]
 
     def watch(self, s: Any) -> list[Memory]:
-        """Return the memory that raises the alarm `OVERPOWERED`: a disturbance is stronger than the gain.
-
-        Where the law works with its full gain, a weaker one cannot drive s away: not from where sliding has begun,
-        whose edge it may cross by one control step, and before that s comes nearer at every step. Super-twisting, whose
-        gain is a rate, overshoots by itself, and has no such alarm; nor has a law whose gain grows with s.
-        """
-        if isinstance(self.reaching, SuperTwisting) or not np.isfinite(self.reaching.gain):
+        """Return the memory that raises the alarm of a disturbance that is stronger than the gain."""
+        edge = self.boundary.width(_FULL)
+        if isinstance(self.reaching, SuperTwisting):
+            assert self.dt is not None
+            law = self.reaching
+            return twist_outrun(s, lambda size: law.rate(size, self.boundary), law.k2, edge, self.dt)
+        if not np.isfinite(self.reaching.gain):
             return []
-        edge = self.boundary.width(_FULL) + 2 * self.reaching.gain * (self.dt or 0.0)
-        if edge <= 0:
-            return []
-        away, flag = ca.SX.sym("away", self.bounds.size), ca.SX.sym(OVERPOWERED)
-        distance = ca.SX.sym("distance", self.bounds.size)
-        begun, outside, size = away > -0.5, ca.fabs(s) > edge, ca.fabs(s)
-        # steps in a row outside; before sliding begins those on which s has grown, from -1 downward
-        growing = ca.if_else(size > distance, away - 1, -1)
-        after = ca.if_else(outside, ca.if_else(begun, away + 1, growing), 0)
-        raised = ca.fmax(flag, ca.mmax(ca.fmax(after, -1 - after)) > PATIENCE - 0.5)
-        return [
-            Memory("away", away, -ca.SX.ones(self.bounds.size), after),
-            Memory("distance", distance, size, size),
-            Memory(OVERPOWERED, flag, ca.SX(0), raised, alarm=True),
-        ]
+        return gain_exceeded(s, edge + 2 * self.reaching.gain * (self.dt or 0.0))
 
     def facts(self) -> list[Fact]:
         """Return the bands of s and the sampling limit."""

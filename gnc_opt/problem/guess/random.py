@@ -8,7 +8,8 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.layout import Layout
-from gnc_opt.problem.guess.trajectory import guess_times, start_phase
+from gnc_opt.problem.guess.ends import guess_times
+from gnc_opt.problem.guess.trajectory import start_phase
 from gnc_opt.problem.interval import Interval, intersect
 from gnc_opt.problem.magnitudes import phase_magnitudes
 from gnc_opt.problem.phase import Phase

@@ -16,7 +16,8 @@ from gnc_opt.model.evaluation import fast_call
 from gnc_opt.model.integration import Budget, EndedError, Integration, Rate, SpentError, Tolerance, integrate
 from gnc_opt.model.layout import as_vector
 from gnc_opt.model.symbol import as_expression
-from gnc_opt.problem.guess.trajectory import end_values, guess_times, put_control
+from gnc_opt.problem.guess.ends import end_values, guess_times
+from gnc_opt.problem.guess.trajectory import put_control
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.tolerances import magnitude

@@ -1,4 +1,4 @@
-"""Starting trajectories: what the user knows, and a straight line for the rest."""
+"""Starting trajectories: what the user knows, and straight lines for the rest."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.model import Model
+from gnc_opt.problem.guess.ends import end_values, guess_times
 from gnc_opt.problem.guess.values import sample_guess
-from gnc_opt.problem.interval import Interval, intersect
+from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.phase import Phase
 
 PERTURBATION = 0.01
@@ -70,54 +71,6 @@ def put_control(model: Model, controls: Array, name: str, values: Array) -> None
         controls[place] = np.where(np.isnan(own), controls[place], own)
 
 
-def guess_times(leg: Phase) -> Array:
-    """Return guessed initial and final time, shape (2,)."""
-    known = leg.numbers.guess.time
-    wanted = np.array([np.nan, np.nan]) if known is None else known[[0, -1]]
-    initial, final = leg.times()
-    t0 = _time_in(initial, wanted[0], default=0.0)
-    span = leg.numbers.duration
-    least = max(float(span.lower[0]), 0.0)
-    usual = least if least > 0 else 1.0
-    tf = _time_in(final, wanted[1], default=t0 + usual)
-    if tf <= t0 and not final.fixed[0]:
-        tf = min(t0 + usual, float(final.upper[0]))
-    return np.array([t0, tf])
-
-
-def end_values(leg: Phase) -> tuple[Array, Array]:
-    """Return guessed initial and final states; a free end takes the value of the other one.
-
-    States that are free at both ends stay where a link takes them from, if one does.
-    """
-    numbers = leg.numbers
-    values = []
-    for here, there in ((numbers.initial, numbers.final), (numbers.final, numbers.initial)):
-        box, other = intersect(here, numbers.states), intersect(there, numbers.states)
-        open_here = ~np.isfinite(here.lower) & ~np.isfinite(here.upper)
-        known_there = np.isfinite(there.lower) | np.isfinite(there.upper)
-        values.append(np.where(open_here & known_there, other.middle, box.middle))
-    _hand_over(leg, *values)
-    return values[0], values[1]
-
-
-def _hand_over(leg: Phase, first: Array, last: Array) -> None:
-    """Write the guessed ends of earlier phases where a state is free at both ends."""
-    numbers = leg.numbers
-    ends = np.stack([numbers.initial.lower, numbers.initial.upper, numbers.final.lower, numbers.final.upper])
-    free = np.all(~np.isfinite(ends), axis=0)
-    for variable in leg.model.states.variables:
-        rows, handed = leg.model.states.slice(variable.name), leg.handed_over(variable.name)
-        if handed is None or not np.all(free[rows]):
-            continue
-        before, jump = handed
-        end = start_phase(before, np.ones(1), perturbed=False).states[
-            before.model.states.slice(variable.name), 0
-        ]
-        box = numbers.states
-        first[rows] = last[rows] = np.clip(end + jump, box.lower[rows], box.upper[rows])
-
-
 def perturbation(bounds: Interval, fractions: Array) -> Array:
     """Return the control perturbation, shape (m, N)."""
     ranges = bounds.upper - bounds.lower
@@ -125,14 +78,3 @@ def perturbation(bounds: Interval, fractions: Array) -> Array:
     channel = 1.0 + np.arange(ranges.size)
     phase = 2 * np.pi * (np.outer(1 + channel % 3, fractions) + (_GOLDEN * channel)[:, None])
     return np.asarray(amplitude[:, None] * np.cos(phase))
-
-
-def _time_in(interval: Interval, wanted: float, default: float) -> float:
-    lower, upper = float(interval.lower[0]), float(interval.upper[0])
-    if lower == upper:
-        return lower
-    if np.isfinite(wanted):
-        return float(np.clip(wanted, lower, upper))
-    if np.isfinite(lower) and np.isfinite(upper):
-        return 0.5 * (lower + upper)
-    return float(np.clip(default, lower, upper))

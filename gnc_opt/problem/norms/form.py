@@ -20,6 +20,7 @@ from gnc_opt.problem.constraint import Constraint
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.norms.find import Places
 from gnc_opt.problem.norms.limits import allows_shorter, limiting_control, limits_of
+from gnc_opt.problem.norms.succeed import free_name, taken_names
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.restatement import Restatement
 from gnc_opt.problem.tables import along
@@ -75,14 +76,7 @@ class Vector:
             return f"{names[0]}_vector" if self.rest else names[0]
         alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
         common = "".join(letters[0] for letters in alike).rstrip("_")
-        return common if common.isidentifier() and common not in self.taken else "_".join(names)
-
-    @cached_property
-    def taken(self) -> frozenset[str]:
-        """Names in the model."""
-        model = self.model
-        layouts = (model.states, model.controls, model.parameters, model.outputs)
-        return frozenset(name for layout in layouts for name in layout.names)
+        return common if common.isidentifier() and common not in taken_names(self.model) else "_".join(names)
 
     @property
     def nominal(self) -> tuple[float, ...] | None:
@@ -92,10 +86,7 @@ class Vector:
 
     def new(self, what: str, size: int, nominal: tuple[float, ...] | None, unit: str = "") -> Symbol:
         """Return the symbol of a control ``name_what``, with a name that is not taken."""
-        name = f"{self.name}_{what}"
-        while name in self.taken:
-            name += "_"
-        return Symbol(Variable(name, size, unit, nominal))
+        return Symbol(Variable(free_name(self.model, f"{self.name}_{what}"), size, unit, nominal))
 
 
 @dataclass(frozen=True, eq=False)

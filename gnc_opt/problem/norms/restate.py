@@ -11,13 +11,20 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.model.graph import operations_in
 from gnc_opt.model.norms import ROOTS
-from gnc_opt.problem.guess.trajectory import guess_times, start_phase
+from gnc_opt.problem.guess.ends import guess_times
+from gnc_opt.problem.guess.trajectory import start_phase
 from gnc_opt.problem.interval import Interval, free
+from gnc_opt.problem.norms.domain import Domain
+from gnc_opt.problem.norms.ends import EndForm, has_end_kinks
+from gnc_opt.problem.norms.epigraph import EpigraphForm, Kinked
+from gnc_opt.problem.norms.extrema import KINKED
 from gnc_opt.problem.norms.find import guessed_controls, norm_by_hand
 from gnc_opt.problem.norms.form import Form, box_rows
 from gnc_opt.problem.norms.roots import without_roots
-from gnc_opt.problem.norms.split import CORNERS, SplitForm, absolute_controls
-from gnc_opt.problem.phase import Phase, PhaseGuess, PhaseNumbers
+from gnc_opt.problem.norms.split import Bends, SplitForm
+from gnc_opt.problem.norms.succeed import with_values_of
+from gnc_opt.problem.phase import Phase
+from gnc_opt.problem.phase_numbers import PhaseGuess, PhaseNumbers
 from gnc_opt.problem.statement import Statement
 from gnc_opt.problem.tables import along
 
@@ -30,7 +37,8 @@ def restated(problem: P) -> P:
     Both have the same states, costates and cost. Variations of a problem with other numbers are restated as variations
     of one another.
     """
-    if not any(_may_have_norms(problem, leg) for leg in problem.phases.values()):
+    kinked_ends = has_end_kinks(problem)
+    if not kinked_ends and not any(_may_have_norms(problem, leg) for leg in problem.phases.values()):
         return problem
     twin, keys = problem.clone(), []
     for leg in twin.phases.values():
@@ -41,22 +49,31 @@ def restated(problem: P) -> P:
         )
         while (form := _form(problem, leg, key)) is not None:
             key = (*key, form.vector.places, *_restate(leg, form))
-        if (split := _split_form(problem, leg, key)) is not None:
-            key = (*key, split.key, *split.apply(leg))
+        key = (*key, *_straighten(problem, leg, key))
         rootless = problem.once(("rootless", *key), lambda leg=leg: without_roots(leg))  # type: ignore[misc]
         leg.paths |= rootless
         keys.append((*key, *rootless))
-    if all(len(key) == 3 for key in keys):
+    ends = _restate_ends(problem, twin) if kinked_ends else ()
+    if all(len(key) == 3 for key in keys) and not ends:
         return problem
-    twin.builds = problem.builds.setdefault(("restated", *keys), {})
+    twin.builds = problem.builds.setdefault(("restated", *keys, *ends), {})
     return twin
+
+
+def _restate_ends(problem: Statement, twin: Statement) -> tuple[Any, ...]:
+    """Restate the kinks of cost and boundary constraints; return what tells the form from others."""
+    domain = Domain.at_ends(problem)
+    form = problem.once(("ends", domain.key), lambda: EndForm.of(problem, domain))
+    if form.texts:
+        form.apply(twin)
+    return form.key if form.texts else ()
 
 
 def _may_have_norms(problem: Statement, leg: Phase) -> bool:
     if leg.numbers.arcs is not None:
         return False
     operations = problem.once(("operations", leg.name), lambda: operations_in(along(leg)))
-    return bool(operations & {*ROOTS, *CORNERS, ca.OP_SQ, ca.OP_MUL})
+    return bool(operations & {*ROOTS, *KINKED, ca.OP_SQ, ca.OP_MUL})
 
 
 def _form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> Form | None:
@@ -69,25 +86,35 @@ def _form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> Form | None:
     return problem.once(("form", *key), build)
 
 
-def _split_form(problem: P, leg: Phase, key: tuple[Any, ...]) -> SplitForm | None:
-    """The form of a phase without absolute values, which is the same for all variations."""
+def _straighten(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Restate the kinks of a phase that cost, or limit; return what tells the form from others."""
+    told = key
+    if not _has_kinks(problem, leg, told):
+        return ()
+    domain = Domain.along(problem, leg)
+    bends = problem.once(("bends", *told, domain.key), lambda: Bends.of(problem, leg, domain))
+    if bends.at:
+        told = (*told, *bends.key)
+        problem.once(("split", *told), lambda: SplitForm.of(leg, bends)).apply(leg)
+        domain = Domain.along(problem, leg)
+    if not _has_kinks(problem, leg, told):
+        return told[len(key) :]
+    kinked = problem.once(("kinked", *told, domain.key), lambda: Kinked.of(problem, leg, domain))
+    if kinked.costs or kinked.limits:
+        told = (*told, *kinked.key)
+        problem.once(("epigraph", *told), lambda: EpigraphForm.of(leg, kinked)).apply(problem, leg)
+    return told[len(key) :]
 
-    def build() -> SplitForm | None:
-        names = absolute_controls(problem, leg)
-        return SplitForm.of(leg, names) if names else None
 
-    return problem.once(("split", *key), build)
+def _has_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> bool:
+    return bool({*KINKED} & problem.once(("operations", *key), lambda: operations_in(along(leg))))
 
 
 def _restate(leg: Phase, form: Form) -> tuple[str, ...]:
     """Give a phase its new form with its own numbers; return the names of the constraints that are added."""
     stated, rows = leg.clone(), box_rows(form, leg)
-    values = {
-        v.name: leg.model.parameter_values[leg.model.parameters.slice(v.name)]
-        for v in leg.model.parameters.variables
-    }
     leg.numbers = _numbers(stated, form)
-    leg.model = form.model.with_parameters(**values)
+    leg.model = with_values_of(form.model, leg.model)
     leg.paths = {**form.paths, **rows}
     leg.integrands = dict(form.integrands)
     leg.restatement = form.restatement.after(stated.restatement)

@@ -1,4 +1,8 @@
-"""The form of a phase without absolute values of controls: each is the sum of two that push one way."""
+"""The form of a phase without kinks along controls: each control is the sum of parts, one from corner to corner.
+
+A cost that is convex and piecewise linear in a control, such as its absolute value, fills the cheaper parts first, so
+that each part is a control with bounds, and the cost is linear in all of them.
+"""
 
 from __future__ import annotations
 
@@ -7,95 +11,96 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import casadi as ca
-import numpy as np
 
 from gnc_opt.model.composed import SplitControl
-from gnc_opt.model.graph import nodes_of
-from gnc_opt.model.layout import Variable
+from gnc_opt.model.graph import replaced
+from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
-from gnc_opt.model.norms import NormNodes
 from gnc_opt.model.symbol import Symbol
 from gnc_opt.problem.constraint import Constraint
-from gnc_opt.problem.interval import Interval, free
+from gnc_opt.problem.interval import free
+from gnc_opt.problem.norms.bend import Bend, corners_of
+from gnc_opt.problem.norms.domain import Domain
+from gnc_opt.problem.norms.extrema import rows_of
 from gnc_opt.problem.norms.find import stated_controls
-from gnc_opt.problem.norms.limits import allows_shorter
+from gnc_opt.problem.norms.kinks import (
+    Extremum,
+    kinks_of_rates,
+    kinks_that_cost,
+    kinks_that_drain,
+    kinks_that_limit,
+)
+from gnc_opt.problem.norms.succeed import free_name, with_values_of
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.restatement import Restatement
 from gnc_opt.problem.statement import Statement
-from gnc_opt.problem.tables import along
 
-CORNERS = (ca.OP_FABS, ca.OP_SQRT, ca.OP_FMAX)
-"""Operations by which absolute values are written."""
-
-Names: TypeAlias = tuple[str, ...]
+Place: TypeAlias = tuple[str, str, int]
+"""Whether of an integral or of a path constraint, its name, and the row."""
 
 
-def absolute_controls(problem: Statement, leg: Phase) -> Names:
-    """Return the controls of which all components have absolute values that are sums of two parts at an optimum.
+@dataclass(frozen=True, eq=False)
+class Bends:
+    """The bends of a phase that splitting controls straightens.
 
-    So it is where less is better: in a cost, and in a limit from above.
+    Attributes
+    ----------
+    at : dict of list of Bend
+        By where they are.
+    corners : dict of tuple of float
+        By the place of the control.
     """
-    model, stated = leg.model, stated_controls(leg)
-    symbols = ca.vertsplit(model.symbols("control"))
-    corners = [node for node in nodes_of(along(leg)) if node.op() in CORNERS]
-    found = {
-        i
-        for h, i in stated.items()
-        if _has_corner(corners, symbols[i], h) and _less_is_better(problem, leg, symbols[i])
-    }
-    whole = []
-    for v in model.controls.variables:
-        places = model.controls.slice(v.name)
-        if found.issuperset(range(*places.indices(model.controls.size))):
-            whole.append(v.name)
-    return tuple(whole)
+
+    at: dict[Place, list[Bend]]
+    corners: dict[int, tuple[float, ...]]
+
+    @classmethod
+    def of(cls, problem: Statement, leg: Phase, domain: Domain) -> Bends:
+        """Find those of controls all of whose components bend a cost, at as many corners each."""
+        symbols = ca.vertsplit(leg.model.symbols("control"))
+        controls = {i: symbols[i] for i in stated_controls(leg).values()}
+
+        def bends(kinks: list[Extremum]) -> list[Bend]:
+            tried = (Bend.of(k.node, k.sense, k.pieces, controls, domain) for k in kinks)
+            return [bend for bend in tried if bend is not None]
+
+        pushed: dict[Place, list[Bend]] = {
+            ("integral", name, 0): bends(kinks)
+            for name, kinks in kinks_that_cost(problem, leg, domain).items()
+        }
+        pushed |= {
+            ("rate", name, 0): bends(kinks) for name, kinks in kinks_that_drain(problem, leg, domain).items()
+        }
+        corners = _corners(leg.model.controls, [bend for own in pushed.values() for bend in own])
+        others: dict[Place, list[Bend]] = {
+            ("path", *place): bends(kinks) for place, kinks in kinks_that_limit(problem, leg, domain).items()
+        }
+        if corners:
+            others |= {
+                ("rate", name, 0): bends(kinks)
+                for name, kinks in kinks_of_rates(problem, leg, domain).items()
+            }
+        kept = {
+            place: [b for b in own if set(b.corners) <= set(corners.get(b.place, ()))]
+            for place, own in (pushed | others).items()
+        }
+        return cls({place: own for place, own in kept.items() if own}, corners)
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """The same for the same form."""
+        return tuple((place, *(b.node.element_hash() for b in own)) for place, own in self.at.items())
 
 
-def _has_corner(corners: list[Any], symbol: Any, place: int) -> bool:
-    for node in corners:
-        if any(s.element_hash() == place for s in ca.symvar(node)):
-            norms = NormNodes.of(node, symbol)
-            if norms.degrees.get(node.element_hash()) == 1:
-                return True
-    return False
-
-
-def _less_is_better(problem: Statement, leg: Phase, symbol: Any) -> bool:
-    """Whether the absolute value is in no rate, in no limit from below and, in integrals, in a cost alone."""
-    size = ca.SX.sym("size")
-    norms = NormNodes.of(along(leg), symbol)
-
-    def of_size(expression: Any) -> Any:
-        return absolute(norms).replaced(expression, size, {})
-
-    if ca.depends_on(of_size(leg.model.derivative()), size):
-        return False
-    box = leg.path_interval()
-    for i, row in enumerate(ca.vertsplit(leg.path_expression()) if leg.paths else ()):
-        limits = Interval(box.lower[i : i + 1], box.upper[i : i + 1])
-        value = of_size(row)
-        if ca.depends_on(value, size) and not allows_shorter(value, size, limits):
-            return False
-    upwards = Interval(np.full(1, -np.inf), np.zeros(1))
-    for integral, integrand in leg.integrands.values():
-        value = of_size(integrand)
-        if not ca.depends_on(value, size):
-            continue
-        weight = ca.jacobian(problem.sense * problem.cost, integral)
-        elsewhere = ca.depends_on(problem.constraint_expression(), integral)
-        if (
-            elsewhere
-            or not weight.is_constant()
-            or float(weight) <= 0
-            or not allows_shorter(value, size, upwards)
-        ):
-            return False
-    return True
-
-
-def absolute(norms: NormNodes) -> NormNodes:
-    """Return them without squares, which are smooth."""
-    return replace(norms, degrees={h: d for h, d in norms.degrees.items() if d == 1})
+def _corners(layout: Layout, bends: list[Bend]) -> dict[int, tuple[float, ...]]:
+    """Return the corners of controls all of whose components have as many, by the places of those."""
+    corners: dict[int, tuple[float, ...]] = {}
+    for v in layout.variables:
+        places = range(*layout.slice(v.name).indices(layout.size))
+        own = {i: corners_of(bend for bend in bends if bend.place == i) for i in places}
+        if all(own.values()) and len({len(found) for found in own.values()}) == 1:
+            corners |= own
+    return corners
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +109,6 @@ class SplitForm:
 
     Attributes
     ----------
-    key : tuple of str
-        Names of the controls.
     model : Model
     paths : dict of Constraint
     integrands : dict of (symbol, expression)
@@ -113,7 +116,6 @@ class SplitForm:
     controls : tuple of SplitControl
     """
 
-    key: Names
     model: Model
     paths: dict[str, Constraint]
     integrands: dict[str, tuple[Any, Any]]
@@ -121,54 +123,78 @@ class SplitForm:
     controls: tuple[SplitControl, ...]
 
     @classmethod
-    def of(cls, leg: Phase, names: Names) -> SplitForm:
-        """Restate a phase in the two parts of some of its controls."""
-        old = leg.model
-        parts = {name: _parts(old, old.controls[name]) for name in names}
-        splits = tuple(
-            SplitControl(old.controls[name], (plus.variable.name, minus.variable.name))
-            for name, (plus, minus) in parts.items()
-        )
-        instead, norms = {}, []
-        outputs = [old.output_expression(name) for name in old.outputs.names]
-        everything = ca.vertcat(along(leg), *outputs)
-        for name, (plus, minus) in parts.items():
-            for symbol, p, m in zip(*map(ca.vertsplit, (old.symbol(name), plus, minus)), strict=True):
-                instead[symbol.element_hash()] = p - m
-                norms.append((absolute(NormNodes.of(everything, symbol)), p + m))
+    def of(cls, leg: Phase, bends: Bends) -> SplitForm:
+        """Restate a phase in the parts of the controls that bend."""
+        old, layout = leg.model, leg.model.controls
+        parts: dict[str, list[Symbol]] = {}
+        splits, instead, beyond = [], {}, {}
+        for v in layout.variables:
+            places = range(*layout.slice(v.name).indices(layout.size))
+            if places[0] not in bends.corners:
+                continue
+            corners = tuple(zip(*(bends.corners[i] for i in places), strict=True))
+            *plus, minus = parts[v.name] = _parts(old, v, len(corners))
+            own = SplitControl(v, tuple(p.variable.name for p in parts[v.name]), corners)
+            splits.append(own)
+            for i, symbol in enumerate(ca.vertsplit(old.symbol(v.name))):
+                beyond[places[i]] = {
+                    corner[i]: sum(p[i] for p in plus[k:]) for k, corner in enumerate(corners)
+                }
+                instead[symbol.element_hash()] = _value(corners[0][i], [p[i] for p in plus], minus[i])
 
-        def express(expression: Any) -> Any:
-            for nodes, size in norms:
-                expression = nodes.replaced(expression, size, {})
-            return NormNodes(ca.SX(0, 1), {}).replaced(expression, None, instead)
+        def split(expression: Any) -> Any:
+            return replaced(expression, instead)
 
-        controls = list(_new_controls(old, parts))
-        composed = [
-            (c, old_value) for c, old_value in zip(splits, (p - m for p, m in parts.values()), strict=True)
-        ]
+        symbols = ca.vertsplit(old.symbols("control"))
+
+        def straight(expression: Any, place: Place) -> Any:
+            known = {
+                b.node.element_hash(): b.expressed(symbols[b.place], beyond[b.place])
+                for b in bends.at.get(place, ())
+            }
+            return split(replaced(expression, known))
+
+        drains = {place: own for place, own in bends.at.items() if place[0] == "rate"}
+        drained = {
+            b.node.element_hash(): b.expressed(symbols[b.place], beyond[b.place])
+            for own in drains.values()
+            for b in own
+        }
+        relied = {layout.labels[b.place] for own in drains.values() for b in own}
         lengths = {v.length for v in leg.vectors}
-        stated = ca.vertcat(*(old.symbol(name) for name in names))
+        stated = ca.vertcat(*(old.symbol(c.name) for c in splits))
         return cls(
-            names,
-            old.in_controls(controls, composed, express),
+            old.in_controls(
+                list(_new_controls(old, parts)),
+                [(c, split(ca.SX(old.symbol(c.name)))) for c in splits],
+                lambda expression: split(replaced(expression, drained)),
+            ),
             {
-                name: c if name in lengths else replace(c, expression=express(c.expression))
+                name: c
+                if name in lengths
+                else replace(
+                    c,
+                    expression=ca.vertcat(
+                        *(straight(row, ("path", name, i)) for i, row in enumerate(rows_of(c.expression)))
+                    ),
+                )
                 for name, c in leg.paths.items()
             },
-            {name: (symbol, express(e)) for name, (symbol, e) in leg.integrands.items()},
+            {
+                name: (symbol, straight(e, ("integral", name, 0)))
+                for name, (symbol, e) in leg.integrands.items()
+            },
             Restatement(
                 old,
                 stated,
-                express(stated),
-                tuple(
-                    f"{c.name} is solved for as {' - '.join(c.parts)}, |{c.name}| as their sum"
-                    for c in splits
-                ),
+                split(stated),
+                tuple(map(_told, splits)),
+                tuple(c.name for c in splits if relied & set(c.variable.labels)),
             ),
-            splits,
+            tuple(splits),
         )
 
-    def apply(self, leg: Phase) -> Names:
+    def apply(self, leg: Phase) -> None:
         """Give a phase this form with its own numbers."""
         old, new, numbers = leg.model, self.model.controls, leg.numbers
         box, scales = free(new.size), dict(numbers.scales)
@@ -181,38 +207,46 @@ class SplitForm:
                 )
         for control in self.controls:
             there = old.controls.slice(control.name)
-            lower, upper = numbers.controls.lower[there], numbers.controls.upper[there]
-            for part, ends in zip(control.parts, ((lower, upper), (-upper, -lower)), strict=True):
-                box.lower[new.slice(part)], box.upper[new.slice(part)] = (
-                    np.maximum(end, 0.0) for end in ends
-                )
+            lower, upper = (
+                control.decompose(end[there][:, None])
+                for end in (numbers.controls.lower, numbers.controls.upper)
+            )
+            *least, most_minus = lower
+            *most, least_minus = upper
+            for part, low, high in zip(
+                control.parts, (*least, least_minus), (*most, most_minus), strict=True
+            ):
+                box.lower[new.slice(part)], box.upper[new.slice(part)] = low[:, 0], high[:, 0]
                 if control.name in scales:
                     scales[part] = scales[control.name]
             scales.pop(control.name, None)
-        values = {
-            v.name: old.parameter_values[old.parameters.slice(v.name)] for v in old.parameters.variables
-        }
-        leg.model = self.model.with_parameters(**values)
+        leg.model = with_values_of(self.model, old)
         leg.numbers = replace(numbers, controls=box, scales=scales)
         leg.paths, leg.integrands = dict(self.paths), dict(self.integrands)
         leg.restatement = self.restatement.after(leg.restatement)
-        return ()
 
 
-def _parts(model: Model, variable: Variable) -> tuple[Symbol, Symbol]:
-    taken = {
-        n for names in (model.states, model.controls, model.parameters, model.outputs) for n in names.names
-    }
+def _value(corner: float, plus: list[Any], minus: Any) -> Any:
+    total = sum(plus[1:], plus[0]) - minus
+    return corner + total if corner else total
+
+
+def _told(control: SplitControl) -> str:
+    *plus, minus = control.parts
+    first = control.corners[0]
+    corner = f"{', '.join(f'{c:g}' for c in first)} + " if any(first) else ""
+    return f"{control.name} is solved for as {corner}{' + '.join(plus)} - {minus}, parted where its cost has kinks"
+
+
+def _parts(model: Model, variable: Variable, corners: int) -> list[Symbol]:
+    """Return the symbols of the parts beyond each corner, and below the first one."""
 
     def part(what: str) -> Symbol:
-        name = f"{variable.name}_{what}"
-        while name in taken:
-            name += "_"
-        return Symbol(replace(variable, name=name))
+        return Symbol(replace(variable, name=free_name(model, f"{variable.name}_{what}")))
 
-    return part("plus"), part("minus")
+    return [*(part("plus" if k == 0 else f"plus_{k + 1}") for k in range(corners)), part("minus")]
 
 
-def _new_controls(model: Model, parts: dict[str, tuple[Symbol, Symbol]]) -> Iterator[Symbol]:
+def _new_controls(model: Model, parts: dict[str, list[Symbol]]) -> Iterator[Symbol]:
     for v in model.controls.variables:
-        yield from parts.get(v.name, (model.symbol(v.name),))
+        yield from parts.get(v.name, [model.symbol(v.name)])

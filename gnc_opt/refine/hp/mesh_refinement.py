@@ -21,7 +21,7 @@ from gnc_opt.refine.hp.remesh import SAFETY, UNRESOLVED, Past, Remesh, known_seg
 from gnc_opt.refine.passes import PassLimits, crawls, pass_meter, pass_record
 from gnc_opt.solution.history import Actions, History, Pass, RefinementStatus
 from gnc_opt.solution.solution import Solution
-from gnc_opt.solution.solve_mesh import solve_mesh
+from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.transcription.mesh import Mesh
 
 WARM_ITERATIONS = 150
@@ -317,8 +317,7 @@ class _Refinement:
             scheme=self._scheme,
             guess=self._state.solution,
             options=self._warm_options(),
-            warm_iterations=WARM_ITERATIONS,
-            deadline=self._limits.deadline,
+            limits=SolveLimits(WARM_ITERATIONS, self._limits.deadline),
         )
         self._state = self._judge(solution, begin, actions)
         if self._better(self._state.record, self._best.record):

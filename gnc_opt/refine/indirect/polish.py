@@ -25,7 +25,8 @@ from gnc_opt.refine.indirect.boundary_value import (
 from gnc_opt.refine.indirect.hamiltonian import HeldLimits, PhaseLimits, active_limits, hamiltonian_problem
 from gnc_opt.solution.extract import model_parameters
 from gnc_opt.solution.phase_solution import PhaseSolution, piecewise
-from gnc_opt.solution.solution import Solution, Statistics
+from gnc_opt.solution.solution import Solution
+from gnc_opt.solution.statistics import Statistics
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.scheme import GAUSS
 

@@ -25,7 +25,7 @@ from gnc_opt.refine.structure.plan import Plan
 from gnc_opt.solution.covector import Iterate
 from gnc_opt.solution.extract import extract_phases
 from gnc_opt.solution.solution import Solution
-from gnc_opt.solution.solve_mesh import solve_mesh
+from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.solution.start import program_start
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.transcription import transcribe
@@ -66,7 +66,7 @@ def solve_apart(
     for name, plan in plans.items():
         freed, meshes[name] = _freed(plan, freed, name)
     sharper = replace(options, tolerance=min(SHARP, options.tolerance))
-    found = solve_mesh(freed, meshes, guess=solution, options=sharper, deadline=deadline)
+    found = solve_mesh(freed, meshes, guess=solution, options=sharper, limits=SolveLimits(deadline=deadline))
     return _told(solution, found, plans) if found.status.solved else None
 
 

@@ -18,6 +18,7 @@ from gnc_opt.refine.structure.plan import Plan, Resolution
 from gnc_opt.refine.structure.state_constraints import StateConstraints
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import TINY
 from gnc_opt.tolerances import VANISHED as NO_MAGNITUDE
 
 KINKS_MOVED, RAISED, LOOSENED = "kinks moved", "resolution raised", "limits beside touches released"
@@ -311,20 +312,30 @@ def _finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
     contact = np.array([plan.structure.on_contact(k) for k in range(plan.structure.pieces)])
     residual = np.where(contact[plan.segment_pieces], 0.0, residual)
     per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
-    worst, open_gradient = np.zeros(plan.structure.pieces), _open_gradient(samples, plan)
-    np.maximum.at(worst, plan.segment_pieces, per_segment)
+    by_piece = np.split(per_segment, plan.piece_ends[1:-1])
     wanted = tuple(
-        _next_resolution(r, e, g, tol) for r, e, g in zip(plan.resolutions, worst, open_gradient, strict=True)
+        _next_resolution(r, errors, gradient, tol)
+        for r, errors, gradient in zip(plan.resolutions, by_piece, _open_gradient(samples, plan), strict=True)
     )
     return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
 
 
-def _next_resolution(r: Resolution, error: float, gradient: float, tol: float) -> Resolution:
-    """Raise what is worse: finer states of a polynomial that cannot be the control are worth nothing."""
+def _next_resolution(r: Resolution, errors: Array, gradient: float, tol: float) -> Resolution:
+    """Raise what is worse: finer states of a polynomial that cannot be the control are worth nothing.
+
+    Parameters
+    ----------
+    r : Resolution
+    errors : array (segments,)
+        Of states and costates in every segment of the piece.
+    gradient, tol : float
+    """
     smoother = r.smoother(gradient) if gradient > STATIONARY else r
-    if smoother != r and gradient > max(error, ROUGH):
+    if smoother != r and gradient > max(float(np.max(errors)), ROUGH):
         return smoother
-    return r.finer() if error > tol else smoother
+    if np.all(errors <= tol):
+        return smoother
+    return r.finer(np.log10(np.clip(np.nan_to_num(errors, nan=np.inf), TINY, 1.0) / tol))
 
 
 def smoother(solution: Solution, plans: Mapping[str, Plan]) -> dict[str, Plan]:

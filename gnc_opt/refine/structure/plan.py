@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,14 +29,21 @@ INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
 MAX_SEGMENTS = 64
 """Segments of a piece at most."""
 
+GAIN, STEP = 1.0, 3
+"""A point more gains so many decades where a piece is smooth; fewer points than this are not worth a solve."""
+
+HALVED = 3.0
+"""Decades that halving a segment of `MAX_DEGREE` points gains: its polynomials converge like their 12th power of its
+length where it is smooth, and hardly where it is not."""
+
+BOLD = 6.0
+"""No more decades than this are expected of one pass."""
+
 COARSE = 100
 """Collocation points per phase up to which a mesh says nothing about pieces; a finer one was asked for."""
 
 TURNING_SEGMENTS = 6
-"""Segments, ever shorter, towards each time at which a vector turns fast to hold a constraint."""
-
-HALVED = 0.5
-"""Length of a segment, in shares of the one before, towards a time at which a vector turns fast."""
+"""Segments, each half as long as the one before, towards a time at which a vector turns fast to hold a constraint."""
 
 THINNED = 1.5
 """Points of a finer mesh for one point of the pieces, which converge faster than a mesh that switches fall into."""
@@ -48,23 +56,66 @@ class Resolution:
     Attributes
     ----------
     segments, degree : int
-        Equal segments and their collocation points.
+        Number of segments, and collocation points of each.
     smooth : int
         Degree of the polynomials that singular controls are over the whole piece; 0: no such polynomials.
     gradient : float
         Largest dH/du that was left along the piece with the degree before; see `smoother`.
+    edges : tuple of float
+        Where segments meet, in shares of the piece; none: they are equally long.
     """
 
     segments: int = 1
     degree: int = FIRST_DEGREE
     smooth: int = 0
     gradient: float = np.inf
+    edges: tuple[float, ...] = ()
 
-    def finer(self) -> Resolution:
-        """Return the next finer resolution of states and costates; the finest one is itself."""
+    @property
+    def shares(self) -> Array:
+        """Boundaries of the segments, in shares of the piece: (segments + 1,) from 0 to 1."""
+        if self.edges:
+            return np.array([0.0, *self.edges, 1.0])
+        return np.linspace(0.0, 1.0, self.segments + 1)
+
+    def finer(self, decades: Array) -> Resolution:
+        """Return the resolution with which errors fall by so many decades; the finest one is itself.
+
+        First with more points, then by halving segments where that is not enough: those that are worst first, as far as
+        there may be more. Along a singular control's polynomial, whose degree is what most of the errors come from, all
+        segments step by step.
+
+        Parameters
+        ----------
+        decades : array (segments,)
+            Of each segment; none of its points is too few where it is not positive.
+        """
+        most = float(np.max(decades))
+        if most <= 0:
+            return self
         if self.degree < MAX_DEGREE:
-            return replace(self, degree=min(self.degree + 3, MAX_DEGREE))
-        return replace(self, segments=min(2 * self.segments, MAX_SEGMENTS))
+            points = STEP if self.smooth else max(STEP, math.ceil(most / GAIN))
+            return replace(self, degree=min(self.degree + points, MAX_DEGREE))
+        if self.smooth:
+            return replace(self, segments=min(2 * self.segments, MAX_SEGMENTS))
+        parts = 2 ** np.ceil(np.clip(decades, 0.0, BOLD) / HALVED).astype(int)
+        return self._cut(parts, np.argsort(-decades, kind="stable"))
+
+    def _cut(self, parts: Indices, order: Indices) -> Resolution:
+        """Return the resolution with every segment cut in equal parts, in this order up to `MAX_SEGMENTS`."""
+        allowed, room = np.ones_like(parts), MAX_SEGMENTS - self.segments
+        for k in order:
+            allowed[k] = min(parts[k], room + 1)
+            room -= allowed[k] - 1
+        count = int(np.sum(allowed))
+        if np.all(allowed == allowed[0]) and not self.edges:
+            return replace(self, segments=count)
+        shares = self.shares
+        pieces = [
+            np.linspace(left, right, n + 1)[1:]
+            for left, right, n in zip(shares[:-1], shares[1:], allowed, strict=True)
+        ]
+        return replace(self, segments=count, edges=tuple(map(float, np.concatenate(pieces)[:-1])))
 
     def smoother(self, gradient: float) -> Resolution:
         """Return the resolution with singular controls of a higher degree, and points enough for them.
@@ -75,8 +126,11 @@ class Resolution:
         if self.smooth == 0 or gradient > HELPED * self.gradient:
             return self
         smooth = min(self.smooth + 4, MAX_SINGULAR_DEGREE)
-        segments = max(self.segments, int(np.ceil(2 * smooth / self.degree)))
-        return replace(self, smooth=smooth, segments=segments, gradient=gradient)
+        raised, wanted = (
+            replace(self, smooth=smooth, gradient=gradient),
+            int(np.ceil(2 * smooth / self.degree)),
+        )
+        return raised if wanted <= self.segments else replace(raised, segments=wanted, edges=())
 
 
 @dataclass(frozen=True)
@@ -118,7 +172,7 @@ class Plan:
         if structure.bends and structure.pieces > self.structure.pieces:
             finest = max(self.resolutions, key=lambda r: (r.degree, r.segments))
             finer = tuple(
-                replace(r, segments=max(r.segments, finest.segments), degree=finest.degree)
+                replace(r, segments=r.segments if r.edges else finest.segments, degree=finest.degree)
                 for r in plan.resolutions
             )
             return replace(plan, resolutions=finer)
@@ -140,7 +194,7 @@ class Plan:
         degrees: list[int] = []
         for k, r in enumerate(self.resolutions):
             left, right = self.structure.times[k], self.structure.times[k + 1]
-            times += [left + (right - left) * share for share in self._shares(k)]
+            times += [left + (right - left) * float(share) for share in r.shares[1:]]
             degrees += [r.degree] * r.segments
         fractions = (np.asarray(times) - times[0]) / (times[-1] - times[0])
         inner = range(1, self.structure.pieces)
@@ -148,18 +202,6 @@ class Plan:
             self.piece_ends[k] for k in inner if not self.structure.kinked(k) or self.structure.slides(k)
         )
         return Mesh(tuple(fractions), tuple(degrees), movable)
-
-    def _shares(self, piece: int) -> Array:
-        """Ends of a piece's segments as shares of it: equal, or ever shorter towards where a vector turns fast."""
-        n, structure = self.resolutions[piece].segments, self.structure
-        towards = [0 < k < structure.pieces and structure.slides(k) for k in (piece, piece + 1)]
-        if structure.on_contact(piece) or not any(towards):
-            return np.arange(1, n + 1) / n
-        half = n - n // 2 if all(towards) else n
-        closer = 1.0 - np.append(HALVED ** np.arange(1, half), 0.0)
-        if not all(towards):
-            return closer if towards[1] else 1.0 - np.append(closer[-2::-1], 0.0)
-        return np.append(0.5 - 0.5 * np.append(closer[-2::-1], 0.0), 0.5 + 0.5 * closer[: n // 2])
 
     def hold(self, problem: Problem, phase: str) -> Problem:
         """Return the problem with controls, path constraints and states held as the structure says."""
@@ -245,9 +287,20 @@ def _first_resolution(structure: PhaseStructure, piece: int, points: float) -> R
         return Resolution(2, FIRST_DEGREE, SINGULAR_DEGREE)
     if ArcKind.INTERIOR in structure.controls[:, piece]:
         degree = FIRST_DEGREE if structure.on_contact(piece) else INTERIOR_DEGREE
-        segments = int(np.ceil(INTERIOR_SEGMENTS * share))
-        turns = [0 < k < structure.pieces and structure.slides(k) for k in (piece, piece + 1)]
-        fewest = 1 if structure.on_contact(piece) else TURNING_SEGMENTS * sum(turns)
-        return Resolution(max(segments, fewest), degree)
+        edges = _turning_edges(structure, piece)
+        segments = len(edges) + 1 if edges else int(np.ceil(INTERIOR_SEGMENTS * share))
+        return Resolution(segments, degree, edges=edges)
     segments = int(np.ceil(share * points / (THINNED * MAX_DEGREE))) if points > COARSE else 1
     return Resolution() if segments == 1 else Resolution(min(segments, MAX_SEGMENTS), MAX_DEGREE)
+
+
+def _turning_edges(structure: PhaseStructure, piece: int) -> tuple[float, ...]:
+    """Boundaries of segments, in shares of a piece, ever closer to where a vector turns fast; none if it does not."""
+    turns = [0 < k < structure.pieces and structure.slides(k) for k in (piece, piece + 1)]
+    if structure.on_contact(piece) or not any(turns):
+        return ()
+    closer = [0.5**k for k in range(1, TURNING_SEGMENTS)]
+    if not all(turns):
+        return tuple(closer[::-1] if turns[0] else [1.0 - share for share in closer])
+    halves = [0.5 * share for share in closer]
+    return (*halves[::-1], 0.5, *[1.0 - half for half in halves])

@@ -25,7 +25,7 @@ TERMS = MAX_DEGREE + 4
 """Of the series; those beyond them are nothing beside the last."""
 
 HELPED = 0.1
-"""Halving segments has helped if it leaves at most this share."""
+"""Halving a segment has helped if it leaves at most this share."""
 
 MARGIN = 0.1
 """Share of the tolerance that the terms left out may amount to."""
@@ -55,15 +55,29 @@ def resolved(plan: Plan, s: PhaseSamples, flown: Solution, tol: float) -> Plan:
 def _resolution(
     left: Callable[[Array], Array], whole: Array, start: float, end: float, most: float
 ) -> Resolution:
-    """The fewest segments that are fine enough with `MAX_DEGREE` points at most, and the points of each."""
-    segments, worst = 1, whole
-    while worst[MAX_DEGREE] > most and segments < MAX_SEGMENTS:
-        halved = np.max(left(np.linspace(start, end, 2 * segments + 1)), axis=0)
-        if not halved[MAX_DEGREE] < HELPED * worst[MAX_DEGREE]:  # what is left is how far the flight is off
-            break
-        segments, worst = 2 * segments, halved
-    fine = np.flatnonzero(worst[FEWEST:MAX_DEGREE] <= most)
-    return Resolution(segments, FEWEST + int(fine[0]) if fine.size else MAX_DEGREE)
+    """As few segments as are fine enough with `MAX_DEGREE` points at most, and the points of each."""
+    found = _cut(left, whole, (start, end), most, MAX_SEGMENTS)
+    fine = np.flatnonzero(np.max([row for _, row in found], axis=0)[FEWEST:MAX_DEGREE] <= most)
+    degree = FEWEST + int(fine[0]) if fine.size else MAX_DEGREE
+    edges = tuple((t - start) / (end - start) for t, _ in found[:-1])
+    return Resolution(len(found), degree, edges=edges)
+
+
+def _cut(
+    left: Callable[[Array], Array], row: Array, ends: tuple[float, float], most: float, room: int
+) -> list[tuple[float, Array]]:
+    """Where the segments of a stretch end, with what points leave along each: halves of what is too steep."""
+    start, end = ends
+    if row[MAX_DEGREE] <= most or room == 1:
+        return [(end, row)]
+    middle = 0.5 * (start + end)
+    halves = left(np.array([start, middle, end]))
+    if (
+        not np.max(halves[:, MAX_DEGREE]) < HELPED * row[MAX_DEGREE]
+    ):  # what is left is how far the flight is off
+        return [(end, row)]
+    first = _cut(left, halves[0], (start, middle), most, room // 2)
+    return first + _cut(left, halves[1], (middle, end), most, room // 2)
 
 
 def _left_out(s: PhaseSamples, flown: Solution) -> Callable[[Array], Array]:

@@ -31,7 +31,7 @@ from gnc_opt.refine.structure.simultaneous import settle_costates
 from gnc_opt.refine.structure.vectors import with_magnitudes_at_limits, with_singular_magnitudes
 from gnc_opt.solution.history import History, Pass, RefinementStatus
 from gnc_opt.solution.solution import Solution
-from gnc_opt.solution.solve_mesh import solve_mesh
+from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.verify.verify import verify
 
 PATIENCE = 4
@@ -261,7 +261,7 @@ def _solve(
     for name, plan in plans.items():
         held = plan.hold(held, name)
     meshes = {name: plan.mesh() for name, plan in plans.items()}
-    found = solve_mesh(held, meshes, guess=guess, options=options, deadline=deadline)
+    found = solve_mesh(held, meshes, guess=guess, options=options, limits=SolveLimits(deadline=deadline))
     return replace(found, problem=problem)
 
 

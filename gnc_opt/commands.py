@@ -1,0 +1,287 @@
+"""What the commands of the command line do, and what they print."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import IntEnum
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gnc_opt.errors import GncOptError, ProblemWarning
+from gnc_opt.examples import example, examples
+from gnc_opt.problem_file import ProblemFile, load_problem_file, parse_setting
+from gnc_opt.templates import write_template
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from gnc_opt.nlp import SolverOptions
+    from gnc_opt.problem.problem import Problem
+    from gnc_opt.simulation import Run
+    from gnc_opt.solution.solution import Solution
+    from gnc_opt.verify.verdict import Verdict
+
+
+REFINE_TOLERANCE = 1e-8
+"""What --tol is where it is not given: an answer is refined until it can be judged."""
+
+
+class ExitCode(IntEnum):
+    """What the shell is told."""
+
+    OK = 0
+    VERDICT_FAILS = 1
+    BAD_INPUT = 2
+    NOT_SOLVED = 3
+    INTERRUPTED = 130
+    UNREAD = 141
+
+
+# --- commands -----------------------------------------------------------------------------------------
+
+
+def solve_command(args: argparse.Namespace) -> ExitCode:
+    from gnc_opt.solution.failure import failure_message
+    from gnc_opt.solve import solve
+
+    _check_targets(args)
+    console = _console(args)
+    with _warnings_as_lines():
+        file, problem = _build(args)
+        solution = solve(
+            problem,
+            mesh=args.mesh or file.mesh,
+            scheme=args.scheme,
+            tol=args.tol,
+            structure=args.structure,
+            options=_solver_options(args),
+            progress=not args.quiet,
+            throw=False,
+        )
+        verdict = _verify(solution) if solution.status.solved and not args.no_verify else None
+    if args.quiet and not solution.status.solved:
+        print(f"gnc-opt: {failure_message(solution)}", file=sys.stderr)
+    _show(console, solution, verdict)
+    _write(args, console, file, solution, verdict)
+    return _exit_code(solution, verdict, args.exit_zero)
+
+
+def multistart_command(args: argparse.Namespace) -> ExitCode:
+    from gnc_opt.refine import multistart
+    from gnc_opt.report.search import search_text, write_search
+
+    _check_targets(args)
+    options = dict(parse_setting(text) for text in args.set)
+    with _warnings_as_lines():
+        file = load_problem_file(args.file)
+        found = multistart(
+            partial(_built_problem, args.file, options),
+            n=args.n,
+            seed=args.seed,
+            mesh=args.mesh or file.mesh,
+            tol=args.tol,
+            structure=args.structure,
+            refine=not args.no_refine,
+            executor="serial" if args.serial else None,
+            progress=not args.quiet,
+        )
+    _say(_console(args), str(found))
+    if args.json == "-":
+        print(search_text(found), end="")
+    elif args.json is not None:
+        write_search(args.json, found)
+    if found.interrupted:
+        return ExitCode.INTERRUPTED
+    return ExitCode.OK if found.minima else ExitCode.NOT_SOLVED
+
+
+def _built_problem(path: str, options: dict[str, Any]) -> Problem:
+    """Build a file's problem, in this process or another one."""
+    return load_problem_file(path).build(options)
+
+
+def check_command(args: argparse.Namespace) -> ExitCode:
+    with _warnings_as_lines():
+        file, problem = _build(args)
+        problem.check()
+    _say(_console(args), _description(file, problem))
+    return ExitCode.OK
+
+
+def new_command(args: argparse.Namespace) -> ExitCode:
+    path = write_template(args.name, args.kind)
+    command = shlex.join(["gnc-opt", "solve", str(path), "--report", "report"])
+    print(f"written: {path}\nsolve it with: {command}")
+    return ExitCode.OK
+
+
+def examples_command(args: argparse.Namespace) -> int:
+    if args.name is not None:
+        return example(args.name).run(args.options)
+    found = examples()
+    width = max(len(each.name) for each in found)
+    print("\n".join(f"{each.name:{width}}  {each.title}" for each in found))
+    print(f"run one with: gnc-opt examples NAME\nread them in: {found[0].path.parent}")
+    return ExitCode.OK
+
+
+def film_command(args: argparse.Namespace) -> ExitCode:
+    from gnc_opt.plot import View, save_film
+
+    view = View(
+        args.position if len(args.position) > 1 else args.position[0],
+        args.attitude,
+        args.force,
+        {f"keep-out {i + 1}": (sphere[:3], sphere[3]) for i, sphere in enumerate(args.keep_out)},
+        args.down,
+    )
+    others = [_moved(other) for other in args.others]
+    path = save_film(
+        _moved(args.file), args.output, view, others=others, seconds=args.seconds, rate=args.rate
+    )
+    print(f"written: {path}")
+    return ExitCode.OK
+
+
+def _moved(path: str) -> Solution | Run:
+    """Load a solution or a run."""
+    from gnc_opt.simulation import Run
+    from gnc_opt.solution import load
+
+    try:
+        return load(path)
+    except GncOptError as error:
+        try:
+            return Run.load(path)
+        except GncOptError:
+            raise error from None
+
+
+def _build(args: argparse.Namespace) -> tuple[ProblemFile, Problem]:
+    options = dict(parse_setting(text) for text in args.set)
+    file = load_problem_file(args.file)
+    return file, file.build(options)
+
+
+def _verify(solution: Solution) -> Verdict:
+    from gnc_opt.verify import verify
+
+    return verify(solution)
+
+
+def _solver_options(args: argparse.Namespace) -> SolverOptions:
+    from gnc_opt.nlp import SolverOptions
+
+    return SolverOptions() if args.solver_tol is None else SolverOptions(tolerance=args.solver_tol)
+
+
+def _exit_code(solution: Solution, verdict: Verdict | None, exit_zero: bool) -> ExitCode:
+    if solution.status.value == "interrupted":
+        return ExitCode.INTERRUPTED
+    if not solution.status.solved:
+        return ExitCode.NOT_SOLVED
+    if verdict is None or verdict.ok or exit_zero:
+        return ExitCode.OK
+    return ExitCode.VERDICT_FAILS
+
+
+# --- output -------------------------------------------------------------------------------------------
+
+
+def _console(args: argparse.Namespace) -> Console:
+    """Where people read: standard output, or standard error if that carries JSON."""
+    from rich.console import Console
+
+    console = Console(stderr=getattr(args, "json", None) == "-", quiet=args.quiet, highlight=False)
+    if not console.is_terminal:
+        console.width = max(console.width, 120)
+    return console
+
+
+def _say(console: Console, text: Any) -> None:
+    console.print(text, markup=False, soft_wrap=True)
+
+
+def _show(console: Console, solution: Solution, verdict: Verdict | None) -> None:
+    from gnc_opt.report.verdict_table import verdict_table
+
+    _say(console, str(solution))
+    if solution.history is not None:
+        _say(console, str(solution.history))
+    if verdict is None:
+        return
+    console.print(verdict_table(verdict))
+    for condition in verdict.failed:
+        _say(console, f"{condition.name}: {condition.meaning}")
+
+
+def _write(
+    args: argparse.Namespace, console: Console, file: ProblemFile, solution: Solution, verdict: Verdict | None
+) -> None:
+    from gnc_opt.report.report import write_report
+    from gnc_opt.report.summary_json import json_text, write_json
+
+    if args.json == "-":
+        print(json_text(solution, verdict), end="")
+    elif args.json is not None:
+        write_json(args.json, solution, verdict)
+    if args.report is not None:
+        paths = write_report(
+            solution, verdict, args.report, figures=file.figures, view=file.view, command=args.command
+        )
+        _say(console, f"report: {paths[0]}")
+
+
+def _description(file: ProblemFile, problem: Problem) -> str:
+    lines = [f"{problem.name}: well stated"]
+    for leg in problem.phases.values():
+        states, controls = leg.model.states, leg.model.controls
+        lines.append(
+            f"  phase {leg.name}: {_count(states.size, 'state')} ({', '.join(states.names)}), "
+            f"{_count(controls.size, 'control')} ({', '.join(controls.names)}), "
+            f"{_count(len(leg.path_labels), 'path constraint')}, {_count(len(leg.integrands), 'integral')}"
+        )
+    lines.append(
+        f"  {_count(len(problem.constraint_labels()), 'boundary constraint')} besides the end values, "
+        f"{_count(problem.parameters.size, 'free parameter')}, "
+        f"cost {'maximised' if problem.sense < 0 else 'minimised'}"
+    )
+    options = ", ".join(str(parameter) for parameter in file.options.values())
+    lines.append(f"  options of build(): {options or 'none'}")
+    return "\n".join(lines)
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def _check_targets(args: argparse.Namespace) -> None:
+    """Refuse places that cannot be written to before the work starts, not after it."""
+    if args.json not in (None, "-"):
+        target = Path(args.json)
+        if target.is_dir() or not target.parent.is_dir():
+            raise GncOptError(f"--json {args.json}: name a file in a folder that exists.")
+    if args.report is not None and Path(args.report).exists() and not Path(args.report).is_dir():
+        raise GncOptError(f"--report {args.report}: this is a file; name a folder.")
+
+
+@contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    """Show gnc_opt's warnings as one line each, without the place in the code; leave others alone."""
+
+    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        if issubclass(category, ProblemWarning):
+            print(f"gnc-opt: warning: {message}", file=sys.stderr)
+        else:
+            usual(message, category, *place, **more)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", ProblemWarning)
+        usual, warnings.showwarning = warnings.showwarning, show
+        yield

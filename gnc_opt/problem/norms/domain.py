@@ -1,0 +1,135 @@
+"""Between which values expressions of a problem lie, and which way they go, as far as its numbers tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.model.graph import replaced
+from gnc_opt.problem.interval import Interval, free, intersect
+from gnc_opt.problem.phase import Phase
+from gnc_opt.problem.ranges import ranges_of
+from gnc_opt.problem.statement import Statement
+
+_DRAWS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Domain:
+    """Symbols and their ranges.
+
+    Attributes
+    ----------
+    symbols : tuple of casadi.SX
+        Columns.
+    boxes : tuple of Interval
+    """
+
+    symbols: tuple[Any, ...]
+    boxes: tuple[Interval, ...]
+
+    @classmethod
+    def along(cls, problem: Statement, leg: Phase) -> Domain:
+        """Of what varies along a phase."""
+        initial, final = leg.times()
+        p = leg.model.parameter_values
+        values = Interval(p.copy(), p.copy())
+        for name, box in problem.parameter_bounds.items():
+            if name in leg.model.parameters:
+                place = leg.model.parameters.slice(name)
+                values.lower[place], values.upper[place] = box.lower, box.upper
+        return cls(
+            (*leg.model.arguments(), problem.parameter_symbols()),
+            (
+                Interval(initial.lower, final.upper),
+                _presumed_states(leg),
+                leg.numbers.controls,
+                values,
+                problem.parameter_interval(),
+            ),
+        )
+
+    @classmethod
+    def at_ends(cls, problem: Statement) -> Domain:
+        """Of end points, times, integrals and free parameters."""
+        symbols, boxes = [problem.parameter_symbols()], [problem.parameter_interval()]
+        constants: dict[int, tuple[Any, float]] = {}  # phases may share a model
+        for leg in problem.phases.values():
+            numbers = leg.numbers
+            symbols += [leg.initial_time, leg.final_time, leg.ends("initial"), leg.ends("final")]
+            boxes += [*leg.times(), intersect(numbers.initial, numbers.states)]
+            symbols.append(leg.integral_symbols())
+            boxes += [intersect(numbers.final, numbers.states), free(len(leg.integrands))]
+            own = zip(ca.vertsplit(leg.model.arguments()[3]), leg.model.parameter_values, strict=True)
+            constants |= {s.element_hash(): (s, value) for s, value in own}
+        values = np.array([value for _, value in constants.values()])
+        symbols.append(ca.vertcat(*(s for s, _ in constants.values())) if constants else ca.SX(0, 1))
+        return cls(tuple(symbols), (*boxes, Interval(values, values)))
+
+    @property
+    def key(self) -> bytes:
+        """The same for the same numbers."""
+        return b"".join(box.lower.tobytes() + box.upper.tobytes() for box in self.boxes)
+
+    def ranges(self, column: Any) -> Interval:
+        """Return the ranges of a column."""
+        return ranges_of(ca.Function("ranges", self.symbols, [ca.densify(column)]), self.boxes)
+
+    def directions(self, expression: Any, nodes: list[Any]) -> list[int]:
+        """Return 1 for nodes with which a scalar expression never falls, -1 if it never rises, else 0."""
+        z = ca.SX.sym("z", len(nodes))
+        place = {node.element_hash(): z[i] for i, node in enumerate(nodes)}
+        of_z = replaced(expression, place)
+        within = Domain((*self.symbols, z), (*self.boxes, self.ranges(ca.vertcat(*nodes))))
+        slopes = within.ranges(ca.jacobian(of_z, z).T)
+        return [
+            1 if low >= 0 else -int(high <= 0) for low, high in zip(slopes.lower, slopes.upper, strict=True)
+        ]
+
+    def sign(self, expression: Any) -> int:
+        """Return 1 for a scalar that is never negative, -1 for one that is never positive, else 0."""
+        found = self.ranges(expression)
+        if found.lower[0] >= 0 or found.upper[0] <= 0:
+            return 1 if found.lower[0] >= 0 else -1
+        if expression.is_symbolic():
+            return 0
+        for symbol in ca.symvar(
+            expression
+        ):  # a factor that occurs twice hides from intervals: v / 0.8 - 0.8 v
+            if is_affine(expression, symbol) and not np.any(drawn(ca.substitute(expression, symbol, 0.0))):
+                return self.sign(symbol) * self.sign(ca.jacobian(expression, symbol))
+        return 0
+
+
+def is_affine(column: Any, symbol: Any) -> bool:
+    """Whether all of a column is affine in a scalar symbol."""
+    return not any(ca.which_depends(column, symbol, 2, True))
+
+
+def drawn(column: Any) -> Array:
+    """Return the values of a column, (n, n_draws), for some values of all of its symbols."""
+    symbols = ca.vertcat(*ca.symvar(column))
+    rng = np.random.default_rng(20)
+    size = (symbols.numel(), _DRAWS)
+    values = rng.uniform(0.5, 1.5, size) * np.where(rng.random(size) < 0.4, -1.0, 1.0)
+    function = ca.Function("drawn", [symbols if symbols.numel() else ca.SX(0, 1)], [ca.densify(column)])
+    return np.asarray(
+        function(values).full() if symbols.numel() else np.tile(function(np.zeros(0)).full(), _DRAWS)
+    )
+
+
+def _presumed_states(leg: Phase) -> Interval:
+    """The bounds of states; those without any keep the sign that both ends have, as masses do."""
+    box, numbers = leg.numbers.states, leg.numbers
+    known = np.stack([numbers.initial.lower, numbers.initial.upper, numbers.final.lower, numbers.final.upper])
+    told = np.where(np.isfinite(known), known, 0.0)
+    above = np.all(told >= 0, axis=0) & np.any(told > 0, axis=0)
+    below = np.all(told <= 0, axis=0) & np.any(told < 0, axis=0)
+    return Interval(
+        np.where(above, np.maximum(box.lower, 0.0), box.lower),
+        np.where(below, np.minimum(box.upper, 0.0), box.upper),
+    )

@@ -1,0 +1,163 @@
+"""Actuators that make something else of a command at once: limits, errors, dead zones, steps, least pulses."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+from numpy.typing import ArrayLike
+
+from gnc_opt.errors import ArgumentError
+from gnc_opt.simulation.block import POSITIVE, Block, Defaults, Parameters, Step, Tick, clip, differs, values
+
+
+@dataclass(frozen=True)
+class Saturation(Block):
+    """Limits ``lower <= u <= upper`` (units of the command; one for all components, or one each).
+
+    Parameters
+    ----------
+    lower, upper : float or one per component
+        Default: none.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Saturation
+    >>> block = Saturation("limit", -1.0, 1.0, on="a")
+    """
+
+    lower: ArrayLike = -math.inf
+    upper: ArrayLike = math.inf
+
+    @property
+    def memoryless(self) -> bool:
+        return True
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        lower = values(self.lower, size, f"the lower limit of '{self.name}'")
+        upper = values(self.upper, size, f"the upper limit of '{self.name}'")
+        if not (lower <= upper).all():
+            raise ArgumentError(
+                f"'{self.name}' has lower limits {lower} above the upper ones {upper}: swap them."
+            )
+        return {"lower": (lower, unit), "upper": (upper, unit)}
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        limited = clip(signal, p["lower"], p["upper"])
+        return Step(limited, state, differs(limited, signal))
+
+
+@dataclass(frozen=True)
+class ScaleFactor(Block):
+    """Output ``factor * u + bias``: calibration errors, a weak thruster, a dead one (factor 0).
+
+    Parameters
+    ----------
+    factor : float or one per component
+    bias : float or one per component
+        Unit of the command.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import ScaleFactor
+    >>> block = ScaleFactor("weak motor", 0.9, bias=0.01, on="a")
+    """
+
+    factor: ArrayLike = 1.0
+    bias: ArrayLike = 0.0
+
+    @property
+    def memoryless(self) -> bool:
+        return True
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {
+            "factor": (values(self.factor, size, f"the factor of '{self.name}'"), ""),
+            "bias": (values(self.bias, size, f"the bias of '{self.name}'"), unit),
+        }
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        return Step(p["factor"] * signal + p["bias"], state)
+
+
+@dataclass(frozen=True)
+class Deadband(Block):
+    """Commands smaller than ``width`` (units of the command) are dropped; larger ones pass unchanged.
+
+    Parameters
+    ----------
+    width : float or one per component
+        Unit of the command, >= 0.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Deadband
+    >>> block = Deadband("valve", 0.01, on="a")
+    """
+
+    width: ArrayLike
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {"width": (values(self.width, size, f"the width of '{self.name}'"), unit)}
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"width": (0.0, math.inf)}
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        return Step(ca.if_else(ca.fabs(signal) < p["width"], 0.0, signal), state)
+
+
+@dataclass(frozen=True)
+class Quantisation(Block):
+    """Commands are rounded to multiples of ``step_size`` (units of the command, > 0).
+
+    Parameters
+    ----------
+    step_size : float or one per component
+        Unit of the command, > 0.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Quantisation
+    >>> block = Quantisation("steps", 0.01, on="a")
+    """
+
+    step_size: ArrayLike
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {"step_size": (values(self.step_size, size, f"the step size of '{self.name}'"), unit)}
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"step_size": (POSITIVE, math.inf)}
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        return Step(p["step_size"] * ca.floor(signal / p["step_size"] + 0.5), state)
+
+
+@dataclass(frozen=True)
+class MinimumImpulse(Block):
+    """Commands whose impulse over a control step, ``|u| dt``, is below ``impulse`` (unit of u times s) are dropped.
+
+    Parameters
+    ----------
+    impulse : float or one per component
+        Unit of the command times s, >= 0.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import MinimumImpulse
+    >>> block = MinimumImpulse("least pulse", 0.02, on="a")
+    """
+
+    impulse: ArrayLike
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {"impulse": (values(self.impulse, size, f"the impulse of '{self.name}'"), f"{unit} s".strip())}
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"impulse": (0.0, math.inf)}
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        return Step(ca.if_else(ca.fabs(signal) * tick.dt < p["impulse"], 0.0, signal), state)

@@ -1,0 +1,181 @@
+"""On-off thrusters: pulse width, hysteresis, pulse width and frequency."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+from numpy.typing import ArrayLike
+
+from gnc_opt.arguments import read_positive
+from gnc_opt.control.steps import is_first, next_phase, whole_steps
+from gnc_opt.errors import ArgumentError
+from gnc_opt.simulation.actuators.following import INSTANT
+from gnc_opt.simulation.block import POSITIVE, Block, Defaults, Parameters, Step, Tick, clip, scalar, values
+
+
+@dataclass(frozen=True)
+class Pwm(Block):
+    """On-off thrusters by pulse width: full ``thrust`` (unit of the command) for a share of every period.
+
+    The command at the beginning of a period sets the on-time, ``|u| / thrust`` of the period, rounded to minor steps
+    (with m of them per period the mean is right to ``thrust / (2 m)``); the pulse comes first. Pulses shorter than
+    ``minimum_on`` (s) are dropped.
+
+    Parameters
+    ----------
+    thrust : float or one per component
+    period : float, optional
+        A multiple of the minor step, s; default the control step.
+    minimum_on : float
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Pwm
+    >>> block = Pwm("on-off", 1.0, period=1.0, minimum_on=0.05, on="a")
+    """
+
+    thrust: ArrayLike
+    period: float | None = None
+    minimum_on: float = 0.0
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        return {
+            "thrust": (values(self.thrust, size, f"the thrust of '{self.name}'"), unit),
+            "minimum_on": (scalar(self.minimum_on, f"the minimum on-time of '{self.name}'"), "s"),
+        }
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"thrust": (POSITIVE, math.inf), "minimum_on": (0.0, math.inf)}
+
+    def check(self, size: int, h: float, dt: float) -> None:
+        if self._steps(h, dt) < 2:
+            raise ArgumentError(
+                f"the period of '{self.name}' is one minor step of {h:g} s, which leaves nothing to modulate: give "
+                "the loop more minor_steps."
+            )
+
+    def _steps(self, h: float, dt: float) -> int:
+        return whole_steps(dt if self.period is None else self.period, h, f"the period of '{self.name}'")
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        return ca.vertcat(ca.SX.zeros(signal.shape[0]), 0.0)
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        size, count = signal.shape[0], self._steps(tick.h, tick.dt)
+        held, phase = state[:size], state[size]
+        command = ca.if_else(is_first(phase), signal, held)
+        on_steps = ca.floor(clip(ca.fabs(command) / p["thrust"], 0.0, 1.0) * count + 0.5)
+        on_steps = ca.if_else(on_steps * tick.h < p["minimum_on"], 0.0, on_steps)
+        pulse = ca.if_else(phase + 0.5 < on_steps, ca.sign(command) * p["thrust"], 0.0)
+        saturated = ca.if_else(ca.fabs(command) > p["thrust"], 1.0, 0.0)
+        # a command that is not a number goes on into the plant, where it is reported
+        after = ca.vertcat(command, next_phase(phase, count))
+        return Step(pulse + _finite_or_nan(command), after, saturated)
+
+
+def _finite_or_nan(signal: Any) -> Any:
+    """0 for numbers, not-a-number for others; written so that it is not simplified away."""
+    return ca.if_else(ca.fabs(signal) < math.inf, 0.0, math.nan)
+
+
+@dataclass(frozen=True)
+class SchmittTrigger(Block):
+    """On-off thrusters with hysteresis: on above ``on_level``, off below ``off_level``, output +-``thrust``.
+
+    All in the unit of the command; works once per minor step.
+
+    Parameters
+    ----------
+    thrust, on_level, off_level : float or one per component
+        Unit of the command.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import SchmittTrigger
+    >>> block = SchmittTrigger("relay", 1.0, on_level=0.4, off_level=0.1, on="a")
+    """
+
+    thrust: ArrayLike
+    on_level: ArrayLike
+    off_level: ArrayLike
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        on = values(self.on_level, size, f"the on-level of '{self.name}'")
+        off = values(self.off_level, size, f"the off-level of '{self.name}'")
+        if not ((off > 0) & (off <= on)).all():
+            raise ArgumentError(
+                f"'{self.name}' switches on at {on} and off at {off}: give 0 < off_level <= on_level."
+            )
+        return {
+            "thrust": (values(self.thrust, size, f"the thrust of '{self.name}'"), unit),
+            "on_level": (on, unit),
+            "off_level": (off, unit),
+        }
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        return ca.SX.zeros(signal.shape[0])
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        polarity = trigger(signal, state, p["on_level"], p["off_level"])
+        return Step(p["thrust"] * polarity + _finite_or_nan(signal), polarity)
+
+
+def trigger(signal: Any, polarity: Any, on: Any, off: Any) -> Any:
+    """Return the polarity (-1, 0, 1) of a Schmitt trigger after a signal, from the polarity before (SX)."""
+    fresh = ca.if_else(signal > on, 1.0, ca.if_else(signal < -on, -1.0, 0.0))
+    holds = ca.logic_and(ca.fabs(signal) >= off, polarity * signal > 0)
+    return ca.if_else(holds, polarity, fresh)
+
+
+@dataclass(frozen=True)
+class Pwpf(Block):
+    r"""Pulse-width pulse-frequency modulation: a lag and a Schmitt trigger with the output fed back.
+
+    :math:`\tau \dot y = K (u - F) - y`; the thruster gives :math:`F = \pm` ``thrust`` from ``|y| > on_level`` until
+    ``|y| < off_level``. The lag is solved exactly over each minor step, the trigger acts once per minor step.
+
+    Parameters
+    ----------
+    thrust, on_level, off_level : float or one per component
+        In the unit of the command.
+    tau : float
+        s, > 0.
+    gain : float
+        K; must be enough to reach ``on_level``.
+
+    Examples
+    --------
+    >>> from gnc_opt.simulation import Pwpf
+    >>> block = Pwpf("modulator", 1.0, on_level=0.45, off_level=0.15, tau=0.1, gain=2.0, on="a")
+    """
+
+    thrust: ArrayLike
+    on_level: ArrayLike
+    off_level: ArrayLike
+    tau: float
+    gain: float = 1.0
+
+    def parameters(self, size: int, unit: str) -> Defaults:
+        levels = SchmittTrigger(self.name, self.thrust, self.on_level, self.off_level).parameters(size, unit)
+        tau = read_positive(self.tau, f"the time constant of '{self.name}'")
+        return {
+            **levels,
+            "tau": (scalar(tau, self.name), "s"),
+            "gain": (scalar(self.gain, f"the gain of '{self.name}'"), ""),
+        }
+
+    def limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
+        return {"tau": (INSTANT, math.inf)}
+
+    def start(self, signal: Any, p: Parameters, tick: Tick) -> Any:
+        return ca.SX.zeros(2 * signal.shape[0])
+
+    def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
+        size = signal.shape[0]
+        y, polarity = state[:size], trigger(state[:size], state[size:], p["on_level"], p["off_level"])
+        target = p["gain"] * (signal - p["thrust"] * polarity)
+        after = target + (y - target) * ca.exp(-tick.h / p["tau"])
+        return Step(p["thrust"] * polarity + _finite_or_nan(signal), ca.vertcat(after, polarity))

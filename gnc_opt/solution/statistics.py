@@ -1,0 +1,44 @@
+"""What a solve cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What the solve cost.
+
+    Attributes
+    ----------
+    iterations : int
+    build_s, solve_s : float
+        Wall time of transcription and of the solver.
+    function_s, linear_solver_s : float
+        Shares of ``solve_s``: evaluating functions and derivatives; the rest.
+    build_reused : bool
+        Whether an earlier transcription served again.
+
+    Examples
+    --------
+    >>> print(solution.statistics.iterations > 0)
+    True
+    """
+
+    iterations: int
+    build_s: float
+    solve_s: float
+    function_s: float
+    linear_solver_s: float
+    build_reused: bool = False
+
+    def after(self, earlier: Statistics) -> Statistics:
+        """Return these together with what an earlier try of the same solve cost."""
+        return replace(
+            self,
+            iterations=self.iterations + earlier.iterations,
+            build_s=self.build_s + earlier.build_s,
+            solve_s=self.solve_s + earlier.solve_s,
+            function_s=self.function_s + earlier.function_s,
+            linear_solver_s=self.linear_solver_s + earlier.linear_solver_s,
+        )

@@ -1,0 +1,74 @@
+"""Campaigns of several laws side by side: what is asked of the command line, the table, the statistics in a file."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from gnc_opt.report.campaign import campaign_dict
+from gnc_opt.simulation import Campaign
+
+
+def parser(prog: str, description: str) -> argparse.ArgumentParser:
+    """Return what reads ``--runs``, ``--seed`` and ``--json``."""
+    found = argparse.ArgumentParser(prog=prog, description=description)
+    found.add_argument("--runs", type=int, default=1000, help="per law, default 1000")
+    found.add_argument("--seed", type=int, default=1)
+    found.add_argument("--json", type=Path, metavar="OUT", help="write the statistics to a file")
+    return found
+
+
+def wide_console(width: int) -> Console:
+    """Return a console of so many columns at least where the output is no terminal."""
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = max(console.width, width)
+    return console
+
+
+def table(
+    title: str,
+    campaigns: Mapping[str, Campaign],
+    measures: Mapping[str, tuple[str, float]],
+    counts: Mapping[str, Callable[[Campaign], float]] | None = None,
+) -> Table:
+    """Return what became of the runs, law by law: median and largest value of every measure, and how many passed.
+
+    Parameters
+    ----------
+    title : str
+    campaigns : mapping of str to Campaign
+        By law.
+    measures : mapping of str to tuple of str and float
+        What is printed of a measure, and the factor to its unit.
+    counts : mapping of str to function, optional
+        Numbers of a whole campaign, by their headings.
+    """
+    counts = counts or {}
+    found = Table(
+        title=f"{title} (median, largest)", title_justify="left", title_style="bold", box=box.SIMPLE_HEAD
+    )
+    found.add_column("law", no_wrap=True)
+    for heading in (*(heading for heading, _ in measures.values()), *counts, "passed"):
+        found.add_column(heading, justify="right")
+    for name, campaign in campaigns.items():
+        cells = [
+            f"{factor * campaign.percentile(measure, 0.5).value:.4g}, {factor * campaign.maximum(measure):.4g}"
+            for measure, (_, factor) in measures.items()
+        ]
+        cells += [f"{count(campaign):.0f}" for count in counts.values()]
+        rate = campaign.pass_rate()
+        found.add_row(name, *cells, f"{rate.rate:.1%} ({rate.low:.2%} to {rate.high:.2%})")
+    return found
+
+
+def write(file: Path, campaigns: Mapping[str, Campaign]) -> None:
+    """Write the statistics of campaigns to a file, as JSON by law."""
+    summary = {name: campaign_dict(campaign) for name, campaign in campaigns.items()}
+    file.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")

@@ -1,0 +1,339 @@
+"""Kinks that users write: what costs by them is split or bounded from above, limits by them are several smooth ones."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+import scipy
+
+import gnc_opt as go
+from gnc_opt.problem.norms import restated
+
+DURATION = 2.0
+
+Cost = Callable[[Any, Any, Any], Any]
+
+
+def cart(cost: Cost, limit: Cost | None = None, bounds: Any = None) -> go.Problem:
+    """A unit of travel, rest to rest, in two seconds."""
+    model = go.Model("cart")
+    x, v, a = model.state("x"), model.state("v"), model.control("a")
+    model.ode({x: v, v: a})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=DURATION)
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=1.0, v=0.0)
+    if bounds is not None:
+        leg.bounds(a=bounds)
+    if limit is not None:
+        leg.path("limit", limit(x, v, a))
+    problem.minimize(leg.integral(cost(x, v, a)))
+    return problem
+
+
+def solved_leg(*arguments: Any) -> Any:
+    return restated(cart(*arguments)).phases["leg"]
+
+
+def at(leg: Any, expression: Any, x: Any, u: Any) -> np.ndarray:
+    _, states, controls, _ = leg.model.arguments()
+    return ca.Function("at", [states, controls], [ca.densify(expression)])(x, u).full().ravel()
+
+
+PIECEWISE: dict[str, tuple[Cost, Callable[[float], float], tuple[float, ...]]] = {
+    "fmax": (lambda x, v, a: ca.fmax(2 * a, -a), lambda a: max(2 * a, -a), (0.0,)),
+    "fmin": (lambda x, v, a: -ca.fmin(-2 * a, a), lambda a: max(2 * a, -a), (0.0,)),
+    "if_else": (
+        lambda x, v, a: ca.if_else(a > 0.5, 3 * a, 2 * a + 0.5),
+        lambda a: max(3 * a, 2 * a + 0.5),
+        (0.5,),
+    ),
+    "dead zone": (
+        lambda x, v, a: ca.fmax(ca.fabs(a) - 0.5, 0),
+        lambda a: max(abs(a) - 0.5, 0),
+        (-0.5, 0.5),
+    ),
+    "several": (
+        lambda x, v, a: ca.fabs(a) + 2 * ca.fmax(a - 1, 0) + a,
+        lambda a: abs(a) + 2 * max(a - 1, 0) + a,
+        (0.0, 1.0),
+    ),
+    "a part never seen": (
+        lambda x, v, a: ca.fmax(ca.fmax(a, -a), 0.1 * a - 1),
+        abs,
+        (0.0,),
+    ),
+    "other units": (lambda x, v, a: ca.fabs(3 - 6 * a) / 6, lambda a: abs(a - 0.5), (0.5,)),
+}
+
+
+@pytest.mark.parametrize("case", PIECEWISE.values(), ids=PIECEWISE)
+def test_costs_with_corners_of_a_control_are_linear_in_its_parts(case: Any) -> None:
+    cost, value, corners = case
+    leg = solved_leg(cost, None, (-2.0, 3.0))
+    (split,) = leg.model.composed_controls.values()
+    assert [c for (c,) in split.corners] == pytest.approx(corners)
+    assert not any(ca.which_depends(leg.integrand_expression(), leg.model.symbols("control"), 2, True))
+    for a in (-2.0, -0.7, 0.2, 0.9, 3.0):
+        parts = np.concatenate(split.decompose(np.array([[a]])))[:, 0]
+        assert at(leg, leg.integrand_expression(), [0, 0], parts) == pytest.approx(value(a))
+        np.testing.assert_allclose(at(leg, leg.model.derivative(), [0, 0.3], parts), [0.3, a])
+        assert split.compose(*parts[:, None]) == pytest.approx(a)
+    box = leg.numbers.controls
+    np.testing.assert_allclose(box.upper, np.diff([-2.0, *corners, 3.0])[[*range(1, len(corners) + 1), 0]])
+    np.testing.assert_array_equal(box.lower, 0.0)
+
+
+def test_bounds_that_leave_out_a_corner_are_kept() -> None:
+    leg = solved_leg(PIECEWISE["dead zone"][0], None, (-0.2, 2.0))
+    np.testing.assert_allclose(leg.numbers.controls.lower, [0.3, 0.0, 0.0])
+    np.testing.assert_allclose(leg.numbers.controls.upper, [1.0, 1.5, 0.0])
+
+
+def test_a_corner_that_moves_with_states_is_an_epigraph() -> None:
+    leg = solved_leg(lambda x, v, a: a**2 + ca.fabs(a + v))
+    assert leg.model.controls.names == ("a", "epigraph")
+    np.testing.assert_allclose(at(leg, leg.integrand_expression(), [0.0, 0.5], [0.2, 7.0]), 7.04)
+    np.testing.assert_allclose(np.sort(at(leg, leg.path_expression(), [0.0, 0.5], [0.2, 0.9])), [0.2, 1.6])
+    np.testing.assert_array_equal(leg.path_interval().lower, 0.0)
+
+
+def test_a_constant_piece_bounds_its_epigraph() -> None:
+    leg = solved_leg(lambda x, v, a: a**2 + ca.fmax(a * v, 0.0))
+    assert leg.numbers.controls.lower[1] == 0.0
+    assert leg.path_expression().numel() == 1
+
+
+def test_the_largest_of_several_controls_is_one_epigraph() -> None:
+    model = go.Model("plane")
+    v, a = model.state("v", 2), model.control("a", 2)
+    model.ode({v: a})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    problem.minimize(leg.integral(ca.sumsqr(a) + ca.norm_inf(a)))
+    solved = restated(problem).phases["leg"]
+    assert solved.model.controls.names == ("a", "epigraph")
+    values = at(solved, solved.path_expression(), [0.0, 0.0], [0.2, -0.7, 1.0])
+    np.testing.assert_allclose(np.sort(values), [0.3, 0.8, 1.2, 1.7])
+
+
+def test_rates_of_states_with_given_ends_keep_their_kinks() -> None:
+    """A dead zone of an actuator: neither more nor less speed at the end is better."""
+    model = go.Model("cart")
+    v, a = model.state("v"), model.control("a")
+    model.ode({v: ca.fmax(a - 0.2, 0) + ca.fmin(a + 0.2, 0)})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(v=0.0)
+    leg.final(v=0.0)
+    problem.minimize(leg.integral(a**2))
+    assert restated(problem) is problem
+
+
+def test_the_guess_of_an_epigraph_is_its_kink_along_the_guess() -> None:
+    from gnc_opt.problem.guess.trajectory import start_phase
+
+    problem = cart(lambda x, v, a: a**2 + ca.fabs(a + v))
+    problem.phases["leg"].guess(v=(1.0, -2.0), a=-0.5)
+    start = start_phase(restated(problem).phases["leg"], np.array([0.0, 1.0]), perturbed=False)
+    np.testing.assert_allclose(start.controls, [[-0.5, -0.5], [0.5, 2.5]])
+
+
+LIMITS: dict[str, tuple[Cost, list[float]]] = {
+    "sum": (lambda x, v, a: ca.fabs(a) + ca.fabs(v) <= 2, [-0.9, -0.1, 0.1, 0.9]),
+    "fmax": (lambda x, v, a: ca.fmax(a, 3 * v) <= 2, [0.4, 1.5]),
+    "fmin": (lambda x, v, a: ca.fmin(a, 3 * v) >= -2, [0.4, 1.5]),
+    "norm_inf": (lambda x, v, a: ca.norm_inf(ca.vertcat(a, v)) <= 2, [-0.5, -0.4, 0.4, 0.5]),
+    "moving": (lambda x, v, a: ca.fabs(a) <= 1 + x, [-2.4, -1.6]),
+}
+
+
+@pytest.mark.parametrize("case", LIMITS.values(), ids=LIMITS)
+def test_limits_of_kinks_are_limits_of_their_pieces(case: Any) -> None:
+    limit, values = case
+    leg = solved_leg(lambda x, v, a: a**2, limit)
+    assert leg.model.controls.names == ("a",)
+    np.testing.assert_allclose(np.sort(at(leg, leg.path_expression(), [1.0, 0.5], [0.4])), values)
+
+
+@pytest.mark.parametrize(
+    "limit",
+    [
+        lambda x, v, a: ca.fabs(a) >= 0.5,
+        lambda x, v, a: ca.fabs(a) + v == 0.5,
+        lambda x, v, a: ca.fmin(a, v) <= 0.5,
+    ],
+)
+def test_limits_that_leave_holes_stay_and_are_warned_of(limit: Cost) -> None:
+    problem = cart(lambda x, v, a: a**2, limit)
+    assert restated(problem) is problem
+    with pytest.warns(go.ProblemWarning, match="kink: it leaves a hole, or is limited from both sides"):
+        problem.check()
+
+
+def test_a_factor_of_unknown_sign_is_not_taken_for_a_cost() -> None:
+    problem = cart(lambda x, v, a: a**2 + v * ca.fabs(a))
+    assert restated(problem) is problem
+    with pytest.warns(go.ProblemWarning, match="give bounds that tell the signs of its factors"):
+        problem.check()
+    bounded = problem.with_bounds(v=(0.0, None))
+    assert restated(bounded).phases["leg"].model.controls.names == ("a_plus", "a_minus")
+
+
+def test_kinks_of_states_are_epigraphs_and_those_of_time_stay() -> None:
+    leg = solved_leg(lambda x, v, a: a**2 + ca.fabs(x - 0.5))
+    assert leg.model.controls.names == ("a", "epigraph")
+    clock = cart(lambda x, v, a: a**2)
+    clock.cost += clock.phases["leg"].integral(ca.fabs(clock.phases["leg"].model.time - 0.5))
+    assert restated(clock) is clock
+
+
+# --- ends -------------------------------------------------------------------------------------------------
+
+
+def hurled(cost: Cost, limit: Cost | None = None) -> go.Problem:
+    """A cart at rest that ends anywhere in two seconds, for its effort E and where it ends: (x, v, E).
+
+    The least effort to an end is 1.5 x**2 - 3 x v + 2 v**2 (the inverse of the Gramian).
+    """
+    problem = cart(lambda x, v, a: 0.0 * a)
+    stated = go.Problem("hurled")
+    leg = stated.phase("leg", problem.phases["leg"].model)
+    leg.time(initial=0.0, final=DURATION)
+    leg.initial(x=0.0, v=0.0)
+    x, v = leg.final_state("x"), leg.final_state("v")
+    effort = leg.integral(leg.model.symbol("a") ** 2)
+    if limit is not None:
+        stated.constrain("near", limit(x, v, effort))
+    stated.minimize(cost(x, v, effort))
+    return stated
+
+
+@pytest.mark.parametrize(
+    ("cost", "limit", "least"),
+    [
+        (lambda x, v, e: e + 4 * ca.fabs(x - 1) + ca.fabs(v), None, 1.0),  # rests on x = 1, at v = 1/2
+        (lambda x, v, e: e, lambda x, v, e: ca.fabs(x - 1) + ca.fabs(v) <= 0.2, 0.96),  # at x = 0.8, v = 0
+        (lambda x, v, e: ca.fmax(e, 3 * (2 - x)), None, 3 * (2 - (np.sqrt(18) - 3) / 0.75)),
+    ],
+)
+def test_kinks_of_end_costs_and_end_conditions_meet_their_closed_form(
+    cost: Any, limit: Any, least: float
+) -> None:
+    solution = go.solve(hurled(cost, limit), mesh="4x3")
+    assert go.verify(solution).ok
+    assert solution.objective == pytest.approx(least, rel=1e-7)
+
+
+# --- solutions --------------------------------------------------------------------------------------------
+
+
+def least_cost(corner: float, below: float, above: float) -> float:
+    """The least integral of a**2 and what costs by two slopes beside a corner: the costate of v is linear in time."""
+    t = np.linspace(0.0, DURATION, 40001)
+
+    def control(line: Any) -> Any:
+        wanted = [-(line[0] + line[1] * t + slope) / 2 for slope in (below, above)]
+        return np.where(wanted[1] > corner, wanted[1], np.minimum(corner, wanted[0]))
+
+    def misses(line: Any) -> list[float]:
+        a = control(line)
+        return [scipy.integrate.trapezoid(a, t), scipy.integrate.trapezoid((DURATION - t) * a, t) - 1.0]
+
+    a = control(scipy.optimize.root(misses, [-2.0, 2.0], tol=1e-13).x)
+    cost = a**2 + np.where(a > corner, above, below) * (a - corner)
+    return float(scipy.integrate.trapezoid(cost, t))
+
+
+TWO_SLOPES: dict[str, tuple[Cost, float, float, float]] = {
+    "fmax": (lambda x, v, a: a**2 + ca.fmax(a, 0), 0.0, 0.0, 1.0),
+    "battery": (lambda x, v, a: a**2 + ca.if_else(a > 0, a / 0.8, 0.8 * a), 0.0, 0.8, 1.25),
+    "shifted": (lambda x, v, a: a**2 + ca.fabs(a - 0.3), 0.3, -1.0, 1.0),
+}
+
+
+@pytest.mark.parametrize("case", TWO_SLOPES.values(), ids=TWO_SLOPES)
+def test_dead_zones_of_costs_with_corners_meet_their_closed_form(case: Any) -> None:
+    cost, corner, below, above = case
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        solution = go.solve(cart(cost), mesh="10x3")
+    assert go.verify(solution).minimum
+    assert solution.objective == pytest.approx(least_cost(corner, below, above), rel=1e-7)
+    flown = solution.flown_control("a")(np.linspace(0, DURATION, 201))
+    assert 0.05 < np.mean(np.isclose(flown, corner, atol=1e-9)) < 0.95
+
+
+# --- rates ------------------------------------------------------------------------------------------------
+
+
+def rocket(cost: Callable[[Any, Any, Any], Any]) -> go.Problem:
+    """A unit of travel in three seconds, rest to rest, by engines that push both ways and burn |T| / 3."""
+    model = go.Model("rocket")
+    x, v, m, T = model.state("x"), model.state("v"), model.state("m"), model.control("T")
+    model.ode({x: v, v: T / m, m: -ca.fabs(T) / 3.0})
+    problem = go.Problem("rocket")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=3.0)
+    leg.initial(x=0.0, v=0.0, m=1.0)
+    leg.final(x=1.0, v=0.0)
+    leg.bounds(T=(-1.0, 1.0), m=(0.2, 1.0))
+    problem.minimize(cost(leg, T, m))
+    return problem
+
+
+def mass_left() -> float:
+    """Full thrust, coast, full thrust back, by Tsiolkovsky's equation: the mass falls to m, then to m**2."""
+
+    def misses(m: float) -> float:
+        speed, second = -3 * np.log(m), 3 * (m - m**2)
+        up = scipy.integrate.quad(lambda t: -3 * np.log(1 - t / 3), 0.0, 3 * (1 - m))[0]
+        down = scipy.integrate.quad(lambda t: speed + 3 * np.log(1 - t / (3 * m)), 0.0, second)[0]
+        return float(up + down + speed * (3.0 - 3 * (1 - m) - second) - 1.0)
+
+    return float(scipy.optimize.brentq(misses, 0.7, 0.999)) ** 2
+
+
+@pytest.mark.parametrize(
+    "cost", [lambda leg, T, m: -leg.final_state("m"), lambda leg, T, m: leg.integral(ca.fabs(T)) / 3 - 1]
+)
+def test_mass_flows_of_absolute_thrust_meet_their_closed_form(cost: Any) -> None:
+    solution = go.solve(rocket(cost), mesh="10x3")
+    assert go.verify(solution).ok
+    assert -solution.objective == pytest.approx(mass_left(), rel=1e-8)
+    assert solution.state("m")(3.0) == pytest.approx(mass_left(), rel=1e-8)
+
+
+def test_parts_that_push_at_once_fail_the_verdict() -> None:
+    """Mass costs more than thrust does here: it would be thrown away both ways, without a thrust."""
+    wasteful = rocket(lambda leg, T, m: leg.integral(m) + 0.001 * leg.integral(ca.fabs(T)))
+    solution = go.solve(wasteful, mesh="10x3", throw=False, tol=None)
+    condition = go.verify(solution)["dynamics"]
+    assert condition.result is go.Result.FAIL
+    assert "parts of T push at once, which moves m" in condition.where
+
+
+def test_a_battery_that_gives_back_less_than_it_took_is_drained_least() -> None:
+    """Energy against |v|: the store is a state, its rate bends where the force changes sign."""
+    model = go.Model("train")
+    x, v, energy, F = model.state("x"), model.state("v"), model.state("E"), model.control("F")
+    model.ode({x: v, v: F, energy: -ca.if_else(F > 0, F * v / 0.8, 0.8 * F * v)})
+    problem = go.Problem("train")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=4.0)
+    leg.initial(x=0.0, v=0.0, E=1.0)
+    leg.final(x=2.0, v=0.0)
+    leg.bounds(F=(-1.0, 1.0), v=(0.0, None))
+    problem.maximize(leg.final_state("E"))
+    solution = go.solve(problem, mesh="10x3")
+    cruise = 2.0 - np.sqrt(2.0)  # x = 4 v - v**2 at full force up and down
+    assert go.verify(solution).ok
+    assert solution.objective == pytest.approx(1.0 - (1 / 0.8 - 0.8) * cruise**2 / 2, rel=1e-8)
