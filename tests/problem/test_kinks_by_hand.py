@@ -152,6 +152,7 @@ LIMITS: dict[str, tuple[Cost, list[float]]] = {
     "fmax": (lambda x, v, a: ca.fmax(a, 3 * v) <= 2, [0.4, 1.5]),
     "fmin": (lambda x, v, a: ca.fmin(a, 3 * v) >= -2, [0.4, 1.5]),
     "norm_inf": (lambda x, v, a: ca.norm_inf(ca.vertcat(a, v)) <= 2, [-0.5, -0.4, 0.4, 0.5]),
+    "of a state": (lambda x, v, a: ca.fmax(a, -a + x) <= 2, [0.4, 0.6]),
     "moving": (lambda x, v, a: ca.fabs(a) <= 1 + x, [-2.4, -1.6]),
 }
 
@@ -162,6 +163,25 @@ def test_limits_of_kinks_are_limits_of_their_pieces(case: Any) -> None:
     leg = solved_leg(lambda x, v, a: a**2, limit)
     assert leg.model.controls.names == ("a",)
     np.testing.assert_allclose(np.sort(at(leg, leg.path_expression(), [1.0, 0.5], [0.4])), values)
+
+
+@pytest.mark.parametrize(
+    ("limit", "lower", "upper"),
+    [
+        (lambda x, v, a: ca.fabs(a) <= 2, -2.0, 2.0),
+        (lambda x, v, a: 3 - ca.fabs(2 * a - 1) >= 0, -1.0, 2.0),
+        (lambda x, v, a: ca.fmax(a, -4 * a) <= 5, -1.25, 3.0),
+    ],
+)
+def test_limits_of_kinks_of_one_control_are_its_bounds(limit: Cost, lower: float, upper: float) -> None:
+    leg = solved_leg(lambda x, v, a: a**2, limit, (-10.0, 3.0))
+    assert not leg.paths
+    assert (leg.numbers.controls.lower[0], leg.numbers.controls.upper[0]) == pytest.approx((lower, upper))
+
+
+def test_limits_of_kinks_that_cost_are_those_of_the_parts() -> None:
+    leg = solved_leg(lambda x, v, a: ca.fabs(a), lambda x, v, a: 3 * ca.fabs(a) <= 1 + x)
+    np.testing.assert_allclose(at(leg, leg.path_expression(), [0.5, 0.0], [0.3, 0.7]), [3.0 - 1.5])
 
 
 @pytest.mark.parametrize(
