@@ -34,6 +34,15 @@ _KINKS: dict[int, tuple[str, str]] = {
 }
 """What an operation does to a trajectory, and what to write instead."""
 
+_EXTREMA = (ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX)
+_NOT_CONVEX = {
+    "path constraint": "it leaves a hole, or is limited from both sides, so that it could not be restated: state the "
+    "side that is meant, or a phase per side",
+    "integral": "it is not known to cost the more the larger it is, so that it could not be restated: give bounds that "
+    "tell the signs of its factors, or use smooth_abs()",
+}
+"""What to do about kinks in what is restated otherwise."""
+
 _FRACTIONS = np.linspace(0.0, 1.0, 11)
 
 
@@ -50,9 +59,11 @@ def warn_of_kinks(problem: Statement, leg: Phase) -> None:
     if not operations_in(along(leg)) & _KINKS.keys():
         return
     looked_up = frozenset[int]().union(*(use.hashes for use in uses))
-    for operation, (what, where) in _first_kinks(problem, leg, looked_up):
+    for operation, (kind, where) in _first_kinks(problem, leg, looked_up):
         meaning, remedy = _KINKS[operation]
-        warn_user(f"{what} '{where}' of {leg.where} contains {meaning}: {remedy}.")
+        if operation in _EXTREMA:  # one that could not be restated
+            remedy = _NOT_CONVEX.get(kind, remedy)
+        warn_user(f"{kind} '{where}' of {leg.where} contains {meaning}: {remedy}.")
 
 
 def check_guess_in_tables(problem: Statement, leg: Phase, *, warn: bool) -> None:

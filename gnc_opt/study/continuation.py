@@ -104,6 +104,10 @@ class Continuation:
             raise ArgumentError(f"the continuation has no solution at {value}: its values are {self.values}.")
         return self.solutions[int(near[0])]
 
+    def __repr__(self) -> str:
+        span = f"{self.values[0]:g} to {self.values[-1]:g}"
+        return f"Continuation({self.final.problem_name!r}, {self.status.value}, {self.values.size} solutions, {span})"
+
     def __str__(self) -> str:
         lines = [
             f"{self.final.problem_name}: continuation {self.status.value}, {self.values.size} solutions from "

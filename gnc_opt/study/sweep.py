@@ -28,6 +28,9 @@ Output: TypeAlias = Callable[[Solution], float]
 NOT_REACHED = "not reached"
 """The ending of a point that an interrupt prevented."""
 
+MISTAKES = (NameError, AttributeError, TypeError, ImportError)
+"""What a function raises that is wrong at every point, and ends a sweep."""
+
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
@@ -134,6 +137,10 @@ class Sweep:
         data["ending"] = (tuple(self.grid), self.endings.astype(str))
         return xarray.Dataset(data, coords=dict(self.grid))
 
+    def __repr__(self) -> str:
+        sizes = " x ".join(f"{values.size} {name}" for name, values in self.grid.items())
+        return f"Sweep({sizes}, {int(np.sum(self.solved))} of {self.solutions.size} solved)"
+
     def __str__(self) -> str:
         total, good = self.solutions.size, int(np.sum(self.solved))
         sizes = " x ".join(f"{values.size} {name}" for name, values in self.grid.items())
@@ -189,6 +196,8 @@ def sweep(
         are no functions.
     GncOptError
         The family cannot be sent to the executor's processes.
+    NameError, AttributeError, TypeError, ImportError
+        Of a function that is wrong at every point; what else a function raises is the ending of its point.
 
     Examples
     --------
@@ -316,7 +325,9 @@ class _Line:
             except GncOptError as error:  # a point of the grid that makes no sense
                 yield _Point(None, str(error), {})
                 continue
-            except Exception as error:  # a mistake in the user's functions
+            except MISTAKES:
+                raise
+            except Exception as error:  # of numbers in the user's functions, as a division by zero
                 yield _Point(None, f"{type(error).__name__}: {error}", {})
                 continue
             if not solution.status.solved:

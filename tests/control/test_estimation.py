@@ -506,11 +506,11 @@ def test_the_slope_of_bent_dynamics_is_that_of_the_middle_between_both_ends():
     own, after, u = ca.SX.sym("x"), ca.SX.sym("after"), ca.SX.sym("u")
     h, density = 0.25, 2.0
     step = augmented.transition(0.0, own, after, u, h, ca.SX([density]))
-    whole, noise = (float(v) for v in ca.Function("F", [own, after, u], [*step])(1.0, 0.8, 0.0))
+    whole, early, late = (float(v) for v in ca.Function("F", [own, after, u], [*step])(1.0, 0.8, 0.0))
     full, half = -1.8 * h, -0.9 * h
     assert whole == pytest.approx(1 + full + full**2 / 2 + full**3 / 6, rel=1e-14)
     assert whole == pytest.approx(0.8**2, abs=5e-3)  # x(t) = 1 / (1 + t), dx/dx_0 = x^2
-    middle = 1 + half + half**2 / 2
+    middle, noise = 1 + half + half**2 / 2, whole * early * whole + late
     assert noise == pytest.approx(h / 6 * density * (whole**2 + 4 * middle**2 + 1), rel=1e-14)
 
 

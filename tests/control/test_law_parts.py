@@ -52,6 +52,7 @@ from gnc_opt.control.sliding.reaching_mpc import PredictiveReaching, _insert, _i
 from gnc_opt.control.sliding.sliding_mode import _coefficients
 from gnc_opt.control.sliding.super_twisting import (
     SuperTwistingObserver,
+    _lyapunov,
     check_gains,
     convergence_time,
     sampled_band,
@@ -201,6 +202,25 @@ def test_convergence_times_bound_what_happens(k1, k2, s, z, bound):
     assert np.isfinite(limit) and abs(now) < 1e-3 * abs(s) and abs(drift) < 1e-2 * max(abs(z), k2 * limit)
     assert convergence_time(k1, k2, 4 * s, z=2 * z, bound=bound) == pytest.approx(2 * limit)
     assert convergence_time(k1, k2, -s, z=-z, bound=bound) == pytest.approx(limit)
+
+
+@pytest.mark.parametrize("bound", [0.0, 0.3])
+def test_the_decay_is_that_of_the_worst_disturbance_for_a_form_of_the_undisturbed_law(bound):
+    """A' P + P A = -diag(1, weight) without a disturbance; with one, the least decay over |w| <= 1."""
+    k2 = 0.4
+    p, decay = _lyapunov(k2, bound)
+
+    def rate(w):
+        a = np.array([[-0.5, 0.5], [-k2 + w * bound, 0.0]])
+        return -(a.T @ p + p @ a)
+
+    still = rate(0.0)
+    assert still[0, 0] == pytest.approx(1.0) and abs(still[0, 1]) < 1e-12 and still[1, 1] > 0
+    assert np.log10(still[1, 1]) * 10 == pytest.approx(
+        round(np.log10(still[1, 1]) * 10)
+    )  # ten weights a decade
+    shares = [np.linalg.eigvalsh(rate(w))[0] for w in np.linspace(-1, 1, 41)]
+    assert decay == pytest.approx(min(shares)) and np.all(np.linalg.eigvalsh(p) > 0)
 
 
 def test_gains_that_converge_without_a_bound_of_this_kind():

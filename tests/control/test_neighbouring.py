@@ -208,6 +208,23 @@ def test_commands_lead_by_the_lag_of_the_actuators(straight):
     assert speeds[1] < 0.5 * speeds[0]
 
 
+@pytest.mark.parametrize(("before", "tracking"), [(0.51, 0.0), (0.49, 1.0)])
+def test_the_last_part_begins_with_the_step_that_is_nearest(straight, before, tracking):
+    """Half a step before and half a step after; once begun, it is not left."""
+    controller = guidance(straight, last=0.5)
+    memory = controller.initial_memory(0.0, [4.0, 0.0], DT)
+    part = controller.memory.slice("tracking")
+    begin = memory[controller.memory.slice("final_time")][0] - 0.5
+    reference = Reference(straight)
+    _, after = controller(begin - before * DT, reference.x(begin - before * DT), memory)
+    assert after[part] == tracking
+    if tracking:
+        _, again = controller(1.0, reference.x(1.0), after)
+        assert again[part] == 1.0
+        planned = [again[controller.memory.slice(name)] for name in ("switch_times", "final_time")]
+        assert planned == [after[controller.memory.slice(name)] for name in ("switch_times", "final_time")]
+
+
 def test_campaigns_fly_it(straight):
     controller = guidance(straight, last=0.8, reserve=0.1)
     pushed = loop(straight, controller, disturbances=[Constant("wind", 0.0, on="v")])

@@ -10,6 +10,7 @@ import pytest
 import gnc_opt as go
 from gnc_opt.problem.guess import simulate
 from gnc_opt.problem.guess.bent import bent
+from gnc_opt.problem.guess.flown import with_flown_guess
 from gnc_opt.problem.guess.trajectory import start_phase
 
 FRACTIONS = np.linspace(0.0, 1.0, 11)
@@ -324,3 +325,40 @@ def test_only_lines_that_nobody_gave_are_bent() -> None:
         go.ProblemError, match=r"derivative of path constraint 'distance' .* nan at the guess"
     ):
         problem.check()
+
+
+def test_a_flown_guess_follows_the_dynamics_through_all_phases() -> None:
+    """Phase after phase from where the last one ends, a mass dropped in between, with the controls as guessed."""
+    problem = go.Problem("two stages")
+    legs = []
+    for name in ("first", "second"):
+        model = go.Model(name)
+        v, m, thrust = model.state("v"), model.state("m"), model.control("thrust")
+        model.ode({v: thrust / m, m: -thrust / 3000.0})
+        legs.append(problem.phase(name, model))
+        legs[-1].bounds(thrust=(0.0, 1200.0))
+    problem.sequence(*legs, durations={"first": 100.0, "second": (50.0, 150.0)}, drops={"first": {"m": 30.0}})
+    legs[0].initial(v=0.0, m=200.0)
+    legs[1].final(v=4000.0)
+    problem.minimize(legs[1].final_time)
+    flown = with_flown_guess(problem)
+    assert flown is not None
+    first, second = (start_phase(leg, np.linspace(0.0, 1.0, 5)) for leg in flown.phases.values())
+    left = 200.0 - 20.0 * np.linspace(0.0, 1.0, 5)  # at 600 N, 0.2 kg/s
+    np.testing.assert_allclose(first.states, [3000.0 * np.log(200.0 / left), left], rtol=2e-3)
+    after, gained = left - 50.0, 3000.0 * np.log(200.0 / 180.0)
+    np.testing.assert_allclose(second.states, [gained + 3000.0 * np.log(150.0 / after), after], rtol=2e-3)
+    as_guessed = start_phase(problem.phases["first"], np.linspace(0.0, 1.0, 5)).controls
+    np.testing.assert_array_equal(first.controls, as_guessed)
+
+
+def test_a_flight_that_cannot_go_on_is_no_guess() -> None:
+    model = go.Model("runaway")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: x**2 + u})
+    problem = go.Problem("runaway")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=3.0)
+    leg.initial(x=1.0)  # infinite after 1 s
+    problem.minimize(leg.integral(u**2))
+    assert with_flown_guess(problem) is None

@@ -110,6 +110,34 @@ def test_a_constant_piece_bounds_its_epigraph() -> None:
     assert leg.path_expression().numel() == 1
 
 
+def test_the_largest_of_several_controls_is_one_epigraph() -> None:
+    model = go.Model("plane")
+    v, a = model.state("v", 2), model.control("a", 2)
+    model.ode({v: a})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    problem.minimize(leg.integral(ca.sumsqr(a) + ca.norm_inf(a)))
+    solved = restated(problem).phases["leg"]
+    assert solved.model.controls.names == ("a", "epigraph")
+    values = at(solved, solved.path_expression(), [0.0, 0.0], [0.2, -0.7, 1.0])
+    np.testing.assert_allclose(np.sort(values), [0.3, 0.8, 1.2, 1.7])
+
+
+def test_rates_of_states_with_given_ends_keep_their_kinks() -> None:
+    """A dead zone of an actuator: neither more nor less speed at the end is better."""
+    model = go.Model("cart")
+    v, a = model.state("v"), model.control("a")
+    model.ode({v: ca.fmax(a - 0.2, 0) + ca.fmin(a + 0.2, 0)})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(v=0.0)
+    leg.final(v=0.0)
+    problem.minimize(leg.integral(a**2))
+    assert restated(problem) is problem
+
+
 def test_the_guess_of_an_epigraph_is_its_kink_along_the_guess() -> None:
     from gnc_opt.problem.guess.trajectory import start_phase
 
@@ -124,6 +152,7 @@ LIMITS: dict[str, tuple[Cost, list[float]]] = {
     "fmax": (lambda x, v, a: ca.fmax(a, 3 * v) <= 2, [0.4, 1.5]),
     "fmin": (lambda x, v, a: ca.fmin(a, 3 * v) >= -2, [0.4, 1.5]),
     "norm_inf": (lambda x, v, a: ca.norm_inf(ca.vertcat(a, v)) <= 2, [-0.5, -0.4, 0.4, 0.5]),
+    "of a state": (lambda x, v, a: ca.fmax(a, -a + x) <= 2, [0.4, 0.6]),
     "moving": (lambda x, v, a: ca.fabs(a) <= 1 + x, [-2.4, -1.6]),
 }
 
@@ -137,6 +166,25 @@ def test_limits_of_kinks_are_limits_of_their_pieces(case: Any) -> None:
 
 
 @pytest.mark.parametrize(
+    ("limit", "lower", "upper"),
+    [
+        (lambda x, v, a: ca.fabs(a) <= 2, -2.0, 2.0),
+        (lambda x, v, a: 3 - ca.fabs(2 * a - 1) >= 0, -1.0, 2.0),
+        (lambda x, v, a: ca.fmax(a, -4 * a) <= 5, -1.25, 3.0),
+    ],
+)
+def test_limits_of_kinks_of_one_control_are_its_bounds(limit: Cost, lower: float, upper: float) -> None:
+    leg = solved_leg(lambda x, v, a: a**2, limit, (-10.0, 3.0))
+    assert not leg.paths
+    assert (leg.numbers.controls.lower[0], leg.numbers.controls.upper[0]) == pytest.approx((lower, upper))
+
+
+def test_limits_of_kinks_that_cost_are_those_of_the_parts() -> None:
+    leg = solved_leg(lambda x, v, a: ca.fabs(a), lambda x, v, a: 3 * ca.fabs(a) <= 1 + x)
+    np.testing.assert_allclose(at(leg, leg.path_expression(), [0.5, 0.0], [0.3, 0.7]), [3.0 - 1.5])
+
+
+@pytest.mark.parametrize(
     "limit",
     [
         lambda x, v, a: ca.fabs(a) >= 0.5,
@@ -147,13 +195,15 @@ def test_limits_of_kinks_are_limits_of_their_pieces(case: Any) -> None:
 def test_limits_that_leave_holes_stay_and_are_warned_of(limit: Cost) -> None:
     problem = cart(lambda x, v, a: a**2, limit)
     assert restated(problem) is problem
-    with pytest.warns(go.ProblemWarning, match="kink"):
+    with pytest.warns(go.ProblemWarning, match="kink: it leaves a hole, or is limited from both sides"):
         problem.check()
 
 
 def test_a_factor_of_unknown_sign_is_not_taken_for_a_cost() -> None:
     problem = cart(lambda x, v, a: a**2 + v * ca.fabs(a))
     assert restated(problem) is problem
+    with pytest.warns(go.ProblemWarning, match="give bounds that tell the signs of its factors"):
+        problem.check()
     bounded = problem.with_bounds(v=(0.0, None))
     assert restated(bounded).phases["leg"].model.controls.names == ("a_plus", "a_minus")
 

@@ -95,6 +95,7 @@ def test_both_wells_are_found_and_ranked() -> None:
     assert found.best is found.minima[0]
     assert found.best.solution.state("x")(1.0) < 0
     assert "2 minima from 12 of 12 starts, seed 3" in str(found)
+    assert repr(found).startswith("Multistart(") and "2 minima, 12 of 12 starts, best=" in repr(found)
 
 
 def test_mirror_twins_are_one_minimum_with_two_trajectories() -> None:

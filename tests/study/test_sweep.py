@@ -88,6 +88,24 @@ def test_mistakes_in_outputs_are_told() -> None:
     assert found.endings.tolist() == ["ZeroDivisionError: division by zero"] and not found.solved.any()
 
 
+@pytest.mark.parametrize(
+    ("mistake", "kind"),
+    [
+        (lambda s: nothing, NameError),  # noqa: F821
+        (lambda s: s.final_times, AttributeError),
+        (lambda s: 1 + "m", TypeError),
+    ],
+)
+def test_functions_that_are_wrong_everywhere_end_the_sweep(mistake: Any, kind: type[Exception]) -> None:
+    with pytest.raises(kind):
+        go.sweep(stiff, {"k": [1.0, 2.0]}, outputs={"none": mistake}, mesh="2x3", executor="serial")
+
+
+def test_one_line_says_what_a_sweep_is() -> None:
+    found = go.sweep(stiff, {"k": [1.0, 2.0]}, mesh="2x3", executor="serial")
+    assert repr(found) == "Sweep(2 k, 2 of 2 solved)"
+
+
 def test_refined_sweeps() -> None:
     found = go.sweep(rest_to_rest, {"duration": [2.2, 2.1]}, tol=1e-8, executor="serial")
     assert all(len(solution.structure) == 3 for solution in found.solutions)

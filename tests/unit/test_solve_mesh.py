@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from dataclasses import replace
 from types import SimpleNamespace
@@ -120,13 +121,13 @@ def test_the_cost_is_lowered_from_where_the_constraints_are_met(monkeypatch: pyt
 
 
 def test_where_constraints_are_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With times free, held at multiples of the guess, each once (9 s is the most), and free from random starts."""
+    """With times free, held at multiples of the guess, each once (9 s is the most), flown, and from random starts."""
     watch = Stumbling(monkeypatch, *[Status.INFEASIBLE] * 20)
     failed = solve_mesh(hasty(), "3x4")
     assert failed.status is Status.INFEASIBLE and failed.statistics.iterations == sum(watch.costs)
     held = [set(np.flatnonzero(p.lbx == p.ubx)) - set(np.flatnonzero(watch.points[0].lbx == watch.points[0].ubx))
             for p in watch.points[1:]]  # fmt: skip
-    assert [len(h) for h in held] == [0, 1, 1, 0, 0]
+    assert [len(h) for h in held] == [0, 1, 1, 0, 0, 0]
     (time,) = set().union(*held)
     scale = failed.phase().final_time / watch.results[0].x[time]
     guess = watch.points[0].x0[time] * scale
@@ -135,6 +136,21 @@ def test_where_constraints_are_looked_for(monkeypatch: pytest.MonkeyPatch) -> No
     assert stretched == pytest.approx(wanted) and all(p.p[-1] == 0 for p in watch.points[1:])
     last, other = watch.points[-2:]
     assert not np.allclose(last.x0, other.x0) and not np.allclose(last.x0, watch.points[1].x0)
+
+
+@pytest.mark.parametrize(("ending", "tries"), [(Status.OPTIMAL, 2), (Status.STEP_TOO_SMALL, 3)])
+def test_lines_that_lead_on_and_on_give_way_to_a_flight(
+    monkeypatch: pytest.MonkeyPatch, ending: Status, tries: int
+) -> None:
+    """Here after two iterations; only what fails from the flight as well goes on from the lines."""
+    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "LOST", 2)
+    watch = Stumbling(monkeypatch, None, ending)
+    found = solve_mesh(hasty().with_initial(v=1.0), "3x4")
+    assert watch.results[0].status is Status.INTERRUPTED and watch.costs[:2] == [2, 2]
+    lines, flight, *last = watch.points
+    assert np.max(np.abs(np.subtract(flight.x0, lines.x0))) > 0.1
+    assert len(watch.points) == tries and all(p.x0 == pytest.approx(lines.x0) for p in last)
+    assert found.statistics.iterations == sum(watch.costs)
 
 
 def test_a_failure_on_the_way_leads_to_the_next_start(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -45,6 +45,7 @@ def test_variations_are_flown_on_half_the_grid_if_that_leaves_something_to_spare
     asked: list[Any] = []
 
     def settle(start: Any, structure: Any, accuracy: float, step: Any = None) -> Any:
+        assert structure == ("known" if step is None else "structure 1")  # what a step is of
         asked.append((accuracy, step))
         flight = SimpleNamespace(step=step or Step(v.STEPS))
         return (f"structure {len(asked)}", flight) if answers[len(asked) - 1] else None

@@ -104,7 +104,8 @@ def _state_senses(problem: Statement, leg: Phase) -> dict[str, int]:
         end = intersect(numbers.final, numbers.states)
         fills = end.upper[i] > numbers.initial.upper[i]
         limits = int(np.isfinite(end.upper[i]) and fills) - int(np.isfinite(end.lower[i]))
-        senses[name] = limits if slope.is_zero() else domain.sign(slope)
+        told = limits * int(end.lower[i] < end.upper[i])  # a given end tells nothing
+        senses[name] = told if slope.is_zero() else domain.sign(slope)
     return senses
 
 
@@ -135,8 +136,8 @@ def _is_rounded(expression: Any, kink: Extremum) -> bool:
         gap = second - first
         column = ca.vertcat(ca.substitute(slope, z, first), first, *kink.pieces)
         slopes, here, *others = drawn(ca.substitute(column, symbol, meeting(gap, symbol)))
-        largest = np.all(kink.sense * (here - np.array(others)) >= -EQUAL)
-        if largest and np.any(np.abs(slopes) > EQUAL):
+        largest = np.all(kink.sense * (here - np.array(others)) >= -EQUAL, axis=0)
+        if np.any(largest & (np.abs(slopes) > EQUAL)):
             return False
     return True
 

@@ -14,6 +14,7 @@ from gnc_opt.model.norms import ROOTS
 from gnc_opt.problem.guess.ends import guess_times
 from gnc_opt.problem.guess.trajectory import start_phase
 from gnc_opt.problem.interval import Interval, free
+from gnc_opt.problem.norms.bounds import bound_controls, bounds_by_hand
 from gnc_opt.problem.norms.domain import Domain
 from gnc_opt.problem.norms.ends import EndForm, has_end_kinks
 from gnc_opt.problem.norms.epigraph import EpigraphForm, Kinked
@@ -92,6 +93,11 @@ def _straighten(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[A
     if not _has_kinks(problem, leg, told):
         return ()
     domain = Domain.along(problem, leg)
+    bounds = problem.once(("bounds", *told, domain.key), lambda: bounds_by_hand(leg, domain))
+    if bounds:
+        told = (*told, *bounds)
+        bound_controls(leg, bounds)
+        domain = Domain.along(problem, leg)
     bends = problem.once(("bends", *told, domain.key), lambda: Bends.of(problem, leg, domain))
     if bends.at:
         told = (*told, *bends.key)

@@ -116,6 +116,11 @@ class Multistart:
             )
         return self.minima[0]
 
+    def __repr__(self) -> str:
+        best = f", best={self.minima[0].objective:.10g}" if self.minima else ""
+        count = f"{len(self.minima)} minima, {self.finished} of {self.starts} starts"
+        return f"Multistart({self.problem_name!r}, {count}{best})"
+
     def __str__(self) -> str:
         heading = (
             f"{self.problem_name}: {len(self.minima)} minima from {self.finished} of {self.starts} starts"

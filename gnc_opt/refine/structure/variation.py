@@ -66,8 +66,8 @@ class KnownFlight:
         found = settle_flow(self.solution, self.structure, ACCURACY)
         if found is None:
             return None
-        half = replace(found[1].step, steps=STEPS // 2)
-        structure, flight = settle_flow(self.solution, self.structure, SPARE * ACCURACY, half) or found
+        half = replace(found[1].step, steps=STEPS // 2)  # of the structure that was settled on
+        structure, flight = settle_flow(self.solution, found[0], SPARE * ACCURACY, half) or found
         return replace(self, structure=structure, step=flight.step)
 
     def vary(self, problem: Problem) -> Solution | None:
