@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -339,3 +340,35 @@ def test_a_push_counts_near_the_limit_in_its_direction() -> None:
     low = pushed(-1.0, interval([-4, -9], [9, 9]), -1.0)
     assert [r.kind for r in c._runs_of_pushes(low, base)] == [LOW]
     assert c._runs_of_pushes(here, base.with_arc(2, 1.5, 2.5, UP)) == []
+
+
+@dataclass(frozen=True)
+class Push:
+    """A run that knows whether it can be held, and whether it is known."""
+
+    row: int
+    times: Any
+    worth: Any
+    can: bool
+    seen: bool
+
+    def possible(self, structure: Any) -> bool:
+        return self.can
+
+    def known(self, structure: Any, samples: Any) -> bool:
+        return self.seen
+
+
+def test_runs_that_nothing_holds_or_that_are_known_are_no_contacts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows count from the first control on; where the structure has a contact already nothing pushes."""
+    structure = PhaseStructure(
+        (0.0, 1.0, 2.0), ((LOW, FREE, FREE), (LOW, FREE, UP)), n_controls=1, n_paths=1, orders=(0, 0, 2)
+    )
+    times, worth = np.array([0.25, 0.75, 1.5]), np.array([1.0, 2.0, 3.0])
+    runs = [Push(1, times, worth, can, seen) for can in (True, False) for seen in (False, True)]
+    runs.append(Push(1, times[2:], worth[2:], True, False))  # on the contact alone
+    asked: list[Any] = []
+    monkeypatch.setattr(c, "_pushing_runs", lambda constraints, rows: asked.append(list(rows)) or runs)
+    (found,) = c._runs_of_pushes(SimpleNamespace(samples=None), structure)  # type: ignore[arg-type]
+    assert asked == [[1]] and found.row == 2 and found.worth.tolist() == [1.0, 2.0, 0.0]
+    assert (found.can, found.seen) == (True, False)  # type: ignore[attr-defined]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -35,17 +36,29 @@ def test_the_fewest_points_that_leave_little_enough() -> None:
     assert r._resolution(never, 0 * row(1.0), 0.0, 1.0, MOST) == Resolution(1, r.FEWEST)
 
 
-def test_segments_are_halved_as_long_as_that_helps() -> None:
-    """The worst of the halves counts; their ends are those of the piece."""
+def test_segments_are_halved_where_they_are_steep_as_long_as_that_helps() -> None:
+    """What is left falls like the fourth power of the length, and only the last quarter is steep."""
     asked: list[Any] = []
 
     def left(breaks: Any) -> Any:
-        asked.append(breaks)
-        n = breaks.size - 1
-        return np.array([row(1e-3 * MOST), *[row(256 * MOST / n**4)] * (n - 1)])
+        asked.append(breaks.tolist())
+        return np.array(
+            [
+                row(256 * MOST * ((end - start) / 8) ** 4 if end > 8.0 else 1e-3 * MOST)
+                for start, end in itertools.pairwise(breaks)
+            ]
+        )
 
-    assert r._resolution(left, row(256 * MOST), 2.0, 10.0, MOST) == Resolution(4, MAX_DEGREE)
-    assert [b.tolist() for b in asked] == [[2.0, 6.0, 10.0], [2.0, 4.0, 6.0, 8.0, 10.0]]
+    found = r._resolution(left, row(256 * MOST), 2.0, 10.0, MOST)
+    assert found == Resolution(3, MAX_DEGREE, edges=(0.5, 0.75))
+    assert asked == [[2.0, 6.0, 10.0], [6.0, 8.0, 10.0]]
+
+
+def test_segments_that_are_all_alike_are_equal() -> None:
+    found = r._resolution(
+        lambda b: np.tile(row(4096 * MOST * (b[1] - b[0]) ** 4), (2, 1)), row(9.0), 0.0, 1.0, MOST
+    )
+    assert found.segments == 8 and found.shares == pytest.approx(np.linspace(0.0, 1.0, 9))
 
 
 @pytest.mark.parametrize(("share", "segments"), [(0.99, 2), (1.0, 1), (1.01, 1)])
@@ -56,14 +69,14 @@ def test_what_halving_hardly_helps_is_left(share: float, segments: int) -> None:
         worst.append(worst[-1] * (share * r.HELPED if len(worst) == 1 else 1.0))
         return np.tile(row(worst[-1]), (breaks.size - 1, 1))
 
-    assert r._resolution(left, row(1.0), 0.0, 1.0, MOST) == Resolution(segments, MAX_DEGREE)
+    assert r._resolution(left, row(1.0), 0.0, 1.0, MOST).segments == segments
 
 
 def test_pieces_have_so_many_segments_at_most() -> None:
     found = r._resolution(
-        lambda b: np.tile(row(0.09 ** np.log2(b.size - 1)), (b.size - 1, 1)), row(1.0), 0.0, 1.0, 0.0
+        lambda b: np.tile(row((b[1] - b[0]) ** 4), (b.size - 1, 1)), row(1.0), 0.0, 1.0, 0.0
     )
-    assert found == Resolution(MAX_SEGMENTS, MAX_DEGREE)
+    assert found.segments == MAX_SEGMENTS and found.degree == MAX_DEGREE
 
 
 # --- series of a flight -----------------------------------------------------------------------------------
