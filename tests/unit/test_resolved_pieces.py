@@ -35,35 +35,44 @@ def test_the_fewest_points_that_leave_little_enough() -> None:
     assert r._resolution(never, 0 * row(1.0), 0.0, 1.0, MOST) == Resolution(1, r.FEWEST)
 
 
-def test_segments_are_halved_as_long_as_that_helps() -> None:
-    """The worst of the halves counts; their ends are those of the piece."""
+def test_what_is_too_steep_is_halved_where_it_is() -> None:
+    """Slopes are bent at the start: what is left there falls by sixteen with each halving, elsewhere it is little."""
     asked: list[Any] = []
 
     def left(breaks: Any) -> Any:
-        asked.append(breaks)
-        n = breaks.size - 1
-        return np.array([row(1e-3 * MOST), *[row(256 * MOST / n**4)] * (n - 1)])
+        asked.append(breaks.tolist())
+        steep = 16.0 ** np.log2((breaks[1] - breaks[0]) / 2.0) if breaks[0] == 2.0 else 1e-3
+        return np.array([row(steep * MOST), row(1e-3 * MOST)])
 
-    assert r._resolution(left, row(256 * MOST), 2.0, 10.0, MOST) == Resolution(4, MAX_DEGREE)
-    assert [b.tolist() for b in asked] == [[2.0, 6.0, 10.0], [2.0, 4.0, 6.0, 8.0, 10.0]]
+    found = r._resolution(left, row(256 * MOST), 2.0, 10.0, MOST)
+    assert found == Resolution(3, MAX_DEGREE, edges=(0.25, 0.5))
+    assert asked == [[2.0, 6.0, 10.0], [2.0, 4.0, 6.0]]
+
+
+def test_the_worst_segment_says_how_many_points_all_have() -> None:
+    rows = np.array([row(1e-3 * MOST, MAX_DEGREE - 1), row(MOST, MAX_DEGREE - 2)])
+    found = r._resolution(lambda b: rows, row(1e3 * MOST), 0.0, 1.0, MOST)
+    assert found == Resolution(2, MAX_DEGREE - 2, edges=(0.5,))
 
 
 @pytest.mark.parametrize(("share", "segments"), [(0.99, 2), (1.0, 1), (1.01, 1)])
 def test_what_halving_hardly_helps_is_left(share: float, segments: int) -> None:
-    worst = [1.0]
+    whole = share * r.HELPED
 
     def left(breaks: Any) -> Any:
-        worst.append(worst[-1] * (share * r.HELPED if len(worst) == 1 else 1.0))
-        return np.tile(row(worst[-1]), (breaks.size - 1, 1))
+        return np.tile(row(whole), (2, 1))
 
-    assert r._resolution(left, row(1.0), 0.0, 1.0, MOST) == Resolution(segments, MAX_DEGREE)
+    found = r._resolution(left, row(1.0), 0.0, 1.0, MOST)
+    assert found == Resolution(segments, MAX_DEGREE, edges=(0.5,) * (segments - 1))
 
 
 def test_pieces_have_so_many_segments_at_most() -> None:
-    found = r._resolution(
-        lambda b: np.tile(row(0.09 ** np.log2(b.size - 1)), (b.size - 1, 1)), row(1.0), 0.0, 1.0, 0.0
-    )
-    assert found == Resolution(MAX_SEGMENTS, MAX_DEGREE)
+    def left(breaks: Any) -> Any:
+        return np.tile(row((0.9 * r.HELPED) ** -np.log2(breaks[1] - breaks[0])), (2, 1))
+
+    found = r._resolution(left, row(1.0), 0.0, 1.0, 0.0)
+    edges = tuple(np.arange(1, MAX_SEGMENTS) / MAX_SEGMENTS)
+    assert found == Resolution(MAX_SEGMENTS, MAX_DEGREE, edges=edges)
 
 
 # --- series of a flight -----------------------------------------------------------------------------------
