@@ -100,6 +100,19 @@ def _speed(told: Any) -> Cells:
             yield f"{name}, {row['mesh']}", f"{run['cpu_s']:.2f}", f"{run['iterations']:.0f}"
 
 
+def _scale(told: Any) -> Cells:
+    for row in told:
+        each = row.get("per_segment_ms")
+        yield (
+            row["what"],
+            str(row["iterations"]),
+            f"{row['all_s']:.1f}" if "all_s" in row else "",
+            "" if each is None else f"{each:.2f}",
+            f"{100 * row['functions']:.0f} %",
+            f"{row['memory_mb']:.0f}",
+        )
+
+
 def _refinement(told: Any) -> Cells:
     yield "by refinement", str(told["points"])
     yield f"smallest by hand: {told['hand_mesh']}", str(told["hand_points"])
@@ -185,6 +198,18 @@ BENCHMARKS = {
         _resolve,
     ),
     "speed": Benchmark(("--quick",), ("program, mesh", "built and solved (s)", "iterations"), _speed),
+    "scale": Benchmark(
+        (),
+        (
+            "problem, mesh",
+            "iterations",
+            "built and solved (s)",
+            "per iteration and segment (ms)",
+            "functions' share",
+            "most memory (MB)",
+        ),
+        _scale,
+    ),
     "refinement": Benchmark((), ("mesh of the hyper-sensitive problem", "points"), _refinement),
     "convergence": Benchmark((), ("problem", "points", "state", "control", "costate"), _convergence),
     "problem_files": Benchmark(

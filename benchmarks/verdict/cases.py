@@ -11,9 +11,11 @@ from typing import Any, Literal
 import gnc_opt as go
 from benchmarks.verdict.changes import LEAST, Planted, changes, off_by
 from benchmarks.verdict.closed_forms import closed_forms
+from benchmarks.verdict.degenerate import degenerate
 from benchmarks.verdict.extremals import extremals
 from benchmarks.verdict.families import members
 from benchmarks.verdict.forged import forged
+from benchmarks.verdict.limits import limits
 from benchmarks.verdict.pairs import SCALES, Pair, pairs
 from benchmarks.verdict.right import NotRight, right
 from benchmarks.verdict.statements import FAMILY, Frame, Statement, build, frames, in_frame
@@ -97,12 +99,10 @@ def cases(documents: Sequence[Mapping[str, Any]], seed: int) -> Iterator[Case]:
         yield Case(e.kind, e.name, e.why, True, e.first_order, lambda e=e: (e.judge(), e.off))
     for f in forged():
         yield Case("forged file", f.name, f.why, True, True, lambda f=f: (f.judge(), f.off))
-    for pair in (*pairs(), *closed_forms()):
+    for pair in (*pairs(), *closed_forms(), *limits(), *degenerate()):
         for scale in SCALES:
             name = f"{pair.name}, unit {scale[0]:g}, cost {scale[1]:g}"
-            yield Case(
-                "beside a closed form", name, pair.why, True, pair.first_order, _paired(pair, scale, True)
-            )
+            yield Case(pair.kind, name, pair.why, True, pair.first_order, _paired(pair, scale, True))
             yield Case("right: closed forms", name, "", False, True, _paired(pair, scale, False))
     for m in members():
         kind = "beyond a threshold" if m.wrong else "right: before a threshold"

@@ -49,6 +49,8 @@ class Pair:
         Whether the first order tells.
     make : callable
         (unit of the states, factor of the cost, whether wrong) -> Answer.
+    kind : str
+        Of the wrong one.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Pair:
     off: float
     first_order: bool
     make: Callable[[float, float, bool], Answer]
+    kind: str = "beside a closed form"
 
 
 def pairs() -> Iterator[Pair]:

@@ -54,12 +54,16 @@ class Junction:
     conditions : int
         So many conditions hold there: the constraint is at its limit, and its first ``conditions - 1`` derivatives
         along the dynamics vanish.
+    tangent : int
+        -1 or 1: the derivative in which controls appear vanishes, too, with those of the segment before or after; 0:
+        nothing is said of it.
     """
 
     constraint: int
     boundary: int
     kind: ArcKind
     conditions: int
+    tangent: int = 0
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,8 @@ UNASKED, AGAIN = 0.5, 0.25
 """Shares of the work after which a control structure that nobody asked for is given up, first and later. What it costs
 comes on top of what the mesh may cost."""
 
-BRIEF = SolverOptions(tolerance=TIGHT, max_iterations=100)
-"""For solves with such a structure: those that lead anywhere begin near their end."""
+BRIEF = SolverOptions(tolerance=TIGHT, max_iterations=50)
+"""For solves with such a structure: those that lead anywhere begin near their end, and take 5 to 25 iterations."""
 
 EARLY = 3
 """Passes of the mesh after which it is asked for a structure again, where the first one did not lead anywhere."""
@@ -53,7 +53,8 @@ TIGHTER, FURTHER = 0.01, 2
 on to this share of the tolerance, so many times: what a condition forgives is not the same share of every problem."""
 
 CLOSE, NEARLY = 1e2, 1e-2
-"""A structure is nearly right with an error of so many tolerances, and offences of the verdict below this."""
+"""A structure is nearly right with an error of so many tolerances, and offences of the verdict below this. No finer
+mesh mends an offence of more than so many tolerances: errors fall by `TIGHTER` squared, costates by its first power."""
 
 NAMED = 3
 """So many open conditions are named."""
@@ -196,12 +197,15 @@ class _Attempt:
         """Whether nothing else is worth trying: it has been stopped, or it came to rest and passes the verdict."""
         if self.stopped or not self.history.final.solved:  # whose solution is the one that it began with
             return self.stopped
+        if self.history.status is RefinementStatus.PASS_LIMIT:  # on its way still
+            return False
         return (self.history.converged or not self.solution.structure) and self.verdict.ok
 
     @property
     def resolvable(self) -> bool:
-        """Whether a condition of the verdict is open that a finer mesh can meet: not only those on the second order."""
-        return any(not condition.sufficient for condition in self.verdict.open)
+        """Whether conditions of the verdict are open that a finer mesh can meet: none of them by far."""
+        necessary = [c for c in self.verdict.open if not c.sufficient]
+        return bool(necessary) and all(c.value <= CLOSE * c.tolerance for c in necessary)
 
     @property
     def nearly_ok(self) -> bool:

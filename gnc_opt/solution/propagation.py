@@ -79,12 +79,17 @@ def propagate(
         states.append(run.states[:, -1])
         if right in anew:
             gap, states[-1] = states[-1] - leg.x(right, "left"), leg.x(right)
-            error = np.where(np.abs(gap) > np.abs(error), gap, error)
+            error = _larger(error, gap)
     columns = np.full((states[0].size, edges.size), np.nan)
     columns[:, : len(states)] = np.stack(states, axis=1)
     gap = columns[:, -1] - leg.x(leg.breaks[-1], "left")
-    error = np.where(np.abs(gap) > np.abs(error), gap, error)
+    error = _larger(error, gap)
     return Propagation(edges, columns, np.where(np.isfinite(error), error, np.inf), ended)
+
+
+def _larger(first: Array, second: Array) -> Array:
+    """Return the larger of two errors; what is no number counts as larger."""
+    return np.asarray(np.where(np.abs(second) <= np.abs(first), first, second))
 
 
 def state_magnitudes(leg: PhaseSolution) -> Array:

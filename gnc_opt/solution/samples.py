@@ -12,7 +12,7 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.composed import VectorControl
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.phase_solution import PhaseSolution
-from gnc_opt.solution.spans import RESOLUTION, STILL, control_spans, end_spans, shared, state_spans
+from gnc_opt.solution.spans import RESOLUTION, STILL, control_spans, end_spans, shared, state_spans, steering
 from gnc_opt.tolerances import AT_LIMIT, SHORTEST, TINY, magnitude
 from gnc_opt.transcription.quadrature import CollocationRule, gauss_rule
 
@@ -224,7 +224,9 @@ class PhaseSamples:
         """How far each control is moved, by itself or by the costates (m,); see module `spans`."""
         terms = np.abs(self.switching - self.cost_slope)
         curvature = np.einsum("iij->ij", self.control_hessian)
-        return control_spans(self.leg, self.u, terms, curvature, float(np.nanmax(self._terms, initial=0.0)))
+        most = float(np.nanmax(self._terms, initial=0.0))
+        asked = steering(self.leg, self.functions)
+        return control_spans(self.leg, self.u, terms, curvature, most, asked)
 
     @cached_property
     def switching(self) -> Array:

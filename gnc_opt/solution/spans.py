@@ -18,7 +18,7 @@ from gnc_opt.model.layout import Layout
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.problem.interval import Interval
 from gnc_opt.solution.phase_solution import PhaseSolution
-from gnc_opt.tolerances import ROUNDING, magnitude
+from gnc_opt.tolerances import EQUAL, ROUNDING, magnitude
 
 STILL = 1e-4
 """A state that moves by less than this share of what the controls could move it is still: that is its span."""
@@ -86,7 +86,9 @@ def end_spans(leg: PhaseSolution, functions: PhaseFunctions, moved: Array, used:
     return np.asarray(moved * np.where(reach > STILL, np.clip(reach, STEERED, 1.0), 1.0))
 
 
-def control_spans(leg: PhaseSolution, flown: Array, pull: Array, curvature: Array, terms: float) -> Array:
+def control_spans(
+    leg: PhaseSolution, flown: Array, pull: Array, curvature: Array, terms: float, asked: Array | float = 0.0
+) -> Array:
     """Return how far each control moves along a phase (n_controls,), at most its range; positive.
 
     Parameters
@@ -98,6 +100,9 @@ def control_spans(leg: PhaseSolution, flown: Array, pull: Array, curvature: Arra
     terms : float
         What the products of costates and rates in H amount to, which counts where all controls are idle, as the heading
         along a straight line; if all that is rounding, a control has its size, or 1.
+    asked : array (n_controls,)
+        What the controls would have to be to do what the flight does (`steering`). A control without a range that
+        nothing moves spans that, or its own size if that is less; one that is rounding beside it has no size.
     """
     extent, size = _width(leg.control_bounds), np.max(np.abs(flown), axis=1, initial=0.0)
     moved = np.ptp(flown, axis=1) if flown.size else size
@@ -110,7 +115,27 @@ def control_spans(leg: PhaseSolution, flown: Array, pull: Array, curvature: Arra
     largest = largest if largest > IDLE**2 * terms else terms
     alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
     spans = shared(np.where(spans > IDLE * alike, spans, alike), leg.controls)
+    itself = np.where(size > EQUAL * asked, np.minimum(size, asked), asked)
+    unmoved = (extent == 0) & (np.fmax(moved, pulled) <= IDLE * itself)
+    unmoved &= spans <= np.fmax(IDLE * itself, RESOLUTION * size)
+    spans = shared(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
     return _otherwise(np.where(spans > ROUNDING, spans, extent), magnitude(size))
+
+
+def steering(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
+    """Return what each control would have to be to do what the flight does (n_controls,), by the least moved state.
+
+    Zero where a control moves a state that stays, or none directly.
+    """
+    middles, values = 0.5 * (leg.breaks[:-1] + leg.breaks[1:]), leg.x(leg.sample_times())
+    moved = shared(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)[:, None]
+    by_control = np.median(
+        np.abs(functions.input_jacobian(middles, leg.x(middles), leg.flown(middles))), axis=2
+    )
+    lasts = leg.breaks[-1] - leg.breaks[0]
+    asked = np.divide(moved, lasts * by_control, out=np.full(by_control.shape, np.inf), where=by_control > 0)
+    least = np.min(asked, axis=0, initial=np.inf)
+    return np.asarray(np.where(np.isfinite(least), least, 0.0))
 
 
 def _movable(leg: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:

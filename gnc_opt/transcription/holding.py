@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from gnc_opt.problem.one_way import kept_later, loose_bounds, one_way_states
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.transcription.collocation import PhaseCollocation
+from gnc_opt.transcription.quadrature import interpolation_matrix
 
 
 def check_segments(leg: Phase, collocation: PhaseCollocation) -> None:
@@ -102,7 +104,7 @@ def meet_limits(box: Interval, held: Held, bounds: Interval, collocation: PhaseC
     """Put states on their bounds at junctions; what else holds there is for rows to say."""
     for junction in held.junctions:
         i = junction.constraint - collocation.n_paths
-        if i >= 0:
+        if i >= 0 and junction.conditions:
             place = collocation.boundary_states[i, junction.boundary]
             box.lower[place] = box.upper[place] = _limits(bounds, junction.kind)[i]
 
@@ -138,12 +140,44 @@ def junction_orders(junction: Junction, n_paths: int) -> range:
     return range(0 if junction.constraint < n_paths else 1, junction.conditions)
 
 
+def junction_rows(junction: Junction, n_paths: int) -> int:
+    """Return how many rows a junction has."""
+    return len(junction_orders(junction, n_paths)) + (junction.tangent != 0)
+
+
 def junction_values(junction: Junction, paths: Interval) -> Array:
     """Return what the rows of a junction are equal to: a path constraint's limit, and zeros."""
-    values = np.zeros(len(junction_orders(junction, paths.lower.size)))
-    if junction.constraint < paths.lower.size:
+    values = np.zeros(junction_rows(junction, paths.lower.size))
+    if junction.constraint < paths.lower.size and junction.conditions:
         values[0] = _limits(paths, junction.kind)[junction.constraint]
     return values
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """The controls of a segment and what they are at one of its ends.
+
+    Attributes
+    ----------
+    points : int array (m, n)
+        Variables; none, (m, 0), for a junction that says nothing of controls.
+    weights : array (n,)
+        Of the points, at the end.
+    """
+
+    points: Indices
+    weights: Array
+
+
+def controls_beside(collocation: PhaseCollocation, junction: Junction) -> Beside:
+    """Return the controls of the segment whose end at a junction is one where a constraint is tangent to its limit."""
+    places = collocation.point_controls
+    if not junction.tangent:
+        return Beside(places[:, :0], np.zeros(0))
+    segment = junction.boundary - (junction.tangent < 0)
+    points = slice(*collocation.mesh.offsets[segment : segment + 2])
+    rule = collocation.rules[segment]
+    return Beside(places[:, points], interpolation_matrix(rule.points, [-float(junction.tangent)])[0])
 
 
 # --- smooth controls ----------------------------------------------------------------------------------------

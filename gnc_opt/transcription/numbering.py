@@ -14,7 +14,7 @@ from gnc_opt.problem.held import Junction
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.transcription.collocation import PhaseCollocation
-from gnc_opt.transcription.holding import junction_orders, junctions_of, smooth_controls, smooth_rows
+from gnc_opt.transcription.holding import junction_rows, junctions_of, smooth_controls, smooth_rows
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.scheme import Scheme
 
@@ -142,7 +142,7 @@ class Numbering:
         placed = []
         for name, leg in self.problem.phases.items():
             for junction in junctions_of(leg):
-                count = len(junction_orders(junction, len(leg.path_labels)))
+                count = junction_rows(junction, len(leg.path_labels))
                 placed.append((name, junction, row + np.arange(count)))
                 row += count
         return placed

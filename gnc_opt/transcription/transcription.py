@@ -23,6 +23,7 @@ from gnc_opt.tolerances import SHORTEST
 from gnc_opt.transcription.collocation import weight_matrix
 from gnc_opt.transcription.holding import (
     check_segments,
+    controls_beside,
     hold_controls,
     hold_paths,
     hold_states,
@@ -160,24 +161,29 @@ class Transcription(Numbering):
         """A state constraint and its derivatives at a mesh boundary."""
         leg, part = self.problem.phases[name], self.parts[name]
         mesh = part.collocation.mesh
-        t, x, _, p = leg.model.arguments()
+        t, x, u, p = leg.model.arguments()
         segment, ends = min(junction.boundary, mesh.segments - 1), ca.SX.sym("ends", 2)
         arc = int(mesh.segment_arcs[segment])
-        derivatives = constraint_order(self.problem, leg, junction.constraint).derivatives
+        found = constraint_order(self.problem, leg, junction.constraint)
         orders = junction_orders(junction, len(leg.path_labels))
-        outputs = ca.vertcat(*[derivatives[k] for k in orders], ca.SX(0, 1))
+        outputs = ca.vertcat(*[found.derivatives[k] for k in orders], ca.SX(0, 1))
+        beside = controls_beside(part.collocation, junction)
+        points = ca.SX.sym("points", u.numel(), beside.points.shape[1])
+        if junction.tangent:
+            last = found.derivatives[-1]
+            outputs = ca.vertcat(outputs, ca.substitute(last, u, points @ beside.weights))
         fraction = float(mesh.arc_starts[segment]) if junction.boundary < mesh.segments else 1.0
         time = ends[0] + fraction * (ends[1] - ends[0])
         places = part.times[[arc, arc + 1]]
         free, fixed = np.flatnonzero(places < self.n_variables), np.flatnonzero(places >= self.n_variables)
         function = PointFunction.build(
             "junction",
-            ca.vertcat(x, ends[free.tolist()], self.problem.parameter_symbols()),
+            ca.vertcat(x, ca.vec(points), ends[free.tolist()], self.problem.parameter_symbols()),
             ca.vertcat(ends[fixed.tolist()], p),
             ca.substitute(outputs, t, time),
         )
         states = part.collocation.boundary_states[:, junction.boundary]
-        variables = np.concatenate([states, places[free], self.parameter_places])
+        variables = np.concatenate([states, beside.points.T.ravel(), places[free], self.parameter_places])
         data = ca.vertcat(
             self._symbols.times[(places[fixed] - self.n_variables).tolist()], self._symbols.models[name]
         )

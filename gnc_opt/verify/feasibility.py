@@ -33,6 +33,9 @@ from gnc_opt.verify.verdict import Condition, Result
 UNSTABLE = 1e6
 """Growth of integration errors beyond which propagating a whole phase in one go says nothing."""
 
+PART = 1e3
+"""Growth of errors after which a propagation in parts starts anew: samples are interpolated to 1e-9 or so."""
+
 SCANNED, SCANNED_PATHS = 4096, 32768
 """Times at which the dynamics and integrands of a phase, and its path constraints, are looked at beside the samples:
 what is narrow in time or place, as a gust or a small keep-out whose constraint is flat elsewhere, leaves no hint there.
@@ -90,7 +93,7 @@ def propagation(samples: list[PhaseSamples], tolerance: float) -> Condition:
         value=parts.value,
         where=f"{parts.where}, in parts",
         meaning=f"The dynamics amplify errors about {growth:.0e} times over the phase, so that a propagation in one go "
-        f"says nothing about the solution: it starts anew wherever they have grown {UNSTABLE:.0e} times. Where such "
+        f"says nothing about the solution: it starts anew wherever they have grown {PART:.0e} times. Where such "
         "a part misses, the condition 'dynamics' judges segment by segment.",
         sufficient=True,  # a second opinion: what is necessary is told by 'dynamics'
     )
@@ -128,11 +131,11 @@ def _transitions(samples: PhaseSamples) -> Iterator[Array]:
 
 
 def _restarts(samples: PhaseSamples) -> list[float]:
-    """Times before which errors have grown by `UNSTABLE` since the start, or since the last of these times."""
+    """Times before which errors have grown by `PART` since the start, or since the last of these times."""
     transition, times = np.eye(samples.state_scale.size), []
     for time, step in zip(samples.leg.breaks, _transitions(samples), strict=False):
         transition = step @ transition
-        if np.linalg.norm(transition, 2) > UNSTABLE:
+        if np.linalg.norm(transition, 2) > PART:
             times.append(float(time))
             transition = step
     return [time for time in times if time > samples.leg.breaks[0]]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -15,6 +17,8 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.refine import RefinementStatus
+from gnc_opt.refine.hp.mesh_refinement import refine_mesh
+from gnc_opt.refine.passes import PassLimits
 from gnc_opt.solution.history import History
 from gnc_opt.verify.verdict import Condition, Verdict
 from problems import van_der_pol
@@ -382,3 +386,49 @@ def test_an_arc_that_chatters_is_told() -> None:
     told = go.refine(coarse, tol=1e-6, limits=go.RefinementLimits(max_passes=1)).history
     assert not told.converged
     assert re.search(r"A singular arc, from phase turn, t = \S+ s, rate, .* chattering only", told.message)
+
+
+# --- what is worth another attempt ------------------------------------------------------------------------------
+
+
+def condition(value: float, *, sufficient: bool = False) -> Condition:
+    return Condition("c", go.Result.FAIL, value, 1e-5, "", "", sufficient=sufficient)
+
+
+@pytest.mark.parametrize(
+    ("values", "second_order", "resolvable"),
+    [
+        ((), (), False),
+        ((), (1.0,), False),
+        ((9e-4,), (1.0,), True),
+        ((2e-5, 9e-4), (), True),
+        ((2e-5, 1.1e-3), (), False),
+    ],
+)
+def test_a_finer_mesh_mends_what_is_nearly_met(values: Any, second_order: Any, resolvable: bool) -> None:
+    module = importlib.import_module("gnc_opt.refine.refine")
+    opened = [condition(v) for v in values] + [condition(v, sufficient=True) for v in second_order]
+    attempt = SimpleNamespace(verdict=SimpleNamespace(open=tuple(opened)))
+    assert module._Attempt.resolvable.fget(attempt) is resolvable
+
+
+def test_an_attempt_that_is_on_its_way_is_not_judged() -> None:
+    """Its verdict would be thrown away, and may be dear."""
+    module = importlib.import_module("gnc_opt.refine.refine")
+    coarse = go.solve(van_der_pol.build(), mesh="5x3", tol=None)
+    solution, history = refine_mesh(coarse, tol=1e-8, limits=PassLimits(1))
+    assert history.status is RefinementStatus.PASS_LIMIT
+    attempt = module._Attempt(solution, history)
+    assert attempt.final is False and "verdict" not in vars(attempt)
+
+
+def test_meshes_without_anything_to_spare_are_told_by_their_errors() -> None:
+    module = importlib.import_module("gnc_opt.refine.hp.mesh_refinement")
+
+    def phase(worst: list[float]) -> Any:
+        mesh = go.Mesh.at_times(range(len(worst) + 1), range(2, 2 + len(worst)))
+        return SimpleNamespace(worst=np.array(worst), samples=SimpleNamespace(leg=SimpleNamespace(mesh=mesh)))
+
+    state = module._State(None, {"a": phase([1e-12, 1e-9, 1e-10]), "b": phase([0.0])}, None)
+    assert state.points_beyond(1e-10) == 2 + 2 and state.points_beyond(1.1e-10) == 2 + 4 + 2
+    assert state.points_beyond(1.0) == 2 + 3 + 4 + 2 and state.points_beyond(0.0) == 0

@@ -14,6 +14,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.refine.refine import refine
+from problems import bryson_denham
 from tests.properties.nonlinear import orbit_raising, reorientation, van_der_pol
 
 OPTIONS = go.SolverOptions(tolerance=1e-11)
@@ -207,6 +208,14 @@ def test_switch_time_of_a_bang_bang_solution() -> None:
     assert found.objective == pytest.approx(1 / root, rel=1e-8)
     assert found.phase().switch_times == pytest.approx([0.5 / root], rel=1e-8)
     assert go.sensitivity(solution, "c").objective == pytest.approx(-0.2 - (1.0 + 0.2**2) / root, rel=1e-8)
+
+
+def test_cost_of_a_start_before_an_arc_on_a_state_limit() -> None:
+    """J = 2 (v0^3 + v1^3) / (9 l) on an arc of order two, whose multipliers are impulses at its ends."""
+    solution = go.solve(bryson_denham.build(), tol=1e-8)
+    with pytest.warns(go.ProblemWarning, match="weakly active"):
+        found = go.sensitivity(solution, initial="v")
+    assert found.objective == pytest.approx(2 / (3 * bryson_denham.LIMIT), rel=1e-9)
 
 
 def regulator(*, weight: float = 1.0, bound: float | None = None) -> go.Problem:

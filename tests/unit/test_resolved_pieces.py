@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -35,18 +36,29 @@ def test_the_fewest_points_that_leave_little_enough() -> None:
     assert r._resolution(never, 0 * row(1.0), 0.0, 1.0, MOST) == Resolution(1, r.FEWEST)
 
 
-def test_what_is_too_steep_is_halved_where_it_is() -> None:
-    """Slopes are bent at the start: what is left there falls by sixteen with each halving, elsewhere it is little."""
+def test_segments_are_halved_where_they_are_steep_as_long_as_that_helps() -> None:
+    """What is left falls like the fourth power of the length, and only the last quarter is steep."""
     asked: list[Any] = []
 
     def left(breaks: Any) -> Any:
         asked.append(breaks.tolist())
-        steep = 16.0 ** np.log2((breaks[1] - breaks[0]) / 2.0) if breaks[0] == 2.0 else 1e-3
-        return np.array([row(steep * MOST), row(1e-3 * MOST)])
+        return np.array(
+            [
+                row(256 * MOST * ((end - start) / 8) ** 4 if end > 8.0 else 1e-3 * MOST)
+                for start, end in itertools.pairwise(breaks)
+            ]
+        )
 
     found = r._resolution(left, row(256 * MOST), 2.0, 10.0, MOST)
-    assert found == Resolution(3, MAX_DEGREE, edges=(0.25, 0.5))
-    assert asked == [[2.0, 6.0, 10.0], [2.0, 4.0, 6.0]]
+    assert found == Resolution(3, MAX_DEGREE, edges=(0.5, 0.75))
+    assert asked == [[2.0, 6.0, 10.0], [6.0, 8.0, 10.0]]
+
+
+def test_segments_that_are_all_alike_are_equal() -> None:
+    found = r._resolution(
+        lambda b: np.tile(row(4096 * MOST * (b[1] - b[0]) ** 4), (2, 1)), row(9.0), 0.0, 1.0, MOST
+    )
+    assert found.segments == 8 and found.shares == pytest.approx(np.linspace(0.0, 1.0, 9))
 
 
 def test_the_worst_segment_says_how_many_points_all_have() -> None:
@@ -57,22 +69,20 @@ def test_the_worst_segment_says_how_many_points_all_have() -> None:
 
 @pytest.mark.parametrize(("share", "segments"), [(0.99, 2), (1.0, 1), (1.01, 1)])
 def test_what_halving_hardly_helps_is_left(share: float, segments: int) -> None:
-    whole = share * r.HELPED
+    worst = [1.0]
 
     def left(breaks: Any) -> Any:
-        return np.tile(row(whole), (2, 1))
+        worst.append(worst[-1] * (share * r.HELPED if len(worst) == 1 else 1.0))
+        return np.tile(row(worst[-1]), (breaks.size - 1, 1))
 
-    found = r._resolution(left, row(1.0), 0.0, 1.0, MOST)
-    assert found == Resolution(segments, MAX_DEGREE, edges=(0.5,) * (segments - 1))
+    assert r._resolution(left, row(1.0), 0.0, 1.0, MOST).segments == segments
 
 
 def test_pieces_have_so_many_segments_at_most() -> None:
-    def left(breaks: Any) -> Any:
-        return np.tile(row((0.9 * r.HELPED) ** -np.log2(breaks[1] - breaks[0])), (2, 1))
-
-    found = r._resolution(left, row(1.0), 0.0, 1.0, 0.0)
-    edges = tuple(np.arange(1, MAX_SEGMENTS) / MAX_SEGMENTS)
-    assert found == Resolution(MAX_SEGMENTS, MAX_DEGREE, edges=edges)
+    found = r._resolution(
+        lambda b: np.tile(row((b[1] - b[0]) ** 4), (b.size - 1, 1)), row(1.0), 0.0, 1.0, 0.0
+    )
+    assert found.segments == MAX_SEGMENTS and found.degree == MAX_DEGREE
 
 
 # --- series of a flight -----------------------------------------------------------------------------------

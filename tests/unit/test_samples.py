@@ -165,9 +165,14 @@ def test_what_the_hamiltonian_is_made_of(right: PhaseSamples) -> None:
     """|lam_q v| + |lam_v a| + |a^2 / 2| at the ends: 0 + 36 + 18."""
     assert right.hamiltonian_scale == pytest.approx(54.0)
     idle = samples(CART, u=lambda t, k: 0 * t, lam=lambda t, k: [0 * t, 0 * t], breaks=(0.0, 1.0, 4.0))
-    # A control without range that does nothing has the span 1: half of that, either way, is worth (1/2)^2 / 2.
-    assert idle.hamiltonian_scale == pytest.approx(0.125)
-    assert replace(idle, cost_magnitude=8e4).hamiltonian_scale == pytest.approx(1e-4 * 8e4 / 4)
+    # A control without range that does nothing has the span of what would move v by 72 in 4 s as the flight does: half
+    # of that, either way, is worth (18/2)^2 / 2. Where nothing moves either, the span is 1.
+    assert idle.hamiltonian_scale == pytest.approx(40.5)
+    still = samples(
+        CART, x=lambda t, k: [0 * t, 0 * t], u=lambda t, k: 0 * t, lam=lambda t, k: [0 * t, 0 * t]
+    )
+    assert still.hamiltonian_scale == pytest.approx(0.125)
+    assert replace(idle, cost_magnitude=8e6).hamiltonian_scale == pytest.approx(1e-4 * 8e6 / 4)
     assert idle.span == 4.0
 
 

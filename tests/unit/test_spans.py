@@ -174,7 +174,13 @@ def test_components_of_a_vector_share_their_reach_and_no_number_is_no_reach() ->
 
 
 def controls(
-    flown: Any, pull: Any, curvature: Any, bounds: Interval | None = None, rows: int = 1, terms: float = 0.0
+    flown: Any,
+    pull: Any,
+    curvature: Any,
+    bounds: Interval | None = None,
+    rows: int = 1,
+    terms: float = 0.0,
+    asked: float = 0.0,
 ) -> Array:
     model = go.Model("controls")
     x = model.state("x")
@@ -187,7 +193,7 @@ def controls(
     box = bounds or free(rows)
     here = phase(problem, still(0.0), still(*[0.0] * rows), still(0.0), control_bounds=box)
     given = (np.atleast_2d(np.asarray(v, float)) for v in (flown, pull, curvature))
-    return control_spans(here, *given, terms)
+    return control_spans(here, *given, terms, asked)
 
 
 @pytest.mark.parametrize(
@@ -222,6 +228,31 @@ def test_where_all_controls_are_idle_what_the_costates_add_to_h_counts(level: fl
     assert controls([level, level + 20.0, level], np.zeros(3), 8 * np.ones(3), terms=2.0) == pytest.approx(
         [max(20.0, RESOLUTION * level)]
     )
+
+
+@pytest.mark.parametrize(
+    ("size", "bounds", "pull", "span"),
+    [
+        (1e-12, (-np.inf, np.inf), 0.0, 5.0),  # rounding beside what the flight does by itself
+        (1e-12, (-np.inf, np.inf), 1e-3, 5e-4),  # costates move it
+        (1e-3, (-np.inf, np.inf), 0.0, 1e-3),  # a little thrust that never changes
+        (80.0, (-np.inf, np.inf), 0.0, 5.0),  # counted from far away
+        (1e-12, (-3.0, 3.0), 0.0, 6.0),  # its range
+    ],
+)
+def test_a_control_that_nothing_moves_is_measured_by_what_the_flight_does_or_by_itself(
+    size: float, bounds: tuple[float, float], pull: float, span: float
+) -> None:
+    flown, pulls, bends = ([[value] * 2] for value in (size, pull, 2.0))
+    found_ = controls(flown, pulls, bends, interval(*bounds), asked=5.0)
+    assert found_ == pytest.approx([span], rel=1e-6)
+
+
+def test_what_a_control_would_have_to_be_to_do_what_the_flight_does() -> None:
+    """A cart that rolls 6 m in 2 s while its speed falls by 4: a push of 2; the throttle pushes three times as much."""
+    problem = built({"q": 1, "v": 1}, 2, lambda q, v, a, throttle: [v, a + 3.0 * throttle])
+    leg = phase(problem, lambda t, k: [3 * t, -2 * t], still(0.0, 0.0), still(0.0, 0.0), breaks=(0.0, 2.0))
+    assert spans.steering(leg, functions(problem, (1.0,))) == pytest.approx([2.0, 2.0 / 3.0])
 
 
 def test_components_of_a_control_share_their_span() -> None:

@@ -19,7 +19,6 @@ from gnc_opt.refine.passes import PassLimits
 from gnc_opt.refine.structure import junctions as j
 from gnc_opt.refine.structure import mending as m
 from gnc_opt.refine.structure import switching as s
-from gnc_opt.refine.structure.contacts import StateConstraints
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import (
     COARSE,
@@ -34,6 +33,7 @@ from gnc_opt.refine.structure.plan import (
     Plan,
     Resolution,
 )
+from gnc_opt.refine.structure.state_constraints import StateConstraints
 from gnc_opt.solution.history import Pass, RefinementStatus
 from gnc_opt.solution.samples import PhaseSamples
 

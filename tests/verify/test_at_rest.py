@@ -168,3 +168,43 @@ def test_a_cost_that_many_controls_bring_to_zero_is_flat_and_not_a_maximum(noise
         condition = go.verify(replace(solution, phases={"leg": turned}))["second order"]
         assert condition.result is go.Result.CANNOT_TELL, condition
         assert "flat" in condition.where
+
+
+def test_a_flight_that_needs_no_control_has_yardsticks() -> None:
+    """Thrown by itself from floor to floor: controls, costates and the push of the floor are rounding."""
+    model = go.Model("ball")
+    h, v, a = model.state("h"), model.state("v"), model.control("a")
+    model.ode({h: v, v: a - 1.0})
+    problem = go.Problem("throw")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(h=0.0)
+    leg.final(h=0.0)
+    leg.bounds(h=(0.0, None))
+    problem.minimize(leg.integral(a**2))
+    verdict = go.verify(go.solve(problem, mesh="5x4", tol=None))
+    assert verdict.minimum, verdict.explain()
+    t = np.linspace(0.0, 1.0, 41)
+    pushed = {"h": 0.51 * t * (1 - t), "v": 0.51 - 1.02 * t}
+    assert not go.verify_trajectory(problem, t, pushed, {"a": 0 * t - 0.02}).ok
+
+
+@pytest.mark.parametrize(("unit", "origin"), [(1.0, 0.0), (1e4, 0.0), (1e-4, 0.0), (1.0, 1e5)])
+@pytest.mark.parametrize(("coupling", "best"), [(1.5, True), (2.5, False)])
+def test_a_constant_push_without_limits_has_a_yardstick(
+    unit: float, origin: float, coupling: float, best: bool
+) -> None:
+    """(u - 1)^2 + k^2 + c k s, s being how far the end is off 1: a minimum at u = 1, k = 0 for c < 2, else a saddle."""
+    model = go.Model("pushed")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u - origin})
+    problem = go.Problem("pushed")
+    k = problem.parameter("k", lower=-5.0, upper=5.0, guess=0.0)
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    off = leg.final_state("x") / unit - 1.0
+    problem.minimize(leg.integral(((u - origin) / unit - 1.0) ** 2) + k**2 + coupling * k * off)
+    t = np.linspace(0.0, 1.0, 11)
+    verdict = go.verify_trajectory(problem, t, [unit * t], 0 * t + origin + unit, {"k": 0.0})
+    assert verdict.minimum is best and verdict.ok is best, verdict.explain()

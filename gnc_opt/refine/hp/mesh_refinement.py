@@ -51,8 +51,9 @@ takes as long as solving. Where nothing could, they grow by `GROWN` before it is
 GROWN = 1.5
 """An accurate mesh that is that many times as large as the first one, or not `ROOMY`, ..."""
 
-WORTH_TRIMMING = 0.5
-"""... is solved once more if it can shrink to this share, ..."""
+WORTH_TRIMMING, TOO_FINE = 0.5, 1e-2
+"""... is solved once more if it can shrink to this share: only segments whose error is less than so many tolerances can
+give away much, and finding out how much takes as long as solving; ..."""
 
 BOLD = 0.5
 """... expecting this share of the tolerance, ..."""
@@ -86,6 +87,11 @@ class _State:
         """Largest error of the segments whose functions are defined."""
         worst = np.concatenate([e.worst for e in self.errors.values()])
         return float(np.max(worst, initial=0.0, where=np.isfinite(worst)))
+
+    def points_beyond(self, error: float) -> int:
+        """Collocation points of the segments whose error is smaller than this."""
+        small = [np.asarray(e.samples.leg.mesh.degrees)[e.worst < error] for e in self.errors.values()]
+        return int(np.sum(np.concatenate(small)))
 
     @property
     def total(self) -> float:
@@ -246,7 +252,12 @@ class _Refinement:
     def _trimmed(self) -> NextMeshes | None:
         """Return smaller meshes for an accurate solution, or None if there is not much to gain."""
         points = self._state.record.points
-        if self._trimmed_once or points <= min(ROOMY, GROWN * self._records[0].points):
+        grown = points > min(ROOMY, GROWN * self._records[0].points)
+        if (
+            self._trimmed_once
+            or not grown
+            or self._state.points_beyond(TOO_FINE * self._tol) < (1.0 - WORTH_TRIMMING) * points
+        ):
             return None
         plan = self._remeshed(
             lambda _, error: Remesh(error, self._tol, {}, BOLD * self._tol, self._departure).mesh()

@@ -22,27 +22,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array, Mask
-from gnc_opt.model.evaluation import evaluate
+from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.problem.arc import ArcKind
-from gnc_opt.problem.constraint_order import ConstraintOrder, constraint_order
-from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import states_at_points
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.refine.structure.state_constraints import NEAR, StateConstraints
 from gnc_opt.solution.polynomial import Side
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import BESIDE, TINY
-from gnc_opt.verify.held import MOST_ORDER
-
-NEAR = 1e-2
-"""A constraint this close to its limit, in shares of what it moves, may be on it between two pushes."""
 
 PUSHING = 1e-3
 """Share of the largest push of a constraint that counts as one, ..."""
@@ -52,6 +43,9 @@ WORTH = 1e-5
 
 SHORT = 2.0
 """Closer than so many segments, an arc begins or ends where a control that holds it switches."""
+
+TURNING = 0.05
+"""Share of a singular arc along which a vector is at its limit to begin with, to turn there."""
 
 FEW = 5
 """A contact of second order over no more nodes than this is a touch to begin with."""
@@ -70,83 +64,6 @@ EXCEEDED = 1e-8
 
 ODD = 1e-6
 """A push of the wrong direction worth this share of the cost says that there is no contact."""
-
-
-@dataclass(frozen=True, eq=False)
-class StateConstraints:
-    """The path constraints and states of a phase as functions of the state, with their derivatives.
-
-    Rows are path constraints, then states.
-    """
-
-    problem: Problem
-    samples: PhaseSamples
-
-    @property
-    def size(self) -> int:
-        """Number of rows."""
-        return len(self.samples.leg.path_labels) + self.samples.leg.states.size
-
-    @cached_property
-    def bounds(self) -> Interval:
-        """Limits of all rows."""
-        leg = self.samples.leg
-        return Interval(
-            np.concatenate([leg.path_bounds.lower, leg.state_bounds.lower]),
-            np.concatenate([leg.path_bounds.upper, leg.state_bounds.upper]),
-        )
-
-    def limits(self, row: int) -> list[tuple[ArcKind, float]]:
-        """Return the limits that a row has."""
-        box = self.bounds
-        both = (ArcKind.LOWER, float(box.lower[row])), (ArcKind.UPPER, float(box.upper[row]))
-        return [(kind, limit) for kind, limit in both if np.isfinite(limit)]
-
-    @property
-    def scales(self) -> Array:
-        """How far each row moves."""
-        return np.concatenate([self.samples.path_scale, self.samples.state_scale])
-
-    def order(self, row: int) -> int:
-        """Return the order of a row whose contacts are looked for, else 0."""
-        if not self.bounds.lower[row] < self.bounds.upper[row]:
-            return 0
-        if not np.isfinite([self.bounds.lower[row], self.bounds.upper[row]]).any():
-            return 0
-        order = self._found(row).order or 0
-        return order if order <= MOST_ORDER else 0
-
-    def holders(self, row: int) -> tuple[int, ...]:
-        """Return the controls that can hold a row on its limit."""
-        return self._found(row).controls
-
-    def _found(self, row: int) -> ConstraintOrder:
-        return constraint_order(self.problem, self.problem.phases[self.samples.leg.name], row)
-
-    def values(self, times: Array, x: Array, u: Array) -> Array:
-        """Return all rows, (n_rows, n_times)."""
-        return np.vstack([self.samples.functions.paths(times, x, u), x])
-
-    def derivative(self, row: int, k: int, times: Any, x: Array, u: Array) -> Array:
-        """Return the k-th derivative of a row along the dynamics, shape of times."""
-        name, f = self.samples.leg.name, self.samples.functions
-        function = self.problem.once(("derivative", name, row, k), lambda: self._function(row, k))
-        return np.asarray(evaluate(function, times, x, u, f.p, f.q)[0])
-
-    def gradient(self, row: int, time: float, x: Array, u: Array) -> Array:
-        """Return the derivative of a row by the states, (n_states,)."""
-        n_paths = len(self.samples.leg.path_labels)
-        if row < n_paths:
-            return np.asarray(self.samples.functions.path_state_jacobian(time, x, u)[row])
-        return np.asarray(np.eye(x.size)[row - n_paths])
-
-    def _function(self, row: int, k: int) -> Any:
-        leg = self.problem.phases[self.samples.leg.name]
-        t, x, u, p = leg.model.arguments()
-        expression = constraint_order(self.problem, leg, row).derivatives[k]
-        return ca.Function(
-            "derivative", [t, x, u, p, self.problem.parameter_symbols()], [ca.densify(expression)]
-        )
 
 
 # --- controls that are determined -------------------------------------------------------------------------------
@@ -240,6 +157,8 @@ class _Run:
             runs, order = [(runs[0][0], runs[-1][1])], 1
         if order == 1:
             runs = _joined(runs)
+            if len(structure.holders[self.row]) > 1:
+                runs = self._along_singular(runs, structure, samples)
         for a, b in runs:
             at_end = self._end_touched(structure, a, b, samples)
             if at_end is not None:
@@ -247,8 +166,14 @@ class _Run:
                 continue
             if order == 1:
                 start, end = self._between(a, first), self._between(b, last)
-                start, end = (self._switch(structure, t, samples) for t in (start, end))
-                structure = structure.with_arc(
+                switches = [self._switch(structure, t, samples) for t in (start, end)]
+                if switches[0] < switches[1]:
+                    start, end = switches
+                turned = structure
+                if len(structure.holders[self.row]) > 1:
+                    start, end = self._up_to_arcs(structure, start, end, samples)
+                    turned = self._turned(structure, start, end)
+                structure = turned.with_arc(
                     self.row, float(min([start, *beside])), float(max([end, *beside])), self.kind
                 )
                 continue
@@ -279,6 +204,19 @@ class _Run:
         end = self._end_touched(structure, 0, self.times.size, samples)
         return end is not None and (self.row, self.kind) in structure.touches[end]
 
+    def beside_slide(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
+        """Whether it is in the segment beside an end of an arc of its own that is where the solver wants it.
+
+        A vector turns fast there: what pushes is the mesh, which has to be finer.
+        """
+        pushing, breaks = self.times[self.worth > 0], samples.leg.breaks
+        for k in range(1, structure.pieces):
+            if self.row in structure.changes(k) and structure.slides(k):
+                at = int(np.argmin(np.abs(breaks - structure.times[k])))
+                if np.all((pushing >= breaks[at - 1]) & (pushing <= breaks[at + 1])):
+                    return True
+        return False
+
     def possible(self, structure: PhaseStructure) -> bool:
         """Whether it can be a contact: one of first order stays on its limit, which takes a control that is free."""
         return structure.orders[self.row] > 1 or bool(self._free(structure))
@@ -305,6 +243,60 @@ class _Run:
         ]
         return min((t for t in switches if abs(t - time) < reach), key=lambda t: abs(t - time), default=time)
 
+    def _up_to_arcs(
+        self, structure: PhaseStructure, start: float, end: float, samples: PhaseSamples
+    ) -> tuple[float, float]:
+        """Return the ends of an arc, extended to arcs on the same limit that are close by."""
+        reach = SHORT * float(np.max(np.diff(samples.leg.breaks)[self._segments(samples)]))
+        for k, kinds in enumerate(structure.kinds):
+            if kinds[self.row] is self.kind:
+                entry, leave = structure.times[k : k + 2]
+                if start < entry < end + reach:
+                    end = max(end, entry)
+                if start - reach < leave < end:
+                    start = min(start, leave)
+        return start, end
+
+    def _turned(self, structure: PhaseStructure, start: float, end: float) -> PhaseStructure:
+        """Return the structure with singular vectors beside an arc at their limits for a while, to turn on it.
+
+        The solver finds out how long; a very short arc is no place to begin.
+        """
+        turned = structure
+        for k in range(1, structure.pieces):
+            time = structure.times[k]
+            for near, other, far in ((k - 1, k, structure.times[k + 1]), (k, k - 1, structure.times[k - 1])):
+                if time != (end if near < k else start):
+                    continue
+                room = max(TURNING - (end - start) / abs(far - time), 0.0) * (far - time)
+                first, last = sorted((time, time + room))
+                for i in structure.holders[self.row]:
+                    kinds = structure.kinds[near][i], structure.kinds[other][i]
+                    if kinds == (ArcKind.INTERIOR, ArcKind.SINGULAR) and room:
+                        turned = turned.with_arc(i, first, last, ArcKind.INTERIOR)
+        return turned
+
+    def _segments(self, samples: PhaseSamples) -> Indices:
+        """The segments of the nodes."""
+        breaks = samples.leg.breaks
+        return np.clip(np.searchsorted(breaks, self.times) - 1, 0, breaks.size - 2)
+
+    def _along_singular(
+        self, runs: list[tuple[int, int]], structure: PhaseStructure, samples: PhaseSamples
+    ) -> list[tuple[int, int]]:
+        """Join close runs between which a singular control may hold the limit: on a mesh it swings, as pushes do."""
+        reach = SHORT * float(np.max(np.diff(samples.leg.breaks)[self._segments(samples)]))
+        joined = runs[:1]
+        for a, b in runs[1:]:
+            before, after = self.times[joined[-1][1] - 1], self.times[a]
+            piece = int(np.searchsorted(structure.times[1:-1], 0.5 * (before + after)))
+            kinds = [structure.kinds[piece][i] for i in structure.holders[self.row]]
+            if after - before < reach and ArcKind.SINGULAR in kinds:
+                joined[-1] = (joined[-1][0], b)
+            else:
+                joined.append((a, b))
+        return joined
+
     def _between(self, node: int, end: float) -> float:
         """Time between a node and the one before; beyond the first and last, the phase's end if that is next."""
         times, size = self.times, self.times.size
@@ -323,7 +315,13 @@ def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) ->
         worth = np.where(structure.contact(first + run.row, run.times), 0.0, run.worth)
         if np.any(worth > 0):
             found.append(replace(run, row=first + run.row, worth=worth))
-    return [run for run in found if run.possible(structure) and not run.known(structure, constraints.samples)]
+    return [
+        run
+        for run in found
+        if run.possible(structure)
+        and not run.known(structure, constraints.samples)
+        and not run.beside_slide(structure, constraints.samples)
+    ]
 
 
 def _pushing_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[_Run]:

@@ -13,6 +13,7 @@ from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure.contacts import Determined, determined, with_contacts
 from gnc_opt.refine.structure.mixed import LinearLimits
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose
+from gnc_opt.refine.structure.vectors import label_vectors
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import CONVEX
@@ -77,6 +78,7 @@ def detect(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> Phas
     for i in limits.rows:
         if affine[i]:
             _limit(limits, i, rows[i], paths)
+    directions = label_vectors(samples, rows)
     changes = _change_times(samples, rows)
     controls = np.asarray(rows).reshape(leg.controls.size, samples.times.size)  # also if there are none
     for labels in [*paths, *_state_labels(samples, controls)]:
@@ -94,7 +96,10 @@ def detect(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> Phas
         len(leg.path_labels),
         holders=(
             *((),) * leg.controls.size,
-            *(tuple(i for i, own in limits.rows.items() if p in own) for p in range(len(leg.path_labels))),
+            *(
+                directions.get(p, tuple(i for i, own in limits.rows.items() if p in own))
+                for p in range(len(leg.path_labels))
+            ),
             *((),) * leg.states.size,
         ),
         slopes=(*(0,) * leg.controls.size, *limits.signs, *(0,) * leg.states.size),

@@ -19,10 +19,11 @@ from collections.abc import Callable
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.refine.structure.contacts import StateConstraints, junction_time
+from gnc_opt.refine.structure.contacts import junction_time
 from gnc_opt.refine.structure.detect import crossings
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import Plan
+from gnc_opt.refine.structure.state_constraints import StateConstraints
 from gnc_opt.solution.polynomial import Side
 from gnc_opt.solution.samples import PhaseSamples
 
@@ -41,7 +42,7 @@ def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | No
     structure, samples = plan.structure, constraints.samples
     times = list(structure.times)
     for boundary in range(1, structure.pieces):
-        if structure.kinked(boundary):
+        if structure.kinked(boundary) and not structure.slides(boundary):
             wanted = [
                 junction_time(constraints, structure, boundary, i)
                 if structure.orders[i]

@@ -10,11 +10,12 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.arc import ArcKind
-from gnc_opt.refine.structure.contacts import StateConstraints, crossed_contact, pushed_contact, wrong_touch
+from gnc_opt.refine.structure.contacts import crossed_contact, pushed_contact, wrong_touch
 from gnc_opt.refine.structure.detect import affine_channels, curved_channels, linear_limits
 from gnc_opt.refine.structure.junctions import move_kinks
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose, signs_of
 from gnc_opt.refine.structure.plan import Plan, Resolution
+from gnc_opt.refine.structure.state_constraints import StateConstraints
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import TINY

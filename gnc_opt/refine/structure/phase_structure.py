@@ -43,7 +43,8 @@ class PhaseStructure:
     touches : tuple of A + 1 tuples of Touch
         What state constraints only touch, at each of the times.
     holders : tuple of tuple of int
-        For each of the rows with an order or a slope the controls that can hold it on its limit.
+        For each of the rows with an order or a slope the controls that can hold it on its limit; those that do it best
+        come first.
     slopes : tuple of int
         For each path constraint that limits one control linearly (`mixed`) the sign of its slope in it; else 0.
     """
@@ -121,11 +122,20 @@ class PhaseStructure:
     def determined(self, piece: int) -> set[int]:
         """Return the controls that state bounds and path constraints determine which are held in a piece.
 
-        Mixed path constraints determine controls that H is convex in; another limit of which it is not known what holds
-        it is taken to determine all of them.
+        Of several singular controls that can hold a limit it determines one, the first of its holders that no other
+        limit does; the others are as singular as before. Mixed path constraints determine controls that H is convex in;
+        another limit of which it is not known what holds it is taken to determine all of them.
         """
-        held = [i for i in range(self._n_free, len(self.orders)) if self.kinds[piece][i].at_limit]
-        return {control for i in held for control in self.holders[i] or self._may_hold(i)}
+        found: set[int] = set()
+        for i in range(self._n_free, len(self.orders)):
+            if self.kinds[piece][i].at_limit:
+                holders = self.holders[i] or self._may_hold(i)
+                free = [
+                    c for c in self.holders[i] if self.kinds[piece][c] is ArcKind.SINGULAR and c not in found
+                ]
+                singular = {c for c in self.holders[i] if self.kinds[piece][c] is ArcKind.SINGULAR}
+                found |= ({*holders} - singular) | {*free[:1]}
+        return found
 
     def _may_hold(self, row: int) -> list[int]:
         mixed = self.regular[row]
@@ -152,6 +162,21 @@ class PhaseStructure:
             for i in self.changes(boundary)
         )
 
+    def slides(self, boundary: int) -> bool:
+        """Whether the direction of a vector turns there to hold a state constraint, or no more.
+
+        As little as the vector may matter to H, as fast does it turn: only close to its end such an arc has a kink.
+        """
+        beside = (self.kinds[boundary - 1], self.kinds[boundary])
+        turning = [
+            kinds[i] is ArcKind.INTERIOR and not self.regular[i]
+            for row in self.changes(boundary)
+            if self.orders[row]
+            for kinds in beside
+            for i in self.holders[row]
+        ]
+        return self.kinked(boundary) and any(turning)
+
     def handed_over(self, boundary: int) -> list[int]:
         """Return the rows that change between two pieces, if one limit of a control takes over from another there."""
         rows = self.changes(boundary)
@@ -161,6 +186,20 @@ class PhaseStructure:
             sides += [kinds[i].sign * (self.slopes[i] if i >= self._n_free else 1) for i in held]
         controls = {i for row in rows for i in (self.holders[row] if row >= self._n_free else (row,))}
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
+
+    def on_sphere(self) -> Mask:
+        """Return where the length of a direction is at its limit beside a state constraint that is, (n_paths, A).
+
+        Elsewhere H sees to that, but there it may as well be the direction's length that holds the constraint.
+        """
+        found = np.zeros((self.n_paths, self.pieces), dtype=bool)
+        contact = np.array([self.on_contact(k) for k in range(self.pieces)])
+        for path in range(self.n_paths):
+            row = self._n_free + path
+            if self.holders[row] and not self.orders[row] and not self.slopes[row]:
+                singular = np.any(self.matrix()[list(self.holders[row])] == ArcKind.SINGULAR, axis=0)
+                found[path] = contact & ~singular
+        return found
 
     def limited_by_paths(self) -> Mask:
         """Return where a path constraint is in the place of a control's bound, (n_controls, A)."""
@@ -184,13 +223,20 @@ class PhaseStructure:
         return bool(self.orders[row]) and not linear
 
     def beside_contacts(self, touches: bool) -> Mask:
-        """Return where state constraints are beside an arc on their limit or, with touches, off them, (n_rows, A)."""
+        """Return where state constraints are beside an arc on their limit or, with touches, off them, (n_rows, A).
+
+        But not where the direction of a vector could hold them, whose magnitude is at its limit: it would lead far
+        beyond.
+        """
         held = np.array([[kind.at_limit for kind in row] for row in self.matrix()])
         beside = np.zeros_like(held)
         beside[:, :-1] |= held[:, 1:]
         beside[:, 1:] |= held[:, :-1]
         if touches:
             beside[[row for here in self.touches for row, _ in here]] = True
+        for row in np.flatnonzero(self.orders):
+            bends = [i for i in self.holders[row] if not self.regular[i]]
+            beside[row] &= ~np.any(self.matrix()[bends] == ArcKind.INTERIOR, axis=0)
         return np.asarray(beside & ~held & (np.array(self.orders) > 0)[:, None])
 
     def on_contact(self, piece: int) -> bool:

@@ -11,7 +11,7 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.held import Junction, Smooth
 from gnc_opt.problem.problem import Problem
-from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose
+from gnc_opt.refine.structure.phase_structure import PhaseStructure, choose
 from gnc_opt.transcription.mesh import Mesh
 
 FIRST_DEGREE, MAX_DEGREE = 6, 12
@@ -41,6 +41,9 @@ BOLD = 6.0
 
 COARSE = 100
 """Collocation points per phase up to which a mesh says nothing about pieces; a finer one was asked for."""
+
+TURNING_SEGMENTS = 6
+"""Segments, each half as long as the one before, towards a time at which a vector turns fast to hold a constraint."""
 
 THINNED = 1.5
 """Points of a finer mesh for one point of the pieces, which converge faster than a mesh that switches fall into."""
@@ -169,7 +172,8 @@ class Plan:
         if structure.bends and structure.pieces > self.structure.pieces:
             finest = max(self.resolutions, key=lambda r: (r.degree, r.segments))
             finer = tuple(
-                replace(r, segments=finest.segments, degree=finest.degree) for r in plan.resolutions
+                replace(r, segments=r.segments if r.edges else finest.segments, degree=finest.degree)
+                for r in plan.resolutions
             )
             return replace(plan, resolutions=finer)
         return plan
@@ -194,48 +198,67 @@ class Plan:
             degrees += [r.degree] * r.segments
         fractions = (np.asarray(times) - times[0]) / (times[-1] - times[0])
         inner = range(1, self.structure.pieces)
-        movable = tuple(self.piece_ends[k] for k in inner if not self.structure.kinked(k))
+        movable = tuple(
+            self.piece_ends[k] for k in inner if not self.structure.kinked(k) or self.structure.slides(k)
+        )
         return Mesh(tuple(fractions), tuple(degrees), movable)
 
     def hold(self, problem: Problem, phase: str) -> Problem:
         """Return the problem with controls, path constraints and states held as the structure says."""
         structure, segments = self.structure, self.segment_pieces
         n_controls, n_paths = len(structure.controls), len(structure.paths)
-        regular = np.asarray(structure.regular, dtype=bool)[:, None] | structure.beside_contacts(self.loose)
-        regular = regular | structure.beside_takeovers()
         # An interior control may leave its bounds: by how much tells where its arc has to end.
         controls = choose(structure.controls == ArcKind.SINGULAR, ArcKind.INTERIOR, structure.controls)
-        controls = _released(controls, regular[:n_controls])
-        paths = _released(structure.paths, regular[n_controls : n_controls + n_paths])
-        states = _released(structure.states, regular[n_controls + n_paths :])
+        paths = choose(structure.on_sphere(), ArcKind.UPPER, structure.paths)
+        kinds = np.vstack([controls, paths, structure.states])[:, segments]
+        kinds = choose((kinds == ArcKind.INTERIOR) & self._released(), ArcKind.RELEASED, kinds)
+        paths, states = kinds[n_controls : n_controls + n_paths], kinds[n_controls + n_paths :]
         return problem.with_arcs(
             phase,
-            arcs=controls[:, segments],
-            paths=paths[:, segments] if paths.size else None,
-            states=states[:, segments] if np.any(states != ArcKind.INTERIOR) else None,
+            arcs=kinds[:n_controls],
+            paths=paths if paths.size else None,
+            states=states if np.any(states != ArcKind.INTERIOR) else None,
             smooth=self._smooth(),
             junctions=self._junctions(),
         )
+
+    def _released(self) -> Mask:
+        """Return where rows may leave their limits, if they are on none of them, (n_rows, K).
+
+        Beside a time at which a vector turns to hold a constraint, which is tangent to its limit there, one segment.
+        """
+        structure = self.structure
+        regular = np.asarray(structure.regular, dtype=bool)[:, None] | structure.beside_contacts(self.loose)
+        found = (regular | structure.beside_takeovers())[:, self.segment_pieces]
+        for k in filter(structure.slides, range(1, structure.pieces)):
+            end = self.piece_ends[k]
+            for row in structure.changes(k):
+                found[row, end - 1 : end + 1] |= bool(structure.orders[row])
+        return np.asarray(found)
 
     def _junctions(self) -> tuple[Junction, ...]:
         """Where state constraints that determine a control reach their limit to stay there, or touch it.
 
         Within the phase a touch has S = dS/dt = 0; at its ends S = 0, for which a mesh of Gauss points has no row.
+        Where a vector turns to hold a constraint the derivative in which it appears vanishes, too: that makes the time
+        known, on which the cost hardly depends.
         """
-        structure, found = self.structure, []
-        n_controls = len(structure.controls)
+        structure, n_controls = self.structure, len(self.structure.controls)
+        found: list[tuple[int, int, ArcKind, int, int]] = []
         for k in range(1, structure.pieces):
-            entered = [(i, structure.kinds[k][i], structure.orders[i]) for i in structure.changes(k)]
-            entered = [(i, kind, order) for i, kind, order in entered if order and kind.at_limit]
-            touched = [(i, kind, 2) for i, kind in structure.touches[k]]
-            found += [
-                Junction(i - n_controls, self.piece_ends[k], kind, n) for i, kind, n in entered + touched
-            ]
-        for k in (0, -1):
-            found += [
-                Junction(i - n_controls, self.piece_ends[k], kind, 1) for i, kind in structure.touches[k]
-            ]
-        return tuple(found)
+            sliding = structure.slides(k)
+            for i in structure.changes(k):
+                before, after = structure.kinds[k - 1][i], structure.kinds[k][i]
+                if structure.orders[i] and after.at_limit:
+                    found.append((k, i, after, structure.orders[i], -1 if sliding else 0))
+                elif structure.orders[i] and sliding:
+                    found.append((k, i, before, 0, 1))
+            found += [(k, i, kind, 2, 0) for i, kind in structure.touches[k]]
+        found += [(k, i, kind, 1, 0) for k in (0, -1) for i, kind in structure.touches[k]]
+        return tuple(
+            Junction(i - n_controls, self.piece_ends[k], kind, conditions, tangent)
+            for k, i, kind, conditions, tangent in found
+        )
 
     def _smooth(self) -> tuple[Smooth, ...]:
         """One polynomial for every control that nothing determines, over each of its pieces."""
@@ -264,11 +287,20 @@ def _first_resolution(structure: PhaseStructure, piece: int, points: float) -> R
         return Resolution(2, FIRST_DEGREE, SINGULAR_DEGREE)
     if ArcKind.INTERIOR in structure.controls[:, piece]:
         degree = FIRST_DEGREE if structure.on_contact(piece) else INTERIOR_DEGREE
-        return Resolution(int(np.ceil(INTERIOR_SEGMENTS * share)), degree)
+        edges = _turning_edges(structure, piece)
+        segments = len(edges) + 1 if edges else int(np.ceil(INTERIOR_SEGMENTS * share))
+        return Resolution(segments, degree, edges=edges)
     segments = int(np.ceil(share * points / (THINNED * MAX_DEGREE))) if points > COARSE else 1
     return Resolution() if segments == 1 else Resolution(min(segments, MAX_SEGMENTS), MAX_DEGREE)
 
 
-def _released(kinds: KindArray, regular: Mask) -> KindArray:
-    """Release the interior pieces of regular rows."""
-    return choose((kinds == ArcKind.INTERIOR) & regular, ArcKind.RELEASED, kinds)
+def _turning_edges(structure: PhaseStructure, piece: int) -> tuple[float, ...]:
+    """Boundaries of segments, in shares of a piece, ever closer to where a vector turns fast; none if it does not."""
+    turns = [0 < k < structure.pieces and structure.slides(k) for k in (piece, piece + 1)]
+    if structure.on_contact(piece) or not any(turns):
+        return ()
+    closer = [0.5**k for k in range(1, TURNING_SEGMENTS)]
+    if not all(turns):
+        return tuple(closer[::-1] if turns[0] else [1.0 - share for share in closer])
+    halves = [0.5 * share for share in closer]
+    return (*halves[::-1], 0.5, *[1.0 - half for half in halves])

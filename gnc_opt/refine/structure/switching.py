@@ -28,6 +28,7 @@ from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import Plan, points_of
 from gnc_opt.refine.structure.resolved import resolved
 from gnc_opt.refine.structure.simultaneous import settle_costates
+from gnc_opt.refine.structure.vectors import with_magnitudes_at_limits, with_singular_magnitudes
 from gnc_opt.solution.history import History, Pass, RefinementStatus
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
@@ -84,6 +85,7 @@ def optimise_switches(
     problem = solution.need_problem("refine")
     chosen = options or SolverOptions(tolerance=TIGHT, max_iterations=MOST_ITERATIONS)
     found = structures or structures_of(solution)
+    solution = with_magnitudes_at_limits(solution)
     plans = {name: Plan.of(s, points_of(solution.phases[name].mesh)) for name, s in found.items()}
     tries: list[_Try] = []
     with pass_meter(solution.problem_name, tol, progress) as show:
@@ -278,5 +280,5 @@ def _arcs(solution: Solution, plans: Mapping[str, Plan]) -> tuple[Arc, ...]:
     arcs: list[Arc] = []
     for name, s in solution.samples().items():
         labels = (*s.leg.controls.labels, *s.leg.path_labels, *s.leg.states.labels)
-        arcs += plans[name].structure.arcs(name, labels)
+        arcs += with_singular_magnitudes(s, plans[name].structure).arcs(name, labels)
     return tuple(arcs)
