@@ -2,8 +2,7 @@ r"""The measured rendezvous, planned again in flight: every few seconds the prob
 
 The plan has `PLANNED` of the authority; the rest is the regulator's. Every `EVERY` a new plan of least time is made
 on the paper's mesh, from where the filter will be after `LATENCY`, which the computer on board takes to solve; in the
-last `LAST` the plan stays: so late the least time to take out what is left would be seconds. Switch times alone could
-not be adapted: late in the flight fewer are left than the target asks conditions.
+last `LAST` the plan stays: so late the least time to take out what is left would be seconds.
 
 What follows a plan has to be had from any plan at once: each axis is a double integrator of mass m or moment J, whose
 linear-quadratic regulator is known in closed form,

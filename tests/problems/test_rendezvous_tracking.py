@@ -12,6 +12,7 @@ from few_runs import few_runs
 import gnc_opt as go
 from benchmarks.closed_loop import AGREEMENT, ATOL, RTOL, plain_inputs, plain_run
 from gnc_opt.control import feedforward
+from gnc_opt.simulation import consistency
 from gnc_opt.spacecraft import mrp_to_dcm
 from problems.rendezvous_tracking import (
     DISPERSIONS,
@@ -26,7 +27,9 @@ from problems.rendezvous_tracking import (
 )
 from problems.rendezvous_tracking.flown import rivals
 from problems.rendezvous_tracking.guided import Guided, settled
-from problems.rendezvous_tracking.measured import KEEP_OUT, Measured
+from problems.rendezvous_tracking.measured import KEEP_OUT, Filtered, Measured
+from problems.rendezvous_tracking.replanned import PLANNED, Replanned, resolver
+from problems.rendezvous_tracking.report import FILTERS
 
 RUNS, SEED = {"TVLQR": 1000, "integral sliding mode": 250}, 1
 FEW = 60
@@ -75,6 +78,37 @@ def test_a_filter_guides_by_range_and_bearing(measured):
     share = np.sqrt(np.mean((error[6:].T / sigma[:, 6:]) ** 2))  # velocity and position
     assert 0.5 < share < 2.0  # lag and wrong mass are more than noise while switches follow each other
     assert np.min(np.linalg.norm(run.states[9:], axis=0)) > KEEP_OUT
+
+
+@pytest.mark.slow
+def test_planned_again_it_arrives_within_all_limits():
+    """Each run makes four plans, none fails, and the last ends after the least time and before the reserved plan."""
+    again = Replanned(resolver(1).solution)
+    campaign = again.campaign("planned again", 2, SEED, "serial")
+    assert campaign.passed().all() and campaign.event_totals == {"too close": 0}
+    assert np.all(campaign.measure("replans") == 4) and np.all(campaign.measure("failed replans") == 0)
+    arrivals = again.arrivals(campaign)
+    least, first = again.solution.objective * np.sqrt(PLANNED), again.solution.objective
+    assert np.all((least < arrivals) & (arrivals < 26.9)) and np.all(np.abs(arrivals - first) > 1e-3)
+    run = campaign.rerun(1)
+    assert run.replans[-1].final_time == arrivals[1] and [r.time for r in run.replans] == [4, 8, 12, 16]
+    u, plan = run.commands[:, 44:46], run.replans[0]
+    assert plan.effective == pytest.approx(4.5) and not np.allclose(u[:, 0], u[:, 1])
+
+
+@pytest.mark.slow
+def test_a_filter_with_gains_made_beforehand_follows_as_well(tracking):
+    """The same runs behind both filters: errors at the end alike, and estimates within what the filters say."""
+    filtered = Filtered(tracking.solution)
+    ends = []
+    for name in FILTERS:
+        campaign = filtered.campaign(name, 12, SEED, "serial")
+        assert campaign.passed().all()
+        ends.append(np.median(campaign.measure("r_L")))
+        assert consistency(campaign, filtered.filter(name)).innovations["range"].average == pytest.approx(
+            1, abs=0.25
+        )
+    assert ends[1] == pytest.approx(ends[0], rel=0.5)
 
 
 @pytest.mark.slow
@@ -244,17 +278,29 @@ def test_settings_change_law_gains_and_what_the_runs_differ_by(tracking, tmp_pat
 
 @pytest.mark.slow
 def test_main_writes_statistics_and_figures(tracking, guided, tmp_path, capsys, monkeypatch):
-    plans = {(1, RESERVE): tracking.solution, (1, 1.0): guided.solution}
-    monkeypatch.setattr("problems.rendezvous_tracking.report.plan", lambda *asked: plans[asked])
+    plans = {(1, RESERVE): tracking.solution, (1, 1.0): guided.solution, (1, PLANNED): resolver(1).solution}
+    monkeypatch.setattr("problems.rendezvous_tracking.report.plan", lambda *asked, refined=True: plans[asked])
     monkeypatch.setattr(
         "problems.rendezvous_tracking.report.price_of_robustness", lambda case: [(1.0, 2.0), (0.5, 3.0)]
     )
-    arguments = ["--runs", "2", "--mpc-runs", "1", "--json", str(tmp_path / "out.json")]
+    arguments = [
+        "--runs",
+        "2",
+        "--mpc-runs",
+        "1",
+        "--replanned-runs",
+        "1",
+        "--json",
+        str(tmp_path / "out.json"),
+    ]
+    arguments += ["--checkpoint", str(tmp_path / "kept")]
     assert main([*arguments, "--report", str(tmp_path / "figures")]) == 0
     told = json.loads((tmp_path / "out.json").read_text())
     assert set(told["controllers"]) == {
-        "open loop", "TVLQR", "integral sliding mode", "MPC", "guided", "guided, filtered"
+        "open loop", "TVLQR", "integral sliding mode", "MPC", "TVLQR, EKF", "TVLQR, scheduled EKF", "guided",
+        "guided, filtered", "planned again, filtered",
     }  # fmt: skip
+    assert len([*(tmp_path / "kept").glob("*/runs*.npz")]) >= 9
     assert told["controllers"]["TVLQR"]["passed"]["passed"] == 2
     assert "Price of robustness" in capsys.readouterr().out
     assert {"terminal_errors.png", "price_of_robustness.png"} <= {

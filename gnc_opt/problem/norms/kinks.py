@@ -41,7 +41,7 @@ class Extremum:
 def kinks_that_cost(problem: Statement, leg: Phase, domain: Domain) -> dict[str, list[Extremum]]:
     """Return the kinks of the integrands that are convex where less is better, by the names of their integrals."""
     ignored, found = _of_tables(problem, leg), {}
-    wanted = _integral_senses(problem, leg)
+    wanted = integral_senses(problem, leg)
     for name, (_, integrand) in leg.integrands.items():
         nodes = outermost(integrand, ignored, domain) if wanted[name] else []
         if nodes:
@@ -142,7 +142,7 @@ def _is_rounded(expression: Any, kink: Extremum) -> bool:
     return True
 
 
-def _integral_senses(problem: Statement, leg: Phase) -> dict[str, int]:
+def integral_senses(problem: Statement, leg: Phase) -> dict[str, int]:
     """Return 1 for integrals of which less is never worse, -1 for more, 0 for both or neither, by name."""
     domain = Domain.at_ends(problem)
     ends = problem.bind(leg, ca.vertcat(problem.sense * problem.cost, problem.constraint_expression()))
