@@ -125,7 +125,7 @@ def extrema_of(expression: Any, nodes: list[Any], sense: int, domain: Domain) ->
 
 
 def _is_rounded(expression: Any, kink: Extremum) -> bool:
-    """Whether an expression has no slope in a kink wherever two of its pieces meet (``fmax(a, 0)**2``), or no number."""
+    """Whether an expression has no slope, or no finite one, wherever two pieces of a kink meet: ``fmax(a, 0)**2``."""
     z = ca.SX.sym("z")
     of_z = replaced(expression, {kink.node.element_hash(): z})
     slope = ca.densify(ca.jacobian(of_z, z))
