@@ -35,6 +35,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, SolverOptions, Status
+from gnc_opt.nlp.monitor import ProgressCallback
 from gnc_opt.problem.guess.flown import with_flown_guess
 from gnc_opt.problem.guess.random import with_random_guess
 from gnc_opt.problem.norms import restated
@@ -61,7 +62,8 @@ MANY = 1000
 LOST = 300
 """Iterations after which a start from straight lines gives way to a flight, which follows the dynamics if nothing else:
 an entry through an atmosphere that is exponential in height goes on for thousands from a line, and takes 80 from a
-flight. (Of 84 problems that are solved from straight lines none takes more than 143.)"""
+flight. (Of 84 problems that are solved from straight lines none takes more than 143.) As many are enough to meet the
+constraints alone, where that can be done."""
 
 TRAJECTORY_ONLY = tuple(s for s in Status if not s.solved and s is not Status.INTERRUPTED)
 """Endings of a warm start after which its multipliers are given up."""
@@ -241,7 +243,7 @@ def _shows_what_happens(solution: Solution) -> bool:
 def _solve_point(
     solver: NlpSolver,
     point: NlpPoint,
-    show: ShowIteration | None,
+    show: ProgressCallback | None,
     deadline: float,
     first: NlpResult | None = None,
 ) -> NlpResult:
@@ -288,14 +290,15 @@ def _constraints_first(attempt: Attempt, failed: NlpResult, deadline: float) -> 
             break
         point = attempt.point(ProgramStart(place.variables), held=place.held, with_cost=False)
         with attempt.meter(with_cost=False) as show:
-            spent.append(_solve_point(attempt.solver, point, show, deadline))
+            patience = _Patience(show)
+            spent.append(_solve_point(attempt.solver, point, patience, deadline))
         if spent[-1].status.solved:
             point = attempt.point(ProgramStart(spent[-1].x * attempt.scaling.variables))
             with attempt.meter() as show:
                 spent.append(_solve_point(attempt.solver, point, show, deadline))
             if spent[-1].status not in CONSTRAINTS_FIRST:
                 return spent[-1].with_effort(spent)
-        elif spent[-1].status is Status.INTERRUPTED:
+        elif spent[-1].status is Status.INTERRUPTED and not patience.lost:
             break
     return failed.with_effort(spent)
 

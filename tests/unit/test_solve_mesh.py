@@ -153,6 +153,15 @@ def test_lines_that_lead_on_and_on_give_way_to_a_flight(
     assert found.statistics.iterations == sum(watch.costs)
 
 
+def test_constraints_that_are_not_met_soon_are_looked_for_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No interruption of the search, which is one by the user."""
+    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "LOST", 1)
+    watch = Stumbling(monkeypatch, Status.INFEASIBLE)
+    failed = solve_mesh(hasty(), "3x4", options=go.SolverOptions(max_iterations=999))
+    assert failed.status is Status.INFEASIBLE
+    assert len(watch.points) == 7 and watch.costs[1:] == [1] * 6, "six starts, one iteration each"
+
+
 def test_a_failure_on_the_way_leads_to_the_next_start(monkeypatch: pytest.MonkeyPatch) -> None:
     """The constraints can be met, but not with the cost; the second start is met at once."""
     watch = Stumbling(monkeypatch, Status.INFEASIBLE, None, Status.INFEASIBLE)
