@@ -27,7 +27,7 @@ from gnc_opt.control.linear.gains import (
     riccati_gains,
 )
 from gnc_opt.control.linear.linearization_table import LinearizationTable
-from gnc_opt.control.linear.margins import _at_rest, margins
+from gnc_opt.control.linear.margins import _at_rest, _frequencies, margins
 from gnc_opt.control.linear.riccati import (
     gain_of,
     require_detectable,
@@ -685,6 +685,20 @@ def test_what_integrates_but_for_rounding_has_no_gain_at_rest(c, dt):
     still = -slow if dt is None else np.eye(2) - slow
     expected = np.array([2.0, 1.0]) @ np.linalg.inv(still) @ np.array([1.0, 0.0])
     assert _at_rest(slow, np.array([1.0, 0.0]), np.array([2.0, 1.0]), dt) == pytest.approx(expected)
+
+
+def test_frequencies_reach_four_decades_beyond_the_slowest_and_the_fastest_pole():
+    """Rates of 0.01 and 300 per second, and a resonance at 5 rad/s with a node on each side."""
+    a = np.zeros((4, 4))
+    a[0, 0], a[1, 1], a[2:, 2:] = -0.01, -300.0, [[0.0, 1.0], [-25.0, -1e-6]]
+    grid = _frequencies(a, a, None)
+    assert grid[[0, -1]] == pytest.approx([1e-6, 3e6]) and np.all(np.diff(grid) > 0)
+    below, above = (grid[grid < 5.0][-1], grid[grid > 5.0][0])
+    assert 0 < 5.0 - below < 1e-5 and 0 < above - 5.0 < 1e-5
+    sampled = _frequencies(np.eye(4) + 1e-4 * a, np.eye(4) + 1e-4 * a, 1e-4)
+    assert sampled[-1] == np.pi / 1e-4 and sampled[-2] < sampled[-1] and sampled[0] == pytest.approx(1e-6)
+    none = _frequencies(np.zeros((1, 1)), np.zeros((1, 1)), None)
+    assert none[[0, -1]] == pytest.approx([1e-4, 1e4])
 
 
 def test_channels_are_judged_with_the_others_closed():

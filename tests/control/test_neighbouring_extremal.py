@@ -133,6 +133,15 @@ def test_neighbours_solved_again_agree_to_second_order():
     assert errors[0] / errors[1] == pytest.approx([4.0, 4.0], rel=0.15)
 
 
+def test_the_end_moves_at_first_as_it_is_told(straight, controller):
+    """By deviations of the start, each alone: central differences of the closed form."""
+    told = controller.explain()["end by deviation"]
+    step = 1e-4
+    for i, off in enumerate(step * np.eye(2)):
+        q, v = np.array([4.0, 0.5]) + off, np.array([4.0, 0.5]) - off
+        assert told[i] == pytest.approx((best(*q)[1] - best(*v)[1]) / (2 * step), rel=1e-4)
+
+
 def test_a_guided_flight_ends_where_the_plan_ends(straight, controller):
     off, valid = np.array([0.3, -0.2]), controller.explain()["valid for"]
     assert np.all(np.abs(off) < valid) and np.all(valid < straight.phase().x(0.0) + 0.5)

@@ -357,3 +357,34 @@ def test_a_battery_that_gives_back_less_than_it_took_is_drained_least() -> None:
     cruise = 2.0 - np.sqrt(2.0)  # x = 4 v - v**2 at full force up and down
     assert go.verify(solution).ok
     assert solution.objective == pytest.approx(1.0 - (1 / 0.8 - 0.8) * cruise**2 / 2, rel=1e-8)
+
+
+# --- norms of more than controls --------------------------------------------------------------------------
+
+
+def pushed(cost: Callable[[Any, Any], Any]) -> go.Problem:
+    """Speeds of two axes that grow by one and by zero in a second."""
+    model = go.Model("plane")
+    v, a = model.state("v", 2), model.control("a", 2)
+    model.ode({v: a})
+    problem = go.Problem("plane")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(v=[0.0, 0.0])
+    leg.final(v=[1.0, 0.0])
+    problem.minimize(leg.integral(cost(v, a)))
+    return problem
+
+
+def test_a_norm_that_rests_where_its_argument_vanishes() -> None:
+    """a = (1, 0) all along: it costs 1 by its square, and as it is what is wanted, nothing by the norm."""
+    problem = pushed(lambda v, a: ca.sumsqr(a) + ca.norm_2(a - ca.DM([1.0, 0.0])))
+    solution = go.solve(problem, mesh="4x3")
+    assert restated(problem).phases["leg"].vectors[0].name == "argument"
+    assert solution.objective == pytest.approx(1.0, abs=1e-7)
+    np.testing.assert_allclose(solution.flown_control("a")(0.4), [1.0, 0.0], atol=1e-6)
+
+
+def test_lengths_of_paths_stay_as_they_are() -> None:
+    problem = pushed(lambda v, a: ca.sqrt(a[0] ** 2 + (a[1] * ca.cos(v[0])) ** 2))
+    assert restated(problem) is problem

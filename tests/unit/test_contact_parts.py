@@ -344,13 +344,17 @@ def test_a_push_counts_near_the_limit_in_its_direction() -> None:
 
 @dataclass(frozen=True)
 class Push:
-    """A run that knows whether it can be held, and whether it is known."""
+    """A run that knows whether it can be held, whether it is known, and whether the mesh alone pushes."""
 
     row: int
     times: Any
     worth: Any
     can: bool
     seen: bool
+    slides: bool = False
+
+    def beside_slide(self, structure: Any, samples: Any) -> bool:
+        return self.slides
 
     def possible(self, structure: Any) -> bool:
         return self.can
@@ -366,9 +370,10 @@ def test_runs_that_nothing_holds_or_that_are_known_are_no_contacts(monkeypatch: 
     )
     times, worth = np.array([0.25, 0.75, 1.5]), np.array([1.0, 2.0, 3.0])
     runs = [Push(1, times, worth, can, seen) for can in (True, False) for seen in (False, True)]
+    runs.append(Push(1, times, worth, True, False, True))
     runs.append(Push(1, times[2:], worth[2:], True, False))  # on the contact alone
     asked: list[Any] = []
     monkeypatch.setattr(c, "_pushing_runs", lambda constraints, rows: asked.append(list(rows)) or runs)
     (found,) = c._runs_of_pushes(SimpleNamespace(samples=None), structure)  # type: ignore[arg-type]
     assert asked == [[1]] and found.row == 2 and found.worth.tolist() == [1.0, 2.0, 0.0]
-    assert (found.can, found.seen) == (True, False)  # type: ignore[attr-defined]
+    assert (found.can, found.seen, found.slides) == (True, False, False)  # type: ignore[attr-defined]

@@ -61,6 +61,12 @@ def test_segments_that_are_all_alike_are_equal() -> None:
     assert found.segments == 8 and found.shares == pytest.approx(np.linspace(0.0, 1.0, 9))
 
 
+def test_the_worst_segment_says_how_many_points_all_have() -> None:
+    rows = np.array([row(1e-3 * MOST, MAX_DEGREE - 1), row(MOST, MAX_DEGREE - 2)])
+    found = r._resolution(lambda b: rows, row(1e3 * MOST), 0.0, 1.0, MOST)
+    assert found == Resolution(2, MAX_DEGREE - 2, edges=(0.5,))
+
+
 @pytest.mark.parametrize(("share", "segments"), [(0.99, 2), (1.0, 1), (1.01, 1)])
 def test_what_halving_hardly_helps_is_left(share: float, segments: int) -> None:
     worst = [1.0]

@@ -21,6 +21,7 @@ from gnc_opt.model.symbol import Symbol
 from gnc_opt.problem.constraint import Constraint
 from gnc_opt.problem.guess.ends import guess_times
 from gnc_opt.problem.guess.trajectory import start_phase
+from gnc_opt.problem.guess.values import GuessValue
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.norms.domain import Domain
 from gnc_opt.problem.norms.extrema import is_smooth, pieces, rows_of
@@ -159,7 +160,9 @@ class EpigraphForm:
         least = np.array([self.least[name] for name in self.kinks])
         box = leg.numbers.controls
         guess = leg.numbers.guess
-        values = {name: _along_guess(problem, stated, kink) for name, kink in self.kinks.items()}
+        values = {
+            name: along_guess(problem, stated, kink.sense * kink.node) for name, kink in self.kinks.items()
+        }
         leg.numbers = replace(
             leg.numbers,
             controls=Interval(
@@ -172,20 +175,17 @@ class EpigraphForm:
         leg.restatement = self.restatement.after(leg.restatement)
 
 
-def _along_guess(problem: Statement, stated: Phase, kink: Extremum) -> Any:
-    """The value of a kink along the guess of a phase, as a function of time."""
-    function = ca.Function(
-        "kink",
-        [*stated.model.arguments(), problem.parameter_symbols()],
-        [kink.sense * problem.bind(stated, kink.node)],
-    )
+def along_guess(problem: Statement, stated: Phase, column: Any) -> GuessValue:
+    """Return the values of a column along the guess of a phase, as a function of time."""
+    arguments = [*stated.model.arguments(), problem.parameter_symbols()]
+    function = ca.Function("guessed", arguments, [ca.densify(problem.bind(stated, column))])
     q = np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
 
-    def at(t: float) -> Array:
+    def at(t: Any) -> Array:
         first, last = guess_times(stated)
         start = start_phase(stated, np.array([(t - first) / (last - first)]), perturbed=False)
-        value = function(t, start.states[:, 0], start.controls[:, 0], stated.model.parameter_values, q)
-        return np.array([float(value)])
+        values = function(t, start.states[:, 0], start.controls[:, 0], stated.model.parameter_values, q)
+        return np.asarray(values.full()[:, 0])
 
     return at
 

@@ -41,7 +41,7 @@ class Extremum:
 def kinks_that_cost(problem: Statement, leg: Phase, domain: Domain) -> dict[str, list[Extremum]]:
     """Return the kinks of the integrands that are convex where less is better, by the names of their integrals."""
     ignored, found = _of_tables(problem, leg), {}
-    wanted = _integral_senses(problem, leg)
+    wanted = integral_senses(problem, leg)
     for name, (_, integrand) in leg.integrands.items():
         nodes = outermost(integrand, ignored, domain) if wanted[name] else []
         if nodes:
@@ -125,7 +125,7 @@ def extrema_of(expression: Any, nodes: list[Any], sense: int, domain: Domain) ->
 
 
 def _is_rounded(expression: Any, kink: Extremum) -> bool:
-    """Whether an expression has no slope in a kink wherever two of its pieces meet: ``fmax(a, 0)**2``."""
+    """Whether an expression has no slope, or no finite one, wherever two pieces of a kink meet: ``fmax(a, 0)**2``."""
     z = ca.SX.sym("z")
     of_z = replaced(expression, {kink.node.element_hash(): z})
     slope = ca.densify(ca.jacobian(of_z, z))
@@ -137,12 +137,14 @@ def _is_rounded(expression: Any, kink: Extremum) -> bool:
         column = ca.vertcat(ca.substitute(slope, z, first), first, *kink.pieces)
         slopes, here, *others = drawn(ca.substitute(column, symbol, meeting(gap, symbol)))
         largest = np.all(kink.sense * (here - np.array(others)) >= -EQUAL, axis=0)
+        if np.any(largest & ~np.isfinite(slopes)):
+            return True
         if np.any(largest & (np.abs(slopes) > EQUAL)):
             return False
     return True
 
 
-def _integral_senses(problem: Statement, leg: Phase) -> dict[str, int]:
+def integral_senses(problem: Statement, leg: Phase) -> dict[str, int]:
     """Return 1 for integrals of which less is never worse, -1 for more, 0 for both or neither, by name."""
     domain = Domain.at_ends(problem)
     ends = problem.bind(leg, ca.vertcat(problem.sense * problem.cost, problem.constraint_expression()))

@@ -14,6 +14,7 @@ from gnc_opt.model.norms import ROOTS
 from gnc_opt.problem.guess.ends import guess_times
 from gnc_opt.problem.guess.trajectory import start_phase
 from gnc_opt.problem.interval import Interval, free
+from gnc_opt.problem.norms.argument import ArgumentForm, argument_of_norm
 from gnc_opt.problem.norms.bounds import bound_controls, bounds_by_hand
 from gnc_opt.problem.norms.domain import Domain
 from gnc_opt.problem.norms.ends import EndForm, has_end_kinks
@@ -50,6 +51,10 @@ def restated(problem: P) -> P:
         )
         while (form := _form(problem, leg, key)) is not None:
             key = (*key, form.vector.places, *_restate(leg, form))
+        while (named := _named(problem, leg, key)) is not None:
+            key = (*key, named)
+            while (form := _form(problem, leg, key)) is not None:
+                key = (*key, form.vector.places, *_restate(leg, form))
         key = (*key, *_straighten(problem, leg, key))
         rootless = problem.once(("rootless", *key), lambda leg=leg: without_roots(leg))  # type: ignore[misc]
         leg.paths |= rootless
@@ -85,6 +90,19 @@ def _form(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> Form | None:
         return None if places is None else Form.of(leg, places)
 
     return problem.once(("form", *key), build)
+
+
+def _named(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> int | None:
+    """Restate the argument of a norm as a control; return what tells the form from others, None without such a norm."""
+    if not {*ROOTS} & problem.once(("operations", *key), lambda: operations_in(along(leg))):
+        return None
+    domain = Domain.along(problem, leg)
+    found = problem.once(("argument", *key, domain.key), lambda: argument_of_norm(problem, leg, domain))
+    if found is None:
+        return None
+    place = int(found.root.element_hash())
+    problem.once(("named", *key, place), lambda: ArgumentForm.of(leg, found)).apply(problem, leg)
+    return place
 
 
 def _straighten(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[Any, ...]:

@@ -30,7 +30,7 @@ SHORTER = 0.95
 """... if the mean of the vector is shorter than this share of the limit there."""
 
 ALONE = 1e-9
-"""Share of H within which only the product matters to it."""
+"""Share of their terms within which slopes in magnitude and direction are those of the product alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,13 +104,12 @@ def _only_product(s: PhaseSamples, v: ProductVector) -> bool:
     rows = s.functions.path_control_jacobian(s.times, s.x, u)
     others = np.delete(rows, v.length, axis=0)
 
-    def differs(slope: Array, size: Array | float) -> bool:
+    def differs(slope: Array) -> bool:
         by_size, by_direction = slope[v.magnitude] * u[v.magnitude], slope[v.direction] * u[v.direction]
-        return bool(np.any(np.abs(by_size - np.sum(by_direction, axis=0)) > ALONE * size))
+        amount = np.abs(by_size) + np.sum(np.abs(by_direction), axis=0)
+        return bool(np.any(np.abs(by_size - np.sum(by_direction, axis=0)) > ALONE * amount))
 
-    return not differs(slopes, s.hamiltonian_scale) and not any(
-        differs(row, max(float(np.max(np.abs(row))), 1e-300)) for row in others
-    )
+    return not differs(slopes) and not any(differs(row) for row in others)
 
 
 def label_vectors(s: PhaseSamples, rows: list[KindArray]) -> dict[int, tuple[int, ...]]:
