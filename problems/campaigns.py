@@ -16,12 +16,20 @@ from gnc_opt.simulation import Campaign
 
 
 def parser(prog: str, description: str) -> argparse.ArgumentParser:
-    """Return what reads ``--runs``, ``--seed`` and ``--json``."""
+    """Return what reads ``--runs``, ``--seed``, ``--json`` and ``--checkpoint``."""
     found = argparse.ArgumentParser(prog=prog, description=description)
     found.add_argument("--runs", type=int, default=1000, help="per law, default 1000")
     found.add_argument("--seed", type=int, default=1)
     found.add_argument("--json", type=Path, metavar="OUT", help="write the statistics to a file")
+    found.add_argument(
+        "--checkpoint", type=Path, metavar="DIR", help="keep finished runs there; they are not flown again"
+    )
     return found
+
+
+def kept_in(folder: Path | None, law: str) -> Path | None:
+    """Return where the finished runs of a law are kept, if anywhere."""
+    return None if folder is None else folder / law.replace(", ", "-").replace("/", "-").replace(" ", "_")
 
 
 def wide_console(width: int) -> Console:

@@ -1,6 +1,6 @@
 """Attitude control from sensors to motors: star tracker with gaps, gyro with bias, four wheels within their limits.
 
-    python -m problems.attitude_control [--runs N] [--seed S] [--json OUT]
+    python -m problems.attitude_control [--runs N] [--seed S] [--json OUT] [--checkpoint DIR]
 
 To be read in this order:
 

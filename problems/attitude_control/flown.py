@@ -18,6 +18,7 @@ can.
 from __future__ import annotations
 
 from concurrent.futures import Executor
+from pathlib import Path
 from typing import Literal
 
 import casadi as ca
@@ -128,6 +129,7 @@ def campaign(
     *,
     bias: bool = True,
     progress: bool = False,
+    checkpoint: Path | None = None,
 ) -> Campaign:
     """Fly one of `LAWS`; the same seed gives all of them the same spacecraft, sensors and gaps."""
     return monte_carlo(
@@ -141,4 +143,5 @@ def campaign(
         limits=LIMITS,
         executor=executor,
         progress=progress,
+        checkpoint=checkpoint,
     )

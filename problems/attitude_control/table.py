@@ -11,7 +11,7 @@ from gnc_opt.simulation import Campaign, consistency
 from problems.attitude_control.board import LAWS, estimator
 from problems.attitude_control.flown import LIMITS, campaign
 from problems.attitude_control.model import slew
-from problems.campaigns import parser, table, wide_console, write
+from problems.campaigns import kept_in, parser, table, wide_console, write
 
 DEMANDED = 0.99
 """Share of the runs in which the regulator along the slew has to meet all limits."""
@@ -45,11 +45,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console = wide_console(_WIDTH)
     console.print(f"slew of least energy: {slew().objective:.6f} N^2 m^2 s; seed {options.seed}")
     campaigns = {
-        name: campaign(name, options.runs, options.seed, progress=console.is_terminal) for name in LAWS
+        name: campaign(
+            LAWS[0] if name == WITHOUT else name,
+            options.runs,
+            options.seed,
+            bias=name != WITHOUT,
+            progress=console.is_terminal,
+            checkpoint=kept_in(options.checkpoint, name),
+        )
+        for name in (*LAWS, WITHOUT)
     }
-    campaigns[WITHOUT] = campaign(
-        LAWS[0], options.runs, options.seed, bias=False, progress=console.is_terminal
-    )
     console.print(table("Slews from sensors to motors", campaigns, MEASURES))
     told = ", ".join(f"{MEASURES[name][0]} {MEASURES[name][1] * limit:g}" for name, limit in LIMITS.items())
     console.print(f"limits: {told}")

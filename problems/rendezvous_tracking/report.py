@@ -19,6 +19,7 @@ from rich.table import Table
 from gnc_opt.errors import GncOptError
 from gnc_opt.report.campaign import campaign_dict
 from gnc_opt.simulation import Campaign
+from problems.campaigns import kept_in
 from problems.flown import with_settings
 from problems.rendezvous import CASES
 from problems.rendezvous_tracking.guided import Guided
@@ -129,12 +130,7 @@ def _run(options: argparse.Namespace) -> int:
     seconds: dict[str, float] = {}
 
     def how(name: str) -> dict[str, Any]:
-        place = (
-            None
-            if options.checkpoint is None
-            else options.checkpoint / name.replace(", ", "-").replace(" ", "_")
-        )
-        return {"progress": console.is_terminal, "checkpoint": place}
+        return {"progress": console.is_terminal, "checkpoint": kept_in(options.checkpoint, name)}
 
     for name in conditions.laws:
         runs = min(options.runs, options.mpc_runs) if name == "MPC" else options.runs

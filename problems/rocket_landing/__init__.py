@@ -1,6 +1,6 @@
 """A rocket lands on Mars in wind, its plan made again in flight, beside a published law.
 
-    python -m problems.rocket_landing [--runs N] [--seed S] [--json OUT]
+    python -m problems.rocket_landing [--runs N] [--seed S] [--json OUT] [--checkpoint DIR]
 
 To be read in this order:
 

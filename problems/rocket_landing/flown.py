@@ -18,6 +18,7 @@ from __future__ import annotations
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cache, cached_property
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -139,6 +140,7 @@ class Landing:
         executor: Executor | Literal["serial"] | None = None,
         *,
         progress: bool = False,
+        checkpoint: Path | None = None,
     ) -> Campaign:
         """Fly one of `CONTROLLERS`; the same seed gives all of them the same landers, winds and starts."""
         return monte_carlo(
@@ -158,6 +160,7 @@ class Landing:
             },
             executor=executor,
             progress=progress,
+            checkpoint=checkpoint,
         )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gnc_opt.simulation import Campaign
-from problems.campaigns import parser, table, wide_console, write
+from problems.campaigns import kept_in, parser, table, wide_console, write
 from problems.rocket_landing.flown import CONTROLLERS, LIMITS, Landing
 from problems.rocket_landing.model import PLANNED, START
 
@@ -45,7 +45,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     campaigns: dict[str, Campaign] = {}
     for name in CONTROLLERS:
-        campaigns[name] = landing.campaign(name, options.runs, options.seed, progress=console.is_terminal)
+        place = kept_in(options.checkpoint, name)
+        campaigns[name] = landing.campaign(
+            name, options.runs, options.seed, progress=console.is_terminal, checkpoint=place
+        )
     measures = {name: (f"{name} ({unit})", 1.0) for name, unit in _UNITS.items()}
     console.print(table("Landings", campaigns, measures, _COUNTS))
     told = ", ".join(f"{name} {limit:g} {_UNITS[name]}" for name, limit in LIMITS.items())

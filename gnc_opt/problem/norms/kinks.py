@@ -125,7 +125,7 @@ def extrema_of(expression: Any, nodes: list[Any], sense: int, domain: Domain) ->
 
 
 def _is_rounded(expression: Any, kink: Extremum) -> bool:
-    """Whether an expression has no slope in a kink wherever two of its pieces meet: ``fmax(a, 0)**2``."""
+    """Whether an expression has no slope, or no finite one, wherever two pieces of a kink meet: ``fmax(a, 0)**2``."""
     z = ca.SX.sym("z")
     of_z = replaced(expression, {kink.node.element_hash(): z})
     slope = ca.densify(ca.jacobian(of_z, z))
@@ -137,6 +137,8 @@ def _is_rounded(expression: Any, kink: Extremum) -> bool:
         column = ca.vertcat(ca.substitute(slope, z, first), first, *kink.pieces)
         slopes, here, *others = drawn(ca.substitute(column, symbol, meeting(gap, symbol)))
         largest = np.all(kink.sense * (here - np.array(others)) >= -EQUAL, axis=0)
+        if np.any(largest & ~np.isfinite(slopes)):
+            return True
         if np.any(largest & (np.abs(slopes) > EQUAL)):
             return False
     return True
