@@ -39,8 +39,8 @@ UNASKED, AGAIN = 0.5, 0.25
 """Shares of the work after which a control structure that nobody asked for is given up, first and later. What it costs
 comes on top of what the mesh may cost."""
 
-BRIEF = SolverOptions(tolerance=TIGHT, max_iterations=50)
-"""For solves with such a structure: those that lead anywhere begin near their end, and take 5 to 25 iterations."""
+BRIEF = SolverOptions(tolerance=TIGHT, max_iterations=100)
+"""For solves with such a structure: those that lead anywhere begin near their end."""
 
 EARLY = 3
 """Passes of the mesh after which it is asked for a structure again, where the first one did not lead anywhere."""
