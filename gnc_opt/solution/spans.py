@@ -14,6 +14,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array
+from gnc_opt.model.composed import VectorControl
 from gnc_opt.model.layout import Layout
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.problem.interval import Interval
@@ -135,7 +136,13 @@ def steering(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
     lasts = leg.breaks[-1] - leg.breaks[0]
     asked = np.divide(moved, lasts * by_control, out=np.full(by_control.shape, np.inf), where=by_control > 0)
     least = np.min(asked, axis=0, initial=np.inf)
-    return np.asarray(np.where(np.isfinite(least), least, 0.0))
+    least = np.where(np.isfinite(least), least, 0.0)
+    for vector in (c for c in leg.composed_controls if isinstance(c, VectorControl)):
+        place = leg.controls.slice(
+            vector.direction
+        )  # of length 1: where it coasts, nothing could ask for more
+        least[place] = np.minimum(least[place], 1.0)
+    return np.asarray(least)
 
 
 def _movable(leg: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:

@@ -115,7 +115,10 @@ def _limits(bounds: Interval, kind: ArcKind) -> Array:
 
 def _at_points(kinds: Kinds, collocation: PhaseCollocation) -> Any:
     """The kind of every row at every point, an object array (n, N)."""
-    return np.repeat(np.asarray(kinds, dtype=object), collocation.mesh.degrees, axis=1)
+    kinds_of = np.asarray(kinds, dtype=object).reshape(
+        len(kinds), collocation.mesh.segments
+    )  # a coast has none
+    return np.repeat(kinds_of, collocation.mesh.degrees, axis=1)
 
 
 def _put(box: Interval, places: Indices, kinds: Any, bounds: Interval) -> None:

@@ -164,3 +164,25 @@ def test_a_link_back_hands_nothing_over() -> None:
     problem.link(first, second)
     problem.link(second, first, time=False)
     assert [end_values(leg)[0].tolist() for leg in (first, second)] == [[0.0], [0.0]]
+
+
+def test_a_coast_without_controls_beside_arcs_of_bangs() -> None:
+    """1 m from rest to rest at |u| <= 1, with 0.6 s of drifting in between at v: v^2 + 0.6 v = 1."""
+    problem = go.Problem("push, drift and brake")
+    legs = []
+    for name in ("push", "drift", "brake"):
+        model = go.Model(name)
+        x, v = model.state("x"), model.state("v")
+        model.ode({x: v, v: 0.0 if name == "drift" else model.control("u")})
+        legs.append(problem.phase(name, model))
+        if name != "drift":
+            legs[-1].bounds(u=(-1.0, 1.0))
+    problem.sequence(*legs, durations={"push": (0.2, 3.0), "drift": 0.6, "brake": (0.2, 3.0)})
+    legs[0].initial(x=0.0, v=0.0)
+    legs[2].final(x=1.0, v=0.0)
+    problem.minimize(legs[2].final_time)
+    speed = (-0.6 + math.sqrt(0.6**2 + 4.0)) / 2  # v^2 + 0.6 v = 1
+    solution = go.solve(problem)
+    assert solution.objective == pytest.approx(2 * speed + 0.6, abs=1e-8)
+    assert solution.history is not None and solution.history.status is go.RefinementStatus.CONVERGED
+    assert all(arc.phase != "drift" for arc in solution.structure)

@@ -80,6 +80,9 @@ def test_only_the_product_of_a_vector_that_costs_nothing_matters(straight: go.So
     assert (vector.magnitude, list(vector.direction), vector.most) == (0, [1, 2], 1.0)
     (fuelled,) = go.solve(flight([0.0, 0.0], [1.0, 0.5], fuel=True), mesh="6x3", tol=None).samples().values()
     assert list(product_vectors(fuelled)) == []
+    assert np.all(
+        fuelled.control_span < 10.0
+    )  # along a coast a direction moves nothing, which makes it no longer
 
 
 TURNING = PhaseStructure(
