@@ -257,6 +257,8 @@ def _never_moved(flows: Array) -> Array | None:
         if not moved.trace() <= len(flows):
             shares, vectors = np.linalg.eigh(moved)
             moved = (vectors * np.clip(shares, 0.0, len(flows))) @ vectors.T
+    if not np.all(np.isfinite(moved)):
+        return None
     shares, vectors = np.linalg.eigh(moved / len(flows))
     if np.any((shares > UNREACHABLE) & (shares < REACHABLE)):
         return None
@@ -305,11 +307,9 @@ def _orthonormalised(matrix: Array) -> tuple[Array, Array]:
 
 
 def _inverse(upper: Array) -> Array:
-    """Inverse of an upper triangular matrix (n, n)."""
+    """Inverse of an upper triangular matrix (n, n); not a number where it has none."""
     inverse, singular = scipy.linalg.lapack.dtrtri(upper)
-    if singular:
-        raise np.linalg.LinAlgError("a flow is singular")
-    return np.asarray(inverse)
+    return np.full_like(upper, np.nan) if singular else np.asarray(inverse)
 
 
 def _system(s: PhaseSamples, times: Array) -> tuple[Array, Array]:

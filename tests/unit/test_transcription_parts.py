@@ -241,6 +241,13 @@ def box(size: int) -> Interval:
     return Interval(np.full(size, -7.0), np.full(size, 7.0))
 
 
+def test_a_phase_without_controls_has_none_to_hold() -> None:
+    part = collocation("LG", Mesh((0.0, 0.3, 1.0), (2, 1)), n=1, m=0)
+    found = box(part.n_variables)
+    hold_controls(found, Held(()), interval([], []), part)
+    assert np.all(found.lower == -7) and np.all(found.upper == 7)
+
+
 def test_controls_and_paths_are_held_at_the_points_of_their_segments() -> None:
     part = collocation("LG", Mesh((0.0, 0.3, 0.6, 1.0), (2, 1, 1)), n=1, m=2, paths=1)
     found = box(part.n_variables)
