@@ -355,7 +355,7 @@ def test_starts_for_the_constraints_are_stretched_within_bounds_flown_and_random
     assert np.array_equal(starts[0].variables, tried.start.x)
     rest_of = np.delete(np.arange(tried.start.x.size), place)
     assert all(np.array_equal(s.variables[rest_of], tried.start.x[rest_of]) for s in starts[:4])
-    q, v = starts[4].variables[tried.transcription.parts["leg"].boundary_states[:, -1]]
+    q, v = starts[4].variables[tried.transcription.parts["leg"].collocation.boundary_states[:, -1]]
     assert v != 0 and q == pytest.approx(v, rel=1e-9), "under a constant push from rest over 2 s: v t / 2"
     assert not np.allclose(starts[5].variables, starts[6].variables)
     fixed = cart()
