@@ -363,7 +363,7 @@ def test_starts_for_the_constraints_are_stretched_within_bounds_flown_and_random
     still = Attempt.prepare(fixed, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     assert [s.held.tolist() for s in tries.feasibility_starts(still.transcription, fixed, still.start.x)] == [
         []
-    ] * 3
+    ] * 4
 
 
 @pytest.mark.parametrize(
