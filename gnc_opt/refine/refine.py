@@ -24,6 +24,7 @@ from gnc_opt.refine.structure.detect import (
     regular_channels,
     structures_of,
 )
+from gnc_opt.refine.structure.ends import with_ends_met
 from gnc_opt.refine.structure.mending import VANISHED
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.switching import TIGHT, optimise_switches
@@ -315,9 +316,17 @@ class _Task:
     def _by_structure(
         self, start: Solution, found: Mapping[str, PhaseStructure], share: float = 1.0
     ) -> Iterator[_Attempt]:
-        """Try the structure that a mesh shows; if it cannot be met at all, that of a slightly finer mesh."""
+        """Try the structure that a mesh shows, then that with path constraints kept at the ends of phases, too.
+
+        If the first cannot be met at all, also that of a slightly finer mesh.
+        """
         first = self._structured(start, found, share)
         yield first
+        met = with_ends_met(start, options=self.options, deadline=self.deadline)
+        if met is not None and met.status.solved:
+            kept = structures_of(met)
+            if not self._known(kept):
+                yield self._structured(met, kept, share)
         if first.history.status is RefinementStatus.FAILED and not any(
             p.solved for p in first.history.passes
         ):
