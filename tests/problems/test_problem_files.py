@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from test_layout import SHARED
 
 import gnc_opt as go
 from gnc_opt import cli
@@ -43,11 +44,7 @@ from problems.run import TOLERANCE, comparison, run
 Array = NDArray[np.float64]
 
 FOLDER = Path(goddard.__file__).parent
-NAMES = sorted(
-    path.stem
-    for path in FOLDER.glob("*.py")
-    if path.stem not in ("__init__", "all", "comparison", "dispersed", "flown", "fronts", "reference", "run")
-)
+NAMES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in SHARED | {"__init__"})
 """The basic problems, of one file each; systems are folders with tests of their own."""
 ON_A_MESH = {"climb": "120x6", "low_thrust": "60x8"}
 """Solved on this mesh here; ``python -m benchmarks.problem_files`` refines and judges them."""

@@ -29,6 +29,7 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import states_at_points
+from gnc_opt.refine.structure.ends import with_starts_on_limits
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.state_constraints import NEAR, StateConstraints
 from gnc_opt.solution.polynomial import Side
@@ -124,7 +125,7 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
     structure = replace(structure, orders=(*(0,) * first, *orders), holders=(*((),) * first, *holders))
     for run in _runs_of_pushes(constraints, structure):
         structure = run.added(structure, samples)
-    return structure
+    return with_starts_on_limits(structure, problem.phases[samples.leg.name], samples)
 
 
 @dataclass(frozen=True, eq=False)

@@ -174,7 +174,7 @@ def _offences(samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray
     below = np.vstack([bounds.lower[:, None] - samples.u_polynomial, paths.lower[:, None] - values])
     kinds = kinds[: pull.shape[0]]
     signs = signs_of(kinds)
-    regular = np.array(structure.regular[: pull.shape[0]])[:, None]
+    regular = np.array(structure.regular[: pull.shape[0]], dtype=bool)[:, None]
     linear = linear_limits(samples).paths
     limiting = np.append(np.zeros(samples.leg.controls.size, dtype=bool), linear)[:, None]
     affine = np.append(affine_channels(samples), np.zeros(len(values), dtype=bool))[:, None] | limiting

@@ -1,0 +1,97 @@
+"""Arcs of path constraints that begin or end with a phase, and phases without controls: closed forms by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.problem.arc import ArcKind
+from gnc_opt.refine.structure.ends import with_ends_met
+
+DRAG, TOP = 0.1, 0.6
+COAST = 0.3
+"""Shortest coast, and shortest push and brake, s; any longer coast is worse."""
+
+
+def carriage(name: str, drag: float | None = None) -> go.Model:
+    """A double integrator with |u| <= 1, or without its control, slowed by its drag."""
+    model = go.Model(name)
+    x, v = model.state("x"), model.state("v")
+    model.ode({x: v, v: model.control("u") if drag is None else -drag * v})
+    return model
+
+
+def push_coast_brake(limit: str) -> go.Problem:
+    """Least time over 1 m with v <= TOP while pushing and braking, but not along the coast between."""
+    problem = go.Problem(f"carriage, {limit}")
+    push, coast, brake = (
+        problem.phase(name, carriage(name, DRAG if name == "coast" else None))
+        for name in ("push", "coast", "brake")
+    )
+    problem.sequence(push, coast, brake, durations=dict.fromkeys(("push", "coast", "brake"), (COAST, 3.0)))
+    push.initial(x=0.0, v=0.0)
+    brake.final(x=1.0, v=0.0)
+    push.bounds(u=(-1.0, 1.0))
+    brake.bounds(u=(-1.0, 0.0))  # to speed up once more is as good for an instant, and a local minimum
+    for leg in (push, brake):
+        if limit == "path":
+            leg.path("speed", leg.model.symbol("v"), upper=TOP)
+        else:
+            leg.bounds(v=(-TOP, TOP))
+    problem.minimize(brake.final_time)
+    return problem
+
+
+def least_time() -> float:
+    """Up to TOP, along it, slowed by drag, and down: what is left of 1 m is flown at TOP."""
+    slowed = TOP * np.exp(-DRAG * COAST)
+    others = TOP**2 / 2 + (TOP - slowed) / DRAG + slowed**2 / 2
+    return float(TOP + (1.0 - others) / TOP + COAST + slowed)
+
+
+@pytest.mark.parametrize("limit", ["path", "bound"])
+def test_an_arc_may_end_with_its_phase(limit: str) -> None:
+    solution = go.solve(push_coast_brake(limit))
+    assert solution.converged and solution.objective == pytest.approx(least_time(), abs=1e-8)
+    push = solution.phase("push")
+    assert push.x(push.final_time)[1] == pytest.approx(TOP, abs=1e-8)
+    (arc,) = [a for a in solution.structure if a.channel in ("speed", "v")]
+    assert arc.kind is ArcKind.UPPER and arc.phase == "push"
+    assert (arc.start, arc.end) == pytest.approx((TOP, push.final_time), abs=1e-7)
+
+
+def test_without_the_limit_at_the_end_a_mesh_goes_beyond_it() -> None:
+    first = go.solve(push_coast_brake("path"), tol=None)
+    assert first.objective < least_time() - 1e-3
+    met = with_ends_met(first)
+    assert met is not None and met.status.solved and abs(met.objective - least_time()) < 1e-4
+    end = first.phase("push").final_time, met.phase("push").final_time
+    assert first.phase("push").x(end[0])[1] > TOP + 1e-3
+    assert met.phase("push").x(end[1])[1] == pytest.approx(TOP, abs=1e-7)
+    assert met.problem is first.problem and with_ends_met(met) is None
+
+
+@pytest.mark.parametrize("coast", [0.0, 0.5])
+def test_an_arc_may_begin_with_its_phase(coast: float) -> None:
+    """From any speed, least time to rest: at TOP to where braking begins, after a coast that slows down to it."""
+    problem, drag = go.Problem("stop"), 0.3
+    before = problem.phase("coast", carriage("coast", drag)) if coast else None
+    leg = problem.phase("brake", carriage("brake"))
+    if before is None:
+        leg.time(initial=0.0)
+        leg.initial(x=0.0)
+    else:
+        problem.sequence(before, leg, durations={"coast": coast, "brake": (0.1, 5.0)})
+        before.initial(x=0.0)
+        before.bounds(v=(0.0, 3.0))
+    leg.final(x=1.5, v=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    leg.path("speed", leg.model.symbol("v"), upper=TOP)
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem)
+    coasted = TOP * np.expm1(drag * coast) / drag
+    assert solution.converged
+    assert solution.objective == pytest.approx(coast + (1.5 - coasted - TOP**2 / 2) / TOP + TOP, abs=1e-8)
+    first = solution.phase("brake")
+    assert first.x(first.initial_time)[1] == pytest.approx(TOP, abs=1e-8)
