@@ -25,11 +25,15 @@ from gnc_opt.refine.structure.detect import (
     structures_of,
 )
 from gnc_opt.refine.structure.ends import with_ends_met
+from gnc_opt.refine.structure.mending import VANISHED
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.switching import TIGHT, optimise_switches
 from gnc_opt.solution.history import History, RefinementStatus, work_of
+from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
+from gnc_opt.tolerances import SHORTEST
+from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.verify.kept import keep_verdict
 from gnc_opt.verify.verdict import Result, Verdict
 from gnc_opt.verify.verify import TOLERANCE, verify
@@ -129,12 +133,14 @@ def refine(
     limits = limits or RefinementLimits()
     expect(limits, RefinementLimits, "the limits of refine()", "write RefinementLimits(max_points=500)")
     _check(solution)
-    solution = _released(solution)
-    work = max(limits.max_work * _work(solution), LEAST_WORK)
     deadline = math.inf if limits.max_wall_time is None else begin + limits.max_wall_time
-    task = _Task(solution, tol, limits.max_passes, limits.max_points, work, options, deadline, progress)
-    attempts = task.attempted
+    attempts: list[_Attempt] = []
     try:
+        solution = _released(solution, options, deadline)
+        work = max(limits.max_work * _work(solution), LEAST_WORK)
+        task = _Task(
+            solution, tol, limits.max_passes, limits.max_points, work, options, deadline, progress, attempts
+        )
         for attempt in task.attempts(structure):
             attempts.append(attempt)
             if attempt.final:
@@ -157,13 +163,39 @@ def _work(solution: Solution) -> float:
     return work_of(points, solution.statistics.iterations)
 
 
-def _released(solution: Solution) -> Solution:
-    """Return the solution with a problem that holds no arcs: those are told segment by segment of one mesh."""
+def _released(solution: Solution, options: SolverOptions | None, deadline: float) -> Solution:
+    """Return the solution of the problem that holds no arcs: those are told segment by segment of one mesh.
+
+    What is best with them need not be without: it is solved anew, on the mesh as it was found.
+    """
     problem = solution.need_problem("refine")
     held = [name for name, leg in problem.phases.items() if leg.numbers.arcs is not None]
+    if not held:
+        return solution
     for name in held:
         problem = problem.with_arcs(name, arcs=None)
-    return replace(solution, problem=problem.frozen()) if held else solution
+    given = replace(solution, problem=problem.frozen())
+    found = solve_mesh(
+        given.need_problem("refine"),
+        {name: _at_rest(leg) for name, leg in solution.phases.items()},
+        scheme=next(iter(solution.phases.values())).scheme,
+        guess=given,
+        options=options,
+        limits=SolveLimits(deadline=deadline),
+    )
+    if found.status is Status.INTERRUPTED:
+        raise KeyboardInterrupt
+    return found if found.status.solved else given
+
+
+def _at_rest(leg: PhaseSolution) -> Mesh:
+    """Return the mesh with its boundaries where they were found, and without segments that have vanished."""
+    if leg.duration < SHORTEST:
+        return replace(leg.mesh, movable=())
+    breaks = (leg.breaks - leg.initial_time) / leg.duration
+    stands = np.diff(breaks) > VANISHED
+    degrees = tuple(n for n, kept in zip(leg.mesh.degrees, stands, strict=True) if kept)
+    return Mesh((0.0, *breaks[:-1][stands][1:], 1.0), degrees)
 
 
 # --- what is tried --------------------------------------------------------------------------------------------

@@ -69,6 +69,10 @@ STEPS = 80
 STEP = 0.1
 """Step, in shares of the magnitudes, for which the gain is told."""
 
+LEAST_GAIN = 1e-9
+"""Gain of such a step, in shares of the cost, below which it is rounding, whatever it is in shares of the middle row:
+that one is next to nothing where controls are idle."""
+
 
 @dataclass(frozen=True, eq=False)
 class Curvature:
@@ -84,12 +88,15 @@ class Curvature:
         Scaled, its largest component 1.
     gain : float
         What a step of `STEP` along it takes from the minimised cost, physical.
+    least_gain : float
+        What that is at least if it is no rounding, physical.
     """
 
     value: float
     share: float
     direction: Array
     gain: float
+    least_gain: float = 0.0
 
     @property
     def upwards(self) -> bool:
@@ -97,8 +104,8 @@ class Curvature:
         return self.value > UPWARDS and self.share > CANCELLED
 
     def downwards(self, steep: float) -> bool:
-        """Whether it is told to be negative, by more than ``steep``."""
-        return self.value < -steep and self.share < -CANCELLED
+        """Whether it is told to be negative, by more than ``steep`` and by what gains something."""
+        return self.value < -steep and self.share < -CANCELLED and self.gain >= self.least_gain
 
 
 def critical_cone(
@@ -186,16 +193,21 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: Criti
     for found in (free, bound):
         admitted = (cone.admits(sign * found.direction, samples) for sign in (1.0, -1.0))
         if found.downwards(steep) and any(admitted):
-            gain = f": a step of {100 * STEP:.0f} % of its magnitude gains {found.gain:.3g} in the cost"
             place = _place(cone.point, solution, found.direction)
-            return judged(Result.FAIL, -found.value, place + gain)
+            return judged(Result.FAIL, -found.value, place + _gained(found))
     place = _place(cone.point, solution, free.direction)
     return judged(Result.CANNOT_TELL, -free.value, place + _doubt(free, steep))
+
+
+def _gained(curvature: Curvature) -> str:
+    return f": a step of {100 * STEP:.0f} % of its magnitude gains {curvature.gain:.3g} in the cost"
 
 
 def _doubt(curvature: Curvature, steep: float) -> str:
     if curvature.downwards(steep):
         return ": limits that are only just active, or the values between the nodes, may forbid to go there"
+    if curvature.value < -steep and 0.0 < curvature.gain < curvature.least_gain:
+        return f"{_gained(curvature)}, which is rounding"
     return f": flat (what is between -{steep:.0e} and {UPWARDS:.0e} is not told from zero)"
 
 
@@ -277,7 +289,8 @@ def least_curvature(point: ProgramPoint, held: Mask, unit: Any = None) -> Curvat
     single = np.diff(scipy.sparse.csr_array(space.unit).indptr) <= 1
     largest = float(np.max(np.abs(whole[single])))
     gain = -0.5 * curvature * (STEP / largest) ** 2 / point.scaling.objective
-    return Curvature(curvature / typical, share, whole / largest, gain)
+    least = LEAST_GAIN / NEGLIGIBLE * point.rounding / point.scaling.objective
+    return Curvature(curvature / typical, share, whole / largest, gain, least)
 
 
 def _least_direction(space: NullSpace, hessian: Any) -> Array | None:

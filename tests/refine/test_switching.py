@@ -254,6 +254,26 @@ def test_arcs_held_by_hand_are_a_start() -> None:
         assert refined.problem is not None and refined.problem.fingerprint() == problem.fingerprint()
 
 
+@pytest.mark.parametrize("structure", ["auto", "none"])
+def test_what_is_best_with_arcs_held_by_hand_need_not_be_without(structure: Any) -> None:
+    """Thrust up, then down, over 2 s: the first arc vanishes, as u = -1 costs least, 1 - 4/3 - 2 of all controls."""
+    model = go.Model("integrator")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("one switch")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.final_state("x") - 0.5 * leg.integral(x + x**2))
+    mesh = go.Mesh.at_times([0.0, 1.0, 2.0], 4, movable=True)
+    held = go.solve(problem.with_arcs(arcs=[[1, -1]]), mesh=mesh, tol=None)
+    assert 0.0 < held.phase().breaks[1] < 1e-6
+    refined = go.refine(held, structure=structure)
+    assert refined.objective == pytest.approx(-7 / 3, abs=1e-9) and refined.converged
+    assert go.verify(refined).minimum, go.verify(refined).explain()
+
+
 def test_a_structure_that_cannot_be_met_is_sought_once_more_on_a_finer_mesh(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

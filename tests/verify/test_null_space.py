@@ -287,6 +287,20 @@ def test_least_curvature_of_what_curves_upwards_and_of_nothing(metric: Array) ->
     assert np.isnan(least_curvature(point, np.array([False, True, True, True, True, True])).value)
 
 
+@pytest.mark.parametrize(("amount", "told"), [(4.9e6, True), (5.1e6, False)])
+def test_a_step_that_gains_only_rounding_is_not_told_to_curve_downwards(
+    metric: Array, amount: float, told: bool
+) -> None:
+    """-z3^2 / 2 takes 0.005 off the scaled cost for a step of 0.1: 1e-9 of 5e6."""
+    wide = np.full(5, 9.0)
+    point = program(np.ones((1, 5)), np.diag(metric * [3.0, 5.0, 2.0, -1.0, 1.0]), -wide, wide, np.zeros(5))
+    point.rounding = 1e-4 * amount
+    found = least_curvature(point, np.zeros(6, dtype=bool))
+    assert found.gain == pytest.approx(0.005 / 0.25, rel=1e-6)
+    assert found.value == pytest.approx(-1 / point.rounding, rel=1e-4)
+    assert found.downwards(1e-4) is told
+
+
 def test_what_is_held_and_what_may_leave_to_one_side() -> None:
     """z0 free, z1 and z2 pushed to their lower and upper limit, z3 at one without a push, z4 given."""
     lower, upper = [-9.0, 0.0, -9.0, 0.0, 2.0], [9.0, 9.0, 1.0, 9.0, 2.0]
