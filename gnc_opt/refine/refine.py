@@ -236,9 +236,20 @@ class _Attempt:
 
     @property
     def resolvable(self) -> bool:
-        """Whether conditions of the verdict are open that a finer mesh can meet: none of them by far."""
+        """Whether conditions of the verdict are open that a finer mesh can meet: none of them by far.
+
+        Or by far, where a control that H determines is flown in steps because its polynomial leaves the bounds: narrow
+        as that may be, it is as far off as the control moves in a step.
+        """
         necessary = [c for c in self.verdict.open if not c.sufficient]
-        return bool(necessary) and all(c.value <= CLOSE * c.tolerance for c in necessary)
+        near = all(c.value <= CLOSE * c.tolerance for c in necessary)
+        return bool(necessary) and (near or self.in_steps)
+
+    @property
+    def in_steps(self) -> bool:
+        """Whether a control in which H is strictly convex is flown in steps somewhere; see `FlownControl`."""
+        samples = self.solution.samples().values()
+        return any(bool(np.any(s.leg.flown.held[regular_channels(s)])) for s in samples)
 
     @property
     def nearly_ok(self) -> bool:

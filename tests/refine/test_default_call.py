@@ -110,3 +110,28 @@ def test_limits_that_the_optimum_just_touches_are_no_arcs(unit: float) -> None:
     np.testing.assert_allclose(
         solution.phase("leg").flown(times)[0], unit * (6.0 - 12.0 * times), atol=1e-6 * unit
     )
+
+
+def test_a_bound_reached_before_the_first_point_is_resolved() -> None:
+    """From rest to rest with least effort: a = A at first, then on a line to -A, for as long as A is reached.
+
+    With the line c (1/2 - t) and arcs of length s = 1/2 - A / c: 1 = A / 4 - A^3 / (3 c^2).
+    """
+    limit = 6.0 * (1.0 - 1e-3)
+    slope = np.sqrt(limit**3 / (3.0 * (limit / 4.0 - 1.0)))
+    start = 0.5 - limit / slope
+    problem = go.Problem("clipped")
+    model = go.Model("double integrator")
+    x, v = model.state("x"), model.state("v")
+    a = model.control("a")
+    model.ode({x: v, v: a})
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=1.0, v=0.0)
+    leg.bounds(a=(-limit, limit))
+    problem.minimize(leg.integral(a**2))
+    solution = go.solve(problem)
+    assert solution.converged and go.verify(solution).ok
+    effort = 2.0 * limit**2 * start + 2.0 * slope**2 * (0.5 - start) ** 3 / 3.0
+    assert solution.objective == pytest.approx(effort, rel=1e-8)

@@ -396,19 +396,23 @@ def condition(value: float, *, sufficient: bool = False) -> Condition:
 
 
 @pytest.mark.parametrize(
-    ("values", "second_order", "resolvable"),
+    ("values", "second_order", "in_steps", "resolvable"),
     [
-        ((), (), False),
-        ((), (1.0,), False),
-        ((9e-4,), (1.0,), True),
-        ((2e-5, 9e-4), (), True),
-        ((2e-5, 1.1e-3), (), False),
+        ((), (), False, False),
+        ((), (1.0,), False, False),
+        ((), (1.0,), True, False),
+        ((9e-4,), (1.0,), False, True),
+        ((2e-5, 9e-4), (), False, True),
+        ((2e-5, 1.1e-3), (), False, False),
+        ((2e-5, 1.1e-3), (), True, True),
     ],
 )
-def test_a_finer_mesh_mends_what_is_nearly_met(values: Any, second_order: Any, resolvable: bool) -> None:
+def test_a_finer_mesh_mends_what_is_nearly_met(
+    values: Any, second_order: Any, in_steps: bool, resolvable: bool
+) -> None:
     module = importlib.import_module("gnc_opt.refine.refine")
     opened = [condition(v) for v in values] + [condition(v, sufficient=True) for v in second_order]
-    attempt = SimpleNamespace(verdict=SimpleNamespace(open=tuple(opened)))
+    attempt = SimpleNamespace(verdict=SimpleNamespace(open=tuple(opened)), in_steps=in_steps)
     assert module._Attempt.resolvable.fget(attempt) is resolvable
 
 
