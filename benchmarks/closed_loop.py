@@ -7,7 +7,7 @@ plain loop states the same closed loop in NumPy, step by step, and integrates th
 solve_ivp (RK45). It gets the same gains, parameters and random numbers, so the states at the end have to agree; both
 sides have an error per step far below the tolerance of that comparison.
 
-Four questions:
+Five questions:
 
 1. Processor time per run, plain loop over campaign. The plain loop's time leaves design, gains and random
    numbers out; the campaign's has random numbers and parameters in. With building the loop, too: "built".
@@ -16,6 +16,7 @@ Four questions:
    mode, predictive control)?
 4. How long do the campaigns take with one process per processor, everything included (TVLQR, integral sliding mode,
    open loop), and do they have the bits of the campaign on one?
+5. How many times as long does a run take behind a filter, one that makes its gains in flight and one before it?
 
 Exit code 1 if a target is missed.
 """
@@ -27,7 +28,7 @@ import json
 import os
 import platform
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -54,11 +55,15 @@ from gnc_opt.spacecraft import (
 )
 from problems.rendezvous import ALTITUDE, MAX_FORCE, MAX_TORQUE
 from problems.rendezvous_tracking import DISPERSIONS, DT, FORCE_STEP, NOISE, TORQUE_STEP, Tracking, plan
+from problems.rendezvous_tracking.measured import Filtered
+from problems.rendezvous_tracking.report import FILTERS
 
 SPEED_UP = 50.0
 """Least accepted ratio of times per run."""
 RATES = {"TVLQR": 800.0, "integral sliding mode": 300.0, "MPC": 30.0}
 """Least accepted runs per second of processor time."""
+DEAREST = {"scheduled EKF": 1.5}
+"""Most accepted time of a run of the TVLQR behind a filter, over one without."""
 LONGEST = 60.0
 """Of the campaigns together, s."""
 AGREEMENT = 1e-6
@@ -157,7 +162,7 @@ def measure(runs: int, plain_runs: int, seed: int) -> dict[str, Any]:
     flight = serial.flight
     begin = time.process_time()
     flight.final(serial.parameters, [[seed, i] for i in range(runs)])
-    flying = time.process_time() - begin
+    spent = time.process_time() - begin
 
     rows, seconds, apart = flight.schedule, [], 0.0
     for index in range(min(plain_runs, runs)):
@@ -182,12 +187,13 @@ def measure(runs: int, plain_runs: int, seed: int) -> dict[str, Any]:
         "control_steps": flight.n_steps,
         "dispersions": len(DISPERSIONS),
         "plain_s_per_run": plain,
-        "campaign_s_per_run": flying / runs,
+        "campaign_s_per_run": spent / runs,
         "built_s_per_run": built / runs,
-        "speed_up": plain * runs / flying,
+        "speed_up": plain * runs / spent,
         "speed_up_built": plain * runs / built,
         "apart": apart,
         "runs_per_s": rates,
+        "filtered_over_plain": filter_costs(tracking, runs, seed),
         "campaigns_s": campaigns,
         "together_s": sum(campaigns.values()),
         "same_bits": same,
@@ -198,17 +204,33 @@ def measure(runs: int, plain_runs: int, seed: int) -> dict[str, Any]:
     }
 
 
-def rate(tracking: Tracking, name: str, runs: int, seed: int) -> float:
-    """Return how many runs are flown in a second of processor time."""
+def flying(tracking: Tracking, name: str, runs: int, seed: int) -> tuple[int, Callable[[], float]]:
+    """Return how many runs a function flies whenever it is called, and that function, which tells the time it took."""
     few = tracking.campaign(name, min(runs, 20), seed, "serial")
     assert few.flight is not None
     flight, P = few.flight.natively(1000), np.tile(few.parameters, 5)
-    seconds = []
-    for _ in range(7):
+
+    def fly() -> float:
         begin = time.process_time()
         flight.final(P, [[seed, i] for i in range(P.shape[1])])
-        seconds.append(time.process_time() - begin)
-    return P.shape[1] / float(np.median(seconds))
+        return time.process_time() - begin
+
+    return P.shape[1], fly
+
+
+def rate(tracking: Tracking, name: str, runs: int, seed: int) -> float:
+    """Return how many runs are flown in a second of processor time."""
+    n, fly = flying(tracking, name, runs, seed)
+    return n / float(np.median([fly() for _ in range(7)]))
+
+
+def filter_costs(tracking: Tracking, runs: int, seed: int) -> dict[str, float]:
+    """Return the times of runs of the TVLQR behind filters over those without, flown in turns."""
+    filtered = Filtered(tracking.solution)
+    flown = [flying(filtered, name, runs, seed)[1] for name in FILTERS]
+    plain = flying(tracking, "TVLQR", runs, seed)[1]
+    turns = np.array([[fly() for fly in (plain, *flown)] for _ in range(7)])
+    return dict(zip(FILTERS, np.median(turns[:, 1:] / turns[:, :1], axis=0).tolist(), strict=True))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -236,6 +258,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
             for name, least in RATES.items()
         },
+        **{
+            f"{name}, times as long as without": (
+                told["filtered_over_plain"][name],
+                f"<= {most:g}",
+                told["filtered_over_plain"][name] <= most,
+            )
+            for name, most in DEAREST.items()
+        },
         "states at the end apart by": (told["apart"], f"<= {AGREEMENT:g}", told["apart"] <= AGREEMENT),
         "campaigns together (s)": (told["together_s"], f"<= {LONGEST:g}", told["together_s"] <= LONGEST),
         "same bits on all processors": (float(told["same_bits"]), "1", told["same_bits"]),
@@ -245,6 +275,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ("campaign on one processor, s per run", told["campaign_s_per_run"]),
         ("the same with design and building", told["built_s_per_run"]),
         ("times per run, plain / built", told["speed_up_built"]),
+        *[
+            (f"{name}, times as long as without", ratio)
+            for name, ratio in told["filtered_over_plain"].items()
+            if name not in DEAREST
+        ],
         *[(f"{name}, all processors (s)", spent) for name, spent in told["campaigns_s"].items()],
     ]
     table = Table(

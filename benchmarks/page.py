@@ -125,6 +125,8 @@ def _closed_loop(told: Any) -> Cells:
     yield "times as fast, with design and building", f"{told['speed_up_built']:.0f}"
     for law, rate in told["runs_per_s"].items():
         yield f"{law} (runs per s, one processor)", f"{rate:.0f}"
+    for name, ratio in told.get("filtered_over_plain", {}).items():
+        yield f"TVLQR behind the {name}, times as long as without", f"{ratio:.1f}"
     yield "states at the end apart by", _error(told["apart"])
     yield "runs within all limits", f"{100 * told['pass_rate']:.1f} %"
     yield "same bits on all processors", "yes" if told["same_bits"] else "no"

@@ -220,9 +220,41 @@ def test_what_limits_cut_does_not_wind_the_surface_up():
         )
         for given in (limits, None)
     )
-    assert np.max(np.abs(aware.memory("s"))) < 0.01
+    assert np.max(np.abs(aware.memory("s"))) < 0.01 and not aware.memory("overpowered").any()
     assert np.max(np.abs(unaware.memory("s"))) > 1.0
     assert abs(aware.x[0, -1]) < abs(unaware.x[0, -1])
+
+
+@pytest.mark.parametrize("boundary", [SaturationLayer(0.01), Sign()], ids=str)
+@pytest.mark.parametrize(("level", "alarm"), [(0.9, 0.0), (-0.9, 0.0), (1.1, 1.0), (-3.0, 1.0)])
+def test_a_disturbance_above_the_gain_raises_an_alarm_and_one_below_does_not(boundary, level, alarm):
+    """The gain is 1 N: a step of 0.9 N leaves s where it is, one of 1.1 N drives it away, whatever the nominal law."""
+    controller = design(boundary=boundary)
+    step = {"disturbance": lambda t: level * (t > 2.0)[None, :]}
+    run = step_through(controller, cart(), START, dt=DT, tf=6.0, **step)
+    flags = run.memory("overpowered")[0]
+    assert "overpowered" in controller.alarms and flags[-1] == alarm
+    assert not flags[run.times < 2.0].any()
+    if alarm:
+        assert 10 * DT < run.times[np.argmax(flags)] - 2.0 < 60 * DT
+
+
+def test_s_that_was_thrown_out_of_its_layer_and_comes_back_is_no_alarm():
+    """As by actuators that are late: eight steps at 6 N throw s out, and it takes forty or more to come back at 1 N."""
+    controller = design()
+    kick = {"disturbance": lambda t: 6.0 * ((t > 2.0) & (t < 2.0 + 8 * DT))[None, :]}
+    run = step_through(controller, cart(), START, dt=DT, tf=6.0, **kick)
+    s = np.abs(run.memory("s")[0])
+    assert np.sum(s > 0.02) > 40 and s[-1] < 0.01  # edge: layer and two steps of the gain
+    assert not run.memory("overpowered").any()
+
+
+@pytest.mark.parametrize(("rate", "alarm"), [(0.8, 0.0), (2.0, 1.0)])
+def test_a_disturbance_that_outruns_the_twist_raises_an_alarm(rate, alarm):
+    controller = design(reaching=SuperTwisting(2.0, 1.0), boundary=Sign(), bound=0.8)
+    ramp = {"disturbance": lambda t: rate * np.maximum(t - 2.0, 0)[None, :]}
+    flags = step_through(controller, cart(), START, dt=DT, tf=8.0, **ramp).memory("overpowered")[0]
+    assert flags[-1] == alarm and not flags[: round(2.0 / DT)].any()
 
 
 def test_formation_keeping_agrees_with_the_published_run():

@@ -8,17 +8,23 @@ from multiprocessing import get_context
 import numpy as np
 import pytest
 from few_runs import few_runs
+from scipy.integrate import solve_ivp
 
 import gnc_opt as go
 from benchmarks.closed_loop import AGREEMENT, ATOL, RTOL, plain_inputs, plain_run
+from gnc_opt.arrays import Array
 from gnc_opt.control import feedforward
-from gnc_opt.simulation import consistency
-from gnc_opt.spacecraft import mrp_to_dcm
+from gnc_opt.simulation import Run, consistency
+from gnc_opt.spacecraft import MU_EARTH, RADIUS_EARTH, mrp_to_dcm
+from problems.rendezvous import ALTITUDE, MAX_FORCE, MAX_TORQUE
 from problems.rendezvous_tracking import (
     DISPERSIONS,
+    DT,
+    FORCE_STEP,
     LIMITS,
     RESERVE,
     SETTLING,
+    TORQUE_STEP,
     Conditions,
     Tracking,
     main,
@@ -30,6 +36,7 @@ from problems.rendezvous_tracking.guided import Guided, settled
 from problems.rendezvous_tracking.measured import KEEP_OUT, Filtered, Measured
 from problems.rendezvous_tracking.replanned import PLANNED, Replanned, resolver
 from problems.rendezvous_tracking.report import FILTERS
+from problems.rendezvous_tracking.tracking import ACCURACY
 
 RUNS, SEED = {"TVLQR": 1000, "integral sliding mode": 250}, 1
 FEW = 60
@@ -65,10 +72,15 @@ def measured(guided):
     return Measured(guided.solution)
 
 
+@pytest.fixture(scope="module")
+def filtered(measured):
+    return measured.campaign("filtered", 5, SEED, "serial")
+
+
 @pytest.mark.slow
-def test_a_filter_guides_by_range_and_bearing(measured):
+def test_a_filter_guides_by_range_and_bearing(measured, filtered):
     """Within limits and as early as with all states measured; estimates within what the filter says of them."""
-    campaign = measured.campaign("filtered", 3, SEED, "serial")
+    campaign = filtered
     assert campaign.passed().all() and campaign.event_totals == {"too close": 0}
     assert np.mean(measured.arrivals(campaign)) == pytest.approx(26.43, abs=0.15)
     run, told = campaign.rerun(1), measured.filter
@@ -228,6 +240,61 @@ def test_plain_python_loop_ends_at_the_same_states(regulated):
     parameters, normal = plain_inputs(regulated, regulated.flight, 3)
     end = plain_run(regulated.flight, parameters, normal, regulated.flight.schedule, RTOL, ATOL)
     np.testing.assert_allclose(end, regulated.states[:, 3], atol=AGREEMENT, rtol=0)
+
+
+@pytest.mark.slow
+def test_scipy_goes_the_same_way(filtered):
+    """Chaser, thrusters and force of five runs written down again, flown with their commands to their arrival."""
+    runs, steps = [filtered.rerun(i) for i in range(5)], 265
+    again = np.stack([run.states[:, steps] for run in runs], axis=1)
+    assert flown_again(runs, steps) == pytest.approx(again, abs=ACCURACY)
+    assert np.all(np.linalg.norm(again[6:9], axis=0) < 0.1)  # moving all the way, and nearly at rest again
+
+
+def flown_again(runs: list[Run], steps: int) -> Array:
+    """Return the states (12, n_runs) after some control steps, by SciPy from commands and parameters alone."""
+
+    def of(name: str) -> Array:
+        return np.stack([run.parameter(name) for run in runs], axis=1)
+
+    inertia, mass, push = of("plant.inertia"), of("plant.mass"), of("differential force.level")
+    tau = np.vstack([of(name) + np.zeros((3, 1)) for name in ("torque lag.tau", "force lag.tau")])
+    assert np.ptp(mass) > 20 and np.ptp(tau) > 0.01
+    n = np.sqrt(MU_EARTH / (RADIUS_EARTH + ALTITUDE) ** 3)
+
+    def rate(t: float, flat: Array, told: Array, gap: Array) -> Array:
+        omega, sigma, v, r = np.split(flat.reshape(12, -1), 4)
+        applied = told + gap * np.exp(-t / tau)
+        own = np.sum(sigma**2, axis=0)
+
+        def turned_by(a: Array, sign: float) -> Array:
+            once = cross(sigma, a)
+            return a + (8 * cross(sigma, once) + sign * 4 * (1 - own) * once) / (1 + own) ** 2
+
+        orbit = turned_by(np.array([[0.0], [-n], [0.0]]) + 0 * omega, -1)
+        whole = omega + orbit
+        spin = (applied[:3] - cross(whole, inertia * whole)) / inertia + cross(omega, orbit)
+        turn = 0.25 * (
+            (1 - own) * omega + 2 * cross(sigma, omega) + 2 * sigma * np.sum(sigma * omega, axis=0)
+        )
+        hill = np.stack([2 * n * v[2], -(n**2) * r[1], -2 * n * v[0] + 3 * n**2 * r[2]])
+        return np.concatenate([spin, turn, turned_by(applied[3:], 1) / mass + hill + push, v]).ravel()
+
+    y, applied = np.stack([run.states[:, 0] for run in runs], axis=1).ravel(), np.zeros((6, len(runs)))
+    quanta = np.repeat([[TORQUE_STEP], [FORCE_STEP]], 3, axis=0)
+    most = np.repeat([[MAX_TORQUE], [MAX_FORCE]], 3, axis=0)
+    for k in range(steps):
+        asked = np.stack([run.commands[:, k] for run in runs], axis=1)
+        told = np.clip(quanta * np.floor(asked / quanta + 0.5), -most, most)
+        gap = applied - told
+        y = solve_ivp(rate, (0.0, DT), y, "DOP853", args=(told, gap), rtol=1e-8, atol=1e-9).y[:, -1]
+        applied = told + gap * np.exp(-DT / tau)
+    return np.asarray(y.reshape(12, -1))
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Return the cross products of columns."""
+    return np.stack([a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)])
 
 
 def test_both_plans_fly_as_their_page_says():

@@ -124,7 +124,11 @@ def design_integral_sliding_mode(
     s, integral = _integrated(errors, dt)
     wanted, twist = switching.demand(s, ca.SX.zeros(errors.size))
     u = u_nominal + inverse(wanted)
-    memory = [*twist, *integral(u_nominal + (saturated(u, switching.limits) - u))]
+    memory = [
+        *twist,
+        *switching.watch(s, stays=False),
+        *integral(u_nominal + (saturated(u, switching.limits) - u)),
+    ]
     facts += [
         Fact("s at the start", 0.0, remark="no reaching phase"),
         *switching.facts(),

@@ -1,7 +1,8 @@
 r"""Overpowered: the alarm of a sliding mode whose gain a disturbance exceeds, from what s does.
 
 **Relays.** Where the law works with its full gain, a weaker disturbance cannot drive s away: not from where sliding has
-begun, whose edge it may cross by one control step, and before that s comes nearer at every step.
+begun, whose edge it may cross by one control step, and before that s comes nearer at every step. Where another law goes
+on beneath, what it commands and actuators give late may throw s out of its layer; s comes nearer again then, too.
 
 **Super-twisting** has its gain against the *rate* of the disturbance d, and overshoots by itself. On one side of s = 0
 let :math:`\varphi = z + d` be what drives \|s\| away against :math:`k_1 |s|^{1/2}`; then
@@ -37,10 +38,11 @@ _BENT = 2
 """Windows in a row that an alarm takes."""
 
 
-def gain_exceeded(s: Any, edge: float) -> list[Memory]:
+def gain_exceeded(s: Any, first: Any, edge: float, *, stays: bool) -> list[Memory]:
     """Return the memory of the alarm for a relay that works with its full gain where \\|s\\| is beyond ``edge``.
 
-    Without an edge there is none: a law whose gain grows with s is exceeded by nothing.
+    Without an edge there is none: a law whose gain grows with s is exceeded by nothing. ``first`` is s at the start.
+    Unless s ``stays`` inside once sliding has begun, it is an alarm only if s grows.
     """
     if edge <= 0:
         return []
@@ -50,21 +52,24 @@ def gain_exceeded(s: Any, edge: float) -> list[Memory]:
     begun, outside, size = away > -0.5, ca.fabs(s) > edge, ca.fabs(s)
     # steps in a row outside; before sliding begins those on which s has grown, from -1 downward
     growing = ca.if_else(size > distance, away - 1, -1)
-    after = ca.if_else(outside, ca.if_else(begun, away + 1, growing), 0)
+    after = ca.if_else(outside, ca.if_else(begun, away + 1, growing), 0 if stays else -1)
     raised = ca.fmax(flag, ca.mmax(ca.fmax(after, -1 - after)) > PATIENCE - 0.5)
     return [
         Memory("away", away, -ca.SX.ones(n), after),
-        Memory("distance", distance, size, size),
+        Memory("distance", distance, ca.fabs(first), size),
         Memory(OVERPOWERED, flag, ca.SX(0), raised, alarm=True),
     ]
 
 
-def twist_outrun(s: Any, rate: Callable[[Any], Any], gain: float, edge: float, dt: float) -> list[Memory]:
+def twist_outrun(
+    s: Any, first: Any, rate: Callable[[Any], Any], gain: float, edge: float, dt: float
+) -> list[Memory]:
     """Return the memory of the alarm for super-twisting.
 
     Parameters
     ----------
-    s : casadi SX (n, 1)
+    s, first : casadi SX (n, 1)
+        Now and at the start.
     rate : callable
         Of \\|s\\|: by how much the law lets it fall without its memory, unit of s per second.
     gain : float
@@ -87,7 +92,7 @@ def twist_outrun(s: Any, rate: Callable[[Any], Any], gain: float, edge: float, d
     raised = ca.fmax(flag, ca.mmax(after) > _BENT - 0.5)
     first, nothing = PATIENCE * ca.SX.ones(n), ca.SX.zeros(n)
     return [
-        Memory("before", before, s, s),
+        Memory("before", before, first, s),
         Memory("away", away, nothing, ca.if_else(over, 0, steps)),
         Memory("mark", mark, first, ca.if_else(over, 2 * mark, ca.if_else(beside, mark, first))),
         Memory("driven", driven, nothing, ca.if_else(over, 0, whole)),

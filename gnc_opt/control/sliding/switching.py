@@ -117,16 +117,20 @@ class Switching:
         grown = twist + self.dt * self.reaching.memory_rate(s, self.boundary)
         return wanted + twist, [Memory("twist", twist, ca.SX.zeros(size), grown)]
 
-    def watch(self, s: Any) -> list[Memory]:
-        """Return the memory that raises the alarm of a disturbance that is stronger than the gain."""
+    def watch(self, s: Any, *, stays: bool = True) -> list[Memory]:
+        """Return the memory that raises the alarm of a disturbance that is stronger than the gain.
+
+        Without ``stays`` s begins at zero, and what another law commands may throw it out of its layer for a while.
+        """
+        first = s if stays else ca.SX.zeros(s.shape)
         edge = self.boundary.width(_FULL)
         if isinstance(self.reaching, SuperTwisting):
             assert self.dt is not None
             law = self.reaching
-            return twist_outrun(s, lambda size: law.rate(size, self.boundary), law.k2, edge, self.dt)
+            return twist_outrun(s, first, lambda size: law.rate(size, self.boundary), law.k2, edge, self.dt)
         if not np.isfinite(self.reaching.gain):
             return []
-        return gain_exceeded(s, edge + 2 * self.reaching.gain * (self.dt or 0.0))
+        return gain_exceeded(s, first, edge + 2 * self.reaching.gain * (self.dt or 0.0), stays=stays)
 
     def facts(self) -> list[Fact]:
         """Return the bands of s and the sampling limit."""
