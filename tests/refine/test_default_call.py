@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 import gnc_opt as go
@@ -86,3 +87,26 @@ def test_a_phase_without_controls_is_refined_and_judged() -> None:
     thrown = go.solve(problem, mesh="2x4")
     assert thrown.history is not None and thrown.history.converged and go.verify(thrown).ok
     assert thrown.objective == pytest.approx(10.0 * (100.0 + 2 * 9.81 * 2.0) ** 0.5 / 9.81, abs=1e-8)
+
+
+@pytest.mark.parametrize("unit", [1.0, 7.3])
+def test_limits_that_the_optimum_just_touches_are_no_arcs(unit: float) -> None:
+    """From rest to rest over 1 m in 1 s with least effort: a = 6 - 12 t m/s2, with limits on a and x right there."""
+    model = go.Model("double integrator")
+    x, v = model.state("x"), model.state("v")
+    a = model.control("a")
+    model.ode({x: v, v: a})
+    problem = go.Problem("touched")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=unit, v=0.0)
+    leg.bounds(a=(-6.0 * unit, 6.0 * unit), x=(0.0, unit))
+    problem.minimize(leg.integral(a**2))
+    solution = go.solve(problem)
+    assert solution.converged and go.verify(solution).ok
+    assert solution.objective == pytest.approx(12.0 * unit**2, rel=1e-9)
+    times = np.linspace(0.0, 1.0, 41)
+    np.testing.assert_allclose(
+        solution.phase("leg").flown(times)[0], unit * (6.0 - 12.0 * times), atol=1e-6 * unit
+    )
