@@ -1,7 +1,8 @@
-"""Limits of the controls: read, kept, and what a reference leaves of them to the feedback."""
+"""Limits: of controls, read, kept, and what a reference leaves of them to the feedback; of states along it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -21,6 +22,9 @@ Limits: TypeAlias = tuple[ArrayLike, ArrayLike]
 
 Authority: TypeAlias = tuple[Array, Array]
 """The same, read: lower and upper limits, (n_controls,) each."""
+
+_BESIDE = 1e-6
+"""A plan that was made within limits of states may be this much beyond them, relative to the largest of both."""
 
 _SAMPLES = 400
 """Times over a reference at which its shares are looked for."""
@@ -121,3 +125,27 @@ def require_reserve(
 def _distance(u: Array, limits: Authority) -> Array:
     """Return the distance of controls (n_controls, n) to the nearer of their limits; < 0 is beyond it."""
     return np.asarray(np.minimum(limits[1][:, None] - u, u - limits[0][:, None]))
+
+
+def reference_beyond(reference: Reference, places: Sequence[int], lower: Array, upper: Array) -> list[Fact]:
+    """Return the facts about how far the reference is beyond limits of states, for those that it exceeds.
+
+    Parameters
+    ----------
+    reference : Reference
+    places : sequence of int
+        Of the limited states among all.
+    lower, upper : array (n_limited,)
+        Infinite for none.
+    """
+    times, facts = reference_times(reference), []
+    for place, low, high in zip(places, lower, upper, strict=True):
+        x, label = reference.x(times)[place], reference.states.labels[place]
+        over = np.maximum(low - x, x - high)
+        k = int(np.argmax(over))
+        if over[k] > _BESIDE * np.max(np.abs([*x, *(v for v in (low, high) if np.isfinite(v))])):
+            name, unit = f"reference beyond the limits of {label}", reference.states.units[place]
+            facts.append(
+                Fact(name, float(over[k]), unit, f"at t = {times[k]:.6g} s; it is not followed there")
+            )
+    return facts

@@ -318,3 +318,15 @@ def test_limits_that_exclude_the_feedforward_are_refused():
         DesignError, match=r"control 'a' needs 0 at t = 0 s, but its limits are 0\.1 and 0\.2"
     ):
         tracker(limits=(0.1, 0.2))
+
+
+def test_limits_of_states_that_exclude_the_reference_are_told():
+    """v = -sin t is slowest at t = pi / 2; where it only touches its limit nothing is said."""
+    model, reference = pendulum()
+    options = {"Q": 1, "R": 1, "horizon": 1.0, "dt": DT, "limits": (-9, 9)}
+    for hard in ([], ["v"]):
+        told = design_mpc(model, reference, **options, state_limits={"v": (-0.9, 0.9)}, hard=hard).explain()
+        assert told["reference beyond the limits of v"] == pytest.approx(0.1, abs=1e-3)
+    for least in (-np.inf, -1.0, -1.0 + 1e-8):
+        within = design_mpc(model, reference, **options, state_limits={"v": (least, 0.5)}).explain()
+        assert not [fact for fact in within if "beyond" in fact.name]

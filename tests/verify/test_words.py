@@ -41,6 +41,17 @@ def test_headlines_say_which_of_the_three_it_is() -> None:
     assert verdict(PASS, FAIL).headline == "NOT ok"
 
 
+@pytest.mark.parametrize(
+    ("necessary", "sufficient"), [(PASS, PASS), (PASS, UNTOLD), (UNTOLD, PASS), (PASS, FAIL)]
+)
+def test_nothing_is_called_a_proof(necessary: Result, sufficient: Result) -> None:
+    """Conditions are tested at samples, to a tolerance."""
+    judged = verdict(necessary, sufficient)
+    said = f"{judged.headline} {judged} {judged.explain()} {judged._repr_html_()} {' '.join(dir(judged))}".lower()
+    assert "minimum" in said
+    assert not any(word in said for word in ("proof", "prove", "guarantee", "certif"))
+
+
 def test_smooth_solution_without_a_second_order_test_is_no_minimum() -> None:
     """The first order alone holds at maxima and saddles too."""
     model = go.Model("integrator")

@@ -37,7 +37,14 @@ from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.dropout import bridge_dropouts
 from gnc_opt.control.explanation import Explanation, Fact
-from gnc_opt.control.limits import Limits, clip, read_limits, require_reserve, reserve_shares
+from gnc_opt.control.limits import (
+    Limits,
+    clip,
+    read_limits,
+    reference_beyond,
+    require_reserve,
+    reserve_shares,
+)
 from gnc_opt.control.linear.facts import regulator_facts
 from gnc_opt.control.linear.gains import SampledGains, riccati_gains
 from gnc_opt.control.linear.riccati import gain_of
@@ -162,6 +169,7 @@ def design_mpc(
     change = None if rate_limits is None else _rates(rate_limits, model, dt)
     in_x, in_e, *of_states = _state_rows(deviation, state_limits or {}, hard, price)
     rows = Rows(*bounds, change, in_x, in_e, *of_states)
+    beyond = reference_beyond(reference, rows.states, rows.state_lower, rows.state_upper)
     windows = _Windows(gains, count, end)
     schedule = _Schedule(ReferenceSchedule(reference), windows, rows.states)
     signals = reference_signals(reference, *schedule.more())
@@ -180,7 +188,11 @@ def design_mpc(
         span=(reference.initial_time, reference.final_time),
         explanation=Explanation(
             f"{name} of '{model.name}' along {reference!r}",
-            (*_facts(gains, windows, rows, model.states, solver), *reserve_shares(reference, bounds)),
+            (
+                *_facts(gains, windows, rows, model.states, solver),
+                *beyond,
+                *reserve_shares(reference, bounds),
+            ),
         ),
     )
     code = _programme_code(windows, rows, model)
