@@ -59,11 +59,20 @@ class OwnProcesses:
         """End them; ``at_once`` whatever they are at: a task may take long, and nobody waits for it any more."""
         if self._executor is None:
             return
-        while at_once and not self._pids.empty():
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(self._pids.get(), signal.SIGTERM)
+        if at_once:
+            self._kill(self._executor)
         self._executor.shutdown(cancel_futures=True)
         self._executor = None
+
+    def _kill(self, executor: ProcessPoolExecutor) -> None:
+        while not self._pids.empty():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._pids.get(), signal.SIGTERM)
+        # One that dies while it answers leaves half an answer, for the rest of which the executor waits for ever as
+        # long as anybody could write it: after the processes, that is this one alone.
+        answers: Any = getattr(executor, "_result_queue", None)
+        if answers is not None:
+            answers._writer.close()
 
 
 # --- in the processes -------------------------------------------------------------------------------------

@@ -6,12 +6,13 @@ import multiprocessing
 import os
 import pickle
 import signal
+import struct
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -467,3 +468,28 @@ def _endless(at_work: Path, number: int, item: int) -> int:
 def test_deaths_can_be_sent_home() -> None:
     error = pickle.loads(pickle.dumps(WorkerDied("its process died")))
     assert isinstance(error, WorkerDied) and str(error) == "its process died"
+
+
+def half_an_answer(path: str, item: int) -> None:
+    """Write the beginning of an answer, as a process that is killed while it answers."""
+    frame = sys._getframe()
+    while "result_queue" not in frame.f_locals:
+        assert frame.f_back is not None
+        frame = frame.f_back
+    os.write(frame.f_locals["result_queue"]._writer.fileno(), struct.pack("!i", 1000) + b"only so much")
+    Path(path).touch()
+    threading.Event().wait()
+
+
+def test_who_is_killed_while_it_answers_keeps_nobody_waiting(tmp_path: Path) -> None:
+    begun = tmp_path / "begun"
+    own = processes.OwnProcesses(Shared.picklable(str(begun), "the path", "give a path"))
+    own.renew(2)
+    answer = own.submit(half_an_answer, 1)
+    while not begun.exists():
+        time.sleep(0.01)
+    ending = threading.Thread(target=own.end, kwargs={"at_once": True}, daemon=True)
+    ending.start()
+    ending.join(timeout=60)
+    assert not ending.is_alive() and not multiprocessing.active_children()
+    assert isinstance(answer.exception(timeout=0), BrokenExecutor)
