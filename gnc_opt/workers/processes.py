@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import multiprocessing
 import os
 import signal
@@ -38,7 +37,6 @@ class OwnProcesses:
         self._context: Any = multiprocessing.get_context("fork" if processes_fork() else None)
         self._parcel: Parcel[Any] = shared.here if processes_fork() else shared.packed()
         self._executor: ProcessPoolExecutor | None = None
-        self._pids: Any = None
 
     def submit(self, task: Callable[[Any, Any], Any], item: Any) -> Future[Any]:
         """Have a task done by one of them, as many as there are processors."""
@@ -50,9 +48,8 @@ class OwnProcesses:
     def renew(self, count: int) -> None:
         """Let new processes take the place of those there are."""
         self.end()
-        self._pids = self._context.SimpleQueue()
         self._executor = ProcessPoolExecutor(
-            count, self._context, initializer=_begin, initargs=(self._pids, self._parcel)
+            count, self._context, initializer=_begin, initargs=(self._parcel,)
         )
 
     def end(self, at_once: bool = False) -> None:
@@ -60,29 +57,28 @@ class OwnProcesses:
         if self._executor is None:
             return
         if at_once:
-            self._kill(self._executor)
+            _kill(self._executor)
         self._executor.shutdown(cancel_futures=True)
         self._executor = None
 
-    def _kill(self, executor: ProcessPoolExecutor) -> None:
-        while not self._pids.empty():
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(self._pids.get(), signal.SIGTERM)
-        # One that dies while it answers leaves half an answer, for the rest of which the executor waits for ever as
-        # long as anybody could write it: after the processes, that is this one alone.
-        answers: Any = getattr(executor, "_result_queue", None)
-        if answers is not None:
-            answers._writer.close()
+
+def _kill(executor: Any) -> None:
+    """End the processes of an executor at once; for what it needs the public interface comes with Python 3.14."""
+    for process in list((executor._processes or {}).values()):
+        process.terminate()
+    # One that dies while it answers leaves half an answer, for the rest of which the executor waits for ever as long
+    # as anybody could write it: after the processes, that is this one alone.
+    if executor._result_queue is not None:
+        executor._result_queue._writer.close()
 
 
 # --- in the processes -------------------------------------------------------------------------------------
 
 
-def _begin(pids: Any, parcel: Parcel[Any]) -> None:
-    """Tell who one is, and get the object; Ctrl-C is the parent's business, and the processors are shared already."""
+def _begin(parcel: Parcel[Any]) -> None:
+    """Get the object; Ctrl-C is the parent's business, and the processors are shared already."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    pids.put(os.getpid())
     for name in _THREAD_COUNTS:
         os.environ[name] = "1"
     _OBJECT[:] = [opened(parcel)]
