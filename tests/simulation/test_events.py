@@ -21,7 +21,6 @@ from gnc_opt.simulation import (
     Event,
     Lag,
     Normal,
-    RateLimit,
     Run,
     RunStatus,
     Uniform,
@@ -314,13 +313,14 @@ def test_a_delayed_push_that_arrives_within_the_step_is_flown_before_and_after_t
 def test_an_event_that_is_only_noted_happens_once_also_before_a_bend_of_an_actuator():
     """The integration begins anew at bends: what lies before them is of no length, and arms nothing."""
     plant, h, _ = ball()
-    noted = Event("marker", h - 5.0, "falling", reset={})
-    loop = falling(plant, noted, actuators=[RateLimit("slew", 1.0), Lag("engine", 0.1)])
+    noted = Event("marker", h - 0.05, "falling", reset={})
+    wind = scheduled(plant, lambda t: np.sin(9 * t))
+    loop = ClosedLoop(plant, wind, actuators=[Delay("late", 0.03)], events=[noted], dt=0.1)
     campaign = monte_carlo(
-        loop, 200, x0=[10.0, 1.0], tf=1.5, dispersions={"initial.h": Uniform(-1.0, 1.0)}, executor="serial"
+        loop, 60, x0=[4.0, 1.0], tf=1.4, dispersions={"initial.h": Uniform(-1.0, 1.0)}, executor="serial"
     )
-    assert {run.status for run in campaign.outcomes} == {RunStatus.OK}
-    assert np.array_equal(campaign.happened("marker"), np.ones(200))
+    assert set(campaign.counts) == {RunStatus.OK}
+    assert np.all(campaign.happened("marker"))
 
 
 def test_the_mrp_shadow_set_keeps_the_attitude_and_bounds_its_parameters():
