@@ -91,7 +91,9 @@ def test_times_and_their_guesses() -> None:
     ],
 )
 @pytest.mark.parametrize("start", [None, (0.0, None), (0.0, 100.0)])
-def test_guessed_times_of_linked_phases_follow_each_other(finals: Any, expected: list[float], start: Any) -> None:
+def test_guessed_times_of_linked_phases_follow_each_other(
+    finals: Any, expected: list[float], start: Any
+) -> None:
     """Each begins where the one before ends; ends of which nothing is told are even steps to the next that is."""
     problem = go.Problem("linked")
     legs = [rocket(problem, name) for name in ("a", "b", "c")]
