@@ -48,8 +48,10 @@ CART = cart()
 def test_a_singular_control_gets_four_degrees_more_and_points_for_them() -> None:
     first = Resolution(2, 6, SINGULAR_DEGREE)
     second = first.smoother(1.0)
-    assert second == Resolution(3, 6, SINGULAR_DEGREE + 4, 1.0)
-    assert second.smoother(HELPED) == Resolution(4, 6, SINGULAR_DEGREE + 8, HELPED)
+    assert second == Resolution(2, 9, SINGULAR_DEGREE + 4, 1.0)
+    third = second.smoother(HELPED)
+    assert third == Resolution(2, MAX_DEGREE, SINGULAR_DEGREE + 8, HELPED)
+    assert third.smoother(0.0) == Resolution(3, MAX_DEGREE, SINGULAR_DEGREE + 12, 0.0)
     assert second.smoother(HELPED * 1.001) == second
     assert Resolution(9, 6, SINGULAR_DEGREE).smoother(1.0).segments == 9
     assert Resolution(2, 6, 0).smoother(1.0) == Resolution(2, 6, 0)
@@ -578,6 +580,7 @@ def test_the_loop_is_restless_if_adjusting_does_not_help() -> None:
     assert not s._restless([moved, moved, moved, moved, record(0.5, s.RAISED)])
     assert s._restless([moved, moved, moved, moved, record(0.51, s.RAISED)])
     assert s._restless([record(0.1, "x"), *[record(0.1, s.RAISED)] * 4])
+    assert not s._restless([moved, moved, moved, record(1.0, f"{s.KINKS_MOVED}, {s.SMOOTHED}"), moved])
 
 
 def test_a_loop_in_a_circle_is_noticed() -> None:
@@ -775,10 +778,10 @@ def test_what_vanishes_is_mended_first_then_kinks_and_points_then_what_is_missin
 @pytest.mark.parametrize(
     ("error", "gradient", "wanted"),
     [
-        (1e-3, 1e-2, Resolution(3, 6, 8, 1e-2)),  # a polynomial that is no guess of the control comes first
+        (1e-3, 1e-2, Resolution(2, 9, 8, 1e-2)),  # a polynomial that is no guess of the control comes first
         (1e-2, 1e-3, Resolution(2, 9, 4)),
         (1e-6, 1e-5, Resolution(2, 9, 4)),  # then the states,
-        (1e-10, 1e-5, Resolution(3, 6, 8, 1e-5)),  # then the last digits of the control
+        (1e-10, 1e-5, Resolution(2, 9, 8, 1e-5)),  # then the last digits of the control
         (1e-10, 1e-10, Resolution(2, 6, 4)),
     ],
 )

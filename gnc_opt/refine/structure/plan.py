@@ -118,18 +118,16 @@ class Resolution:
         return replace(self, segments=count, edges=tuple(map(float, np.concatenate(pieces)[:-1])))
 
     def smoother(self, gradient: float) -> Resolution:
-        """Return the resolution with singular controls of a higher degree, and points enough for them.
+        """Return the resolution with singular controls of a higher degree, and points enough for them and the states.
 
         It is itself where the last higher degree did not help much: what is left of dH/du is rounding, or no smooth
         control can remove it.
         """
         if self.smooth == 0 or gradient > HELPED * self.gradient:
             return self
-        smooth = min(self.smooth + 4, MAX_SINGULAR_DEGREE)
-        raised, wanted = (
-            replace(self, smooth=smooth, gradient=gradient),
-            int(np.ceil(2 * smooth / self.degree)),
-        )
+        smooth, degree = min(self.smooth + 4, MAX_SINGULAR_DEGREE), min(self.degree + STEP, MAX_DEGREE)
+        raised = replace(self, smooth=smooth, degree=degree, gradient=gradient)
+        wanted = math.ceil(2 * smooth / degree)
         return raised if wanted <= self.segments else replace(raised, segments=wanted, edges=())
 
 

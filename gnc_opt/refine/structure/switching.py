@@ -221,9 +221,12 @@ def _resolved(records: list[Pass], tol: float) -> bool:
 
 
 def _restless(records: list[Pass]) -> bool:
-    """Whether the structure stays, but neither moving kinks nor finer meshes reduce the error."""
+    """Whether the structure stays, but neither moving kinks nor finer meshes reduce the error.
+
+    Singular controls of a higher degree reduce what is left of dH/du, and are raised no further where they do not.
+    """
     last = records[-PATIENCE:]
-    if not all(map(_adjusting, last)) or len(records) <= PATIENCE:
+    if len(records) <= PATIENCE or any(SMOOTHED in str(r.actions) or not _adjusting(r) for r in last):
         return False
     return min(r.error for r in last) > 0.5 * min(r.error for r in records[:-PATIENCE])
 
