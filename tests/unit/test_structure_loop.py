@@ -277,15 +277,18 @@ def test_a_piece_without_length_is_dropped(monkeypatch: pytest.MonkeyPatch) -> N
 @pytest.mark.parametrize(
     ("share", "wrong", "dropped"), [(0.9, 2.0, True), (0.9, 0.5, False), (1.1, 2.0, False)]
 )
-def test_a_short_piece_is_dropped_if_its_own_signs_are_wrong(
+def test_a_short_piece_is_swapped_if_its_own_signs_are_wrong(
     monkeypatch: pytest.MonkeyPatch, share: float, wrong: float, dropped: bool
 ) -> None:
-    """Signs that are wrong in other pieces say nothing about it."""
-    short = PhaseStructure((0.0, 1.0, 1.0 + share * 2 * m.PROPPED, 2.0), ((LOW,), (UP,), (LOW,)))
+    """Signs that are wrong in other pieces say nothing about it, nor do they beside a singular arc."""
+    times = (0.0, 1.0, 1.0 + share * 2 * m.PROPPED, 2.0)
+    short = PhaseStructure(times, ((LOW, LOW), (UP, LOW), (UP, UP)))
     there: Any = SimpleNamespace(leg=LEG.leg, segments=np.array([0, 0, 1, 1, 2, 2]))
     offence = np.array([[1.0, 0.0, 0.0, wrong * m.WRONG_SIGN, 0.0, 1.0]])
     monkeypatch.setattr(m, "_offences", lambda *_: (offence, None))
     assert (m._collapse(there, Plan.of(short), set())[0] is not None) is dropped
+    for kinds in (((LOW, LOW), (UP, LOW), (UP, SING)), ((LOW, LOW), (UP, LOW), (LOW, LOW))):
+        assert m._collapse(there, Plan.of(PhaseStructure(times, kinds)), set()) == (None, "")
 
 
 @pytest.mark.parametrize(("share", "dropped"), [(0.9, True), (1.1, False)])

@@ -127,9 +127,17 @@ def _collapse(
 
 
 def _propped(samples: PhaseSamples, plan: Plan, piece: int) -> bool:
-    """Whether signs are wrong within a piece: its ends want to meet, and the barrier of the solver keeps it open."""
+    """Whether two switches want to change places, as wrong signs between them say, and the barrier keeps them apart.
+
+    Beside a singular arc signs are as good as the polynomial of its control.
+    """
+    structure = plan.structure
+    if structure.swapped(piece) is None:
+        return False
+    if np.any(structure.controls[:, piece - 1 : piece + 2] == ArcKind.SINGULAR):
+        return False
     pieces = plan.segment_pieces[samples.segments]
-    offence, _ = _offences(samples, plan.structure, plan.structure.matrix()[:, pieces])
+    offence, _ = _offences(samples, structure, structure.matrix()[:, pieces])
     return bool(np.max(offence[:, pieces == piece], initial=0.0) > WRONG_SIGN)
 
 
