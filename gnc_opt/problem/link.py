@@ -24,8 +24,8 @@ def linkages(
 ) -> Iterator[tuple[str, Any, Array]]:
     """Yield name, expression and value of each constraint that links two phases; see ``Problem.link``.
 
-    The second phase notes what is handed over to it, for its guess. The names are ``link_<first>_<second>_<state>``
-    and ``..._time``.
+    The second phase notes for its guess what is handed over to it, and when. The names are
+    ``link_<first>_<second>_<state>`` and ``..._time``.
     """
     label = f"link_{first.name}_{second.name}"
     if time and first is second:
@@ -46,6 +46,7 @@ def linkages(
         second.handed[name] = (first.name, value)
         yield f"{label}_{name}", start - end, value
     if time:
+        second.follows = first.name
         yield f"{label}_time", second.initial_time - first.final_time, as_vector(0.0, 1, label)
 
 

@@ -291,6 +291,12 @@ def test_constraint_without_a_name() -> None:
     problem.constrain(leg.final_time <= 3.0)  # wrong
 
 
+@mistake(go.ProblemError, "cannot be the name of an integral of phase 'leg'", 'integral(expression, "name")')
+def test_name_of_an_integral_first() -> None:
+    _, leg = rest_to_rest()
+    leg.integral("effort", leg.model.symbol("a") ** 2)  # type: ignore[arg-type]  # wrong
+
+
 @mistake(go.ProblemError, "path constraint 'fast' of phase 'leg'", "None", "build it from the symbols")
 def test_path_constraint_without_an_expression() -> None:
     _, leg = rest_to_rest()

@@ -448,7 +448,7 @@ def test_events_that_are_none_are_refused():
     a, foreign = plant.symbol("a"), ball()[1]
     for event, words in (
         (lambda: Event("x", h, "down"), "the direction of event 'x' is 'down': give one of"),
-        (lambda: Event("", h), "cannot be the name of a event"),
+        (lambda: Event("", h), "cannot be the name of an event"),
         (lambda: Event("x", h, reset=[v]), "the reset of event 'x' is a list where a Mapping is needed"),
         (lambda: Event("x", h, reset={v: -v}, failure=True), "is a failure and does not end the run"),
         (
