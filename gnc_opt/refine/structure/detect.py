@@ -314,7 +314,7 @@ def _commanded(samples: PhaseSamples, controls: KindArray) -> Mask:
     """Where a singular control moves a state at once, (n_states, n_samples)."""
     found = np.zeros(samples.x.shape, dtype=bool)
     for channel in np.flatnonzero(np.any(controls == ArcKind.SINGULAR, axis=1)):
-        found |= _moved_at_once(samples, channel) & (controls[channel] == ArcKind.SINGULAR)
+        found |= _moved_at_once(samples, int(channel)) & (controls[channel] == ArcKind.SINGULAR)
     return found
 
 
