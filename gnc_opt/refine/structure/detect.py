@@ -274,22 +274,24 @@ def _state_labels(samples: PhaseSamples, controls: KindArray) -> list[KindArray]
     """LOWER, INTERIOR or UPPER at each sample for every state.
 
     A state counts as held along segments on which it stays on its bound while some singular control could move
-    it at once (a bound of first order).
+    it at once (a bound of first order). No arc reaches an end of the phase at which another value is given.
     """
     leg, rows, commanded = samples.leg, [], _commanded(samples, controls)
+    ends = ((0, leg.initial_bounds), (leg.mesh.segments - 1, leg.final_bounds))
     for i in range(leg.states.size):
         labels = np.full(samples.times.size, ArcKind.INTERIOR)
         margin = STILL * samples.state_scale[i]
-        for kind, distance in (
-            (ArcKind.UPPER, leg.state_bounds.upper[i] - samples.x[i]),
-            (ArcKind.LOWER, samples.x[i] - leg.state_bounds.lower[i]),
+        for kind, limit, distance in (
+            (ArcKind.UPPER, leg.state_bounds.upper[i], leg.state_bounds.upper[i] - samples.x[i]),
+            (ArcKind.LOWER, leg.state_bounds.lower[i], samples.x[i] - leg.state_bounds.lower[i]),
         ):
+            off = [k for k, given in ends if not given.lower[i] - margin <= limit <= given.upper[i] + margin]
             for k in range(leg.mesh.segments):
                 here = samples.segments == k
                 if np.all(distance[here] < margin) and _middle(commanded[i, here]):
                     labels[here] = kind
             if np.any(labels == kind):
-                _spread(samples, labels, kind, commanded[i])
+                _spread(samples, labels, kind, commanded[i] & ~np.isin(samples.segments, off))
         rows.append(labels)
     return rows
 
