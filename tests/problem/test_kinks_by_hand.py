@@ -481,7 +481,7 @@ def test_limits_by_concave_tables_are_several_smooth_ones() -> None:
 
 
 def test_a_control_and_its_epigraph_that_a_limit_couples_are_determined() -> None:
-    r"""Of ``a**2 + fabs(a + v)`` H curves along the limit: :math:`\ddot v = 1/2` while a + v > 0, and it is a minimum."""
+    """Of ``a**2 + fabs(a + v)`` H curves along the limit: v'' = 1/2 while a + v > 0, and it is a minimum."""
     model = go.Model("speed")
     v, a = model.state("v"), model.control("a")
     model.ode({v: a})
