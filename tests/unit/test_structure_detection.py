@@ -41,7 +41,12 @@ def sampled(segments: int, breaks: Any = None, **more: Any) -> Any:
         "segments": np.repeat(np.arange(segments), PER_SEGMENT),
         "control_scale": np.array([2.0]),
         "u": np.zeros((1, times.size)),
-        "leg": SimpleNamespace(breaks=edges, control_bounds=interval(-1.0, 1.0)),
+        "leg": SimpleNamespace(
+            breaks=edges, control_bounds=interval(-1.0, 1.0), state_bounds=interval(-np.inf, np.inf)
+        ),
+        "x": np.zeros((1, times.size)),
+        "state_scale": np.ones(1),
+        "functions": SimpleNamespace(rates=lambda t, x, u: u),
     }
     return SimpleNamespace(**(values | more))
 
@@ -134,6 +139,26 @@ def test_each_bang_is_judged_by_itself() -> None:
     assert absorbed("slssuss", [0, 1, 0, 0, 1, 0, 0], [0, 0.5, 0, 0, -0.5, 0, 0]) == "ssssuss"
     assert absorbed("slssuss", [0, -1, 0, 0, -1, 0, 0], [0, 0.5, 0, 0, -0.5, 0, 0]) == "slsssss"
     assert absorbed("lssu", [-1, 0, 0, 1], [0.01, 0, 0, -0.5]) == "sssu"
+
+
+@pytest.mark.parametrize(
+    ("speed", "moved", "after"),
+    [
+        ([0, 0, 0.5, 0.2, 0], True, "sslsss"), ([0, 0, 0.03, 0.02, 0], True, "ssssss"),
+        ([0, 0.3, 0.5, 0.6, 0.3], True, "ssssss"), ([0, 0, 0.5, 0.2, 0], False, "ssssss"),
+    ],
+)  # fmt: skip
+def test_a_bang_that_brings_a_state_to_its_bound_is_no_noise(
+    speed: list[float], moved: bool, after: str
+) -> None:
+    """However little it gains: v' = u with v >= 0, which the arcs beside the bang may hold."""
+    there = sampled(6, u=np.repeat([0.5, 0.5, -1, 0.5, 0.5, 0.5], PER_SEGMENT)[None, :])
+    there.x = np.interp(there.times, [0, 2, 2.5, 3, 6], speed)[None, :]
+    there.leg.state_bounds = interval(0.0, np.inf)
+    there.functions = SimpleNamespace(rates=lambda t, x, u: u if moved else 0 * u)
+    labels = np.repeat(kinds("sslsss"), PER_SEGMENT)
+    d._absorb(there, 0, labels, np.repeat([0, 0, 1e-4, 0, 0, 0], PER_SEGMENT))
+    assert text(labels[::PER_SEGMENT]) == after
 
 
 # --- singular segments ------------------------------------------------------------------------------------
