@@ -225,10 +225,9 @@ def _restless(records: list[Pass]) -> bool:
 
     Singular controls of a higher degree reduce what is left of dH/du, and are raised no further where they do not.
     """
-    last = records[-PATIENCE:]
-    if len(records) <= PATIENCE or any(SMOOTHED in str(r.actions) or not _adjusting(r) for r in last):
-        return False
-    return min(r.error for r in last) > 0.5 * min(r.error for r in records[:-PATIENCE])
+    changes = [k for k, r in enumerate(records) if not _adjusting(r) or SMOOTHED in str(r.actions)]
+    errors = [r.error for r in records[changes[-1] + 1 if changes else 0 :]]
+    return len(errors) > PATIENCE and min(errors[-PATIENCE:]) > 0.5 * min(errors[:-PATIENCE])
 
 
 def _returned(tries: list[_Try]) -> bool:
