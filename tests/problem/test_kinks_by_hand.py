@@ -69,6 +69,16 @@ PIECEWISE: dict[str, tuple[Cost, Callable[[float], float], tuple[float, ...]]] =
         abs,
         (0.0,),
     ),
+    "a linear table": (
+        lambda x, v, a: go.table([-3.0, -0.5, 0.5, 1.0, 4.0], [5.0, 0.0, 0.0, 1.0, 7.0], method="linear")(a),
+        lambda a: float(np.interp(a, [-3.0, -0.5, 0.5, 3.0], [5.0, 0.0, 0.0, 5.0])),
+        (-0.5, 0.5),
+    ),
+    "a concave table that earns": (
+        lambda x, v, a: -go.table([-3.0, 0.0, 4.0], [-6.0, 0.0, 4.0], method="linear", outside="error")(a),
+        lambda a: max(-2 * a, -a),
+        (0.0,),
+    ),
     "other units": (lambda x, v, a: ca.fabs(3 - 6 * a) / 6, lambda a: abs(a - 0.5), (0.5,)),
 }
 
@@ -388,35 +398,3 @@ def test_a_norm_that_rests_where_its_argument_vanishes() -> None:
 def test_lengths_of_paths_stay_as_they_are() -> None:
     problem = pushed(lambda v, a: ca.sqrt(a[0] ** 2 + (a[1] * ca.cos(v[0])) ** 2))
     assert restated(problem) is problem
-
-
-@pytest.mark.parametrize("final", [None, 0.0, 0.5])
-def test_signs_that_are_only_presumed_leave_no_kink_of_a_state(final: float | None) -> None:
-    """A state without bounds that starts and ends at zero or above may be below it in between."""
-    model = go.Model("cart")
-    x, a = model.state("x"), model.control("a")
-    model.ode({x: a})
-    problem = go.Problem("L1 regulation")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=3.0)
-    leg.initial(x=1.0)
-    leg.bounds(a=(-1.0, 1.0))
-    if final is not None:
-        leg.final(x=final)
-    problem.minimize(leg.integral(ca.fabs(x)))
-    assert list(restated(problem).phases["leg"].paths) == ["epigraph"]
-
-
-def test_divisors_keep_their_signs() -> None:
-    """What is divided by a mass has its sign: ``fabs(m)`` is m, and no control is made for it."""
-    model = go.Model("rocket")
-    v, m, thrust = model.state("v"), model.state("m"), model.control("T")
-    model.ode({v: thrust / (2 * m), m: -ca.fabs(thrust)})
-    problem = go.Problem("rocket")
-    leg = problem.phase("leg", model)
-    leg.time(initial=0.0, final=3.0)
-    leg.initial(v=0.0, m=2.0)
-    leg.final(v=1.0)
-    leg.bounds(T=(-3.0, 3.0))
-    problem.minimize(leg.integral(ca.fabs(m * 2.0)))
-    assert list(restated(problem).phases["leg"].model.controls.names) == ["T"]

@@ -108,6 +108,23 @@ def test_guessed_times_of_linked_phases_follow_each_other(
     assert guess_times(legs[1])[0] == 20.0
 
 
+def test_states_linked_in_other_units_are_warned_of(recwarn: pytest.WarningsRecorder) -> None:
+    problem = go.Problem("units")
+    legs = []
+    for name, unit in (("a", "m"), ("b", "km"), ("c", "km"), ("d", "")):
+        model = go.Model(name)
+        x, u = model.state("x", unit=unit), model.control("u")
+        model.ode({x: u})
+        legs.append(problem.phase(name, model))
+    problem.link(legs[1], legs[2])
+    problem.link(legs[2], legs[3])
+    assert not recwarn.list
+    with pytest.warns(
+        go.ProblemWarning, match=r"link_a_b .* hands 'x' over from m to km, and nothing is converted"
+    ):
+        problem.link(legs[0], legs[1])
+
+
 def test_times_that_are_not_linked_are_guessed_alone() -> None:
     problem = go.Problem("apart")
     legs = [rocket(problem, name) for name in ("a", "b")]

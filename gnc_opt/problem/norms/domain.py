@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
@@ -10,11 +11,12 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.graph import nodes_of, replaced
+from gnc_opt.model.table import TableUse
 from gnc_opt.problem.interval import Interval, free, intersect
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.ranges import ranges_of
 from gnc_opt.problem.statement import Statement
-from gnc_opt.problem.tables import along
+from gnc_opt.problem.tables import along, table_uses
 
 _DRAWS = 6
 
@@ -33,11 +35,14 @@ class Domain:
     boxes : tuple of Interval
     stated : tuple of Interval
         Without what is only presumed of states.
+    tables : mapping of TableUse
+        Calls of linear tables of one axis, by the hashes of their values.
     """
 
     symbols: tuple[Any, ...]
     boxes: tuple[Interval, ...]
     stated: tuple[Interval, ...]
+    tables: Mapping[int, TableUse] = field(default_factory=dict)
 
     @classmethod
     def along(cls, problem: Statement, leg: Phase) -> Domain:
@@ -56,7 +61,13 @@ class Domain:
             np.where(never_zero, sign.lower, told.lower), np.where(never_zero, sign.upper, told.upper)
         )
         boxes, surely = ((time, x, leg.numbers.controls, *rest) for x in (sign, stated))
-        return cls((*leg.model.arguments(), problem.parameter_symbols()), boxes, surely)
+        uses = table_uses(problem, problem.phases[leg.name])
+        lines = {
+            int(use.value.element_hash()): use
+            for use in uses
+            if use.table.method == "linear" and len(use.table.grids) == 1
+        }
+        return cls((*leg.model.arguments(), problem.parameter_symbols()), boxes, surely, lines)
 
     @classmethod
     def at_ends(cls, problem: Statement) -> Domain:
@@ -99,7 +110,7 @@ class Domain:
 
     def surely(self) -> Domain:
         """Return the domain without what is only presumed."""
-        return Domain(self.symbols, self.stated, self.stated)
+        return Domain(self.symbols, self.stated, self.stated, self.tables)
 
     def sign(self, expression: Any) -> int:
         """Return 1 for a scalar that is never negative, -1 for one that is never positive, else 0."""

@@ -11,7 +11,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure.contacts import crossed_contact, pushed_contact, wrong_touch
-from gnc_opt.refine.structure.detect import affine_channels, curved_channels, linear_limits
+from gnc_opt.refine.structure.detect import SMALL, affine_channels, curved_channels, linear_limits
 from gnc_opt.refine.structure.junctions import move_kinks
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose, signs_of
 from gnc_opt.refine.structure.plan import Plan, Resolution
@@ -30,11 +30,18 @@ ROOM = 1e-3
 VANISHED = 1e-7
 """A piece shorter than this share of its phase has vanished."""
 
+PROPPED = 3e-5
+"""Share of its phase below which the solver's barrier alone may keep a piece open. Where two switching functions vanish
+at one time its length falls like the square root of the barrier, which ends at 1e-11 and less."""
+
 STATIONARY = 1e-9
 """First-order gain in H, in shares of H, that may be left along a singular arc."""
 
 ROUGH = 1e-4
 """Gain in H beyond which the polynomial of a singular control is no guess of it yet."""
+
+CHATTER = 5
+"""So many switches of one control where its switching function stays small are no bangs."""
 
 LEFT_OPEN = 5e-6
 """Gain in H beyond which a singular arc is left open at its ends: half of what `verify` forgives."""
@@ -59,7 +66,7 @@ def improve(
     problem, samples = solution.need_problem("refine"), solution.samples()
     constraints = {name: StateConstraints(problem, s) for name, s in samples.items()}
     for name, s in samples.items():
-        structure, action = _collapse(s, plans[name].structure, swapped)
+        structure, action = _collapse(s, plans[name], swapped)
         if structure is not None:
             return {**plans, name: plans[name].restructured(structure)}, action
     for name, c in constraints.items():
@@ -105,12 +112,14 @@ def _adjust(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan
 
 
 def _collapse(
-    samples: PhaseSamples, structure: PhaseStructure, swapped: set[tuple[str, PhaseStructure]]
+    samples: PhaseSamples, plan: Plan, swapped: set[tuple[str, PhaseStructure]]
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure after a piece has vanished and what was done, or None if none has."""
-    lengths = structure.lengths
+    structure, lengths = plan.structure, plan.structure.lengths
     shortest = int(np.argmin(lengths))
-    if structure.pieces == 1 or lengths[shortest] >= VANISHED * lengths.sum():
+    share = lengths[shortest] / lengths.sum()
+    gone = share < VANISHED or (share < PROPPED and _propped(samples, plan, shortest))
+    if structure.pieces == 1 or not gone:
         return None, ""
     other = structure.swapped(shortest)
     swapped.add((samples.leg.name, structure.at(())))
@@ -118,6 +127,21 @@ def _collapse(
     if other is not None and (samples.leg.name, other.at(())) not in swapped:
         return _spread(other, shortest), f"switches {shortest} and {shortest + 1} swapped"
     return structure.emptied(shortest), f"piece {shortest + 1} dropped"
+
+
+def _propped(samples: PhaseSamples, plan: Plan, piece: int) -> bool:
+    """Whether two switches want to change places, as wrong signs between them say, and the barrier keeps them apart.
+
+    Beside a singular arc signs are as good as the polynomial of its control.
+    """
+    structure = plan.structure
+    if structure.swapped(piece) is None:
+        return False
+    if np.any(structure.controls[:, piece - 1 : piece + 2] == ArcKind.SINGULAR):
+        return False
+    pieces = plan.segment_pieces[samples.segments]
+    offence, _ = _offences(samples, structure, structure.matrix()[:, pieces])
+    return bool(np.max(offence[:, pieces == piece], initial=0.0) > WRONG_SIGN)
 
 
 def _spread(structure: PhaseStructure, piece: int) -> PhaseStructure:
@@ -140,7 +164,32 @@ def _complete(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None,
     offence, asked = _offences(samples, plan.structure, kinds)
     for i in range(offence.shape[0]):
         _forgive_own_switches(offence[i], kinds[i])
+    if offence.size and (found := _chatter(samples, plan.structure, offence)):
+        i, start, end = found
+        label = samples.leg.controls.labels[i]
+        return plan.structure.with_arc(
+            i, start, end, ArcKind.SINGULAR
+        ), f"{label} singular from {start:.4g} s"
     return _with_worst(samples, plan.structure, offence, asked)
+
+
+def _chatter(
+    samples: PhaseSamples, structure: PhaseStructure, offence: Array
+) -> tuple[int, float, float] | None:
+    """Return control, start and end of bangs that stand in for a singular arc, if the worst offence is among them.
+
+    There many bangs in a row leave a small switching function, which asks for ever more of them.
+    """
+    i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
+    if offence[i, j] < WRONG_SIGN or i >= samples.leg.controls.size or not affine_channels(samples)[i]:
+        return None
+    gain = np.abs(samples.control_gradient[i]) * samples.control_scale[i] / samples.hamiltonian_scale
+    large = samples.times[gain > SMALL]
+    first, last = large[large < samples.times[j]], large[large > samples.times[j]]
+    start, end = first[-1] if first.size else -np.inf, last[0] if last.size else np.inf
+    switches = [structure.times[k] for k in range(1, structure.pieces) if i in structure.changes(k)]
+    inside = [t for t in switches if start < t < end]
+    return (i, inside[0], inside[-1]) if len(inside) >= CHATTER else None
 
 
 def _with_worst(
