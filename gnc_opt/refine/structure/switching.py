@@ -222,10 +222,9 @@ def _resolved(records: list[Pass], tol: float) -> bool:
 
 def _restless(records: list[Pass]) -> bool:
     """Whether the structure stays, but neither moving kinks nor finer meshes reduce the error."""
-    last = records[-PATIENCE:]
-    if not all(map(_adjusting, last)) or len(records) <= PATIENCE:
-        return False
-    return min(r.error for r in last) > 0.5 * min(r.error for r in records[:-PATIENCE])
+    changes = [k for k, r in enumerate(records) if not _adjusting(r)]
+    errors = [r.error for r in records[changes[-1] + 1 if changes else 0 :]]
+    return len(errors) > PATIENCE and min(errors[-PATIENCE:]) > 0.5 * min(errors[:-PATIENCE])
 
 
 def _returned(tries: list[_Try]) -> bool:
