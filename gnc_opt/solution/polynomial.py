@@ -85,7 +85,7 @@ class PiecewisePolynomial:
         tau = self._tau(segment, times)
         table = self._table
         basis = barycentric_basis(table.nodes[segment], table.weights[segment], tau)
-        result = np.matmul(table.values[segment], basis[:, :, None])[:, :, 0].T
+        result: Array = np.matmul(table.values[segment], basis[:, :, None])[:, :, 0].T
         return result if np.ndim(t) else result[:, 0]
 
     def within(self, tau: ArrayLike) -> Array:
