@@ -261,16 +261,16 @@ LEG: Any = SimpleNamespace(leg=SimpleNamespace(name="leg"))
 
 def test_a_piece_without_length_is_dropped() -> None:
     vanished = PhaseStructure((0.0, 1.0, 1.0 + 1e-7, 2.0), ((LOW,), (UP,), (LOW,)))
-    found, action = m._collapse(LEG, vanished, set())
+    found, action = m.collapsed(LEG, vanished, set())
     assert found is not None and found.kinds == ((LOW,),) and action == "piece 2 dropped"
     for structure in (
         replace(vanished, times=(0.0, 1.0, 1.0 + 1e-5, 2.0)),
         PhaseStructure((0.0, 1e-9), ((LOW,),)),
     ):
-        assert m._collapse(LEG, structure, set()) == (None, "")
+        assert m.collapsed(LEG, structure, set()) == (None, "")
     for share, dropped in ((0.99, True), (1.01, False)):
         late = replace(vanished, times=(50.0, 51.0, 51.0 + share * 2 * m.VANISHED, 52.0))
-        assert (m._collapse(LEG, late, set())[0] is not None) is dropped
+        assert (m.collapsed(LEG, late, set())[0] is not None) is dropped
 
 
 @pytest.mark.parametrize(("share", "dropped"), [(0.9, True), (1.1, False)])
@@ -290,13 +290,13 @@ def test_a_kink_that_leaves_hardly_any_piece_drops_it(
 def test_switches_of_two_controls_are_swapped_once() -> None:
     crossed = PhaseStructure((0.0, 1.0, 1.0, 3.0), ((LOW, LOW), (UP, LOW), (UP, UP)))
     seen: set[Any] = set()
-    found, action = m._collapse(LEG, crossed, seen)
+    found, action = m.collapsed(LEG, crossed, seen)
     assert found is not None and found.kinds[1] == (LOW, UP) and action == "switches 1 and 2 swapped"
     assert found.times == pytest.approx((0.0, 1 - 0.0015, 1 + 0.0015, 3.0))
-    again, action = m._collapse(LEG, replace(found, times=(0.0, 1.0, 1.0, 3.0)), seen)
+    again, action = m.collapsed(LEG, replace(found, times=(0.0, 1.0, 1.0, 3.0)), seen)
     assert again is not None and again.kinds == ((LOW, LOW), (UP, UP)) and action == "piece 2 dropped"
     other = SimpleNamespace(leg=SimpleNamespace(name="other"))
-    assert m._collapse(other, crossed, seen)[1].endswith("swapped")  # type: ignore[arg-type]
+    assert m.collapsed(other, crossed, seen)[1].endswith("swapped")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("start", [0.0, -7.0, 30.0])
@@ -487,6 +487,13 @@ def test_a_mended_plan_stays_loose_while_the_same_is_touched() -> None:
     assert not Plan.of(touched).restructured(with_bang).loose
 
 
+def test_a_mended_plan_keeps_the_degree_of_its_singular_controls() -> None:
+    structure = PhaseStructure((0.0, 1.0, 4.0), ((LOW,), (SING,)))
+    plan = Plan(structure, (Resolution(), Resolution(4, 9, smooth=12, gradient=0.1)))
+    mended = plan.restructured(structure.with_arc(0, 1.0, 2.0, UP))
+    assert mended.resolutions == (Resolution(), Resolution(), Resolution(4, 9, smooth=12))
+
+
 # --- resolution -------------------------------------------------------------------------------------------
 
 
@@ -572,12 +579,13 @@ def record(error: float, actions: str) -> Pass:
 def test_the_loop_is_restless_if_adjusting_does_not_help() -> None:
     moved, raised = record(1.0, s.KINKS_MOVED), record(1.0, s.RAISED)
     both = record(1.0, f"{s.KINKS_MOVED}, {s.RAISED}")
-    assert s._restless([record(1.0, "x"), moved, raised, both, moved])
+    assert s._restless([record(1.0, "x"), moved, raised, both, moved, raised])
+    assert not s._restless([record(0.1, "x"), moved, raised, both, moved])  # 0.1 is another structure's
     assert not s._restless([moved] * 4) and s._restless([moved] * 5)
     assert not s._restless([moved, moved, record(1.0, "piece 1 dropped"), moved, moved])
     assert not s._restless([moved, moved, moved, moved, record(0.5, s.RAISED)])
     assert s._restless([moved, moved, moved, moved, record(0.51, s.RAISED)])
-    assert s._restless([record(0.1, "x"), *[record(0.1, s.RAISED)] * 4])
+    assert s._restless([record(0.1, "x"), *[record(0.1, s.RAISED)] * 5])
 
 
 def test_a_loop_in_a_circle_is_noticed() -> None:
@@ -723,7 +731,7 @@ def improved(monkeypatch: pytest.MonkeyPatch, **answers: Any) -> tuple[dict[str,
             answers.get(name, nothing)[getattr(of, "samples", of).name] or otherwise(*more)
         )
 
-    monkeypatch.setattr(m, "_collapse", step("collapse", lambda *_: (None, "")))
+    monkeypatch.setattr(m, "collapsed", step("collapse", lambda *_: (None, "")))
     monkeypatch.setattr(m, "_adjust", step("adjust", lambda plan, tol: (plan, "")))
     monkeypatch.setattr(m, "_complete", step("complete", lambda *_: (None, "")))
     monkeypatch.setattr(m, "_saturated", step("saturate", lambda *_: (None, "")))
