@@ -34,12 +34,19 @@ def read_name(name: object, what: str, error: ErrorType = ArgumentError) -> str:
     return name
 
 
-def read_label(name: object, what: str, error: ErrorType = ArgumentError) -> str:
+def read_label(
+    name: object,
+    what: str,
+    error: ErrorType = ArgumentError,
+    *,
+    instead: str = "its name comes first, a text",
+) -> str:
     """Return a name that appears only in results and reports: any text without brackets."""
+    article = "an" if what[:1] in "aeiou" else "a"
     if not isinstance(name, str):
-        raise error(f"{shown(name)} cannot be the name of a {what}: its name comes first, a text.")
+        raise error(f"{shown(name)} cannot be the name of {article} {what}: {instead}.")
     if not name.strip() or "[" in name:
-        raise error(f"{shown(name)} cannot be the name of a {what}: give a text without brackets.")
+        raise error(f"{shown(name)} cannot be the name of {article} {what}: give a text without brackets.")
     return name
 
 

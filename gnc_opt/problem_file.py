@@ -23,6 +23,14 @@ from gnc_opt.errors import GncOptError, did_you_mean
 from gnc_opt.problem.problem import Problem
 
 _INIT = "__init__.py"
+_REMEDIES = {
+    "Cannot compute the truth value": "(What a state will be is not known here: write casadi.if_else(condition, this, "
+    "that), casadi.fmax(a, b) or casadi.fmin(a, b), or a phase per case.)",
+    "Matrix product with incompatible dimensions": "(Vectors are columns: write a.T @ b, or casadi.dot(a, b).)",
+    "overloaded function": "(Build vectors with casadi.vertcat(a, b) first.)",
+}
+"""What to write instead of what CasADi refuses, by a part of its message."""
+
 _WORDS: dict[str, Any] = {"true": True, "false": False, "none": None, "null": None}
 
 
@@ -233,9 +241,18 @@ def _blaming(path: Path, what: str) -> Iterator[None]:
         raise ProblemFileError(f"{path}: {what} ends the program (exit code {error.code}).") from error
     except Exception as error:
         place = _place(path, error)
-        kind = "" if isinstance(error, GncOptError) else f"{type(error).__name__}: "
-        message = error.msg if isinstance(error, SyntaxError) else str(error)
-        raise ProblemFileError(f"{place}: {kind}{message}") from error
+        raise ProblemFileError(f"{place}: {_reason(error)}") from error
+
+
+def _reason(error: Exception) -> str:
+    """What an error says, of what kind it is if not gnc_opt's own, and what to write instead of what CasADi refuses."""
+    if isinstance(error, GncOptError):
+        return str(error)
+    message = error.msg if isinstance(error, SyntaxError) else str(error)
+    remedy = next((text for part, text in _REMEDIES.items() if part in message), None)
+    if remedy is None:
+        return f"{type(error).__name__}: {message}"
+    return f"{type(error).__name__}: {' '.join(message.split())} {remedy}"
 
 
 def _place(path: Path, error: BaseException) -> str:

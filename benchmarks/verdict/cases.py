@@ -18,6 +18,7 @@ from benchmarks.verdict.forged import forged
 from benchmarks.verdict.limits import limits
 from benchmarks.verdict.pairs import SCALES, Pair, pairs
 from benchmarks.verdict.right import NotRight, right
+from benchmarks.verdict.several import several
 from benchmarks.verdict.statements import FAMILY, Frame, Statement, build, frames, in_frame
 
 Told = Literal["failed", "passed", "untold", "not planted", "not found", "crash"]
@@ -99,7 +100,7 @@ def cases(documents: Sequence[Mapping[str, Any]], seed: int) -> Iterator[Case]:
         yield Case(e.kind, e.name, e.why, True, e.first_order, lambda e=e: (e.judge(), e.off))
     for f in forged():
         yield Case("forged file", f.name, f.why, True, True, lambda f=f: (f.judge(), f.off))
-    for pair in (*pairs(), *closed_forms(), *limits(), *degenerate()):
+    for pair in (*pairs(), *closed_forms(), *limits(), *degenerate(), *several()):
         for scale in SCALES:
             name = f"{pair.name}, unit {scale[0]:g}, cost {scale[1]:g}"
             yield Case(pair.kind, name, pair.why, True, pair.first_order, _paired(pair, scale, True))

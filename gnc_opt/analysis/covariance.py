@@ -10,6 +10,9 @@ met, a quantum, a large angle) none of this holds. That is measured: a few runs 
 the linear prediction is computed as well, number by number. If r is the root mean square of what they differ by,
 standard deviations lie within :math:`\sigma \pm r`, by the triangle inequality (but for the small number of runs).
 
+The covariance of a filter is held (see `Linearization`) unless a change of all of it by a tenth moves something by more
+than a hundredth of its standard deviation, as where the filter is in error on the nominal run already.
+
 References
 ----------
 D. K. Geller, Linear covariance techniques for orbital rendezvous analysis and autonomous onboard mission planning,
@@ -47,6 +50,9 @@ LINEAR = 0.05
 
 _CHECKS = 30
 """Runs flown beside their linear predictions unless told otherwise."""
+
+_HEARD = 0.1
+"""Standard deviations that the derivative by a common factor of a filter's covariance may be, if it is held."""
 
 _KINDS = {"command": "commands", "applied": "applied"}
 """Signals beside the errors, and what they are called where they are logged."""
@@ -236,8 +242,14 @@ def linear_covariance(
     checks = read_integer(checks, "the number of runs to compare with", 0)
     flight, dispersions = experiment.flight, experiment.dispersions
     columns = [int(i) for name in dispersions for i in range(flight.layout.size)[flight.layout.slice(name)]]
-    linearization = Linearization(flight, experiment.loop.wiring, columns)
-    return _Pass(linearization, dispersions, every, checks, experiment.seed).result()
+
+    def flown(hold: bool) -> LinearCovariance | None:
+        linearization = Linearization(flight, experiment.loop.wiring, columns, hold)
+        return _Pass(linearization, dispersions, every, checks, experiment.seed).result()
+
+    told = flown(hold=True) or flown(hold=False)
+    assert told is not None  # nothing is held
+    return told
 
 
 class _Pass:
@@ -266,7 +278,8 @@ class _Pass:
         self.scatters: dict[str, list[tuple[Array, Array]]] = {kind: [] for kind in ("error", *_KINDS)}
         self.mean: list[Array] = []
 
-    def result(self) -> LinearCovariance:
+    def result(self) -> LinearCovariance | None:
+        """Return what the pass found; none where what is held matters."""
         X, g, h = self.linearization.start()
         numbers = self._numbers()
         n = next(numbers)
@@ -278,6 +291,8 @@ class _Pass:
                 self._keep_state(X, scatter)
                 self._keep_outputs(step.y, scatter.through(step.c, step.d, step.e, n, first=first))
             scatter, X = scatter.through(step.a, step.g, step.h, n, first=first), step.X_next
+            if self._heard(X, step.by_held, scatter):
+                return None
         self._keep_state(X, scatter)
         return self._collected()
 
@@ -291,6 +306,14 @@ class _Pass:
             yield from itertools.repeat(np.empty((len(drawn), 0)))
         for legs in zip(*(flight.legs([self.seed, i], rows) for i, rows in enumerate(known)), strict=True):
             yield from np.stack([rows[:, drawn] for _, rows in legs], axis=2)
+
+    def _heard(self, X: Array, by_held: Array, scatter: Scatter) -> bool:
+        """Whether what is held moves anything by more than `_HEARD` and what integration may err by."""
+        if not self.linearization.held:
+            return False
+        sigma = np.sqrt(np.maximum(np.diag(scatter.covariances.sum(axis=0)), 0.0))
+        quiet = self.flight.accuracy * (1 + np.abs(X[self.linearization.carried]))
+        return bool(np.any(np.abs(by_held) > _HEARD * sigma + quiet))
 
     def _keep_state(self, X: Array, scatter: Scatter) -> None:
         places = self.linearization.state.split(np.arange(scatter.runs.shape[0]))["plant"]

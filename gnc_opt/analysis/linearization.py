@@ -9,6 +9,10 @@ sensors, estimator, controller, actuators. About the nominal run, the one withou
 
 n the standard normal numbers of the step, y what is logged. The derivatives are those of the compiled functions
 themselves; what only keeps the books (times of faults, say) is left out of X.
+
+The covariance P of a filter weighs innovations, and these are small on the nominal run. Where what it carries is much
+(a thousand entries for late samples) it may be *held*: taken as it is there. What that leaves out is told step by step,
+as the derivative by a common factor of P.
 """
 
 from __future__ import annotations
@@ -22,6 +26,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array
+from gnc_opt.control.estimation.filter import COVARIANCE
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.flight import LEG, Flight
 from gnc_opt.simulation.places import Places
@@ -48,6 +53,8 @@ class LinearStep:
         Derivatives of the next column by X, noise and parameters.
     c, d, e : array
         The same of `OUTPUTS`.
+    by_held : array (n,)
+        Derivatives of the carried part of the next column by a common factor of what is held.
     """
 
     X_next: Array
@@ -58,6 +65,7 @@ class LinearStep:
     c: Array
     d: Array
     e: Array
+    by_held: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +79,8 @@ class Linearization:
         Of the loop.
     columns : sequence of int
         Places in P by which is differentiated.
+    hold : bool
+        Whether the covariance of a filter is held.
 
     Raises
     ------
@@ -81,6 +91,7 @@ class Linearization:
     flight: Flight
     wiring: Wiring
     columns: Sequence[int]
+    hold: bool = False
 
     def __post_init__(self) -> None:
         if self.flight.replanner is not None:
@@ -92,16 +103,15 @@ class Linearization:
                 f"the loop has events ('{self.flight.events.names[0]}'), whose instants scatter: a linearization knows "
                 "fixed times alone; leave the events out, or fly monte_carlo()."
             )
-        if self.flight.replanner is not None:
-            raise ArgumentError(
-                "the loop re-plans on its way, and plans have no derivative here: fly monte_carlo()."
-            )
 
     @cached_property
     def state(self) -> Places:
         """Names and sizes of what is differentiated of X."""
         parts = self.flight.kernel.state.parts
-        return Places(tuple(part for part in parts if part[0].split()[0] in _CARRIED))
+        held = {"memory": len(self.held)}
+        return Places(
+            tuple((name, size - held.get(name, 0)) for name, size in parts if name.split()[0] in _CARRIED)
+        )
 
     @property
     def output(self) -> Places:
@@ -137,7 +147,7 @@ class Linearization:
         parts = [first, ca.jacobian(first, w), ca.jacobian(first, p)]
         row = next(self._rows())
         X, by_w, by_p = (np.asarray(part.full()) for part in ca.Function("first", [w, p], parts)(row, P))
-        keep = self._carried
+        keep = self.carried
         return X[:, 0], by_w[keep][:, self.drawn], by_p[keep][:, self.columns]
 
     def steps(self, X: Array) -> Iterator[LinearStep]:
@@ -153,21 +163,40 @@ class Linearization:
         by_P = self._by_constants
         n = self.state.size
         for k, row in enumerate(self._rows()):
-            after, y, *jacobians = self._function(X, row, C)
-            by_X, by_w, by_C = (np.asarray(j.full()) for j in jacobians)
+            after, y, *jacobians = self._function(X[self.carried], X[self._rest], row, C)
+            by_X, by_w, by_C, by_held = (np.asarray(j.full()) for j in jacobians)
             by_P_now = by_C @ by_P
             self._require_finite(k, np.hstack([by_X, by_w, by_P_now]))
             X = np.asarray(after.full()[:, 0])
             outputs = np.asarray(y.full()[:, 0])
-            yield LinearStep(X, outputs, by_X[:n], by_w[:n], by_P_now[:n], by_X[n:], by_w[n:], by_P_now[n:])
+            derivatives = (by_X[:n], by_w[:n], by_P_now[:n], by_X[n:], by_w[n:], by_P_now[n:])
+            yield LinearStep(X, outputs, *derivatives, by_held[:n, 0])
 
     # --- internals ----------------------------------------------------------------------------------------
 
     @cached_property
-    def _carried(self) -> list[int]:
+    def carried(self) -> list[int]:
         """Places in X of what is differentiated."""
-        all_places = self.flight.kernel.state.split(np.arange(self.flight.kernel.state.size))
-        return [int(i) for name, _ in self.state.parts for i in all_places[name]]
+        held = set(self.held)
+        return [int(i) for name, _ in self.state.parts for i in self._places[name] if i not in held]
+
+    @cached_property
+    def held(self) -> list[int]:
+        """Places in X of what is taken as it is on the nominal run."""
+        memory = self.wiring.controller.memory
+        if not self.hold or COVARIANCE not in memory:
+            return []
+        return [int(i) for i in self._places["memory"][memory.slice(COVARIANCE)]]
+
+    @cached_property
+    def _rest(self) -> list[int]:
+        carried = set(self.carried)
+        return [i for i in range(self.flight.kernel.state.size) if i not in carried]
+
+    @property
+    def _places(self) -> dict[str, Array]:
+        kernel_state = self.flight.kernel.state
+        return kernel_state.split(np.arange(kernel_state.size))
 
     @cached_property
     def drawn(self) -> list[int]:
@@ -176,16 +205,22 @@ class Linearization:
 
     @cached_property
     def _function(self) -> Any:
-        """``(X, w, C) -> (X_next, y, d/dX, d/dw, d/dC)``, the derivatives of the carried part and below it of y."""
+        """``(carried, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC, d/dfactor)``.
+
+        The derivatives are those of the carried part of X_next and below it of y.
+        """
         step = self.flight.kernel.step
         kind = ca.SX if step.is_a("SXFunction") else ca.MX
-        X, w, C = inputs = [kind.sym(n, step.size1_in(i)) for i, n in enumerate(("X", "w", "C"))]
-        after, log = step(*inputs)
+        places, rest = self.carried, self._rest
+        x, others = kind.sym("x", len(places)), kind.sym("others", len(rest))
+        w, C = (kind.sym(n, step.size1_in(i)) for n, i in (("w", 1), ("C", 2)))
+        after, log = step(ca.vertcat(x, others)[np.argsort([*places, *rest]).tolist()], w, C)
         told = self.flight.kernel.log.split(log)
         y = ca.vertcat(*[told[name] for name in OUTPUTS])
-        column = ca.vertcat(after[self._carried], y)
-        by_X, by_w = ca.jacobian(column, X)[:, self._carried], ca.jacobian(column, w)[:, self.drawn]
-        return ca.Function("linear", inputs, [after, y, by_X, by_w, ca.jacobian(column, C)])
+        column = ca.vertcat(after[places], y)
+        by_factor = ca.jtimes(column, others, others * ca.DM(np.isin(rest, self.held)))
+        jacobians = [ca.jacobian(column, x), ca.jacobian(column, w)[:, self.drawn], ca.jacobian(column, C)]
+        return ca.Function("linear", [x, others, w, C], [after, y, *jacobians, by_factor])
 
     @cached_property
     def _by_constants(self) -> Array:

@@ -34,7 +34,7 @@ from gnc_opt.analysis.experiment import Experiment
 from gnc_opt.arguments import expect, read_integer, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError
-from gnc_opt.simulation.statistics import CONFIDENCE
+from gnc_opt.simulation.statistics import CONFIDENCE, pass_rate
 from gnc_opt.workers import Shared, WorkerPool
 
 SHARE = 0.1
@@ -64,7 +64,8 @@ class FailureProbability:
     probability : float
         Mean of the repetitions.
     low, high : float
-        Interval with ``confidence``: Student's t over the repetitions, on the logarithmic scale.
+        Interval with ``confidence``: Student's t over the repetitions, on the logarithmic scale; that of Clopper and
+        Pearson for failures so frequent that no repetition needed a second level.
     confidence : float
     estimates : array (repetitions,)
     levels : array (n_levels,)
@@ -184,6 +185,9 @@ def failure_probability(
             f"found is {max(answer.levels[-1] for answer in answers):g}; give a limit within reach."
         )
     mean, low, high = repeated_mean(estimates, confidence)
+    if all(answer.levels.size == 1 for answer in answers):  # no chains: all runs are independent
+        counted = pass_rate(round(float(estimates.sum()) * count), repetitions * count, confidence)
+        low, high = counted.low, counted.high
     return FailureProbability(
         measure,
         bound,

@@ -37,11 +37,14 @@ class TableUse:
         The column of arguments, one per axis.
     comparisons : casadi.SX
         The nodes of the expression that find the intervals.
+    value : casadi.SX
+        The expression.
     """
 
     table: Table
     arguments: Any
     comparisons: Any
+    value: Any
 
     @cached_property
     def hashes(self) -> frozenset[int]:
@@ -163,7 +166,7 @@ class Table(Strict):
         for i in range(rows):
             point = ca.vertcat(*(column[i if column.shape[0] > 1 else 0] for column in columns))
             value, comparisons = self._interpolate(point)
-            use = TableUse(self, point, comparisons)
+            use = TableUse(self, point, comparisons, value)
             for symbol in owners_of(ca.symvar(point)):
                 symbol.table_uses.append(use)
             values.append(value)

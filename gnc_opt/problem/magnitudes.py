@@ -25,6 +25,10 @@ ROUNDING = 1e-12
 """Share of what a state moves beside a guess below which its value, or rate, on the guess is what zero is rounded to: a
 latitude flown due east is 1e-17, which is no magnitude."""
 
+CANCELLED = 1e-3
+"""Share of what one control does alone below which several, all at their bounds, cancel each other: so do redundant
+wheels and thrusters that are arranged evenly."""
+
 BESIDE = 0.01
 """How far beside a guess that is, as a share of each state's own magnitude there."""
 
@@ -72,7 +76,24 @@ def _drift(leg: Phase, start: PhaseStart, magnitudes: Array) -> Array:
         controls = np.where(np.isfinite(limit)[:, None], limit[:, None], endless)
         f = evaluate(leg.model.function, times, start.states, controls, leg.model.parameter_values)
         rates.append(np.max(np.abs(np.where(np.isfinite(f), f, 0.0)), axis=1))
-    return np.asarray(0.5 * np.max(rates, axis=0) * (start.times[1] - start.times[0]))
+    together, alone = np.max(rates, axis=0), _moved_alone(leg, start, times, magnitudes)
+    rate = np.where(together > CANCELLED * alone, together, alone)
+    return np.asarray(0.5 * rate * (start.times[1] - start.times[0]))
+
+
+def _moved_alone(leg: Phase, start: PhaseStart, times: Array, magnitudes: Array) -> Array:
+    """Return by how much one control alone, of its magnitude, changes the rate of each state at most, (n,)."""
+    count, base = magnitudes.size, start.controls
+    moved = np.hstack([base + change[:, None] for change in (0.0 * magnitudes, *np.diag(magnitudes))])
+    f = evaluate(
+        leg.model.function,
+        np.tile(times, count + 1),
+        np.tile(start.states, count + 1),
+        moved,
+        leg.model.parameter_values,
+    )
+    f = np.where(np.isfinite(f), f, 0.0).reshape(len(f), count + 1, times.size)
+    return np.asarray(np.max(np.abs(f[:, 1:] - f[:, :1]), axis=(1, 2), initial=0.0))
 
 
 def magnitude_within(interval: Interval, reach: Array) -> Array:

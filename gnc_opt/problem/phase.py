@@ -62,6 +62,7 @@ class Phase(Strict):
         "_owner",
         "_told_on_sphere",
         "final_time",
+        "follows",
         "handed",
         "initial_time",
         "integrands",
@@ -88,6 +89,7 @@ class Phase(Strict):
             self._limit_length(vector)
         self.restatement: Restatement | None = None
         self.handed: dict[str, tuple[str, Array]] = {}
+        self.follows: str | None = None
         self.integrands: dict[str, tuple[Any, Any]] = {}
         self.initial_time: Any = ca.SX.sym(f"{name}_initial_time")
         self.final_time: Any = ca.SX.sym(f"{name}_final_time")
@@ -214,7 +216,8 @@ class Phase(Strict):
         Use it in the cost (a Lagrange term) or in constraints.
         """
         label = f"integral_{len(self.integrands) + 1}" if name is None else name
-        read_label(label, f"integral of {self.where}", ProblemError)
+        remedy = 'its name comes last, write integral(expression, "name")'
+        read_label(label, f"integral of {self.where}", ProblemError, instead=remedy)
         what = f"integral '{label}' of {self.where}"
         if label in self.integrands:
             raise ProblemError(f"{self.where} has two integrals '{label}': rename one.")
@@ -440,6 +443,17 @@ class Phase(Strict):
         first, jump = self.handed[state]
         order = list(self._owner.phases)
         return (self._owner.phases[first], jump) if order.index(first) < order.index(self.name) else None
+
+    @property
+    def in_time(self) -> tuple[Phase | None, Phase | None]:
+        """The phases in whose end this one begins, and that begin in its end, by links of times."""
+        order = list(self._owner.phases)
+        before = None if self.follows is None else self._owner.phases[self.follows]
+        if before is not None and order.index(before.name) >= order.index(self.name):
+            before = None
+        own = order.index(self.name)
+        later = (leg for leg in self.siblings[own + 1 :] if leg.follows == self.name)
+        return before, next(later, None)
 
     def clone(self, owner: Owner | None = None) -> Phase:
         """Return a copy, for another problem maybe, which shares the symbols and owns its numbers."""

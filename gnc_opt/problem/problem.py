@@ -142,6 +142,10 @@ class Problem(Statement):
         if name in self._parameters:
             raise ProblemError(f"problem '{self.name}' has two parameters '{name}': rename one.")
         what = f"parameter '{name}' of problem '{self.name}'"
+        if isinstance(size, (tuple, list)):
+            raise ProblemError(
+                f"the size of {what} is {size}: write lower=..., upper=... for bounds, and an integer for its size."
+            )
         size = read_integer(size, f"the size of {what}", 1, ProblemError)
         expect(unit, str, f"the unit of {what}", 'write unit="m/s"')
         bounds = read_range(lower, upper, size, what)

@@ -17,6 +17,7 @@ from gnc_opt.simulation.places import Places
 from gnc_opt.simulation.signals import Link, put, put_wave, take, take_wave
 from gnc_opt.simulation.wave import Input, Wave
 from gnc_opt.simulation.wiring import Wiring
+from gnc_opt.tolerances import SAME_TIME
 
 _LARGE = 1e300
 """What is not below this in size counts as not finite."""
@@ -266,7 +267,7 @@ class ControlStep:
         return self.log.join({**nothing, **told, "error": error + blur})
 
     def watch_rows(self, state: dict[str, Any], begin: Any) -> Watch:
-        return Watch(self.wiring.events, state["armed"], self.plant_p, begin)
+        return Watch(self.wiring.events, state["armed"], self.plant_p, begin, SAME_TIME * self.h)
 
     def _watch(self, new: dict[str, Any], state: dict[str, Any], t: Any, seen: Any, z: Any) -> None:
         """Keep the first thing that is not finite, the first state too large, the first alarm, and their times."""

@@ -46,6 +46,9 @@ class Watch:
         Of the plant.
     begin : SX
         Where the flight begins, s since the minor step began.
+    moment : float
+        s. What a row does so shortly after the beginning does not arm it: its event may just have happened, and
+        rounding left it above zero.
 
     Attributes
     ----------
@@ -58,11 +61,11 @@ class Watch:
         Rows at the end, and their rates (1/s).
     """
 
-    def __init__(self, events: Events, armed: Any, parameters: Any, begin: Any) -> None:
+    def __init__(self, events: Events, armed: Any, parameters: Any, begin: Any, moment: float) -> None:
         self.events, self.armed, self.parameters = events, armed, parameters
         self.found, self.first, self.last = ca.SX(0), ca.SX(begin), ca.SX(begin)
         self.y = self.slope = ca.SX.zeros(armed.shape[0])
-        self._now = ca.SX(begin)
+        self._now, self._heeded = ca.SX(begin), begin + moment
 
     def __call__(self, length: Any, before: tuple[Any, Any, Any], after: tuple[Any, Any, Any]) -> None:
         """Look at an integration step of a length (s) between two triples of time, state and its rate."""
@@ -81,9 +84,10 @@ class Watch:
         self.first = ca.if_else(fresh, self._now, self.first)
         self.last = ca.if_else(fresh, self._now + share * length, self.last)
         self.found = ca.if_else(fresh, 1.0, self.found)
-        self.armed = ca.if_else(ca.logic_or(self.armed, y1 > 0), 1.0, 0.0)
-        self.y, self.slope = y1, d1
         self._now = self._now + length
+        rises = ca.logic_and(y1 > 0, self._now > self._heeded)
+        self.armed = ca.if_else(ca.logic_or(self.armed, rises), 1.0, 0.0)
+        self.y, self.slope = y1, d1
 
 
 def notes_of(n_states: int) -> tuple[tuple[str, int], ...]:

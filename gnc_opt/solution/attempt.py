@@ -115,7 +115,7 @@ class Attempt:
             return
         from gnc_opt.report.progress import solve_meter
 
-        worth = self.scaling.objective if with_cost else 1.0
+        worth = self.problem.sense * self.scaling.objective if with_cost else 1.0  # as it was stated
         with solve_meter(self.problem.name) as show:
             yield lambda info: show(info.iteration, info.objective / worth, info.infeasibility)
 

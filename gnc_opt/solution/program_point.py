@@ -109,6 +109,7 @@ class ProgramPoint:
         meshes: Mapping[str, Mesh] | None = None,
         scaled_by: Callable[[Transcription, Problem, Array], Array] = scale_variables,
         rounding: float = 0.0,
+        held: Callable[[Solution], Problem] = with_touches,
     ) -> ProgramPoint:
         """Return the point of a solution that has a problem, on its own meshes or interpolated on others.
 
@@ -121,8 +122,10 @@ class ProgramPoint:
         rounding : float
             Costs below this are rounding, and not scaled to more than one: where the cost's gradient vanishes, as
             where the least cost is zero, multipliers are rounding too.
+        held : callable
+            The problem with what is held of its state constraints.
         """
-        problem = with_touches(solution)
+        problem = held(solution)
         meshes = meshes or {name: leg.mesh for name, leg in solution.phases.items()}
         transcription = transcribe(problem, meshes, solution.scheme)
         start = program_start(transcription, problem, solution)

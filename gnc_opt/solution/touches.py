@@ -5,6 +5,10 @@ trajectories have to keep their *largest* value of S on the limit. With a mesh b
 variable, that is :math:`S = \dot S = 0` there; S alone would let the boundary go to where less is held, and S leave
 its limit beside it. At an optimum :math:`\dot S = 0` has no multiplier, and that of S = 0 is by how much the costate
 jumps along :math:`\partial S/\partial x` (Bryson & Ho, Applied Optimal Control, 1975, section 3.11).
+
+Along an arc on the limit all neighbouring trajectories stay on it, whether its multiplier is there or in the atoms at
+its ends alone. They meet :math:`S = \dots = S^{(q-1)} = 0` where it begins: should that time move by :math:`\delta`,
+what this changes there is of the order of :math:`\delta^2`, since :math:`S^{(q)}` vanishes before it.
 """
 
 from __future__ import annotations
@@ -14,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.problem.arc import ArcKind
+from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.problem.constraint_order import constraint_order
 from gnc_opt.problem.held import Junction
 from gnc_opt.problem.interval import Interval
@@ -36,28 +40,71 @@ def with_touches(solution: Solution) -> Problem:
     problem = solution.need_problem("linearise")
     for name, s in solution.samples().items():
         if s.leg.mesh.movable and problem.phases[name].numbers.arcs is None:
-            problem = _held(problem, s)
+            problem = _held(problem, s, _touches(problem, s, _Rows.of(s)), [])
     return problem
 
 
-def _held(problem: Problem, s: PhaseSamples) -> Problem:
+def with_contacts(solution: Solution) -> Problem:
+    """Return the problem of a solution with its state constraints held at such touches and along their arcs."""
+    problem = solution.need_problem("linearise")
+    for name, s in solution.samples().items():
+        if problem.phases[name].numbers.arcs is None:
+            arcs = [found for arc in solution.structure for found in _arcs(problem, s, arc)]
+            ends = {(arc.row, k) for arc in arcs for k in (arc.first, arc.last)}
+            touches = _touches(problem, s, _Rows.of(s))
+            alone = tuple(j for j in touches if (j.constraint, j.boundary) not in ends)
+            problem = _held(problem, s, alone, arcs)
+    return problem
+
+
+@dataclass(frozen=True)
+class _HeldArc:
+    """An arc of order two or more: row, limit and order, and the segments ``first, ..., last - 1``."""
+
+    row: int
+    kind: ArcKind
+    order: int
+    first: int
+    last: int
+
+
+def _arcs(problem: Problem, s: PhaseSamples, arc: Arc) -> list[_HeldArc]:
+    """What an arc of the structure holds on this phase's mesh: itself, or nothing."""
+    leg = s.leg
+    labels = (*leg.path_labels, *leg.states.labels)
+    if arc.phase != leg.name or arc.channel not in labels or not arc.kind.at_limit:
+        return []
+    row = labels.index(arc.channel)
+    order = constraint_order(problem, problem.phases[leg.name], row).order
+    first, last = (int(np.argmin(np.abs(leg.breaks - t))) for t in (arc.start, arc.end))
+    if order is None or order < 2 or first == last:
+        return []
+    return [_HeldArc(row, arc.kind, order, first, last)]
+
+
+def _held(problem: Problem, s: PhaseSamples, touches: tuple[Junction, ...], arcs: list[_HeldArc]) -> Problem:
     leg, n_paths = s.leg, len(s.leg.path_labels)
-    rows = _Rows.of(s)
-    found = _touches(problem, s, rows)
-    if not found:
+    if not touches and not arcs:
         return problem
+    rows = _Rows.of(s)
     kinds = np.full((n_paths + leg.states.size, leg.mesh.segments), ArcKind.INTERIOR, dtype=object)
     along = np.any(rows.near(rows.values(s.times, s.x, s.u)), axis=0)
-    for junction in found:
+    for junction in touches:
         for k in (junction.boundary - 1, junction.boundary):
             if not np.all(along[junction.constraint, s.segments == k]):  # no arc that begins or ends there
                 kinds[junction.constraint, k] = ArcKind.RELEASED
+    for arc in arcs:
+        kinds[arc.row, arc.first : arc.last] = arc.kind
+        for k in (arc.first - 1, arc.last):  # the ends of the arc say all that is held beside it
+            if 0 <= k < leg.mesh.segments and kinds[arc.row, k] is ArcKind.INTERIOR:
+                kinds[arc.row, k] = ArcKind.RELEASED
+    entries = tuple(Junction(a.row, a.first, a.kind, a.order) for a in arcs if a.first > 0)
     return problem.with_arcs(
         leg.name,
         arcs=np.zeros((leg.controls.size, leg.mesh.segments), dtype=int),
         paths=kinds[:n_paths] if n_paths else None,
         states=kinds[n_paths:],
-        junctions=found,
+        junctions=(*touches, *entries),
     )
 
 

@@ -214,7 +214,7 @@ def undetermined(s: PhaseSamples, tolerance: float) -> tuple[Mask, Mask]:
     """
     loss, unit = _offences(s)[0] / s.control_worth[:, None], s.control_span / np.sqrt(s.control_worth)
     inside = _inside(s)
-    some, whole = left(s, inside, unit)
+    some, whole = left(s, inside, unit, tolerance)
     singular = some & (loss <= tolerance) & (np.abs(_curvature(s)) <= tolerance)
     return without_switches(s.times, singular), inside & whole
 

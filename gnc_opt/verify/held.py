@@ -49,16 +49,29 @@ def left_free(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
     return bases
 
 
-def left(s: PhaseSamples, free: Mask, unit: Array) -> tuple[Mask, Mask]:
-    """Return which free controls have something of their own left (m, n_samples), and where all is left (n_samples,).
+def left(s: PhaseSamples, free: Mask, unit: Array, flat: float) -> tuple[Mask, Mask]:
+    """Return which free controls have something left that H does not curve in (m, n_samples), and where all is left.
 
-    Arguments as `left_free`.
+    Arguments as `left_free`; curvature of H that is at most ``flat`` is none. Where constraints take nothing, the
+    curvature is not looked at.
     """
     if not _rows(s).size:
         return free, np.ones(s.times.size, dtype=bool)
     bases = left_free(s, free, unit)
-    some = np.stack([np.linalg.norm(basis, axis=1) > RANK for basis in bases], axis=1)
-    return some, np.array([basis.shape[1] for basis in bases]) == np.sum(free, axis=0)
+    whole = np.array([basis.shape[1] for basis in bases]) == np.sum(free, axis=0)
+    hessian = s.control_hessian * unit[:, None, None] * unit[None, :, None]
+    for j in np.flatnonzero(~whole):
+        bases[j] = _uncurved(bases[j], hessian[:, :, j], flat)
+    return np.stack([np.linalg.norm(basis, axis=1) > RANK for basis in bases], axis=1), whole
+
+
+def _uncurved(basis: Array, hessian: Array, flat: float) -> Array:
+    """Return the directions of a basis in which a quadratic form is flat, or no number."""
+    reduced = basis.T @ hessian @ basis
+    if not reduced.size or not np.all(np.isfinite(reduced)):
+        return basis
+    values, vectors = np.linalg.eigh(0.5 * (reduced + reduced.T))
+    return np.asarray(basis @ vectors[:, np.abs(values) <= flat])
 
 
 def _rows(s: PhaseSamples) -> Array:

@@ -27,7 +27,7 @@ from gnc_opt.solution.samples import NEGLIGIBLE, PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, TINY
 from gnc_opt.verify.bang_bang_flow import BangBangFlow, PiecewiseControl, bang_bang_flow
-from gnc_opt.verify.magnitude import Magnitudes, parameter_scale
+from gnc_opt.verify.magnitude import Magnitudes, parameter_scale, state_variations
 from gnc_opt.verify.switches import Switches
 
 GRIDS, RESOLVED = (1, 2, 4, 8, 16, 32), 1e-3
@@ -83,14 +83,15 @@ class Unknowns:
             times = ("initial time", *switches[leg.name].labels, "final time")
             labels += [f"phase {leg.name}, {what}" for what in times]
             labels += [f"phase {leg.name}, initial {leg.states.labels[i]}" for i in starts[leg.name]]
-            scale += [s.span] * len(times) + list(s.state_scale[starts[leg.name]])
+            start_scale, start_worth = _of_starts(s, starts[leg.name])
+            scale += [s.span] * len(times) + list(start_scale)
             largest = np.max(np.abs(s.control_gradient), axis=1, initial=0.0) * s.control_scale
             least = TINY + NEGLIGIBLE * s.hamiltonian_scale
             at_switches = np.maximum(largest, least)[switches[leg.name].channels]
             worth += list(
                 s.span * np.concatenate([[s.hamiltonian_scale], at_switches, [s.hamiltonian_scale]])
             )
-            worth += [s.cost_scale] * starts[leg.name].size
+            worth += list(start_worth)
             free += [not leg.initial_time_bounds.fixed[0], *[True] * (len(times) - 2)]
             free += [not leg.final_time_bounds.fixed[0], *[True] * starts[leg.name].size]
             own[leg.name] = np.arange(begin, len(labels))
@@ -104,6 +105,13 @@ class Unknowns:
         return cls(
             tuple(labels), np.asarray(scale), np.asarray(worth), places, starts, np.asarray(free, dtype=bool)
         )
+
+
+def _of_starts(s: PhaseSamples, rows: Indices) -> tuple[Array, Array]:
+    """By what free start values are measured, and what that is worth."""
+    scale = state_variations(s)[rows]
+    still = scale > s.state_scale[rows]
+    return scale, np.maximum(s.cost_scale, np.where(still, np.abs(s.lam[rows, 0]) * scale, 0.0))
 
 
 @dataclass(frozen=True)

@@ -115,3 +115,13 @@ def parameter_scale(solution: Solution) -> Array:
     extent = box.upper - box.lower
     size = magnitude(np.abs(solution.parameter_values))
     return np.asarray(np.where(np.isfinite(extent) & (extent > 0), 0.1 * extent, size))
+
+
+def state_variations(s: PhaseSamples) -> Array:
+    """By what states may be varied (n,): what they move along a phase, or their size if nothing moves them.
+
+    A constant that is stated as a state, whose value is free, moves by rounding only.
+    """
+    sizes = np.max(np.abs(s.x), axis=1, initial=0.0)
+    still = (s.state_scale <= 2 * RESOLUTION * sizes) & (sizes > 0)
+    return np.where(still, sizes, s.state_scale)

@@ -114,7 +114,53 @@ def _sort_out(matrix: Array, gradient: Array, exact: Mask, limits: _Limits, row_
         wrong = row_limits.wrong(multipliers, float(np.max(np.abs(multipliers), initial=TINY))) & pushing
         if not (np.any(pulling) or np.any(wrong)):
             break
+        if not np.any(imposed & limits.anywhere) and np.all(pushing == row_limits.anywhere):
+            right = _right_signs(matrix, gradient, multipliers, exact, limits, row_limits)
+            if right is not None:
+                return right
         imposed, pushing = imposed | pulling, pushing & ~wrong
+    return multipliers
+
+
+def _right_signs(
+    matrix: Array, gradient: Array, first: Array, exact: Mask, limits: _Limits, row_limits: _Limits
+) -> Array | None:
+    """Multipliers with the right signs, by a linear programme, where they are not unique and others explain all too.
+
+    Along bounds that fix the whole trajectory those of its ends are free, and the shortest ones may pull.
+    """
+    imposed, pushing = ~limits.anywhere, row_limits.anywhere
+    size = float(np.max(np.abs(gradient), initial=TINY))
+    left = (gradient + matrix @ first)[imposed]
+    if not np.max(np.abs(left), initial=0.0) <= _WRONG * size:  # they explain nothing whatever their signs
+        return None
+    columns, bound = matrix[:, pushing], limits.anywhere
+    # Of an active limit the residual -(g + A y) is the multiplier: not negative at upper ones, not positive at lower.
+    only_upper, only_lower = bound & ~limits.lower, bound & ~limits.upper
+    one_sided = scipy.sparse.vstack([columns[only_upper], -columns[only_lower]])
+    # They push by as much as they can everywhere, lest one vanishes at a point and pulls beside it.
+    margin = np.ones((one_sided.shape[0], 1))
+    found = scipy.optimize.linprog(
+        np.append(np.zeros(columns.shape[1]), -1.0),
+        A_ub=scipy.sparse.hstack([one_sided, margin]),
+        b_ub=np.concatenate([-gradient[only_upper], gradient[only_lower]]),
+        A_eq=scipy.sparse.hstack([columns[imposed], np.zeros((int(np.sum(imposed)), 1))]),
+        b_eq=-gradient[imposed],
+        bounds=[
+            *(
+                (None if lower else 0.0, None if upper else 0.0)
+                for lower, upper in zip(row_limits.lower[pushing], row_limits.upper[pushing], strict=True)
+            ),
+            (0.0, size),
+        ],
+        method="highs",
+    )
+    if found.status != 0:
+        return None
+    multipliers = np.zeros(matrix.shape[1])
+    multipliers[pushing] = found.x[:-1]
+    rest = -(gradient + matrix @ multipliers)[imposed]
+    multipliers[pushing] += _least_squares(columns[imposed], rest, exact[imposed])
     return multipliers
 
 

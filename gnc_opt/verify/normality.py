@@ -161,11 +161,11 @@ def _may_push(cone: CriticalCone, multipliers: Array) -> bool:
 def _least_dependent(space: NullSpace) -> tuple[Array, float]:
     """Multipliers of the rows whose combined gradient is smallest, by inverse iteration, and its size."""
     n, m = space.size, space.rows.size
-    _, factors = space.factorised(scipy.sparse.eye_array(n))
+    _, solve = space.of_identity
     y = np.random.default_rng(0).standard_normal(m)
     for _ in range(_ITERATIONS):
         # Of scaled rows, not of unit gradients: one that vanishes must count for nothing.
-        unit = -factors.solve(np.concatenate([np.zeros(n), y / space.norms]))[n:]
+        unit = -solve(np.concatenate([np.zeros(n), y / space.norms]))[n:]
         y = unit / space.norms
         y /= np.linalg.norm(y)
     return y, float(np.linalg.norm(space.jacobian.T @ (space.norms * y)))
@@ -175,7 +175,7 @@ def _curvature(cone: CriticalCone, space: NullSpace, multipliers: Array) -> floa
     """Largest curvature of the combined rows where they do not vary to first order, 0 if it is rounding."""
     n = space.size
     hessian = space.in_shares(cone.point.hessian_of(0.0, multipliers))
-    project = space.projected_inverse(scipy.sparse.eye_array(n))
+    project = space.projection
     start = project(np.random.default_rng(1).standard_normal(n))
     values, vectors = lanczos(lambda v: project(hessian @ project(v)), start, _STEPS)
     if not values.size:

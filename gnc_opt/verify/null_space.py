@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.solution.program_point import ProgramPoint, quadrature_weights, saddle_matrix
 from gnc_opt.tolerances import TINY
 from gnc_opt.transcription.transcription import Transcription
+from gnc_opt.verify.stretching import factorised
 
 SLACK, REFINEMENTS = 1e-12, 1
 """Of the rows, scaled to unit gradients, so that dependent ones do no harm, and the steps of iterative refinement by
@@ -82,23 +84,35 @@ class NullSpace:
         """Return the change of all scaled variables."""
         return np.asarray(self.unit @ variation)
 
-    def factorised(self, hessian: Any) -> tuple[Any, Any]:
-        """Return the saddle matrix of a Hessian and of the rows, and its factors."""
+    def factorised(self, hessian: Any) -> tuple[Any, Callable[[Array], Array]]:
+        """Return the saddle matrix of a Hessian and of the rows, and what solves with it, but for rounding."""
         n, m = self.size, self.jacobian.shape[0]
         matrix = saddle_matrix(hessian, self.jacobian)
         slack = scipy.sparse.diags_array(np.where(np.arange(n + m) < n, 0.0, SLACK))
-        return matrix, scipy.sparse.linalg.splu(scipy.sparse.csc_array(matrix - slack))
+        return matrix, factorised(matrix - slack)
+
+    @cached_property
+    def of_identity(self) -> tuple[Any, Callable[[Array], Array]]:
+        """The same for the identity, by which variations are projected."""
+        return self.factorised(scipy.sparse.eye_array(self.size))
 
     def projected_inverse(self, hessian: Any) -> Callable[[Array], Array]:
-        """Return the inverse of a Hessian restricted to the null space; of the identity, it is the projection."""
-        matrix, factors = self.factorised(hessian)
+        """Return the inverse of a Hessian restricted to the null space."""
+        return self._restricted(*self.factorised(hessian))
+
+    @property
+    def projection(self) -> Callable[[Array], Array]:
+        """What projects variations to the null space."""
+        return self._restricted(*self.of_identity)
+
+    def _restricted(self, matrix: Any, solve: Callable[[Array], Array]) -> Callable[[Array], Array]:
         rows = np.zeros(self.jacobian.shape[0])
 
         def inverse(vector: Array) -> Array:
             right = np.concatenate([vector, rows])
-            solved = factors.solve(right)
+            solved = solve(right)
             for _ in range(REFINEMENTS):
-                solved = solved + factors.solve(right - matrix @ solved)
+                solved = solved + solve(right - matrix @ solved)
             return np.asarray(solved[: vector.size])
 
         return inverse

@@ -43,6 +43,7 @@ from gnc_opt.transcription.scaling import scale_variables
 from gnc_opt.transcription.transcription import Transcription
 from gnc_opt.verify.critical_cone import CriticalCone
 from gnc_opt.verify.goh import cut, in_gohs_variables, open_end, singular_samples, singular_segments, straight
+from gnc_opt.verify.magnitude import state_variations
 from gnc_opt.verify.null_space import FOUND, NullSpace, lanczos, quadratic
 from gnc_opt.verify.verdict import Condition, Result
 
@@ -149,7 +150,7 @@ def critical_cone(
 
 def flown_spans(s: PhaseSamples) -> tuple[Array, Array]:
     """Return what states and controls move along a phase."""
-    return s.state_scale, s.control_span
+    return state_variations(s), s.control_span
 
 
 def visible_spans(s: PhaseSamples) -> tuple[Array, Array]:

@@ -22,7 +22,7 @@ from gnc_opt.arrays import Array, Indices
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.tolerances import TINY
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.transcription.quadrature import collocation_rule
+from gnc_opt.transcription.quadrature import collocation_rule, interpolation_matrix
 from gnc_opt.transcription.scheme import GAUSS
 
 DEGREE = 3
@@ -73,6 +73,33 @@ class FittedPhase:
     mesh: Mesh
     x: PiecewisePolynomial
     u: PiecewisePolynomial
+
+    def split(self, parts: int) -> FittedPhase:
+        """Return the same trajectory on a mesh whose segments are cut into so many equal parts."""
+        if parts == 1:
+            return self
+        shares = np.arange(parts) / parts
+        breaks, fractions = (
+            np.append((b[:-1, None] + shares * np.diff(b)[:, None]).ravel(), b[-1])
+            for b in (self.x.breaks, np.asarray(self.mesh.breaks))
+        )
+        mesh = Mesh(
+            tuple(map(float, fractions)),
+            tuple(n for n in self.mesh.degrees for _ in range(parts)),
+            tuple(parts * k for k in self.mesh.movable),
+        )
+        return FittedPhase(mesh, *(_cut(p, breaks, parts) for p in (self.x, self.u)))
+
+
+def _cut(whole: PiecewisePolynomial, breaks: Array, parts: int) -> PiecewisePolynomial:
+    """The same polynomials, with values at the nodes of every part of their segments."""
+    nodes = tuple(n for n in whole.nodes for _ in range(parts))
+    values = tuple(
+        whole.values[k] @ interpolation_matrix(whole.nodes[k], (2 * part + 1 + whole.nodes[k]) / parts - 1).T
+        for k in range(len(whole.nodes))
+        for part in range(parts)
+    )
+    return PiecewisePolynomial(breaks, nodes, values)
 
 
 def fit(samples: Samples, rates: Rates) -> FittedPhase:

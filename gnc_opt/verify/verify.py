@@ -273,7 +273,7 @@ def _without_length(condition: Condition, phase: str) -> Condition:
         return condition
     untold = _cannot_tell(
         condition,
-        f"phase {phase}",
+        f"phase {phase}, which has no length",
         "The phase has no length: its duration sits on its lower bound of zero, and there is no time along which "
         "costates and controls could be judged. Leave the phase out, or ask for a positive duration.",
     )

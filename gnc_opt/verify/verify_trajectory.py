@@ -28,8 +28,12 @@ from gnc_opt.transcription.scheme import GAUSS
 from gnc_opt.transcription.transcription import transcribe
 from gnc_opt.verify.multipliers import estimate
 from gnc_opt.verify.trajectory_fit import FittedPhase, Samples, fit
-from gnc_opt.verify.verdict import Verdict
+from gnc_opt.verify.verdict import Result, Verdict
 from gnc_opt.verify.verify import TOLERANCE, verify
+
+PARTS = (1, 2, 4)
+"""Into so many parts sampling intervals are cut, one after the other, until costates follow their equation there: some
+change faster than the states."""
 
 Values = Any
 """Arrays (n, n_times) in the model's order, or a mapping from names to them; of several phases a mapping of those."""
@@ -90,18 +94,22 @@ def verify_trajectory(
     expect(problem, Problem, "what verify_trajectory() got first", "give the problem, then t, x and u")
     q = _parameters(problem, p)
     samples = _read_phases(problem, t, x, u)
-    return replace(verify(_solution(problem, samples, q), tol=tol), estimated=True)
+    for parts in PARTS:
+        verdict = verify(_solution(problem, samples, q, parts), tol=tol)
+        if verdict["adjoint equation"].result is not Result.FAIL:
+            break
+    return replace(verdict, estimated=True)
 
 
 # --- a solution with estimated multipliers ----------------------------------------------------------------
 
 
-def _solution(problem: Problem, samples: Mapping[str, Samples], q: Array) -> Solution:
+def _solution(problem: Problem, samples: Mapping[str, Samples], q: Array, parts: int) -> Solution:
     fitted: dict[str, FittedPhase] = {}
     for name, leg in problem.phases.items():
         none = np.zeros(len(leg.integrands))
         functions = phase_functions(problem, name, model_parameters(problem, leg, q), q, none)
-        fitted[name] = fit(samples[name], functions.rates)
+        fitted[name] = fit(samples[name], functions.rates).split(parts)
     transcription = transcribe(problem, {name: phase.mesh for name, phase in fitted.items()}, GAUSS)
     iterate = estimate(transcription, problem, fitted, q)
     phases, gradients = extract_phases(transcription, problem, iterate)

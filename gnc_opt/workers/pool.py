@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import (
+    FIRST_COMPLETED,
     BrokenExecutor,
     CancelledError,
     Executor,
     Future,
     ThreadPoolExecutor,
-    TimeoutError,
-    as_completed,
+    wait,
 )
 from dataclasses import dataclass, field
 from types import TracebackType
@@ -24,6 +25,9 @@ from gnc_opt.workers.shared import Object, Parcel, Shared, opened
 
 MOST_CRASHES = 8
 """After so many items in a row that each killed a process of its own, no more are tried."""
+
+MOST_PENDING = 128
+"""Items handed to an executor and not done yet, at most, unless it has more than half as many threads."""
 
 PATIENCE = 10.0
 """A cluster that has no workers twice in so many seconds (s) is not waited for."""
@@ -192,16 +196,26 @@ class WorkerPool(Generic[Object]):
             else:
                 ledger.keep((number,), _done(ledger.items[number], ledger.futures[number], error))
 
-        pending: dict[Future[Answer], int] = {}
-        for number, item in items:
-            future = self._submit(task, item)
-            ledger.futures[number] = future
-            if future.done():
-                settle(number, _error(future))
-            else:
-                pending[future] = number
-        for future, error in self._ended(set(pending)):
-            settle(pending[future], error)
+        waiting, pending, room = deque(items), dict[Future[Answer], int](), _room(self._executor)
+        idle, deserted = 0, False
+        while waiting or pending:
+            while waiting and len(pending) < room:
+                number, item = waiting.popleft()
+                future = _gone() if deserted else self._submit(task, item)
+                ledger.futures[number] = future
+                if future.done():
+                    settle(number, _error(future))
+                else:
+                    pending[future] = number
+            ended, _ = wait(pending, timeout=PATIENCE, return_when=FIRST_COMPLETED)
+            idle = idle + 1 if pending and not ended and _deserted(self._executor) else 0
+            if idle == 2:  # workers may have been on their way back
+                deserted, ended = True, set(pending)
+            for future in ended:
+                number = pending.pop(future)
+                if deserted:
+                    future.cancel()
+                settle(number, _gone().exception() if deserted else _error(future))
         return sorted(left, key=lambda numbered: numbered[0])
 
     def _do_again(
@@ -238,27 +252,11 @@ class WorkerPool(Generic[Object]):
                 return self._own.submit(task, item)
             return self._executor.submit(_do_in_turn, task, self._parcel, item)
         except BrokenExecutor as error:
-            broken: Future[Answer] = Future()
-            broken.set_exception(error)
-            return broken
-
-    def _ended(self, pending: set[Future[Answer]]) -> Iterator[tuple[Future[Answer], BaseException | None]]:
-        """Yield futures with their errors as they end; those that nobody is left to work on have one, too."""
-        lonely = 0
-        while pending:
-            try:
-                for future in as_completed(pending, timeout=PATIENCE):
-                    pending = pending - {future}
-                    lonely = 0
-                    yield future, _error(future)
-            except TimeoutError:
-                lonely = lonely + 1 if _deserted(self._executor) else 0
-                if lonely < 2:  # workers may be on their way back
-                    continue
-                for future in pending:
-                    future.cancel()
-                    yield future, WorkerDied("the cluster has no workers left")
-                return
+            return _failed(error)
+        except Exception:
+            if not _deserted(self._executor):
+                raise
+            return _gone()
 
 
 @dataclass(eq=False)
@@ -317,10 +315,29 @@ def _error(future: Future[Any]) -> BaseException | None:
         return error
 
 
+def _failed(error: BaseException) -> Future[Any]:
+    future: Future[Any] = Future()
+    future.set_exception(error)
+    return future
+
+
+def _gone() -> Future[Any]:
+    return _failed(WorkerDied("the cluster has no workers left"))
+
+
 def _deserted(executor: Executor) -> bool:
-    """Whether an executor is that of a Dask cluster that has no workers."""
+    """Whether an executor is that of a Dask cluster that has no workers, or no scheduler any more."""
     client: Any = getattr(executor, "_client", None)
-    return hasattr(client, "scheduler_info") and not client.scheduler_info()["workers"]
+    if not hasattr(client, "scheduler_info"):
+        return False
+    return getattr(client, "status", "running") != "running" or not client.scheduler_info().get("workers")
+
+
+def _room(executor: Executor) -> int:
+    """Return how many tasks an executor may have at a time: each holds what all of them share."""
+    client: Any = getattr(executor, "_client", None)
+    threads = sum(client.nthreads().values()) if hasattr(client, "nthreads") else 0
+    return max(MOST_PENDING, 2 * threads)
 
 
 _TURN = threading.RLock()

@@ -9,6 +9,7 @@ import scipy
 from sled import DT, loop_of, regulator, sled
 
 import gnc_opt as go
+from gnc_opt.analysis.linearization import Linearization
 from gnc_opt.control import Measurement
 from gnc_opt.simulation import (
     Ball,
@@ -172,6 +173,44 @@ def test_delays_lags_and_an_estimator_are_part_of_the_loop():
     agreed = predicted.compare(runs)
     assert agreed.ok, agreed
     assert predicted.budget("q")["odometer"] > 0.5
+
+
+def test_a_filter_in_error_on_the_nominal_run_weighs_by_a_covariance_that_scatters(monkeypatch):
+    """Against differences of two runs; with the filter's covariance held the answer would be another."""
+    model = sled()
+    model.output("distance", ca.sqrt(model.symbol("q") ** 2 + 0.09), unit="m")
+    ekf = go.design_ekf(
+        model, [1.5, 0.0], [Measurement("distance", 0.05)],
+        sigma0={"q": 0.2, "v": 0.1}, process_noise={"v": 0.05}, dt=DT,
+    )  # fmt: skip
+    loop = go.ClosedLoop(model, go.output_feedback(regulator(model), ekf))
+    experiment = go.Experiment(loop, **MISSION, dispersions={"initial.q": Normal(0.1)})
+    q, step = [], 1e-4
+    for shift in (step, -step):
+        q.append(loop.simulate([0.5 + shift, 0.0], tf=MISSION["tf"]).states[0])
+    expected = 0.1 * np.abs(q[0] - q[1]) / (2 * step)
+    told = go.linear_covariance(experiment, checks=0).std("q")[0]
+    assert told == pytest.approx(expected, abs=1e-7)
+    monkeypatch.setattr("gnc_opt.analysis.covariance._Pass._heard", lambda *_: False)
+    held = go.linear_covariance(experiment, checks=0).std("q")[0]
+    assert np.abs(held - expected).max() > 1e-3
+
+
+def test_a_covariance_that_moves_little_is_held():
+    """Late samples: a filter of 14 errors has 105 covariances, and 30 columns are carried."""
+    model = sled()
+    ekf = go.design_ekf(
+        model, [0.5, 0.0], [Measurement("q", 0.05, delay=12 * DT)],
+        sigma0={"q": 0.2, "v": 0.1}, process_noise={"v": 0.05}, dt=DT,
+    )  # fmt: skip
+    sensors = [Noise("odometer", 0.05, on="q"), SensorDelay("late", 12 * DT, on="q")]
+    loop = go.ClosedLoop(model, go.output_feedback(regulator(model), ekf), sensors=sensors)
+    flight = go.Experiment(loop, **MISSION, dispersions=SPREAD).flight
+    whole, part = (Linearization(flight, loop.wiring, [], hold) for hold in (False, True))
+    assert len(part.held) == 105 and len(part.carried) == len(whole.carried) - 105
+    a, b = (next(found.steps(found.start()[0])).a for found in (whole, part))
+    kept = np.isin(whole.carried, part.carried)
+    assert np.array_equal(a[np.ix_(kept, kept)], b)
 
 
 def test_without_a_source_nothing_scatters():

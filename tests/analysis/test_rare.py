@@ -54,6 +54,14 @@ def test_a_common_failure_is_counted_at_once():
     assert found.runs == 1000 and found.probability == pytest.approx(0.5, abs=0.06)
 
 
+def test_that_all_runs_fail_is_no_proof_that_all_would():
+    """The interval of a binomial number, by its definition: 200 of 200 have the probability 0.025 at its low end."""
+    experiment = go.Experiment(loop_of(), **MISSION, dispersions=SPREAD)
+    found = failure_probability(experiment, "q", 1e-9, n=20, executor="serial")
+    assert found.probability == found.high == 1.0 and found.runs == 200
+    assert found.low**200 == pytest.approx(0.025)
+
+
 def test_of_a_loop_it_is_the_tail_of_its_normal_ends():
     """Dispersions and noise alike: q(t_f) is normal, with the mean and sigma of the linear covariance."""
     loop, p = loop_of(), 1e-4

@@ -107,7 +107,7 @@ def test_a_grid_that_is_too_coarse_is_refused():
     x, speed = model.state("x"), model.state("speed")
     u, w = model.control("u"), model.control("w")
     model.ode({x: x + ca.tanh(20 * (speed - 0.3)) * u, speed: w})
-    path = go.Reference.constant(model, [0.0, 0.0])
+    path = [0.0, 0.0]  # a state to keep
     given = {"at": lambda s: ([0.0, s], [0.0, 0.0]), "Q": 1, "R": 1, "dt": DT}
     with pytest.raises(
         DesignError, match=r"at the operating point \(0\) the interpolated gain leaves a pole"

@@ -47,6 +47,12 @@ def tracker(**options):
     return design_mpc(model, Reference.constant(model, [0, 0]), **settings)
 
 
+def test_a_state_is_a_reference_that_rests():
+    model, x = cart(), [0.4, 0.1]
+    law = design_mpc(model, [0, 0], Q=1, R=1, horizon=2.0, dt=DT, limits=(-1, 1))
+    assert law(0.0, x)[0] == pytest.approx(tracker()(0.0, x)[0], abs=1e-12)
+
+
 def fly(controller, x, steps, disturbance=0.0):
     z, states, commands = None, [], []
     for k in range(steps):
@@ -213,7 +219,6 @@ def test_a_programme_that_is_not_solved_raises_the_alarm_and_gives_the_clipped_r
 
 
 def test_refusals():
-    model = cart()
     with pytest.raises(ArgumentError, match=r"horizon of 0\.25 s is no whole number"):
         tracker(horizon=0.25)
     with pytest.raises(DesignError, match="'a' has no authority"):
@@ -226,8 +231,6 @@ def test_refusals():
         tracker(solver="pipq")
     with pytest.raises(ArgumentError, match="terminal is 'ricatti'"):
         tracker(terminal="ricatti")
-    with pytest.raises(ArgumentError, match="Reference"):
-        design_mpc(model, [0, 0], Q=1, R=1, horizon=1.0, dt=DT, limits=(-1, 1))
     angles = go.Model("turning")
     q, w = angles.state("q"), angles.control("w")
     angles.ode({q: w})

@@ -291,6 +291,17 @@ def test_constraint_without_a_name() -> None:
     problem.constrain(leg.final_time <= 3.0)  # wrong
 
 
+@mistake(go.ProblemError, "cannot be the name of an integral of phase 'leg'", 'integral(expression, "name")')
+def test_name_of_an_integral_first() -> None:
+    _, leg = rest_to_rest()
+    leg.integral("effort", leg.model.symbol("a") ** 2)  # type: ignore[arg-type]  # wrong
+
+
+@mistake(go.ProblemError, "the size of parameter 'fuel'", "write lower=..., upper=... for bounds")
+def test_bounds_in_place_of_a_size() -> None:
+    rest_to_rest()[0].parameter("fuel", (5.0, 200.0))  # type: ignore[arg-type]  # wrong
+
+
 @mistake(go.ProblemError, "path constraint 'fast' of phase 'leg'", "None", "build it from the symbols")
 def test_path_constraint_without_an_expression() -> None:
     _, leg = rest_to_rest()

@@ -69,6 +69,16 @@ PIECEWISE: dict[str, tuple[Cost, Callable[[float], float], tuple[float, ...]]] =
         abs,
         (0.0,),
     ),
+    "a linear table": (
+        lambda x, v, a: go.table([-3.0, -0.5, 0.5, 1.0, 4.0], [5.0, 0.0, 0.0, 1.0, 7.0], method="linear")(a),
+        lambda a: float(np.interp(a, [-3.0, -0.5, 0.5, 3.0], [5.0, 0.0, 0.0, 5.0])),
+        (-0.5, 0.5),
+    ),
+    "a concave table that earns": (
+        lambda x, v, a: -go.table([-3.0, 0.0, 4.0], [-6.0, 0.0, 4.0], method="linear", outside="error")(a),
+        lambda a: max(-2 * a, -a),
+        (0.0,),
+    ),
     "other units": (lambda x, v, a: ca.fabs(3 - 6 * a) / 6, lambda a: abs(a - 0.5), (0.5,)),
 }
 
@@ -388,3 +398,138 @@ def test_a_norm_that_rests_where_its_argument_vanishes() -> None:
 def test_lengths_of_paths_stay_as_they_are() -> None:
     problem = pushed(lambda v, a: ca.sqrt(a[0] ** 2 + (a[1] * ca.cos(v[0])) ** 2))
     assert restated(problem) is problem
+
+
+@pytest.mark.parametrize("final", [None, 0.0, 0.5])
+def test_signs_that_are_only_presumed_leave_no_kink_of_a_state(final: float | None) -> None:
+    """A state without bounds that starts and ends at zero or above may be below it in between."""
+    model = go.Model("cart")
+    x, a = model.state("x"), model.control("a")
+    model.ode({x: a})
+    problem = go.Problem("L1 regulation")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=3.0)
+    leg.initial(x=1.0)
+    leg.bounds(a=(-1.0, 1.0))
+    if final is not None:
+        leg.final(x=final)
+    problem.minimize(leg.integral(ca.fabs(x)))
+    assert list(restated(problem).phases["leg"].paths) == ["epigraph"]
+
+
+def test_divisors_keep_their_signs() -> None:
+    """What is divided by a mass has its sign: ``fabs(m)`` is m, and no control is made for it."""
+    model = go.Model("rocket")
+    v, m, thrust = model.state("v"), model.state("m"), model.control("T")
+    model.ode({v: thrust / (2 * m), m: -ca.fabs(thrust)})
+    problem = go.Problem("rocket")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=3.0)
+    leg.initial(v=0.0, m=2.0)
+    leg.final(v=1.0)
+    leg.bounds(T=(-3.0, 3.0))
+    problem.minimize(leg.integral(ca.fabs(m * 2.0)))
+    assert list(restated(problem).phases["leg"].model.controls.names) == ["T"]
+
+
+TABLES = {
+    "neither convex nor concave": (([-2.0, 0.0, 1.0, 2.0], [0.0, 0.0, 1.0, 1.5]), "linear", (-2.0, 2.0)),
+    "concave": (([-2.0, 0.0, 2.0], [-2.0, 0.0, 1.0]), "linear", (-2.0, 2.0)),
+    "left by its argument": (([-1.0, 0.0, 1.0], [1.0, 0.0, 1.0]), "hold", (-2.0, 2.0)),
+}
+
+
+@pytest.mark.parametrize("case", TABLES.values(), ids=TABLES)
+def test_tables_that_do_not_cost_the_more_the_further_they_go_stay(case: Any) -> None:
+    data, outside, bounds = case
+    table = go.table(*data, method="linear", outside=outside)
+    leg = solved_leg(lambda x, v, a: table(a), None, bounds)
+    assert leg.model.controls.names == ("a",)
+    assert leg.integrand_expression().element_hash() == table_value(leg)
+
+
+def table_value(leg: Any) -> int:
+    (use,) = leg.model.table_uses()
+    return int(use.value.element_hash())
+
+
+def test_a_table_is_judged_where_it_is_used() -> None:
+    """One that is concave beyond the bounds of its control is convex."""
+    table = go.table([-2.0, 0.0, 1.0, 2.0], [2.0, 0.0, 1.0, 1.5], method="linear")
+    leg = solved_leg(lambda x, v, a: table(a), None, (-2.0, 1.0))
+    assert list(leg.model.composed_controls) == ["a"]
+
+
+def test_limits_by_concave_tables_are_several_smooth_ones() -> None:
+    """Thrust at most what a table of the speed says: below each of its lines."""
+    table = go.table([0.0, 1.0, 2.0], [2.0, 1.5, 0.0], method="linear")
+    model = go.Model("cart")
+    v, a = model.state("v"), model.control("a")
+    model.ode({v: a})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(0.1, 10.0))
+    leg.initial(v=0.0)
+    leg.final(v=1.5)
+    leg.bounds(a=(0.0, 5.0), v=(0.0, 2.0))
+    leg.path("engine", a - table(v), upper=0.0)
+    problem.minimize(leg.final_time)
+    assert restated(problem).phases["leg"].path_expression().numel() == 2
+    solution = go.solve(problem)
+    exact = 2 * np.log(2 / 1.5) + np.log(1.5 / 0.75) / 1.5  # dv / (2 - v/2), then dv / (3 - 1.5 v)
+    assert solution.objective == pytest.approx(exact, rel=1e-6)
+
+
+def test_a_control_and_its_epigraph_that_a_limit_couples_are_determined() -> None:
+    """Of ``a**2 + fabs(a + v)`` H curves along the limit: v'' = 1/2 while a + v > 0, and it is a minimum."""
+    model = go.Model("speed")
+    v, a = model.state("v"), model.control("a")
+    model.ode({v: a})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(v=0.0)
+    leg.final(v=1.0)
+    problem.minimize(leg.integral(a**2 + ca.fabs(a + v)))
+    solution = go.solve(problem)
+    assert solution.objective == pytest.approx((1.25**3 - 0.75**3) / 1.5 + 1 + 11 / 24, rel=1e-9)
+    assert go.verify(solution).minimum
+
+
+def test_controls_that_only_their_sum_costs_are_not_determined() -> None:
+    model = go.Model("speed")
+    v, a, b = model.state("v"), model.control("a"), model.control("b")
+    model.ode({v: a + 2 * b})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(v=0.0)
+    leg.final(v=1.0)
+    leg.bounds(a=(-3.0, 3.0), b=(-3.0, 3.0))
+    problem.minimize(leg.integral((a + 2 * b) ** 2 + ca.fabs(a + 2 * b + v)))
+    solution = go.solve(problem, tol=None)
+    assert not go.verify(solution).minimum
+
+
+def test_a_path_that_crosses_the_corners_of_a_table_it_pays_for() -> None:
+    """No solution came of the table as it stands. Cubics between 0, 0.5 and 1: a = c t + d with a jump of its slope."""
+    model = go.Model("cart")
+    x, v, a = model.state("x"), model.state("v"), model.control("a")
+    model.ode({x: v, v: a})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=2.0)
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=1.0, v=0.0)
+    leg.bounds(x=(0.0, 1.0))
+    price = go.table([0.0, 0.5, 1.0], [1.0, 0.0, 1.0], method="linear")
+    problem.minimize(leg.integral(a**2 + price(x)))
+    solution = go.solve(problem)
+    # Half of it: x = 1 (2 x = -slope * -1), x(1) = 0.5, x''(1) = 0 by symmetry.
+    t = np.polynomial.Polynomial([0.0, 1.0])
+    third = (0.5 - 1 / 24 + 1 / 4) / (1 / 6 - 1 / 2)
+    way = t**4 / 24 + third * t**3 / 6 - (1 / 2 + third) * t**2 / 2
+    half = (way.deriv(2) ** 2 + 1 - 2 * way).integ()(1.0)
+    assert way(1.0) == pytest.approx(0.5) and way.deriv(2)(1.0) == pytest.approx(0.0)
+    assert solution.objective == pytest.approx(2 * half, rel=1e-7)
+    assert go.verify(solution).ok

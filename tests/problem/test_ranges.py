@@ -32,7 +32,8 @@ EXPRESSIONS = {
     "waves": ca.sin(X[0]) + ca.cos(X[1]) + ca.tanh(X[0]),
     "unknown": ca.atan2(X[0], X[1]),
 }
-ends = st.tuples(st.floats(-3, 3), st.floats(-3, 3)).map(sorted)
+numbers = st.floats(-3, 3, allow_subnormal=False)  # whose reciprocals are finite
+ends = st.tuples(numbers, numbers).map(sorted)
 
 
 @pytest.mark.parametrize("name", EXPRESSIONS)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from gnc_opt.problem.guess.ends import end_values
+from gnc_opt.problem.guess.ends import end_values, guess_times
 
 
 def cart(problem: go.Problem, name: str, limit: tuple[float, float]) -> go.Phase:
@@ -79,6 +79,59 @@ def test_times_and_their_guesses() -> None:
     a, b = rocket(problem, "a"), rocket(problem, "b")
     problem.sequence(a, b)
     assert np.isinf(b.times()[1].upper[0]) and b.times()[1].lower[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("finals", "expected"),
+    [
+        ((None, None, 12.0), [0, 4, 8, 12]),
+        ((None, (2.0, 8.0), None), [0, 2.5, 5, 6]),
+        (((0.0, 10.0), (0.0, 10.0), (0.0, 10.0)), [0, 5, 6, 7]),
+        ((None, None, None), [0, 1, 2, 3]),
+    ],
+)
+@pytest.mark.parametrize("start", [None, (0.0, None), (0.0, 100.0)])
+def test_guessed_times_of_linked_phases_follow_each_other(
+    finals: Any, expected: list[float], start: Any
+) -> None:
+    """Each begins where the one before ends; ends of which nothing is told are even steps to the next that is."""
+    problem = go.Problem("linked")
+    legs = [rocket(problem, name) for name in ("a", "b", "c")]
+    for leg, final in zip(legs, finals, strict=True):
+        leg.time(initial=0.0 if leg is legs[0] else start, final=final)
+    problem.link(legs[0], legs[1])
+    problem.link(legs[1], legs[2])
+    times = np.array([guess_times(leg) for leg in legs])
+    np.testing.assert_allclose([*times[:, 0], times[-1, 1]], expected, rtol=1e-14)
+    np.testing.assert_allclose(times[1:, 0], times[:-1, 1], rtol=1e-14)
+    legs[1].guess(time=[20.0, 30.0], v=[0.0, 1.0])  # what users say stays
+    assert guess_times(legs[1])[0] == 20.0
+
+
+def test_states_linked_in_other_units_are_warned_of(recwarn: pytest.WarningsRecorder) -> None:
+    problem = go.Problem("units")
+    legs = []
+    for name, unit in (("a", "m"), ("b", "km"), ("c", "km"), ("d", "")):
+        model = go.Model(name)
+        x, u = model.state("x", unit=unit), model.control("u")
+        model.ode({x: u})
+        legs.append(problem.phase(name, model))
+    problem.link(legs[1], legs[2])
+    problem.link(legs[2], legs[3])
+    assert not recwarn.list
+    with pytest.warns(
+        go.ProblemWarning, match=r"link_a_b .* hands 'x' over from m to km, and nothing is converted"
+    ):
+        problem.link(legs[0], legs[1])
+
+
+def test_times_that_are_not_linked_are_guessed_alone() -> None:
+    problem = go.Problem("apart")
+    legs = [rocket(problem, name) for name in ("a", "b")]
+    legs[0].time(initial=0.0, final=7.0)
+    legs[1].time(initial=None, final=None)
+    problem.link(*legs, time=False)
+    assert guess_times(legs[1]).tolist() == [0.0, 1.0]
 
 
 @pytest.mark.parametrize(

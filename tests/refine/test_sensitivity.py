@@ -210,12 +210,40 @@ def test_switch_time_of_a_bang_bang_solution() -> None:
     assert go.sensitivity(solution, "c").objective == pytest.approx(-0.2 - (1.0 + 0.2**2) / root, rel=1e-8)
 
 
-def test_cost_of_a_start_before_an_arc_on_a_state_limit() -> None:
-    """J = 2 (v0^3 + v1^3) / (9 l) on an arc of order two, whose multipliers are impulses at its ends."""
-    solution = go.solve(bryson_denham.build(), tol=1e-8)
-    with pytest.warns(go.ProblemWarning, match="weakly active"):
-        found = go.sensitivity(solution, initial="v")
-    assert found.objective == pytest.approx(2 / (3 * bryson_denham.LIMIT), rel=1e-9)
+def wall(form: str, v0: float = 1.0) -> go.Problem:
+    """Bryson and Denham's problem with its limit as a bound of the state or as a path constraint."""
+    model = go.Model("double integrator")
+    x, v, a = model.state("x"), model.state("v"), model.control("a")
+    model.ode({x: v, v: a})
+    problem = go.Problem("wall")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(x=0.0, v=v0)
+    leg.final(x=0.0, v=-1.0)
+    if form == "bound":
+        leg.bounds(x=(None, bryson_denham.LIMIT))
+    else:
+        leg.path("wall", x, upper=bryson_denham.LIMIT)
+    problem.minimize(leg.integral(a**2 / 2))
+    return problem
+
+
+@pytest.mark.parametrize("form", ["bound", "path"])
+@pytest.mark.filterwarnings("error")
+def test_trajectory_before_an_arc_on_a_state_limit(form: str) -> None:
+    """v = v0 (1 - t / t1)^2 up to t1 = 3 l / v0 and J = 2 (v0^3 + 1) / (9 l): the arc of order two begins earlier.
+
+    The multipliers of the arc are impulses at its ends; that it is left nowhere else is for the structure to say.
+    """
+    found = go.sensitivity(go.solve(wall(form), tol=1e-8), initial="v")
+    last = 3 * bryson_denham.LIMIT
+    t = np.linspace(0.0, 1.0, 41)
+    left = np.where(t < last, 1 - t / last, 0.0)
+    assert found.objective == pytest.approx(2 / last, rel=1e-9)
+    np.testing.assert_allclose(found.state("v")(t), left * (1 - 3 * t / last), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(found.state("x")(t), t * left**2, rtol=0, atol=1e-9)
+    moved = np.where(t < last, (6 * t / last - 4) / last, 0.0)
+    np.testing.assert_allclose(found.control("a")(t), moved, rtol=0, atol=1e-6)
 
 
 def regulator(*, weight: float = 1.0, bound: float | None = None) -> go.Problem:

@@ -23,6 +23,7 @@ from gnc_opt.simulation import (
     Normal,
     Run,
     RunStatus,
+    Uniform,
     monte_carlo,
 )
 from gnc_opt.simulation.crossing import Watch
@@ -309,6 +310,19 @@ def test_a_delayed_push_that_arrives_within_the_step_is_flown_before_and_after_t
     )
 
 
+def test_an_event_that_is_only_noted_happens_once_also_before_a_bend_of_an_actuator():
+    """The integration begins anew at bends: what lies before them is of no length, and arms nothing."""
+    plant, h, _ = ball()
+    noted = Event("marker", h - 0.05, "falling", reset={})
+    wind = scheduled(plant, lambda t: np.sin(9 * t))
+    loop = ClosedLoop(plant, wind, actuators=[Delay("late", 0.03)], events=[noted], dt=0.1)
+    campaign = monte_carlo(
+        loop, 60, x0=[4.0, 1.0], tf=1.4, dispersions={"initial.h": Uniform(-1.0, 1.0)}, executor="serial"
+    )
+    assert set(campaign.counts) == {RunStatus.OK}
+    assert np.all(campaign.happened("marker"))
+
+
 def test_the_mrp_shadow_set_keeps_the_attitude_and_bounds_its_parameters():
     body = Model("spinning body")
     sigma = body.state("sigma", 3)
@@ -434,7 +448,7 @@ def test_events_that_are_none_are_refused():
     a, foreign = plant.symbol("a"), ball()[1]
     for event, words in (
         (lambda: Event("x", h, "down"), "the direction of event 'x' is 'down': give one of"),
-        (lambda: Event("", h), "cannot be the name of a event"),
+        (lambda: Event("", h), "cannot be the name of an event"),
         (lambda: Event("x", h, reset=[v]), "the reset of event 'x' is a list where a Mapping is needed"),
         (lambda: Event("x", h, reset={v: -v}, failure=True), "is a failure and does not end the run"),
         (
@@ -476,7 +490,7 @@ def test_events_that_are_none_are_refused():
 def test_a_row_is_armed_once_it_has_been_above_zero(above):
     """However little; from below it does not cross, and at zero it is not above."""
     rows = SimpleNamespace(rows=lambda t, y, slope, p: (ca.SX([y]), ca.SX([slope])))
-    watch = Watch(rows, ca.SX([0.0]), ca.SX(0, 1), 0.0)
+    watch = Watch(rows, ca.SX([0.0]), ca.SX(0, 1), 0.0, 1e-9)
     seen = []
     for y0, y1 in ((-1.0, -0.5), (-0.5, 0.0), (0.0, above), (above, -above), (-above, -1.0)):
         slope = y1 - y0

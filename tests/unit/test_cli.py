@@ -306,6 +306,11 @@ def test_bad_input_is_one_sentence(
         ),
         ("syntax.py", "x = 1\ndef build(:\n", "syntax.py, line 2: SyntaxError: "),
         ("broken.py", "\nimport nothing_of_this_name", "broken.py, line 2: ModuleNotFoundError"),
+        (
+            "branch.py",
+            "import gnc_opt as go\nx = go.Model('m').state('x')\nu = 1 if x + 1 > 0 else 2",
+            "branch.py, line 3: RuntimeError: ",
+        ),
         ("leaving.py", "raise SystemExit(7)", "the file ends the program (exit code 7)"),
         ("needs.py", "def build(case): ...", "build() needs the option 'case': add --set case=..."),
     ],
@@ -317,6 +322,23 @@ def test_bad_files_are_one_sentence(
         (tmp_path / name).write_text(content)
     assert run("check", tmp_path / name) == 2
     assert words in complaint(capsys)
+
+
+@pytest.mark.parametrize(
+    ("line", "remedy"),
+    [
+        ("u = max(x, x + 1)", "write casadi.if_else(condition, this, that), casadi.fmax(a, b)"),
+        ("u = ca.vertcat(x, 1) @ ca.vertcat(x, 2)", "write a.T @ b, or casadi.dot(a, b)"),
+        ("u = ca.norm_2([x, x])", "Build vectors with casadi.vertcat(a, b) first"),
+    ],
+)
+def test_what_casadi_refuses_gets_a_remedy(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], line: str, remedy: str
+) -> None:
+    head = "import casadi as ca\nimport gnc_opt as go\nx = go.Model('m').state('x')\n"
+    (tmp_path / "refused.py").write_text(head + line)
+    assert run("check", tmp_path / "refused.py") == 2
+    assert remedy in complaint(capsys)
 
 
 def test_folder_instead_of_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -421,3 +421,18 @@ def test_page_tells_passes_arcs_and_multipliers(tmp_path: Path) -> None:
     assert [float(word) for word in words[switch + 1 : switch + 3]] == pytest.approx([0.0, 1.0], abs=1e-8)
     costate = words[words.index("costate of q, phase leg") + 1]
     assert float(costate.split()[0]) == pytest.approx(1.0, abs=1e-7)
+
+
+def test_what_is_maximised_is_shown_as_it_was_stated(capsys: pytest.CaptureFixture[str]) -> None:
+    model = go.Model("speed")
+    v, a = model.state("v"), model.control("a")
+    model.ode({v: a})
+    problem = go.Problem("farthest")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=2.0)
+    leg.initial(v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    problem.maximize(leg.final_state("v"))
+    go.solve(problem, mesh="2x3", tol=None, progress=True)
+    shown = capsys.readouterr().err
+    assert float(shown.split("objective ")[1].split()[0]) == pytest.approx(2.0, abs=1e-6)

@@ -84,6 +84,24 @@ def test_what_zero_is_rounded_to_is_no_magnitude() -> None:
     assert found.objective == pytest.approx(best, rel=1e-8)
 
 
+def test_wheels_that_cancel_each_other_at_their_bounds_tell_how_fast_the_body_turns() -> None:
+    """Four wheels on the corners of a pyramid: together they turn about its axis, one alone about all three."""
+    model = go.Model("wheels")
+    w, T = model.state("w", 3, unit="rad/s"), model.control("T", 4, unit="N m")
+    lean, around = np.deg2rad(35.26), np.deg2rad([45.0, 135.0, 225.0, 315.0])
+    axes = np.array([np.cos(lean) * np.cos(around), np.cos(lean) * np.sin(around), np.full(4, np.sin(lean))])
+    inertia = np.array([120.0, 100.0, 80.0])
+    model.ode({w: ca.DM(axes / inertia[:, None]) @ T})
+    leg = go.Problem("spin").phase("leg", model)
+    leg.time(initial=0.0, final=10.0)
+    leg.initial(w=[0.0, 0.0, 0.0])
+    leg.bounds(T=(-0.2, 0.2))
+    assert np.max(np.abs(axes[:2] @ np.ones(4))) < 1e-15
+    states, _ = phase_magnitudes(leg)
+    about = np.array([axes[0, 0], axes[1, 0], 4.0 * axes[2, 0]])  # of one wheel alone, and of all four
+    np.testing.assert_allclose(states, 0.5 * 10.0 * 0.2 * about / inertia, rtol=1e-12)
+
+
 def test_path_constraints_tell_how_large_a_control_may_be() -> None:
     """|u| <= 40, and from 0 to 40 at once; what is broken without the control, or holds with any, tells nothing."""
     _, leg = double_integrator()

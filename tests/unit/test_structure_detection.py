@@ -16,6 +16,7 @@ from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure import detect as d
 from gnc_opt.refine.structure.contacts import Determined
 from gnc_opt.refine.structure.phase_structure import choose, signs_of
+from gnc_opt.refine.structure.switching import optimise_switches
 from gnc_opt.solution.samples import PhaseSamples
 
 LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
@@ -40,7 +41,12 @@ def sampled(segments: int, breaks: Any = None, **more: Any) -> Any:
         "segments": np.repeat(np.arange(segments), PER_SEGMENT),
         "control_scale": np.array([2.0]),
         "u": np.zeros((1, times.size)),
-        "leg": SimpleNamespace(breaks=edges, control_bounds=interval(-1.0, 1.0)),
+        "leg": SimpleNamespace(
+            breaks=edges, control_bounds=interval(-1.0, 1.0), state_bounds=interval(-np.inf, np.inf)
+        ),
+        "x": np.zeros((1, times.size)),
+        "state_scale": np.ones(1),
+        "functions": SimpleNamespace(rates=lambda t, x, u: u),
     }
     return SimpleNamespace(**(values | more))
 
@@ -133,6 +139,26 @@ def test_each_bang_is_judged_by_itself() -> None:
     assert absorbed("slssuss", [0, 1, 0, 0, 1, 0, 0], [0, 0.5, 0, 0, -0.5, 0, 0]) == "ssssuss"
     assert absorbed("slssuss", [0, -1, 0, 0, -1, 0, 0], [0, 0.5, 0, 0, -0.5, 0, 0]) == "slsssss"
     assert absorbed("lssu", [-1, 0, 0, 1], [0.01, 0, 0, -0.5]) == "sssu"
+
+
+@pytest.mark.parametrize(
+    ("speed", "moved", "after"),
+    [
+        ([0, 0, 0.5, 0.2, 0], True, "sslsss"), ([0, 0, 0.03, 0.02, 0], True, "ssssss"),
+        ([0, 0.3, 0.5, 0.6, 0.3], True, "ssssss"), ([0, 0, 0.5, 0.2, 0], False, "ssssss"),
+    ],
+)  # fmt: skip
+def test_a_bang_that_brings_a_state_to_its_bound_is_no_noise(
+    speed: list[float], moved: bool, after: str
+) -> None:
+    """However little it gains: v' = u with v >= 0, which the arcs beside the bang may hold."""
+    there = sampled(6, u=np.repeat([0.5, 0.5, -1, 0.5, 0.5, 0.5], PER_SEGMENT)[None, :])
+    there.x = np.interp(there.times, [0, 2, 2.5, 3, 6], speed)[None, :]
+    there.leg.state_bounds = interval(0.0, np.inf)
+    there.functions = SimpleNamespace(rates=lambda t, x, u: u if moved else 0 * u)
+    labels = np.repeat(kinds("sslsss"), PER_SEGMENT)
+    d._absorb(there, 0, labels, np.repeat([0, 0, 1e-4, 0, 0, 0], PER_SEGMENT))
+    assert text(labels[::PER_SEGMENT]) == after
 
 
 # --- singular segments ------------------------------------------------------------------------------------
@@ -416,6 +442,7 @@ def test_a_held_state_ends_where_its_own_control_leaves_though_another_one_is_si
         leg=SimpleNamespace(
             states=SimpleNamespace(size=2), mesh=SimpleNamespace(segments=6), breaks=np.arange(7.0), path_labels=(),
             state_bounds=interval([-1.0, -1.0], [1.0, 1.0]),
+            initial_bounds=interval([-np.inf] * 2, [np.inf] * 2), final_bounds=interval([-np.inf] * 2, [np.inf] * 2),
         ),
         functions=SimpleNamespace(rates=lambda t, x, u: u),
     )  # fmt: skip
@@ -517,3 +544,29 @@ def test_the_structure_of_the_cart_has_all_rows() -> None:
     assert found.paths[0].tolist() == [FREE, LOW] and found.paths[1].tolist() == [FREE, FREE]
     crossing = (-1 + np.sqrt(1 + 4 * 11 / 6)) / 2  # 6 - 6 t - 6 t^2 = -5
     assert found.times[1] == pytest.approx(crossing, abs=0.02) and found.times[2] == 1.0
+
+
+def test_no_arc_of_a_state_begins_where_another_value_is_given() -> None:
+    """s' = u, -1 <= u, s <= 1, s(0) = 0, least integral of -w(t) s, w = exp((t - T) / 2): s = min(t, 1) is best.
+
+    At the start w is 5e-5, so that the control looks singular there, and an arc on s = 1 would win over the optimum.
+    """
+    end, rate = 20.0, 0.5
+    model = go.Model("late")
+    s, w, u = model.state("s"), model.state("w"), model.control("u")
+    model.ode({s: u, w: rate * w})
+    problem = go.Problem("late")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=end)
+    leg.initial(s=0.0, w=np.exp(-rate * end))
+    leg.bounds(u=(-1.0, 1.0), s=(-1.0, 1.0))
+    problem.minimize(leg.integral(-w * s))
+    # the integral of w is (1 - exp(-T / 2)) / (1 / 2); s is 1 - t too small in the first second
+    short = np.exp(-rate * end) * (np.exp(rate) - 1 - rate) / rate**2
+    best = short - (1 - np.exp(-rate * end)) / rate
+    coarse = go.solve(problem, tol=None)
+    state = d.structures_of(coarse)["leg"].states[0]
+    assert state[0] is FREE and UP in state
+    found, _ = optimise_switches(coarse)
+    assert found.phase().x(0.0)[0] == 0.0
+    assert found.objective >= best - 1e-9

@@ -259,18 +259,36 @@ def test_switches_are_no_kinks_and_the_farthest_wish_of_all_rows_counts() -> Non
 LEG: Any = SimpleNamespace(leg=SimpleNamespace(name="leg"))
 
 
-def test_a_piece_without_length_is_dropped() -> None:
+def test_a_piece_without_length_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(m, "_propped", lambda *_: False)
     vanished = PhaseStructure((0.0, 1.0, 1.0 + 1e-7, 2.0), ((LOW,), (UP,), (LOW,)))
-    found, action = m.collapsed(LEG, vanished, set())
+    found, action = m.collapsed(LEG, Plan.of(vanished), set())
     assert found is not None and found.kinds == ((LOW,),) and action == "piece 2 dropped"
     for structure in (
         replace(vanished, times=(0.0, 1.0, 1.0 + 1e-5, 2.0)),
         PhaseStructure((0.0, 1e-9), ((LOW,),)),
     ):
-        assert m.collapsed(LEG, structure, set()) == (None, "")
+        assert m.collapsed(LEG, Plan.of(structure), set()) == (None, "")
     for share, dropped in ((0.99, True), (1.01, False)):
         late = replace(vanished, times=(50.0, 51.0, 51.0 + share * 2 * m.VANISHED, 52.0))
-        assert (m.collapsed(LEG, late, set())[0] is not None) is dropped
+        assert (m.collapsed(LEG, Plan.of(late), set())[0] is not None) is dropped
+
+
+@pytest.mark.parametrize(
+    ("share", "wrong", "dropped"), [(0.9, 2.0, True), (0.9, 0.5, False), (1.1, 2.0, False)]
+)
+def test_a_short_piece_is_swapped_if_its_own_signs_are_wrong(
+    monkeypatch: pytest.MonkeyPatch, share: float, wrong: float, dropped: bool
+) -> None:
+    """Signs that are wrong in other pieces say nothing about it, nor do they beside a singular arc."""
+    times = (0.0, 1.0, 1.0 + share * 2 * m.PROPPED, 2.0)
+    short = PhaseStructure(times, ((LOW, LOW), (UP, LOW), (UP, UP)))
+    there: Any = SimpleNamespace(leg=LEG.leg, segments=np.array([0, 0, 1, 1, 2, 2]))
+    offence = np.array([[1.0, 0.0, 0.0, wrong * m.WRONG_SIGN, 0.0, 1.0]])
+    monkeypatch.setattr(m, "_offences", lambda *_: (offence, None))
+    assert (m.collapsed(there, Plan.of(short), set())[0] is not None) is dropped
+    for kinds in (((LOW, LOW), (UP, LOW), (UP, SING)), ((LOW, LOW), (UP, LOW), (LOW, LOW))):
+        assert m.collapsed(there, Plan.of(PhaseStructure(times, kinds)), set()) == (None, "")
 
 
 @pytest.mark.parametrize(("share", "dropped"), [(0.9, True), (1.1, False)])
@@ -290,13 +308,13 @@ def test_a_kink_that_leaves_hardly_any_piece_drops_it(
 def test_switches_of_two_controls_are_swapped_once() -> None:
     crossed = PhaseStructure((0.0, 1.0, 1.0, 3.0), ((LOW, LOW), (UP, LOW), (UP, UP)))
     seen: set[Any] = set()
-    found, action = m.collapsed(LEG, crossed, seen)
+    found, action = m.collapsed(LEG, Plan.of(crossed), seen)
     assert found is not None and found.kinds[1] == (LOW, UP) and action == "switches 1 and 2 swapped"
     assert found.times == pytest.approx((0.0, 1 - 0.0015, 1 + 0.0015, 3.0))
-    again, action = m.collapsed(LEG, replace(found, times=(0.0, 1.0, 1.0, 3.0)), seen)
+    again, action = m.collapsed(LEG, Plan.of(replace(found, times=(0.0, 1.0, 1.0, 3.0))), seen)
     assert again is not None and again.kinds == ((LOW, LOW), (UP, UP)) and action == "piece 2 dropped"
     other = SimpleNamespace(leg=SimpleNamespace(name="other"))
-    assert m.collapsed(other, crossed, seen)[1].endswith("swapped")  # type: ignore[arg-type]
+    assert m.collapsed(other, Plan.of(crossed), seen)[1].endswith("swapped")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("start", [0.0, -7.0, 30.0])

@@ -29,7 +29,7 @@ from gnc_opt.verify.magnitude import Magnitudes, integral_spans
 from gnc_opt.verify.multipliers import _or_one, estimate
 from gnc_opt.verify.null_space import FOUND, SETTLED, NullSpace, _settled, lanczos
 from gnc_opt.verify.reduced_hessian import _least_direction
-from gnc_opt.verify.second_order import _least_slope, _on_bound, _precedences, least_squares
+from gnc_opt.verify.second_order import _on_bound, _precedences, _worst_crossing, least_squares
 from gnc_opt.verify.switches import GRAZES, Switches, _vanishing
 from gnc_opt.verify.trajectory_fit import (
     Samples,
@@ -146,9 +146,9 @@ def test_slopes_beside_a_switch_are_taken_within_the_shorter_segment() -> None:
             breaks=edges,
             control_bounds=by_hand.interval(-1.0, 1.0),
         )
-        least, place = _least_slope(s)
-        assert least == pytest.approx(2.0 * 2.0 / s.hamiltonian_scale, rel=1e-5), short_first
-        assert place == "phase leg, t = 1 s, u"
+        worst = _worst_crossing(s)
+        assert worst is not None and worst.where == "phase leg, t = 1 s, u"
+        assert worst.slope == pytest.approx(2.0 * 2.0 / s.hamiltonian_scale, rel=1e-5), short_first
 
 
 # --- the induced problem ----------------------------------------------------------------------------------

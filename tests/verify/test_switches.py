@@ -123,6 +123,16 @@ def test_a_slope_of_zero_is_not_told() -> None:
     assert condition.result is Result.CANNOT_TELL and condition.where == "phase leg, t = 0.8 s, u"
 
 
+@pytest.mark.parametrize(("slope", "result"), [(1.4e-5, Result.CANNOT_TELL), (5e-5, Result.FAIL)])
+def test_a_slope_of_the_wrong_sign_that_is_worth_nothing_is_not_told(slope: float, result: Result) -> None:
+    """The first one makes 2e-6 of H per phase and 8e-7 of H up to the switch: zero within the errors of costates."""
+    s = flight((line(-slope, 0.8), arch(-slope), line(-5.0, 1.4)), FALLS)
+    condition = strict_switches([s])
+    assert condition.result is result
+    assert condition.value == pytest.approx(slope * 2.0 * 2.0 / s.hamiltonian_scale, rel=1e-3)
+    assert condition.where.startswith("phase leg, t = 0.8 s, u")
+
+
 def touching(t: Any) -> Any:
     return 100 * (t - 0.8) * (1.4 - t) * (t - 1.1) ** 2
 

@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Callable
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -295,3 +296,79 @@ def test_a_mixed_constraint_that_holds_all_along_determines_the_control(share: f
     verdict = go.verify_trajectory(problem, t, unit * (1 - rest), unit * share * rest)
     assert verdict.minimum is (share == 1.0), verdict.explain()
     assert verdict.ok is (share == 1.0)
+
+
+def one_state(rates: Callable[[Any, Any], Any], **bounds: tuple[float, float]) -> tuple[go.Problem, go.Phase]:
+    model = go.Model("one state")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: rates(x, u)})
+    problem = go.Problem("one state")
+    leg = problem.phase("leg", model)
+    leg.bounds(**bounds)
+    return problem, leg
+
+
+@pytest.mark.parametrize("price", [0.3, 30.0])
+def test_bounds_that_leave_one_way_only_push_the_right_way(price: float) -> None:
+    """x' = u <= 1 from 0 to 1 in 1 s is u = 1 whatever it costs: its costate may be anything that is low enough."""
+    problem, leg = one_state(lambda x, u: u, u=(-1.0, 1.0))
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    u, x = leg.model.symbol("u"), leg.model.symbol("x")
+    problem.minimize(leg.integral(u**2 + price * x))
+    t = np.linspace(0.0, 1.0, 31)
+    assert go.verify_trajectory(problem, t, t, 1 + 0 * t).ok
+
+
+def test_costates_faster_than_the_states() -> None:
+    """x' = -u sqrt(x), u <= 1, empties from 1 to 0.01 in 1.8 s: lam = -1 / sqrt(x), though x is a parabola."""
+    problem, leg = one_state(lambda x, u: -u * ca.sqrt(x), u=(0.0, 1.0))
+    leg.time(0.0, (0.1, 50.0))
+    leg.initial(x=1.0)
+    leg.final(x=0.01)
+    problem.minimize(leg.final_time)
+    for u, right in ((1.0, True), (0.9, False)):
+        t = np.linspace(0.0, 1.8 / u, 61)
+        verdict = go.verify_trajectory(problem, t, (1 - u * t / 2) ** 2, u + 0 * t)
+        assert verdict["adjoint equation"].result.value == "PASS"
+        assert verdict.ok is right
+
+
+@pytest.mark.parametrize("bend", [0.5, -0.5, -1.5])
+def test_a_free_constant_that_is_stated_as_a_state_counts_as_a_variable(bend: float) -> None:
+    """x' = u + k, k' = 0: (1 - k)^2 + bend (k - 1/2)^2 + k is stationary at k = 1/2 and least there for bend > -1."""
+    model = go.Model("drift")
+    x, k, u = model.state("x"), model.state("k"), model.control("u")
+    model.ode({x: u + k, k: 0 * k})
+    problem = go.Problem("drift")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    end = leg.final_state("k")
+    problem.minimize(leg.integral(u**2) + bend * (end - 0.5) ** 2 + end)
+    t = np.linspace(0.0, 1.0, 21)
+    verdict = go.verify_trajectory(problem, t, [t, 0.5 + 0 * t], 0.5 + 0 * t)
+    assert verdict.minimum if bend > -1 else [c.name for c in verdict.failed] == ["second order"]
+
+
+@pytest.mark.parametrize("bend", [2.0, -3.0])
+def test_a_free_constant_beside_a_switch(bend: float) -> None:
+    """Rest to rest over 1 with the push k takes 2 / sqrt(k); k - 1 + bend (k - 1)^2 on top is stationary at 1."""
+    model = go.Model("push")
+    q, v, k, u = model.state("q"), model.state("v"), model.state("k"), model.control("u")
+    model.ode({q: v, v: k * u, k: 0 * k})
+    problem = go.Problem("push")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.1, 20.0))
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    end = leg.final_state("k")
+    problem.minimize(leg.final_time + end - 1 + bend * (end - 1) ** 2)
+    s = np.linspace(0.0, 1.0, 21)
+    t, u_given = np.append(s, 1 + s), np.repeat([1.0, -1.0], 21)
+    states = [np.append(s**2 / 2, 1 - (1 - s) ** 2 / 2), np.append(s, 1 - s), 1 + 0 * t]
+    verdict = go.verify_trajectory(problem, t, states, u_given)
+    assert verdict.minimum if bend > 0 else [c.name for c in verdict.failed] == ["second order"]

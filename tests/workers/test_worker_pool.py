@@ -16,6 +16,7 @@ from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExec
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -362,6 +363,71 @@ def test_workers_on_their_way_back_are_waited_for(monkeypatch: pytest.MonkeyPatc
     with workers(Returning()) as force:
         done = force.run(times, range(3), ignore)
     assert [each.answer for each in done] == [0, 10, 20]
+
+
+class Headless(Deserted):
+    """A cluster whose scheduler dies with the first task: that never ends, and no other is taken."""
+
+    def __init__(self, known: dict[str, Any], status: str) -> None:
+        self._client = self  # type: ignore[assignment]
+        self.known, self.status, self.taken = known, status, 0
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        self.taken += 1
+        if self.taken > 1:
+            raise RuntimeError("the client is closed")
+        return Future()
+
+    def scheduler_info(self) -> dict[str, Any]:
+        return self.known
+
+
+@pytest.mark.parametrize(("known", "status"), [({}, "running"), ({"workers": {"one": {}}}, "closed")])
+def test_a_cluster_without_a_scheduler_is_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch, known: dict[str, Any], status: str
+) -> None:
+    monkeypatch.setattr(pool, "PATIENCE", 0.05)
+    with workers(Headless(known, status)) as force:
+        done = force.run(times, range(3), ignore)
+    assert [str(each.error) for each in done] == ["the cluster has no workers left"] * 3
+
+
+def test_an_executor_that_refuses_a_task_for_another_reason_says_so() -> None:
+    with (
+        workers(Headless({"workers": {"one": {}}}, "running")) as force,
+        pytest.raises(RuntimeError, match="closed"),
+    ):
+        force.run(times, range(3), ignore)
+
+
+class Counting(Executor):
+    """Does every task a little later; counts what it holds meanwhile."""
+
+    def __init__(self, threads: int = 0) -> None:
+        self.held: list[Future[Any]] = []
+        self.most = 0
+        if threads:
+            self._client = SimpleNamespace(nthreads=lambda: {"one": threads})
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.held = [each for each in self.held if not each.done()] + [future]
+        self.most = max(self.most, len(self.held))
+        threading.Timer(0.02, lambda: future.set_result(fn(*args, **kwargs))).start()
+        return future
+
+
+@pytest.mark.parametrize(("threads", "most"), [(0, 5), (4, 8)])
+def test_an_executor_holds_no_more_tasks_than_it_needs(
+    monkeypatch: pytest.MonkeyPatch, threads: int, most: int
+) -> None:
+    """Each task carries what all of them share: the memory of a campaign on a cluster does not grow with its runs."""
+    monkeypatch.setattr(pool, "MOST_PENDING", 5)
+    executor = Counting(threads)
+    with workers(executor) as force:
+        done = force.run(pow, range(30), ignore)
+    assert [each.answer for each in done] == [10**k for k in range(30)]
+    assert 1 < executor.most <= most
 
 
 # --- Ctrl-C ---------------------------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.linear.riccati import require_stabilizable, steady
 from gnc_opt.control.linear.weights import QuadraticCost, Weight, read_cost
 from gnc_opt.control.poles import continuous_poles
-from gnc_opt.control.reference import Reference
+from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.control.sampling import sample
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
@@ -47,7 +47,7 @@ OperatingPoint: TypeAlias = Callable[..., tuple[ArrayLike, ArrayLike]]
 
 def design_gain_schedule(
     model: Model,
-    reference: Reference,
+    reference: Reference | ArrayLike,
     *,
     over: Mapping[str, ArrayLike],
     at: OperatingPoint,
@@ -60,8 +60,8 @@ def design_gain_schedule(
     Parameters
     ----------
     model : Model
-    reference : Reference
-        What is followed: states and feedforward.
+    reference : Reference or array (n_states,)
+        What is followed: states and feedforward; a state is kept, with the control that does so.
     over : mapping
         Grid of each scheduling variable, ``{"speed": [20.0, 30.0, 45.0]}``: a scalar state or output of the model that
         depends on no control; increasing, two points or more.
@@ -89,13 +89,12 @@ def design_gain_schedule(
     Examples
     --------
     >>> from gnc_opt.control import design_gain_schedule
-    >>> path = go.Reference.constant(cart, [0.0, 0.0], [0.0])
-    >>> law = design_gain_schedule(cart, path, over={"v": [-1, 1]}, at=lambda v: ([0, v], [0]), Q=1, R=1, dt=0.1)
+    >>> law = design_gain_schedule(cart, [0.0, 0.0], over={"v": [-1, 1]}, at=lambda v: ([0, v], [0]), Q=1, R=1, dt=0.1)
     >>> u, _ = law(0.0, [1.0, 0.5])
     >>> print(np.round(u, 3))
     [-1.736]
     """
-    expect(reference, Reference, "the reference of design_gain_schedule()", "give Reference.constant(...)")
+    reference = read_plant(model, reference, "design_gain_schedule")
     deviation, cost = Deviation(model), read_cost(model, Q, R, None)
     grids = _grids(over)
     points = _Points(deviation, cost, at, read_positive(dt, "the control step dt"))

@@ -31,7 +31,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_positive
+from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
@@ -51,7 +51,7 @@ from gnc_opt.control.linear.riccati import gain_of
 from gnc_opt.control.linear.weights import Weight, read_cost, read_weight, require_semidefinite
 from gnc_opt.control.predictive.horizon import Horizon, Rows
 from gnc_opt.control.predictive.programme_code import ProgrammeCode, flight_law
-from gnc_opt.control.reference import Reference
+from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, reference_times
 from gnc_opt.errors import ArgumentError, DesignError, did_you_mean, shown, unknown_name
 from gnc_opt.model.layout import Layout, Variable, as_vector
@@ -74,7 +74,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 
 def design_mpc(
     model: Model,
-    reference: Reference,
+    reference: Reference | ArrayLike,
     *,
     Q: Weight,
     R: Weight,
@@ -95,7 +95,8 @@ def design_mpc(
     Parameters
     ----------
     model : Model
-    reference : Reference
+    reference : Reference or array (n_states,)
+        A state is kept, with the control that does so.
     Q, R, N
         As in `design_lqr`; sampled exactly.
     horizon : float
@@ -137,15 +138,13 @@ def design_mpc(
     Examples
     --------
     >>> law = go.design_mpc(
-    ...     *(cart, go.Reference.constant(cart, [0.0, 0.0], [0.0])), Q=1, R=1, horizon=1.0, dt=0.1, limits=(-0.2, 0.2)
+    ...     cart, [0.0, 0.0], Q=1, R=1, horizon=1.0, dt=0.1, limits=(-0.2, 0.2)
     ... )
     >>> u, _ = law(0.0, [1.0, 0.0])
     >>> print(np.round(u, 6))
     [-0.2]
     """
-    expect(
-        reference, Reference, "the reference of design_mpc()", "give a Reference, or Reference.constant(...)"
-    )
+    reference = read_plant(model, reference, "design_mpc")
     solver = solver or ("piqp" if state_limits else "daqp")
     if solver not in get_args(QpSolver):
         raise ArgumentError(

@@ -13,18 +13,44 @@ from gnc_opt.problem.phase import Phase
 
 
 def guess_times(leg: Phase) -> Array:
-    """Return guessed initial and final time, shape (2,)."""
+    """Return guessed initial and final time, shape (2,).
+
+    A phase whose start is linked to the end of another one begins there. An end of which nothing is told shares the
+    time up to the next one of which something is, evenly with the phases in between.
+    """
     known = leg.numbers.guess.time
     wanted = np.array([np.nan, np.nan]) if known is None else known[[0, -1]]
     initial, final = leg.times()
+    before, after = leg.in_time
+    if before is not None and np.isnan(wanted[0]):
+        wanted[0] = guess_times(before)[1]
     t0 = _time_in(initial, wanted[0], default=0.0)
     span = leg.numbers.duration
     least = max(float(span.lower[0]), 0.0)
     usual = least if least > 0 else 1.0
+    if np.isnan(wanted[1]) and after is not None and not _is_told(final):
+        usual = _share(after, t0) or usual
     tf = _time_in(final, wanted[1], default=t0 + usual)
     if tf <= t0 and not final.fixed[0]:
         tf = min(t0 + usual, float(final.upper[0]))
     return np.array([t0, tf])
+
+
+def _is_told(time: Interval) -> bool:
+    return bool(np.isfinite(time.lower[0]) and np.isfinite(time.upper[0]))
+
+
+def _share(leg: Phase | None, start: float) -> float:
+    """Return what each phase takes of the time from a start, in the phase before a given one, to the next end told."""
+    phases = 1
+    while leg is not None:
+        phases += 1
+        own, final = leg.numbers.guess.time, leg.times()[1]
+        if own is not None or _is_told(final):
+            end = float(own[-1]) if own is not None else float(final.middle[0])
+            return max(end - start, 0.0) / phases
+        leg = leg.in_time[1]
+    return 0.0
 
 
 def _time_in(interval: Interval, wanted: float, default: float) -> float:

@@ -10,7 +10,6 @@ import numpy as np
 
 from gnc_opt.model.graph import nodes_of, replaced
 from gnc_opt.model.layout import Variable
-from gnc_opt.model.model import Model
 from gnc_opt.model.norms import ROOTS
 from gnc_opt.model.symbol import Symbol
 from gnc_opt.problem.constraint import Constraint
@@ -19,7 +18,8 @@ from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.norms.domain import Domain, drawn
 from gnc_opt.problem.norms.epigraph import along_guess
 from gnc_opt.problem.norms.kinks import integral_senses
-from gnc_opt.problem.norms.succeed import free_name, with_values_of
+from gnc_opt.problem.norms.phase_form import PhaseForm
+from gnc_opt.problem.norms.succeed import free_name
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.phase_numbers import PhaseGuess
 from gnc_opt.problem.restatement import Restatement
@@ -82,21 +82,15 @@ def _squares(root: Any) -> list[Any] | None:
 
 
 @dataclass(frozen=True, eq=False)
-class ArgumentForm:
+class ArgumentForm(PhaseForm):
     """A phase with a control in place of the argument of a norm.
 
     Attributes
     ----------
-    model : Model
-    paths : dict of Constraint
-    integrands : dict of (symbol, expression)
     control : Symbol
     argument : Argument
     """
 
-    model: Model
-    paths: dict[str, Constraint]
-    integrands: dict[str, tuple[Any, Any]]
     control: Symbol
     argument: Argument
 
@@ -109,10 +103,13 @@ class ArgumentForm:
         symbol, integrand = leg.integrands[argument.integral]
         norm = {argument.root.element_hash(): ca.norm_2(z)}
         controls = [*(old.symbol(control) for control in old.controls.names), z]
+        none = ca.SX(0, 1)
+        text = f"the argument of a norm of integral '{argument.integral}' is solved for as {name}"
         return cls(
             old.in_controls(controls, [], lambda expression: expression),
             {**leg.paths, name: Constraint(name, z - argument.vector, Interval(zero, zero))},
             {**leg.integrands, argument.integral: (symbol, replaced(integrand, norm))},
+            Restatement(old, none, none, (text,)),
             z,
             argument,
         )
@@ -120,17 +117,11 @@ class ArgumentForm:
     def apply(self, problem: Statement, leg: Phase) -> None:
         """Give a phase this form with its own numbers."""
         name, size = self.control.variable.name, self.control.variable.size
-        guess, box, none = leg.numbers.guess, leg.numbers.controls, ca.SX(0, 1)
+        guess, box = leg.numbers.guess, leg.numbers.controls
         value: GuessValue = along_guess(problem, leg.clone(), self.argument.vector)
-        text = f"the argument of a norm of integral '{self.argument.integral}' is solved for as {name}"
-        leg.restatement = Restatement(leg.model, none, none, (text,)).after(leg.restatement)
-        leg.numbers = replace(
-            leg.numbers,
-            controls=Interval(
-                np.concatenate([box.lower, np.full(size, -np.inf)]),
-                np.concatenate([box.upper, np.full(size, np.inf)]),
-            ),
-            guess=PhaseGuess(guess.time, {**guess.values, name: value}),
+        controls = Interval(
+            np.concatenate([box.lower, np.full(size, -np.inf)]),
+            np.concatenate([box.upper, np.full(size, np.inf)]),
         )
-        leg.model = with_values_of(self.model, leg.model)
-        leg.paths, leg.integrands = dict(self.paths), dict(self.integrands)
+        guessed = PhaseGuess(guess.time, {**guess.values, name: value})
+        self.give(leg, replace(leg.numbers, controls=controls, guess=guessed))

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array
-from gnc_opt.model.graph import replaced
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.model.graph import nodes_of, replaced
+from gnc_opt.model.table import TableUse
 from gnc_opt.problem.interval import Interval, free, intersect
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.ranges import ranges_of
 from gnc_opt.problem.statement import Statement
+from gnc_opt.problem.tables import along, table_uses
 
 _DRAWS = 6
+
+_QUOTIENTS = (ca.OP_DIV, ca.OP_INV, ca.OP_LOG)
+_FACTORS = (ca.OP_MUL, ca.OP_SQ, ca.OP_TWICE, ca.OP_NEG)
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,10 +33,16 @@ class Domain:
     symbols : tuple of casadi.SX
         Columns.
     boxes : tuple of Interval
+    stated : tuple of Interval
+        Without what is only presumed of states.
+    tables : mapping of TableUse
+        Calls of linear tables of one axis, by the hashes of their values.
     """
 
     symbols: tuple[Any, ...]
     boxes: tuple[Interval, ...]
+    stated: tuple[Interval, ...]
+    tables: Mapping[int, TableUse] = field(default_factory=dict)
 
     @classmethod
     def along(cls, problem: Statement, leg: Phase) -> Domain:
@@ -42,16 +54,20 @@ class Domain:
             if name in leg.model.parameters:
                 place = leg.model.parameters.slice(name)
                 values.lower[place], values.upper[place] = box.lower, box.upper
-        return cls(
-            (*leg.model.arguments(), problem.parameter_symbols()),
-            (
-                Interval(initial.lower, final.upper),
-                _presumed_states(leg),
-                leg.numbers.controls,
-                values,
-                problem.parameter_interval(),
-            ),
+        time, rest = Interval(initial.lower, final.upper), (values, problem.parameter_interval())
+        sign, never_zero = _presumed_states(leg), _divisors(problem, leg)
+        told = leg.numbers.states
+        stated = Interval(
+            np.where(never_zero, sign.lower, told.lower), np.where(never_zero, sign.upper, told.upper)
         )
+        boxes, surely = ((time, x, leg.numbers.controls, *rest) for x in (sign, stated))
+        uses = table_uses(problem, problem.phases[leg.name])
+        lines = {
+            int(use.value.element_hash()): use
+            for use in uses
+            if use.table.method == "linear" and len(use.table.grids) == 1
+        }
+        return cls((*leg.model.arguments(), problem.parameter_symbols()), boxes, surely, lines)
 
     @classmethod
     def at_ends(cls, problem: Statement) -> Domain:
@@ -68,7 +84,8 @@ class Domain:
             constants |= {s.element_hash(): (s, value) for s, value in own}
         values = np.array([value for _, value in constants.values()])
         symbols.append(ca.vertcat(*(s for s, _ in constants.values())) if constants else ca.SX(0, 1))
-        return cls(tuple(symbols), (*boxes, Interval(values, values)))
+        every = (*boxes, Interval(values, values))
+        return cls(tuple(symbols), every, every)
 
     @property
     def key(self) -> bytes:
@@ -84,11 +101,16 @@ class Domain:
         z = ca.SX.sym("z", len(nodes))
         place = {node.element_hash(): z[i] for i, node in enumerate(nodes)}
         of_z = replaced(expression, place)
-        within = Domain((*self.symbols, z), (*self.boxes, self.ranges(ca.vertcat(*nodes))))
+        boxes = (*self.boxes, self.ranges(ca.vertcat(*nodes)))
+        within = Domain((*self.symbols, z), boxes, boxes)
         slopes = within.ranges(ca.jacobian(of_z, z).T)
         return [
             1 if low >= 0 else -int(high <= 0) for low, high in zip(slopes.lower, slopes.upper, strict=True)
         ]
+
+    def surely(self) -> Domain:
+        """Return the domain without what is only presumed."""
+        return Domain(self.symbols, self.stated, self.stated, self.tables)
 
     def sign(self, expression: Any) -> int:
         """Return 1 for a scalar that is never negative, -1 for one that is never positive, else 0."""
@@ -120,6 +142,23 @@ def drawn(column: Any) -> Array:
     return np.asarray(
         function(values).full() if symbols.numel() else np.tile(function(np.zeros(0)).full(), _DRAWS)
     )
+
+
+def _divisors(problem: Statement, leg: Phase) -> Mask:
+    """Which states something is divided by along a phase, so that they keep their signs."""
+
+    def find() -> Mask:
+        found: set[int] = set()
+        waiting = [node.dep(node.n_dep() - 1) for node in nodes_of(along(leg)) if node.op() in _QUOTIENTS]
+        while waiting:
+            node = waiting.pop()
+            if node.is_symbolic():
+                found.add(node.element_hash())
+            elif node.op() in _FACTORS:
+                waiting += [node.dep(i) for i in range(node.n_dep())]
+        return np.array([s.element_hash() in found for s in ca.vertsplit(leg.model.symbols("state"))])
+
+    return problem.once(("divisors", leg.name), find)
 
 
 def _presumed_states(leg: Phase) -> Interval:

@@ -26,7 +26,8 @@ from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.norms.domain import Domain
 from gnc_opt.problem.norms.extrema import is_smooth, pieces, rows_of
 from gnc_opt.problem.norms.kinks import Extremum, kinks_that_cost, limited_sense
-from gnc_opt.problem.norms.succeed import free_name, with_values_of
+from gnc_opt.problem.norms.phase_form import PhaseForm
+from gnc_opt.problem.norms.succeed import free_name
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.phase_numbers import PhaseGuess
 from gnc_opt.problem.restatement import Restatement
@@ -100,25 +101,17 @@ def _holds(expression: Any, lower: float, upper: float) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class EpigraphForm:
+class EpigraphForm(PhaseForm):
     """A phase with controls in place of kinks.
 
     Attributes
     ----------
-    model : Model
-    paths : dict of Constraint
-    integrands : dict of (symbol, expression)
-    restatement : Restatement
     kinks : dict of Extremum
         By the control that takes its place.
     least : dict of float
         The least that those may be.
     """
 
-    model: Model
-    paths: dict[str, Constraint]
-    integrands: dict[str, tuple[Any, Any]]
-    restatement: Restatement
     kinks: dict[str, Extremum]
     least: dict[str, float]
 
@@ -163,16 +156,11 @@ class EpigraphForm:
         values = {
             name: along_guess(problem, stated, kink.sense * kink.node) for name, kink in self.kinks.items()
         }
-        leg.numbers = replace(
-            leg.numbers,
-            controls=Interval(
-                np.concatenate([box.lower, least]), np.concatenate([box.upper, np.full(least.size, np.inf)])
-            ),
-            guess=PhaseGuess(guess.time, {**guess.values, **values}),
+        controls = Interval(
+            np.concatenate([box.lower, least]), np.concatenate([box.upper, np.full(least.size, np.inf)])
         )
-        leg.model = with_values_of(self.model, leg.model)
-        leg.paths, leg.integrands = dict(self.paths), dict(self.integrands)
-        leg.restatement = self.restatement.after(leg.restatement)
+        guessed = PhaseGuess(guess.time, {**guess.values, **values})
+        self.give(leg, replace(leg.numbers, controls=controls, guess=guessed))
 
 
 def along_guess(problem: Statement, stated: Phase, column: Any) -> GuessValue:

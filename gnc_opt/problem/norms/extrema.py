@@ -11,6 +11,7 @@ import numpy as np
 
 from gnc_opt.model.graph import nodes_of
 from gnc_opt.problem.norms.domain import Domain, drawn, is_affine
+from gnc_opt.problem.norms.table_lines import lines_of
 from gnc_opt.tolerances import EQUAL
 
 KINKED = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN, ca.OP_IF_ELSE_ZERO)
@@ -67,7 +68,7 @@ def _pieces(node: Any, sense: int, domain: Domain) -> Pieces | None:
         own, operands = extremum
         if own != sense:
             return None
-        if node.op() == ca.OP_FABS and domain.sign(operands[0]) > 0:
+        if node.op() == ca.OP_FABS and domain.surely().sign(operands[0]) > 0:
             operands = operands[:1]
         return _union([_pieces(operand, sense, domain) for operand in operands])
     operation = node.op()
@@ -112,6 +113,9 @@ def _scaled(found: Pieces | None, factor: Any) -> Pieces | None:
 
 def _extremum(node: Any, domain: Domain) -> tuple[int, Pieces] | None:
     """Return 1 for a largest value, -1 for a least one, and of what; None if a node is neither."""
+    use = domain.tables.get(node.element_hash())
+    if use is not None:
+        return lines_of(use, domain)
     operation = node.op()
     if operation == ca.OP_FABS:
         return 1, [node.dep(0), -node.dep(0)]

@@ -20,6 +20,7 @@ from gnc_opt.problem.constraint import Constraint
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.norms.find import Places
 from gnc_opt.problem.norms.limits import allows_shorter, limiting_control, limits_of
+from gnc_opt.problem.norms.phase_form import PhaseForm
 from gnc_opt.problem.norms.succeed import free_name, taken_names
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.restatement import Restatement
@@ -90,15 +91,11 @@ class Vector:
 
 
 @dataclass(frozen=True, eq=False)
-class Form:
+class Form(PhaseForm):
     """A phase without one of its norms.
 
     Attributes
     ----------
-    model : Model
-    paths : dict of Constraint
-    integrands : dict of (symbol, expression)
-    restatement : Restatement
     vector : Vector
     control : VectorControl
     rest : Symbol or None
@@ -112,10 +109,6 @@ class Form:
         what was stated, None where `Phase.on_sphere` tells.
     """
 
-    model: Model
-    paths: dict[str, Constraint]
-    integrands: dict[str, tuple[Any, Any]]
-    restatement: Restatement
     vector: Vector
     control: VectorControl
     rest: Symbol | None

@@ -24,7 +24,6 @@ from gnc_opt.problem.norms.find import guessed_controls, norm_by_hand
 from gnc_opt.problem.norms.form import Form, box_rows
 from gnc_opt.problem.norms.roots import without_roots
 from gnc_opt.problem.norms.split import Bends, SplitForm
-from gnc_opt.problem.norms.succeed import with_values_of
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.phase_numbers import PhaseGuess, PhaseNumbers
 from gnc_opt.problem.statement import Statement
@@ -137,11 +136,8 @@ def _has_kinks(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> bool:
 def _restate(leg: Phase, form: Form) -> tuple[str, ...]:
     """Give a phase its new form with its own numbers; return the names of the constraints that are added."""
     stated, rows = leg.clone(), box_rows(form, leg)
-    leg.numbers = _numbers(stated, form)
-    leg.model = with_values_of(form.model, leg.model)
-    leg.paths = {**form.paths, **rows}
-    leg.integrands = dict(form.integrands)
-    leg.restatement = form.restatement.after(stated.restatement)
+    form.give(leg, _numbers(stated, form))
+    leg.paths |= rows
     leg.replace_controls(form.control, on_sphere=form.on_sphere)
     return tuple(rows)
 

@@ -17,7 +17,6 @@ from gnc_opt.model.graph import replaced
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol
-from gnc_opt.problem.constraint import Constraint
 from gnc_opt.problem.interval import free
 from gnc_opt.problem.norms.bend import Bend, corners_of
 from gnc_opt.problem.norms.domain import Domain
@@ -30,7 +29,8 @@ from gnc_opt.problem.norms.kinks import (
     kinks_that_drain,
     kinks_that_limit,
 )
-from gnc_opt.problem.norms.succeed import free_name, with_values_of
+from gnc_opt.problem.norms.phase_form import PhaseForm
+from gnc_opt.problem.norms.succeed import free_name
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.restatement import Restatement
 from gnc_opt.problem.statement import Statement
@@ -104,22 +104,14 @@ def _corners(layout: Layout, bends: list[Bend]) -> dict[int, tuple[float, ...]]:
 
 
 @dataclass(frozen=True, eq=False)
-class SplitForm:
+class SplitForm(PhaseForm):
     """A phase with split controls in place of some controls.
 
     Attributes
     ----------
-    model : Model
-    paths : dict of Constraint
-    integrands : dict of (symbol, expression)
-    restatement : Restatement
     controls : tuple of SplitControl
     """
 
-    model: Model
-    paths: dict[str, Constraint]
-    integrands: dict[str, tuple[Any, Any]]
-    restatement: Restatement
     controls: tuple[SplitControl, ...]
 
     @classmethod
@@ -220,10 +212,7 @@ class SplitForm:
                 if control.name in scales:
                     scales[part] = scales[control.name]
             scales.pop(control.name, None)
-        leg.model = with_values_of(self.model, old)
-        leg.numbers = replace(numbers, controls=box, scales=scales)
-        leg.paths, leg.integrands = dict(self.paths), dict(self.integrands)
-        leg.restatement = self.restatement.after(leg.restatement)
+        self.give(leg, replace(numbers, controls=box, scales=scales))
 
 
 def _value(corner: float, plus: list[Any], minus: Any) -> Any:

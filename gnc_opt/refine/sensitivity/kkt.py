@@ -31,6 +31,7 @@ from gnc_opt.solution.program_point import WEAK, ProgramLimits, ProgramPoint, sa
 from gnc_opt.solution.saddle import SaddlePoint
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import sharper
+from gnc_opt.solution.touches import with_contacts
 from gnc_opt.transcription.scaling import Scaling
 from gnc_opt.transcription.transcription import Transcription
 
@@ -96,7 +97,7 @@ class KktPoint:
 
     def _attempt(self, solution: Solution) -> str:
         """Take the active limits from a solution and solve the conditions; return what is wrong, or nothing."""
-        self._point = ProgramPoint.of(solution)
+        self._point = ProgramPoint.of(solution, held=with_contacts)
         return self._converge() or self._wrong_limit()
 
     def _converge(self) -> str:

@@ -21,6 +21,9 @@ from gnc_opt.tolerances import CONVEX
 NEAR = 0.02
 """A control this close to a bound, relative to its range, is taken to sit on it."""
 
+CLEARLY = 2.0
+"""A state so many times as far from its bound has left it."""
+
 REACHED = 1e-3
 """A control that H determines, or a path constraint, this close to its limit (relative to its size) is at it if its
 multiplier says so too."""
@@ -204,7 +207,8 @@ def _share(samples: PhaseSamples, gradient: Array, i: int) -> Array:
 def _absorb(samples: PhaseSamples, i: int, labels: KindArray, gradient: Array) -> None:
     """Give short bangs beside a singular arc to it that are noise or chatter.
 
-    Along those the switching function stays small, or the control is nowhere near the bound that its sign asks for.
+    Along those the switching function stays small, or the control is nowhere near the bound that its sign asks for. But
+    where the arc keeps a state on its bound, a bang that brings it there or takes it away is neither.
     """
     bounds = samples.leg.control_bounds
     wanted = np.where(labels == ArcKind.LOWER, bounds.lower[i], bounds.upper[i])
@@ -212,8 +216,18 @@ def _absorb(samples: PhaseSamples, i: int, labels: KindArray, gradient: Array) -
     noise = np.empty(labels.size, dtype=bool)
     edges = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1), labels.size]
     for first, last in itertools.pairwise(edges):
-        noise[first:last] = np.max(np.abs(gradient[first:last])) < SMALL or np.mean(miss[first:last]) > 0.5
+        small = np.max(np.abs(gradient[first:last])) < SMALL and not _leaves_bound(samples, i, first, last)
+        noise[first:last] = small or np.mean(miss[first:last]) > 0.5
     _spread(samples, labels, ArcKind.SINGULAR, noise)
+
+
+def _leaves_bound(samples: PhaseSamples, i: int, first: int, last: int) -> bool:
+    """Whether a state that a control moves at once is on its bound at an end of a run of samples, and leaves it."""
+    bounds, ends = samples.leg.state_bounds, [first, last - 1]
+    off = np.minimum(samples.x - bounds.lower[:, None], bounds.upper[:, None] - samples.x)
+    share = off[:, first:last] / samples.state_scale[:, None]
+    left = (np.min(share[:, [0, -1]], axis=1) < NEAR) & (np.max(share, axis=1) > CLEARLY * NEAR)
+    return bool(np.any(left)) and bool(np.any(left & np.any(_moved_at_once(samples, i)[:, ends], axis=1)))
 
 
 def _spread(samples: PhaseSamples, labels: KindArray, label: ArcKind, candidates: Mask) -> None:
@@ -294,38 +308,47 @@ def _state_labels(
     """LOWER, INTERIOR or UPPER at each sample for every state.
 
     A state counts as held along segments on which it stays on its bound while some singular control could move
-    it at once (a bound of first order), and all the time at which it pushes, where it may swing between the points.
+    it at once (a bound of first order), and all the time at which it pushes, where it may swing between the points. No
+    arc reaches an end of the phase at which another value is given.
     """
     first = len(samples.leg.path_labels)
     leg, rows, commanded = samples.leg, [], _commanded(samples, controls)
+    ends = ((0, leg.initial_bounds), (leg.mesh.segments - 1, leg.final_bounds))
     for i in range(leg.states.size):
         labels = np.full(samples.times.size, ArcKind.INTERIOR)
         margin = STILL * samples.state_scale[i]
-        for kind, distance in (
-            (ArcKind.UPPER, leg.state_bounds.upper[i] - samples.x[i]),
-            (ArcKind.LOWER, samples.x[i] - leg.state_bounds.lower[i]),
+        for kind, limit, distance in (
+            (ArcKind.UPPER, leg.state_bounds.upper[i], leg.state_bounds.upper[i] - samples.x[i]),
+            (ArcKind.LOWER, leg.state_bounds.lower[i], samples.x[i] - leg.state_bounds.lower[i]),
         ):
+            off = [k for k, given in ends if not given.lower[i] - margin <= limit <= given.upper[i] + margin]
             for k in range(leg.mesh.segments):
                 here = samples.segments == k
                 if np.all(distance[here] < margin) and _middle(commanded[i, here]):
                     labels[here] = kind
             if np.any(labels == kind):
+                inner = ~np.isin(samples.segments, off)
                 pushes = [(d.start, d.end) for d in determined if (d.row, d.kind) == (first + i, kind)]
-                labels[_within(samples, pushes)] = kind
-                _spread(samples, labels, kind, commanded[i])
+                labels[_within(samples, pushes) & inner] = kind
+                _spread(samples, labels, kind, commanded[i] & inner)
         rows.append(labels)
     return rows
 
 
 def _commanded(samples: PhaseSamples, controls: KindArray) -> Mask:
     """Where a singular control moves a state at once, (n_states, n_samples)."""
-    x, u, times = samples.x, samples.u, samples.times
-    rates, found = samples.functions.rates(times, x, u), np.zeros(x.shape, dtype=bool)
+    found = np.zeros(samples.x.shape, dtype=bool)
     for channel in np.flatnonzero(np.any(controls == ArcKind.SINGULAR, axis=1)):
-        moved = u.copy()
-        moved[channel] += PROBE * samples.control_scale[channel]
-        found |= (samples.functions.rates(times, x, moved) != rates) & (controls[channel] == ArcKind.SINGULAR)
+        found |= _moved_at_once(samples, int(channel)) & (controls[channel] == ArcKind.SINGULAR)
     return found
+
+
+def _moved_at_once(samples: PhaseSamples, channel: int) -> Mask:
+    """Where the rate of a state depends on a control, (n_states, n_samples)."""
+    moved = samples.u.copy()
+    moved[channel] += PROBE * samples.control_scale[channel]
+    rates = samples.functions.rates
+    return np.asarray(rates(samples.times, samples.x, moved) != rates(samples.times, samples.x, samples.u))
 
 
 def _middle(values: Mask) -> bool:

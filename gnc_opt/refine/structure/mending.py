@@ -30,6 +30,10 @@ ROOM = 1e-3
 VANISHED = 1e-7
 """A piece shorter than this share of its phase has vanished."""
 
+PROPPED = 3e-5
+"""Share of its phase below which the solver's barrier alone may keep a piece open. Where two switching functions vanish
+at one time its length falls like the square root of the barrier, which ends at 1e-11 and less."""
+
 STATIONARY = 1e-9
 """First-order gain in H, in shares of H, that may be left along a singular arc."""
 
@@ -59,7 +63,7 @@ def improve(
     problem, samples = solution.need_problem("refine"), solution.samples()
     constraints = {name: StateConstraints(problem, s) for name, s in samples.items()}
     for name, s in samples.items():
-        structure, action = collapsed(s, plans[name].structure, swapped)
+        structure, action = collapsed(s, plans[name], swapped)
         if structure is not None:
             return {**plans, name: plans[name].restructured(structure)}, action
     for name, c in constraints.items():
@@ -105,12 +109,14 @@ def _adjust(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan
 
 
 def collapsed(
-    samples: PhaseSamples, structure: PhaseStructure, swapped: set[tuple[str, PhaseStructure]]
+    samples: PhaseSamples, plan: Plan, swapped: set[tuple[str, PhaseStructure]]
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure after a piece has vanished and what was done, or None if none has."""
-    lengths = structure.lengths
+    structure, lengths = plan.structure, plan.structure.lengths
     shortest = int(np.argmin(lengths))
-    if structure.pieces == 1 or lengths[shortest] >= VANISHED * lengths.sum():
+    share = lengths[shortest] / lengths.sum()
+    gone = share < VANISHED or (share < PROPPED and _propped(samples, plan, shortest))
+    if structure.pieces == 1 or not gone:
         return None, ""
     other = structure.swapped(shortest)
     swapped.add((samples.leg.name, structure.at(())))
@@ -118,6 +124,21 @@ def collapsed(
     if other is not None and (samples.leg.name, other.at(())) not in swapped:
         return _spread(other, shortest), f"switches {shortest} and {shortest + 1} swapped"
     return structure.emptied(shortest), f"piece {shortest + 1} dropped"
+
+
+def _propped(samples: PhaseSamples, plan: Plan, piece: int) -> bool:
+    """Whether two switches want to change places, as wrong signs between them say, and the barrier keeps them apart.
+
+    Beside a singular arc signs are as good as the polynomial of its control.
+    """
+    structure = plan.structure
+    if structure.swapped(piece) is None:
+        return False
+    if np.any(structure.controls[:, piece - 1 : piece + 2] == ArcKind.SINGULAR):
+        return False
+    pieces = plan.segment_pieces[samples.segments]
+    offence, _ = _offences(samples, structure, structure.matrix()[:, pieces])
+    return bool(np.max(offence[:, pieces == piece], initial=0.0) > WRONG_SIGN)
 
 
 def _spread(structure: PhaseStructure, piece: int) -> PhaseStructure:

@@ -233,7 +233,7 @@ def _instead(
         return {name: replace(plan, firm=True) for name, plan in plans.items()}
     for name, s in failed.samples().items():
         current = _at_solution(plans[name], failed, name)
-        structure, _ = collapsed(s, current.structure, swapped)
+        structure, _ = collapsed(s, current, swapped)
         if structure is not None:
             return {**plans, name: current.restructured(structure)}
     return None
