@@ -39,6 +39,12 @@ _PROBE = "probe of the command"
 _STABLE = 1.0 + 1e-9
 """Size of a pole up to which a frozen loop counts as stable: integrals of what no control moves stay where they are."""
 
+_LOOKS = np.array([0.01, 0.1, 0.5])
+"""Frequencies, as shares of the highest, at which a loop is asked whether it is open."""
+
+_NOTHING = 1e-12
+"""Responses to a command that are rounding."""
+
 
 @dataclass(frozen=True)
 class _Probe(Block):
@@ -116,7 +122,7 @@ class LoopResponse(Strict):
         Raises
         ------
         ArgumentError
-            The frozen loop is not stable there.
+            The frozen loop is not stable there, or open: no command moves anything, for all are at their limits.
         """
         if not self.stable(index):
             z = max(self.poles(index), key=abs)
@@ -124,13 +130,24 @@ class LoopResponse(Strict):
                 f"the loop frozen at {self.times[index]:g} s is not stable (pole {z:.6g}), so it has no margins: "
                 "look at poles()."
             )
+        if self._open(index):
+            raise ArgumentError(
+                f"the loop frozen at {self.times[index]:g} s is open: it feeds back, but its commands move nothing "
+                "(they are at their limits), so it has no margins; choose other instants (at=)."
+            )
         a, b, c = self.a[index], self.b[index], self.c[index]
         return margins(a - b @ c, b, -c, self.dt)
 
     @property
     def disk_margins(self) -> Array:
-        """Disk margins over the instants, (n_times,); 0 where the frozen loop is not stable."""
-        return np.array([self.margins(k).disk if self.stable(k) else 0.0 for k in range(self.times.size)])
+        """Disk margins over the instants, (n_times,); 0 where the frozen loop is not stable, NaN where it is open."""
+
+        def disk(k: int) -> float:
+            if not self.stable(k):
+                return 0.0
+            return np.nan if self._open(k) else float(self.margins(k).disk)
+
+        return np.array([disk(k) for k in range(self.times.size)])
 
     @property
     def frequencies(self) -> Array:
@@ -140,6 +157,11 @@ class LoopResponse(Strict):
         top = np.pi / self.dt
         low = 0.01 * min(float(np.min(sizes[sizes > 1e-6 * top], initial=top)), 0.1 * top)
         return np.logspace(np.log10(low), np.log10(top), 400)
+
+    def _open(self, index: int) -> bool:
+        """Whether the law feeds back, but nothing that it commands comes through."""
+        fed_back = bool(np.any(self.c[index]))
+        return fed_back and bool(np.all(np.abs(self._closed(_LOOKS * np.pi / self.dt, index)) < _NOTHING))
 
     def _closed(self, omega: ArrayLike, index: int) -> Array:
         """Return the way from d to u, (n_omega, m, m)."""

@@ -88,7 +88,7 @@ def plot_nyquist(response: LoopResponse, command: str | None = None) -> Figure:
             loop = response.channel(omega, label, k)
             ax.plot(loop.real, loop.imag, **line_look(i))
         ax.plot(-1.0, 0.0, "+", color="black", markersize=9)
-        alpha = float(np.min(response.disk_margins))
+        alpha = float(np.fmin.reduce(response.disk_margins))  # open instants have none
         if 0 < alpha < 2:
             low, high = (alpha - 2) / (alpha + 2), (alpha + 2) / (alpha - 2)
             middle, radius = 0.5 * (low + high), 0.5 * (low - high)
@@ -172,7 +172,7 @@ def plot_margins(response: LoopResponse) -> Figure:
 def _over_time(ax: Axes, response: LoopResponse, values: Any) -> None:
     look = line_look(0) | ({"marker": "o", "markersize": 4} if response.times.size < 30 else {})
     ax.plot(response.times, values, **look)
-    ax.set_ylim(0.0, 1.1 * max(float(np.max(values)), 1e-9))
+    ax.set_ylim(0.0, 1.1 * float(np.fmax.reduce(values, initial=1e-9)))
 
 
 def _command(response: LoopResponse, command: str | None) -> str:

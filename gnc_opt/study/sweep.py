@@ -74,7 +74,7 @@ class Sweep:
         return self.array("objective")
 
     def array(self, name: str) -> Array:
-        """Return "objective", "final_time" (of the last phase), "iterations" or an output over the grid."""
+        """Return "objective", "final_time" (of the last phase), "iterations", outputs or parameters of the grid."""
         own: dict[str, Output] = {
             "objective": lambda s: s.objective,
             "final_time": lambda s: list(s.phases.values())[-1].final_time,
@@ -82,10 +82,12 @@ class Sweep:
         }
         if name in self.outputs:
             return self.outputs[name]
+        if name in self.grid and name not in own:
+            axes = dict(zip(self.grid, np.meshgrid(*self.grid.values(), indexing="ij"), strict=True))
+            return np.asarray(np.where(self.solved, axes[name], np.nan))
         if name not in own:
-            raise ArgumentError(
-                f"the sweep has no quantity {shown(name)}: {did_you_mean(str(name), [*own, *self.outputs])}"
-            )
+            known = [*own, *self.outputs, *self.grid]
+            raise ArgumentError(f"the sweep has no quantity {shown(name)}: {did_you_mean(str(name), known)}")
         values = [np.nan if s is None else own[name](s) for s in self.solutions.flat]
         return np.array(values, dtype=float).reshape(self.solutions.shape)
 

@@ -10,8 +10,9 @@ from sled import DT, loop_of, regulator, sled
 
 import gnc_opt as go
 from gnc_opt.analysis import loop_response
+from gnc_opt.errors import ArgumentError
 from gnc_opt.plot import plot_bode, plot_margins, plot_nyquist, plot_sensitivity
-from gnc_opt.simulation import Event, Lag, Sampling, ScaleFactor, SensorDelay
+from gnc_opt.simulation import Event, Lag, Sampling, Saturation, ScaleFactor, SensorDelay
 
 HERE = {"x0": [0.0, 0.0], "tf": 1.0}
 
@@ -100,6 +101,23 @@ def test_along_a_trajectory_margins_change_with_the_plant():
         frozen = loop_response(go.ClosedLoop(model, law), **HERE)
         assert response.margins(k).disk == pytest.approx(frozen.margins().disk, rel=0.02)
     assert np.all(np.diff(response.disk_margins) > 0)
+
+
+def test_where_all_commands_are_at_their_limits_the_loop_is_open_and_has_no_margins():
+    """Beyond the limit nothing comes through; feedforward alone, which is open too, may change as it likes."""
+    limited = bare(Saturation("limit", -0.2, 0.2))
+    response = loop_response(limited, x0=[3.0, 0.0], tf=20.0, at=[0.0, 19.0])
+    assert not np.any(response.open_loop([1.0], 0))
+    with pytest.raises(
+        ArgumentError, match=r"frozen at 0 s is open: it feeds back, but its commands move nothing"
+    ):
+        response.margins(0)
+    free = loop_response(bare(), x0=[0.0, 0.0], tf=1.0)
+    assert response.disk_margins == pytest.approx([np.nan, free.disk_margins[0]], nan_ok=True)
+    assert plot_margins(response) and plot_nyquist(response)
+    model = sled()
+    still = go.feedforward(go.Reference.constant(model, [0.0, 0.0]))
+    assert loop_response(go.ClosedLoop(model, still, dt=DT), x0=[0, 0], tf=1.0).margins().disk == 2.0
 
 
 def test_figures_show_what_they_say():

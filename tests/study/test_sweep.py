@@ -117,6 +117,9 @@ def test_fronts() -> None:
     front = found.pareto(final_time="min", objective="min")
     assert [point["duration"] for point in front] == [3.0, 4.0, 5.0]
     assert front[0]["objective"] == pytest.approx(12 / 27, rel=1e-6)
+    assert found.pareto(duration="min", objective="min") == [
+        {"duration": point["duration"], "objective": point["objective"]} for point in front
+    ]
     assert [point["duration"] for point in found.pareto(final_time="max", objective="min")] == [5.0]
     with pytest.raises(go.ArgumentError, match="two quantities or more"):
         found.pareto(objective="min")

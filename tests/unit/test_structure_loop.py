@@ -444,6 +444,26 @@ def test_a_mixed_constraint_offends_by_its_multiplier_or_its_value() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("switches", "at", "answer"),
+    [
+        ((1.0, 1.7, 1.8, 1.9, 2.0, 2.1, 3.0), 2.05, (0, 1.7, 2.1)), ((1.0, 1.7, 1.8, 1.9, 2.1, 3.0), 2.05, None),
+        ((1.0, 1.7, 1.8, 1.9, 2.0, 2.1, 3.0), 0.5, None),
+    ],
+)  # fmt: skip
+def test_many_switches_of_a_small_switching_function_are_a_singular_arc(
+    switches: tuple[float, ...], at: float, answer: Any
+) -> None:
+    """Of ((t - 2) / 2)^3, below `SMALL` / 2 from t = 1.57 to 2.43, where an offence asks for one bang more."""
+    found = line(lambda t, k: [((t - 2) / 2) ** 3], lambda t, k: [0 * t])
+    kinds = tuple(((LOW, UP)[k % 2], FREE) for k in range(len(switches) + 1))
+    structure = PhaseStructure((0.0, *switches, 4.0), kinds, n_controls=1)
+    offence = np.zeros((1, found.times.size))
+    offence[0, np.argmin(np.abs(found.times - at))] = 2 * m.WRONG_SIGN
+    assert m._chatter(found, structure, offence) == answer
+    assert m._chatter(found, structure, 0.4 * offence) is None
+
+
 def test_a_missing_arc_is_added_where_the_sign_is_wrong() -> None:
     found = line(lambda t, k: [(t - 1.3) * (t - 2.6)], lambda t, k: [-1.0 + 0 * t])
     plan = Plan(PhaseStructure((0.0, 4.0), ((LOW, FREE),), n_controls=1), (Resolution(4, 3),))
@@ -598,12 +618,13 @@ def test_the_loop_is_restless_if_adjusting_does_not_help() -> None:
     moved, raised = record(1.0, s.KINKS_MOVED), record(1.0, s.RAISED)
     both = record(1.0, f"{s.KINKS_MOVED}, {s.RAISED}")
     assert s._restless([record(1.0, "x"), moved, raised, both, moved, raised])
-    assert not s._restless([record(0.1, "x"), moved, raised, both, moved])  # 0.1 is another structure's
     assert not s._restless([moved] * 4) and s._restless([moved] * 5)
     assert not s._restless([moved, moved, record(1.0, "piece 1 dropped"), moved, moved])
     assert not s._restless([moved, moved, moved, moved, record(0.5, s.RAISED)])
     assert s._restless([moved, moved, moved, moved, record(0.51, s.RAISED)])
-    assert s._restless([record(0.1, "x"), *[record(0.1, s.RAISED)] * 5])
+    other = record(1e-9, "arc of u singular")  # errors of another structure are no measure
+    assert not s._restless([other, *[record(0.1, s.RAISED)] * 4])
+    assert s._restless([other, *[record(0.1, s.RAISED)] * 5])
 
 
 def test_a_loop_in_a_circle_is_noticed() -> None:

@@ -11,13 +11,15 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import casadi as ca
+import numpy as np
 
 from gnc_opt.model.composed import SplitControl
 from gnc_opt.model.graph import replaced
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol
-from gnc_opt.problem.interval import free
+from gnc_opt.problem.constraint import Constraint
+from gnc_opt.problem.interval import Interval, free
 from gnc_opt.problem.norms.bend import Bend, corners_of
 from gnc_opt.problem.norms.domain import Domain
 from gnc_opt.problem.norms.extrema import rows_of
@@ -29,6 +31,7 @@ from gnc_opt.problem.norms.kinks import (
     kinks_that_drain,
     kinks_that_limit,
 )
+from gnc_opt.problem.norms.one_part import OneSided, one_sided, rows_by_parts
 from gnc_opt.problem.norms.phase_form import PhaseForm
 from gnc_opt.problem.norms.succeed import free_name
 from gnc_opt.problem.phase import Phase
@@ -49,10 +52,13 @@ class Bends:
         By where they are.
     corners : dict of tuple of float
         By the place of the control.
+    sides : dict of OneSided
+        Rows of path constraints whose limits are of some parts only, by constraint and row.
     """
 
     at: dict[Place, list[Bend]]
     corners: dict[int, tuple[float, ...]]
+    sides: dict[tuple[str, int], OneSided]
 
     @classmethod
     def of(cls, problem: Statement, leg: Phase, domain: Domain) -> Bends:
@@ -84,12 +90,15 @@ class Bends:
             place: [b for b in own if set(b.corners) <= set(corners.get(b.place, ()))]
             for place, own in (pushed | others).items()
         }
-        return cls({place: own for place, own in kept.items() if own}, corners)
+        return cls(
+            {place: own for place, own in kept.items() if own}, corners, one_sided(leg, corners, domain)
+        )
 
     @property
     def key(self) -> tuple[Any, ...]:
         """The same for the same form."""
-        return tuple((place, *(b.node.element_hash() for b in own)) for place, own in self.at.items())
+        bends = ((place, *(b.node.element_hash() for b in own)) for place, own in self.at.items())
+        return (*bends, *self.sides.items())
 
 
 def _corners(layout: Layout, bends: list[Bend]) -> dict[int, tuple[float, ...]]:
@@ -120,6 +129,7 @@ class SplitForm(PhaseForm):
         old, layout = leg.model, leg.model.controls
         parts: dict[str, list[Symbol]] = {}
         splits, instead, beyond = [], {}, {}
+        halves: dict[int, tuple[Any, Any]] = {}
         for v in layout.variables:
             places = range(*layout.slice(v.name).indices(layout.size))
             if places[0] not in bends.corners:
@@ -132,6 +142,10 @@ class SplitForm(PhaseForm):
                 beyond[places[i]] = {
                     corner[i]: sum(p[i] for p in plus[k:]) for k, corner in enumerate(corners)
                 }
+                halves[places[i]] = (
+                    _value(corners[0][i], [p[i] for p in plus], ca.SX(0)),
+                    _value(corners[0][i], [ca.SX(0)], minus[i]),
+                )
                 instead[symbol.element_hash()] = _value(corners[0][i], [p[i] for p in plus], minus[i])
 
         def split(expression: Any) -> Any:
@@ -145,6 +159,19 @@ class SplitForm(PhaseForm):
                 for b in bends.at.get(place, ())
             }
             return split(replaced(expression, known))
+
+        def limited(name: str, c: Constraint) -> Constraint:
+            rows: list[tuple[Any, float, float]] = []
+            for i, row in enumerate(rows_of(c.expression)):
+                side, whole = bends.sides.get((name, i)), straight(row, ("path", name, i))
+                if side is None:
+                    rows.append((whole, float(c.interval.lower[i]), float(c.interval.upper[i])))
+                    continue
+                u = symbols[side.place].element_hash()
+                upper, lower = (split(replaced(row, {u: half})) for half in halves[side.place])
+                rows += rows_by_parts(c, i, side, upper, lower, whole)
+            expressions, least, most = zip(*rows, strict=True)
+            return Constraint(name, ca.vertcat(*expressions), Interval(np.array(least), np.array(most)))
 
         drains = {place: own for place, own in bends.at.items() if place[0] == "rate"}
         drained = {
@@ -161,17 +188,7 @@ class SplitForm(PhaseForm):
                 [(c, split(ca.SX(old.symbol(c.name)))) for c in splits],
                 lambda expression: split(replaced(expression, drained)),
             ),
-            {
-                name: c
-                if name in lengths
-                else replace(
-                    c,
-                    expression=ca.vertcat(
-                        *(straight(row, ("path", name, i)) for i, row in enumerate(rows_of(c.expression)))
-                    ),
-                )
-                for name, c in leg.paths.items()
-            },
+            {name: c if name in lengths or not c.size else limited(name, c) for name, c in leg.paths.items()},
             {
                 name: (symbol, straight(e, ("integral", name, 0)))
                 for name, (symbol, e) in leg.integrands.items()

@@ -11,7 +11,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure.contacts import crossed_contact, pushed_contact, wrong_touch
-from gnc_opt.refine.structure.detect import affine_channels, curved_channels, linear_limits
+from gnc_opt.refine.structure.detect import SMALL, affine_channels, curved_channels, linear_limits
 from gnc_opt.refine.structure.junctions import move_kinks
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose, signs_of
 from gnc_opt.refine.structure.plan import Plan, Resolution
@@ -39,6 +39,9 @@ STATIONARY = 1e-9
 
 ROUGH = 1e-4
 """Gain in H beyond which the polynomial of a singular control is no guess of it yet."""
+
+CHATTER = 5
+"""So many switches of one control where its switching function stays small are no bangs."""
 
 LEFT_OPEN = 5e-6
 """Gain in H beyond which a singular arc is left open at its ends: half of what `verify` forgives."""
@@ -161,7 +164,32 @@ def _complete(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None,
     offence, asked = _offences(samples, plan.structure, kinds)
     for i in range(offence.shape[0]):
         _forgive_own_switches(offence[i], kinds[i])
+    if offence.size and (found := _chatter(samples, plan.structure, offence)):
+        i, start, end = found
+        label = samples.leg.controls.labels[i]
+        return plan.structure.with_arc(
+            i, start, end, ArcKind.SINGULAR
+        ), f"{label} singular from {start:.4g} s"
     return _with_worst(samples, plan.structure, offence, asked)
+
+
+def _chatter(
+    samples: PhaseSamples, structure: PhaseStructure, offence: Array
+) -> tuple[int, float, float] | None:
+    """Return control, start and end of bangs that stand in for a singular arc, if the worst offence is among them.
+
+    There many bangs in a row leave a small switching function, which asks for ever more of them.
+    """
+    i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
+    if offence[i, j] < WRONG_SIGN or i >= samples.leg.controls.size or not affine_channels(samples)[i]:
+        return None
+    gain = np.abs(samples.control_gradient[i]) * samples.control_scale[i] / samples.hamiltonian_scale
+    large = samples.times[gain > SMALL]
+    first, last = large[large < samples.times[j]], large[large > samples.times[j]]
+    start, end = first[-1] if first.size else -np.inf, last[0] if last.size else np.inf
+    switches = [structure.times[k] for k in range(1, structure.pieces) if i in structure.changes(k)]
+    inside = [t for t in switches if start < t < end]
+    return (i, inside[0], inside[-1]) if len(inside) >= CHATTER else None
 
 
 def _with_worst(

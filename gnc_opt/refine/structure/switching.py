@@ -9,7 +9,6 @@ when signs and structure agree everywhere and the error between the nodes is sma
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -245,13 +244,10 @@ def _resolved(records: list[Pass], tol: float) -> bool:
 
 
 def _restless(records: list[Pass]) -> bool:
-    """Whether the structure stays, but neither moving kinks nor finer meshes reduce the error.
-
-    What another structure had left says nothing about this one.
-    """
-    mine = list(itertools.takewhile(_adjusting, reversed(records)))
-    last, before = mine[:PATIENCE], mine[PATIENCE:]
-    return bool(before) and min(r.error for r in last) > 0.5 * min(r.error for r in before)
+    """Whether the structure stays, but neither moving kinks nor finer meshes reduce the error."""
+    changes = [k for k, r in enumerate(records) if not _adjusting(r)]
+    errors = [r.error for r in records[changes[-1] + 1 if changes else 0 :]]
+    return len(errors) > PATIENCE and min(errors[-PATIENCE:]) > 0.5 * min(errors[:-PATIENCE])
 
 
 def _returned(tries: list[_Try]) -> bool:

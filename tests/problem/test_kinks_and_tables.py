@@ -1,0 +1,219 @@
+"""Kinks beside bounds, states and tables: where they are restated, where they stay, and closed forms."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+import scipy
+
+import gnc_opt as go
+from gnc_opt.problem.norms import restated
+
+
+def costing(table: Any, bounds: tuple[float, float]) -> Any:
+    """A phase, as it is solved, that pays for what a table says of its control."""
+    model = go.Model("cart")
+    x, v, a = model.state("x"), model.state("v"), model.control("a")
+    model.ode({x: v, v: a})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=2.0)
+    leg.initial(x=0.0, v=0.0)
+    leg.bounds(a=bounds)
+    problem.minimize(leg.integral(table(a)))
+    return restated(problem).phases["leg"]
+
+
+@pytest.mark.parametrize("final", [None, 0.0, 0.5])
+def test_signs_that_are_only_presumed_leave_no_kink_of_a_state(final: float | None) -> None:
+    """A state without bounds that starts and ends at zero or above may be below it in between."""
+    model = go.Model("cart")
+    x, a = model.state("x"), model.control("a")
+    model.ode({x: a})
+    problem = go.Problem("L1 regulation")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=3.0)
+    leg.initial(x=1.0)
+    leg.bounds(a=(-1.0, 1.0))
+    if final is not None:
+        leg.final(x=final)
+    problem.minimize(leg.integral(ca.fabs(x)))
+    assert list(restated(problem).phases["leg"].paths) == ["epigraph"]
+
+
+def test_divisors_keep_their_signs() -> None:
+    """What is divided by a mass has its sign: ``fabs(m)`` is m, and no control is made for it."""
+    model = go.Model("rocket")
+    v, m, thrust = model.state("v"), model.state("m"), model.control("T")
+    model.ode({v: thrust / (2 * m), m: -ca.fabs(thrust)})
+    problem = go.Problem("rocket")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=3.0)
+    leg.initial(v=0.0, m=2.0)
+    leg.final(v=1.0)
+    leg.bounds(T=(-3.0, 3.0))
+    problem.minimize(leg.integral(ca.fabs(m * 2.0)))
+    assert list(restated(problem).phases["leg"].model.controls.names) == ["T"]
+
+
+TABLES = {
+    "neither convex nor concave": (([-2.0, 0.0, 1.0, 2.0], [0.0, 0.0, 1.0, 1.5]), "linear", (-2.0, 2.0)),
+    "concave": (([-2.0, 0.0, 2.0], [-2.0, 0.0, 1.0]), "linear", (-2.0, 2.0)),
+    "left by its argument": (([-1.0, 0.0, 1.0], [1.0, 0.0, 1.0]), "hold", (-2.0, 2.0)),
+}
+
+
+@pytest.mark.parametrize("case", TABLES.values(), ids=TABLES)
+def test_tables_that_do_not_cost_the_more_the_further_they_go_stay(case: Any) -> None:
+    data, outside, bounds = case
+    table = go.table(*data, method="linear", outside=outside)
+    leg = costing(table, bounds)
+    assert leg.model.controls.names == ("a",)
+    assert leg.integrand_expression().element_hash() == table_value(leg)
+
+
+def table_value(leg: Any) -> int:
+    (use,) = leg.model.table_uses()
+    return int(use.value.element_hash())
+
+
+def test_a_table_is_judged_where_it_is_used() -> None:
+    """One that is concave beyond the bounds of its control is convex."""
+    table = go.table([-2.0, 0.0, 1.0, 2.0], [2.0, 0.0, 1.0, 1.5], method="linear")
+    leg = costing(table, (-2.0, 1.0))
+    assert list(leg.model.composed_controls) == ["a"]
+
+
+def test_limits_by_concave_tables_are_several_smooth_ones() -> None:
+    """Thrust at most what a table of the speed says: below each of its lines."""
+    table = go.table([0.0, 1.0, 2.0], [2.0, 1.5, 0.0], method="linear")
+    model = go.Model("cart")
+    v, a = model.state("v"), model.control("a")
+    model.ode({v: a})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(0.1, 10.0))
+    leg.initial(v=0.0)
+    leg.final(v=1.5)
+    leg.bounds(a=(0.0, 5.0), v=(0.0, 2.0))
+    leg.path("engine", a - table(v), upper=0.0)
+    problem.minimize(leg.final_time)
+    assert restated(problem).phases["leg"].path_expression().numel() == 2
+    solution = go.solve(problem)
+    exact = 2 * np.log(2 / 1.5) + np.log(1.5 / 0.75) / 1.5  # dv / (2 - v/2), then dv / (3 - 1.5 v)
+    assert solution.objective == pytest.approx(exact, rel=1e-6)
+
+
+def test_a_control_and_its_epigraph_that_a_limit_couples_are_determined() -> None:
+    """Of ``a**2 + fabs(a + v)`` H curves along the limit: v'' = 1/2 while a + v > 0, and it is a minimum."""
+    model = go.Model("speed")
+    v, a = model.state("v"), model.control("a")
+    model.ode({v: a})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(v=0.0)
+    leg.final(v=1.0)
+    problem.minimize(leg.integral(a**2 + ca.fabs(a + v)))
+    solution = go.solve(problem)
+    assert solution.objective == pytest.approx((1.25**3 - 0.75**3) / 1.5 + 1 + 11 / 24, rel=1e-9)
+    assert go.verify(solution).minimum
+
+
+def test_controls_that_only_their_sum_costs_are_not_determined() -> None:
+    model = go.Model("speed")
+    v, a, b = model.state("v"), model.control("a"), model.control("b")
+    model.ode({v: a + 2 * b})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(v=0.0)
+    leg.final(v=1.0)
+    leg.bounds(a=(-3.0, 3.0), b=(-3.0, 3.0))
+    problem.minimize(leg.integral((a + 2 * b) ** 2 + ca.fabs(a + 2 * b + v)))
+    solution = go.solve(problem, tol=None)
+    assert not go.verify(solution).minimum
+
+
+def test_a_path_that_crosses_the_corners_of_a_table_it_pays_for() -> None:
+    """No solution came of the table as it stands. Cubics between 0, 0.5 and 1: a = c t + d with a jump of its slope."""
+    model = go.Model("cart")
+    x, v, a = model.state("x"), model.state("v"), model.control("a")
+    model.ode({x: v, v: a})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=2.0)
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=1.0, v=0.0)
+    leg.bounds(x=(0.0, 1.0))
+    price = go.table([0.0, 0.5, 1.0], [1.0, 0.0, 1.0], method="linear")
+    problem.minimize(leg.integral(a**2 + price(x)))
+    solution = go.solve(problem)
+    # Half of it: x = 1 (2 x = -slope * -1), x(1) = 0.5, x''(1) = 0 by symmetry.
+    t = np.polynomial.Polynomial([0.0, 1.0])
+    third = (0.5 - 1 / 24 + 1 / 4) / (1 / 6 - 1 / 2)
+    way = t**4 / 24 + third * t**3 / 6 - (1 / 2 + third) * t**2 / 2
+    half = (way.deriv(2) ** 2 + 1 - 2 * way).integ()(1.0)
+    assert way(1.0) == pytest.approx(0.5) and way.deriv(2)(1.0) == pytest.approx(0.0)
+    assert solution.objective == pytest.approx(2 * half, rel=1e-7)
+    assert go.verify(solution).ok
+
+
+def powered(lower: float | None) -> go.Problem:
+    """Three units of travel in four seconds with the least total thrust, its power limited."""
+    model = go.Model("cart")
+    x, v, a = model.state("x"), model.state("v"), model.control("a")
+    model.ode({x: v, v: a})
+    problem = go.Problem("p")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=4.0)
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=3.0, v=0.0)
+    leg.bounds(a=(-1.0, 1.0), v=(0.0, 3.0))
+    leg.path("power", a * v, lower=lower, upper=0.5)
+    problem.minimize(leg.integral(ca.fabs(a)))
+    return problem
+
+
+@pytest.mark.parametrize("lower", [None, -0.4])
+def test_limits_of_a_split_control_are_those_of_its_parts(lower: float | None) -> None:
+    """As fast as the thrust, then the power allows up to a speed c, coast, and brake: at the limits, v v' = P."""
+
+    def ramp(c: float, power: float) -> tuple[float, float]:
+        """Time and way from rest to c."""
+        return power + (c**2 - power**2) / (2 * power), power**2 / 2 + (c**3 - power**3) / (3 * power)
+
+    def missing(c: float) -> float:
+        up = ramp(c, 0.5)
+        down = (c, c**2 / 2) if lower is None else ramp(c, -lower)
+        return up[1] + down[1] + c * (4.0 - up[0] - down[0]) - 3.0
+
+    speed = scipy.optimize.brentq(missing, 0.75, 1.3)
+    problem = powered(lower)
+    solution = go.solve(problem)
+    assert solution.objective == pytest.approx(2 * speed, rel=1e-8)
+    assert go.verify(solution).minimum
+    leg = restated(problem).phases["leg"]
+    rows = ca.vertsplit(leg.path_expression())
+    parts = [{s.name() for s in ca.symvar(row)} - {"v"} for row in rows]
+    assert parts == ([{"a_plus"}] if lower is None else [{"a_plus"}, {"a_minus"}])
+
+
+def test_limits_that_a_corner_may_break_are_of_all_parts() -> None:
+    """``0.2 - a v`` at least zero is told of a_plus alone, since 0.2 > 0; ``x - a v`` is not: x may be below zero."""
+    for constant, alone in ((True, True), (False, False)):
+        model = go.Model("cart")
+        x, v, a = model.state("x"), model.state("v"), model.control("a")
+        model.ode({x: v, v: a})
+        problem = go.Problem("p")
+        leg = problem.phase("leg", model)
+        leg.time(initial=0.0, final=4.0)
+        leg.initial(x=0.0, v=0.0)
+        leg.bounds(a=(-1.0, 1.0), v=(0.0, 3.0))
+        leg.path("room", (0.2 if constant else x) - a * v, lower=0.0)
+        problem.minimize(leg.integral(ca.fabs(a)))
+        row = restated(problem).phases["leg"].path_expression()
+        assert ("a_minus" not in {s.name() for s in ca.symvar(row)}) == alone
