@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.problem.arc import ArcKind
+from gnc_opt.problem.constraint_order import constraint_order
 from gnc_opt.problem.held import Junction, Smooth
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.structure.phase_structure import PhaseStructure, choose
@@ -241,7 +243,7 @@ class Plan:
             paths=paths if paths.size else None,
             states=states if np.any(states != ArcKind.INTERIOR) else None,
             smooth=self._smooth(),
-            junctions=self._junctions(),
+            junctions=(*self._junctions(), *self._starts(problem, phase)),
         )
 
     def _released(self) -> Mask:
@@ -282,6 +284,19 @@ class Plan:
             Junction(i - n_controls, self.piece_ends[k], kind, conditions, tangent)
             for k, i, kind, conditions, tangent in found
         )
+
+    def _starts(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
+        """Where path constraints are on their limit from a free start on: a mesh of Gauss points has no row there."""
+        leg, n_controls = problem.phases[phase], len(self.structure.controls)
+        free, found = ~leg.numbers.initial.fixed, []
+        for row in range(len(self.structure.paths)):
+            kind = self.structure.kinds[0][n_controls + row]
+            if self.structure.orders[n_controls + row] and kind.at_limit:
+                value = constraint_order(problem, leg, row).derivatives[0]
+                depends = ca.jacobian(value, leg.model.arguments()[1]).sparsity().get_col()
+                if np.any(free[np.asarray(depends, dtype=int)]):
+                    found.append(Junction(row, 0, kind, 1))
+        return tuple(found)
 
     def _smooth(self) -> tuple[Smooth, ...]:
         """One polynomial for every control that nothing determines, over each of its pieces."""
