@@ -36,6 +36,8 @@ _KINKS: dict[int, tuple[str, str]] = {
 
 _EXTREMA = (ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX)
 _NOT_CONVEX = {
+    "the rate of state": "use smooth_abs() to round it off, for a flight may rest on it where no derivative is; "
+    f"or {_IN_PHASES}; of controls alone, as a dead zone is, let its value be the control",
     "path constraint": "it leaves a hole, or is limited from both sides, so that it could not be restated: state the "
     "side that is meant, or a phase per side",
     "integral": "it is not known to cost the more the larger it is, so that it could not be restated: give bounds that "

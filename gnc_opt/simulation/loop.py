@@ -46,8 +46,8 @@ _MAX_STEPS = 2_000_000
 """Control steps of a run at most; with fifty numbers each their log fills a gigabyte."""
 
 
-_ROUNDING_OF_A_RUN = 1e-14
-"""Local errors that sum up to less are as small as rounding: what differs between runs is no measure of them."""
+_BESIDE = 1e-6
+"""How far from the nominal start the accuracy is looked at, relative."""
 
 _MAX_UNROLLED = 2000
 """Integration steps per control step at most: they are written out one by one in the compiled function."""
@@ -265,32 +265,44 @@ class ClosedLoop:
     def _accurate(self, nominal: Array, times: Array, rows: Array) -> Flight:
         """Return the flight, as planned, with as many integration steps as its accuracy needs."""
         substeps = self.substeps or self._stable_substeps(nominal, times[0])
-        coarse = None
+        start, growth, before = self._generic(nominal)[:, None], 1.0, None
         while True:
             flight = self._flight(nominal, times, rows, substeps)
-            ending = flight.final(nominal[:, None], [0])
+            ending = flight.final(start, [0])
             # a run that leaves the finite numbers is not one whose accuracy could be had by more steps
             if not np.isfinite(ending.integration_error[0]) or ending.outcomes[0].not_finite:
                 return flight
             if substeps >= MAX_SUBSTEPS and ending.outcomes[0].diverged:
                 return flight  # also when integrated as finely as can be: that is what is to be told
             local = float(ending.integration_error[0] - ending.averaging_error[0])
-            if coarse is None and (local <= self.accuracy or self.substeps is not None):
-                finer = self._flight(nominal, times, rows, substeps + 1).final(nominal[:, None], [0])
-                flight = replace(flight, growth=_growth(ending, finer, local, substeps / (substeps + 1)))
-            elif coarse is not None:
-                flight = replace(flight, growth=_growth(*coarse[:1], ending, coarse[1], coarse[2] / substeps))
-            error = flight.growth * local
+            if before is not None:
+                growth = max(growth, _growth(before[0], ending, before[1], before[2] / substeps))
+            if local <= self.accuracy or self.substeps is not None:
+                finer = self._flight(nominal, times, rows, substeps + 1).final(start, [0])
+                growth = max(growth, _growth(ending, finer, local, substeps / (substeps + 1)))
+            before, flight = (ending, local, substeps), replace(flight, growth=growth)
+            error = growth * local
             if error <= self.accuracy or self.substeps is not None:
                 return flight
             if substeps >= MAX_SUBSTEPS and local <= self.accuracy:
                 return flight  # errors grow: runs are flagged
             if substeps >= MAX_SUBSTEPS:
                 raise self._too_fast(f"leave an error of {error:.1e} where {self.accuracy:.1e} is asked for")
-            coarse = (ending, local, substeps)
             # the local error of the embedded fourth-order solution, summed over a run, falls with h^4
             needed = substeps * (error / self.accuracy) ** 0.25 * _MARGIN
             substeps = int(min(MAX_SUBSTEPS, max(substeps + 1, np.ceil(needed))))
+
+    def _generic(self, nominal: Array) -> Array:
+        """Return parameters with a start beside the nominal one.
+
+        From round numbers a relay's input may be zero at a sample; rounding then decides what neighbouring runs do not
+        have to decide.
+        """
+        found = nominal.copy()
+        for i in range(self.layout.size):
+            if self.layout.labels[i].startswith("initial."):
+                found[i] *= 1.0 + _BESIDE * np.cos(i)
+        return found
 
     def simulate(
         self,
@@ -463,9 +475,11 @@ def _growth(coarse: Ending, fine: Ending, local: float, ratio: float) -> float:
     """Return by how much the local errors of a run have grown until its end, from the same run with shorter steps.
 
     ``local`` is the sum of local errors of the coarse run, ``ratio`` that of the lengths of the steps, below 1. The
-    error at the end falls with the fifth power of the step.
+    error at the end falls with the fifth power of the step. What is rounding of it does not fall, and a relay that has
+    turned the other way meanwhile leaves the runs no farther apart than it can: where either may be, the largest of
+    several comparisons is nearest to the truth.
     """
-    if not local > _ROUNDING_OF_A_RUN or not np.all(np.isfinite(fine.states)):
+    if not local > 0 or not np.all(np.isfinite(fine.states)):
         return 1.0
     apart = np.abs(coarse.states - fine.states) / np.maximum(1.0, np.abs(fine.states))
     return max(1.0, float(np.max(apart)) / ((1 - ratio**5) * local))

@@ -191,10 +191,13 @@ class WorkerPool(Generic[Object]):
         left: list[tuple[int, Item]] = []
 
         def settle(number: int, error: BaseException | None) -> None:
+            future = ledger.futures.pop(
+                number
+            )  # as long as it is held a Dask cluster keeps the task and its answer
             if isinstance(error, BrokenExecutor):
                 left.append((number, ledger.items[number]))
             else:
-                ledger.keep((number,), _done(ledger.items[number], ledger.futures[number], error))
+                ledger.keep((number,), _done(ledger.items[number], future, error))
 
         waiting, pending, room = deque(items), dict[Future[Answer], int](), _room(self._executor)
         idle, deserted = 0, False
@@ -261,7 +264,7 @@ class WorkerPool(Generic[Object]):
 
 @dataclass(eq=False)
 class _Ledger(Generic[Item, Answer]):
-    """What was submitted and what is done in one run."""
+    """What is submitted and not done, and what is done, in one run."""
 
     items: Sequence[Item]
     show: Callable[[Done[Item, Answer]], None]

@@ -1,12 +1,13 @@
 """Waves piece by piece: what they are at a time, how they are stacked, cut, bent, averaged and integrated."""
 
 import itertools
+from decimal import Decimal, localcontext
 from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
-from loops import feedback, scheduled
+from loops import controller, feedback, scheduled
 
 from gnc_opt.model.model import Model
 from gnc_opt.simulation import ClosedLoop, Delay, Lag, RandomHold, RateLimit
@@ -303,7 +304,7 @@ def test_by_how_much_errors_grow():
     assert growth == pytest.approx(1 / ((1 - 1 / 32) * 0.01))
     assert _growth(at(0.7), at(0.2), 0.01, 0.5) == pytest.approx(0.5 / ((1 - 1 / 32) * 0.01))
     assert _growth(at(1.001), at(1.0), 0.01, 0.5) == 1.0
-    assert _growth(at(2.0), at(1.0), 1e-14, 0.5) == 1.0 and _growth(at(2.0), at(1.0), 2e-14, 0.5) > 1.0
+    assert _growth(at(2.0), at(1.0), 0.0, 0.5) == 1.0 and _growth(at(2.0), at(1.0), 1e-300, 0.5) > 1.0
     assert _growth(at(1.5, 1.0), at(1.0, np.nan), 0.01, 0.5) == 1.0
 
 
@@ -330,3 +331,38 @@ def test_noise_is_no_growth_of_errors(options):
     loop = ClosedLoop(plant, feedback(plant, [[0.0]]), disturbances=[gusts], dt=0.5, **options)
     flight = loop.flight([1.0], tf=5.0)
     assert flight.growth < 2.0 and flight.substeps == 1
+
+
+@pytest.mark.parametrize(
+    ("dt", "tf", "accuracy"), [(0.02, 10.0, 1e-6), (0.02, 10.0, 1e-8), (0.1, 40.0, 1e-6)]
+)
+def test_a_relay_on_an_unstable_plant_is_not_printed_too_accurate(dt, tf, accuracy):
+    """x' = 2 x - sign(x) of the samples: exactly x E - sign(x) (E - 1) / 2 after each, E = exp(2 dt), with 60 digits.
+
+    Nothing damps the difference of two runs whose relay turns at the same samples: it grows as exp(2 t), rounding, too;
+    over 40 s by 5e34, and the relays turn at other samples.
+    """
+    plant = Model("unstable")
+    x, u = plant.state("x"), plant.control("u")
+    plant.ode({x: 2 * x + u})
+    relay = controller(plant, lambda t, x, r, z: (-ca.sign(x), z))
+    start = 0.3
+    run = ClosedLoop(plant, relay, dt=dt, accuracy=accuracy).simulate([start], tf=tf)
+    with localcontext() as context:
+        context.prec = 60
+        growth, exact = (2 * Decimal(dt)).exp(), Decimal(start)
+        for _ in range(run.commands.shape[1]):
+            exact = growth * exact - (growth - 1) / 2 * (1 if exact > 0 else -1)
+        error = abs(float(Decimal(float(run.states[0, -1])) - exact))
+    assert error <= 4 * run.integration_error
+    assert run.outcome.ok == (run.integration_error <= accuracy)
+    assert error <= accuracy or not run.outcome.ok
+
+
+def test_round_numbers_are_no_growth_of_errors():
+    """x' = -sign(x) from 0.7 in steps of 0.1: rounding decides the relay at 0, and nothing from a start beside that."""
+    plant = Model("integrator")
+    x, u = plant.state("x"), plant.control("u")
+    plant.ode({x: u})
+    loop = ClosedLoop(plant, controller(plant, lambda t, x, r, z: (-ca.sign(x), z)), dt=0.1)
+    assert loop.flight([0.7], tf=5.0).growth < 10.0

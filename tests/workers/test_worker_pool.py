@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -405,14 +406,17 @@ class Counting(Executor):
 
     def __init__(self, threads: int = 0) -> None:
         self.held: list[Future[Any]] = []
-        self.most = 0
+        self.given: list[weakref.ref[Future[Any]]] = []
+        self.most, self.alive = 0, 0
         if threads:
             self._client = SimpleNamespace(nthreads=lambda: {"one": threads})
 
     def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
         self.held = [each for each in self.held if not each.done()] + [future]
+        self.given.append(weakref.ref(future))
         self.most = max(self.most, len(self.held))
+        self.alive = max(self.alive, sum(each() is not None for each in self.given))
         threading.Timer(0.02, lambda: future.set_result(fn(*args, **kwargs))).start()
         return future
 
@@ -428,6 +432,7 @@ def test_an_executor_holds_no_more_tasks_than_it_needs(
         done = force.run(pow, range(30), ignore)
     assert [each.answer for each in done] == [10**k for k in range(30)]
     assert 1 < executor.most <= most
+    assert executor.alive <= 2 * most + 2  # some that are done are still held by those who did them
 
 
 # --- Ctrl-C ---------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure.contacts import crossed_contact, pushed_contact, wrong_touch
-from gnc_opt.refine.structure.detect import affine_channels, curved_channels, linear_limits
+from gnc_opt.refine.structure.detect import SMALL, affine_channels, curved_channels, linear_limits
 from gnc_opt.refine.structure.junctions import move_kinks
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose, signs_of
 from gnc_opt.refine.structure.plan import Plan, Resolution
@@ -40,6 +40,9 @@ STATIONARY = 1e-9
 ROUGH = 1e-4
 """Gain in H beyond which the polynomial of a singular control is no guess of it yet."""
 
+CHATTER = 5
+"""So many switches of one control where its switching function stays small are no bangs."""
+
 LEFT_OPEN = 5e-6
 """Gain in H beyond which a singular arc is left open at its ends: half of what `verify` forgives."""
 
@@ -63,7 +66,7 @@ def improve(
     problem, samples = solution.need_problem("refine"), solution.samples()
     constraints = {name: StateConstraints(problem, s) for name, s in samples.items()}
     for name, s in samples.items():
-        structure, action = _collapse(s, plans[name], swapped)
+        structure, action = collapsed(s, plans[name], swapped)
         if structure is not None:
             return {**plans, name: plans[name].restructured(structure)}, action
     for name, c in constraints.items():
@@ -108,7 +111,7 @@ def _adjust(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan
 # --- arcs that vanish -----------------------------------------------------------------------------------
 
 
-def _collapse(
+def collapsed(
     samples: PhaseSamples, plan: Plan, swapped: set[tuple[str, PhaseStructure]]
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure after a piece has vanished and what was done, or None if none has."""
@@ -161,7 +164,32 @@ def _complete(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None,
     offence, asked = _offences(samples, plan.structure, kinds)
     for i in range(offence.shape[0]):
         _forgive_own_switches(offence[i], kinds[i])
+    if offence.size and (found := _chatter(samples, plan.structure, offence)):
+        i, start, end = found
+        label = samples.leg.controls.labels[i]
+        return plan.structure.with_arc(
+            i, start, end, ArcKind.SINGULAR
+        ), f"{label} singular from {start:.4g} s"
     return _with_worst(samples, plan.structure, offence, asked)
+
+
+def _chatter(
+    samples: PhaseSamples, structure: PhaseStructure, offence: Array
+) -> tuple[int, float, float] | None:
+    """Return control, start and end of bangs that stand in for a singular arc, if the worst offence is among them.
+
+    There many bangs in a row leave a small switching function, which asks for ever more of them.
+    """
+    i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
+    if offence[i, j] < WRONG_SIGN or i >= samples.leg.controls.size or not affine_channels(samples)[i]:
+        return None
+    gain = np.abs(samples.control_gradient[i]) * samples.control_scale[i] / samples.hamiltonian_scale
+    large = samples.times[gain > SMALL]
+    first, last = large[large < samples.times[j]], large[large > samples.times[j]]
+    start, end = first[-1] if first.size else -np.inf, last[0] if last.size else np.inf
+    switches = [structure.times[k] for k in range(1, structure.pieces) if i in structure.changes(k)]
+    inside = [t for t in switches if start < t < end]
+    return (i, inside[0], inside[-1]) if len(inside) >= CHATTER else None
 
 
 def _with_worst(
@@ -225,6 +253,7 @@ def _saturated(
     at_lower, at_upper = bounds.near(samples.u_polynomial, SATURATED * samples.control_scale)
     left_open = zip(plan.resolutions, _open_gradient(samples, plan), strict=True)
     stuck = np.array([r.smoother(g).smooth == r.smooth for r, g in left_open])[pieces]
+    stuck &= ~_on_rough_contact(samples, plan)
     unseen = (np.abs(gain) > LEFT_OPEN) & _unseen(samples, plan, gain)
     jumps = np.where(gain > 0, at_lower, at_upper) | unseen
     reached = singular & stuck & affine_channels(samples)[:, None] & jumps
@@ -238,6 +267,16 @@ def _saturated(
     if structure is None or (samples.leg.name, structure.at(())) in left:
         return None, ""
     return structure, action
+
+
+def _on_rough_contact(samples: PhaseSamples, plan: Plan) -> Mask:
+    """Which samples are on pieces held by a state constraint whose dynamics are far off between the nodes still.
+
+    There the switching function of a control that holds the constraint is an error of the mesh.
+    """
+    contact = np.array([plan.structure.on_contact(k) for k in range(plan.structure.pieces)])
+    rough = np.max(_defects(samples), axis=0) > ROUGH
+    return np.asarray((contact[plan.segment_pieces] & rough)[samples.segments])
 
 
 def _unseen(samples: PhaseSamples, plan: Plan, gain: Array) -> Mask:
@@ -322,8 +361,7 @@ def _mended_contacts(
 
 def _finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
     """Return higher resolutions where dynamics or costates are not met between the nodes, or None."""
-    rates = samples.functions.rates(samples.times, samples.x, samples.u_polynomial)
-    errors = samples.per_segment(samples.x_rate - rates) / samples.state_scale[:, None]
+    errors = _defects(samples)
     gradient = samples.functions.state_gradient(
         samples.times, samples.x, samples.u_polynomial, samples.lam, samples.mu
     )
@@ -339,6 +377,12 @@ def _finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
         for r, errors, gradient in zip(plan.resolutions, by_piece, _open_gradient(samples, plan), strict=True)
     )
     return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
+
+
+def _defects(samples: PhaseSamples) -> Array:
+    """How far the dynamics are off in each segment, in shares of what the states move, (n_states, K)."""
+    rates = samples.functions.rates(samples.times, samples.x, samples.u_polynomial)
+    return np.asarray(samples.per_segment(samples.x_rate - rates) / samples.state_scale[:, None])
 
 
 def _next_resolution(r: Resolution, errors: Array, gradient: float, tol: float) -> Resolution:
