@@ -313,6 +313,12 @@ def test_touches_stay_with_their_times() -> None:
     assert held.emptied(1).touching(1, UP) == [1.25, 3.0]
     assert held.beside_contacts(False).tolist() == [[False] * 4, [True, False, True, False]]
     assert held.beside_contacts(True).tolist() == [[False] * 4, [True, False, True, True]]
+    jumps = replace(
+        held, regular=(False, False), holders=((), (0,))
+    )  # times that move: firm, beside none of them
+    kinds = tuple((ArcKind.SINGULAR if kind[1] is UP else UP, kind[1]) for kind in held.kinds)
+    jumps = replace(jumps, kinds=kinds)
+    assert jumps.beside_contacts(False).any() and not jumps.beside_contacts(False, firm=True).any()
     np.testing.assert_array_equal(
         held.contact(1, np.array([0.4, 0.5, 1.0, 2.0, 2.5, 3.0, 3.5])),
         [False, True, True, True, False, True, False],

@@ -264,16 +264,16 @@ LEG: Any = SimpleNamespace(leg=SimpleNamespace(name="leg"))
 def test_a_piece_without_length_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(m, "_propped", lambda *_: False)
     vanished = PhaseStructure((0.0, 1.0, 1.0 + 1e-7, 2.0), ((LOW,), (UP,), (LOW,)))
-    found, action = m._collapse(LEG, Plan.of(vanished), set())
+    found, action = m.collapsed(LEG, Plan.of(vanished), set())
     assert found is not None and found.kinds == ((LOW,),) and action == "piece 2 dropped"
     for structure in (
         replace(vanished, times=(0.0, 1.0, 1.0 + 1e-5, 2.0)),
         PhaseStructure((0.0, 1e-9), ((LOW,),)),
     ):
-        assert m._collapse(LEG, Plan.of(structure), set()) == (None, "")
+        assert m.collapsed(LEG, Plan.of(structure), set()) == (None, "")
     for share, dropped in ((0.99, True), (1.01, False)):
         late = replace(vanished, times=(50.0, 51.0, 51.0 + share * 2 * m.VANISHED, 52.0))
-        assert (m._collapse(LEG, Plan.of(late), set())[0] is not None) is dropped
+        assert (m.collapsed(LEG, Plan.of(late), set())[0] is not None) is dropped
 
 
 @pytest.mark.parametrize(
@@ -288,9 +288,9 @@ def test_a_short_piece_is_swapped_if_its_own_signs_are_wrong(
     there: Any = SimpleNamespace(leg=LEG.leg, segments=np.array([0, 0, 1, 1, 2, 2]))
     offence = np.array([[1.0, 0.0, 0.0, wrong * m.WRONG_SIGN, 0.0, 1.0]])
     monkeypatch.setattr(m, "_offences", lambda *_: (offence, None))
-    assert (m._collapse(there, Plan.of(short), set())[0] is not None) is dropped
+    assert (m.collapsed(there, Plan.of(short), set())[0] is not None) is dropped
     for kinds in (((LOW, LOW), (UP, LOW), (UP, SING)), ((LOW, LOW), (UP, LOW), (LOW, LOW))):
-        assert m._collapse(there, Plan.of(PhaseStructure(times, kinds)), set()) == (None, "")
+        assert m.collapsed(there, Plan.of(PhaseStructure(times, kinds)), set()) == (None, "")
 
 
 @pytest.mark.parametrize(("share", "dropped"), [(0.9, True), (1.1, False)])
@@ -310,13 +310,13 @@ def test_a_kink_that_leaves_hardly_any_piece_drops_it(
 def test_switches_of_two_controls_are_swapped_once() -> None:
     crossed = PhaseStructure((0.0, 1.0, 1.0, 3.0), ((LOW, LOW), (UP, LOW), (UP, UP)))
     seen: set[Any] = set()
-    found, action = m._collapse(LEG, Plan.of(crossed), seen)
+    found, action = m.collapsed(LEG, Plan.of(crossed), seen)
     assert found is not None and found.kinds[1] == (LOW, UP) and action == "switches 1 and 2 swapped"
     assert found.times == pytest.approx((0.0, 1 - 0.0015, 1 + 0.0015, 3.0))
-    again, action = m._collapse(LEG, Plan.of(replace(found, times=(0.0, 1.0, 1.0, 3.0))), seen)
+    again, action = m.collapsed(LEG, Plan.of(replace(found, times=(0.0, 1.0, 1.0, 3.0))), seen)
     assert again is not None and again.kinds == ((LOW, LOW), (UP, UP)) and action == "piece 2 dropped"
     other = SimpleNamespace(leg=SimpleNamespace(name="other"))
-    assert m._collapse(other, Plan.of(crossed), seen)[1].endswith("swapped")  # type: ignore[arg-type]
+    assert m.collapsed(other, Plan.of(crossed), seen)[1].endswith("swapped")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("start", [0.0, -7.0, 30.0])
@@ -525,6 +525,13 @@ def test_a_mended_plan_stays_loose_while_the_same_is_touched() -> None:
     assert plan.restructured(with_bang).resolutions == Plan.of(with_bang, 7.0).resolutions
     assert not plan.restructured(touched.with_touch(1, 3.0, UP)).loose
     assert not Plan.of(touched).restructured(with_bang).loose
+
+
+def test_a_mended_plan_keeps_the_degree_of_its_singular_controls() -> None:
+    structure = PhaseStructure((0.0, 1.0, 4.0), ((LOW,), (SING,)))
+    plan = Plan(structure, (Resolution(), Resolution(4, 9, smooth=12, gradient=0.1)))
+    mended = plan.restructured(structure.with_arc(0, 1.0, 2.0, UP))
+    assert mended.resolutions == (Resolution(), Resolution(), Resolution(4, 9, smooth=12))
 
 
 # --- resolution -------------------------------------------------------------------------------------------
@@ -766,7 +773,7 @@ def improved(monkeypatch: pytest.MonkeyPatch, **answers: Any) -> tuple[dict[str,
             answers.get(name, nothing)[getattr(of, "samples", of).name] or otherwise(*more)
         )
 
-    monkeypatch.setattr(m, "_collapse", step("collapse", lambda *_: (None, "")))
+    monkeypatch.setattr(m, "collapsed", step("collapse", lambda *_: (None, "")))
     monkeypatch.setattr(m, "_adjust", step("adjust", lambda plan, tol: (plan, "")))
     monkeypatch.setattr(m, "_complete", step("complete", lambda *_: (None, "")))
     monkeypatch.setattr(m, "_saturated", step("saturate", lambda *_: (None, "")))
