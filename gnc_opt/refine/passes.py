@@ -19,6 +19,10 @@ HORIZON = 10
 """If it falls so slowly that more passes than this would be needed, refining stops."""
 
 
+PROMISING, EXTENDED = 0.3, 2.0
+"""A pass that leaves no more than this share of the error may be followed by others up to so many times the work."""
+
+
 @dataclass(frozen=True)
 class PassLimits:
     """Where the passes of a refinement end, wherever it has come to.
@@ -30,7 +34,7 @@ class PassLimits:
     points : int
         At most so many collocation points in any phase.
     work : float
-        No pass begins after this much work, in iterations at one collocation point; see `Pass.work`.
+        No pass begins after this much work, in iterations at one collocation point; see `Pass.work` and `allowed`.
     deadline : float
         When to stop, as `time.perf_counter` counts. Ctrl-C stops it, too.
     """
@@ -39,6 +43,12 @@ class PassLimits:
     points: int = 1000
     work: float = math.inf
     deadline: float = math.inf
+
+    def allowed(self, records: Sequence[Pass]) -> float:
+        """What all passes may cost after these: more where the last one says that few others will do."""
+        errors = [r.error for r in records[-2:]]
+        promising = bool(errors) and errors[-1] <= PROMISING * errors[0]
+        return self.work * (EXTENDED if promising else 1.0)
 
 
 def pass_record(

@@ -232,7 +232,8 @@ class _Attempt:
             return self.stopped
         if self.history.status is RefinementStatus.PASS_LIMIT:  # on its way still
             return False
-        return (self.history.converged or not self.solution.structure) and self.verdict.ok
+        rests = self.history.converged or not self.solution.structure or self.error <= self.history.tolerance
+        return rests and self.verdict.ok
 
     @property
     def resolvable(self) -> bool:
@@ -445,7 +446,8 @@ def _result(given: Solution, attempts: Sequence[_Attempt], tol: float, begin: fl
     solution, history = attempts[chosen].solution, attempts[chosen].history
     verdict = None if attempts[-1].stopped else attempts[chosen].verdict
     status = RefinementStatus.INTERRUPTED if verdict is None else history.status
-    within = not solution.structure and history.final.error <= tol
+    convinces = not solution.structure or (verdict is not None and verdict.ok)
+    within = convinces and history.final.error <= tol
     if (history.converged or within) and verdict is not None:
         status = RefinementStatus.CONVERGED
         if not verdict.ok:

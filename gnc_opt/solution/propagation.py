@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -109,18 +110,26 @@ def _right_hand_side(
     degree: int,
 ) -> Rate:
     """Return dx/dt on an interval where the control is a polynomial of at most the given degree."""
-    tau = np.asarray(legendre.leggauss(degree + 1)[0])
+    tau, to_coefficients = _fit(degree)
     half, middle = 0.5 * (right - left), 0.5 * (right + left)
     values = signal(middle + half * tau)
     if np.all(values == values[:, :1]):  # on a bound, say: no polynomial to evaluate
         held = values[:, 0]
         return lambda t, x: fast(t, x, held)
-    coefficients = legendre.legfit(tau, values.T, degree).T
+    coefficients = values @ to_coefficients
 
     def rate(t: float, x: Array) -> Array:
         return fast(t, x, coefficients @ _legendre((t - middle) / half, degree))
 
     return rate
+
+
+@cache
+def _fit(degree: int) -> tuple[Array, Array]:
+    """Gauss points on [-1, 1], and what makes Legendre coefficients of the values there: exact up to a degree."""
+    tau, weights = legendre.leggauss(degree + 1)
+    sizes = np.arange(degree + 1) + 0.5
+    return tau, weights[:, None] * legendre.legvander(tau, degree) * sizes
 
 
 def _legendre(tau: float, degree: int) -> list[float]:

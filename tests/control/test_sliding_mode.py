@@ -556,3 +556,17 @@ def test_what_the_twist_catches_up_with_raises_none(boundary, disturbance):
     for start in ((0.5, 0.0), (5.0, -3.0), (-0.1, 8.0)):
         run, flags = _twisted(boundary, disturbance, start)
         assert not flags.any() and np.abs(run.memory("s")[0, -1]) < 1.0
+
+
+def test_the_reserve_of_super_twisting_claims_no_largest_command():
+    """It asks for k1 |s|^1/2 and more, whatever s; only the feedforward is certain."""
+    model = Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    reserves = {}
+    for law in (SuperTwisting(1.5, 1.1), ConstantRate(0.4)):
+        design = {"outputs": "q", "slopes": 1.0, "reaching": law, "boundary": Sign(), "dt": 0.01}
+        told = design_sliding_mode(model, [0.0, 0.0], **design, limits=(-1.0, 1.0)).explain()
+        line = next(line for line in str(told).splitlines() if "saturation reserve" in line)
+        reserves[type(law)] = (told["saturation reserve"], "gain" in line)
+    assert reserves == {SuperTwisting: (1.0, False), ConstantRate: (0.6, True)}

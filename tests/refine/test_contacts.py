@@ -313,6 +313,12 @@ def test_touches_stay_with_their_times() -> None:
     assert held.emptied(1).touching(1, UP) == [1.25, 3.0]
     assert held.beside_contacts(False).tolist() == [[False] * 4, [True, False, True, False]]
     assert held.beside_contacts(True).tolist() == [[False] * 4, [True, False, True, True]]
+    jumps = replace(
+        held, regular=(False, False), holders=((), (0,))
+    )  # times that move: firm, beside none of them
+    kinds = tuple((ArcKind.SINGULAR if kind[1] is UP else UP, kind[1]) for kind in held.kinds)
+    jumps = replace(jumps, kinds=kinds)
+    assert jumps.beside_contacts(False).any() and not jumps.beside_contacts(False, firm=True).any()
     np.testing.assert_array_equal(
         held.contact(1, np.array([0.4, 0.5, 1.0, 2.0, 2.5, 3.0, 3.5])),
         [False, True, True, True, False, True, False],
@@ -378,3 +384,37 @@ def test_kinks_are_where_limits_are_entered_or_left_without_a_touch() -> None:
         (0.0, 1.0, 2.0), ((FREE, FREE), (FREE, UP)), (), 1, 0, (0, 2), ((), ((1, UP),), ())
     )
     assert not touch.kinked(1)
+
+
+# --- from a free start ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("price", "form"), [(1.0, "bound"), (1.0, "floor"), (5.0, "floor")])
+def test_an_arc_from_a_free_start(price: float, form: str) -> None:
+    """Least int a^2 / 2 + w x over 3 s to (1, 0), x >= 0: it stays on the floor until L = (72 / w)^(1/4) are left.
+
+    Then a = w (L t / 3 - t^2 / 2). The costates are zero on the floor, and nothing pushes at the start.
+    """
+    model = go.Model("double integrator")
+    x, v, a = model.state("x"), model.state("v"), model.control("a")
+    model.ode({x: v, v: a})
+    problem = go.Problem("lift off")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=3.0)
+    leg.final(x=1.0, v=0.0)
+    if form == "bound":
+        leg.bounds(x=(0.0, None))
+    else:
+        leg.path(form, x, lower=0.0)
+    problem.minimize(leg.integral(a**2 / 2 + price * x))
+    solution = go.solve(problem, tol=1e-8)
+    assert solution.converged and go.verify(solution).ok
+    left = (72 / price) ** 0.25
+    (arc,) = [a for a in solution.structure if a.channel in ("x", "floor")]
+    assert (arc.start, arc.end) == pytest.approx((0.0, 3.0 - left), abs=1e-7)
+    t = np.maximum(np.linspace(0.0, 3.0, 31) - (3.0 - left), 0.0)
+    found = solution.phase()
+    np.testing.assert_allclose(
+        found.u(np.linspace(0.0, 3.0, 31))[0], price * (left * t / 3 - t**2 / 2), atol=1e-6
+    )
+    np.testing.assert_allclose(found.lam(0.3 * arc.end), 0.0, atol=1e-6)

@@ -11,7 +11,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.problem.arc import ArcKind
-from gnc_opt.refine.structure.mending import _collapse
+from gnc_opt.refine.structure.mending import collapsed
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import Plan
 from gnc_opt.refine.structure.switching import _best, optimise_switches
@@ -223,7 +223,7 @@ def test_a_second_pair_of_switches_may_change_places_after_a_first() -> None:
     leg, left = SimpleNamespace(leg=SimpleNamespace(name="leg")), set()
 
     def collapse(structure: PhaseStructure, times: tuple[float, ...]) -> tuple[PhaseStructure, str]:
-        found, action = _collapse(cast(PhaseSamples, leg), Plan.of(structure.at(times)), left)
+        found, action = collapsed(cast(PhaseSamples, leg), Plan.of(structure.at(times)), left)
         assert found is not None
         return found, action
 

@@ -201,7 +201,7 @@ def test_a_control_that_is_on_no_limit_of_its_own_holds_the_constraint(
     times = np.array([0.5, *np.linspace(1.0, 2.0, max(nodes, 2))[:nodes], 2.5])
     pushes = [c._Run(0, UP, times, np.array([0.0, *[1.0] * nodes, 0.0]))]
     monkeypatch.setattr(c, "_pushing_runs", lambda *_: pushes)
-    assert c.determined(CLIMB, here.samples) == ([c.Determined(0, 1.0, 2.0)] if found else [])
+    assert c.determined(CLIMB, here.samples) == ([c.Determined(0, 1.0, 2.0, 0, UP)] if found else [])
 
 
 @pytest.mark.parametrize(("kind", "order", "stays"), [(FREE, 1, True), (UP, 1, False), (UP, 2, False)])

@@ -440,7 +440,7 @@ def test_a_held_state_ends_where_its_own_control_leaves_though_another_one_is_si
         x=speeds, u=0.5 * np.ones((2, times.size)), times=times, segments=segments,
         control_scale=np.array([2.0, 2.0]), state_scale=np.ones(2),
         leg=SimpleNamespace(
-            states=SimpleNamespace(size=2), mesh=SimpleNamespace(segments=6), breaks=np.arange(7.0),
+            states=SimpleNamespace(size=2), mesh=SimpleNamespace(segments=6), breaks=np.arange(7.0), path_labels=(),
             state_bounds=interval([-1.0, -1.0], [1.0, 1.0]),
             initial_bounds=interval([-np.inf] * 2, [np.inf] * 2), final_bounds=interval([-np.inf] * 2, [np.inf] * 2),
         ),

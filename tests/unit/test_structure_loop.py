@@ -48,8 +48,10 @@ CART = cart()
 def test_a_singular_control_gets_four_degrees_more_and_points_for_them() -> None:
     first = Resolution(2, 6, SINGULAR_DEGREE)
     second = first.smoother(1.0)
-    assert second == Resolution(3, 6, SINGULAR_DEGREE + 4, 1.0)
-    assert second.smoother(HELPED) == Resolution(4, 6, SINGULAR_DEGREE + 8, HELPED)
+    assert second == Resolution(2, 9, SINGULAR_DEGREE + 4, 1.0)
+    third = second.smoother(HELPED)
+    assert third == Resolution(2, MAX_DEGREE, SINGULAR_DEGREE + 8, HELPED)
+    assert third.smoother(0.0) == Resolution(3, MAX_DEGREE, SINGULAR_DEGREE + 12, 0.0)
     assert second.smoother(HELPED * 1.001) == second
     assert Resolution(9, 6, SINGULAR_DEGREE).smoother(1.0).segments == 9
     assert Resolution(2, 6, 0).smoother(1.0) == Resolution(2, 6, 0)
@@ -262,16 +264,16 @@ LEG: Any = SimpleNamespace(leg=SimpleNamespace(name="leg"))
 def test_a_piece_without_length_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(m, "_propped", lambda *_: False)
     vanished = PhaseStructure((0.0, 1.0, 1.0 + 1e-7, 2.0), ((LOW,), (UP,), (LOW,)))
-    found, action = m._collapse(LEG, Plan.of(vanished), set())
+    found, action = m.collapsed(LEG, Plan.of(vanished), set())
     assert found is not None and found.kinds == ((LOW,),) and action == "piece 2 dropped"
     for structure in (
         replace(vanished, times=(0.0, 1.0, 1.0 + 1e-5, 2.0)),
         PhaseStructure((0.0, 1e-9), ((LOW,),)),
     ):
-        assert m._collapse(LEG, Plan.of(structure), set()) == (None, "")
+        assert m.collapsed(LEG, Plan.of(structure), set()) == (None, "")
     for share, dropped in ((0.99, True), (1.01, False)):
         late = replace(vanished, times=(50.0, 51.0, 51.0 + share * 2 * m.VANISHED, 52.0))
-        assert (m._collapse(LEG, Plan.of(late), set())[0] is not None) is dropped
+        assert (m.collapsed(LEG, Plan.of(late), set())[0] is not None) is dropped
 
 
 @pytest.mark.parametrize(
@@ -286,9 +288,9 @@ def test_a_short_piece_is_swapped_if_its_own_signs_are_wrong(
     there: Any = SimpleNamespace(leg=LEG.leg, segments=np.array([0, 0, 1, 1, 2, 2]))
     offence = np.array([[1.0, 0.0, 0.0, wrong * m.WRONG_SIGN, 0.0, 1.0]])
     monkeypatch.setattr(m, "_offences", lambda *_: (offence, None))
-    assert (m._collapse(there, Plan.of(short), set())[0] is not None) is dropped
+    assert (m.collapsed(there, Plan.of(short), set())[0] is not None) is dropped
     for kinds in (((LOW, LOW), (UP, LOW), (UP, SING)), ((LOW, LOW), (UP, LOW), (LOW, LOW))):
-        assert m._collapse(there, Plan.of(PhaseStructure(times, kinds)), set()) == (None, "")
+        assert m.collapsed(there, Plan.of(PhaseStructure(times, kinds)), set()) == (None, "")
 
 
 @pytest.mark.parametrize(("share", "dropped"), [(0.9, True), (1.1, False)])
@@ -308,13 +310,13 @@ def test_a_kink_that_leaves_hardly_any_piece_drops_it(
 def test_switches_of_two_controls_are_swapped_once() -> None:
     crossed = PhaseStructure((0.0, 1.0, 1.0, 3.0), ((LOW, LOW), (UP, LOW), (UP, UP)))
     seen: set[Any] = set()
-    found, action = m._collapse(LEG, Plan.of(crossed), seen)
+    found, action = m.collapsed(LEG, Plan.of(crossed), seen)
     assert found is not None and found.kinds[1] == (LOW, UP) and action == "switches 1 and 2 swapped"
     assert found.times == pytest.approx((0.0, 1 - 0.0015, 1 + 0.0015, 3.0))
-    again, action = m._collapse(LEG, Plan.of(replace(found, times=(0.0, 1.0, 1.0, 3.0))), seen)
+    again, action = m.collapsed(LEG, Plan.of(replace(found, times=(0.0, 1.0, 1.0, 3.0))), seen)
     assert again is not None and again.kinds == ((LOW, LOW), (UP, UP)) and action == "piece 2 dropped"
     other = SimpleNamespace(leg=SimpleNamespace(name="other"))
-    assert m._collapse(other, Plan.of(crossed), seen)[1].endswith("swapped")  # type: ignore[arg-type]
+    assert m.collapsed(other, Plan.of(crossed), seen)[1].endswith("swapped")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("start", [0.0, -7.0, 30.0])
@@ -525,6 +527,13 @@ def test_a_mended_plan_stays_loose_while_the_same_is_touched() -> None:
     assert not Plan.of(touched).restructured(with_bang).loose
 
 
+def test_a_mended_plan_keeps_the_degree_of_its_singular_controls() -> None:
+    structure = PhaseStructure((0.0, 1.0, 4.0), ((LOW,), (SING,)))
+    plan = Plan(structure, (Resolution(), Resolution(4, 9, smooth=12, gradient=0.1)))
+    mended = plan.restructured(structure.with_arc(0, 1.0, 2.0, UP))
+    assert mended.resolutions == (Resolution(), Resolution(), Resolution(4, 9, smooth=12))
+
+
 # --- resolution -------------------------------------------------------------------------------------------
 
 
@@ -618,6 +627,7 @@ def test_the_loop_is_restless_if_adjusting_does_not_help() -> None:
     other = record(1e-9, "arc of u singular")  # errors of another structure are no measure
     assert not s._restless([other, *[record(0.1, s.RAISED)] * 4])
     assert s._restless([other, *[record(0.1, s.RAISED)] * 5])
+    assert not s._restless([moved, moved, moved, record(1.0, f"{s.KINKS_MOVED}, {s.SMOOTHED}"), moved])
 
 
 def test_a_loop_in_a_circle_is_noticed() -> None:
@@ -763,7 +773,7 @@ def improved(monkeypatch: pytest.MonkeyPatch, **answers: Any) -> tuple[dict[str,
             answers.get(name, nothing)[getattr(of, "samples", of).name] or otherwise(*more)
         )
 
-    monkeypatch.setattr(m, "_collapse", step("collapse", lambda *_: (None, "")))
+    monkeypatch.setattr(m, "collapsed", step("collapse", lambda *_: (None, "")))
     monkeypatch.setattr(m, "_adjust", step("adjust", lambda plan, tol: (plan, "")))
     monkeypatch.setattr(m, "_complete", step("complete", lambda *_: (None, "")))
     monkeypatch.setattr(m, "_saturated", step("saturate", lambda *_: (None, "")))
@@ -815,10 +825,10 @@ def test_what_vanishes_is_mended_first_then_kinks_and_points_then_what_is_missin
 @pytest.mark.parametrize(
     ("error", "gradient", "wanted"),
     [
-        (1e-3, 1e-2, Resolution(3, 6, 8, 1e-2)),  # a polynomial that is no guess of the control comes first
+        (1e-3, 1e-2, Resolution(2, 9, 8, 1e-2)),  # a polynomial that is no guess of the control comes first
         (1e-2, 1e-3, Resolution(2, 9, 4)),
         (1e-6, 1e-5, Resolution(2, 9, 4)),  # then the states,
-        (1e-10, 1e-5, Resolution(3, 6, 8, 1e-5)),  # then the last digits of the control
+        (1e-10, 1e-5, Resolution(2, 9, 8, 1e-5)),  # then the last digits of the control
         (1e-10, 1e-10, Resolution(2, 6, 4)),
     ],
 )

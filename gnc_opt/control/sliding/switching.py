@@ -155,7 +155,7 @@ class Switching:
         return [Fact("chattering band of s", self.sampled_bands, remark=remark)]
 
     def reserve(self, errors: OutputErrors, reference: Reference) -> list[Fact]:
-        """Return the fact about the authority that is left on the reference beyond the switching gain.
+        """Return the fact about the authority that is left on the reference beyond the switching gain, if it has one.
 
         Raises
         ------
@@ -166,6 +166,10 @@ class Switching:
         if self.limits is None or not np.isfinite(gain):
             return []
         times = reference_times(reference)
+        if isinstance(
+            self.reaching, SuperTwisting
+        ):  # its command has no bound: the rehearsal tells what it asks for
+            return require_reserve(reference, self.limits, times, dt=self.dt)
         matrices = errors.pair.along(reference, times, errors.decoupling)
         need = np.stack([np.sum(np.abs(np.linalg.pinv(m)), axis=1) * gain for m in matrices], axis=1)
         return require_reserve(reference, self.limits, times, gain=need, dt=self.dt)

@@ -65,9 +65,6 @@ order), ..."""
 REPAIRS = 1
 """... and with so many passes to mend what became too coarse."""
 
-PROMISING, EXTENDED = 0.3, 2.0
-"""A pass that leaves no more than this share of the error may be followed by others up to so many times the work."""
-
 UNEXPLAINED = 10.0
 """An objective that moves by more than this many times the error of the last mesh has not settled."""
 
@@ -184,7 +181,7 @@ class _Refinement:
             plan = self._plan()
             if isinstance(plan, RefinementStatus):
                 return plan
-            if sum(record.work for record in self._records[1:]) > self._allowed:
+            if sum(record.work for record in self._records[1:]) > self._limits.allowed(self._records):
                 return self._ending(RefinementStatus.WORK_LIMIT)
             meshes, actions = plan
             self._past = {name: known_segments(e) for name, e in self._state.errors.items()}
@@ -193,12 +190,6 @@ class _Refinement:
             if not status.solved:
                 return self.ending_without(status)
         return self._ending(RefinementStatus.PASS_LIMIT)
-
-    @property
-    def _allowed(self) -> float:
-        """What all passes may cost: more where the last one says that few others will do."""
-        errors = [r.error for r in self._records[-2:]]
-        return self._limits.work * (EXTENDED if errors[-1] <= PROMISING * errors[0] else 1.0)
 
     def _plan(self) -> NextMeshes | RefinementStatus:
         """Return the next meshes with what was done to get them, or how it ends here."""

@@ -72,11 +72,16 @@ ODD = 1e-6
 
 @dataclass(frozen=True)
 class Determined:
-    """A control between its bounds, from ``start`` to ``end`` (s), because it holds a state constraint on its limit."""
+    """A control between its bounds, from ``start`` to ``end`` (s), because it holds a state constraint on its limit.
+
+    The constraint is a row of `StateConstraints`, the limit a kind.
+    """
 
     control: int
     start: float
     end: float
+    row: int = -1
+    kind: ArcKind = ArcKind.INTERIOR
 
 
 def determined(problem: Problem, samples: PhaseSamples) -> list[Determined]:
@@ -98,7 +103,7 @@ def determined(problem: Problem, samples: PhaseSamples) -> list[Determined]:
         mean = np.mean(u[:, inside], axis=1)
         at_lower, at_upper = leg.control_bounds.near(mean, SWINGING * samples.control_scale)
         found += [
-            Determined(i, float(start), float(end))
+            Determined(i, float(start), float(end), run.row, run.kind)
             for i in constraints.holders(run.row)
             if not at_lower[i] and not at_upper[i]
         ]

@@ -80,11 +80,11 @@ def detect(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> Phas
     paths = _path_labels(samples, mixed)
     for i in limits.rows:
         if affine[i]:
-            _limit(limits, i, rows[i], paths)
+            _limit(limits, i, rows[i], paths, held[i])
     directions = label_vectors(samples, rows)
     changes = _change_times(samples, rows)
     controls = np.asarray(rows).reshape(leg.controls.size, samples.times.size)  # also if there are none
-    for labels in [*paths, *_state_labels(samples, controls)]:
+    for labels in [*paths, *_state_labels(samples, controls, determined)]:
         rows.append(labels)
         changes.append(_middles(samples, labels))
     first, last = leg.breaks[0], leg.breaks[-1]
@@ -163,18 +163,36 @@ def _linear_labels(samples: PhaseSamples, i: int, held: Sequence[tuple[float, fl
     labels = choose(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
     for k in _singular_segments(samples, i, gradient):
         labels[samples.segments == k] = ArcKind.SINGULAR
-    for start, end in held:
-        labels[(samples.times >= start) & (samples.times <= end)] = ArcKind.SINGULAR
+    labels[_within(samples, held)] = ArcKind.SINGULAR
     _absorb(samples, i, labels, gradient)
     return labels
 
 
-def _limit(limits: LinearLimits, i: int, labels: KindArray, paths: list[KindArray]) -> None:
-    """Put path constraints in the place of bounds of a control, where they are tighter; singular arcs stay."""
+def _within(samples: PhaseSamples, spans: Sequence[tuple[float, float]]) -> Mask:
+    """Which samples lie within some times."""
+    found = np.zeros(samples.times.size, dtype=bool)
+    for start, end in spans:
+        found |= (samples.times >= start) & (samples.times <= end)
+    return found
+
+
+def _limit(
+    limits: LinearLimits,
+    i: int,
+    labels: KindArray,
+    paths: list[KindArray],
+    determined: Sequence[tuple[float, float]],
+) -> None:
+    """Put path constraints in the place of bounds of a control, where they are tighter.
+
+    Singular arcs stay, and times at which state constraints determine the control.
+    """
     samples = limits.samples
-    singular = np.isin(
-        samples.segments, _singular_segments(samples, i, _share(samples, samples.switching, i))
-    )
+    inside = ~limits.near_end(i, NEAR * samples.control_scale[i])
+    segments = _singular_segments(samples, i, _share(samples, samples.switching, i))
+    free = [k for k in segments if np.mean(inside[samples.segments == k]) > 0.5]
+    singular = np.isin(samples.segments, free)
+    singular |= _within(samples, determined)
     own, held = limits.labels(i, samples.switching[i] < 0)
     labels[:] = choose(singular, ArcKind.SINGULAR, own)
     for row, kinds in held.items():
@@ -284,12 +302,16 @@ def _path_labels(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:
     return list(_at_limits(mixed[:, None] & at_lower, mixed[:, None] & at_upper))
 
 
-def _state_labels(samples: PhaseSamples, controls: KindArray) -> list[KindArray]:
+def _state_labels(
+    samples: PhaseSamples, controls: KindArray, determined: Sequence[Determined] = ()
+) -> list[KindArray]:
     """LOWER, INTERIOR or UPPER at each sample for every state.
 
     A state counts as held along segments on which it stays on its bound while some singular control could move
-    it at once (a bound of first order). No arc reaches an end of the phase at which another value is given.
+    it at once (a bound of first order), and all the time at which it pushes, where it may swing between the points. No
+    arc reaches an end of the phase at which another value is given.
     """
+    first = len(samples.leg.path_labels)
     leg, rows, commanded = samples.leg, [], _commanded(samples, controls)
     ends = ((0, leg.initial_bounds), (leg.mesh.segments - 1, leg.final_bounds))
     for i in range(leg.states.size):
@@ -305,7 +327,10 @@ def _state_labels(samples: PhaseSamples, controls: KindArray) -> list[KindArray]
                 if np.all(distance[here] < margin) and _middle(commanded[i, here]):
                     labels[here] = kind
             if np.any(labels == kind):
-                _spread(samples, labels, kind, commanded[i] & ~np.isin(samples.segments, off))
+                inner = ~np.isin(samples.segments, off)
+                pushes = [(d.start, d.end) for d in determined if (d.row, d.kind) == (first + i, kind)]
+                labels[_within(samples, pushes) & inner] = kind
+                _spread(samples, labels, kind, commanded[i] & inner)
         rows.append(labels)
     return rows
 

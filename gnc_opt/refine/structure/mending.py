@@ -66,7 +66,7 @@ def improve(
     problem, samples = solution.need_problem("refine"), solution.samples()
     constraints = {name: StateConstraints(problem, s) for name, s in samples.items()}
     for name, s in samples.items():
-        structure, action = _collapse(s, plans[name], swapped)
+        structure, action = collapsed(s, plans[name], swapped)
         if structure is not None:
             return {**plans, name: plans[name].restructured(structure)}, action
     for name, c in constraints.items():
@@ -111,7 +111,7 @@ def _adjust(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan
 # --- arcs that vanish -----------------------------------------------------------------------------------
 
 
-def _collapse(
+def collapsed(
     samples: PhaseSamples, plan: Plan, swapped: set[tuple[str, PhaseStructure]]
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure after a piece has vanished and what was done, or None if none has."""
@@ -253,6 +253,7 @@ def _saturated(
     at_lower, at_upper = bounds.near(samples.u_polynomial, SATURATED * samples.control_scale)
     left_open = zip(plan.resolutions, _open_gradient(samples, plan), strict=True)
     stuck = np.array([r.smoother(g).smooth == r.smooth for r, g in left_open])[pieces]
+    stuck &= ~_on_rough_contact(samples, plan)
     unseen = (np.abs(gain) > LEFT_OPEN) & _unseen(samples, plan, gain)
     jumps = np.where(gain > 0, at_lower, at_upper) | unseen
     reached = singular & stuck & affine_channels(samples)[:, None] & jumps
@@ -266,6 +267,16 @@ def _saturated(
     if structure is None or (samples.leg.name, structure.at(())) in left:
         return None, ""
     return structure, action
+
+
+def _on_rough_contact(samples: PhaseSamples, plan: Plan) -> Mask:
+    """Which samples are on pieces held by a state constraint whose dynamics are far off between the nodes still.
+
+    There the switching function of a control that holds the constraint is an error of the mesh.
+    """
+    contact = np.array([plan.structure.on_contact(k) for k in range(plan.structure.pieces)])
+    rough = np.max(_defects(samples), axis=0) > ROUGH
+    return np.asarray((contact[plan.segment_pieces] & rough)[samples.segments])
 
 
 def _unseen(samples: PhaseSamples, plan: Plan, gain: Array) -> Mask:
@@ -350,8 +361,7 @@ def _mended_contacts(
 
 def _finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
     """Return higher resolutions where dynamics or costates are not met between the nodes, or None."""
-    rates = samples.functions.rates(samples.times, samples.x, samples.u_polynomial)
-    errors = samples.per_segment(samples.x_rate - rates) / samples.state_scale[:, None]
+    errors = _defects(samples)
     gradient = samples.functions.state_gradient(
         samples.times, samples.x, samples.u_polynomial, samples.lam, samples.mu
     )
@@ -367,6 +377,12 @@ def _finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
         for r, errors, gradient in zip(plan.resolutions, by_piece, _open_gradient(samples, plan), strict=True)
     )
     return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
+
+
+def _defects(samples: PhaseSamples) -> Array:
+    """How far the dynamics are off in each segment, in shares of what the states move, (n_states, K)."""
+    rates = samples.functions.rates(samples.times, samples.x, samples.u_polynomial)
+    return np.asarray(samples.per_segment(samples.x_rate - rates) / samples.state_scale[:, None])
 
 
 def _next_resolution(r: Resolution, errors: Array, gradient: float, tol: float) -> Resolution:

@@ -85,6 +85,13 @@ class LinearLimits:
         least = np.max([bounds.lower[control] * everywhere, *below.values()], axis=0)
         return bool(np.all(np.isfinite(least))), bool(np.all(np.isfinite(most)))
 
+    def near_end(self, control: int, margin: float) -> Mask:
+        """Where a control is as close as this to the least or most that its constraints allow, (n_samples,)."""
+        above, below = self._reaches(control)
+        u = self.samples.u[control]
+        least, most = np.max([*below.values()], axis=0), np.min([*above.values()], axis=0)
+        return np.asarray((u - least <= margin) | (most - u <= margin))
+
     def labels(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
         """Return where a control is if it is sent up or down, (n_samples,), and the constraints that hold it there."""
         bounds = self.samples.leg.control_bounds

@@ -157,9 +157,27 @@ class PhaseStructure:
             return not self.touches[boundary]
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         return not self.touches[boundary] and all(
-            (self.regular[i] or self._determines(i, boundary))
+            (self.regular[i] or self._determines(i, boundary) or self.gives_out(i, boundary))
             and not (before[i].at_limit and after[i].at_limit)
             for i in self.changes(boundary)
+        )
+
+    def gives_out(self, row: int, boundary: int) -> bool:
+        """Whether a control that holds a state constraint reaches its own bound there, and others hold it further.
+
+        It comes to its bound as continuously as a control that H determines.
+        """
+        beside = (self.kinds[boundary - 1], self.kinds[boundary])
+        singular = [k for k in (boundary - 1, boundary) if self.kinds[k][row] is ArcKind.SINGULAR]
+        if row >= self._n_free or len(singular) != 1 or row not in self.determined(singular[0]):
+            return False
+        bound = beside[0] if singular[0] == boundary else beside[1]
+        return any(
+            order
+            and row in holders
+            and all(kinds[i].at_limit for kinds in beside)
+            and not all(bound[other].at_limit for other in holders)
+            for i, (order, holders) in enumerate(zip(self.orders, self.holders, strict=True))
         )
 
     def slides(self, boundary: int) -> bool:
@@ -212,7 +230,8 @@ class PhaseStructure:
         """Return where rows are off their limit beside a boundary at which one takes over, (n_rows, A)."""
         beside = np.zeros((len(self.kinds[0]), self.pieces), dtype=bool)
         for k in range(1, self.pieces):
-            for row in self.handed_over(k):
+            given_out = [row for row in self.changes(k) if self.gives_out(row, k)]
+            for row in [*self.handed_over(k), *given_out]:
                 beside[row, k - 1 : k + 1] = [not self.kinds[j][row].at_limit for j in (k - 1, k)]
         return beside
 
@@ -222,16 +241,19 @@ class PhaseStructure:
         linear = any(kinds[i] is ArcKind.SINGULAR for kinds in beside for i in self.holders[row])
         return bool(self.orders[row]) and not linear
 
-    def beside_contacts(self, touches: bool) -> Mask:
+    def beside_contacts(self, touches: bool, firm: bool = False) -> Mask:
         """Return where state constraints are beside an arc on their limit or, with touches, off them, (n_rows, A).
 
         But not where the direction of a vector could hold them, whose magnitude is at its limit: it would lead far
-        beyond.
+        beyond. Firm: only beside arcs that stay where they are during a solve; others may move to where their limit is
+        worth nothing.
         """
         held = np.array([[kind.at_limit for kind in row] for row in self.matrix()])
         beside = np.zeros_like(held)
-        beside[:, :-1] |= held[:, 1:]
-        beside[:, 1:] |= held[:, :-1]
+        for k in range(1, self.pieces):
+            if not firm or self.kinked(k):
+                beside[:, k - 1] |= held[:, k]
+                beside[:, k] |= held[:, k - 1]
         if touches:
             beside[[row for here in self.touches for row, _ in here]] = True
         for row in np.flatnonzero(self.orders):

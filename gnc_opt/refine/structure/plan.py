@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.problem.arc import ArcKind
+from gnc_opt.problem.constraint_order import constraint_order
 from gnc_opt.problem.held import Junction, Smooth
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.structure.phase_structure import PhaseStructure, choose
@@ -118,18 +120,16 @@ class Resolution:
         return replace(self, segments=count, edges=tuple(map(float, np.concatenate(pieces)[:-1])))
 
     def smoother(self, gradient: float) -> Resolution:
-        """Return the resolution with singular controls of a higher degree, and points enough for them.
+        """Return the resolution with singular controls of a higher degree, and points enough for them and the states.
 
         It is itself where the last higher degree did not help much: what is left of dH/du is rounding, or no smooth
         control can remove it.
         """
         if self.smooth == 0 or gradient > HELPED * self.gradient:
             return self
-        smooth = min(self.smooth + 4, MAX_SINGULAR_DEGREE)
-        raised, wanted = (
-            replace(self, smooth=smooth, gradient=gradient),
-            int(np.ceil(2 * smooth / self.degree)),
-        )
+        smooth, degree = min(self.smooth + 4, MAX_SINGULAR_DEGREE), min(self.degree + STEP, MAX_DEGREE)
+        raised = replace(self, smooth=smooth, degree=degree, gradient=gradient)
+        wanted = math.ceil(2 * smooth / degree)
         return raised if wanted <= self.segments else replace(raised, segments=wanted, edges=())
 
 
@@ -149,12 +149,15 @@ class Plan:
     loose : bool
         Whether state constraints may be left beside their touches, too. The barrier of an interior-point method pushes
         where points come close to a limit; but without limits a structure that lacks a contact may have no solution.
+    firm : bool
+        Whether they may be left beside arcs that do not move only; see `PhaseStructure.beside_contacts`.
     """
 
     structure: PhaseStructure
     resolutions: tuple[Resolution, ...]
     points: float = 0.0
     loose: bool = False
+    firm: bool = False
 
     @classmethod
     def of(cls, structure: PhaseStructure, points: float = 0.0) -> Plan:
@@ -165,10 +168,14 @@ class Plan:
     def restructured(self, structure: PhaseStructure) -> Plan:
         """Return the plan of another structure, as coarse as at first; as loose if nothing else is touched.
 
+        What is left of a piece with singular controls keeps their degree: stiffer polynomials have another optimum.
+
         Beside a bang that H bends along, a short interior arc shows on a fine mesh only: there the mesh stays as fine.
         """
         same = [t for t in structure.touches if t] == [t for t in self.structure.touches if t]
-        plan = replace(Plan.of(structure, self.points), loose=self.loose and same)
+        plan = replace(Plan.of(structure, self.points), loose=self.loose and same, firm=self.firm)
+        kept = tuple(self._smooth_as_now(structure, k, r) for k, r in enumerate(plan.resolutions))
+        plan = replace(plan, resolutions=kept)
         if structure.bends and structure.pieces > self.structure.pieces:
             finest = max(self.resolutions, key=lambda r: (r.degree, r.segments))
             finer = tuple(
@@ -177,6 +184,21 @@ class Plan:
             )
             return replace(plan, resolutions=finer)
         return plan
+
+    def _smooth_as_now(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
+        """The resolution of the piece of this plan with the kinds of one of another structure, if it is smooth."""
+        now = [
+            r
+            for kinds, r in zip(self.structure.kinds, self.resolutions, strict=True)
+            if kinds == structure.kinds[piece] and r.smooth > first.smooth > 0
+        ]
+        return replace(max(now, key=lambda r: r.smooth), gradient=np.inf) if now else first
+
+    @property
+    def leaves_limits(self) -> bool:
+        """Whether state constraints may be left beside arcs that move."""
+        loose, firm = (self.structure.beside_contacts(self.loose, firm) for firm in (self.firm, True))
+        return bool(np.any(loose != firm))
 
     @property
     def segment_pieces(self) -> Indices:
@@ -219,7 +241,7 @@ class Plan:
             paths=paths if paths.size else None,
             states=states if np.any(states != ArcKind.INTERIOR) else None,
             smooth=self._smooth(),
-            junctions=self._junctions(),
+            junctions=(*self._junctions(), *self._starts(problem, phase)),
         )
 
     def _released(self) -> Mask:
@@ -228,8 +250,9 @@ class Plan:
         Beside a time at which a vector turns to hold a constraint, which is tangent to its limit there, one segment.
         """
         structure = self.structure
-        regular = np.asarray(structure.regular, dtype=bool)[:, None] | structure.beside_contacts(self.loose)
-        found = (regular | structure.beside_takeovers())[:, self.segment_pieces]
+        regular = np.asarray(structure.regular, dtype=bool)[:, None]
+        beside = structure.beside_contacts(self.loose, self.firm) | structure.beside_takeovers()
+        found = (regular | beside)[:, self.segment_pieces]
         for k in filter(structure.slides, range(1, structure.pieces)):
             end = self.piece_ends[k]
             for row in structure.changes(k):
@@ -259,6 +282,19 @@ class Plan:
             Junction(i - n_controls, self.piece_ends[k], kind, conditions, tangent)
             for k, i, kind, conditions, tangent in found
         )
+
+    def _starts(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
+        """Where path constraints are on their limit from a free start on: a mesh of Gauss points has no row there."""
+        leg, n_controls = problem.phases[phase], len(self.structure.controls)
+        free, found = ~leg.numbers.initial.fixed, []
+        for row in range(len(self.structure.paths)):
+            kind = self.structure.kinds[0][n_controls + row]
+            if self.structure.orders[n_controls + row] and kind.at_limit:
+                value = constraint_order(problem, leg, row).derivatives[0]
+                depends = ca.jacobian(value, leg.model.arguments()[1]).sparsity().get_col()
+                if np.any(free[np.asarray(depends, dtype=int)]):
+                    found.append(Junction(row, 0, kind, 1))
+        return tuple(found)
 
     def _smooth(self) -> tuple[Smooth, ...]:
         """One polynomial for every control that nothing determines, over each of its pieces."""

@@ -22,7 +22,7 @@ from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.passes import PassLimits, pass_meter, pass_record
 from gnc_opt.refine.structure.apart import shared, solve_apart
 from gnc_opt.refine.structure.detect import structures_of
-from gnc_opt.refine.structure.mending import KINKS_MOVED, RAISED, SMOOTHED, improve, smoother
+from gnc_opt.refine.structure.mending import KINKS_MOVED, RAISED, SMOOTHED, collapsed, improve, smoother
 from gnc_opt.refine.structure.newton import settle
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import Plan, points_of
@@ -173,13 +173,18 @@ class _Loop:
                 return RefinementStatus.INTERRUPTED
             if any(plan.mesh().size > self.limits.points for plan in plans.values()):
                 return self._limited(RefinementStatus.POINT_LIMIT)
-            if sum(record.work for record in self.records) > self.limits.work:
+            if sum(record.work for record in self.records) > self.limits.allowed(self.records):
                 return self._limited(RefinementStatus.WORK_LIMIT)
             found = _solve(self.problem, plans, solution, self.options, self.limits.deadline)
             if not found.status.solved:
                 self._note(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
-                interrupted = found.status.value == "interrupted"
-                return RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
+                if found.status.value == "interrupted":
+                    return RefinementStatus.INTERRUPTED
+                others = _instead(found, plans, swapped)
+                if others is None:
+                    return RefinementStatus.FAILED
+                plans = others
+                continue
             solution = found
             current = {name: _at_solution(plan, solution, name) for name, plan in plans.items()}
             plans, action = improve(solution, current, swapped, self.aim)
@@ -215,14 +220,35 @@ class _Loop:
         return RefinementStatus.CONVERGED if rests else status
 
 
+def _instead(
+    failed: Solution, plans: dict[str, Plan], swapped: set[tuple[str, PhaseStructure]]
+) -> dict[str, Plan] | None:
+    """Return what to try where a structure had no solution, or None.
+
+    Without limits beside them arcs may have left for where these are worth nothing; else a piece that vanished on the
+    way is in the way.
+    """
+    if any(plan.leaves_limits for plan in plans.values()):
+        return {name: replace(plan, firm=True) for name, plan in plans.items()}
+    for name, s in failed.samples().items():
+        current = _at_solution(plans[name], failed, name)
+        structure, _ = collapsed(s, current, swapped)
+        if structure is not None:
+            return {**plans, name: current.restructured(structure)}
+    return None
+
+
 def _resolved(records: list[Pass], tol: float) -> bool:
     """Whether a finer mesh was asked for twice where the error is small: for costates that are nothing but rounding."""
     return len(records) > 1 and all(r.actions == RAISED and r.error <= tol for r in records[-2:])
 
 
 def _restless(records: list[Pass]) -> bool:
-    """Whether the structure stays, but neither moving kinks nor finer meshes reduce the error."""
-    changes = [k for k, r in enumerate(records) if not _adjusting(r)]
+    """Whether the structure stays, but neither moving kinks nor finer meshes reduce the error.
+
+    Singular controls of a higher degree reduce what is left of dH/du, and are raised no further where they do not.
+    """
+    changes = [k for k, r in enumerate(records) if not _adjusting(r) or SMOOTHED in str(r.actions)]
     errors = [r.error for r in records[changes[-1] + 1 if changes else 0 :]]
     return len(errors) > PATIENCE and min(errors[-PATIENCE:]) > 0.5 * min(errors[:-PATIENCE])
 

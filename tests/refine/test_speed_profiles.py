@@ -1,0 +1,115 @@
+"""Speeds at limits that controls reach in turn: closed forms, and the largest speed profile of a track."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import gnc_opt as go
+from gnc_opt.problem.arc import ArcKind
+
+FORCE, BRAKE, POWER, FASTEST, WAY = 5.0, 8.0, 80.0, 40.0, 800.0
+"""Per unit of mass: m/s^2, m/s^2, W/kg; m/s, m."""
+
+DRAG, LENGTH, SLOW = 0.1, 10.0, 0.1
+"""Of a train: per km, km, speed at its ends."""
+
+
+@pytest.mark.parametrize("mesh", ["10x4", "20x4"])
+def test_force_then_power_then_speed_are_at_their_limits(mesh: str) -> None:
+    model = go.Model("car")
+    x, v, f = model.state("x"), model.state("v"), model.control("f")
+    model.ode({x: v, v: f})
+    problem = go.Problem("power limit")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(5.0, 100.0))
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=WAY, v=0.0)
+    leg.bounds(f=(-BRAKE, FORCE), v=(0.0, FASTEST))
+    leg.path("power", f * v, upper=POWER)
+    problem.minimize(leg.final_time)
+
+    solution = go.solve(problem, mesh=mesh)
+
+    slower = POWER / FORCE  # v dv = P dt and v^2 dv = P dx from there on
+    times = [slower / FORCE, (FASTEST**2 - slower**2) / (2 * POWER)]
+    ways = [slower**2 / (2 * FORCE), (FASTEST**3 - slower**3) / (3 * POWER), FASTEST**2 / (2 * BRAKE)]
+    times += [(WAY - sum(ways)) / FASTEST, FASTEST / BRAKE]
+    assert solution.converged and go.verify(solution).ok
+    assert math.isclose(solution.objective, sum(times), rel_tol=1e-9)
+    power, speed = (next(a for a in solution.structure if a.channel == name) for name in ("power", "v"))
+    assert power.kind is speed.kind is ArcKind.UPPER
+    found = [power.start, power.end, speed.start, speed.end]
+    assert np.allclose(found, np.cumsum(times)[[0, 1, 1, 2]], rtol=0.0, atol=1e-6)
+
+
+def allowed(x: float) -> float:
+    """Half the square of the largest speed at a place."""
+    return 0.5 * (2.1 + math.cos(1.2 * x))
+
+
+def least_time(cells: int = 100_000) -> float:
+    """By the largest e = v^2 / 2 with e' = u - 2 DRAG e, |u| <= 1 that nowhere exceeds what is allowed."""
+    step, rate = LENGTH / cells, 2 * DRAG
+    decay = math.exp(-rate * step)
+    gain = (1 - decay) / rate
+    e = [allowed(k * step) for k in range(cells + 1)]
+    e[0] = e[-1] = SLOW**2 / 2
+    for k in range(cells):
+        e[k + 1] = min(e[k + 1], e[k] * decay + gain)
+    for k in range(cells, 0, -1):
+        e[k - 1] = min(e[k - 1], (e[k] + gain) / decay)
+    # e is nearly straight along a cell: dx / v integrates exactly.
+    return sum(2 * step / (math.sqrt(2 * a) + math.sqrt(2 * b)) for a, b in pairwise(e))
+
+
+def test_a_limit_that_depends_on_the_place_is_held_with_drag() -> None:
+    model = go.Model("train")
+    x, v, u = model.state("x"), model.state("v"), model.control("u")
+    model.ode({x: v, v: u - DRAG * v**2})
+    problem = go.Problem("speed limit by place")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(2.0, 60.0))
+    leg.initial(x=0.0, v=SLOW)
+    leg.final(x=LENGTH, v=SLOW)
+    leg.bounds(u=(-1.0, 1.0))
+    leg.path("limit", v**2 - ca.cos(1.2 * x), upper=2.1)
+    problem.minimize(leg.final_time)
+
+    solution = go.solve(problem)
+
+    assert solution.converged and go.verify(solution).ok
+    assert math.isclose(solution.objective, least_time(), rel_tol=1e-8)
+
+
+def test_another_control_helps_where_the_first_one_gives_out() -> None:
+    """v - m(t) <= 1/2 with v' = a + b, |a| <= 1: b pays b^2/2 and acts on the limit only where m' > 1.
+
+    There a comes to its bound, and leaves it, as continuously as b begins and ends: b = m' - 1 between.
+    """
+    model = go.Model("two engines")
+    v, a, b = model.state("v"), model.control("a"), model.control("b")
+    model.ode({v: a + b})
+    problem = go.Problem("moving limit")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=3.5)
+    leg.initial(v=0.0)
+    leg.bounds(a=(-1.0, 1.0))
+    leg.path("limit", v - 0.8 * model.time + 0.25 * ca.cos(2 * (model.time - 1)), upper=0.5)
+    problem.minimize(leg.integral(b**2 / 2 - v, "cost"))
+
+    solution = go.solve(problem)
+
+    assert solution.converged and go.verify(solution).ok
+    # m' = 0.8 + sin(2 (t - 1)) / 2; before the limit, which a jumps to, b = t1 - t
+    t1 = brentq(lambda t: t + t**2 / 2 - 0.5 - 0.8 * t + 0.25 * math.cos(2 * (t - 1)), 0.5, 1.0)
+    steep = 0.5 * math.asin(0.4)
+    ends = [arc.end for arc in solution.structure if arc.channel == "a"]
+    assert np.allclose(ends, [t1, 1 + steep, 1 + 0.5 * math.pi - steep, 3.5], rtol=0.0, atol=1e-5)
+    most = np.asarray(solution.phases["leg"].control("b")(1 + math.pi / 4))
+    assert np.allclose(most, 0.3, rtol=0.0, atol=1e-6)
