@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -26,7 +27,7 @@ from gnc_opt.workers.shared import Object, Parcel, Shared, opened
 MOST_CRASHES = 8
 """After so many items in a row that each killed a process of its own, no more are tried."""
 
-MOST_PENDING = 128
+MOST_PENDING = 32
 """Items handed to an executor and not done yet, at most, unless it has more than half as many threads."""
 
 PATIENCE = 10.0
@@ -339,7 +340,7 @@ def _deserted(executor: Executor) -> bool:
 def _room(executor: Executor) -> int:
     """Return how many tasks an executor may have at a time: each holds what all of them share."""
     client: Any = getattr(executor, "_client", None)
-    threads = sum(client.nthreads().values()) if hasattr(client, "nthreads") else 0
+    threads = sum(client.nthreads().values()) if hasattr(client, "nthreads") else (os.cpu_count() or 1)
     return max(MOST_PENDING, 2 * threads)
 
 

@@ -427,6 +427,7 @@ def test_an_executor_holds_no_more_tasks_than_it_needs(
 ) -> None:
     """Each task carries what all of them share: the memory of a campaign on a cluster does not grow with its runs."""
     monkeypatch.setattr(pool, "MOST_PENDING", 5)
+    monkeypatch.setattr(pool.os, "cpu_count", lambda: 2)
     executor = Counting(threads)
     with workers(executor) as force:
         done = force.run(pow, range(30), ignore)
