@@ -7,8 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.errors import GncOptError
+from gnc_opt.nlp import Status
 from gnc_opt.problem.check_norms import norms_by_hand
+from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.solution import Solution
+from gnc_opt.solution.solve_mesh import knows_trajectory
+
+GUESS_HELPS = (Status.INFEASIBLE, Status.RESTORATION_FAILED, Status.ITERATION_LIMIT)
+"""Endings of a way through the iterates that another start may spare."""
 
 
 class SolveError(GncOptError, RuntimeError):
@@ -27,7 +33,7 @@ class SolveError(GncOptError, RuntimeError):
 
 
 def failure_message(solution: Solution) -> str:
-    """Return what a failed solve raises: status, worst constraint, remedy, and norms that are written by hand."""
+    """Return what a failed solve raises: status, worst constraint, remedy, what to guess, and norms written by hand."""
     worst = "all constraints hold at the last iterate"
     if solution.violations:
         first = solution.violations[0]
@@ -40,5 +46,36 @@ def failure_message(solution: Solution) -> str:
     return (
         f"no solution of '{solution.problem_name}' after {solution.statistics.iterations} iterations, "
         f"status {solution.status.value}; {worst}. {solution.status.remedy}"
+        + (guess_to_give(problem) if problem and solution.status in GUESS_HELPS else "")
         + "".join(f" And {text}." for text in norms)
     )
+
+
+def guess_to_give(problem: Problem) -> str:
+    """Return which kind of guess can help, and which states nothing tells the size of; empty if there is a trajectory."""
+    if knows_trajectory(problem):
+        return ""
+    hint = (
+        " Guesses that help are trajectories: one that go.simulate_guess() flies, waypoints over time in "
+        "with_guess(phase, times, ...) (about a centre on an arc, not a straight line; or state the problem in polar "
+        "coordinates), or a simpler problem's solution in go.guess_from_solution()."
+    )
+    untold = _untold(problem)
+    if not untold:
+        return hint
+    first = untold[0]
+    names = ", ".join(f"'{name}'" for name in untold)
+    return f"{hint} Begin with {names}: no bound, end or guess tells how large, as with_guess(phase, {first}=...) does."
+
+
+def _untold(problem: Problem) -> list[str]:
+    """Return the states of which neither a bound, nor an end, nor a guess is known in any phase."""
+    told: dict[str, bool] = {}
+    for leg in problem.phases.values():
+        numbers, states = leg.numbers, leg.model.states
+        boxes = (numbers.initial, numbers.final, numbers.states)
+        known = np.any([np.isfinite(limit) for box in boxes for limit in (box.lower, box.upper)], axis=0)
+        for name in states.names:
+            here = name in numbers.guess.values or bool(np.any(known[states.slice(name)]))
+            told[name] = here or told.get(name, False)
+    return [name for name, known in told.items() if not known]

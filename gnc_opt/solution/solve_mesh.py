@@ -11,8 +11,9 @@ try                   after                                   how
 `TRAJECTORY_ONLY`     a warm start that has lost its way      the trajectory alone, without its multipliers
 `CONSTRAINTS_FIRST`   "infeasible", without a trajectory as   the constraints are met first, the cost is lowered
                       a guess                                 afterwards
-`LOST`                so many iterations from straight lines  from a flight with the guessed controls first; only
-                                                              then to the end from the lines
+`LOST`                so many iterations from straight lines  from a flight with the guessed controls first; next
+                                                              from where the constraints are met in the guessed
+                                                              times; only then to the end from the lines
 ====================  ======================================  ====================================================
 
 A fine mesh without a guess gets one first: from a coarse mesh, by `_coarse_to_fine`.
@@ -306,7 +307,7 @@ def _constraints_first(attempt: Attempt, failed: NlpResult, deadline: float) -> 
 def _solve_from_lines(
     attempt: Attempt, solver: NlpSolver, point: NlpPoint, show: ShowIteration | None, deadline: float
 ) -> NlpResult:
-    """Solve from the straight lines of a guess, or where that takes `LOST` iterations, first from a flight."""
+    """Solve from the straight lines of a guess, or where that takes `LOST` iterations, first in other ways."""
     if solver.options.solver != "ipopt" or solver.options.max_iterations < MANY:
         return _solve_point(solver, point, show, deadline)
     patience = _Patience(show)
@@ -314,6 +315,8 @@ def _solve_from_lines(
     if not patience.lost:
         return _solve_point(solver, point, show, deadline, first)
     spent = [first, *_from_flight(attempt, show, deadline)]
+    if not spent[-1].status.solved:
+        spent += _from_held_times(attempt, show, deadline)
     if not spent[-1].status.solved:
         spent.append(_solve_point(solver, point, show, deadline))
     return spent[-1].with_effort(spent)
@@ -341,13 +344,35 @@ def _from_flight(attempt: Attempt, show: ShowIteration | None, deadline: float) 
         yield attempt.solver.solve(attempt.point(start), callback=_Patience(show), deadline=deadline)
 
 
+def _from_held_times(attempt: Attempt, show: ShowIteration | None, deadline: float) -> Iterator[NlpResult]:
+    """Yield what comes of meeting the constraints in the guessed times first, and of the cost, times free, from there.
+
+    Phases that shrink and grow while their dynamics are far from met lead astray; with times held, much is linear.
+    """
+    solver, held = attempt.solver, _free_times(attempt.transcription)
+    if not held.size or time.perf_counter() > deadline:
+        return
+    point = attempt.point(attempt.start, held=held, with_cost=False)
+    met = solver.solve(point, callback=_Patience(None), deadline=deadline)
+    if not met.status.solved:
+        yield met
+        return
+    there = attempt.point(ProgramStart(met.x * attempt.scaling.variables))
+    found = solver.solve(there, callback=_Patience(show), deadline=deadline)
+    yield found.with_effort([met, found])
+
+
+def _free_times(transcription: Transcription) -> Indices:
+    """Return the places of the times among the variables."""
+    places = np.concatenate([part.times for part in transcription.parts.values()])
+    return np.unique(places[places < transcription.n_variables])
+
+
 def feasibility_starts(
     transcription: Transcription, problem: Problem, start: Array
 ) -> Iterator[FeasibilityStart]:
     """Yield starts: the guess with free times, with times held at multiples of the guess, a flight, random ones."""
-    places = np.concatenate([part.times for part in transcription.parts.values()])
-    times = np.unique(places[places < transcription.n_variables])
-    box = transcription.variable_interval(problem)
+    times, box = _free_times(transcription), transcription.variable_interval(problem)
     yield FeasibilityStart(start, times[:0])
     tried: list[Array] = []
     for stretch in STRETCHES if times.size else ():

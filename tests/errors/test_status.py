@@ -204,3 +204,32 @@ def test_an_interrupted_iterate_serves_as_a_guess() -> None:
     )
     finished = go.solve(problem, mesh="10x3", guess=stopped)
     assert finished.objective == pytest.approx(12.0, abs=1e-6)  # 12 d^2 / T^3
+
+
+def circle(times: np.ndarray | None = None, speed: float | None = None) -> go.Problem:
+    """A satellite that has no time for its orbit, its velocity untold."""
+    model = go.Model("satellite")
+    r, v, a = model.state("r", 2), model.state("v", 2), model.control("a", 2)
+    model.ode({r: v, v: a})
+    problem = go.Problem("circle")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(r=[1.0, 0.0])
+    leg.final(r=[-1.0, 0.0])
+    leg.path("slow", ca.dot(v, v), upper=0.01)
+    problem.minimize(leg.integral(ca.dot(a, a)))
+    if times is not None:
+        problem = problem.with_guess("leg", times, r=np.zeros((2, times.size)))
+    return problem if speed is None else problem.with_guess("leg", v=[0.0, speed])
+
+
+def test_the_guess_that_helps_is_named() -> None:
+    """Which kind, and the states of which no number tells the size; not beside a trajectory, which is the user's."""
+    with pytest.raises(go.SolveError, match=r"go\.simulate_guess\(\) flies, waypoints .* polar .* Begin with 'v': no"):
+        go.solve(circle(), mesh="4x3", tol=None)
+    with pytest.raises(go.SolveError, match=r"simulate_guess") as told:
+        go.solve(circle(speed=1.0), mesh="4x3", tol=None)
+    assert "Begin with" not in str(told.value)
+    with pytest.raises(go.SolveError) as own:
+        go.solve(circle(np.linspace(0.0, 1.0, 5)), mesh="4x3", tol=None)
+    assert "simulate_guess" not in str(own.value)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -138,11 +139,12 @@ def test_where_constraints_are_looked_for(monkeypatch: pytest.MonkeyPatch) -> No
     assert not np.allclose(last.x0, other.x0) and not np.allclose(last.x0, watch.points[1].x0)
 
 
-@pytest.mark.parametrize(("ending", "tries"), [(Status.OPTIMAL, 2), (Status.STEP_TOO_SMALL, 3)])
+@pytest.mark.parametrize(("ending", "tries"), [(Status.OPTIMAL, 2), (Status.STEP_TOO_SMALL, 4)])
 def test_lines_that_lead_on_and_on_give_way_to_a_flight(
     monkeypatch: pytest.MonkeyPatch, ending: Status, tries: int
 ) -> None:
-    """Here after two iterations; only what fails from the flight as well goes on from the lines."""
+    """Here after two iterations; what fails from the flight as well has its constraints met in the guessed time,
+    and only if that is lost, too, goes on from the lines."""
     monkeypatch.setattr(sys.modules[solve_mesh.__module__], "LOST", 2)
     watch = Stumbling(monkeypatch, None, ending)
     found = solve_mesh(hasty().with_initial(v=1.0), "3x4")
@@ -150,7 +152,46 @@ def test_lines_that_lead_on_and_on_give_way_to_a_flight(
     lines, flight, *last = watch.points
     assert np.max(np.abs(np.subtract(flight.x0, lines.x0))) > 0.1
     assert len(watch.points) == tries and all(p.x0 == pytest.approx(lines.x0) for p in last)
+    assert [p.p[-1] == 0 for p in last] == [True, False][: tries - 2]
     assert found.statistics.iterations == sum(watch.costs)
+
+
+def gate(most: float) -> go.Problem:
+    """A planar quadrotor of 1 kg and 0.01 kg m^2 through a gate, 10 m from rest to rest in the least time."""
+    model = go.Model("quadrotor")
+    r, v, theta, omega = (model.state(*of) for of in (("r", 2), ("v", 2), ("theta",), ("omega",)))
+    thrust, torque = model.control("T"), model.control("M")
+    lift = thrust * ca.vertcat(-ca.sin(theta), ca.cos(theta))
+    model.ode({r: v, v: lift - ca.DM([0.0, 9.81]), theta: omega, omega: torque / 0.01})
+    problem = go.Problem("gate")
+    to_gate, onward = problem.phase("to_gate", model), problem.phase("onward", model)
+    to_gate.time(initial=0.0, final=(0.1, most))
+    onward.time((0.1, most), final=(0.1, most))
+    rest = {"v": [0.0, 0.0], "theta": 0.0, "omega": 0.0}
+    to_gate.initial(r=[0.0, 0.0], **rest)
+    to_gate.final(r=[5.0, 2.0])
+    onward.final(r=[10.0, 0.0], **rest)
+    for leg in (to_gate, onward):
+        leg.bounds(T=(5.0, 25.0), M=(-0.3, 0.3))
+    problem.link(to_gate, onward)
+    problem.minimize(onward.final_time)
+    return problem
+
+
+def test_constraints_met_in_the_guessed_times_are_a_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Told little of the times, lost from lines and in flight: found from a point that meets the constraints, with the
+    times that were held free again, as fast as when much is told. Half of the way takes half of the time, by symmetry.
+    """
+    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "LOST", 60)
+    watch = Stumbling(monkeypatch, None, Status.STEP_TOO_SMALL)
+    found = solve_mesh(gate(100.0), "10x4")
+    lines, _, met, there = watch.points
+    held = (met.lbx == met.ubx) & (lines.lbx != lines.ubx)
+    assert np.sum(held) == 3 and met.p[-1] == 0, "all times, and no cost"
+    assert there.x0 == pytest.approx(watch.results[2].x) and np.array_equal(there.lbx, lines.lbx)
+    assert found.status.solved and found.statistics.iterations == sum(watch.costs)
+    assert found.objective == pytest.approx(solve_mesh(gate(10.0), "10x4").objective, rel=1e-6)
+    assert found.phases["to_gate"].final_time == pytest.approx(found.objective / 2, rel=1e-4)
 
 
 def test_constraints_that_are_not_met_soon_are_looked_for_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
