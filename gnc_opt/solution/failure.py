@@ -52,7 +52,7 @@ def failure_message(solution: Solution) -> str:
 
 
 def guess_to_give(problem: Problem) -> str:
-    """Return which kind of guess can help, and which states nothing tells the size of; empty if there is a trajectory."""
+    """Return which kind of guess can help, and the states of untold size; empty where a trajectory is given."""
     if knows_trajectory(problem):
         return ""
     hint = (
