@@ -346,17 +346,13 @@ class _Task:
     ) -> Iterator[_Attempt]:
         """Try the structure that a mesh shows, then that with path constraints kept at the ends of phases, too.
 
-        If the first cannot be met at all, also that of a slightly finer mesh. All share one allowance of work.
+        If the first cannot be met at all, also that of a slightly finer mesh. These two share as much work as the
+        first may cost.
         """
         work, options = share * self.max_work, self.options or (BRIEF if share < 1.0 else None)
         first = self._structured(start, found, work, options)
         yield first
-        work -= first.work
-        met = (
-            with_ends_met(start, options=self.options, limits=self._of_solve(start, work))
-            if work > 0
-            else None
-        )
+        met = with_ends_met(start, options=self.options, limits=self._of_solve(start, work))
         if met is not None and met.status.solved:
             work -= _work(met)
             kept = structures_of(met)
