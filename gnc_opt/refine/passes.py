@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 from gnc_opt.refine.error import PhaseError, largest_error
-from gnc_opt.solution.history import Actions, Pass
+from gnc_opt.solution.history import Actions, Pass, iterations_for
 from gnc_opt.solution.solution import Solution
+from gnc_opt.solution.solve_mesh import SolveLimits
+from gnc_opt.transcription.mesh import Mesh
 
 PATIENCE = 6
 """So many passes tell how fast the error falls."""
@@ -21,6 +23,10 @@ HORIZON = 10
 
 PROMISING, EXTENDED = 0.3, 2.0
 """A pass that leaves no more than this share of the error may be followed by others up to so many times the work."""
+
+
+FEWEST = 25
+"""Iterations that a pass may take in any case: a warm start near its end takes no more, on however fine a mesh."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +41,7 @@ class PassLimits:
         At most so many collocation points in any phase.
     work : float
         No pass begins after this much work, in iterations at one collocation point; see `Pass.work` and `allowed`.
+        One that has begun may cost as much once more at most; see `of_solve`.
     deadline : float
         When to stop, as `time.perf_counter` counts. Ctrl-C stops it, too.
     """
@@ -49,6 +56,16 @@ class PassLimits:
         errors = [r.error for r in records[-2:]]
         promising = bool(errors) and errors[-1] <= PROMISING * errors[0]
         return self.work * (EXTENDED if promising else 1.0)
+
+    def of_solve(
+        self, meshes: Iterable[Mesh], records: Sequence[Pass] = (), spent: float = 0.0
+    ) -> SolveLimits:
+        """What a solve on some meshes may take, after passes of which so much work counts."""
+        if math.isinf(self.work):
+            return SolveLimits(deadline=self.deadline)
+        left = max(self.allowed(records) - spent, self.work)  # what it cannot finish would be lost
+        most = max(FEWEST, iterations_for(left, sum(mesh.size for mesh in meshes)))
+        return SolveLimits(iterations=most, deadline=self.deadline)
 
 
 def pass_record(

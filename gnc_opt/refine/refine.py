@@ -216,6 +216,11 @@ class _Attempt:
         return final.error if final.solved else math.inf
 
     @property
+    def work(self) -> float:
+        """Of all its passes."""
+        return sum(p.work for p in self.history.passes)
+
+    @property
     def stopped(self) -> bool:
         """Whether Ctrl-C or the limit on time ended it."""
         return self.history.status is RefinementStatus.INTERRUPTED
@@ -341,25 +346,29 @@ class _Task:
     ) -> Iterator[_Attempt]:
         """Try the structure that a mesh shows, then that with path constraints kept at the ends of phases, too.
 
-        If the first cannot be met at all, also that of a slightly finer mesh.
+        If the first cannot be met at all, also that of a slightly finer mesh. These two share as much work as the
+        first may cost.
         """
-        first = self._structured(start, found, share)
+        work, options = share * self.max_work, self.options or (BRIEF if share < 1.0 else None)
+        first = self._structured(start, found, work, options)
         yield first
-        met = with_ends_met(start, options=self.options, deadline=self.deadline)
+        met = with_ends_met(start, options=self.options, limits=self._of_solve(start, work))
         if met is not None and met.status.solved:
+            work -= _work(met)
             kept = structures_of(met)
             if not self._known(kept):
-                yield self._structured(met, kept, share)
-        if first.history.status is RefinementStatus.FAILED and not any(
-            p.solved for p in first.history.passes
-        ):
-            finer = self._finer(start)
+                second = self._structured(met, kept, work, options)
+                yield second
+                work -= second.work
+        failed = first.history.status is RefinementStatus.FAILED
+        if work > 0 and failed and not any(p.solved for p in first.history.passes):
+            finer = self._finer(start, work)
             if finer.status is Status.INTERRUPTED:
                 raise KeyboardInterrupt
             if finer.status.solved:
-                yield self._structured(finer, structures_of(finer), share)
+                yield self._structured(finer, structures_of(finer), work - _work(finer), options)
 
-    def _finer(self, start: Solution) -> Solution:
+    def _finer(self, start: Solution, work: float) -> Solution:
         """Return the solution with one more collocation point in every segment."""
         meshes = {
             name: replace(leg.mesh, degrees=tuple(n + 1 for n in leg.mesh.degrees))
@@ -371,17 +380,23 @@ class _Task:
             scheme=next(iter(start.phases.values())).scheme,
             guess=start,
             options=self.options,
-            limits=SolveLimits(deadline=self.deadline),
+            limits=self._of_solve(start, work),
         )
 
-    def _structured(self, start: Solution, found: Mapping[str, PhaseStructure], share: float) -> _Attempt:
+    def _of_solve(self, start: Solution, work: float) -> SolveLimits:
+        """Limits of a single solve on about the mesh of a solution."""
+        return self._limits(1, work).of_solve(leg.mesh for leg in start.phases.values())
+
+    def _structured(
+        self, start: Solution, found: Mapping[str, PhaseStructure], work: float, options: SolverOptions | None
+    ) -> _Attempt:
         return _Attempt(
             *optimise_switches(
                 start,
                 tol=self.tol,
-                limits=self._limits(self.max_passes, share * self.max_work),
+                limits=self._limits(self.max_passes, work),
                 structures=found,
-                options=self.options or (BRIEF if share < 1.0 else None),
+                options=options,
                 progress=self.progress,
             ),
             begun=found,
@@ -393,9 +408,7 @@ class _Task:
     @property
     def _left(self) -> float:
         """Work that is left for meshes, however much structures that nobody asked for have cost."""
-        return self.max_work - sum(
-            p.work for a in self.attempted if a.begun is None for p in a.history.passes
-        )
+        return self.max_work - sum(a.work for a in self.attempted if a.begun is None)
 
     def _by_mesh(self, start: Solution, tol: float, max_passes: int) -> _Attempt:
         return _Attempt(

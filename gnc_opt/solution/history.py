@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -76,6 +77,11 @@ SETTING_UP = 15
 def work_of(points: int, iterations: int) -> float:
     """Return what a solve costs, in iterations at one collocation point: the same on every machine."""
     return points * float(iterations + SETTING_UP)
+
+
+def iterations_for(work: float, points: int) -> int:
+    """Return how many iterations so much work is, setting up paid: the inverse of `work_of`, rounded up."""
+    return math.ceil(work / points) - SETTING_UP
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ from gnc_opt.problem.guess.flown import with_flown_guess
 from gnc_opt.problem.guess.random import with_random_guess
 from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
-from gnc_opt.solution.attempt import Attempt, ShowIteration
+from gnc_opt.solution.attempt import Attempt
 from gnc_opt.solution.least_multipliers import least_multipliers
 from gnc_opt.solution.quality import worst_defect
 from gnc_opt.solution.solution import Solution
@@ -114,11 +114,14 @@ class SolveLimits:
     ----------
     warm_iterations : int, optional
         A start from a guess that takes more iterations has lost its way: `TRAJECTORY_ONLY`.
+    iterations : int, optional
+        Of all tries together: the last one ends as `Status.ITERATION_LIMIT` there.
     deadline : float
         When to stop, as `time.perf_counter` counts.
     """
 
     warm_iterations: int | None = None
+    iterations: int | None = None
     deadline: float = math.inf
 
 
@@ -154,13 +157,14 @@ def solve_mesh(
         meshes = {name: guess.phases[name].mesh for name in problem.phases}
     else:
         meshes = read_meshes(mesh, problem.phases, problem.name)
-    task = _Task(problem, meshes, scheme, chosen, progress, limits.deadline)
+    task = _Task(problem, meshes, scheme, chosen, progress, limits.deadline, limits.iterations)
     if guess is None:
         return _coarse_to_fine(task)
     if limits.warm_iterations is None:
         return task.solve(guess)
     found = task.brief(limits.warm_iterations).solve(guess)
-    if found.status not in TRAJECTORY_ONLY:
+    task = task.after(found)
+    if found.status not in TRAJECTORY_ONLY or task.iterations == 0:
         return found
     start, cold = guess_from_solution(problem, guess), replace(chosen, mu_init=COLD_MU)
     again = replace(task, problem=start, options=cold).solve(after=found)
@@ -177,6 +181,13 @@ class _Task:
     options: SolverOptions
     progress: bool
     deadline: float
+    iterations: int | None = None
+
+    def after(self, found: Solution) -> _Task:
+        """Return the task with the iterations that are left after those of a solution."""
+        if self.iterations is None:
+            return self
+        return replace(self, iterations=max(0, self.iterations - found.statistics.iterations))
 
     def brief(self, iterations: int) -> _Task:
         """Return the task with so many iterations at most."""
@@ -197,7 +208,10 @@ class _Task:
         guided = guess is not None or not retries or knows_trajectory(self.problem)
         with attempt.meter() as show:
             solve_from = _solve_point if guided else partial(_solve_from_lines, attempt)
-            result = solve_from(attempt.solver, point, show, deadline)
+            allowance = None if self.iterations is None else _Allowance(show, self.iterations)
+            result = solve_from(attempt.solver, point, allowance or show, deadline)
+            if allowance is not None and allowance.spent and result.status is Status.INTERRUPTED:
+                result = replace(result, status=Status.ITERATION_LIMIT)
         if not guided and result.status in CONSTRAINTS_FIRST:
             result = _constraints_first(attempt, result, deadline)
         if result.status.solved:
@@ -305,7 +319,7 @@ def _constraints_first(attempt: Attempt, failed: NlpResult, deadline: float) -> 
 
 
 def _solve_from_lines(
-    attempt: Attempt, solver: NlpSolver, point: NlpPoint, show: ShowIteration | None, deadline: float
+    attempt: Attempt, solver: NlpSolver, point: NlpPoint, show: ProgressCallback | None, deadline: float
 ) -> NlpResult:
     """Solve from the straight lines of a guess, or where that takes `LOST` iterations, first in other ways."""
     if solver.options.solver != "ipopt" or solver.options.max_iterations < MANY:
@@ -323,10 +337,29 @@ def _solve_from_lines(
 
 
 @dataclass
+class _Allowance:
+    """Shows iterations, and ends the try that takes the last one of those that all tries may take together."""
+
+    show: ProgressCallback | None
+    left: int
+
+    def __call__(self, info: IterationInfo) -> bool:
+        if self.show is not None:
+            self.show(info)
+        self.left -= info.iteration > 0
+        return self.spent
+
+    @property
+    def spent(self) -> bool:
+        """Whether there are none left."""
+        return self.left <= 0
+
+
+@dataclass
 class _Patience:
     """Shows iterations, and ends a solve that takes `LOST` of them."""
 
-    show: ShowIteration | None
+    show: ProgressCallback | None
     lost: bool = False
 
     def __call__(self, info: IterationInfo) -> bool:
@@ -336,7 +369,7 @@ class _Patience:
         return self.lost
 
 
-def _from_flight(attempt: Attempt, show: ShowIteration | None, deadline: float) -> Iterator[NlpResult]:
+def _from_flight(attempt: Attempt, show: ProgressCallback | None, deadline: float) -> Iterator[NlpResult]:
     """Yield what comes of a start from a flight, if one can be made and there is time."""
     flown = with_flown_guess(attempt.problem) if time.perf_counter() < deadline else None
     if flown is not None:

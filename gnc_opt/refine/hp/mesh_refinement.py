@@ -21,7 +21,7 @@ from gnc_opt.refine.hp.remesh import SAFETY, UNRESOLVED, Past, Remesh, known_seg
 from gnc_opt.refine.passes import PassLimits, crawls, pass_meter, pass_record
 from gnc_opt.solution.history import Actions, History, Pass, RefinementStatus
 from gnc_opt.solution.solution import Solution
-from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
+from gnc_opt.solution.solve_mesh import solve_mesh
 from gnc_opt.transcription.mesh import Mesh
 
 WARM_ITERATIONS = 150
@@ -181,15 +181,23 @@ class _Refinement:
             plan = self._plan()
             if isinstance(plan, RefinementStatus):
                 return plan
-            if sum(record.work for record in self._records[1:]) > self._limits.allowed(self._records):
+            allowed = self._limits.allowed(self._records)
+            if self._spent > allowed:
                 return self._ending(RefinementStatus.WORK_LIMIT)
             meshes, actions = plan
             self._past = {name: known_segments(e) for name, e in self._state.errors.items()}
             status = self._solve(meshes, actions)
             show(self._records[-1])
+            if status is Status.ITERATION_LIMIT and self._spent >= allowed:
+                return self._ending(RefinementStatus.WORK_LIMIT)
             if not status.solved:
                 return self.ending_without(status)
         return self._ending(RefinementStatus.PASS_LIMIT)
+
+    @property
+    def _spent(self) -> float:
+        """Work of all passes but the first, which was given."""
+        return sum(record.work for record in self._records[1:])
 
     def _plan(self) -> NextMeshes | RefinementStatus:
         """Return the next meshes with what was done to get them, or how it ends here."""
@@ -313,13 +321,14 @@ class _Refinement:
     def _solve(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
         """Solve on new meshes, warm, then cold; remember the pass."""
         begin = time.perf_counter()
+        within = self._limits.of_solve(meshes.values(), self._records, self._spent)
         solution = solve_mesh(
             self._problem,
             meshes,
             scheme=self._scheme,
             guess=self._state.solution,
             options=self._warm_options(),
-            limits=SolveLimits(WARM_ITERATIONS, self._limits.deadline),
+            limits=replace(within, warm_iterations=WARM_ITERATIONS),
         )
         self._state = self._judge(solution, begin, actions)
         if self._better(self._state.record, self._best.record):

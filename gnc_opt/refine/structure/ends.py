@@ -9,7 +9,6 @@ with the phase needs that, too: nothing else keeps its first segment from that w
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +26,7 @@ from gnc_opt.tolerances import AT_LIMIT
 
 
 def with_ends_met(
-    solution: Solution, *, options: SolverOptions | None = None, deadline: float = math.inf
+    solution: Solution, *, options: SolverOptions | None = None, limits: SolveLimits | None = None
 ) -> Solution | None:
     """Return the solution on its mesh with path constraints on their limits where they break them at ends of phases.
 
@@ -38,8 +37,8 @@ def with_ends_met(
     solution : Solution
         Of a problem in which no arcs are held.
     options : SolverOptions, optional
-    deadline : float
-        When to stop, as `time.perf_counter` counts.
+    limits : SolveLimits, optional
+        When to give up.
 
     Returns
     -------
@@ -54,8 +53,9 @@ def with_ends_met(
             problem = problem.with_arcs(name, arcs=free, junctions=found)
     if problem is stated:
         return None
-    limits = SolveLimits(deadline=deadline)
-    met = solve_mesh(problem, scheme=solution.scheme, guess=solution, options=options, limits=limits)
+    met = solve_mesh(
+        problem, scheme=solution.scheme, guess=solution, options=options, limits=limits or SolveLimits()
+    )
     return replace(met, problem=stated)
 
 

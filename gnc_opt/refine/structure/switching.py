@@ -173,9 +173,11 @@ class _Loop:
                 return RefinementStatus.INTERRUPTED
             if any(plan.mesh().size > self.limits.points for plan in plans.values()):
                 return self._limited(RefinementStatus.POINT_LIMIT)
-            if sum(record.work for record in self.records) > self.limits.allowed(self.records):
+            spent = sum(record.work for record in self.records)
+            if spent > self.limits.allowed(self.records):
                 return self._limited(RefinementStatus.WORK_LIMIT)
-            found = _solve(self.problem, plans, solution, self.options, self.limits.deadline)
+            within = self.limits.of_solve((plan.mesh() for plan in plans.values()), self.records, spent)
+            found = _solve(self.problem, plans, solution, self.options, within)
             if not found.status.solved:
                 self._note(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
                 if found.status.value == "interrupted":
@@ -280,13 +282,13 @@ def _same(plans: Mapping[str, Plan], others: Mapping[str, Plan]) -> bool:
 
 
 def _solve(
-    problem: Problem, plans: Mapping[str, Plan], guess: Solution, options: SolverOptions, deadline: float
+    problem: Problem, plans: Mapping[str, Plan], guess: Solution, options: SolverOptions, limits: SolveLimits
 ) -> Solution:
     held = problem
     for name, plan in plans.items():
         held = plan.hold(held, name)
     meshes = {name: plan.mesh() for name, plan in plans.items()}
-    found = solve_mesh(held, meshes, guess=guess, options=options, limits=SolveLimits(deadline=deadline))
+    found = solve_mesh(held, meshes, guess=guess, options=options, limits=limits)
     return replace(found, problem=problem)
 
 

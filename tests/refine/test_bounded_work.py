@@ -1,0 +1,75 @@
+"""What refining costs where programs do not converge: counted in iterations at one point, the same on every machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+import gnc_opt as go
+from gnc_opt.nlp import Status
+from gnc_opt.refine.hp.mesh_refinement import refine_mesh
+from gnc_opt.refine.passes import FEWEST, PassLimits
+from gnc_opt.refine.structure import switching
+from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
+from gnc_opt.transcription.mesh import Mesh
+
+CRAWLING = go.SolverOptions(
+    mu_init=1e-2,
+    extra={
+        "ipopt.mu_linear_decrease_factor": 0.99,
+        "ipopt.mu_superlinear_decrease_power": 1.001,
+        "ipopt.mu_allow_fast_monotone_decrease": "no",
+    },
+)
+"""The barrier falls by a hundredth per iteration: no program converges in less than a thousand."""
+
+UNREACHABLE = go.SolverOptions(tolerance=1e-30, extra={"ipopt.acceptable_iter": 0})
+"""A tolerance below rounding: every try fails, and others follow it."""
+
+
+@pytest.fixture(scope="module")
+def cart() -> go.Solution:
+    """Rest to rest in 1 s with the least effort and a limit that binds at both ends, from a coarse mesh."""
+    model = go.Model("cart")
+    x, v = model.state("x"), model.state("v")
+    u = model.control("u")
+    model.ode({x: v, v: u})
+    problem = go.Problem("cart")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.bounds(u=(-5.0, 5.0), x=(-1.0, 2.0), v=(-1.0, 3.0))
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=1.0, v=0.0)
+    problem.minimize(leg.integral(u**2))
+    return go.solve(problem, mesh="7x3", tol=None)
+
+
+@pytest.mark.parametrize("way", [refine_mesh, switching.optimise_switches])
+@pytest.mark.parametrize("allowed", [2500.0, 6000.0])
+def test_programs_that_do_not_converge_cost_no_more_than_twice_what_is_allowed(
+    cart: go.Solution, way: Callable[..., Any], allowed: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(switching, "settle", lambda *_: None)  # a start that is not the end already
+    _, history = way(cart, tol=1e-10, limits=PassLimits(work=allowed), options=CRAWLING)
+    tried = [p for p in history.passes if not p.solved]
+    assert tried and not history.converged
+    assert allowed < sum(p.work for p in tried) + max(p.points for p in tried)
+    assert sum(p.work for p in tried) <= 2.0 * allowed + max(p.points for p in tried)
+
+
+@pytest.mark.parametrize("most", [3, 8])
+def test_all_tries_of_a_solve_share_its_iterations(cart: go.Solution, most: int) -> None:
+    """Warm, with care, and cold."""
+    limits = SolveLimits(warm_iterations=150, iterations=most)
+    found = solve_mesh(cart.need_problem("refine"), guess=cart, options=UNREACHABLE, limits=limits)
+    assert found.status is Status.ITERATION_LIMIT and found.statistics.iterations == most
+
+
+def test_a_solve_may_cost_what_is_left_and_some_iterations_on_however_many_points() -> None:
+    limits = PassLimits(work=4000.0)
+    assert limits.of_solve([Mesh.uniform(10, 4)]).iterations == 4000 // 40 - 15
+    assert limits.of_solve([Mesh.uniform(10, 4)], spent=3999.0).iterations == 4000 // 40 - 15
+    assert limits.of_solve([Mesh.uniform(500, 4)]).iterations == FEWEST
+    assert PassLimits().of_solve([Mesh.uniform(10, 4)]).iterations is None
