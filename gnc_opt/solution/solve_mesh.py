@@ -377,7 +377,7 @@ def _from_flight(attempt: Attempt, show: ProgressCallback | None, deadline: floa
         yield attempt.solver.solve(attempt.point(start), callback=_Patience(show), deadline=deadline)
 
 
-def _from_held_times(attempt: Attempt, show: ShowIteration | None, deadline: float) -> Iterator[NlpResult]:
+def _from_held_times(attempt: Attempt, show: ProgressCallback | None, deadline: float) -> Iterator[NlpResult]:
     """Yield what comes of meeting the constraints in the guessed times first, and of the cost, times free, from there.
 
     Phases that shrink and grow while their dynamics are far from met lead astray; with times held, much is linear.
@@ -386,7 +386,7 @@ def _from_held_times(attempt: Attempt, show: ShowIteration | None, deadline: flo
     if not held.size or time.perf_counter() > deadline:
         return
     point = attempt.point(attempt.start, held=held, with_cost=False)
-    met = solver.solve(point, callback=_Patience(None), deadline=deadline)
+    met = solver.solve(point, callback=_Patience(show), deadline=deadline)
     if not met.status.solved:
         yield met
         return
