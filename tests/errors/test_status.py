@@ -225,7 +225,9 @@ def circle(times: np.ndarray | None = None, speed: float | None = None) -> go.Pr
 
 def test_the_guess_that_helps_is_named() -> None:
     """Which kind, and the states of which no number tells the size; not beside a trajectory, which is the user's."""
-    with pytest.raises(go.SolveError, match=r"go\.simulate_guess\(\) flies, waypoints .* polar .* Begin with 'v': no"):
+    with pytest.raises(
+        go.SolveError, match=r"go\.simulate_guess\(\) flies, waypoints .* polar .* Begin with 'v': no"
+    ):
         go.solve(circle(), mesh="4x3", tol=None)
     with pytest.raises(go.SolveError, match=r"simulate_guess") as told:
         go.solve(circle(speed=1.0), mesh="4x3", tol=None)
