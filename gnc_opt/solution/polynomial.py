@@ -83,21 +83,23 @@ class PiecewisePolynomial:
         times = self._clamped(np.atleast_1d(read_numbers(t, "the time")))
         segment = np.clip(np.searchsorted(self.breaks, times, side) - 1, 0, len(self.nodes) - 1)
         tau = self._tau(segment, times)
-        table = self._table
-        basis = barycentric_basis(table.nodes[segment], table.weights[segment], tau)
-        result: Array = np.matmul(table.values[segment], basis[:, :, None])[:, :, 0].T
+        result = np.empty((self.values[0].shape[0], times.size))
+        for alike in self._alike:
+            places = alike.places[segment]
+            here = np.flatnonzero(places >= 0)
+            if not here.size:
+                continue
+            basis = barycentric_basis(alike.nodes, alike.weights, tau[here])
+            result[:, here] = np.einsum("mnt,tm->nt", alike.values[:, :, places[here]], basis)
         return result if np.ndim(t) else result[:, 0]
 
     def within(self, tau: ArrayLike) -> Array:
         """Evaluate at the same places ``tau`` on [-1, 1] of all segments, from within each: (n, K, len(tau))."""
         at = np.atleast_1d(read_numbers(tau, "the place"))
-        table, result = self._table, np.empty((self.values[0].shape[0], len(self.nodes), at.size))
-        for segments in _alike(self.nodes):
-            m = self.nodes[segments[0]].size
-            basis = barycentric_basis(table.nodes[segments[0], :m], table.weights[segments[0], :m], at)
-            result[:, segments] = np.tensordot(table.values[segments, :, :m], basis, axes=(2, 1)).swapaxes(
-                0, 1
-            )
+        result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
+        for alike in self._alike:
+            basis = barycentric_basis(alike.nodes, alike.weights, at)
+            result[:, alike.places >= 0] = np.tensordot(alike.values, basis, axes=(0, 1))
         return result
 
     def derivative(self) -> "PiecewisePolynomial":
@@ -139,15 +141,21 @@ class PiecewisePolynomial:
         return np.clip(times, first, last)
 
     @cached_property
-    def _table(self) -> "_Table":
-        return _Table.of(self.nodes, self.values)
+    def _alike(self) -> tuple["_Alike", ...]:
+        """Segments with the same nodes, which share one interpolation matrix."""
+        groups: dict[bytes, list[int]] = {}
+        for k, x in enumerate(self.nodes):
+            groups.setdefault(x.tobytes(), []).append(k)
+        return tuple(_Alike.of(self, np.array(segments)) for segments in groups.values())
 
     def _shared(self) -> tuple[Array, ...]:
-        """Return the values as views of what `_table` keeps, lest a number that is changed in place go unseen."""
-        values = tuple(row[:, : x.size] for row, x in zip(self._table.values, self.nodes, strict=True))
-        for view in values:
-            view.setflags(write=False)
-        return values
+        """Return the values as views of what `_alike` keeps, lest a number that is changed in place go unseen."""
+        values = list(self.values)
+        for alike in self._alike:
+            for j, k in enumerate(np.flatnonzero(alike.places >= 0)):
+                values[k] = alike.values[:, :, j].T
+                values[k].setflags(write=False)
+        return tuple(values)
 
     def _tau(self, segment: Indices, times: Array) -> Array:
         initial, final = self.breaks[segment], self.breaks[segment + 1]
@@ -155,40 +163,30 @@ class PiecewisePolynomial:
 
 
 @dataclass(frozen=True, eq=False)
-class _Table:
-    """All segments with as many nodes as the one that has most, so that they are evaluated at once.
+class _Alike:
+    """Some segments with the same nodes.
 
     Attributes
     ----------
-    nodes, weights : array (K, m)
-        The latter barycentric: 0 for nodes that a segment has not, which are at infinity.
-    values : array (K, n, m)
+    nodes, weights : array (m,)
+        The latter barycentric.
+    values : array (m, n, n_alike)
+    places : int array (K,)
+        Where each segment is among them, -1 for others.
     """
 
     nodes: Array
     weights: Array
     values: Array
+    places: Indices
 
     @classmethod
-    def of(cls, nodes: Sequence[Array], values: Sequence[Array]) -> "_Table":
-        shape = (len(nodes), max(x.size for x in nodes))
-        table = cls(
-            np.full(shape, np.inf), np.zeros(shape), np.zeros((shape[0], values[0].shape[0], shape[1]))
-        )
-        for segments in _alike(nodes):
-            x = nodes[segments[0]]
-            table.nodes[segments, : x.size] = x
-            table.weights[segments, : x.size] = barycentric_weights(x)
-            table.values[segments, :, : x.size] = np.stack([values[k] for k in segments])
-        return table
-
-
-def _alike(nodes: Sequence[Array]) -> list[list[int]]:
-    """Segments with the same nodes."""
-    groups: dict[bytes, list[int]] = {}
-    for k, x in enumerate(nodes):
-        groups.setdefault(x.tobytes(), []).append(k)
-    return list(groups.values())
+    def of(cls, signal: PiecewisePolynomial, segments: Indices) -> "_Alike":
+        places = np.full(len(signal.nodes), -1)
+        places[segments] = np.arange(segments.size)
+        values = np.stack([signal.values[k].T for k in segments], axis=2)
+        nodes = signal.nodes[segments[0]]
+        return cls(nodes, barycentric_weights(nodes), values, places)
 
 
 def _node_integrals(nodes: Array) -> Array:

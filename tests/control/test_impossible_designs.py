@@ -157,14 +157,14 @@ SEEN = [Measurement("q", 0.1)]
         (lambda: design_lqr("cart", [0.0, 0.0], **WEIGHTS), "plant of design_lqr()"),
         (lambda: design_tvlqr(cart(), [0.0, 0.0], **WEIGHTS), "reference of design_tvlqr()"),
         (
-            lambda: design_mpc(cart(), [0.0, 0.0], **WEIGHTS, horizon=1.0, dt=0.1, limits=(-1, 1)),
-            "reference of design_mpc()",
+            lambda: design_mpc("cart", [0.0, 0.0], **WEIGHTS, horizon=1.0, dt=0.1, limits=(-1, 1)),
+            "plant of design_mpc()",
         ),
         (
             lambda: design_gain_schedule(
-                cart(), [0.0, 0.0], over={"v": [-1, 1]}, at=lambda v: ([0, v], [0]), **WEIGHTS, dt=0.1
+                "cart", [0.0, 0.0], over={"v": [-1, 1]}, at=lambda v: ([0, v], [0]), **WEIGHTS, dt=0.1
             ),
-            "reference of design_gain_schedule()",
+            "plant of design_gain_schedule()",
         ),
         (
             lambda: design_gain_schedule(

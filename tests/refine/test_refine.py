@@ -286,7 +286,8 @@ def test_attempts_that_were_given_up_are_told(cart: go.Solution, monkeypatch: py
 
     def unconvincing(*args: Any, **more: Any) -> Any:
         solution, history = real(*args, **more)
-        return solution, replace(history, status=RefinementStatus.STALLED)
+        passes = (*history.passes[:-1], replace(history.passes[-1], error=1e-4))
+        return solution, replace(history, status=RefinementStatus.STALLED, passes=passes)
 
     monkeypatch.setattr(module, "optimise_switches", unconvincing)
     history = told(go.refine(cart, tol=1e-5))

@@ -144,7 +144,10 @@ def test_places_of_pieces_on_their_mesh() -> None:
 
 def held_by(plan: Plan) -> Any:
     asked: dict[str, Any] = {}
-    problem = SimpleNamespace(with_arcs=lambda name, **more: asked.update(more, name=name) or problem)
+    leg = SimpleNamespace(numbers=SimpleNamespace(initial=SimpleNamespace(fixed=np.ones(1, dtype=bool))))
+    problem = SimpleNamespace(
+        phases={"leg": leg}, with_arcs=lambda name, **more: asked.update(more, name=name) or problem
+    )
     assert plan.hold(problem, "leg") is problem  # type: ignore[arg-type]
     return asked
 

@@ -514,7 +514,8 @@ def test_a_trajectory_s_solution_knows_whether_its_cost_is_maximised(maximised: 
     (problem.maximize if maximised else problem.minimize)(leg.final_state("x"))
     t = np.linspace(0.0, 1.0, 5)
     sign = 1.0 if maximised else -1.0
-    found = _solution(problem, {"leg": Samples(t, sign * t[None], sign + 0 * t[None])}, np.zeros(0))
+    samples = {"leg": Samples(t, sign * t[None], sign + 0 * t[None])}
+    found = _solution(problem, samples, np.zeros(0), parts=1)
     assert found.maximised is maximised and found.objective == pytest.approx(sign)
     assert go.verify(found).ok
 
