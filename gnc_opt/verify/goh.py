@@ -53,7 +53,9 @@ _RADAU = ((points, -1.0), (weights, 1.0))
 
 def straight(s: PhaseSamples) -> Mask:
     """Where H does not curve upwards in a control (n_controls, n_samples)."""
-    curvature = np.einsum("iij->ij", s.control_hessian) * s.control_scale[:, None] ** 2
+    # A control that rests at zero has no size, but what it could do to the flight.
+    unit = np.maximum(s.control_scale, s.control_span)
+    curvature = np.einsum("iij->ij", s.control_hessian) * unit[:, None] ** 2
     return np.asarray(curvature <= AT_LIMIT * s.hamiltonian_scale)
 
 

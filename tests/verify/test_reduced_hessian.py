@@ -175,6 +175,31 @@ def test_curvature_does_not_depend_on_units_of_the_cost() -> None:
     np.testing.assert_allclose(values, values[0], rtol=1e-4)
 
 
+@pytest.mark.parametrize("end, result", [(2.0, PASS), (-2.0, FAIL)])
+def test_curvature_in_a_control_that_rests_does_not_depend_on_its_unit(end: float, result: Result) -> None:
+    """Out of a circle of radius 2 from 1/2 beside its middle: straight ahead is best, by the far side worst.
+
+    The other control is zero all along, and H curves in it by 2e-8 of what one unit of it could tell.
+    """
+    found, t = [], np.linspace(0.0, 1.0, 21)
+    for unit in (1.0, 1e4):
+        model = go.Model("plane")
+        x, y, u, w = model.state("x"), model.state("y"), model.control("u"), model.control("w")
+        model.ode({x: u, y: w})
+        problem = go.Problem("out of a circle")
+        leg = problem.phase("leg", model)
+        leg.time(0.0, 1.0)
+        leg.initial(x=0.5 * unit, y=0.0)
+        radius2 = leg.final_state("x") ** 2 + leg.final_state("y") ** 2
+        problem.constrain("out", radius2 / unit**2, lower=4.0)
+        problem.minimize(leg.integral(u**2 + w**2) / unit**2)
+        states = {"x": unit * (0.5 + (end - 0.5) * t), "y": 0 * t}
+        verdict = go.verify_trajectory(problem, t, states, {"u": unit * (end - 0.5) + 0 * t, "w": 0 * t})
+        found.append(verdict["second order"])
+    assert [c.result for c in found] == [result, result]
+    assert found[1].value == pytest.approx(found[0].value, rel=1e-6)
+
+
 def test_simple_solutions_are_varied_on_richer_meshes() -> None:
     """Refined, x = 0 needs a mesh with as many conditions as unknowns only, which leaves nothing to vary."""
     solution = replace(go.solve(regulator(1.0), mesh="1x2", tol=None), problem=regulator(1.5 * np.pi**2))
