@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
 from gnc_opt.nlp import SolverOptions, Status
+from gnc_opt.refine.attempt import CLOSE, Attempt, interrupted, result_of
 from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.hp.mesh_refinement import ROOMY, refine_mesh
 from gnc_opt.refine.limits import RefinementLimits
@@ -28,15 +28,13 @@ from gnc_opt.refine.structure.ends import with_ends_met
 from gnc_opt.refine.structure.mending import VANISHED
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.switching import TIGHT, optimise_switches
-from gnc_opt.solution.history import History, RefinementStatus, work_of
+from gnc_opt.solution.history import RefinementStatus, work_of
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.tolerances import SHORTEST
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.verify.kept import keep_verdict
-from gnc_opt.verify.verdict import Result, Verdict
-from gnc_opt.verify.verify import TOLERANCE, verify
+from gnc_opt.verify.verify import verify
 
 StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]
 
@@ -56,19 +54,6 @@ LEAST_WORK = 7e4
 TIGHTER, FURTHER = 0.01, 2
 """Where a mesh is within the tolerance but a condition of the verdict fails that finer meshes can meet, refining goes
 on to this share of the tolerance, so many times: what a condition forgives is not the same share of every problem."""
-
-CLOSE, NEARLY = 1e2, 1e-2
-"""A structure is nearly right with an error of so many tolerances, and offences of the verdict below this. No finer
-mesh mends an offence of more than so many tolerances: errors fall by `TIGHTER` squared, costates by its first power."""
-
-NAMED = 3
-"""So many open conditions are named."""
-
-_CHATTERING = (
-    "A singular arc, {where}, may be of higher order: such arcs meet arcs on bounds by chattering only, ever faster "
-    "switches that no mesh resolves. The cost is then right to what it moved by in the last passes; with a small "
-    "penalty on the control there is an optimum that can be resolved."
-)
 
 
 def refine(
@@ -134,7 +119,7 @@ def refine(
     expect(limits, RefinementLimits, "the limits of refine()", "write RefinementLimits(max_points=500)")
     _check(solution)
     deadline = math.inf if limits.max_wall_time is None else begin + limits.max_wall_time
-    attempts: list[_Attempt] = []
+    attempts: list[Attempt] = []
     try:
         solution = _released(solution, options, deadline)
         work = max(limits.max_work * _work(solution), LEAST_WORK)
@@ -146,8 +131,8 @@ def refine(
             if attempt.final:
                 break
     except KeyboardInterrupt:
-        attempts.append(_interrupted(solution, tol, begin))
-    return _result(solution, attempts, tol, begin)
+        attempts.append(interrupted(solution, tol, begin))
+    return result_of(solution, attempts, tol, begin)
 
 
 def _check(solution: Solution) -> None:
@@ -202,68 +187,6 @@ def _at_rest(leg: PhaseSolution) -> Mesh:
 
 
 @dataclass(frozen=True, eq=False)
-class _Attempt:
-    """What one way of refining led to, and the structure that it began with, if any."""
-
-    solution: Solution
-    history: History
-    begun: Mapping[str, PhaseStructure] | None = None
-
-    @property
-    def error(self) -> float:
-        """Of its solution; infinite if no pass had one."""
-        final = self.history.final
-        return final.error if final.solved else math.inf
-
-    @property
-    def work(self) -> float:
-        """Of all its passes."""
-        return sum(p.work for p in self.history.passes)
-
-    @property
-    def stopped(self) -> bool:
-        """Whether Ctrl-C or the limit on time ended it."""
-        return self.history.status is RefinementStatus.INTERRUPTED
-
-    @cached_property
-    def verdict(self) -> Verdict:
-        """On its solution."""
-        return verify(self.solution)
-
-    @property
-    def final(self) -> bool:
-        """Whether nothing else is worth trying: it has been stopped, or it came to rest and passes the verdict."""
-        if self.stopped or not self.history.final.solved:  # whose solution is the one that it began with
-            return self.stopped
-        if self.history.status is RefinementStatus.PASS_LIMIT:  # on its way still
-            return False
-        rests = self.history.converged or not self.solution.structure or self.error <= self.history.tolerance
-        return rests and self.verdict.ok
-
-    @property
-    def resolvable(self) -> bool:
-        """Whether conditions of the verdict are open that a finer mesh can meet: none of them by far.
-
-        Or by far, where a control that H determines is flown in steps because its polynomial leaves the bounds: narrow
-        as that may be, it is as far off as the control moves in a step.
-        """
-        necessary = [c for c in self.verdict.open if not c.sufficient]
-        near = all(c.value <= CLOSE * c.tolerance for c in necessary)
-        return bool(necessary) and (near or self.in_steps)
-
-    @property
-    def in_steps(self) -> bool:
-        """Whether a control in which H is strictly convex is flown in steps somewhere; see `FlownControl`."""
-        samples = self.solution.samples().values()
-        return any(bool(np.any(s.leg.flown.held[regular_channels(s)])) for s in samples)
-
-    @property
-    def nearly_ok(self) -> bool:
-        """Whether every necessary condition of the verdict holds but for what a finer mesh may take away."""
-        return all(c.sufficient or c.value < NEARLY for c in self.verdict.open)
-
-
-@dataclass(frozen=True, eq=False)
 class _Task:
     """What is to be refined, and within which limits."""
 
@@ -275,9 +198,9 @@ class _Task:
     options: SolverOptions | None
     deadline: float
     progress: bool
-    attempted: list[_Attempt] = field(default_factory=list)
+    attempted: list[Attempt] = field(default_factory=list)
 
-    def attempts(self, structure: StructureChoice) -> Iterator[_Attempt]:
+    def attempts(self, structure: StructureChoice) -> Iterator[Attempt]:
         """Yield what one way after the other leads to, for as long as that is asked for."""
         if structure == "bang-bang":
             found = structures_of(self.solution)
@@ -306,7 +229,7 @@ class _Task:
             by_mesh = self._by_mesh(by_mesh.solution, self.tol * TIGHTER**k, self.max_passes)
             yield by_mesh
 
-    def _unasked(self, start: Solution, share: float) -> Iterator[_Attempt]:
+    def _unasked(self, start: Solution, share: float) -> Iterator[Attempt]:
         """Try a structure that nobody asked for, if there is one."""
         found = structures_of(start)
         if _switches(start, found, at_least=1) and not self._known(found):
@@ -343,7 +266,7 @@ class _Task:
 
     def _by_structure(
         self, start: Solution, found: Mapping[str, PhaseStructure], share: float = 1.0
-    ) -> Iterator[_Attempt]:
+    ) -> Iterator[Attempt]:
         """Try the structure that a mesh shows, then that with path constraints kept at the ends of phases, too.
 
         If the first cannot be met at all, also that of a slightly finer mesh. These two share as much work as the
@@ -389,8 +312,8 @@ class _Task:
 
     def _structured(
         self, start: Solution, found: Mapping[str, PhaseStructure], work: float, options: SolverOptions | None
-    ) -> _Attempt:
-        return _Attempt(
+    ) -> Attempt:
+        return Attempt(
             *optimise_switches(
                 start,
                 tol=self.tol,
@@ -410,8 +333,8 @@ class _Task:
         """Work that is left for meshes, however much structures that nobody asked for have cost."""
         return self.max_work - sum(a.work for a in self.attempted if a.begun is None)
 
-    def _by_mesh(self, start: Solution, tol: float, max_passes: int) -> _Attempt:
-        return _Attempt(
+    def _by_mesh(self, start: Solution, tol: float, max_passes: int) -> Attempt:
+        return Attempt(
             *refine_mesh(
                 start,
                 tol=tol,
@@ -435,71 +358,3 @@ def _switches(solution: Solution, found: Mapping[str, PhaseStructure], at_least:
         if np.any(regular_channels(samples)) and found[name].pieces > 1:
             return True
     return False
-
-
-# --- what came of it --------------------------------------------------------------------------------------------
-
-
-def _interrupted(solution: Solution, tol: float, begin: float) -> _Attempt:
-    """Return the given solution as what is left when Ctrl-C came between two attempts."""
-    record = pass_record(solution, estimate_errors(solution), begin, "interrupted")
-    return _Attempt(solution, History(RefinementStatus.INTERRUPTED, tol, (record,), 0, ""))
-
-
-def _result(given: Solution, attempts: Sequence[_Attempt], tol: float, begin: float) -> Solution:
-    """Return the solution to keep, its history with the passes of all attempts, and its verdict."""
-    if attempts[-1].stopped:
-        attempts = [*attempts, _interrupted(given, tol, begin)]
-        chosen = min(range(len(attempts)), key=lambda k: attempts[k].error)
-    elif attempts[-1].final:
-        chosen = len(attempts) - 1
-    else:  # a structure that nobody asked for is not worth more than the mesh if it does not convince
-        meshes = [k for k, a in enumerate(attempts) if not a.solution.structure and a.history.final.solved]
-        chosen = meshes[-1] if meshes else len(attempts) - 1
-    solution, history = attempts[chosen].solution, attempts[chosen].history
-    verdict = None if attempts[-1].stopped else attempts[chosen].verdict
-    status = RefinementStatus.INTERRUPTED if verdict is None else history.status
-    convinces = not solution.structure or (verdict is not None and verdict.ok)
-    within = convinces and history.final.error <= tol
-    if (history.converged or within) and verdict is not None:
-        status = RefinementStatus.CONVERGED
-        if not verdict.ok:
-            status = RefinementStatus.VERDICT_FAILS
-        elif history.final.error > tol:  # a structure that stands, and cannot be resolved any better
-            status = RefinementStatus.STALLED
-    told = replace(
-        history,
-        status=status,
-        tolerance=tol,
-        passes=tuple(p for a in attempts for p in a.history.passes),
-        chosen=sum(len(a.history.passes) for a in attempts[:chosen]) + history.chosen,
-        message=_message(status, history, verdict, tol),
-        seconds=time.perf_counter() - begin,
-    )
-    refined = replace(solution, history=told)
-    if verdict is not None:
-        keep_verdict(refined, verdict, TOLERANCE)
-    return refined
-
-
-def _message(status: RefinementStatus, history: History, verdict: Verdict | None, tol: float) -> str:
-    """Say how it ended: the error asked for and reached, and what is open."""
-    text = f"{status.value}: error {history.final.error:.1e} (wanted {tol:.1e})"
-    if status is RefinementStatus.CONVERGED:
-        return f"{text}, verdict ok"
-    if history.final.error > tol:
-        text += f" at {history.final.where}"
-    left = () if verdict is None else verdict.open
-    if left:
-        named = "; ".join(
-            f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.where}" for c in left[:NAMED]
-        )
-        more = f"; and {len(left) - NAMED} more" if len(left) > NAMED else ""
-        text += f". Open: {named}{more}"
-    return f"{text}. {status.remedy}{'' if verdict is None else _on_singular_arcs(verdict)}"
-
-
-def _on_singular_arcs(verdict: Verdict) -> str:
-    """Say what may keep a refinement with singular arcs from its end, and where they are."""
-    told = [c for c in verdict.conditions if c.name == "singular arcs" and c.result is not Result.PASS]
-    return "".join(f" {_CHATTERING.format(where=c.where)}" for c in told)

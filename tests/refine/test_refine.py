@@ -17,6 +17,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.refine import RefinementStatus
+from gnc_opt.refine.attempt import Attempt
 from gnc_opt.refine.hp.mesh_refinement import refine_mesh
 from gnc_opt.refine.passes import PassLimits
 from gnc_opt.solution.history import History
@@ -215,7 +216,7 @@ def interrupt_after(count: int, monkeypatch: pytest.MonkeyPatch, module: str, na
         ("gnc_opt.refine.hp.mesh_refinement", "solve_mesh", 2),
         ("gnc_opt.refine.hp.mesh_refinement", "estimate_errors", 2),
         ("gnc_opt.refine.refine", "structures_of", 1),
-        ("gnc_opt.refine.refine", "verify", 1),
+        ("gnc_opt.refine.attempt", "verify", 1),
     ],
 )
 def test_ctrl_c_keeps_the_best_solution_wherever_it_comes(
@@ -311,7 +312,7 @@ def test_a_structure_without_any_solution_is_not_what_is_kept(
         return start, replace(history, status=RefinementStatus.FAILED, passes=(record,), chosen=0)
 
     monkeypatch.setattr(module, "optimise_switches", hopeless)
-    monkeypatch.setattr(module._Attempt, "final", False)
+    monkeypatch.setattr(Attempt, "final", False)
     history = told(go.refine(cart, tol=1e-5))
     assert history.final.solved and history.final.error <= 1e-5 and history.chosen > 0
 
@@ -342,7 +343,7 @@ def test_the_same_arcs_are_not_tried_twice(cart: go.Solution, monkeypatch: pytes
         return solution, replace(history, status=RefinementStatus.STALLED)
 
     monkeypatch.setattr(module, "optimise_switches", unconvincing)
-    monkeypatch.setattr(module._Attempt, "final", False)
+    monkeypatch.setattr(Attempt, "final", False)
     go.refine(cart, tol=1e-5)
     assert begun and all(begun.count(order) == 1 for order in begun)
 
@@ -357,13 +358,10 @@ def test_progress_shows_the_tolerance_that_was_asked_for(
 
 def test_an_attempt_without_a_solution_convinces_nobody(cart: go.Solution) -> None:
     """What it returns is what it began with, which may pass the verdict; what it tells is that it failed."""
-    import importlib
-
-    attempt = importlib.import_module("gnc_opt.refine.refine")._Attempt
     good = replace(go.refine(cart, tol=1e-6), structure=())
-    assert attempt(good, told(good)).final
+    assert Attempt(good, told(good)).final
     fruitless = replace(told(good), passes=(replace(told(good).final, solved=False),), chosen=0)
-    assert not attempt(good, fruitless).final
+    assert not Attempt(good, fruitless).final
 
 
 def test_an_arc_that_chatters_is_told() -> None:
@@ -411,19 +409,17 @@ def condition(value: float, *, sufficient: bool = False) -> Condition:
 def test_a_finer_mesh_mends_what_is_nearly_met(
     values: Any, second_order: Any, in_steps: bool, resolvable: bool
 ) -> None:
-    module = importlib.import_module("gnc_opt.refine.refine")
     opened = [condition(v) for v in values] + [condition(v, sufficient=True) for v in second_order]
     attempt = SimpleNamespace(verdict=SimpleNamespace(open=tuple(opened)), in_steps=in_steps)
-    assert module._Attempt.resolvable.fget(attempt) is resolvable
+    assert Attempt.resolvable.fget(attempt) is resolvable
 
 
 def test_an_attempt_that_is_on_its_way_is_not_judged() -> None:
     """Its verdict would be thrown away, and may be dear."""
-    module = importlib.import_module("gnc_opt.refine.refine")
     coarse = go.solve(van_der_pol.build(), mesh="5x3", tol=None)
     solution, history = refine_mesh(coarse, tol=1e-8, limits=PassLimits(1))
     assert history.status is RefinementStatus.PASS_LIMIT
-    attempt = module._Attempt(solution, history)
+    attempt = Attempt(solution, history)
     assert attempt.final is False and "verdict" not in vars(attempt)
 
 
