@@ -36,7 +36,7 @@ _CHATTERING = (
 
 
 @dataclass(frozen=True, eq=False)
-class Attempt:
+class RefinementAttempt:
     """What one way of refining led to, and the structure that it began with, if any."""
 
     solution: Solution
@@ -97,13 +97,13 @@ class Attempt:
         return all(c.sufficient or c.value < NEARLY for c in self.verdict.open)
 
 
-def interrupted(solution: Solution, tol: float, begin: float) -> Attempt:
+def interrupted(solution: Solution, tol: float, begin: float) -> RefinementAttempt:
     """Return the given solution as what is left when Ctrl-C came between two attempts."""
     record = pass_record(solution, estimate_errors(solution), begin, "interrupted")
-    return Attempt(solution, History(RefinementStatus.INTERRUPTED, tol, (record,), 0, ""))
+    return RefinementAttempt(solution, History(RefinementStatus.INTERRUPTED, tol, (record,), 0, ""))
 
 
-def result_of(given: Solution, attempts: Sequence[Attempt], tol: float, begin: float) -> Solution:
+def result_of(given: Solution, attempts: Sequence[RefinementAttempt], tol: float, begin: float) -> Solution:
     """Return the solution to keep, its history with the passes of all attempts, and its verdict."""
     if attempts[-1].stopped:
         attempts = [*attempts, interrupted(given, tol, begin)]

@@ -13,7 +13,7 @@ import numpy as np
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
 from gnc_opt.nlp import SolverOptions, Status
-from gnc_opt.refine.attempt import CLOSE, Attempt, interrupted, result_of
+from gnc_opt.refine.attempt import CLOSE, RefinementAttempt, interrupted, result_of
 from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.hp.mesh_refinement import ROOMY, refine_mesh
 from gnc_opt.refine.limits import RefinementLimits
@@ -119,7 +119,7 @@ def refine(
     expect(limits, RefinementLimits, "the limits of refine()", "write RefinementLimits(max_points=500)")
     _check(solution)
     deadline = math.inf if limits.max_wall_time is None else begin + limits.max_wall_time
-    attempts: list[Attempt] = []
+    attempts: list[RefinementAttempt] = []
     try:
         solution = _released(solution, options, deadline)
         work = max(limits.max_work * _work(solution), LEAST_WORK)
@@ -198,9 +198,9 @@ class _Task:
     options: SolverOptions | None
     deadline: float
     progress: bool
-    attempted: list[Attempt] = field(default_factory=list)
+    attempted: list[RefinementAttempt] = field(default_factory=list)
 
-    def attempts(self, structure: StructureChoice) -> Iterator[Attempt]:
+    def attempts(self, structure: StructureChoice) -> Iterator[RefinementAttempt]:
         """Yield what one way after the other leads to, for as long as that is asked for."""
         if structure == "bang-bang":
             found = structures_of(self.solution)
@@ -229,7 +229,7 @@ class _Task:
             by_mesh = self._by_mesh(by_mesh.solution, self.tol * TIGHTER**k, self.max_passes)
             yield by_mesh
 
-    def _unasked(self, start: Solution, share: float) -> Iterator[Attempt]:
+    def _unasked(self, start: Solution, share: float) -> Iterator[RefinementAttempt]:
         """Try a structure that nobody asked for, if there is one."""
         found = structures_of(start)
         if _switches(start, found, at_least=1) and not self._known(found):
@@ -266,7 +266,7 @@ class _Task:
 
     def _by_structure(
         self, start: Solution, found: Mapping[str, PhaseStructure], share: float = 1.0
-    ) -> Iterator[Attempt]:
+    ) -> Iterator[RefinementAttempt]:
         """Try the structure that a mesh shows, then that with path constraints kept at the ends of phases, too.
 
         If the first cannot be met at all, also that of a slightly finer mesh. These two share as much work as the
@@ -312,8 +312,8 @@ class _Task:
 
     def _structured(
         self, start: Solution, found: Mapping[str, PhaseStructure], work: float, options: SolverOptions | None
-    ) -> Attempt:
-        return Attempt(
+    ) -> RefinementAttempt:
+        return RefinementAttempt(
             *optimise_switches(
                 start,
                 tol=self.tol,
@@ -333,8 +333,8 @@ class _Task:
         """Work that is left for meshes, however much structures that nobody asked for have cost."""
         return self.max_work - sum(a.work for a in self.attempted if a.begun is None)
 
-    def _by_mesh(self, start: Solution, tol: float, max_passes: int) -> Attempt:
-        return Attempt(
+    def _by_mesh(self, start: Solution, tol: float, max_passes: int) -> RefinementAttempt:
+        return RefinementAttempt(
             *refine_mesh(
                 start,
                 tol=tol,

@@ -17,7 +17,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.refine import RefinementStatus
-from gnc_opt.refine.attempt import Attempt
+from gnc_opt.refine.attempt import RefinementAttempt
 from gnc_opt.refine.hp.mesh_refinement import refine_mesh
 from gnc_opt.refine.passes import PassLimits
 from gnc_opt.solution.history import History
@@ -312,7 +312,7 @@ def test_a_structure_without_any_solution_is_not_what_is_kept(
         return start, replace(history, status=RefinementStatus.FAILED, passes=(record,), chosen=0)
 
     monkeypatch.setattr(module, "optimise_switches", hopeless)
-    monkeypatch.setattr(Attempt, "final", False)
+    monkeypatch.setattr(RefinementAttempt, "final", False)
     history = told(go.refine(cart, tol=1e-5))
     assert history.final.solved and history.final.error <= 1e-5 and history.chosen > 0
 
@@ -343,7 +343,7 @@ def test_the_same_arcs_are_not_tried_twice(cart: go.Solution, monkeypatch: pytes
         return solution, replace(history, status=RefinementStatus.STALLED)
 
     monkeypatch.setattr(module, "optimise_switches", unconvincing)
-    monkeypatch.setattr(Attempt, "final", False)
+    monkeypatch.setattr(RefinementAttempt, "final", False)
     go.refine(cart, tol=1e-5)
     assert begun and all(begun.count(order) == 1 for order in begun)
 
@@ -359,9 +359,9 @@ def test_progress_shows_the_tolerance_that_was_asked_for(
 def test_an_attempt_without_a_solution_convinces_nobody(cart: go.Solution) -> None:
     """What it returns is what it began with, which may pass the verdict; what it tells is that it failed."""
     good = replace(go.refine(cart, tol=1e-6), structure=())
-    assert Attempt(good, told(good)).final
+    assert RefinementAttempt(good, told(good)).final
     fruitless = replace(told(good), passes=(replace(told(good).final, solved=False),), chosen=0)
-    assert not Attempt(good, fruitless).final
+    assert not RefinementAttempt(good, fruitless).final
 
 
 def test_an_arc_that_chatters_is_told() -> None:
@@ -411,7 +411,7 @@ def test_a_finer_mesh_mends_what_is_nearly_met(
 ) -> None:
     opened = [condition(v) for v in values] + [condition(v, sufficient=True) for v in second_order]
     attempt = SimpleNamespace(verdict=SimpleNamespace(open=tuple(opened)), in_steps=in_steps)
-    assert Attempt.resolvable.fget(attempt) is resolvable
+    assert RefinementAttempt.resolvable.fget(attempt) is resolvable
 
 
 def test_an_attempt_that_is_on_its_way_is_not_judged() -> None:
@@ -419,7 +419,7 @@ def test_an_attempt_that_is_on_its_way_is_not_judged() -> None:
     coarse = go.solve(van_der_pol.build(), mesh="5x3", tol=None)
     solution, history = refine_mesh(coarse, tol=1e-8, limits=PassLimits(1))
     assert history.status is RefinementStatus.PASS_LIMIT
-    attempt = Attempt(solution, history)
+    attempt = RefinementAttempt(solution, history)
     assert attempt.final is False and "verdict" not in vars(attempt)
 
 
