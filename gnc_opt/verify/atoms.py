@@ -18,7 +18,7 @@ import scipy
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.problem.constraint_order import constraint_order
-from gnc_opt.problem.functions import phase_functions
+from gnc_opt.problem.functions import PhaseFunctions, phase_functions
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
@@ -66,7 +66,7 @@ class Atoms:
             pure = np.flatnonzero([order != 0 for order in orders])
             if pure.size:
                 touched_only = np.array([orders[i] == 1 for i in pure])
-                found.append(_of_phase(part, problem, fitted[name], q, scales, pure, touched_only))
+                found.append(_of_phase(transcription, part, problem, fitted[name], q, scales, pure, touched_only))
         return cls(
             scipy.sparse.hstack([atoms.gradients for atoms in found], format="csc"),
             *(
@@ -81,7 +81,35 @@ class Atoms:
         return cls(scipy.sparse.csc_array((n_variables, 0)), np.zeros(0), nowhere, nowhere)
 
 
+def path_gradients_at_boundaries(
+    transcription: Transcription, part: PhasePart, functions: PhaseFunctions, at: tuple[Array, Array, Array]
+) -> tuple[Indices, Array]:
+    """Gradients of path constraints at the boundaries of a phase's segments, by the program's variables.
+
+    Parameters
+    ----------
+    at : (K + 1,), (n_states, K + 1), (n_controls, K + 1)
+        Times, states and controls at the boundaries.
+
+    Returns
+    -------
+    places : int array (k, K + 1)
+        Variables of the program: states, free times, free parameters.
+    gradients : array (k, n_paths, K + 1)
+    """
+    collocation, n = part.collocation, at[0].size
+    by_state, by_time, by_parameter = path_gradients(functions, collocation.n_paths, *at)
+    free = part.times < transcription.n_variables
+    others = np.concatenate([part.times[free], transcription.parameter_places])
+    moved = _boundary_times(collocation.mesh)[free]
+    return (
+        np.vstack([collocation.boundary_states, np.repeat(others[:, None], n, axis=1)]),
+        np.concatenate([by_state, moved[:, None] * by_time, by_parameter]),
+    )
+
+
 def _of_phase(
+    transcription: Transcription,
     part: PhasePart,
     problem: Problem,
     fitted: FittedPhase,
@@ -95,13 +123,8 @@ def _of_phase(
     x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (fitted.x, fitted.u))
     none = np.zeros(len(leg.integrands))
     functions = phase_functions(problem, part.name, model_parameters(problem, leg, q), q, none)
-    by_state, by_time = path_gradients(functions, len(leg.path_labels), times, x, u)
-    free = part.times < scales.size
-    places = np.vstack(
-        [part.collocation.boundary_states, np.repeat(part.times[free, None], times.size, axis=1)]
-    )
-    moved = _boundary_times(part.collocation.mesh)[free]
-    gradients = np.stack([np.vstack([by_state[:, i], moved * by_time[i]]) for i in pure], axis=1)
+    places, gradients = path_gradients_at_boundaries(transcription, part, functions, (times, x, u))
+    gradients = gradients[:, pure]
     sizes = np.sum(np.abs(gradients) * scales[places][:, None], axis=0)
     at_lower, at_upper = _at_limits(leg, functions.paths(times, x, u)[pure], pure, ACTIVE * sizes)
     chosen = _may_push(at_lower | at_upper, touched_only)
