@@ -93,9 +93,7 @@ def scale_rows(
     return factors, 1.0 / steepest if steepest > 0 else 1.0
 
 
-def _derivatives(
-    transcription: Transcription, problem: Problem, start: Array
-) -> tuple[Array, Array, Array]:
+def _derivatives(transcription: Transcription, problem: Problem, start: Array) -> tuple[Array, Array, Array]:
     """Largest magnitudes, at and near the guess, of objective gradient and Jacobian nonzeros, and the rows' room."""
     box = transcription.variable_interval(problem)
     usual = scale_variables(transcription, problem, start, overridden=False)

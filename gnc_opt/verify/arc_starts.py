@@ -35,7 +35,9 @@ def held_from_their_start(cone: CriticalCone, samples: Sequence[PhaseSamples]) -
         values = gradients[:, rows, starts] * point.scaling.variables[places[:, starts]]
         lines = np.tile(np.arange(rows.size), places.shape[0])
         shape = rows.size, point.x.size
-        found.append(scipy.sparse.csc_array((values.ravel(), (lines, places[:, starts].ravel())), shape=shape))
+        found.append(
+            scipy.sparse.csc_array((values.ravel(), (lines, places[:, starts].ravel())), shape=shape)
+        )
     return replace(cone, further=scipy.sparse.vstack(found, format="csc")) if found else cone
 
 
