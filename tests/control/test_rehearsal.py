@@ -140,7 +140,7 @@ def test_reaching_time_is_that_of_the_limited_command():
 
 
 def cubic(sign: float) -> go.Model:
-    """eta' = +-eta^3 + x1: zero dynamics with an eigenvalue of zero; from eta_0 they are eta_0 / sqrt(1 -+ 2 eta_0^2 t)."""
+    """Zero dynamics +-eta^3 with an eigenvalue of zero: from eta_0 they are eta_0 / sqrt(1 -+ 2 eta_0^2 t)."""
     model = go.Model("cubic")
     x1, eta, u = model.state("x1"), model.state("eta"), model.control("u")
     model.ode({x1: u, eta: sign * eta**3 + x1})
