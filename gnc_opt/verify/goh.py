@@ -182,7 +182,10 @@ def open_end(cone: CriticalCone, s: PhaseSamples) -> tuple[str, float]:
         return "", np.inf
     how = "curves downwards" if least < -AT_LIMIT * flown else "does not curve"
     label = s.leg.controls.labels[channels[0]]
-    return f"phase {s.leg.name}, {label}: the end depends on what it moves at once, and {how} in that", least / max(flown, s.cost_magnitude)
+    return (
+        f"phase {s.leg.name}, {label}: the end depends on what it moves at once, and {how} in that",
+        least / max(flown, s.cost_magnitude),
+    )
 
 
 def _felt(problem: Problem, s: PhaseSamples, channels: Indices) -> bool:
