@@ -83,18 +83,6 @@ def _redundant(unit: float, cost: float, wrong: bool) -> Answer:
     return Answer(problem, T, unit * (T + bend * T * (1 - T)), unit * (1 + bend * (1 - 2 * T)))
 
 
-def _banged(problem: go.Problem, unit: float, wrong: bool, slack: bool = True) -> Answer:
-    peak = 0.8 if wrong else 1.0
-    push = (3 - np.sqrt(9 - 4 / peak)) / 2  # peak * push * (3 - push) = 1
-    t, arc = _arcs(push, 3 - 2 * push, push)
-    late = 3 - t
-    x = np.choose(arc, [peak * t**2 / 2, peak * push * (t - push / 2), 1 - peak * late**2 / 2])
-    v = np.choose(arc, [peak * t, peak * push + 0 * t, peak * late])
-    a = np.choose(arc, [peak + 0 * t, 0 * t, -peak + 0 * t])
-    controls = [unit * a, 0 * t, unit * np.abs(a)] if slack else [unit * a, 0 * t]
-    return Answer(problem, t, [unit * x, 0 * t, unit * v, 0 * t], controls)
-
-
 def _through_zero(unit: float, cost: float, wrong: bool) -> Answer:
     """Rest to rest over 1 in 1 s for int a^2, |a| <= 10, as a root: the push passes through zero half-way."""
     problem = go.Problem("through zero")
