@@ -59,7 +59,7 @@ def test_values_do_not_depend_on_the_order_of_times() -> None:
 
 
 def test_signals_on_the_same_grid_have_their_own_values_times_and_sides() -> None:
-    """The bases are remembered: neither another signal, another side nor other times in the same array may meet them."""
+    """The bases are remembered: no other signal, side or times in the same array may meet them."""
     curve, grid = two_segments(), two_segments()
     other = PiecewisePolynomial(BREAKS, grid.nodes, tuple(2.0 * v for v in grid.values))
     t = np.linspace(1.0, 4.0, 7)
