@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -209,13 +209,16 @@ class _Grid:
         groups: dict[bytes, list[int]] = {}
         for k, x in enumerate(nodes):
             groups.setdefault(x, []).append(k)
-        self.breaks = breaks
+        self.breaks, self._given = breaks, (breaks.tobytes(), tuple(nodes))
         self.nodes = [np.frombuffer(x) for x in groups]
         self.weights = [barycentric_weights(x) for x in self.nodes]
         self.places = [np.full(len(nodes), -1) for _ in groups]
         for places, segments in zip(self.places, groups.values(), strict=True):
             places[segments] = np.arange(len(segments))
         self.kept = lru_cache(maxsize=KEPT)(self.bases)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _grid, self._given
 
     def bases(self, at: bytes, side: Side) -> tuple[_Basis, ...]:
         """Return the bases at times within the span, by groups."""

@@ -1,5 +1,7 @@
 """Piecewise polynomials against numpy's Legendre series and against plain calculus."""
 
+import copy
+import pickle
 from typing import Any
 
 import numpy as np
@@ -71,6 +73,8 @@ def test_signals_on_the_same_grid_have_their_own_values_times_and_sides() -> Non
     np.testing.assert_allclose(curve(t)[0], t**3, rtol=1e-14)
     shifted = PiecewisePolynomial(BREAKS + 1.0, grid.nodes, grid.values)
     np.testing.assert_allclose(shifted(t + 1.0)[0], t**3, rtol=1e-13)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(curve))(t), curve(t))
+    np.testing.assert_array_equal(copy.deepcopy(curve)(t), curve(t))
     many = np.linspace(1.0, 4.5, KEPT_TIMES + 2)
     np.testing.assert_array_equal(curve(many)[:, 1:9], curve(many[1:9]))
 
