@@ -50,7 +50,9 @@ MOST_UNKNOWNS = 4000
 """Of a mesh, states and controls at its points, whose second order is looked at though a first condition fails already:
 that is the larger part of the work on fine meshes, and says nothing of what is no extremal."""
 
-_NO_EXTREMAL = "The second order tells extremals that are minima from others, and this is no extremal: see what fails."
+_NO_EXTREMAL = (
+    "The second order tells extremals that are minima from others, and this is no extremal: see what fails."
+)
 _CANNOT_VARY = "Costates or other numbers are missing, so that what variations cost cannot be told."
 
 

@@ -291,7 +291,7 @@ def test_the_second_order_of_what_is_no_extremal_on_a_large_mesh_is_not_looked_a
     right = go.solve(minimum_energy(), mesh="4x3", tol=None)
     leg = right.phases["leg"]
     wrong = with_leg(right, lam=scaled(leg.lam, 1.1))
-    monkeypatch.setattr(sys.modules["gnc_opt.verify.verify"], "MOST_UNKNOWNS", 12 * 3)  # twelve points, as here
+    monkeypatch.setattr(sys.modules["gnc_opt.verify.verify"], "MOST_UNKNOWNS", 12 * 3)
     assert go.verify(replace(right))["second order"].result is Result.PASS
     assert "not looked at" not in go.verify(replace(wrong))["second order"].where
     monkeypatch.setattr(sys.modules["gnc_opt.verify.verify"], "MOST_UNKNOWNS", 12 * 3 - 1)

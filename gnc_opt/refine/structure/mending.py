@@ -160,9 +160,7 @@ def _spread(structure: PhaseStructure, piece: int) -> PhaseStructure:
 # --- arcs that are missing --------------------------------------------------------------------------------
 
 
-def _complete(
-    samples: PhaseSamples, plan: Plan, problem: Problem
-) -> tuple[PhaseStructure | None, str]:
+def _complete(samples: PhaseSamples, plan: Plan, problem: Problem) -> tuple[PhaseStructure | None, str]:
     """Return the structure with the arc that a wrong sign asks for and what was done, or None if all agree."""
     kinds = plan.structure.matrix()[:, plan.segment_pieces[samples.segments]]
     offence, asked = _offences(samples, plan.structure, kinds)
