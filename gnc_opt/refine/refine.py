@@ -20,8 +20,8 @@ from gnc_opt.refine.limits import RefinementLimits
 from gnc_opt.refine.passes import PassLimits, pass_record
 from gnc_opt.refine.structure.detect import (
     affine_channels,
+    convex_channels,
     curved_channels,
-    regular_channels,
     structures_of,
 )
 from gnc_opt.refine.structure.ends import with_ends_met
@@ -355,6 +355,6 @@ def _switches(solution: Solution, found: Mapping[str, PhaseStructure], at_least:
         if np.any(curved_channels(samples)) and found[name].pieces > max(at_least, 1):
             return True
         # Controls that H determines have nothing to settle if they stay between their bounds.
-        if np.any(regular_channels(samples)) and found[name].pieces > 1:
+        if np.any(convex_channels(samples)) and found[name].pieces > 1:
             return True
     return False

@@ -127,7 +127,16 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
         return structure
     known = structure.holders[first:]
     holders = [constraints.holders(row) if order else known[row] for row, order in enumerate(orders)]
-    structure = replace(structure, orders=(*(0,) * first, *orders), holders=(*((),) * first, *holders))
+    leans = [
+        constraints.lean(row) if order and len(own) == 1 and structure.regular[own[0]] else structure.leans[first + row]
+        for row, (order, own) in enumerate(zip(orders, holders, strict=True))
+    ]
+    structure = replace(
+        structure,
+        orders=(*(0,) * first, *orders),
+        holders=(*((),) * first, *holders),
+        leans=(*(0,) * first, *leans),
+    )
     for run in _runs_of_pushes(constraints, structure):
         structure = run.added(structure, samples)
     return with_starts_on_limits(structure, problem.phases[samples.leg.name], samples)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,6 +32,10 @@ multiplier says so too."""
 STILL = 1e-4
 """A state that stays this close to its bound, relative to its size, along a segment is held there."""
 
+HOLLOW = 1e-2
+"""H is convex in a control if its second derivative is below zero by no more than this share of what it is above, on
+average: where a costate vanishes or jumps the mesh leaves as much."""
+
 LINEAR = 1e-9
 """Second derivative of H in a control, over its range and in shares of H, below which H is linear in it."""
 
@@ -54,7 +59,7 @@ def structures_of(solution: Solution) -> dict[str, PhaseStructure]:
     """Return the structures of all phases, contacts with state constraints included."""
     problem = solution.need_problem("refine")
     return {
-        name: with_contacts(detect(s, determined(problem, s)), problem, s)
+        name: with_contacts(detect(s, determined(problem, s)), problem, s).without_overlaps()
         for name, s in solution.samples().items()
     }
 
@@ -67,16 +72,17 @@ def detect(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> Phas
     constraint). Other controls are judged by their nearness to the bounds, path constraints and states by theirs and
     by their multipliers.
     """
-    leg, regular, affine = samples.leg, regular_channels(samples), affine_channels(samples)
+    leg, regular, affine = samples.leg, convex_channels(samples), affine_channels(samples)
+    strictly = regular_channels(samples)
     limits = linear_limits(samples)
     held = [[(d.start, d.end) for d in determined if d.control == i] for i in range(leg.controls.size)]
     rows = [
         _linear_labels(samples, i, held[i])
         if affine[i]
-        else _nonlinear_labels(samples, i, short=0.0 if regular[i] else SHORT)
+        else _nonlinear_labels(samples, i, short=0.0 if strictly[i] else SHORT)
         for i in range(leg.controls.size)
     ]
-    mixed = _mixed_paths(samples, regular)
+    mixed, mixed_holders, leans = _mixed_paths(samples, regular)
     paths = _path_labels(samples, mixed)
     for i in limits.rows:
         if affine[i]:
@@ -91,7 +97,7 @@ def detect(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> Phas
     times = [first, *sorted({t for row in changes for t in row if first < t < last}), last]
     middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
     kinds = np.stack([_labels_at(row, at, middles) for row, at in zip(rows, changes, strict=True)])
-    return PhaseStructure(
+    found = PhaseStructure(
         tuple(float(t) for t in times),
         tuple(tuple(column) for column in kinds.T),
         (*(bool(r) for r in regular), *(bool(r) for r in mixed), *(False,) * leg.states.size),
@@ -100,13 +106,15 @@ def detect(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> Phas
         holders=(
             *((),) * leg.controls.size,
             *(
-                directions.get(p, tuple(i for i, own in limits.rows.items() if p in own))
+                directions.get(p, tuple(i for i, own in limits.rows.items() if p in own) or mixed_holders[p])
                 for p in range(len(leg.path_labels))
             ),
             *((),) * leg.states.size,
         ),
         slopes=(*(0,) * leg.controls.size, *limits.signs, *(0,) * leg.states.size),
+        leans=(*(0,) * leg.controls.size, *leans, *(0,) * leg.states.size),
     ).merged()
+    return with_flat_times(found, samples)
 
 
 def affine_channels(samples: PhaseSamples) -> Mask:
@@ -119,13 +127,13 @@ def affine_channels(samples: PhaseSamples) -> Mask:
 
 
 def curved_channels(samples: PhaseSamples) -> Mask:
-    """Return in which controls between two finite bounds H is neither linear nor convex all along the phase, (m,).
+    """Return in which controls between two finite bounds H is neither linear nor convex along the phase, (m,).
 
     Where H is least at a bound they jump from one to the other, as those do that it is linear in.
     """
     bounds = samples.leg.control_bounds
     bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
-    return np.asarray(bounded & ~_linear(samples) & ~regular_channels(samples))
+    return np.asarray(bounded & ~_linear(samples) & ~convex_channels(samples))
 
 
 def linear_limits(samples: PhaseSamples) -> LinearLimits:
@@ -140,6 +148,39 @@ def _linear(samples: PhaseSamples) -> Mask:
 def regular_channels(samples: PhaseSamples) -> Mask:
     """Return in which controls H is strictly convex all along the phase, (m,)."""
     return np.asarray(np.min(_curvature(samples), axis=1, initial=np.inf) > CONVEX)
+
+
+def convex_channels(samples: PhaseSamples) -> Mask:
+    """Return in which controls H is convex all along the phase, and strictly at times, (m,).
+
+    It is linear in a control whose square moves a state alone, where that state is worth nothing: heat, beyond its
+    limit.
+    """
+    curvature = _curvature(samples)
+    above, below = (np.maximum(sign * curvature, 0.0) @ samples.weights for sign in (1.0, -1.0))
+    return np.asarray(np.any(curvature > CONVEX, axis=1) & (below < HOLLOW * above))
+
+
+def with_flat_times(structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
+    """Return the structure with the times at which H is linear in controls that it is convex in at others.
+
+    A path constraint is left or met with a jump where one of its controls jumps.
+    """
+    flat, count = _curvature(samples) <= CONVEX, len(structure.controls)
+    convex = np.asarray(structure.regular[:count], dtype=bool)
+    rows = {i: flat[i] for i in np.flatnonzero(convex & np.any(flat, axis=1))}
+    if rows and structure.n_paths:
+        slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
+        for path in np.flatnonzero(structure.regular[count : count + structure.n_paths]):
+            rows[count + path] = np.any(flat[convex] & (slopes[path, convex] != 0), axis=0)
+    spans = []
+    for row, here in rows.items():
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(int)))
+        spans += [
+            (int(row), float(samples.times[max(a - 1, 0)]), float(samples.times[min(b, here.size - 1)]))
+            for a, b in edges.reshape(-1, 2)
+        ]
+    return replace(structure, flat=tuple(spans))
 
 
 def _curvature(samples: PhaseSamples) -> Array:
@@ -279,17 +320,23 @@ def _nonlinear_labels(samples: PhaseSamples, i: int, short: float = 0.0) -> Kind
     return labels
 
 
-def _mixed_paths(samples: PhaseSamples, regular: Mask) -> Mask:
-    """Which path constraints are inequalities on controls that H determines: they become active with a kink.
+def _mixed_paths(samples: PhaseSamples, regular: Mask) -> tuple[Mask, list[tuple[int, ...]], list[int]]:
+    """Which path constraints are inequalities on controls that H determines; those controls, and which way they lean.
 
-    The length of a direction does not: it is at its limit all along but where the direction does not matter.
+    They become active with a kink. The length of a direction does not: it is at its limit all along but where the
+    direction does not matter.
     """
     leg = samples.leg
     lengths = [v.length for v in leg.composed_controls if isinstance(v, VectorControl)]
     slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
     depends = np.any(slopes != 0, axis=2)
     inequality = (leg.path_bounds.lower < leg.path_bounds.upper) & ~np.isin(leg.path_labels, lengths)
-    return np.asarray(inequality & np.any(depends, axis=1) & ~np.any(depends & ~regular, axis=1))
+    mixed = np.asarray(inequality & np.any(depends, axis=1) & ~np.any(depends & ~regular, axis=1))
+    own = [tuple(np.flatnonzero(d).tolist()) if found else () for d, found in zip(depends, mixed, strict=True)]
+    leans = [
+        int(np.sign(np.sum(slopes[p, i]))) if len(i) == 1 else 0 for p, i in enumerate(map(list, own))
+    ]
+    return mixed, own, leans
 
 
 def _path_labels(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:

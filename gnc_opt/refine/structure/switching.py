@@ -21,7 +21,7 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.passes import PassLimits, pass_meter, pass_record
 from gnc_opt.refine.structure.apart import shared, solve_apart
-from gnc_opt.refine.structure.detect import structures_of
+from gnc_opt.refine.structure.detect import structures_of, with_flat_times
 from gnc_opt.refine.structure.mending import KINKS_MOVED, RAISED, SMOOTHED, collapsed, improve, smoother
 from gnc_opt.refine.structure.newton import settle
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
@@ -293,10 +293,11 @@ def _solve(
 
 
 def _at_solution(plan: Plan, solution: Solution, name: str) -> Plan:
-    """Return the plan with the switch times of the solution."""
+    """Return the plan with the switch times of the solution, and with those at which H is linear in controls."""
     leg = solution.phases[name]
     times = tuple(float(t) for t in leg.breaks[list(plan.piece_ends)])
-    return replace(plan, structure=plan.structure.at(times))
+    found = with_flat_times(plan.structure.at(times), solution.samples()[name])
+    return replace(plan, structure=found)
 
 
 def _record(solution: Solution, begin: float, action: str) -> Pass:
