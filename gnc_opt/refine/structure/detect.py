@@ -82,7 +82,8 @@ def detect(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> Phas
         else _nonlinear_labels(samples, i, short=0.0 if strictly[i] else SHORT)
         for i in range(leg.controls.size)
     ]
-    mixed, mixed_holders, leans = _mixed_paths(samples, regular)
+    mixed = _mixed_paths(samples, regular)
+    mixed_holders, leans = _mixed_holders(samples, mixed)
     paths = _path_labels(samples, mixed)
     for i in limits.rows:
         if affine[i]:
@@ -320,23 +321,31 @@ def _nonlinear_labels(samples: PhaseSamples, i: int, short: float = 0.0) -> Kind
     return labels
 
 
-def _mixed_paths(samples: PhaseSamples, regular: Mask) -> tuple[Mask, list[tuple[int, ...]], list[int]]:
-    """Which path constraints are inequalities on controls that H determines; those controls, and which way they lean.
+def _mixed_paths(samples: PhaseSamples, regular: Mask) -> Mask:
+    """Which path constraints are inequalities on controls that H determines: they become active with a kink.
 
-    They become active with a kink. The length of a direction does not: it is at its limit all along but where the
-    direction does not matter.
+    The length of a direction does not: it is at its limit all along but where the direction does not matter.
     """
     leg = samples.leg
     lengths = [v.length for v in leg.composed_controls if isinstance(v, VectorControl)]
     slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
     depends = np.any(slopes != 0, axis=2)
     inequality = (leg.path_bounds.lower < leg.path_bounds.upper) & ~np.isin(leg.path_labels, lengths)
-    mixed = np.asarray(inequality & np.any(depends, axis=1) & ~np.any(depends & ~regular, axis=1))
-    own = [tuple(np.flatnonzero(d).tolist()) if found else () for d, found in zip(depends, mixed, strict=True)]
-    leans = [
-        int(np.sign(np.sum(slopes[p, i]))) if len(i) == 1 else 0 for p, i in enumerate(map(list, own))
+    return np.asarray(inequality & np.any(depends, axis=1) & ~np.any(depends & ~regular, axis=1))
+
+
+def _mixed_holders(samples: PhaseSamples, mixed: Mask) -> tuple[list[tuple[int, ...]], list[int]]:
+    """The controls of each mixed path constraint and, if it is one, the sign of the constraint's slope in it."""
+    if not np.any(mixed):
+        return [()] * mixed.size, [0] * mixed.size
+    slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
+    own = [
+        tuple(np.flatnonzero(np.any(slope != 0, axis=1)).tolist()) if found else ()
+        for slope, found in zip(slopes, mixed, strict=True)
     ]
-    return mixed, own, leans
+    return own, [
+        int(np.sign(np.sum(slope[i[0]]))) if len(i) == 1 else 0 for slope, i in zip(slopes, own, strict=True)
+    ]
 
 
 def _path_labels(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:
