@@ -235,12 +235,12 @@ class _Task:
         if _switches(start, found, at_least=1) and not self._known(found):
             yield from self._by_structure(start, found, share)
 
-    def _known(self, found: Mapping[str, PhaseStructure]) -> bool:
-        """Whether the same arcs in the same order have been tried and had a solution."""
+    def _known(self, found: Mapping[str, PhaseStructure], solved: bool = True) -> bool:
+        """Whether the same arcs in the same order have been tried, and had a solution if that is asked for."""
         order = {name: structure.at(()) for name, structure in found.items()}
         return any(
             a.begun is not None
-            and any(p.solved for p in a.history.passes)
+            and (not solved or any(p.solved for p in a.history.passes))
             and order == {name: structure.at(()) for name, structure in a.begun.items()}
             for a in self.attempted
         )
@@ -269,8 +269,8 @@ class _Task:
     ) -> Iterator[RefinementAttempt]:
         """Try the structure that a mesh shows, then that with path constraints kept at the ends of phases, too.
 
-        If the first cannot be met at all, also that of a slightly finer mesh. These two share as much work as the
-        first may cost.
+        If the first cannot be met at all, also that in which short bangs are no noise, and that of a slightly finer
+        mesh. These share as much work as the first may cost.
         """
         work, options = share * self.max_work, self.options or (BRIEF if share < 1.0 else None)
         first = self._structured(start, found, work, options)
@@ -284,7 +284,14 @@ class _Task:
                 yield second
                 work -= second.work
         failed = first.history.status is RefinementStatus.FAILED
-        if work > 0 and failed and not any(p.solved for p in first.history.passes):
+        if work <= 0 or not failed or any(p.solved for p in first.history.passes):
+            return
+        sharp = structures_of(start, sharp=True)
+        if not self._known(sharp, solved=False):
+            third = self._structured(start, sharp, work, options)
+            yield third
+            work -= third.work
+        if work > 0:
             finer = self._finer(start, work)
             if finer.status is Status.INTERRUPTED:
                 raise KeyboardInterrupt

@@ -128,8 +128,8 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
     known = structure.holders[first:]
     holders = [constraints.holders(row) if order else known[row] for row, order in enumerate(orders)]
     leans = [
-        constraints.lean(row) if order and len(own) == 1 and structure.regular[own[0]] else structure.leans[first + row]
-        for row, (order, own) in enumerate(zip(orders, holders, strict=True))
+        constraints.lean(row) if order and len(own) == 1 else known
+        for row, (order, own, known) in enumerate(zip(orders, holders, structure.leans[first:], strict=True))
     ]
     structure = replace(
         structure,
@@ -139,6 +139,8 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
     )
     for run in _runs_of_pushes(constraints, structure):
         structure = run.added(structure, samples)
+    longest = SHORT * float(np.max(np.diff(samples.leg.breaks)))
+    structure = structure.without_overlaps().with_wrong_bangs_on_arcs(longest)
     return with_starts_on_limits(structure, problem.phases[samples.leg.name], samples)
 
 
@@ -181,7 +183,7 @@ class _Run:
                 continue
             if order == 1:
                 start, end = self._between(a, first), self._between(b, last)
-                switches = [self._switch(structure, t, samples) for t in (start, end)]
+                switches = [self._switch(structure, t, samples, k) for k, t in enumerate((start, end))]
                 if switches[0] < switches[1]:
                     start, end = switches
                 turned = structure
@@ -246,17 +248,36 @@ class _Run:
             if np.mean([structure.kinds[k][i].at_limit for k in pieces]) < 0.5
         ]
 
-    def _switch(self, structure: PhaseStructure, time: float, samples: PhaseSamples) -> float:
-        """Where a control that holds the constraint switches close by, or the time itself: it does that to hold it."""
-        breaks = samples.leg.breaks
+    def _switch(self, structure: PhaseStructure, time: float, samples: PhaseSamples, side: int) -> float:
+        """Where a control that holds the constraint switches close by, or the time itself: it does that to hold it.
+
+        The one holder of an arc is on no bound along it: it leaves one at the start (side 0), and meets one at the end
+        (side 1). It does neither where another arc of its begins or ends.
+        """
+        breaks, holders = samples.leg.breaks, structure.holders[self.row]
         segment = int(np.clip(np.searchsorted(breaks, time) - 1, 0, breaks.size - 2))
         reach = SHORT * float(breaks[segment + 1] - breaks[segment])
-        switches = [
-            structure.times[k]
-            for k in range(1, structure.pieces)
-            if any(i in structure.holders[self.row] for i in structure.changes(k)) and not structure.kinked(k)
-        ]
-        return min((t for t in switches if abs(t - time) < reach), key=lambda t: abs(t - time), default=time)
+        switches = []
+        for k in range(1, structure.pieces):
+            at = structure.times[k]
+            if abs(at - time) >= reach or structure.kinked(k):
+                continue
+            if len(holders) == 1 and self._others(structure, *sorted((at, time))):
+                continue
+            outer = structure.kinds[k - 1 if side == 0 else k]
+            changed = [i for i in structure.changes(k) if i in holders]
+            if changed and (len(holders) > 1 or outer[changed[0]].at_limit):
+                switches.append(at)
+        return min(switches, key=lambda t: abs(t - time), default=time)
+
+    def _others(self, structure: PhaseStructure, start: float, end: float) -> bool:
+        """Whether another constraint with the same holders is on a limit for some of a time."""
+        return any(
+            kinds[row].at_limit and structure.times[k] < end and structure.times[k + 1] > start
+            for row in np.flatnonzero(structure.orders)
+            for k, kinds in enumerate(structure.kinds)
+            if row != self.row and structure.holders[row] == structure.holders[self.row]
+        )
 
     def _up_to_arcs(
         self, structure: PhaseStructure, start: float, end: float, samples: PhaseSamples

@@ -55,21 +55,23 @@ SHORT = 2.0
 """Bangs beside a singular arc that are shorter than this many segments belong to it."""
 
 
-def structures_of(solution: Solution) -> dict[str, PhaseStructure]:
-    """Return the structures of all phases, contacts with state constraints included."""
+def structures_of(solution: Solution, *, sharp: bool = False) -> dict[str, PhaseStructure]:
+    """Return the structures of all phases, contacts with state constraints included; sharp: see `detect`."""
     problem = solution.need_problem("refine")
     return {
-        name: with_contacts(detect(s, determined(problem, s)), problem, s).without_overlaps()
+        name: with_contacts(detect(s, determined(problem, s), sharp), problem, s)
         for name, s in solution.samples().items()
     }
 
 
-def detect(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> PhaseStructure:
+def detect(
+    samples: PhaseSamples, determined: Sequence[Determined] = (), sharp: bool = False
+) -> PhaseStructure:
     """Return the structure of a phase; what state constraints determine, if known, lies between its bounds.
 
     Controls that enter H linearly follow the sign of their switching function, except where it stays near
     zero over whole segments with the control between its bounds (a singular arc, or one on a state
-    constraint). Other controls are judged by their nearness to the bounds, path constraints and states by theirs and
+    constraint). Short bangs beside those are taken for noise, but for a sharp structure. Other controls are judged by their nearness to the bounds, path constraints and states by theirs and
     by their multipliers.
     """
     leg, regular, affine = samples.leg, convex_channels(samples), affine_channels(samples)
@@ -77,7 +79,7 @@ def detect(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> Phas
     limits = linear_limits(samples)
     held = [[(d.start, d.end) for d in determined if d.control == i] for i in range(leg.controls.size)]
     rows = [
-        _linear_labels(samples, i, held[i])
+        _linear_labels(samples, i, held[i], sharp)
         if affine[i]
         else _nonlinear_labels(samples, i, short=0.0 if strictly[i] else SHORT)
         for i in range(leg.controls.size)
@@ -199,14 +201,17 @@ def switching(samples: PhaseSamples, times: Array) -> Array:
     return samples.functions.control_gradient(times, leg.x(times), leg.flown(times), leg.lam(times), mu)
 
 
-def _linear_labels(samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]]) -> KindArray:
+def _linear_labels(
+    samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]], sharp: bool = False
+) -> KindArray:
     """LOWER, UPPER or SINGULAR at each sample for a control that enters H linearly and is determined at times."""
     gradient = _share(samples, samples.control_gradient, i)
     labels = choose(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
     for k in _singular_segments(samples, i, gradient):
         labels[samples.segments == k] = ArcKind.SINGULAR
     labels[_within(samples, held)] = ArcKind.SINGULAR
-    _absorb(samples, i, labels, gradient)
+    if not sharp:
+        _absorb(samples, i, labels, gradient)
     return labels
 
 

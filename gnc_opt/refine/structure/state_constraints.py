@@ -74,9 +74,7 @@ class StateConstraints:
         controls = self._found(row).controls
         if len(controls) < 2:
             return controls
-        return tuple(
-            sorted(controls, key=lambda c: float(np.min(np.abs(self._moved(row, c)))), reverse=True)
-        )
+        return tuple(sorted(controls, key=lambda c: float(np.min(np.abs(self._moved(row, c)))), reverse=True))
 
     def lean(self, row: int) -> int:
         """Return which way the first of its holders moves a row: the sign of its derivative of its order by it."""

@@ -296,7 +296,9 @@ def _at_solution(plan: Plan, solution: Solution, name: str) -> Plan:
     """Return the plan with the switch times of the solution, and with those at which H is linear in controls."""
     leg = solution.phases[name]
     times = tuple(float(t) for t in leg.breaks[list(plan.piece_ends)])
-    found = with_flat_times(plan.structure.at(times), solution.samples()[name])
+    found = plan.structure.at(times)
+    if any(found.regular):
+        found = with_flat_times(found, solution.samples()[name])
     return replace(plan, structure=found)
 
 
