@@ -18,12 +18,8 @@ from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.hp.mesh_refinement import ROOMY, refine_mesh
 from gnc_opt.refine.limits import RefinementLimits
 from gnc_opt.refine.passes import PassLimits, pass_record
-from gnc_opt.refine.structure.detect import (
-    affine_channels,
-    convex_channels,
-    curved_channels,
-    structures_of,
-)
+from gnc_opt.refine.structure.curvature import affine_channels, convex_channels, curved_channels
+from gnc_opt.refine.structure.detect import structures_of
 from gnc_opt.refine.structure.ends import with_ends_met
 from gnc_opt.refine.structure.mending import VANISHED
 from gnc_opt.refine.structure.phase_structure import PhaseStructure

@@ -1,9 +1,9 @@
-r"""Heat that grows with the square of a control, limited: H is convex in the control only for as long as heat is worth
-something.
+r"""Heat that grows with the square of a control, limited: H is convex in it only while heat is worth something.
 
-Least time to :math:`x = X` with :math:`\dot x = u`, :math:`\dot T = u^2 - T`, :math:`T \le 1` and :math:`u \le 3/2`.
-While T is below its limit its costate grows like :math:`e^t`, so that u falls like :math:`e^{-t}`; on the limit u = 1. So
-u leaves its bound at :math:`\ln 3/2`, and T reaches its limit at :math:`2\ln 3/2`, where :math:`x = (3\ln 3/2 + 1)/2`.
+Least time to :math:`x = X` with :math:`\dot x = u`, :math:`\dot T = u^2 - T`, :math:`T \le 1`, :math:`u \le 3/2`.
+While T is below its limit its costate grows like :math:`e^t`, so that u falls like :math:`e^{-t}`; on the limit u is 1.
+So u leaves its bound at :math:`\ln 3/2`; T reaches its limit at :math:`2\ln 3/2`, where
+:math:`x = (3\ln 3/2 + 1)/2`.
 
 A limit :math:`u \le 5/2 - x/2` takes over at x = 3. From there on T falls and is worth nothing, H is linear in u, and
 :math:`5 - x` falls like :math:`e^{-t/2}`.

@@ -32,9 +32,9 @@ from gnc_opt.refine.error import states_at_points
 from gnc_opt.refine.structure.ends import with_starts_on_limits
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.state_constraints import NEAR, StateConstraints
-from gnc_opt.solution.polynomial import Side
+from gnc_opt.refine.structure.tidy import with_wrong_bangs_on_arcs, without_overlaps
 from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.tolerances import BESIDE, TINY
+from gnc_opt.tolerances import TINY
 
 PUSHING = 1e-3
 """Share of the largest push of a constraint that counts as one, ..."""
@@ -56,9 +56,6 @@ LASTING = 3
 
 SWINGING = 0.05
 """A control is between its bounds on average if the mean is this far from them, relative to its range."""
-
-FARTHEST = 0.5
-"""Share of the shorter piece beside a junction by which it may move at once."""
 
 EXCEEDED = 1e-8
 """A constraint beyond its limit by this share of what it moves is left."""
@@ -140,7 +137,7 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
     for run in _runs_of_pushes(constraints, structure):
         structure = run.added(structure, samples)
     longest = SHORT * float(np.max(np.diff(samples.leg.breaks)))
-    structure = structure.without_overlaps().with_wrong_bangs_on_arcs(longest)
+    structure = with_wrong_bangs_on_arcs(without_overlaps(structure), longest)
     return with_starts_on_limits(structure, problem.phases[samples.leg.name], samples)
 
 
@@ -417,25 +414,6 @@ def _runs(here: Mask) -> list[tuple[int, int]]:
 
 
 # --- mended ---------------------------------------------------------------------------------------------------
-
-
-def junction_time(constraints: StateConstraints, structure: PhaseStructure, boundary: int, row: int) -> float:
-    """Return where a row's arc wants to begin or end: where its q-th derivative along the interior arc vanishes."""
-    leg, first = constraints.samples.leg, len(structure.controls)
-    entered = structure.kinds[boundary][row].at_limit
-    side: Side = "left" if entered else "right"
-    time = structure.times[boundary]
-    k = int(np.argmin(np.abs(leg.breaks - time)))
-    step = BESIDE * (leg.breaks[k] - leg.breaks[k - 1] if entered else leg.breaks[k] - leg.breaks[k + 1])
-    times = np.array([leg.breaks[k], leg.breaks[k] - step])
-    values = constraints.derivative(
-        row - first, structure.orders[row], times, leg.x(times, side), leg.u(times, side)
-    )
-    slope = (values[0] - values[1]) / step
-    lengths = structure.lengths
-    most = FARTHEST * min(lengths[boundary - 1], lengths[boundary])
-    move = -values[0] / slope if slope != 0 else 0.0
-    return time + float(np.clip(move, -most, most))
 
 
 def wrong_touch(constraints: StateConstraints, structure: PhaseStructure) -> tuple[int, int] | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -12,12 +11,18 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.composed import VectorControl
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure.contacts import Determined, determined, with_contacts
+from gnc_opt.refine.structure.curvature import (
+    affine_channels,
+    convex_channels,
+    linear_limits,
+    regular_channels,
+    with_flat_times,
+)
 from gnc_opt.refine.structure.mixed import LinearLimits
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose
 from gnc_opt.refine.structure.vectors import label_vectors
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
-from gnc_opt.tolerances import CONVEX
 
 NEAR = 0.02
 """A control this close to a bound, relative to its range, is taken to sit on it."""
@@ -31,13 +36,6 @@ multiplier says so too."""
 
 STILL = 1e-4
 """A state that stays this close to its bound, relative to its size, along a segment is held there."""
-
-HOLLOW = 1e-2
-"""H is convex in a control if its second derivative is below zero by no more than this share of what it is above, on
-average: where a costate vanishes or jumps the mesh leaves as much."""
-
-LINEAR = 1e-9
-"""Second derivative of H in a control, over its range and in shares of H, below which H is linear in it."""
 
 SMALL = 2e-2
 """A switching function this small over whole segments, in shares of H, marks a singular arc."""
@@ -71,8 +69,8 @@ def detect(
 
     Controls that enter H linearly follow the sign of their switching function, except where it stays near
     zero over whole segments with the control between its bounds (a singular arc, or one on a state
-    constraint). Short bangs beside those are taken for noise, but for a sharp structure. Other controls are judged by their nearness to the bounds, path constraints and states by theirs and
-    by their multipliers.
+    constraint). Short bangs beside those are taken for noise, unless the structure is to be sharp. Other controls are
+    judged by their nearness to the bounds, path constraints and states by theirs and by their multipliers.
     """
     leg, regular, affine = samples.leg, convex_channels(samples), affine_channels(samples)
     strictly = regular_channels(samples)
@@ -118,80 +116,6 @@ def detect(
         leans=(*(0,) * leg.controls.size, *leans, *(0,) * leg.states.size),
     ).merged()
     return with_flat_times(found, samples)
-
-
-def affine_channels(samples: PhaseSamples) -> Mask:
-    """Return which controls enter H linearly and have two finite bounds, or path constraints in their place, (m,)."""
-    bounds, limits = samples.leg.control_bounds, linear_limits(samples)
-    bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
-    for i in limits.rows:
-        bounded[i] = all(limits.ended(i))
-    return _linear(samples) & bounded
-
-
-def curved_channels(samples: PhaseSamples) -> Mask:
-    """Return in which controls between two finite bounds H is neither linear nor convex along the phase, (m,).
-
-    Where H is least at a bound they jump from one to the other, as those do that it is linear in.
-    """
-    bounds = samples.leg.control_bounds
-    bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
-    return np.asarray(bounded & ~_linear(samples) & ~convex_channels(samples))
-
-
-def linear_limits(samples: PhaseSamples) -> LinearLimits:
-    """Return the path constraints that limit one control each that enters H linearly."""
-    return LinearLimits.of(samples, _linear(samples))
-
-
-def _linear(samples: PhaseSamples) -> Mask:
-    return np.asarray(np.max(np.abs(_curvature(samples)), axis=1, initial=0.0) < LINEAR)
-
-
-def regular_channels(samples: PhaseSamples) -> Mask:
-    """Return in which controls H is strictly convex all along the phase, (m,)."""
-    return np.asarray(np.min(_curvature(samples), axis=1, initial=np.inf) > CONVEX)
-
-
-def convex_channels(samples: PhaseSamples) -> Mask:
-    """Return in which controls H is convex all along the phase, and strictly at times, (m,).
-
-    It is linear in a control whose square moves a state alone, where that state is worth nothing: heat, beyond its
-    limit.
-    """
-    curvature = _curvature(samples)
-    above, below = (np.maximum(sign * curvature, 0.0) @ samples.weights for sign in (1.0, -1.0))
-    return np.asarray(np.any(curvature > CONVEX, axis=1) & (below < HOLLOW * above))
-
-
-def with_flat_times(structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
-    """Return the structure with the times at which H is linear in controls that it is convex in at others.
-
-    A path constraint is left or met with a jump where one of its controls jumps.
-    """
-    flat, count = _curvature(samples) <= CONVEX, len(structure.controls)
-    convex = np.asarray(structure.regular[:count], dtype=bool)
-    rows = {i: flat[i] for i in np.flatnonzero(convex & np.any(flat, axis=1))}
-    if rows and structure.n_paths:
-        slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
-        for path in np.flatnonzero(structure.regular[count : count + structure.n_paths]):
-            rows[count + path] = np.any(flat[convex] & (slopes[path, convex] != 0), axis=0)
-    spans = []
-    for row, here in rows.items():
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(int)))
-        spans += [
-            (int(row), float(samples.times[max(a - 1, 0)]), float(samples.times[min(b, here.size - 1)]))
-            for a, b in edges.reshape(-1, 2)
-        ]
-    return replace(structure, flat=tuple(spans))
-
-
-def _curvature(samples: PhaseSamples) -> Array:
-    """Second derivative of H in each control over its range, in shares of H, (m, n_samples)."""
-    scale = samples.control_scale
-    return np.asarray(
-        np.einsum("iij->ij", samples.control_hessian) * scale[:, None] ** 2 / samples.hamiltonian_scale
-    )
 
 
 def switching(samples: PhaseSamples, times: Array) -> Array:

@@ -341,63 +341,6 @@ class PhaseStructure:
             times = [*self.times[:-2], self.times[-1]]
         return self._merged(times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches)
 
-    def without_overlaps(self) -> PhaseStructure:
-        """Return the structure without pieces along which two limits hold one control, which can hold one of them.
-
-        On a mesh both push in the segment in which one takes over from the other. One that is held on both sides of the
-        other is left on the side on which it is shorter.
-        """
-        for piece in range(self.pieces):
-            rows = self._held_by_one(piece)
-            if len(rows) < 2:
-                continue
-            around = [
-                [k for k in (piece - 1, piece + 1) if 0 <= k < self.pieces and self.kinds[k][i].at_limit]
-                for i in rows
-            ]
-            if 0 < piece < self.pieces - 1 and sorted(map(tuple, around)) == [(piece - 1,), (piece + 1,)]:
-                return self.without(piece).without_overlaps()
-            for row, sides in zip(rows, around, strict=True):
-                if len(sides) == 2:
-                    shorter = min(sides, key=lambda k: self.lengths[k])
-                    start, end = sorted((piece, shorter))
-                    left = self.with_arc(row, self.times[start], self.times[end + 1], ArcKind.INTERIOR)
-                    return left.without_overlaps()
-        return self
-
-    def _held_by_one(self, piece: int) -> list[int]:
-        """Rows, some of them state constraints, that are on limits in a piece though one control holds them all."""
-        found = [
-            i
-            for i in range(self._n_free, len(self.orders))
-            if self.kinds[piece][i].at_limit and len(self.holders[i]) == 1
-        ]
-        by_state = [i for i in found if self.orders[i]]
-        return [i for i in found if by_state and self.holders[i] == self.holders[by_state[0]]]
-
-    def with_wrong_bangs_on_arcs(self, longest: float) -> PhaseStructure:
-        """Return the structure without bangs beside arcs of second order that would lead beyond their limit.
-
-        An arc is met, and left, with S'' away from its limit. A mesh holds it with a control that swings, and shows the
-        ends of that as bangs of the other sign, no longer than this (s), between the arc and the bang that is right.
-        """
-        for k in range(1, self.pieces):
-            for row in self.changes(k):
-                arc, bang, beyond = (k, k - 1, k - 2) if self.kinds[k][row].at_limit else (k - 1, k, k + 1)
-                if self.orders[row] < 2 or not self.leans[row] or not 0 <= beyond < self.pieces:
-                    continue
-                i, limit = self.holders[row][0], self.kinds[arc][row]
-                own = [self.kinds[piece][i].sign for piece in (bang, beyond)]
-                if (
-                    self.kinds[arc][i] is ArcKind.SINGULAR
-                    and own == [limit.sign * self.leans[row], -limit.sign * self.leans[row]]
-                    and self.lengths[bang] < longest
-                ):
-                    times = self.times[bang : bang + 2]
-                    wider = self.with_arc(i, *times, ArcKind.SINGULAR).with_arc(row, *times, limit)
-                    return wider.with_wrong_bangs_on_arcs(longest)
-        return self
-
     def emptied(self, piece: int) -> PhaseStructure:
         """Return the structure after a piece has vanished; of an arc on a limit a touch is left.
 

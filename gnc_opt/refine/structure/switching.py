@@ -21,7 +21,8 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.passes import PassLimits, pass_meter, pass_record
 from gnc_opt.refine.structure.apart import shared, solve_apart
-from gnc_opt.refine.structure.detect import structures_of, with_flat_times
+from gnc_opt.refine.structure.curvature import with_flat_times
+from gnc_opt.refine.structure.detect import structures_of
 from gnc_opt.refine.structure.mending import KINKS_MOVED, RAISED, SMOOTHED, collapsed, improve, smoother
 from gnc_opt.refine.structure.newton import settle
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
