@@ -265,7 +265,7 @@ class _Task:
     ) -> Iterator[RefinementAttempt]:
         """Try the structure that a mesh shows, then that with path constraints kept at the ends of phases, too.
 
-        If the first cannot be met at all, also that in which short bangs are no noise, and that of a slightly finer
+        Then that in which short bangs are no noise and, if the first cannot be met at all, that of a slightly finer
         mesh. These share as much work as the first may cost.
         """
         work, options = share * self.max_work, self.options or (BRIEF if share < 1.0 else None)
@@ -279,15 +279,13 @@ class _Task:
                 second = self._structured(met, kept, work, options)
                 yield second
                 work -= second.work
-        failed = first.history.status is RefinementStatus.FAILED
-        if work <= 0 or not failed or any(p.solved for p in first.history.passes):
-            return
         sharp = structures_of(start, sharp=True)
-        if not self._known(sharp, solved=False):
+        if work > 0 and not self._known(sharp, solved=False):
             third = self._structured(start, sharp, work, options)
             yield third
             work -= third.work
-        if work > 0:
+        failed = first.history.status is RefinementStatus.FAILED
+        if work > 0 and failed and not any(p.solved for p in first.history.passes):
             finer = self._finer(start, work)
             if finer.status is Status.INTERRUPTED:
                 raise KeyboardInterrupt

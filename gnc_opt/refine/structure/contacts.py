@@ -32,7 +32,7 @@ from gnc_opt.refine.error import states_at_points
 from gnc_opt.refine.structure.ends import with_starts_on_limits
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.state_constraints import NEAR, StateConstraints
-from gnc_opt.refine.structure.tidy import with_wrong_bangs_on_arcs, without_overlaps
+from gnc_opt.refine.structure.tidy import with_possible_ends, without_overlaps
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import TINY
 
@@ -137,7 +137,7 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
     for run in _runs_of_pushes(constraints, structure):
         structure = run.added(structure, samples)
     longest = SHORT * float(np.max(np.diff(samples.leg.breaks)))
-    structure = with_wrong_bangs_on_arcs(without_overlaps(structure), longest)
+    structure = with_possible_ends(without_overlaps(structure), longest)
     return with_starts_on_limits(structure, problem.phases[samples.leg.name], samples)
 
 

@@ -38,6 +38,9 @@ from gnc_opt.verify.verify import verify
 PATIENCE = 4
 """Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
 
+IN_VAIN = 3
+"""Structures without a solution, one made of the other, after which the loop gives up."""
+
 FINEST = 1e-9
 """Switch times are asked for at least this accurately: that costs a solve of a few iterations, if any."""
 
@@ -168,6 +171,7 @@ class _Loop:
     def run(self, solution: Solution, plans: dict[str, Plan]) -> RefinementStatus:
         """Solve and mend until nothing is left to mend; add every pass to ``tries``."""
         swapped: set[tuple[str, PhaseStructure]] = set()
+        vain = 0
         for _ in range(self.limits.passes):
             begin = time.perf_counter()
             if begin > self.limits.deadline:
@@ -183,12 +187,13 @@ class _Loop:
                 self._note(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
                 if found.status.value == "interrupted":
                     return RefinementStatus.INTERRUPTED
+                vain += 1
                 others = _instead(found, plans, swapped)
-                if others is None:
+                if others is None or vain == IN_VAIN:
                     return RefinementStatus.FAILED
                 plans = others
                 continue
-            solution = found
+            solution, vain = found, 0
             current = {name: _at_solution(plan, solution, name) for name, plan in plans.items()}
             plans, action = improve(solution, current, swapped, self.aim)
             record = _record(solution, begin, action or "structure stands")
