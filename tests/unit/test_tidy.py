@@ -14,7 +14,7 @@ LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SI
 def structure(times: tuple[float, ...], *kinds: tuple[ArcKind, ...], lean: int = 1) -> PhaseStructure:
     """One control, and two states of order 1 and 2 that it holds."""
     return PhaseStructure(
-        times, kinds, n_controls=1, orders=(0, 1, 2), holders=((), (0,), (0,)), leans=(0, lean, lean)
+        times, kinds, n_controls=1, orders=(0, 1, 2), holders=((), (0,), (0,)), leans=((), (lean,), (lean,))
     )
 
 

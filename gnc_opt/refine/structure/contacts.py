@@ -124,15 +124,13 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
         return structure
     known = structure.holders[first:]
     holders = [constraints.holders(row) if order else known[row] for row, order in enumerate(orders)]
-    leans = [
-        constraints.lean(row) if order and len(own) == 1 else known
-        for row, (order, own, known) in enumerate(zip(orders, holders, structure.leans[first:], strict=True))
-    ]
+    known = structure.leans[first:]
+    leans = [constraints.leans(row) if order else known[row] for row, order in enumerate(orders)]
     structure = replace(
         structure,
         orders=(*(0,) * first, *orders),
         holders=(*((),) * first, *holders),
-        leans=(*(0,) * first, *leans),
+        leans=(*((),) * first, *leans),
     )
     for run in _runs_of_pushes(constraints, structure):
         structure = run.added(structure, samples)

@@ -113,7 +113,7 @@ def detect(
             *((),) * leg.states.size,
         ),
         slopes=(*(0,) * leg.controls.size, *limits.signs, *(0,) * leg.states.size),
-        leans=(*(0,) * leg.controls.size, *leans, *(0,) * leg.states.size),
+        leans=(*((),) * leg.controls.size, *leans, *((),) * leg.states.size),
     ).merged()
     return with_flat_times(found, samples)
 
@@ -263,18 +263,17 @@ def _mixed_paths(samples: PhaseSamples, regular: Mask) -> Mask:
     return np.asarray(inequality & np.any(depends, axis=1) & ~np.any(depends & ~regular, axis=1))
 
 
-def _mixed_holders(samples: PhaseSamples, mixed: Mask) -> tuple[list[tuple[int, ...]], list[int]]:
-    """The controls of each mixed path constraint and, if it is one, the sign of the constraint's slope in it."""
+def _mixed_holders(samples: PhaseSamples, mixed: Mask) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
+    """The controls of each mixed path constraint, and the signs of its slopes in them, 0 if they change."""
     if not np.any(mixed):
-        return [()] * mixed.size, [0] * mixed.size
+        return [()] * mixed.size, [()] * mixed.size
     slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
     own = [
         tuple(np.flatnonzero(np.any(slope != 0, axis=1)).tolist()) if found else ()
         for slope, found in zip(slopes, mixed, strict=True)
     ]
-    return own, [
-        int(np.sign(np.sum(slope[i[0]]))) if len(i) == 1 else 0 for slope, i in zip(slopes, own, strict=True)
-    ]
+    signs = np.where(np.all(slopes > 0, axis=2), 1, np.where(np.all(slopes < 0, axis=2), -1, 0))
+    return own, [tuple(int(signs[p, i]) for i in held) for p, held in enumerate(own)]
 
 
 def _path_labels(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:

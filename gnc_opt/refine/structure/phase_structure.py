@@ -47,9 +47,9 @@ class PhaseStructure:
         its limit; those that do it best come first.
     slopes : tuple of int
         For each path constraint that limits one control linearly (`mixed`) the sign of its slope in it; else 0.
-    leans : tuple of int
-        For each mixed path constraint and each row with an order, if one control alone holds it, the sign of what the
-        control does to it, or to its derivative of the constraint's order; else 0.
+    leans : tuple of tuple of int
+        For each of the rows with an order, and of mixed path constraints, the signs of what each of the holders does to
+        it, or to its derivative of the constraint's order; 0 if that changes.
     flat : tuple of tuple
         Row, start and end (s) of times at which H is linear in a control that it is convex in at others.
     """
@@ -63,7 +63,7 @@ class PhaseStructure:
     touches: tuple[tuple[Touch, ...], ...] = ()
     holders: tuple[tuple[int, ...], ...] = ()
     slopes: tuple[int, ...] = ()
-    leans: tuple[int, ...] = ()
+    leans: tuple[tuple[int, ...], ...] = ()
     flat: tuple[tuple[int, float, float], ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
@@ -74,7 +74,7 @@ class PhaseStructure:
         if not self.slopes:
             object.__setattr__(self, "slopes", (0,) * len(self.kinds[0]))
         if not self.leans:
-            object.__setattr__(self, "leans", (0,) * len(self.kinds[0]))
+            object.__setattr__(self, "leans", ((),) * len(self.kinds[0]))
         if not self.touches:
             object.__setattr__(self, "touches", ((),) * (len(self.kinds) + 1))
         if not self.regular:
@@ -226,23 +226,33 @@ class PhaseStructure:
         controls = {i for row in rows for i in (self.holders[row] if row >= self._n_free else (row,))}
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
 
-    def taken_over(self, boundary: int) -> bool:
-        """Whether a state constraint and a limit of the only control that holds it take turns there, on the same side.
+    def taken_over(self, boundary: int) -> list[int]:
+        """Return a state constraint and a limit of a control that holds it, if the limit takes over, on the same side.
 
-        The control goes on, though H may be linear in it from there on: the costates jump.
+        The control comes to it and goes on, though H may be linear in it from there on: the costates jump.
         """
         rows, beside = self.changes(boundary), self.kinds[boundary - 1 : boundary + 1]
         held = [[i for i in rows if kinds[i].at_limit] for kinds in beside]
         if len(rows) != 2 or [len(here) for here in held] != [1, 1]:
-            return False
-        sides = [
-            kinds[i].sign * (self.leans[i] if i >= self._n_free else 1)
-            for kinds, (i,) in zip(beside, held, strict=True)
-        ]
-        controls = {self.holders[row] if row >= self._n_free else (row,) for row in rows}
-        if len(controls) != 1 or not all(self.regular[i] for i in next(iter(controls))):
-            return False
-        return sum(bool(self.orders[row]) for row in rows) == 1 and sides[0] == sides[1] != 0
+            return []
+        (state,), (limit,) = held
+        owner = (limit,) if limit < self._n_free else self.holders[limit]
+        if (
+            self.orders[state] != 1
+            or self.orders[limit]
+            or len(owner) != 1
+            or owner[0] not in self.holders[state]
+        ):
+            return []
+        if not all(self.regular[i] for i in self.holders[state]):
+            return []
+        lean = self.leans[state][self.holders[state].index(owner[0])]
+        kinds = {i: pair[i] for pair, (i,) in zip(beside, held, strict=True)}
+        sides = (
+            kinds[state].sign * lean,
+            kinds[limit].sign * (1 if limit < self._n_free else self.leans[limit][0]),
+        )
+        return rows if sides[0] == sides[1] != 0 else []
 
     def on_sphere(self) -> Mask:
         """Return where the length of a direction is at its limit beside a state constraint that is, (n_paths, A).
@@ -270,7 +280,7 @@ class PhaseStructure:
         beside = np.zeros((len(self.kinds[0]), self.pieces), dtype=bool)
         for k in range(1, self.pieces):
             given_out = [row for row in self.changes(k) if self.gives_out(row, k)]
-            for row in [*self.handed_over(k), *given_out]:
+            for row in [*self.handed_over(k), *self.taken_over(k), *given_out]:
                 beside[row, k - 1 : k + 1] = [not self.kinds[j][row].at_limit for j in (k - 1, k)]
         return beside
 

@@ -76,9 +76,10 @@ class StateConstraints:
             return controls
         return tuple(sorted(controls, key=lambda c: float(np.min(np.abs(self._moved(row, c)))), reverse=True))
 
-    def lean(self, row: int) -> int:
-        """Return which way the first of its holders moves a row: the sign of its derivative of its order by it."""
-        return int(np.sign(np.sum(self._moved(row, self.holders(row)[0]))))
+    def leans(self, row: int) -> tuple[int, ...]:
+        """Return the sign of what each holder does to the derivative of its order of a row, or 0 if that changes."""
+        moved = [self._moved(row, control) for control in self.holders(row)]
+        return tuple(int(np.sign(change[0])) if np.all(change * change[0] > 0) else 0 for change in moved)
 
     def _moved(self, row: int, control: int) -> Array:
         """How a control moves the derivative of its order of a row, at the samples closest to its limits."""

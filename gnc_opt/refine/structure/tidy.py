@@ -47,10 +47,10 @@ def with_possible_ends(structure: PhaseStructure, longest: float) -> PhaseStruct
         for row in structure.changes(k):
             entered = structure.kinds[k][row].at_limit
             arc, bang, beyond = (k, k - 1, k - 2) if entered else (k - 1, k, k + 1)
-            if structure.orders[row] < 2 or not structure.leans[row]:
+            if structure.orders[row] < 2 or len(structure.holders[row]) != 1 or structure.leans[row] == (0,):
                 continue
             (i,), limit = structure.holders[row], structure.kinds[arc][row]
-            outward = limit.sign * structure.leans[row]
+            outward = limit.sign * structure.leans[row][0]
             if structure.kinds[arc][i] is not ArcKind.SINGULAR or structure.kinds[bang][i].sign != outward:
                 continue
             right = 0 <= beyond < structure.pieces and structure.kinds[beyond][i].sign == -outward
