@@ -26,14 +26,7 @@ OFF_LIMIT = 1e-5
 
 def check_problem(problem: Statement) -> None:
     """Raise `ProblemError` at the first mistake; see ``Problem.check`` for what is looked at."""
-    if not problem.phases:
-        raise ProblemError(f"problem '{problem.name}' has no phase: add one with phase(name, model).")
-    if problem.cost is None:
-        raise ProblemError(f"problem '{problem.name}' has no cost: call minimize() or maximize().")
-    for leg in problem.phases.values():
-        _check_times(leg)
-        _check_boundary_values(leg)
-        _check_paths_at_ends(problem, leg)
+    check_numbers(problem)
     first = "checked" not in problem.builds
     solved = restated(problem)
     if first:
@@ -45,10 +38,28 @@ def check_problem(problem: Statement) -> None:
         problem.builds["checked"] = True
     for leg in problem.phases.values():
         check_guess_in_tables(problem, leg, warn=first)
-    check_values(bent(solved))
+    try:
+        check_values(solved)
+    except ProblemError:
+        check_values(bent(solved))  # as the solver will start: most straight lines need no bending
     if first:
         for leg in solved.phases.values():
             warn_of_norms(solved, leg)
+
+
+def check_numbers(problem: Statement) -> None:
+    """Raise `ProblemError` for what is missing and for times, bounds and end values that contradict each other.
+
+    That is all that may be wrong with a variation whose guess is not used.
+    """
+    if not problem.phases:
+        raise ProblemError(f"problem '{problem.name}' has no phase: add one with phase(name, model).")
+    if problem.cost is None:
+        raise ProblemError(f"problem '{problem.name}' has no cost: call minimize() or maximize().")
+    for leg in problem.phases.values():
+        _check_times(leg)
+        _check_boundary_values(leg)
+        _check_paths_at_ends(problem, leg)
 
 
 # --- numbers ------------------------------------------------------------------------------------------

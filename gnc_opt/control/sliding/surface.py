@@ -24,7 +24,7 @@ from gnc_opt.control.guard import (
 from gnc_opt.control.lie import OutputErrors
 from gnc_opt.control.limits import saturated
 from gnc_opt.control.reference import Reference
-from gnc_opt.control.rehearsal import FINENESS, Path, Rehearsal, Trial, limit_facts, rehearse
+from gnc_opt.control.rehearsal import FINENESS, Path, Rehearsal, Trial, drift_facts, limit_facts, rehearse
 from gnc_opt.control.sampling import spectral_radius, zero_order_hold
 from gnc_opt.control.sliding.reaching import ExponentialRate
 from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
@@ -188,6 +188,7 @@ def _reaching(
             Fact("s at the start", first),
             Fact("reaching time", times, "s", remark),
             *limit_facts(path, switching.limits, step),
+            *drift_facts(path, errors, reference),
         ]
 
     return rehearsal
