@@ -11,7 +11,8 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure.contacts import crossed_contact, pushed_contact, wrong_touch
-from gnc_opt.refine.structure.detect import SMALL, affine_channels, curved_channels, linear_limits
+from gnc_opt.refine.structure.curvature import affine_channels, curved_channels, linear_limits
+from gnc_opt.refine.structure.detect import SMALL
 from gnc_opt.refine.structure.junctions import move_kinks
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose, signs_of
 from gnc_opt.refine.structure.plan import Plan, Resolution
