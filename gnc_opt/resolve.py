@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.errors import ProblemError
+from gnc_opt.problem.check import check_numbers
 from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.structure.variation import KnownFlight, on_the_way
@@ -98,7 +99,7 @@ class Resolver:
                 f"problem '{problem.name}' is no variation of the one that the resolver knows: make it by "
                 "with_initial(), with_parameters() or their like, or make a Resolver of its own solution."
             )
-        stated.check()
+        check_numbers(stated)  # the guess of a variation is used by the last way only, which looks at it
         start = self.solution if near is None else near
         if self._known is not None:
             known = self._known if near is None else KnownFlight.of(near)
@@ -106,6 +107,7 @@ class Resolver:
             if found is not None:
                 return said(found, Way.SWITCH_TIMES)
         elif self.tol is None:
+            stated.check()
             meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
             guess, scheme = on_the_way(start, problem), self.solution.scheme
             found = solve_mesh(

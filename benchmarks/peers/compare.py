@@ -9,8 +9,8 @@ A program NAME of yapss, maptor, asset runs with DIR/NAME/bin/python (default DI
 and is skipped where that is missing. All state the same plain equations, start from the same straight line between the
 ends, 50.5 s long, with a tenth of all controls, and solve to 1e-8 on one thread; gnc_opt has its own default start. The
 time is processor time from stating the problem to the answer, imports and a first small solve left out, medians of
-the runs. Each program counts with the least time of all its meshes and options whose final time is within the accuracy
-of the reference, on every case.
+the runs, of which there are fewer where they take long (`plain.LONG_S` in all). Each program counts with the least
+time of all its meshes and options whose final time is within the accuracy of the reference, on every case.
 """
 
 from __future__ import annotations

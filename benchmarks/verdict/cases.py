@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import gnc_opt as go
+from benchmarks.verdict.attacks import attacks
 from benchmarks.verdict.changes import LEAST, Planted, changes, off_by
 from benchmarks.verdict.closed_forms import closed_forms
 from benchmarks.verdict.degenerate import degenerate
@@ -20,6 +21,7 @@ from benchmarks.verdict.pairs import SCALES, Pair, pairs
 from benchmarks.verdict.right import NotRight, right
 from benchmarks.verdict.several import several
 from benchmarks.verdict.statements import FAMILY, Frame, Statement, build, frames, in_frame
+from benchmarks.verdict.unusual import unusual
 
 Told = Literal["failed", "passed", "untold", "not planted", "not found", "crash"]
 
@@ -100,7 +102,7 @@ def cases(documents: Sequence[Mapping[str, Any]], seed: int) -> Iterator[Case]:
         yield Case(e.kind, e.name, e.why, True, e.first_order, lambda e=e: (e.judge(), e.off))
     for f in forged():
         yield Case("forged file", f.name, f.why, True, True, lambda f=f: (f.judge(), f.off))
-    for pair in (*pairs(), *closed_forms(), *limits(), *degenerate(), *several()):
+    for pair in (*pairs(), *closed_forms(), *limits(), *degenerate(), *several(), *attacks(), *unusual()):
         for scale in SCALES:
             name = f"{pair.name}, unit {scale[0]:g}, cost {scale[1]:g}"
             yield Case(pair.kind, name, pair.why, True, pair.first_order, _paired(pair, scale, True))

@@ -35,7 +35,7 @@ from gnc_opt.control.lie import OutputErrors, Outputs, given_for, output_errors
 from gnc_opt.control.limits import Authority, Limits, read_limits, require_reserve
 from gnc_opt.control.poles import real_polynomial
 from gnc_opt.control.reference import Reference, read_plant
-from gnc_opt.control.rehearsal import FINENESS, Path, Rehearsal, Trial, limit_facts, rehearse
+from gnc_opt.control.rehearsal import FINENESS, Path, Rehearsal, Trial, drift_facts, limit_facts, rehearse
 from gnc_opt.control.sampling import spectral_radius, zero_order_hold
 from gnc_opt.control.schedule import reference_times
 from gnc_opt.errors import DesignError
@@ -289,6 +289,6 @@ def _rehearsal(
 
     def rehearsal(controller: Controller) -> list[Fact]:
         path = rehearse(controller, Trial(errors, reference, start, limits, step, span), watch)
-        return [watch(path), *limit_facts(path, limits, step)]
+        return [watch(path), *limit_facts(path, limits, step), *drift_facts(path, errors, reference)]
 
     return rehearsal

@@ -38,7 +38,9 @@ _MOST_INNER = 50
 _MOST_STEPS = 20_000
 """Control steps of one act at most."""
 _ACTS = 12
-"""Where limits hold the errors up, the rehearsal goes on for so many times its span."""
+"""Where limits hold the errors up, or what no output sees moves away, the rehearsal goes on for so many acts."""
+_AWAY = 1e-6
+"""A state moves away if its deviation grows by more than this share from each quarter of the way to the next."""
 _SETTLED = 0.1
 """Share of its largest size to which an output error has to come down for good where limits acted."""
 
@@ -108,12 +110,18 @@ def rehearse(controller: Controller, trial: Trial, watch: Callable[[Path], objec
     ------
     DesignError
         The state leaves all bounds, or the limits keep the output errors from coming down.
+
+    Notes
+    -----
+    Zero dynamics with an eigenvalue of zero may decay, rest or escape, and take longer the nearer they are to their
+    equilibrium: as long as they move away the rehearsal goes on, with acts that are twice as long each time.
     """
     errors, reference, limits, dt = trial.errors, trial.reference, trial.limits, trial.dt
     x = as_vector(trial.start, errors.pair.x.numel(), "the state at the start", DesignError)
     t = reference.initial_time
     count = int(np.clip(np.ceil(trial.span / dt), 100, _MOST_STEPS))
-    act = _step(controller, errors, reference, limits, dt).mapaccum(count)
+    step = _step(controller, errors, reference, limits, dt, x)
+    act = step.mapaccum(count)
     state = np.concatenate([x, controller.initial_memory(t, x, dt)])
     values = evaluate_columns(_outputs(errors), [t], x[:, None], reference.x([t]))
     path = Path(
@@ -134,9 +142,15 @@ def rehearse(controller: Controller, trial: Trial, watch: Callable[[Path], objec
         )
         watch(path)
         _require_bounded(path, errors)
-        if not path.cut(limits).any() or np.all(_left(path, count) <= _SETTLED):
-            return path
+        held = path.cut(limits).any() and np.any(_left(path, count) > _SETTLED)
+        if not held:
+            if path.times.size > _MOST_STEPS or not np.any(_moving_away(path, errors, reference)):
+                return path
+            count = min(2 * count, _MOST_STEPS)
+            act = step.mapaccum(count)
         state = states[:, -1]
+    if not held:
+        return path
     assert limits is not None
     raise DesignError(_stuck(path, errors, limits, count))
 
@@ -147,6 +161,31 @@ def limit_facts(path: Path, limits: Authority | None, dt: float) -> list[Fact]:
         return []
     spent = float(np.sum(path.cut(limits)) * dt)
     return [Fact("limits act for", spent, "s", "rehearsed from the given start, undisturbed")]
+
+
+def drift_facts(path: Path, errors: OutputErrors, reference: Reference) -> list[Fact]:
+    """Return the fact about the state that no output sees and that moves away to the end of the way, if one does."""
+    away = np.flatnonzero(_moving_away(path, errors, reference))
+    if not away.size:
+        return []
+    i = int(away[0])
+    state, unit = errors.pair.model.states.labels[i], errors.pair.model.states.units[i]
+    off = float(path.x[i, -1] - reference.x(path.times[-1:])[i, 0])
+    remark = f"state '{state}', its deviation at t = {path.times[-1]:.4g} s, and growing: no output sees it"
+    return [Fact("still moving away", off, unit, remark)]
+
+
+def _moving_away(path: Path, errors: OutputErrors, reference: Reference) -> Array:
+    """Return for each state whether it moves away from the reference on and on, bool (n_states,); without zero
+    dynamics none does.
+    """
+    size = path.x.shape[0]
+    if sum(errors.degrees) >= size:
+        return np.zeros(size, dtype=bool)
+    off = np.abs(path.x - reference.x(path.times))
+    peaks = np.stack([np.max(part, axis=1) for part in np.array_split(off, 4, axis=1)])
+    seen = peaks[-1] > ROUNDING * (1 + np.max(np.abs(path.x), axis=1))
+    return np.asarray(seen & np.all(peaks[1:] > (1 + _AWAY) * peaks[:-1], axis=0))
 
 
 def _left(path: Path, count: int) -> Array:
@@ -191,12 +230,17 @@ def _outputs(errors: OutputErrors) -> ca.Function:
 
 
 def _step(
-    controller: Controller, errors: OutputErrors, reference: Reference, limits: Authority | None, dt: float
+    controller: Controller,
+    errors: OutputErrors,
+    reference: Reference,
+    limits: Authority | None,
+    dt: float,
+    first: Array,
 ) -> ca.Function:
     """Return ``(x and z, t, r, x_ref at the end) -> (x and z, wanted command, output errors at the end)``."""
     pair = errors.pair
     n, size = pair.x.numel(), controller.memory.size
-    inner = _inner_steps(errors, reference, dt)
+    inner = _inner_steps(errors, reference, dt, first)
     f = ca.Function("f", [pair.t, pair.x, pair.u], [pair.f])
     state, t, r = ca.SX.sym("state", n + size), ca.SX.sym("t"), ca.SX.sym("r", controller.signals.size)
     x, h = state[:n], dt / inner
@@ -214,9 +258,13 @@ def _step(
     return ca.Function("act", [state, t, r, x_ref], [ca.vertcat(x, z), wanted, outputs])
 
 
-def _inner_steps(errors: OutputErrors, reference: Reference, dt: float) -> int:
+def _inner_steps(errors: OutputErrors, reference: Reference, dt: float, first: Array) -> int:
+    """Return the integration steps per control step that the fastest mode needs, on the reference or at the start."""
     pair, t = errors.pair, reference.initial_time
     a = ca.Function("a", [pair.t, pair.x, pair.u], [ca.jacobian(pair.f, pair.x)])
-    slopes = np.asarray(a(t, reference.x(t), reference.u(t)).full())
-    fastest = float(np.max(np.abs(np.linalg.eigvals(slopes)))) if np.all(np.isfinite(slopes)) else 0.0
+    fastest = 0.0
+    for x in (reference.x(t), first):
+        slopes = np.asarray(a(t, x, reference.u(t)).full())
+        if np.all(np.isfinite(slopes)):
+            fastest = max(fastest, float(np.max(np.abs(np.linalg.eigvals(slopes)))))
     return int(np.clip(np.ceil(fastest * dt / _FAST), 2, _MOST_INNER))

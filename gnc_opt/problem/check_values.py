@@ -11,12 +11,12 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError
-from gnc_opt.problem.guess.trajectory import start_phase
+from gnc_opt.problem.guess.trajectory import PhaseStart, start_phase
 from gnc_opt.problem.interval import Interval, intersect
 from gnc_opt.problem.magnitudes import phase_magnitudes
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.statement import Statement
-from gnc_opt.problem.symbols import parameter_arguments
+from gnc_opt.problem.symbols import end_points, parameter_arguments
 
 _FRACTIONS = (np.arange(11) + 0.5) / 11
 """Where functions are tried, as fractions of a phase: not at its ends, where Gauss has no points."""
@@ -111,33 +111,53 @@ def try_along(
 
 def not_finite_at_guess(problem: Statement, leg: Phase) -> NotFinite | None:
     """Return the first function along the guess of a phase that is not finite, or has a derivative that is not."""
-    return first_not_finite(problem, leg, *_along_guess(leg), _parameter_guess(problem))
+    return _Guessed.of(leg).not_finite(problem, leg)
 
 
-def _along_guess(leg: Phase) -> tuple[Array, Array, Array]:
-    """Times, states and controls of the guess, a little off their bounds."""
-    start = start_phase(
-        leg, np.array([0.0, *_FRACTIONS, 1.0])
-    )  # with the ends, where users' functions are told of
-    state_scales, control_scales = phase_magnitudes(leg)
-    states = _inside(start.states[:, 1:-1], leg.numbers.states, state_scales)
-    controls = _inside(start.controls[:, 1:-1], leg.numbers.controls, control_scales)
-    return start.times[0] + _FRACTIONS * (start.times[1] - start.times[0]), states, controls
+@dataclass(frozen=True)
+class _Guessed:
+    """The guess of a phase, and points along it, a little off its bounds.
+
+    Attributes
+    ----------
+    start : PhaseStart
+        At both ends and between.
+    scales : array (n_states,)
+    along : tuple of array (N,), (n_states, N), (n_controls, N)
+        Times (s), states and controls between the ends.
+    """
+
+    start: PhaseStart
+    scales: Array
+    along: tuple[Array, Array, Array]
+
+    @classmethod
+    def of(cls, leg: Phase) -> _Guessed:
+        # With the ends, where users' functions are told of.
+        start = start_phase(leg, np.array([0.0, *_FRACTIONS, 1.0]))
+        scales, control_scales = phase_magnitudes(leg)
+        states = _inside(start.states[:, 1:-1], leg.numbers.states, scales)
+        controls = _inside(start.controls[:, 1:-1], leg.numbers.controls, control_scales)
+        times = start.times[0] + _FRACTIONS * (start.times[1] - start.times[0])
+        return cls(start, scales, (times, states, controls))
+
+    def not_finite(self, problem: Statement, leg: Phase) -> NotFinite | None:
+        return first_not_finite(problem, leg, *self.along, _parameter_guess(problem))
 
 
 def _check_along(problem: Statement, leg: Phase) -> list[Any]:
     """Try what varies along a phase; return its arguments of the cost and the boundary constraints."""
-    numbers, q = leg.numbers, _parameter_guess(problem)
-    start, state_scales = start_phase(leg, np.array([0.0, 1.0])), phase_magnitudes(leg)[0]
-    bad = not_finite_at_guess(problem, leg)
+    numbers, guessed = leg.numbers, _Guessed.of(leg)
+    start = guessed.start
+    bad = guessed.not_finite(problem, leg)
     if bad:
         raise _not_finite(f"{bad.what} at the guess in {leg.where} at t = {bad.time:.4g} s", bad.point)
     integrals = np.zeros(0)
     if leg.integrands:
-        integrands = try_along(problem, leg, *_along_guess(leg), q)["integral"]
+        integrands = try_along(problem, leg, *guessed.along, _parameter_guess(problem))["integral"]
         integrals = integrands.values.mean(axis=1) * (start.times[1] - start.times[0])
-    first = _inside(start.states[:, :1], intersect(numbers.initial, numbers.states), state_scales)
-    last = _inside(start.states[:, -1:], intersect(numbers.final, numbers.states), state_scales)
+    first = _inside(start.states[:, :1], intersect(numbers.initial, numbers.states), guessed.scales)
+    last = _inside(start.states[:, -1:], intersect(numbers.final, numbers.states), guessed.scales)
     return [first, last, start.times[0], start.times[1], integrals, leg.model.parameter_values]
 
 
@@ -190,13 +210,7 @@ def _functions_at_ends(problem: Statement) -> list[tuple[str, tuple[str, ...], t
         columns: list[str] = []
         legs = problem.phases.values()
         for leg, parameters in zip(legs, parameter_arguments(legs), strict=True):
-            own = [
-                leg.ends("initial"),
-                leg.ends("final"),
-                leg.initial_time,
-                leg.final_time,
-                leg.integral_symbols(),
-            ]
+            own = end_points(leg)
             variables += own
             arguments += [*own, parameters]
             columns += [

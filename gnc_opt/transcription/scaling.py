@@ -23,6 +23,12 @@ NEARBY = 0.1
 A guess may by chance be stationary, as the perfect track of a tracking cost is: the gradient there is rounding,
 and its inverse no scale. Results are insensitive to the distance (0.01 to 1)."""
 
+MOST_ROOM = 10.0
+"""Scaled distance from a limit that the guess has at most.
+
+Where a row has hardly a slope at the guess, as the square of a control that is next to nothing there, the inverse of
+that slope is no scale: before the limit is met it is many times as steep, and no step of a solver is short enough."""
+
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
 
@@ -74,11 +80,11 @@ def scale_rows(
     start, scales : array (n_variables,)
         The guess and the typical magnitudes of the variables, physical.
     """
-    gradient, nonzeros = _derivatives(transcription, problem, start)
+    gradient, nonzeros, room = _derivatives(transcription, problem, start)
     rows, columns = transcription.constraints.jacobian_pattern
     norms = np.zeros(transcription.n_constraints)
     np.maximum.at(norms, rows, nonzeros * scales[columns])
-    factors = 1.0 / np.where(norms > 0, norms, 1.0)
+    factors = 1.0 / np.maximum(np.where(norms > 0, norms, 1.0), room / MOST_ROOM)
     steepest = float(np.max(gradient * scales))
     for part in transcription.parts.values():
         state_scales = scales[part.collocation.boundary_states[:, 0]]
@@ -87,18 +93,24 @@ def scale_rows(
     return factors, 1.0 / steepest if steepest > 0 else 1.0
 
 
-def _derivatives(transcription: Transcription, problem: Problem, start: Array) -> tuple[Array, Array]:
-    """Largest magnitudes, at and near the guess, of objective gradient (n_variables,) and Jacobian nonzeros."""
+def _derivatives(transcription: Transcription, problem: Problem, start: Array) -> tuple[Array, Array, Array]:
+    """Largest magnitudes, at and near the guess, of objective gradient and Jacobian nonzeros, and the rows' room."""
     box = transcription.variable_interval(problem)
     usual = scale_variables(transcription, problem, start, overridden=False)
     size = np.where(start != 0, np.minimum(np.abs(start), usual), usual)
     offset = NEARBY * size * np.cos(_GOLDEN_ANGLE * np.arange(start.size))
     gradient, nonzeros = np.zeros(start.size), np.zeros(transcription.constraints.jacobian_pattern[0].size)
+    limits, room = transcription.row_interval(problem), np.zeros(transcription.n_constraints)
     for point in (start, start + offset):
         inside = np.clip(point, box.lower, np.maximum(box.lower, box.upper))
-        _, slope, jacobian = transcription.evaluate(problem, inside)
+        values, slope, jacobian = transcription.evaluate(problem, inside)
         gradient, nonzeros = np.maximum(gradient, _size(slope)), np.maximum(nonzeros, _size(jacobian))
-    return gradient, nonzeros
+        room = np.maximum(room, _finite(np.minimum(values - limits.lower, limits.upper - values)))
+    return gradient, nonzeros, room
+
+
+def _finite(values: Array) -> Array:
+    return np.where(np.isfinite(values), values, 0.0)
 
 
 def _size(values: Array) -> Array:

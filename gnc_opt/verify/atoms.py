@@ -18,17 +18,39 @@ import scipy
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.problem.constraint_order import constraint_order
-from gnc_opt.problem.functions import phase_functions
+from gnc_opt.problem.functions import PhaseFunctions, phase_functions
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.extract import model_parameters
-from gnc_opt.tolerances import ACTIVE
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.numbering import PhasePart
 from gnc_opt.transcription.transcription import Transcription
 from gnc_opt.verify.pushes import path_gradients
 from gnc_opt.verify.trajectory_fit import FittedPhase
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A trajectory without multipliers.
+
+    Attributes
+    ----------
+    problem : Problem
+    phases : mapping of FittedPhase
+    q : array (n_parameters,)
+        Free parameters.
+    scales : array (n_variables,)
+        What the variables of its program vary by.
+    near : float
+        Distance from a limit, in shares of its scale, within which it may push.
+    """
+
+    problem: Problem
+    phases: Mapping[str, FittedPhase]
+    q: Array
+    scales: Array
+    near: float
 
 
 @dataclass(frozen=True)
@@ -50,23 +72,17 @@ class Atoms:
     at_upper: Mask
 
     @classmethod
-    def of(
-        cls,
-        transcription: Transcription,
-        problem: Problem,
-        fitted: Mapping[str, FittedPhase],
-        q: Array,
-        scales: Array,
-    ) -> Atoms:
-        """Find them along a trajectory; ``scales`` is what the program's variables vary by."""
-        found = [cls._none(scales.size)]
+    def of(cls, transcription: Transcription, trajectory: Trajectory) -> Atoms:
+        """Find them along a trajectory."""
+        found = [cls._none(transcription.n_variables)]
+        problem = trajectory.problem
         for name, part in transcription.parts.items():
             leg = problem.phases[name]
             orders = [constraint_order(problem, leg, i).order for i in range(len(leg.path_labels))]
             pure = np.flatnonzero([order != 0 for order in orders])
             if pure.size:
                 touched_only = np.array([orders[i] == 1 for i in pure])
-                found.append(_of_phase(part, problem, fitted[name], q, scales, pure, touched_only))
+                found.append(_of_phase(transcription, part, trajectory, pure, touched_only))
         return cls(
             scipy.sparse.hstack([atoms.gradients for atoms in found], format="csc"),
             *(
@@ -81,29 +97,47 @@ class Atoms:
         return cls(scipy.sparse.csc_array((n_variables, 0)), np.zeros(0), nowhere, nowhere)
 
 
+def path_gradients_at_boundaries(
+    transcription: Transcription, part: PhasePart, functions: PhaseFunctions, at: tuple[Array, Array, Array]
+) -> tuple[Indices, Array]:
+    """Gradients of path constraints at the boundaries of a phase's segments, by the program's variables.
+
+    Parameters
+    ----------
+    at : (K + 1,), (n_states, K + 1), (n_controls, K + 1)
+        Times, states and controls at the boundaries.
+
+    Returns
+    -------
+    places : int array (k, K + 1)
+        Variables of the program: states, free times, free parameters.
+    gradients : array (k, n_paths, K + 1)
+    """
+    collocation, n = part.collocation, at[0].size
+    by_state, by_time, by_parameter = path_gradients(functions, collocation.n_paths, *at)
+    free = part.times < transcription.n_variables
+    others = np.concatenate([part.times[free], transcription.parameter_places])
+    moved = _boundary_times(collocation.mesh)[free]
+    return (
+        np.vstack([collocation.boundary_states, np.repeat(others[:, None], n, axis=1)]),
+        np.concatenate([by_state, moved[:, None] * by_time, by_parameter]),
+    )
+
+
 def _of_phase(
-    part: PhasePart,
-    problem: Problem,
-    fitted: FittedPhase,
-    q: Array,
-    scales: Array,
-    pure: Indices,
-    touched_only: Mask,
+    transcription: Transcription, part: PhasePart, trajectory: Trajectory, pure: Indices, touched_only: Mask
 ) -> Atoms:
-    leg, times = problem.phases[part.name], fitted.x.breaks
+    problem, fitted, q, scales = trajectory.problem, trajectory.phases, trajectory.q, trajectory.scales
+    leg, polynomials = problem.phases[part.name], fitted[part.name]
+    times = polynomials.x.breaks
     # A shared value belongs to the segment that begins with it, but for the last one.
-    x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (fitted.x, fitted.u))
+    x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (polynomials.x, polynomials.u))
     none = np.zeros(len(leg.integrands))
     functions = phase_functions(problem, part.name, model_parameters(problem, leg, q), q, none)
-    by_state, by_time = path_gradients(functions, len(leg.path_labels), times, x, u)
-    free = part.times < scales.size
-    places = np.vstack(
-        [part.collocation.boundary_states, np.repeat(part.times[free, None], times.size, axis=1)]
-    )
-    moved = _boundary_times(part.collocation.mesh)[free]
-    gradients = np.stack([np.vstack([by_state[:, i], moved * by_time[i]]) for i in pure], axis=1)
+    places, gradients = path_gradients_at_boundaries(transcription, part, functions, (times, x, u))
+    gradients = gradients[:, pure]
     sizes = np.sum(np.abs(gradients) * scales[places][:, None], axis=0)
-    at_lower, at_upper = _at_limits(leg, functions.paths(times, x, u)[pure], pure, ACTIVE * sizes)
+    at_lower, at_upper = _at_limits(leg, functions.paths(times, x, u)[pure], pure, trajectory.near * sizes)
     chosen = _may_push(at_lower | at_upper, touched_only)
     which, k = np.nonzero(chosen)
     columns = np.tile(np.arange(which.size), places.shape[0])

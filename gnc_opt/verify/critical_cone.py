@@ -31,12 +31,15 @@ class CriticalCone:
         Variables and rows that are held, and those at a limit that does not push: they may leave it to one side.
     unit : sparse (n_variables, n_variations) or None
         Scaled variables per variation of size 1, if it is not one for each (module `goh`).
+    further : sparse (n, n_variables) or None
+        What is held beside rows of the program (module `arc_starts`).
     """
 
     point: ProgramPoint
     strong: Mask
     weak: Mask
     unit: Any = None
+    further: Any = None
 
     @classmethod
     def of(cls, point: ProgramPoint) -> CriticalCone:

@@ -20,6 +20,7 @@ quadrature would see the wrong curvature. Arcs are cut narrow at their ends, so 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -114,7 +115,7 @@ def in_gohs_variables(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> Cr
         return cone
     own = unit_variations(squares)[:, np.flatnonzero(itself)]
     unit = scipy.sparse.csc_array(scipy.sparse.hstack([own, *blocks]))
-    return CriticalCone(cone.point, strong, cone.weak, unit)
+    return replace(cone, strong=strong, unit=unit)
 
 
 def _singular_and_free(cone: CriticalCone, s: PhaseSamples) -> Mask:

@@ -23,7 +23,7 @@ from gnc_opt.solution.covector import Iterate
 from gnc_opt.solution.start import with_integrals
 from gnc_opt.tolerances import ACTIVE, ROUNDING, TINY
 from gnc_opt.transcription.transcription import Transcription
-from gnc_opt.verify.atoms import Atoms
+from gnc_opt.verify.atoms import Atoms, Trajectory
 from gnc_opt.verify.trajectory_fit import FittedPhase
 
 _WRONG = 1e-7
@@ -37,7 +37,11 @@ _DAMPING, _REPEATS = 1e-12, 4
 
 
 def estimate(
-    transcription: Transcription, problem: Problem, fitted: Mapping[str, FittedPhase], q: Array
+    transcription: Transcription,
+    problem: Problem,
+    fitted: Mapping[str, FittedPhase],
+    q: Array,
+    near: float = ACTIVE,
 ) -> Iterate:
     """Return the program's variables at a trajectory, and the multipliers that explain it best.
 
@@ -46,6 +50,8 @@ def estimate(
     fitted : mapping of FittedPhase
     q : array (n_parameters,)
         Free parameters.
+    near : float
+        Distance from a limit, in shares of the scale, within which it may push.
     """
     x = _variables(transcription, problem, fitted, q)
     scales = _ranges(transcription, problem, fitted, x)
@@ -60,9 +66,9 @@ def estimate(
     matrix = scipy.sparse.csc_array(
         (nonzeros * weights[columns] * row_scales[rows], (columns, rows)), shape=shape
     )
-    limits = _Limits.of(transcription.variable_interval(problem), x, scales)
-    row_limits = _Limits.of(transcription.row_interval(problem), values, 1 / row_scales)
-    atoms = Atoms.of(transcription, problem, fitted, q, scales)
+    limits = _Limits.of(transcription.variable_interval(problem), x, near * scales)
+    row_limits = _Limits.of(transcription.row_interval(problem), values, near / row_scales)
+    atoms = Atoms.of(transcription, Trajectory(problem, fitted, q, scales, near))
     pushes = (
         scipy.sparse.diags_array(weights)
         @ atoms.gradients
@@ -83,8 +89,7 @@ class _Limits:
         self.lower, self.upper = lower, upper
 
     @classmethod
-    def of(cls, box: Interval, values: Array, scales: Array) -> _Limits:
-        slack = ACTIVE * scales
+    def of(cls, box: Interval, values: Array, slack: Array) -> _Limits:
         return cls((values <= box.lower + slack) | box.fixed, (values >= box.upper - slack) | box.fixed)
 
     def with_more(self, other: _Limits) -> _Limits:

@@ -43,7 +43,7 @@ class NullSpace:
         Of the gradients of the rows.
     jacobian : sparse (n_rows + n_held, n_variations)
         Of the rows by the variations, scaled to unit gradients; then that of variables that do not vary, but that
-        variations would move.
+        variations would move; then of what is held besides.
     """
 
     unit: Any
@@ -52,7 +52,7 @@ class NullSpace:
     jacobian: Any
 
     @classmethod
-    def of(cls, point: ProgramPoint, held: Mask, unit: Any = None) -> NullSpace:
+    def of(cls, point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> NullSpace:
         """Return the space where ``held`` (n_variables + n_constraints,) do not vary.
 
         Parameters
@@ -61,6 +61,8 @@ class NullSpace:
         held : bool array (n_variables + n_constraints,)
         unit : sparse (n_variables, n_variations), optional
             Instead of a variation for each variable.
+        further : sparse (n, n_variables), optional
+            What of the scaled variables is held beside rows of the program.
         """
         held, rows = held[: point.x.size], np.flatnonzero(held[point.x.size :])
         if unit is None:
@@ -69,7 +71,10 @@ class NullSpace:
         moved = unit[held]
         moved = moved[np.flatnonzero(abs(moved).sum(axis=1) > 0)]
         jacobian, norms = _normed(point.jacobian[rows] @ unit)
-        return cls(unit, rows, norms, scipy.sparse.vstack([jacobian, _normed(moved)[0]], format="csc"))
+        parts = [jacobian, _normed(moved)[0]]
+        if further is not None:
+            parts.append(_normed(further @ unit)[0])
+        return cls(unit, rows, norms, scipy.sparse.vstack(parts, format="csc"))
 
     @property
     def size(self) -> int:

@@ -63,7 +63,7 @@ class Pushers:
         lower, upper = [leg.state_bounds.lower], [leg.state_bounds.upper]
         pure = s.pure_paths
         if pure.size:
-            by_state, by_time = path_gradients(s.functions, len(leg.path_labels), times, x, u)
+            by_state, by_time, _ = path_gradients(s.functions, len(leg.path_labels), times, x, u)
             gradients.append(by_state[:, pure])
             drifts.append(by_time[pure])
             values.append(s.functions.paths(times, x, u)[pure])
@@ -83,18 +83,23 @@ class Pushers:
 
 def path_gradients(
     functions: PhaseFunctions, n_paths: int, times: Array, x: Array, u: Array
-) -> tuple[Array, Array]:
-    """dc/dx, (n_states, n_paths, n_times), and dc/dt, (n_paths, n_times)."""
+) -> tuple[Array, Array, Array]:
+    """dc/dx, (n_states, n_paths, n_times), dc/dt, (n_paths, n_times), and dc/dq, (n_parameters, n_paths, n_times)."""
     zero, mu = np.zeros_like(x), np.zeros((n_paths, times.size))
-    without = functions.state_gradient(times, x, u, zero, mu)
-    idle = functions.time_gradient(times, x, u, zero, mu)
-    by_state, by_time = np.zeros((x.shape[0], n_paths, times.size)), np.zeros((n_paths, times.size))
+
+    def gradients() -> list[Array]:
+        kinds = functions.state_gradient, functions.time_gradient, functions.parameter_gradient
+        return [np.reshape(gradient(times, x, u, zero, mu), (-1, times.size)) for gradient in kinds]
+
+    idle = gradients()
+    found = [np.zeros((rows.shape[0], n_paths, times.size)) for rows in idle]
     for i in range(n_paths):
         mu[i] = 1.0
-        by_state[:, i] = functions.state_gradient(times, x, u, zero, mu) - without
-        by_time[i] = functions.time_gradient(times, x, u, zero, mu) - idle
+        for whole, one, without in zip(found, gradients(), idle, strict=True):
+            whole[:, i] = one - without
         mu[i] = 0.0
-    return by_state, by_time
+    by_state, by_time, by_parameter = found
+    return by_state, by_time[0], by_parameter
 
 
 def jumps_explained(s: PhaseSamples) -> tuple[Array, Array, Array]:

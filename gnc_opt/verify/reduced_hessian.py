@@ -41,6 +41,7 @@ from gnc_opt.tolerances import AT_LIMIT, VANISHED, magnitude
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.scaling import scale_variables
 from gnc_opt.transcription.transcription import Transcription
+from gnc_opt.verify.arc_starts import held_from_their_start
 from gnc_opt.verify.critical_cone import CriticalCone
 from gnc_opt.verify.goh import cut, in_gohs_variables, open_end, singular_samples, singular_segments, straight
 from gnc_opt.verify.magnitude import state_variations
@@ -145,7 +146,7 @@ def critical_cone(
         return found
 
     cone = CriticalCone.of(ProgramPoint.of(solution, meshes, scales, rounding))
-    return in_gohs_variables(cone, samples) if sizes is flown_spans else cone
+    return held_from_their_start(in_gohs_variables(cone, samples), samples) if sizes is flown_spans else cone
 
 
 def flown_spans(s: PhaseSamples) -> tuple[Array, Array]:
@@ -181,7 +182,8 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: Criti
         return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
 
     steep = DOWNWARDS_SINGULAR if any(map(_partly_singular, samples)) else DOWNWARDS
-    free = least_curvature(cone.point, cone.strong, cone.unit)
+    rest = cone.unit, cone.further
+    free = least_curvature(cone.point, cone.strong, *rest)
     if np.isnan(free.value) or free.upwards:
         jumping = "" if solution.structure else _jumping_control(samples)
         beyond = jumping or next(filter(None, (open_end(cone, s) for s in samples)), "")
@@ -190,7 +192,7 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: Criti
             return judged(told, 0.0, beyond or "as many conditions as unknowns, nothing is left to vary", 0.0)
         return judged(told, -free.value, beyond or _place(cone.point, solution, free.direction))
     # Where weakly active limits bind as well, less is left to vary; what is downwards there is so in the cone.
-    bound = least_curvature(cone.point, cone.strong | cone.weak, cone.unit) if np.any(cone.weak) else free
+    bound = least_curvature(cone.point, cone.strong | cone.weak, *rest) if np.any(cone.weak) else free
     for found in (free, bound):
         admitted = (cone.admits(sign * found.direction, samples) for sign in (1.0, -1.0))
         if found.downwards(steep) and any(admitted):
@@ -264,17 +266,17 @@ def _place(point: ProgramPoint, solution: Solution, direction: Array) -> str:
     return point.variables.labels[int(np.argmax(size))]
 
 
-def least_curvature(point: ProgramPoint, held: Mask, unit: Any = None) -> Curvature:
+def least_curvature(point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> Curvature:
     """Return the least curvature of the Lagrangian where some variables and rows do not vary.
 
     Parameters
     ----------
     point : ProgramPoint
     held : bool array (n_variables + n_constraints,)
-    unit : sparse (n_variables, n_variations), optional
+    unit, further : sparse, optional
         As of `NullSpace`.
     """
-    space = NullSpace.of(point, held, unit)
+    space = NullSpace.of(point, held, unit, further)
     hessian = space.in_shares(point.hessian)
     plain = hessian if unit is None else NullSpace.of(point, held).in_shares(point.hessian)
     sizes = np.sqrt(np.asarray((plain**2).sum(axis=1)))

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_discrete_are
 from scipy.optimize import minimize_scalar
 
 from gnc_opt.control.controller import Controller, first_memory, law
@@ -27,7 +27,7 @@ from gnc_opt.control.linear.gains import (
     riccati_gains,
 )
 from gnc_opt.control.linear.linearization_table import LinearizationTable
-from gnc_opt.control.linear.margins import _at_rest, _frequencies, margins
+from gnc_opt.control.linear.margins import _frequencies, _met, margins
 from gnc_opt.control.linear.riccati import (
     gain_of,
     require_detectable,
@@ -680,11 +680,26 @@ def test_what_integrates_but_for_rounding_has_no_gain_at_rest(c, dt):
     """A mode of the rate zero, or of one per step, of a matrix whose entries cancel to rounding."""
     rate = np.array([[-c, c], [c / 7, -c / 7]]) * (1 + np.array([[0.0, 1e-16], [0.0, 3e-16]]))
     a = rate if dt is None else np.eye(2) + rate
-    assert _at_rest(a, np.array([1.0, 0.0]), np.array([2.0, 1.0]), dt) == INF
+
+    def at_rest(a):
+        system, none = (a, np.array([1.0, 0.0]), np.array([2.0, 1.0])), np.empty(0)
+        return _met(system, lambda w: 0j, np.append(none, 1.0), np.zeros(1), dt)[0]
+
+    assert at_rest(a) == INF
     slow = a - 1e-3 * abs(c) * np.eye(2)
     still = -slow if dt is None else np.eye(2) - slow
     expected = np.array([2.0, 1.0]) @ np.linalg.inv(still) @ np.array([1.0, 0.0])
-    assert _at_rest(slow, np.array([1.0, 0.0]), np.array([2.0, 1.0]), dt) == pytest.approx(expected)
+    assert at_rest(slow) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("rate", "dt"), [(0.5, 0.01), (2.0, 0.005), (2.0, 0.02), (2.0, 0.5)])
+def test_loops_that_go_through_infinity_need_no_gain(rate, dt):
+    """At an undamped mode of the plant L changes its sign through infinity; any small gain damps it."""
+    a, b = zero_order_hold(np.array([[0.0, 1.0], [-(rate**2), 0.0]]), np.array([[0.0], [2e-3]]), dt)
+    x = solve_discrete_are(a, b, np.eye(2), np.eye(1))
+    k = np.linalg.solve(1 + b.T @ x @ b, b.T @ x @ a)
+    assert spectral_radius(a - 1e-3 * b @ k) < 1
+    assert margins(a, b, k, dt).gain_down.tolist() == [0.0]
 
 
 def test_frequencies_reach_four_decades_beyond_the_slowest_and_the_fastest_pole():

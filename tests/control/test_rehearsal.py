@@ -1,5 +1,6 @@
 """A start and limits are judged together: against an own loop by SciPy, from both sides."""
 
+import re
 from types import SimpleNamespace
 
 import casadi as ca
@@ -10,6 +11,7 @@ import scipy
 import gnc_opt as go
 from gnc_opt.control import (
     ConstantRate,
+    ExponentialRate,
     SaturationLayer,
     design_feedback_linearization,
     design_sliding_mode,
@@ -125,7 +127,7 @@ def test_integration_steps_follow_the_fastest_mode(rate, steps):
     x, u = model.state("x"), model.control("u")
     model.ode({x: -rate * x + u})
     errors = SimpleNamespace(pair=SimpleNamespace(t=model.time, x=x, u=u, f=model.derivative()))
-    assert rehearsal._inner_steps(errors, go.Reference.constant(model, [0.0]), 0.1) == steps
+    assert rehearsal._inner_steps(errors, go.Reference.constant(model, [0.0]), 0.1, np.zeros(1)) == steps
 
 
 def test_reaching_time_is_that_of_the_limited_command():
@@ -137,17 +139,49 @@ def test_reaching_time_is_that_of_the_limited_command():
     assert told == pytest.approx(0.01 * np.argmax(np.abs(s) <= 0.05), abs=0.021)
 
 
-def test_zero_dynamics_that_blow_up_from_a_start_are_refused():
-    """eta' = eta^3 + x1 is critical at rest and escapes in finite time from x1 = 0.5."""
+def cubic(sign: float) -> go.Model:
+    """Zero dynamics +-eta^3 with an eigenvalue of zero: from eta_0 they are eta_0 / sqrt(1 -+ 2 eta_0^2 t)."""
     model = go.Model("cubic")
     x1, eta, u = model.state("x1"), model.state("eta"), model.control("u")
-    model.ode({x1: u, eta: eta**3 + x1})
-    settings = {"outputs": "x1", "dt": 0.01}
+    model.ode({x1: u, eta: sign * eta**3 + x1})
+    return model
+
+
+def held(sign: float, start: list[float], **options):
+    law = {"reaching": ExponentialRate(1.0, 1.0), "boundary": SaturationLayer(0.1), "dt": 0.01} | options
+    return design_sliding_mode(cubic(sign), [0, 0], outputs="x1", start=start, **law)
+
+
+def test_zero_dynamics_that_blow_up_from_a_start_are_refused():
+    """eta' = eta^3 + x1 is critical at rest and escapes in finite time from x1 = 0.5."""
     with pytest.raises(DesignError, match=r"runs away: 'eta' leaves all bounds at t = \d"):
-        design_feedback_linearization(model, [0, 0], poles=[-1.0], start=[0.5, 0.0], **settings)
-    reaching = {"reaching": ConstantRate(1.0), "boundary": SaturationLayer(0.1)}
+        design_feedback_linearization(cubic(1), [0, 0], outputs="x1", poles=[-1.0], start=[0.5, 0.0], dt=0.01)
     with pytest.raises(DesignError, match="runs away: 'eta'"):
-        design_sliding_mode(model, [0, 0], start=[1.5, 0.0], **reaching, **settings)
+        held(1, [1.5, 0.0], reaching=ConstantRate(1.0))
+
+
+@pytest.mark.parametrize("eta", [0.3, 0.1])
+def test_a_rehearsal_lasts_until_zero_dynamics_have_blown_up(eta):
+    """They escape at 1 / (2 eta^2) = 5.56 s and 50 s, however soon the output is where it belongs."""
+    with pytest.raises(DesignError, match="runs away: 'eta'") as refused:
+        held(1, [0.0, eta])
+    told = float(re.search(r"t = ([\d.]+) s", str(refused.value))[1])
+    assert told == pytest.approx(0.5 / eta**2, abs=0.02)
+
+
+def test_what_moves_away_too_slowly_to_be_seen_out_is_told():
+    found = held(1, [0.0, 0.01]).explain()
+    (fact,) = [fact for fact in found.facts if fact.name == "still moving away"]
+    at = float(re.search(r"t = ([\d.]+) s", fact.remark)[1])
+    assert fact.value == pytest.approx(0.01 / np.sqrt(1 - 2e-4 * at), rel=1e-5) and "'eta'" in fact.remark
+    assert at > 100
+
+
+@pytest.mark.parametrize("start", [[0.5, 0.0], [0.0, 20.0]])
+def test_zero_dynamics_that_come_back_are_not_refused(start):
+    """eta' = -eta^3 + x1 decays; at eta = 20 its slope is -1200 1/s, at the reference 0."""
+    found = held(-1, start).explain()
+    assert "still moving away" not in str(found) and "reaching time" in str(found)
 
 
 def test_a_long_way_at_the_limits_is_no_failure():

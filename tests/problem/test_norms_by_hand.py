@@ -443,3 +443,26 @@ def test_an_acceleration_limit_by_hand_is_solved_without_bounds_of_the_thrust() 
     r"""|a| <= 1 in 3 s takes the \Delta v of `FUEL`, and m = m_0 exp(-0.05 \Delta v), as m' / m = -0.05 |a|."""
     solution = go.solve(by_mass(lambda T, m: ca.sumsqr(T / m) <= 1.0), mesh="16x4", tol=None)
     assert solution.objective == pytest.approx(40 * np.exp(-0.05 * FUEL), rel=2e-4)
+
+
+@pytest.mark.parametrize("limit", [lambda a: ca.sumsqr(a) <= 25.0, lambda a: ca.norm_2(a) <= 5.0])
+def test_the_least_effort_below_a_norm_passes_through_zero_in_the_stated_components(limit: Any) -> None:
+    r"""Rest to rest over 1 m in 1 s for \int a^2, |a| <= 5: on the limit but for 2 s, s^2 = 3/4 - 3/5, about half-way.
+
+    The squared limit has hardly a slope at the guess, and was scaled by that: no solution after 2600 iterations. In
+    magnitude and direction, H curves in the latter as the square of the former, and nothing was told beside zero.
+    """
+    model = go.Model("cart")
+    r, v, a = model.state("r", 2), model.state("v", 2), model.control("a", 2)
+    model.ode({r: v, v: a})
+    problem = go.Problem("effort")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(r=0.0, v=0.0)
+    leg.final(r=[1.0, 0.0], v=0.0)
+    leg.path("limit", limit(a))
+    problem.minimize(leg.integral(ca.sumsqr(a)))
+    solution = go.solve(problem)
+    assert [v.name for v in restated(problem).phases["leg"].model.controls.variables] == ["a"]
+    assert solution.objective == pytest.approx(25 - 100 / 3 * np.sqrt(0.15), abs=1e-8)
+    assert go.verify(solution).minimum

@@ -62,10 +62,10 @@ def touch(height: float) -> Trajectory:
     )
 
 
-def touch_of_order_three(height: float) -> Trajectory:
+def touch_of_order_three(height: float, n: int = 21) -> Trajectory:
     """Quintics from (0, 1, 0) to the height at 1 s, where speed and jerk vanish, and back; free it is 5/8 high."""
-    t = np.concatenate([np.linspace(0, 1, 21), np.linspace(1, 2, 21)])
-    tau, sign = np.minimum(t, 2 - t), np.repeat([1, -1], 21)
+    t = np.concatenate([np.linspace(0, 1, n), np.linspace(1, 2, n)])
+    tau, sign = np.minimum(t, 2 - t), np.repeat([1, -1], n)
     b, c, d = np.linalg.solve([[1, 1, 1], [3, 4, 5], [6, 24, 60]], [height - 1, -1, 0])
     states = [
         tau + b * tau**3 + c * tau**4 + d * tau**5,
@@ -97,6 +97,9 @@ def test_touch_of_order_three() -> None:
         problem = chain(3, height, *ends, 2.0, "path")
         verdict = go.verify_trajectory(problem, *touch_of_order_three(height))
         assert verdict.minimum, verdict.explain()
+    # Of samples so fine some beside the touch are as good as on the limit, and must not push.
+    fine = go.verify_trajectory(chain(3, 0.55, *ends, 2.0, "bound"), *touch_of_order_three(0.55, 61))
+    assert fine.minimum, fine.explain()
     higher = chain(3, 0.66, *ends, 2.0, "path")
     assert not go.verify_trajectory(higher, *touch_of_order_three(0.66)).ok  # pushed upwards
 
@@ -131,3 +134,23 @@ def test_a_floor_that_is_met_at_a_free_end_pushes_there(at: str) -> None:
 def test_a_moving_floor_that_is_met_at_a_free_end() -> None:
     assert floor("end", 0.5, 0.5, 0.0).minimum
     assert not floor("end", 0.5, 0.5, 0.02).ok
+
+
+def test_atoms_push_a_parameter_that_is_the_limit() -> None:
+    """The ceiling is bought: 4 / (9 h) + price h is least for a height of 0.1, with an arc and an atom at each end."""
+    height = 0.1
+    problem = go.Problem("bought ceiling")
+    model = go.Model("chain")
+    q, v, u = model.state("q"), model.state("v"), model.control("u")
+    model.ode({q: v, v: u})
+    leg = problem.phase("leg", model)
+    ceiling = problem.parameter("h", lower=0.01, upper=0.3, guess=0.1)
+    leg.time(0.0, 1.0)
+    leg.initial(q=0.0, v=1.0)
+    leg.final(q=0.0, v=-1.0)
+    leg.path("ceiling", q - ceiling, upper=0.0)
+    problem.minimize(leg.integral(u**2) / 2 + 4 / (9 * height**2) * ceiling)
+    right = go.verify_trajectory(problem, *arc(height), [height])
+    assert right.minimum, right.explain()
+    wrong = go.verify_trajectory(problem, *arc(1.1 * height), [1.1 * height])
+    assert {c.name for c in wrong.failed} >= {"parameters"}

@@ -161,7 +161,7 @@ def test_which_multipliers_a_limit_can_exert() -> None:
     """Of values at the lower, at the upper, at neither, at both limits, with a slack of 1e-5 of the scale."""
     box = Interval(np.array([0.0, 0.0, 0.0, 1.0, 0.0]), np.array([1.0, 1.0, 1.0, 1.0, 1.0]))
     values, scales = np.array([0.9e-3, 1 - 0.9e-3, 0.5, 7.0, 1.1e-3]), np.full(5, 100.0)
-    limits = _Limits.of(box, values, scales)
+    limits = _Limits.of(box, values, 1e-5 * scales)
     np.testing.assert_array_equal(limits.lower, [True, False, False, True, False])
     np.testing.assert_array_equal(limits.upper, [False, True, False, True, False])
     np.testing.assert_array_equal(limits.anywhere, [True, True, False, True, False])

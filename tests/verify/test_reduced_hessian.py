@@ -253,3 +253,28 @@ def test_a_mirror_is_left_where_it_was_reached_first_unless_it_bends_too_much(
     verdict = mirror(bend, unit, cost)
     assert verdict.minimum is (result is PASS), verdict.explain()
     assert [c.name for c in verdict.failed] == ([] if result is PASS else ["second order"])
+
+
+@pytest.mark.parametrize("stated", ["path", "parameter"])
+def test_an_arc_on_a_path_constraint_is_held_where_it_begins(stated: str) -> None:
+    """As high as possible on average below 0.8, at 1 at most: up to the ceiling in 0.8 s, and 0.48 in all.
+
+    Between the points of the arc a variation would gain that vanishes at all of them.
+    """
+    model = go.Model("rise")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("rise")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    ceiling = problem.parameter("p", lower=0.0, upper=0.8, guess=0.5) if stated == "parameter" else 0.8
+    leg.path("ceiling", x - ceiling, upper=0.0)
+    problem.maximize(leg.integral(x))
+    t = np.array([*np.linspace(0.0, 0.8, 9), *np.linspace(0.8, 1.0, 5)])
+    push = np.repeat([1.0, 0.0], [9, 5])
+    verdict = go.verify_trajectory(
+        problem, t, np.minimum(t, 0.8), push, [0.8] if stated == "parameter" else None
+    )
+    assert verdict.minimum, verdict.explain()

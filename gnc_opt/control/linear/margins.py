@@ -36,7 +36,8 @@ _BESIDE = 1e-6
 _ROOT = 1e-12
 """Crossings are found to this, relative to their frequency."""
 _ROUNDED = 1e-4
-"""A gain at rest that rounding of A may change by more than this share is that of an integrator."""
+"""A loop gain that rounding of A may change by more than this share is that of an integrator or undamped mode, and has
+no size: where it changes its sign it has gone through infinity and not through zero."""
 
 
 @dataclass(frozen=True)
@@ -74,19 +75,14 @@ def _channel(
     a: Array, b: Array, gain: Array, i: int, omega: Array, dt: float | None
 ) -> tuple[float, float, float, float]:
     others = [j for j in range(b.shape[1]) if j != i]
-    loop = _loop(a - b[:, others] @ gain[others], b[:, [i]], gain[[i]], dt)
+    rest = a - b[:, others] @ gain[others]
+    loop = _loop(rest, b[:, [i]], gain[[i]], dt)
 
     def value(w: float) -> complex:
         return complex(loop(w)[0, 0])
 
     values = np.array([value(w) for w in omega])
-    crossings = [
-        1.0 / -value(w).real for w in _roots(lambda w: value(w).imag, omega, values.imag) if value(w).real < 0
-    ]
-    # the real axis is also met at the ends of the frequencies that there are
-    ends = [_at_rest(a - b[:, others] @ gain[others], b[:, i], gain[i], dt)]
-    ends += [] if dt is None else [values[-1].real]
-    crossings += [1.0 / -v for v in ends if v < 0]
+    crossings = [1.0 / -v for v in _met((rest, b[:, i], gain[i]), value, omega, values.imag, dt) if v < 0]
     unit = _roots(lambda w: np.log(abs(value(w))), omega, np.log(np.abs(values) + TINY))
     phases = [(abs(_wrapped(np.angle(-value(w)))), _lag(value(w)) / w) for w in unit]
     return (
@@ -117,27 +113,53 @@ def _loop(a: Array, b: Array, gain: Array, dt: float | None) -> Callable[[float]
     one = np.eye(a.shape[0])
 
     def value(omega: float) -> Any:
-        s = 1j * omega if dt is None else np.exp(1j * omega * dt)
-        return gain @ np.linalg.solve(s * one - a, b.astype(complex))
+        return gain @ np.linalg.solve(_point(omega, dt) * one - a, b.astype(complex))
 
     return value
 
 
-def _at_rest(a: Array, b: Array, gain: Array, dt: float | None) -> float:
-    """Return L at omega = 0; infinite for integrators, which need no least gain.
+def _point(omega: float, dt: float | None) -> complex:
+    """Return s, or z of a sampled loop, at a frequency."""
+    return complex(1j * omega) if dt is None else complex(np.exp(1j * omega * dt))
 
-    A matrix that is singular but for rounding shows in what rounding of its entries, each by itself, does to L, to
-    first order: that does not depend on units.
+
+def _met(
+    system: tuple[Array, Array, Array],
+    value: Callable[[float], complex],
+    omega: Array,
+    imaginary: Array,
+    dt: float | None,
+) -> list[float]:
+    """Return where L of a system (A, b, gain) meets the real axis, as far as rounding leaves that to be known.
+
+    At rest and, sampled, at the highest frequency it always does; infinite where L has no size, as that of integrators
+    at rest. Between two frequencies it does where its imaginary part, known at both, changes sign.
     """
-    still = -a if dt is None else np.eye(a.shape[0]) - a
-    entries = np.abs(a) if dt is None else np.abs(a) + np.eye(a.shape[0])
+    found = []
+    for w in (0.0, *([] if dt is None else [omega[-1]])):
+        at, change = _rounded(*system, _point(w, dt))
+        found.append(at.real if change < _ROUNDED * abs(at) else np.inf)
+    for k in np.flatnonzero(imaginary[:-1] * imaginary[1:] < 0):
+        ends = [_rounded(*system, _point(w, dt)) for w in omega[k : k + 2]]
+        if all(change < abs(at.imag) for at, change in ends):
+            (w,) = _roots(lambda w: value(w).imag, omega[k : k + 2], imaginary[k : k + 2])
+            at, change = _rounded(*system, _point(w, dt))
+            found.append(at.real if change < _ROUNDED * abs(at) else np.inf)
+    return found
+
+
+def _rounded(a: Array, b: Array, gain: Array, s: complex) -> tuple[complex, float]:
+    """Return L at s (or z), and what rounding of the entries of A and of s, each by itself, does to it to first order.
+
+    That does not depend on units.
+    """
+    one = np.eye(a.shape[0])
     try:
-        right, left = np.linalg.solve(still, b), np.linalg.solve(still.T, gain)
+        right, left = np.linalg.solve(s * one - a, b), np.linalg.solve((s * one - a).T, gain)
     except np.linalg.LinAlgError:
-        return np.inf
-    value = float(gain @ right)
-    change = np.finfo(float).eps * float(np.abs(left) @ entries @ np.abs(right))
-    return value if change < _ROUNDED * abs(value) else np.inf
+        return complex(np.inf), np.inf
+    change = np.finfo(float).eps * float(np.abs(left) @ (np.abs(a) + abs(s) * one) @ np.abs(right))
+    return complex(gain @ right), change
 
 
 def _frequencies(a: Array, closed: Array, dt: float | None) -> Array:

@@ -11,6 +11,7 @@ from gnc_opt.model.graph import nodes_of
 from gnc_opt.model.norms import ROOTS, NormNodes
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.norms.limits import limiting_control, limits_of
+from gnc_opt.problem.norms.roots import without_roots
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.tables import along
 
@@ -48,8 +49,35 @@ def _under_roots(leg: Phase) -> Iterator[Places]:
         places = tuple(sorted(stated[h] for h in hashes if h in stated))
         if len(places) > 1 and places not in tried:
             tried.add(places)
-            if NormNodes.of(node, controls[list(places)]).degrees.get(node.element_hash()) == 1:
+            is_norm = NormNodes.of(node, controls[list(places)]).degrees.get(node.element_hash()) == 1
+            if is_norm and not (_curves(leg, places) and _is_limited_only(leg, places)):
                 yield places
+
+
+def _curves(leg: Phase, places: Places) -> bool:
+    """Whether an integrand curves in all components of a vector, so that an optimum passes through zero smoothly."""
+    vector = leg.model.symbols("control")[list(places)]
+    hessians = (ca.hessian(row, vector)[0] for row in ca.vertsplit(leg.integrand_expression()))
+    return any(
+        all(h[i, i].is_constant() and not h[i, i].is_zero() for i in range(len(places))) for h in hessians
+    )
+
+
+def _is_limited_only(leg: Phase, places: Places) -> bool:
+    """Whether roots of a vector's components are in upper limits alone, which do without (module `roots`)."""
+    own = {leg.model.symbols("control")[i].element_hash() for i in places}
+    elsewhere = ca.vertcat(leg.model.derivative(), leg.integrand_expression())
+    with_root = [
+        node for node in nodes_of(elsewhere) if node.op() in ROOTS and own & {*map(_hash, ca.symvar(node))}
+    ]
+    changed = without_roots(leg)
+    rows = ca.vertcat(*(changed.get(name, c).expression for name, c in leg.paths.items()))
+    left = [node for node in nodes_of(rows) if node.op() in ROOTS and own & {*map(_hash, ca.symvar(node))}]
+    return not with_root and not left
+
+
+def _hash(symbol: Any) -> int:
+    return int(symbol.element_hash())
 
 
 def _squared(leg: Phase) -> Iterator[Places]:
