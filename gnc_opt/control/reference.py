@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, did_you_mean, shown
+from gnc_opt.control.residual import residual
+from gnc_opt.errors import ArgumentError, did_you_mean, shown, warn_user
 from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.solution.phase_solution import PhaseSolution
@@ -148,6 +149,12 @@ class Reference(Strict):
         ------
         ArgumentError
             The times do not increase, or a function returns what is no state or control.
+
+        Warns
+        -----
+        ProblemWarning
+            The states do not move as the model says under the controls: with the largest residual that was found at 24
+            times. Such a reference may be meant; no controller follows it without an error.
         """
         reference = cls.__new__(cls)
         span = [float(initial_time), float(final_time)]
@@ -164,6 +171,10 @@ class Reference(Strict):
             np.unique([span[0], *jumps, span[1]]),
             tail,
         )
+        if span[0] < span[1]:
+            _warn_of_residual(
+                model, reference._x[0], reference._u[0], np.clip(reference.jumps, span[0], span[1])
+            )
         return reference
 
     def _set(
@@ -303,6 +314,17 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
             f'at {left[worst]:.3g} per second; give the reference tail="hold" or tail="none".'
         )
     return u
+
+
+def _warn_of_residual(
+    model: Model, x: Callable[[Array], Array], u: Callable[[Array], Array], edges: Array
+) -> None:
+    found = residual(model, x, u, np.unique(edges))
+    if found:
+        warn_user(
+            f"the reference does not obey '{model.name}': {found}; give the u that makes the model move along x, or an "
+            "x that it can follow, or expect every controller to keep an error."
+        )
 
 
 def _over_times(function: Callable[[float], ArrayLike], layout: Layout) -> Callable[[Array], Array]:

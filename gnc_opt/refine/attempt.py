@@ -12,7 +12,7 @@ import numpy as np
 
 from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.passes import pass_record
-from gnc_opt.refine.structure.detect import regular_channels
+from gnc_opt.refine.structure.curvature import regular_channels
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.solution.history import History, RefinementStatus
 from gnc_opt.solution.solution import Solution

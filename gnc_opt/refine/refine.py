@@ -18,12 +18,8 @@ from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.hp.mesh_refinement import ROOMY, refine_mesh
 from gnc_opt.refine.limits import RefinementLimits
 from gnc_opt.refine.passes import PassLimits, pass_record
-from gnc_opt.refine.structure.detect import (
-    affine_channels,
-    curved_channels,
-    regular_channels,
-    structures_of,
-)
+from gnc_opt.refine.structure.curvature import affine_channels, convex_channels, curved_channels
+from gnc_opt.refine.structure.detect import structures_of
 from gnc_opt.refine.structure.ends import with_ends_met
 from gnc_opt.refine.structure.mending import VANISHED
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
@@ -235,12 +231,12 @@ class _Task:
         if _switches(start, found, at_least=1) and not self._known(found):
             yield from self._by_structure(start, found, share)
 
-    def _known(self, found: Mapping[str, PhaseStructure]) -> bool:
-        """Whether the same arcs in the same order have been tried and had a solution."""
+    def _known(self, found: Mapping[str, PhaseStructure], solved: bool = True) -> bool:
+        """Whether the same arcs in the same order have been tried, and had a solution if that is asked for."""
         order = {name: structure.at(()) for name, structure in found.items()}
         return any(
             a.begun is not None
-            and any(p.solved for p in a.history.passes)
+            and (not solved or any(p.solved for p in a.history.passes))
             and order == {name: structure.at(()) for name, structure in a.begun.items()}
             for a in self.attempted
         )
@@ -269,8 +265,8 @@ class _Task:
     ) -> Iterator[RefinementAttempt]:
         """Try the structure that a mesh shows, then that with path constraints kept at the ends of phases, too.
 
-        If the first cannot be met at all, also that of a slightly finer mesh. These two share as much work as the
-        first may cost.
+        Then that in which short bangs are no noise and, if the first cannot be met at all, that of a slightly finer
+        mesh. These share as much work as the first may cost.
         """
         work, options = share * self.max_work, self.options or (BRIEF if share < 1.0 else None)
         first = self._structured(start, found, work, options)
@@ -283,6 +279,11 @@ class _Task:
                 second = self._structured(met, kept, work, options)
                 yield second
                 work -= second.work
+        sharp = structures_of(start, sharp=True)
+        if work > 0 and not self._known(sharp, solved=False):
+            third = self._structured(start, sharp, work, options)
+            yield third
+            work -= third.work
         failed = first.history.status is RefinementStatus.FAILED
         if work > 0 and failed and not any(p.solved for p in first.history.passes):
             finer = self._finer(start, work)
@@ -355,6 +356,6 @@ def _switches(solution: Solution, found: Mapping[str, PhaseStructure], at_least:
         if np.any(curved_channels(samples)) and found[name].pieces > max(at_least, 1):
             return True
         # Controls that H determines have nothing to settle if they stay between their bounds.
-        if np.any(regular_channels(samples)) and found[name].pieces > 1:
+        if np.any(convex_channels(samples)) and found[name].pieces > 1:
             return True
     return False

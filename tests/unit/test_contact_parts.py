@@ -14,6 +14,7 @@ import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure import contacts as c
+from gnc_opt.refine.structure import junctions as j
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.samples import PhaseSamples
@@ -265,11 +266,11 @@ def test_a_junction_moves_to_where_the_derivative_of_the_interior_arc_vanishes(
     structure = PhaseStructure(
         (0.0, 2.0, 4.0), tuple((FREE, FREE, FREE, kind) for kind in kinds), (), 1, 1, (0, 0, 0, 1)
     )
-    assert c.junction_time(here, structure, 1, 3) == pytest.approx(time, abs=1e-9)
+    assert j.junction_time(here, structure, 1, 3) == pytest.approx(time, abs=1e-9)
     short = structure.at((1.9, 2.0, 4.0))
-    assert c.junction_time(here, short, 1, 3) == pytest.approx(2.0 + np.sign(time - 2.0) * c.FARTHEST * 0.1)
+    assert j.junction_time(here, short, 1, 3) == pytest.approx(2.0 + np.sign(time - 2.0) * j.FARTHEST * 0.1)
     settled = constraints(falling, lambda t, k: [0 * t], jumping)
-    assert c.junction_time(settled, structure, 1, 3) == 2.0
+    assert j.junction_time(settled, structure, 1, 3) == 2.0
 
 
 def test_where_a_constraint_is_left() -> None:

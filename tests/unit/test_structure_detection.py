@@ -13,6 +13,7 @@ from by_hand import cart, interval, samples
 import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.problem.arc import ArcKind
+from gnc_opt.refine.structure import curvature as b
 from gnc_opt.refine.structure import detect as d
 from gnc_opt.refine.structure.contacts import Determined
 from gnc_opt.refine.structure.phase_structure import choose, signs_of
@@ -256,18 +257,18 @@ def test_a_control_that_a_state_constraint_determines_lies_between_its_bounds_wh
     ("bounds", "affine"), [((-1, 1), True), ((-1, np.inf), False), ((-np.inf, 1), False)]
 )
 def test_bang_bang_needs_two_bounds(bounds: Any, affine: bool) -> None:
-    assert d.affine_channels(flight(lambda t, k: [0 * t], lambda t, k: [t], bounds)).tolist() == [affine]
+    assert b.affine_channels(flight(lambda t, k: [0 * t], lambda t, k: [t], bounds)).tolist() == [affine]
 
 
 def test_curvature_tells_linear_from_convex() -> None:
     """H'' = 1 over a range of 20, in shares of H of 54: 400 / 54."""
     found = samples(CART, control_bounds=interval(-10.0, 10.0))
-    assert d._curvature(found) == pytest.approx(400 / found.hamiltonian_scale)
-    assert d.regular_channels(found).tolist() == [True] and d.affine_channels(found).tolist() == [False]
+    assert b._curvature(found) == pytest.approx(400 / found.hamiltonian_scale)
+    assert b.regular_channels(found).tolist() == [True] and b.affine_channels(found).tolist() == [False]
     concave = samples(CART, weights=(-0.5,), control_bounds=interval(-10.0, 10.0))
-    assert d.regular_channels(concave).tolist() == [False] == d.affine_channels(concave).tolist()
+    assert b.regular_channels(concave).tolist() == [False] == b.affine_channels(concave).tolist()
     line = flight(lambda t, k: [0 * t], lambda t, k: [t])
-    assert d.regular_channels(line).tolist() == [False] and d.affine_channels(line).tolist() == [True]
+    assert b.regular_channels(line).tolist() == [False] and b.affine_channels(line).tolist() == [True]
 
 
 def test_the_switching_function_at_a_time_is_that_of_the_samples() -> None:

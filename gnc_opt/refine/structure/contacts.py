@@ -32,9 +32,9 @@ from gnc_opt.refine.error import states_at_points
 from gnc_opt.refine.structure.ends import with_starts_on_limits
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.state_constraints import NEAR, StateConstraints
-from gnc_opt.solution.polynomial import Side
+from gnc_opt.refine.structure.tidy import with_possible_ends, without_overlaps
 from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.tolerances import BESIDE, TINY
+from gnc_opt.tolerances import TINY
 
 PUSHING = 1e-3
 """Share of the largest push of a constraint that counts as one, ..."""
@@ -56,9 +56,6 @@ LASTING = 3
 
 SWINGING = 0.05
 """A control is between its bounds on average if the mean is this far from them, relative to its range."""
-
-FARTHEST = 0.5
-"""Share of the shorter piece beside a junction by which it may move at once."""
 
 EXCEEDED = 1e-8
 """A constraint beyond its limit by this share of what it moves is left."""
@@ -127,9 +124,18 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
         return structure
     known = structure.holders[first:]
     holders = [constraints.holders(row) if order else known[row] for row, order in enumerate(orders)]
-    structure = replace(structure, orders=(*(0,) * first, *orders), holders=(*((),) * first, *holders))
+    known = structure.leans[first:]
+    leans = [constraints.leans(row) if order else known[row] for row, order in enumerate(orders)]
+    structure = replace(
+        structure,
+        orders=(*(0,) * first, *orders),
+        holders=(*((),) * first, *holders),
+        leans=(*((),) * first, *leans),
+    )
     for run in _runs_of_pushes(constraints, structure):
         structure = run.added(structure, samples)
+    longest = SHORT * float(np.max(np.diff(samples.leg.breaks)))
+    structure = with_possible_ends(without_overlaps(structure), longest)
     return with_starts_on_limits(structure, problem.phases[samples.leg.name], samples)
 
 
@@ -172,7 +178,7 @@ class _Run:
                 continue
             if order == 1:
                 start, end = self._between(a, first), self._between(b, last)
-                switches = [self._switch(structure, t, samples) for t in (start, end)]
+                switches = [self._switch(structure, t, samples, k) for k, t in enumerate((start, end))]
                 if switches[0] < switches[1]:
                     start, end = switches
                 turned = structure
@@ -237,17 +243,36 @@ class _Run:
             if np.mean([structure.kinds[k][i].at_limit for k in pieces]) < 0.5
         ]
 
-    def _switch(self, structure: PhaseStructure, time: float, samples: PhaseSamples) -> float:
-        """Where a control that holds the constraint switches close by, or the time itself: it does that to hold it."""
-        breaks = samples.leg.breaks
+    def _switch(self, structure: PhaseStructure, time: float, samples: PhaseSamples, side: int) -> float:
+        """Where a control that holds the constraint switches close by, or the time itself: it does that to hold it.
+
+        The one holder of an arc is on no bound along it: it leaves one at the start (side 0), and meets one at the end
+        (side 1). It does neither where another arc of its begins or ends.
+        """
+        breaks, holders = samples.leg.breaks, structure.holders[self.row]
         segment = int(np.clip(np.searchsorted(breaks, time) - 1, 0, breaks.size - 2))
         reach = SHORT * float(breaks[segment + 1] - breaks[segment])
-        switches = [
-            structure.times[k]
-            for k in range(1, structure.pieces)
-            if any(i in structure.holders[self.row] for i in structure.changes(k)) and not structure.kinked(k)
-        ]
-        return min((t for t in switches if abs(t - time) < reach), key=lambda t: abs(t - time), default=time)
+        switches = []
+        for k in range(1, structure.pieces):
+            at = structure.times[k]
+            if abs(at - time) >= reach or structure.kinked(k):
+                continue
+            if len(holders) == 1 and self._others(structure, *sorted((at, time))):
+                continue
+            outer = structure.kinds[k - 1 if side == 0 else k]
+            changed = [i for i in structure.changes(k) if i in holders]
+            if changed and (len(holders) > 1 or outer[changed[0]].at_limit):
+                switches.append(at)
+        return min(switches, key=lambda t: abs(t - time), default=time)
+
+    def _others(self, structure: PhaseStructure, start: float, end: float) -> bool:
+        """Whether another constraint with the same holders is on a limit for some of a time."""
+        return any(
+            kinds[row].at_limit and structure.times[k] < end and structure.times[k + 1] > start
+            for row in np.flatnonzero(structure.orders)
+            for k, kinds in enumerate(structure.kinds)
+            if row != self.row and structure.holders[row] == structure.holders[self.row]
+        )
 
     def _up_to_arcs(
         self, structure: PhaseStructure, start: float, end: float, samples: PhaseSamples
@@ -387,25 +412,6 @@ def _runs(here: Mask) -> list[tuple[int, int]]:
 
 
 # --- mended ---------------------------------------------------------------------------------------------------
-
-
-def junction_time(constraints: StateConstraints, structure: PhaseStructure, boundary: int, row: int) -> float:
-    """Return where a row's arc wants to begin or end: where its q-th derivative along the interior arc vanishes."""
-    leg, first = constraints.samples.leg, len(structure.controls)
-    entered = structure.kinds[boundary][row].at_limit
-    side: Side = "left" if entered else "right"
-    time = structure.times[boundary]
-    k = int(np.argmin(np.abs(leg.breaks - time)))
-    step = BESIDE * (leg.breaks[k] - leg.breaks[k - 1] if entered else leg.breaks[k] - leg.breaks[k + 1])
-    times = np.array([leg.breaks[k], leg.breaks[k] - step])
-    values = constraints.derivative(
-        row - first, structure.orders[row], times, leg.x(times, side), leg.u(times, side)
-    )
-    slope = (values[0] - values[1]) / step
-    lengths = structure.lengths
-    most = FARTHEST * min(lengths[boundary - 1], lengths[boundary])
-    move = -values[0] / slope if slope != 0 else 0.0
-    return time + float(np.clip(move, -most, most))
 
 
 def wrong_touch(constraints: StateConstraints, structure: PhaseStructure) -> tuple[int, int] | None:

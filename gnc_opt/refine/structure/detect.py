@@ -10,13 +10,21 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.composed import VectorControl
 from gnc_opt.problem.arc import ArcKind
+from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.structure.contacts import Determined, determined, with_contacts
+from gnc_opt.refine.structure.curvature import (
+    affine_channels,
+    convex_channels,
+    linear_limits,
+    regular_channels,
+    with_flat_times,
+)
 from gnc_opt.refine.structure.mixed import LinearLimits
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose
 from gnc_opt.refine.structure.vectors import label_vectors
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
-from gnc_opt.tolerances import CONVEX
+from gnc_opt.verify.singular import chatters
 
 NEAR = 0.02
 """A control this close to a bound, relative to its range, is taken to sit on it."""
@@ -30,9 +38,6 @@ multiplier says so too."""
 
 STILL = 1e-4
 """A state that stays this close to its bound, relative to its size, along a segment is held there."""
-
-LINEAR = 1e-9
-"""Second derivative of H in a control, over its range and in shares of H, below which H is linear in it."""
 
 SMALL = 2e-2
 """A switching function this small over whole segments, in shares of H, marks a singular arc."""
@@ -50,33 +55,37 @@ SHORT = 2.0
 """Bangs beside a singular arc that are shorter than this many segments belong to it."""
 
 
-def structures_of(solution: Solution) -> dict[str, PhaseStructure]:
-    """Return the structures of all phases, contacts with state constraints included."""
+def structures_of(solution: Solution, *, sharp: bool = False) -> dict[str, PhaseStructure]:
+    """Return the structures of all phases, contacts with state constraints included; sharp: see `detect`."""
     problem = solution.need_problem("refine")
     return {
-        name: with_contacts(detect(s, determined(problem, s)), problem, s)
+        name: with_contacts(detect(s, determined(problem, s), sharp), problem, s)
         for name, s in solution.samples().items()
     }
 
 
-def detect(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> PhaseStructure:
+def detect(
+    samples: PhaseSamples, determined: Sequence[Determined] = (), sharp: bool = False
+) -> PhaseStructure:
     """Return the structure of a phase; what state constraints determine, if known, lies between its bounds.
 
     Controls that enter H linearly follow the sign of their switching function, except where it stays near
     zero over whole segments with the control between its bounds (a singular arc, or one on a state
-    constraint). Other controls are judged by their nearness to the bounds, path constraints and states by theirs and
-    by their multipliers.
+    constraint). Short bangs beside those are taken for noise, unless the structure is to be sharp. Other controls are
+    judged by their nearness to the bounds, path constraints and states by theirs and by their multipliers.
     """
-    leg, regular, affine = samples.leg, regular_channels(samples), affine_channels(samples)
+    leg, regular, affine = samples.leg, convex_channels(samples), affine_channels(samples)
+    strictly = regular_channels(samples)
     limits = linear_limits(samples)
     held = [[(d.start, d.end) for d in determined if d.control == i] for i in range(leg.controls.size)]
     rows = [
-        _linear_labels(samples, i, held[i])
+        _linear_labels(samples, i, held[i], sharp)
         if affine[i]
-        else _nonlinear_labels(samples, i, short=0.0 if regular[i] else SHORT)
+        else _nonlinear_labels(samples, i, short=0.0 if strictly[i] else SHORT)
         for i in range(leg.controls.size)
     ]
     mixed = _mixed_paths(samples, regular)
+    mixed_holders, leans = _mixed_holders(samples, mixed)
     paths = _path_labels(samples, mixed)
     for i in limits.rows:
         if affine[i]:
@@ -91,7 +100,7 @@ def detect(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> Phas
     times = [first, *sorted({t for row in changes for t in row if first < t < last}), last]
     middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
     kinds = np.stack([_labels_at(row, at, middles) for row, at in zip(rows, changes, strict=True)])
-    return PhaseStructure(
+    found = PhaseStructure(
         tuple(float(t) for t in times),
         tuple(tuple(column) for column in kinds.T),
         (*(bool(r) for r in regular), *(bool(r) for r in mixed), *(False,) * leg.states.size),
@@ -100,54 +109,29 @@ def detect(samples: PhaseSamples, determined: Sequence[Determined] = ()) -> Phas
         holders=(
             *((),) * leg.controls.size,
             *(
-                directions.get(p, tuple(i for i, own in limits.rows.items() if p in own))
+                directions.get(p, tuple(i for i, own in limits.rows.items() if p in own) or mixed_holders[p])
                 for p in range(len(leg.path_labels))
             ),
             *((),) * leg.states.size,
         ),
         slopes=(*(0,) * leg.controls.size, *limits.signs, *(0,) * leg.states.size),
+        leans=(*((),) * leg.controls.size, *leans, *((),) * leg.states.size),
     ).merged()
+    return with_flat_times(found, samples)
 
 
-def affine_channels(samples: PhaseSamples) -> Mask:
-    """Return which controls enter H linearly and have two finite bounds, or path constraints in their place, (m,)."""
-    bounds, limits = samples.leg.control_bounds, linear_limits(samples)
-    bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
-    for i in limits.rows:
-        bounded[i] = all(limits.ended(i))
-    return _linear(samples) & bounded
-
-
-def curved_channels(samples: PhaseSamples) -> Mask:
-    """Return in which controls between two finite bounds H is neither linear nor convex all along the phase, (m,).
-
-    Where H is least at a bound they jump from one to the other, as those do that it is linear in.
-    """
-    bounds = samples.leg.control_bounds
-    bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
-    return np.asarray(bounded & ~_linear(samples) & ~regular_channels(samples))
-
-
-def linear_limits(samples: PhaseSamples) -> LinearLimits:
-    """Return the path constraints that limit one control each that enters H linearly."""
-    return LinearLimits.of(samples, _linear(samples))
-
-
-def _linear(samples: PhaseSamples) -> Mask:
-    return np.asarray(np.max(np.abs(_curvature(samples)), axis=1, initial=0.0) < LINEAR)
-
-
-def regular_channels(samples: PhaseSamples) -> Mask:
-    """Return in which controls H is strictly convex all along the phase, (m,)."""
-    return np.asarray(np.min(_curvature(samples), axis=1, initial=np.inf) > CONVEX)
-
-
-def _curvature(samples: PhaseSamples) -> Array:
-    """Second derivative of H in each control over its range, in shares of H, (m, n_samples)."""
-    scale = samples.control_scale
-    return np.asarray(
-        np.einsum("iij->ij", samples.control_hessian) * scale[:, None] ** 2 / samples.hamiltonian_scale
-    )
+def with_bangs(problem: Problem, samples: PhaseSamples, structure: PhaseStructure) -> PhaseStructure:
+    """Return the structure with bangs, as the signs of the switching functions are, in place of arcs that chatter."""
+    affine = affine_channels(samples)
+    for i in np.flatnonzero(np.any(structure.controls == ArcKind.SINGULAR, axis=1)):
+        if not affine[i] or not chatters(problem, samples, int(i)):
+            continue
+        labels = choose(samples.control_gradient[i] > 0, ArcKind.LOWER, ArcKind.UPPER)
+        kinds = [labels[0], *labels[1:][labels[1:] != labels[:-1]]]
+        edges = [structure.times[0], *_middles(samples, labels), structure.times[-1]]
+        for kind, start, end in zip(kinds, edges[:-1], edges[1:], strict=True):
+            structure = structure.with_arc(int(i), start, end, kind)
+    return structure
 
 
 def switching(samples: PhaseSamples, times: Array) -> Array:
@@ -157,14 +141,17 @@ def switching(samples: PhaseSamples, times: Array) -> Array:
     return samples.functions.control_gradient(times, leg.x(times), leg.flown(times), leg.lam(times), mu)
 
 
-def _linear_labels(samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]]) -> KindArray:
+def _linear_labels(
+    samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]], sharp: bool = False
+) -> KindArray:
     """LOWER, UPPER or SINGULAR at each sample for a control that enters H linearly and is determined at times."""
     gradient = _share(samples, samples.control_gradient, i)
     labels = choose(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
     for k in _singular_segments(samples, i, gradient):
         labels[samples.segments == k] = ArcKind.SINGULAR
     labels[_within(samples, held)] = ArcKind.SINGULAR
-    _absorb(samples, i, labels, gradient)
+    if not sharp:
+        _absorb(samples, i, labels, gradient)
     return labels
 
 
@@ -290,6 +277,19 @@ def _mixed_paths(samples: PhaseSamples, regular: Mask) -> Mask:
     depends = np.any(slopes != 0, axis=2)
     inequality = (leg.path_bounds.lower < leg.path_bounds.upper) & ~np.isin(leg.path_labels, lengths)
     return np.asarray(inequality & np.any(depends, axis=1) & ~np.any(depends & ~regular, axis=1))
+
+
+def _mixed_holders(samples: PhaseSamples, mixed: Mask) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
+    """The controls of each mixed path constraint, and the signs of its slopes in them, 0 if they change."""
+    if not np.any(mixed):
+        return [()] * mixed.size, [()] * mixed.size
+    slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
+    own = [
+        tuple(np.flatnonzero(np.any(slope != 0, axis=1)).tolist()) if found else ()
+        for slope, found in zip(slopes, mixed, strict=True)
+    ]
+    signs = np.where(np.all(slopes > 0, axis=2), 1, np.where(np.all(slopes < 0, axis=2), -1, 0))
+    return own, [tuple(int(signs[p, i]) for i in held) for p, held in enumerate(own)]
 
 
 def _path_labels(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:

@@ -19,16 +19,19 @@ from collections.abc import Callable
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.refine.structure.contacts import junction_time
 from gnc_opt.refine.structure.detect import crossings
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import Plan
 from gnc_opt.refine.structure.state_constraints import StateConstraints
 from gnc_opt.solution.polynomial import Side
 from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.tolerances import BESIDE
 
 SETTLED = 1e-8
 """A kink that wants to move by less than this share of the phase is where it belongs."""
+
+FARTHEST = 0.5
+"""Share of the shorter piece beside a junction by which it may move at once."""
 
 ENTERED = 1e-10
 """The same for the ends of an arc on a state constraint: what is wrong there is differentiated in its multiplier."""
@@ -56,6 +59,25 @@ def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | No
     if np.all(moves <= settled * (times[-1] - times[0])):
         return None
     return structure.at(tuple(times))
+
+
+def junction_time(constraints: StateConstraints, structure: PhaseStructure, boundary: int, row: int) -> float:
+    """Return where a row's arc wants to begin or end: where its q-th derivative along the interior arc vanishes."""
+    leg, first = constraints.samples.leg, len(structure.controls)
+    entered = structure.kinds[boundary][row].at_limit
+    side: Side = "left" if entered else "right"
+    time = structure.times[boundary]
+    k = int(np.argmin(np.abs(leg.breaks - time)))
+    step = BESIDE * (leg.breaks[k] - leg.breaks[k - 1] if entered else leg.breaks[k] - leg.breaks[k + 1])
+    times = np.array([leg.breaks[k], leg.breaks[k] - step])
+    values = constraints.derivative(
+        row - first, structure.orders[row], times, leg.x(times, side), leg.u(times, side)
+    )
+    slope = (values[0] - values[1]) / step
+    lengths = structure.lengths
+    most = FARTHEST * min(lengths[boundary - 1], lengths[boundary])
+    move = -values[0] / slope if slope != 0 else 0.0
+    return time + float(np.clip(move, -most, most))
 
 
 def _wanted(samples: PhaseSamples, plan: Plan, boundary: int, row: int) -> float:

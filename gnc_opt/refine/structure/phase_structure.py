@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias, cast
 
 import numpy as np
@@ -32,8 +32,8 @@ class PhaseStructure:
         For each piece between neighbouring times what every row does: LOWER or UPPER at that limit, INTERIOR wherever
         it likes, SINGULAR between its bounds though it enters H linearly.
     regular : tuple of bool
-        For each row whether H is strictly convex in the control, so that it enters and leaves its bounds (or the
-        mixed path constraint) with kinks instead of jumps.
+        For each row whether H is convex in the control, so that it enters and leaves its bounds (or the mixed path
+        constraint) with kinks instead of jumps, but for times at which it is ``flat``.
     n_controls : int or None
         The rows are so many controls, then path constraints, then states, at the limit that is active there or
         interior; None: controls only.
@@ -43,10 +43,15 @@ class PhaseStructure:
     touches : tuple of A + 1 tuples of Touch
         What state constraints only touch, at each of the times.
     holders : tuple of tuple of int
-        For each of the rows with an order or a slope the controls that can hold it on its limit; those that do it best
-        come first.
+        For each of the rows with an order or a slope, and of mixed path constraints, the controls that can hold it on
+        its limit; those that do it best come first.
     slopes : tuple of int
         For each path constraint that limits one control linearly (`mixed`) the sign of its slope in it; else 0.
+    leans : tuple of tuple of int
+        For each of the rows with an order, and of mixed path constraints, the signs of what each of the holders does to
+        it, or to its derivative of the constraint's order; 0 if that changes.
+    flat : tuple of tuple
+        Row, start and end (s) of times at which H is linear in a control that it is convex in at others.
     """
 
     times: tuple[float, ...]
@@ -58,6 +63,8 @@ class PhaseStructure:
     touches: tuple[tuple[Touch, ...], ...] = ()
     holders: tuple[tuple[int, ...], ...] = ()
     slopes: tuple[int, ...] = ()
+    leans: tuple[tuple[int, ...], ...] = ()
+    flat: tuple[tuple[int, float, float], ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         if not self.orders:
@@ -66,6 +73,8 @@ class PhaseStructure:
             object.__setattr__(self, "holders", ((),) * len(self.kinds[0]))
         if not self.slopes:
             object.__setattr__(self, "slopes", (0,) * len(self.kinds[0]))
+        if not self.leans:
+            object.__setattr__(self, "leans", ((),) * len(self.kinds[0]))
         if not self.touches:
             object.__setattr__(self, "touches", ((),) * (len(self.kinds) + 1))
         if not self.regular:
@@ -153,14 +162,26 @@ class PhaseStructure:
         a control that enters H linearly jumps to where it holds a state constraint, but goes on from its bound to a
         path constraint that limits it on the same side.
         """
-        if self.handed_over(boundary):
+        if self.handed_over(boundary) or self.taken_over(boundary):
             return not self.touches[boundary]
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         return not self.touches[boundary] and all(
-            (self.regular[i] or self._determines(i, boundary) or self.gives_out(i, boundary))
+            (self._bends_at(i, boundary) or self._determines(i, boundary) or self.gives_out(i, boundary))
             and not (before[i].at_limit and after[i].at_limit)
             for i in self.changes(boundary)
         )
+
+    def _bends_at(self, row: int, boundary: int) -> bool:
+        """Whether a row is of a control that H is strictly convex in at a boundary."""
+        time = self.times[boundary]
+        return self.regular[row] and not any(i == row and a <= time <= b for i, a, b in self.flat)
+
+    def curved(self) -> Mask:
+        """Return where rows are of controls that H is strictly convex in all along a piece, (n_rows, A)."""
+        found = np.repeat(np.asarray(self.regular, dtype=bool)[:, None], self.pieces, axis=1)
+        for row, start, end in self.flat:
+            found[row] &= (np.asarray(self.times[1:]) <= start) | (np.asarray(self.times[:-1]) >= end)
+        return found
 
     def gives_out(self, row: int, boundary: int) -> bool:
         """Whether a control that holds a state constraint reaches its own bound there, and others hold it further.
@@ -205,6 +226,34 @@ class PhaseStructure:
         controls = {i for row in rows for i in (self.holders[row] if row >= self._n_free else (row,))}
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
 
+    def taken_over(self, boundary: int) -> list[int]:
+        """Return a state constraint and a limit of a control that holds it, if the limit takes over, on the same side.
+
+        The control comes to it and goes on, though H may be linear in it from there on: the costates jump.
+        """
+        rows, beside = self.changes(boundary), self.kinds[boundary - 1 : boundary + 1]
+        held = [[i for i in rows if kinds[i].at_limit] for kinds in beside]
+        if len(rows) != 2 or [len(here) for here in held] != [1, 1]:
+            return []
+        (state,), (limit,) = held
+        owner = (limit,) if limit < self._n_free else self.holders[limit]
+        if (
+            self.orders[state] != 1
+            or self.orders[limit]
+            or len(owner) != 1
+            or owner[0] not in self.holders[state]
+        ):
+            return []
+        if not all(self.regular[i] for i in self.holders[state]):
+            return []
+        lean = self.leans[state][self.holders[state].index(owner[0])]
+        kinds = {i: pair[i] for pair, (i,) in zip(beside, held, strict=True)}
+        sides = (
+            kinds[state].sign * lean,
+            kinds[limit].sign * (1 if limit < self._n_free else self.leans[limit][0]),
+        )
+        return rows if sides[0] == sides[1] != 0 else []
+
     def on_sphere(self) -> Mask:
         """Return where the length of a direction is at its limit beside a state constraint that is, (n_paths, A).
 
@@ -214,7 +263,7 @@ class PhaseStructure:
         contact = np.array([self.on_contact(k) for k in range(self.pieces)])
         for path in range(self.n_paths):
             row = self._n_free + path
-            if self.holders[row] and not self.orders[row] and not self.slopes[row]:
+            if self.holders[row] and not (self.orders[row] or self.slopes[row] or self.regular[row]):
                 singular = np.any(self.matrix()[list(self.holders[row])] == ArcKind.SINGULAR, axis=0)
                 found[path] = contact & ~singular
         return found
@@ -231,7 +280,7 @@ class PhaseStructure:
         beside = np.zeros((len(self.kinds[0]), self.pieces), dtype=bool)
         for k in range(1, self.pieces):
             given_out = [row for row in self.changes(k) if self.gives_out(row, k)]
-            for row in [*self.handed_over(k), *given_out]:
+            for row in [*self.handed_over(k), *self.taken_over(k), *given_out]:
                 beside[row, k - 1 : k + 1] = [not self.kinds[j][row].at_limit for j in (k - 1, k)]
         return beside
 

@@ -250,9 +250,8 @@ class Plan:
         Beside a time at which a vector turns to hold a constraint, which is tangent to its limit there, one segment.
         """
         structure = self.structure
-        regular = np.asarray(structure.regular, dtype=bool)[:, None]
         beside = structure.beside_contacts(self.loose, self.firm) | structure.beside_takeovers()
-        found = (regular | beside)[:, self.segment_pieces]
+        found = (structure.curved() | beside)[:, self.segment_pieces]
         for k in filter(structure.slides, range(1, structure.pieces)):
             end = self.piece_ends[k]
             for row in structure.changes(k):

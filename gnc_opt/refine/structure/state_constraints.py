@@ -74,21 +74,24 @@ class StateConstraints:
         controls = self._found(row).controls
         if len(controls) < 2:
             return controls
-        s = self.samples
+        return tuple(sorted(controls, key=lambda c: float(np.min(np.abs(self._moved(row, c)))), reverse=True))
+
+    def leans(self, row: int) -> tuple[int, ...]:
+        """Return the sign of what each holder does to the derivative of its order of a row, or 0 if that changes."""
+        moved = [self._moved(row, control) for control in self.holders(row)]
+        return tuple(int(np.sign(change[0])) if np.all(change * change[0] > 0) else 0 for change in moved)
+
+    def _moved(self, row: int, control: int) -> Array:
+        """How a control moves the derivative of its order of a row, at the samples closest to its limits."""
+        s, order = self.samples, self.order(row)
         distance = np.min(
             [np.abs(self.values(s.times, s.x, s.u)[row] - at) for _, at in self.limits(row)], axis=0
         )
         near = distance <= max(NEAR * self.scales[row], np.min(distance))
         times, x, u = s.times[near], s.x[:, near], s.u[:, near]
-        order = self.order(row)
-        before = self.derivative(row, order, times, x, u)
-
-        def least(control: int) -> float:
-            moved = u.copy()
-            moved[control] += PROBE * s.control_scale[control]
-            return float(np.min(np.abs(self.derivative(row, order, times, x, moved) - before)))
-
-        return tuple(sorted(controls, key=least, reverse=True))
+        moved = u.copy()
+        moved[control] += PROBE * s.control_scale[control]
+        return self.derivative(row, order, times, x, moved) - self.derivative(row, order, times, x, u)
 
     def _found(self, row: int) -> ConstraintOrder:
         return constraint_order(self.problem, self.problem.phases[self.samples.leg.name], row)

@@ -21,6 +21,7 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.passes import PassLimits, pass_meter, pass_record
 from gnc_opt.refine.structure.apart import shared, solve_apart
+from gnc_opt.refine.structure.curvature import with_flat_times
 from gnc_opt.refine.structure.detect import structures_of
 from gnc_opt.refine.structure.mending import KINKS_MOVED, RAISED, SMOOTHED, collapsed, improve, smoother
 from gnc_opt.refine.structure.newton import settle
@@ -36,6 +37,9 @@ from gnc_opt.verify.verify import verify
 
 PATIENCE = 4
 """Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
+
+IN_VAIN = 3
+"""Structures without a solution, one made of the other, after which the loop gives up."""
 
 FINEST = 1e-9
 """Switch times are asked for at least this accurately: that costs a solve of a few iterations, if any."""
@@ -167,6 +171,7 @@ class _Loop:
     def run(self, solution: Solution, plans: dict[str, Plan]) -> RefinementStatus:
         """Solve and mend until nothing is left to mend; add every pass to ``tries``."""
         swapped: set[tuple[str, PhaseStructure]] = set()
+        vain = 0
         for _ in range(self.limits.passes):
             begin = time.perf_counter()
             if begin > self.limits.deadline:
@@ -182,12 +187,13 @@ class _Loop:
                 self._note(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
                 if found.status.value == "interrupted":
                     return RefinementStatus.INTERRUPTED
+                vain += 1
                 others = _instead(found, plans, swapped)
-                if others is None:
+                if others is None or vain == IN_VAIN:
                     return RefinementStatus.FAILED
                 plans = others
                 continue
-            solution = found
+            solution, vain = found, 0
             current = {name: _at_solution(plan, solution, name) for name, plan in plans.items()}
             plans, action = improve(solution, current, swapped, self.aim)
             record = _record(solution, begin, action or "structure stands")
@@ -293,10 +299,13 @@ def _solve(
 
 
 def _at_solution(plan: Plan, solution: Solution, name: str) -> Plan:
-    """Return the plan with the switch times of the solution."""
+    """Return the plan with the switch times of the solution, and with those at which H is linear in controls."""
     leg = solution.phases[name]
     times = tuple(float(t) for t in leg.breaks[list(plan.piece_ends)])
-    return replace(plan, structure=plan.structure.at(times))
+    found = plan.structure.at(times)
+    if any(found.regular):
+        found = with_flat_times(found, solution.samples()[name])
+    return replace(plan, structure=found)
 
 
 def _record(solution: Solution, begin: float, action: str) -> Pass:

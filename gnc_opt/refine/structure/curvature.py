@@ -1,0 +1,94 @@
+"""How H bends in each control: linear, convex, or convex for as long as what it moves is worth something."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array, Mask
+from gnc_opt.refine.structure.mixed import LinearLimits
+from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.solution.samples import PhaseSamples
+from gnc_opt.tolerances import CONVEX
+
+HOLLOW = 1e-2
+"""H is convex in a control if its second derivative is below zero by no more than this share of what it is above, on
+average: where a costate vanishes or jumps the mesh leaves as much."""
+
+LINEAR = 1e-9
+"""Second derivative of H in a control, over its range and in shares of H, below which H is linear in it."""
+
+
+def affine_channels(samples: PhaseSamples) -> Mask:
+    """Return which controls enter H linearly and have two finite bounds, or path constraints in their place, (m,)."""
+    bounds, limits = samples.leg.control_bounds, linear_limits(samples)
+    bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
+    for i in limits.rows:
+        bounded[i] = all(limits.ended(i))
+    return _linear(samples) & bounded
+
+
+def curved_channels(samples: PhaseSamples) -> Mask:
+    """Return in which controls between two finite bounds H is neither linear nor convex along the phase, (m,).
+
+    Where H is least at a bound they jump from one to the other, as those do that it is linear in.
+    """
+    bounds = samples.leg.control_bounds
+    bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
+    return np.asarray(bounded & ~_linear(samples) & ~convex_channels(samples))
+
+
+def linear_limits(samples: PhaseSamples) -> LinearLimits:
+    """Return the path constraints that limit one control each that enters H linearly."""
+    return LinearLimits.of(samples, _linear(samples))
+
+
+def _linear(samples: PhaseSamples) -> Mask:
+    return np.asarray(np.max(np.abs(_curvature(samples)), axis=1, initial=0.0) < LINEAR)
+
+
+def regular_channels(samples: PhaseSamples) -> Mask:
+    """Return in which controls H is strictly convex all along the phase, (m,)."""
+    return np.asarray(np.min(_curvature(samples), axis=1, initial=np.inf) > CONVEX)
+
+
+def convex_channels(samples: PhaseSamples) -> Mask:
+    """Return in which controls H is convex all along the phase, and strictly at times, (m,).
+
+    It is linear in a control whose square moves a state alone, where that state is worth nothing: heat, beyond its
+    limit.
+    """
+    curvature = _curvature(samples)
+    above, below = (np.maximum(sign * curvature, 0.0) @ samples.weights for sign in (1.0, -1.0))
+    return np.asarray(np.any(curvature > CONVEX, axis=1) & (below < HOLLOW * above))
+
+
+def with_flat_times(structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
+    """Return the structure with the times at which H is linear in controls that it is convex in at others.
+
+    A path constraint is left or met with a jump where one of its controls jumps.
+    """
+    flat, count = _curvature(samples) <= CONVEX, len(structure.controls)
+    convex = np.asarray(structure.regular[:count], dtype=bool)
+    rows = {i: flat[i] for i in np.flatnonzero(convex & np.any(flat, axis=1))}
+    if rows and structure.n_paths:
+        slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
+        for path in np.flatnonzero(structure.regular[count : count + structure.n_paths]):
+            rows[count + path] = np.any(flat[convex] & (slopes[path, convex] != 0), axis=0)
+    spans = []
+    for row, here in rows.items():
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(int)))
+        spans += [
+            (int(row), float(samples.times[max(a - 1, 0)]), float(samples.times[min(b, here.size - 1)]))
+            for a, b in edges.reshape(-1, 2)
+        ]
+    return replace(structure, flat=tuple(spans))
+
+
+def _curvature(samples: PhaseSamples) -> Array:
+    """Second derivative of H in each control over its range, in shares of H, (m, n_samples)."""
+    scale = samples.control_scale
+    return np.asarray(
+        np.einsum("iij->ij", samples.control_hessian) * scale[:, None] ** 2 / samples.hamiltonian_scale
+    )

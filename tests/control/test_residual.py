@@ -1,0 +1,98 @@
+"""A reference that does not obey its model is told, with the residual that it has in closed form."""
+
+from __future__ import annotations
+
+import re
+import warnings
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import gnc_opt as go
+from gnc_opt.errors import ProblemWarning
+
+GRAVITY = 9.81
+
+
+def lift(unit: float = 1.0) -> go.Model:
+    """h'' = F / 2 - g; lengths in so many metres."""
+    model = go.Model("lift")
+    h, w, F = model.state("h", unit="m"), model.state("w", unit="m/s"), model.control("F", unit="N")
+    model.ode({h: w, w: (F / 2 - GRAVITY) / unit})
+    return model
+
+
+def wave(rate: float, unit: float = 1.0, push: float = 1.0):
+    """h = sin(rate t), with the force that this takes, times ``push``."""
+    return go.Reference.from_functions(
+        lift(unit),
+        lambda t: np.array([np.sin(rate * t), rate * np.cos(rate * t)]) / unit,
+        lambda t: [push * 2 * (GRAVITY - rate**2 * np.sin(rate * t))],
+        0.0,
+        10.0,
+    )
+
+
+@pytest.mark.parametrize("rate", [1e-4, 1.0, 900.0])
+def test_what_moves_as_its_model_says_is_not_told(rate):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        wave(rate)
+        wave(rate, unit=1000.0)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1000.0])
+@pytest.mark.parametrize("push", [0.0, 0.9, 0.995])
+def test_a_wrong_force_is_told_with_its_residual(push, unit):
+    """(1 - push) (g - sin t) in the unit of the model, and a share that has none."""
+    with pytest.warns(ProblemWarning, match="does not obey 'lift': 'w' moves by .* give the u that") as told:
+        wave(1.0, unit, push)
+    by, at, share = (
+        float(re.search(p, str(told[0].message))[1])
+        for p in (r"by ([\d.e+-]+) m/s per", r"t = ([\d.]+) s", r"([\d.e+-]+) % of")
+    )
+    assert by * unit == pytest.approx((1 - push) * (GRAVITY - np.sin(at)), rel=1e-2)
+    assert 100 * (1 - push) / 3 < share < 100
+
+
+def test_a_rate_that_is_not_that_of_the_place_is_told():
+    with pytest.warns(ProblemWarning, match="'h' moves by 0.0"):
+        go.Reference.from_functions(
+            lift(),
+            lambda t: [np.sin(t), 1.01 * np.cos(t)],
+            lambda t: [2 * (GRAVITY - 1.01 * np.sin(t))],
+            0,
+            9,
+        )
+
+
+def test_jumps_that_are_named_are_no_residual():
+    """A force that switches, and velocities with kinks there."""
+
+    def x(t):
+        return [t**2 / 2 if t < 1 else t - 0.5, min(t, 1.0)]
+
+    def u(t):
+        return [2 * (GRAVITY + (t < 1))]
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        go.Reference.from_functions(lift(), x, u, 0.0, 2.0, jumps=[1.0])
+
+
+def test_tables_of_an_integrator_count_as_obeying():
+    """Their interpolation is off by more than rounding, and by less than a control loop cares for."""
+    model = go.Model("pendulum")
+    th, w, T = model.state("th"), model.state("w"), model.control("T")
+    model.ode({th: w, w: -np.sin(1.0) * th + T})
+    flown = solve_ivp(
+        lambda t, y: [y[1], -np.sin(1.0) * y[0] + np.cos(3 * t)],
+        (0, 20),
+        [1.0, 0.0],
+        dense_output=True,
+        rtol=1e-6,
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        go.Reference.from_functions(model, flown.sol, lambda t: [np.cos(3 * t)], 0, 20)
