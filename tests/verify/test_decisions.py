@@ -212,12 +212,13 @@ def test_curvature_on_the_mesh(
     cone: Any = SimpleNamespace(
         point=None,
         unit=None,
+        further=None,
         strong=strong,
         weak=weak,
         admits=lambda direction, samples: direction[0] in admitted,
     )
 
-    def least(point: Any, held: Any, unit: Any) -> Curvature:
+    def least(point: Any, held: Any, unit: Any, further: Any) -> Curvature:
         assert held[0] and (bound is not None or not held[1])
         return free if not held[1] or bound is None else bound
 
@@ -241,11 +242,17 @@ def test_singular_controls_need_more_curvature(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(reduced_hessian, "_place", lambda *given: "place")
     monkeypatch.setattr(reduced_hessian, "_jumping_control", lambda samples: "")
     cone: Any = SimpleNamespace(
-        point=None, unit=None, strong=None, weak=np.zeros(1), admits=lambda *given: True
+        point=None,
+        unit=None,
+        further=None,
+        strong=None,
+        weak=np.zeros(1),
+        admits=lambda *given: True,
     )
     solution: Any = SimpleNamespace(structure=())
     samples: Any = [False, True]
     monkeypatch.setattr(reduced_hessian, "_partly_singular", lambda s: s)
+    monkeypatch.setattr(reduced_hessian, "open_end", lambda cone, s: ("", np.inf))
     assert reduced_hessian.reduced_hessian(solution, samples, cone).result is UNTOLD
     assert reduced_hessian.reduced_hessian(solution, samples[:1], cone).result is FAIL
 
