@@ -83,32 +83,6 @@ def _redundant(unit: float, cost: float, wrong: bool) -> Answer:
     return Answer(problem, T, unit * (T + bend * T * (1 - T)), unit * (1 + bend * (1 - 2 * T)))
 
 
-def _apex(unit: float, cost: float, wrong: bool) -> Answer:
-    """Rest to rest over 1 in 3 s, |a| below a slack of at most 1 that costs: bang, coast, bang."""
-    problem = go.Problem("apex")
-    leg, _, (a, b, s) = _phase(
-        problem, "leg", "x y v w", "a b s", lambda x, y, v, w, a, b, s: [v, w, a, b], (0.0, 3.0)
-    )
-    leg.initial(x=0.0, y=0.0, v=0.0, w=0.0)
-    leg.final(x=unit, y=0.0, v=0.0, w=0.0)
-    leg.bounds(s=(0.0, unit))
-    leg.path("cone", (a**2 + b**2 - s**2) / unit**2, upper=0.0)
-    problem.minimize(cost * leg.integral(s / unit))
-    return _banged(problem, unit, wrong)
-
-
-def _banged(problem: go.Problem, unit: float, wrong: bool, slack: bool = True) -> Answer:
-    peak = 0.8 if wrong else 1.0
-    push = (3 - np.sqrt(9 - 4 / peak)) / 2  # peak * push * (3 - push) = 1
-    t, arc = _arcs(push, 3 - 2 * push, push)
-    late = 3 - t
-    x = np.choose(arc, [peak * t**2 / 2, peak * push * (t - push / 2), 1 - peak * late**2 / 2])
-    v = np.choose(arc, [peak * t, peak * push + 0 * t, peak * late])
-    a = np.choose(arc, [peak + 0 * t, 0 * t, -peak + 0 * t])
-    controls = [unit * a, 0 * t, unit * np.abs(a)] if slack else [unit * a, 0 * t]
-    return Answer(problem, t, [unit * x, 0 * t, unit * v, 0 * t], controls)
-
-
 def _through_zero(unit: float, cost: float, wrong: bool) -> Answer:
     """Rest to rest over 1 in 1 s for int a^2, |a| <= 10, as a root: the push passes through zero half-way."""
     problem = go.Problem("through zero")
@@ -194,20 +168,9 @@ def _idle_prices(unit: float, cost: float, wrong: bool) -> Answer:
     problem, leg, _x, u = _line(unit)
     p, q = (problem.parameter(n, lower=0.0, upper=1.0, guess=0.5) for n in "pq")
     leg.final(x=0.0)
+    leg.bounds(u=(-unit, unit))
     problem.minimize(cost * (leg.integral(u**2) + p - q + p * q))
     return Answer(problem, T, 0 * T, 0 * T, [1.0, 0.0] if wrong else [0.0, 1.0])
-
-
-def _loop(unit: float, cost: float, wrong: bool) -> Answer:
-    """The shortest loop through the origin round an area of pi: a circle, whose direction is left open."""
-    problem, leg, (x, y), (u, w) = _plane(unit)
-    leg.final(x=0.0, y=0.0)
-    problem.constrain("area", leg.integral((x * w - y * u) / 2), equals=np.pi)
-    problem.minimize(cost * leg.integral(u**2 + w**2))
-    a, b = (1.25, 0.8) if wrong else (1.0, 1.0)
-    s = 2 * np.pi * T
-    states = [unit * a * np.sin(s), unit * b * (1 - np.cos(s))]
-    return Answer(problem, T, states, [unit * a * 2 * np.pi * np.cos(s), unit * b * 2 * np.pi * np.sin(s)])
 
 
 def _lens(unit: float, cost: float, wrong: bool) -> Answer:

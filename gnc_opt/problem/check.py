@@ -13,11 +13,12 @@ from gnc_opt.problem.check_norms import warn_of_norms
 from gnc_opt.problem.check_smooth import check_guess_in_tables, warn_of_kinks
 from gnc_opt.problem.check_values import check_values
 from gnc_opt.problem.guess.bent import bent
-from gnc_opt.problem.interval import Interval, intersect
+from gnc_opt.problem.interval import Interval, free, intersect
 from gnc_opt.problem.norms import restated
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.ranges import ranges_of
 from gnc_opt.problem.statement import Statement
+from gnc_opt.problem.symbols import end_points, parameter_arguments
 from gnc_opt.tolerances import ROUNDING
 
 OFF_LIMIT = 1e-5
@@ -60,6 +61,9 @@ def check_numbers(problem: Statement) -> None:
         _check_times(leg)
         _check_boundary_values(leg)
         _check_paths_at_ends(problem, leg)
+    for leg in problem.phases.values():
+        _check_order(problem, leg)
+    _check_constraints(problem)
 
 
 # --- numbers ------------------------------------------------------------------------------------------
@@ -124,6 +128,50 @@ def _check_paths_at_ends(problem: Statement, leg: Phase) -> None:
 def _paths(problem: Statement, leg: Phase) -> Any:
     arguments = (*leg.model.arguments(), problem.parameter_symbols())
     return ca.Function("paths", arguments, [ca.densify(problem.bind(leg, leg.path_expression()))])
+
+
+def _check_order(problem: Statement, leg: Phase) -> None:
+    """Refuse a phase that starts when the one that it follows starts: ``time()`` alone fixes that at zero."""
+    if leg.follows is None:
+        return
+    before, start = problem.phases[leg.follows].times()[0], leg.times()[0]
+    if start.upper[0] <= before.lower[0]:
+        raise ProblemError(
+            f"{leg.where} follows phase '{leg.follows}' but starts at {_show(start, 0)} s, when that one starts: let "
+            f"its start be free, {leg.name}.time(initial=None, final=...)."
+        )
+
+
+def _check_constraints(problem: Statement) -> None:
+    """Refuse boundary constraints that cannot hold, whatever is free at the ends of the phases."""
+    box, legs = problem.constraint_interval(), problem.phases.values()
+    if not box.lower.size:
+        return
+    arguments: list[Interval] = []
+    for leg in legs:
+        values, p = leg.numbers, leg.model.parameter_values
+        ends = (intersect(end, values.states) for end in (values.initial, values.final))
+        arguments += [*ends, *leg.times(), free(len(leg.integrands)), Interval(p, p)]
+    function = problem.once("constraints", lambda: _constraints(problem))
+    reached = ranges_of(function, [*arguments, problem.parameter_interval()])
+    slack = OFF_LIMIT * (1.0 + np.minimum(np.abs(reached.lower), np.abs(reached.upper)))
+    for i in np.flatnonzero((reached.lower > box.upper + slack) | (reached.upper < box.lower - slack)):
+        k = int(i)
+        raise ProblemError(
+            f"constraint '{problem.constraint_labels()[k]}' of problem '{problem.name}' cannot hold with the times "
+            f"and end values of the phases: it is {_show(reached, k)} there, outside its limits {_show(box, k)}: "
+            "correct one of the two."
+        )
+
+
+def _constraints(problem: Statement) -> Any:
+    legs, arguments = problem.phases.values(), []
+    for leg, parameters in zip(legs, parameter_arguments(legs), strict=True):
+        arguments += [*end_points(leg), parameters]
+    rows = problem.constraint_expression()
+    for leg in legs:
+        rows = problem.bind(leg, rows)
+    return ca.Function("constraints", [*arguments, problem.parameter_symbols()], [ca.densify(rows)])
 
 
 def _show(interval: Interval | None, i: int) -> str:

@@ -16,7 +16,7 @@ from gnc_opt.problem.interval import Interval, intersect
 from gnc_opt.problem.magnitudes import phase_magnitudes
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.statement import Statement
-from gnc_opt.problem.symbols import parameter_arguments
+from gnc_opt.problem.symbols import end_points, parameter_arguments
 
 _FRACTIONS = (np.arange(11) + 0.5) / 11
 """Where functions are tried, as fractions of a phase: not at its ends, where Gauss has no points."""
@@ -210,13 +210,7 @@ def _functions_at_ends(problem: Statement) -> list[tuple[str, tuple[str, ...], t
         columns: list[str] = []
         legs = problem.phases.values()
         for leg, parameters in zip(legs, parameter_arguments(legs), strict=True):
-            own = [
-                leg.ends("initial"),
-                leg.ends("final"),
-                leg.initial_time,
-                leg.final_time,
-                leg.integral_symbols(),
-            ]
+            own = end_points(leg)
             variables += own
             arguments += [*own, parameters]
             columns += [

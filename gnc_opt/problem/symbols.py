@@ -18,7 +18,7 @@ def end_symbols(phases: Iterable[Phase], free_parameters: Any) -> list[Any]:
     """Return all symbols that a cost or boundary constraint may use: phase by phase, then the free parameters."""
     symbols: list[Any] = []
     for leg in phases:
-        symbols += [*_end_points(leg), leg.model.symbols("parameter")]
+        symbols += [*end_points(leg), leg.model.symbols("parameter")]
     return [*symbols, free_parameters]
 
 
@@ -75,7 +75,7 @@ def refuse_foreign_along(
     if not foreign:
         return
     name = foreign[0]
-    if name not in foreign_symbols(expression, [s for other in phases for s in _end_points(other)]):
+    if name not in foreign_symbols(expression, [s for other in phases for s in end_points(other)]):
         raise ProblemError(
             f"{what} uses the end-point symbol '{name}': end points belong in constrain() or the cost, "
             "while along a phase there are states, controls, time and parameters."
@@ -96,5 +96,6 @@ def refuse_other_size(name: str, size: int, model: Model, problem: str) -> None:
         )
 
 
-def _end_points(leg: Phase) -> list[Any]:
+def end_points(leg: Phase) -> list[Any]:
+    """Return the symbols of what is known at the ends of a phase: states at both, both times, integrals."""
     return [leg.ends("initial"), leg.ends("final"), leg.initial_time, leg.final_time, leg.integral_symbols()]

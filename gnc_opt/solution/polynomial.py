@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Literal, TypeAlias
+from functools import cached_property, lru_cache
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,9 @@ Side: TypeAlias = Literal["left", "right"]
 
 END_TOLERANCE = ROUNDING
 MAX_NODES = 2 * MAX_POINTS
+
+KEPT, KEPT_TIMES, KEPT_GRIDS = 6, 4000, 8
+"""What is remembered of bases: so many sets of at most so many times, of so many grids; some 10 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,16 +84,11 @@ class PiecewisePolynomial:
         if not isinstance(side, str) or side not in ("left", "right"):
             raise ArgumentError(f"the side of a segment boundary is {shown(side)}: give 'left' or 'right'.")
         times = self._clamped(np.atleast_1d(read_numbers(t, "the time")))
-        segment = np.clip(np.searchsorted(self.breaks, times, side) - 1, 0, len(self.nodes) - 1)
-        tau = self._tau(segment, times)
         result = np.empty((self.values[0].shape[0], times.size))
-        for alike in self._alike:
-            places = alike.places[segment]
-            here = np.flatnonzero(places >= 0)
-            if not here.size:
-                continue
-            basis = barycentric_basis(alike.nodes, alike.weights, tau[here])
-            result[:, here] = np.einsum("mnt,tm->nt", alike.values[:, :, places[here]], basis)
+        bases = self._grid.kept if times.size <= KEPT_TIMES else self._grid.bases
+        for found in bases(times.tobytes(), side):
+            values = self._alike[found.group].values[:, :, found.places]
+            result[:, found.here] = np.einsum("mnt,tm->nt", values, found.basis)
         return result if np.ndim(t) else result[:, 0]
 
     def within(self, tau: ArrayLike) -> Array:
@@ -141,12 +139,13 @@ class PiecewisePolynomial:
         return np.clip(times, first, last)
 
     @cached_property
+    def _grid(self) -> "_Grid":
+        return _grid(self.breaks.tobytes(), tuple(x.tobytes() for x in self.nodes))
+
+    @cached_property
     def _alike(self) -> tuple["_Alike", ...]:
         """Segments with the same nodes, which share one interpolation matrix."""
-        groups: dict[bytes, list[int]] = {}
-        for k, x in enumerate(self.nodes):
-            groups.setdefault(x.tobytes(), []).append(k)
-        return tuple(_Alike.of(self, np.array(segments)) for segments in groups.values())
+        return tuple(_Alike.of(self, places) for places in self._grid.places)
 
     def _shared(self) -> tuple[Array, ...]:
         """Return the values as views of what `_alike` keeps, lest a number that is changed in place go unseen."""
@@ -156,10 +155,6 @@ class PiecewisePolynomial:
                 values[k] = alike.values[:, :, j].T
                 values[k].setflags(write=False)
         return tuple(values)
-
-    def _tau(self, segment: Indices, times: Array) -> Array:
-        initial, final = self.breaks[segment], self.breaks[segment + 1]
-        return np.asarray(((times - initial) - (final - times)) / (final - initial))
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,12 +176,68 @@ class _Alike:
     places: Indices
 
     @classmethod
-    def of(cls, signal: PiecewisePolynomial, segments: Indices) -> "_Alike":
-        places = np.full(len(signal.nodes), -1)
-        places[segments] = np.arange(segments.size)
+    def of(cls, signal: PiecewisePolynomial, places: Indices) -> "_Alike":
+        segments = np.flatnonzero(places >= 0)
         values = np.stack([signal.values[k].T for k in segments], axis=2)
         nodes = signal.nodes[segments[0]]
         return cls(nodes, barycentric_weights(nodes), values, places)
+
+
+class _Basis(NamedTuple):
+    """The times that fall into one group of segments: which, the place of each one's segment in it, its basis there."""
+
+    group: int
+    here: Indices
+    places: Indices
+    basis: Array
+
+
+class _Grid:
+    """Breaks and nodes, which the signals of a solution share: the bases at some times are computed once for all.
+
+    Attributes
+    ----------
+    breaks : array (K + 1,)
+    nodes, weights, places : list of arrays, by groups of segments with the same nodes
+        Nodes and their barycentric weights (m,), and the place of each segment (K,) in its group, -1 for those of
+        others.
+    kept : function
+        `bases`, which remembers those of the last `KEPT` sets of times.
+    """
+
+    def __init__(self, breaks: Array, nodes: Sequence[bytes]) -> None:
+        groups: dict[bytes, list[int]] = {}
+        for k, x in enumerate(nodes):
+            groups.setdefault(x, []).append(k)
+        self.breaks, self._given = breaks, (breaks.tobytes(), tuple(nodes))
+        self.nodes = [np.frombuffer(x) for x in groups]
+        self.weights = [barycentric_weights(x) for x in self.nodes]
+        self.places = [np.full(len(nodes), -1) for _ in groups]
+        for places, segments in zip(self.places, groups.values(), strict=True):
+            places[segments] = np.arange(len(segments))
+        self.kept = lru_cache(maxsize=KEPT)(self.bases)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _grid, self._given
+
+    def bases(self, at: bytes, side: Side) -> tuple[_Basis, ...]:
+        """Return the bases at times within the span, by groups."""
+        times, found = np.frombuffer(at), []
+        segment = np.clip(np.searchsorted(self.breaks, times, side) - 1, 0, self.breaks.size - 2)
+        initial, final = self.breaks[segment], self.breaks[segment + 1]
+        tau = ((times - initial) - (final - times)) / (final - initial)
+        for group, (nodes, weights) in enumerate(zip(self.nodes, self.weights, strict=True)):
+            places = self.places[group][segment]
+            here = np.flatnonzero(places >= 0)
+            if here.size:
+                basis = barycentric_basis(nodes, weights, tau[here])
+                found.append(_Basis(group, here, places[here], basis))
+        return tuple(found)
+
+
+@lru_cache(maxsize=KEPT_GRIDS)
+def _grid(breaks: bytes, nodes: tuple[bytes, ...]) -> _Grid:
+    return _Grid(np.frombuffer(breaks), nodes)
 
 
 def _node_integrals(nodes: Array) -> Array:

@@ -31,6 +31,9 @@ NEGLIGIBLE = 1e-4
 MINOR = 1e-2
 """Controls that are worth less than this share of what all are worth together are measured by that share."""
 
+_KEPT = 10.0
+"""Times what H bends by over half of a control's span its curvature there may amount to."""
+
 _BY_COST_MAGNITUDE = ("cost_scale", "hamiltonian_scale", "adjoint_residual")
 """What is kept of samples and depends on the cost magnitude."""
 
@@ -242,10 +245,31 @@ class PhaseSamples:
     def _single_worths(self) -> Array:
         amplitude = 0.5 * self.control_span[:, None]
         slopes = np.maximum(np.abs(self.cost_slope), np.abs(self.switching - self.cost_slope))
-        bends = 0.5 * np.sum(np.abs(self.control_hessian) * amplitude, axis=1)
-        worth = np.fmax(slopes, bends) * amplitude
-        flown = np.max(np.where(np.isfinite(worth), worth, 0.0), axis=1, initial=0.0)
+        by_slope = _largest_finite(slopes * amplitude)
+        bends = 0.5 * np.sum(np.abs(self.control_hessian) * amplitude, axis=1) * amplitude
+        for i in np.flatnonzero(np.any(bends > by_slope[:, None], axis=1)):
+            steep = np.flatnonzero(bends[i] > by_slope[i])
+            bends[i, steep] *= self._lasting_bend(int(i), steep)
+        flown = np.fmax(by_slope, _largest_finite(bends))
         return np.asarray(np.fmax(flown, self._balanced_slopes * amplitude[:, 0]))
+
+    def _lasting_bend(self, i: int, at: Indices) -> Array:
+        """Share of its curvature in a control that H may keep over half of the control's span, at some samples.
+
+        A kink that is rounded, as sqrt(u^2 + e^2) for |u|, curves as 1 / e and is worth no more than the kink.
+        """
+        step = np.zeros((self.u.shape[0], 1))
+        step[i] = 0.5 * self.control_span[i]
+        rest = self.times[at], self.x[:, at], self.lam[:, at]
+
+        def h(u: Array) -> Array:
+            return self.functions.hamiltonian(rest[0], rest[1], u, rest[2])
+
+        u = self.u[:, at]
+        bend = np.abs(h(u + step) - 2.0 * h(u) + h(u - step))
+        local = np.abs(self.control_hessian[i, i, at]) * step[i, 0] ** 2
+        kept = np.divide(bend, local, out=np.ones_like(local), where=local > 0)
+        return np.asarray(np.where(np.isfinite(kept), np.minimum(_KEPT * kept, 1.0), 1.0))
 
     @cached_property
     def _balanced_slopes(self) -> Array:
@@ -433,3 +457,8 @@ def _sampled(degree: int) -> tuple[Array, Array]:
 def sampling_rule(degree: int) -> CollocationRule:
     """Return the quadrature whose points are the samples within a segment of a given degree."""
     return gauss_rule(min(degree + EXTRA, 64))
+
+
+def _largest_finite(values: Array) -> Array:
+    """Largest number of each row, 0 if there is none."""
+    return np.asarray(np.max(np.where(np.isfinite(values), values, 0.0), axis=1, initial=0.0))

@@ -357,16 +357,15 @@ class _Allowance:
 
 @dataclass
 class _Patience:
-    """Shows iterations, and ends a solve that takes `LOST` of them."""
+    """Shows iterations, and ends a solve that takes `LOST` of them, or the last that all tries may take."""
 
     show: ProgressCallback | None
     lost: bool = False
 
     def __call__(self, info: IterationInfo) -> bool:
-        if self.show is not None:
-            self.show(info)
+        spent = self.show is not None and bool(self.show(info))
         self.lost = info.iteration >= LOST
-        return self.lost
+        return self.lost or spent
 
 
 def _from_flight(attempt: Attempt, show: ProgressCallback | None, deadline: float) -> Iterator[NlpResult]:

@@ -152,16 +152,17 @@ def _junctions(s: PhaseSamples, part: PhasePart, singular: Mask) -> Indices:
     return np.array(found, dtype=int)
 
 
-def open_end(cone: CriticalCone, s: PhaseSamples) -> str:
-    r"""Name a control, singular to the end, whose last moment may gain at an order beyond the second; or nothing.
+def open_end(cone: CriticalCone, s: PhaseSamples) -> tuple[str, float]:
+    r"""Name a control, singular to the end, whose last moment may gain, and that least curvature in shares of the cost.
 
     Neither cost and conditions on the end nor what the integrands have of the control may depend on what it moves by h
     at the end (in coordinates that straighten out its vector field, h is then nowhere); or the form must curve in h by
-    itself, :math:`h^T (B^T \ell'' B + H_{ux} B) h > 0` for what the conditions leave free.
+    itself, :math:`h^T (B^T \ell'' B + H_{ux} B) h > 0` for what the conditions leave free. Where that is negative,
+    a push just before the end gains, and the flight is no minimum; if it is zero, higher orders tell.
     """
     channels = np.flatnonzero(_singular_and_free(cone, s)[:, -1])
     if not channels.size or not _felt(cone.point.problem, s, channels):
-        return ""
+        return "", np.inf
     point, n, span = cone.point, cone.point.x.size, s.control_span[channels] * s.span
     last = point.transcription.parts[s.leg.name].collocation.boundary_states[:, -1]
     at_end = (v[..., -1:] for v in (s.times, s.x, s.u, s.lam))
@@ -175,11 +176,15 @@ def open_end(cone: CriticalCone, s: PhaseSamples) -> str:
     rows = np.intersect1d(point.transcription.constraint_rows, np.flatnonzero(cone.strong[n:]))
     kept = np.vstack([point.jacobian[rows][:, last] @ by_control, by_control[cone.strong[:n][last]]])
     left = scipy.linalg.null_space(kept, rcond=RANK) if np.any(kept) else np.eye(channels.size)
-    if np.all(np.linalg.eigvalsh(left.T @ form @ left) > AT_LIMIT * s.hamiltonian_scale * s.span):
-        return ""
+    flown = s.hamiltonian_scale * s.span
+    least = float(np.min(np.linalg.eigvalsh(left.T @ form @ left), initial=np.inf))
+    if least > AT_LIMIT * flown:
+        return "", np.inf
+    how = "curves downwards" if least < -AT_LIMIT * flown else "does not curve"
     label = s.leg.controls.labels[channels[0]]
     return (
-        f"phase {s.leg.name}, {label}: the end depends on what it moves at once, and does not curve in that"
+        f"phase {s.leg.name}, {label}: the end depends on what it moves at once, and {how} in that",
+        least / max(flown, s.cost_magnitude),
     )
 
 

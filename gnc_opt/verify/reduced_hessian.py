@@ -182,11 +182,14 @@ def reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone: Criti
         return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
 
     steep = DOWNWARDS_SINGULAR if any(map(_partly_singular, samples)) else DOWNWARDS
+    beyond, least = min((open_end(cone, s) for s in samples), key=lambda end: end[1], default=("", np.inf))
+    if least < -DOWNWARDS:
+        return judged(Result.FAIL, -least, beyond)
     rest = cone.unit, cone.further
     free = least_curvature(cone.point, cone.strong, *rest)
     if np.isnan(free.value) or free.upwards:
         jumping = "" if solution.structure else _jumping_control(samples)
-        beyond = jumping or next(filter(None, (open_end(cone, s) for s in samples)), "")
+        beyond = jumping or beyond
         told = Result.CANNOT_TELL if beyond else Result.PASS
         if np.isnan(free.value):
             return judged(told, 0.0, beyond or "as many conditions as unknowns, nothing is left to vary", 0.0)

@@ -105,6 +105,20 @@ def of_first_order(problem: Problem, s: PhaseSamples, tolerance: float) -> Mask:
     return found
 
 
+def chatters(problem: Problem, s: PhaseSamples, channel: int) -> bool:
+    """Whether singular arcs of a control are of second order, whatever the trajectory.
+
+    Then they meet arcs on its bounds by ever faster switches, or without a jump (McDanell & Powers, SIAM J. Control
+    9(2), 1971), and a few bangs come close to both: what their switching function is wrong by falls with the fourth
+    power of their length.
+    """
+    key = ("derivatives of switching functions", s.leg.name, (channel,), ())
+    alone = np.array([channel]), np.zeros(0, dtype=int)
+    derivatives: Derivatives = problem.once(key, lambda: Derivatives(s, *alone))
+    contained = (j for j in range(5) if derivatives.contains_controls(j))
+    return next(contained, 0) > 2
+
+
 def singular_arcs(problem: Problem, s: PhaseSamples, tolerance: float) -> list[SingularArc]:
     """Judge the arcs of a phase along which controls are between their bounds without curvature of H."""
     singular, inside = undetermined(s, tolerance)
@@ -196,10 +210,17 @@ class Derivatives:
     def by_controls(self, j: int) -> Callable[..., Any] | None:
         """The derivative of the j-th time derivative by the controls, row by row; None if it has become too large."""
         if j not in self._functions:
-            while len(self._values) <= j:
-                self._values.append(ca.jtimes(self._values[-1], self._along, self._rates))
-            matrix = ca.vec(ca.densify(ca.jacobian(self._values[j], self._own)).T)
+            matrix = ca.vec(ca.densify(ca.jacobian(self._derivative(j), self._own)).T)
             function = ca.Function("by_controls", self._inputs, [matrix])
             self._functions[j] = function if function.n_instructions() <= MOST_INSTRUCTIONS else None
         found: Callable[..., Any] | None = self._functions[j]
         return found
+
+    def contains_controls(self, j: int) -> bool:
+        """Whether the j-th time derivative depends on the controls anywhere."""
+        return bool(ca.jacobian(self._derivative(j), self._own).nnz() > 0)
+
+    def _derivative(self, j: int) -> Any:
+        while len(self._values) <= j:
+            self._values.append(ca.jtimes(self._values[-1], self._along, self._rates))
+        return self._values[j]

@@ -46,6 +46,13 @@ from gnc_opt.verify.verdict import Condition, Result, Verdict
 
 TOLERANCE = 1e-5
 
+MOST_UNKNOWNS = 4000
+"""Of a mesh, states and controls at its points, whose second order is looked at though a first condition fails already:
+that is the larger part of the work on fine meshes, and says nothing of what is no extremal."""
+
+_NO_EXTREMAL = (
+    "The second order tells extremals that are minima from others, and this is no extremal: see what fails."
+)
 _CANNOT_VARY = "Costates or other numbers are missing, so that what variations cost cannot be told."
 
 
@@ -132,7 +139,9 @@ def _judge(solution: Solution, tol: float) -> Verdict:
     ]
     switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
     names = ("strict switches", "second order") if switching else ("second order",)
-    if told and not missing.value:
+    if told and _is_large(lasting) and any(c.result is Result.FAIL for c in (*conditions, *along)):
+        switches = [_untold(name, "not looked at, as other conditions fail", _NO_EXTREMAL) for name in names]
+    elif told and not missing.value:
         switches = [second_order.strict_switches(lasting)] if switching else []
         switches += _second_order(solution, samples, ends, tol)
     else:
@@ -158,6 +167,11 @@ def _judge(solution: Solution, tol: float) -> Verdict:
     return Verdict(
         solution.problem_name, (*conditions, *map(_without_costates, judged)), not_judged="no costates"
     )
+
+
+def _is_large(samples: list[PhaseSamples]) -> bool:
+    unknowns = sum(s.leg.mesh.size * (s.leg.states.size + s.leg.controls.size) for s in samples)
+    return unknowns > MOST_UNKNOWNS
 
 
 def _second_order(

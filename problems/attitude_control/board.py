@@ -21,7 +21,6 @@ leaves its motor time to follow; :math:`\eta` is for motors that give more than 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import casadi as ca
 
@@ -41,6 +40,7 @@ from problems.attitude_control.model import (
     TRACKER_PERIOD,
     slew,
 )
+from problems.kept import kept
 from problems.reaction_wheels.laws import design_flc, design_quaternion_lqr
 from problems.reaction_wheels.model import INVERSE, REST, wheel_model
 from problems.reaction_wheels.optimal import design_tracker
@@ -59,7 +59,7 @@ UNKNOWN = {"omega": 3e-4, "h": 1e-3}
 LAWS = ("least energy", "FLC", "LQR")
 
 
-@cache
+@kept
 def estimator(*, bias: bool = True) -> Estimator:
     """Return the filter, for comparison also one that does not know of the gyro's bias."""
     wrong = {"bias": 2 * GYRO_BIAS, "bias_walk": GYRO_WALK} if bias else {}

@@ -38,6 +38,7 @@ from problems.flexible_spacecraft.model import (
 from problems.flexible_spacecraft.optimal import MESH, build_gentle, build_prompt
 from problems.flexible_spacecraft.runs import attitude_error, mean_disturbance, settling
 from problems.flown import Flight, flight_rows, with_settings
+from problems.kept import kept
 
 BAND = 1e-3
 """Of the quaternion's vector part."""
@@ -151,7 +152,7 @@ def closed(name: str, conditions: Conditions = Conditions()) -> ClosedLoop:
     )
 
 
-@cache
+@kept
 def flight(name: str, conditions: Conditions = Conditions()) -> Run:
     """Return the flight of `closed`."""
     return closed(name, conditions).simulate(initial_state(build_model()), tf=SPAN, seed=conditions.seed)

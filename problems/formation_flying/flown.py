@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -33,6 +32,7 @@ from problems.formation_flying.model import (
     hill_model,
 )
 from problems.formation_flying.optimal import LIMIT, RESERVE, Plan, plan
+from problems.kept import kept
 
 Law: TypeAlias = Literal["optimal SMC", "SMC"]
 
@@ -125,7 +125,7 @@ def closed(name: str, conditions: Conditions = Conditions()) -> ClosedLoop:
     return _loop(law, conditions)
 
 
-@cache
+@kept
 def flight(name: str, conditions: Conditions = Conditions()) -> Run:
     """Return the run of `closed` over a period."""
     return closed(name, conditions).simulate(START, tf=PERIOD, seed=conditions.seed)

@@ -40,6 +40,7 @@ from problems.formation_flying.model import (
     formation,
     hill_model,
 )
+from problems.kept import kept
 
 SLOPE, GAIN, LAYER = 1e-3, 0.96, 10.0
 """lambda (1/s), k (m/s^2) and eps (m/s) of the sliding mode."""
@@ -80,7 +81,7 @@ def step_of(steps: int) -> float:
     return PERIOD / steps
 
 
-@cache
+@kept
 def sliding_mode(
     dt: float, *, slope: float = SLOPE, gain: float = GAIN, layer: float | None = LAYER
 ) -> Controller:
@@ -105,7 +106,7 @@ def regulator() -> Array:
     return np.asarray(lqr.explain()["gain"], dtype=float).reshape(3, 6)
 
 
-@cache
+@kept
 def optimal_sliding_mode(dt: float, *, gain: float = ETA, layer: float | None = PHI) -> Controller:
     """Return the publication's optimal sliding mode around the circle; ``layer=None`` is ideal switching."""
     model = hill_model()

@@ -13,7 +13,7 @@ Plans for flying keep `RESERVE` of the thrust and know no oblateness; see `probl
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -26,6 +26,7 @@ from problems.formation_flying.laws import delta_v
 from problems.formation_flying.model import PERIOD, START, build_model, circle, circle_state
 from problems.formation_flying.published import run
 from problems.fronts import Front, certified
+from problems.kept import kept
 from problems.reference import Reference
 
 LIMIT = 3e-3
@@ -124,7 +125,7 @@ class Plan:
         return self.solution.phase().x(t)
 
 
-@cache
+@kept
 def plan(name: str, reserve: float = 0.0, j2: bool = True) -> Plan:
     """Return the plan "least Delta-V" or "least time", with a share of the thrust in reserve."""
     builder = {"least Delta-V": build, "least time": build_fast}[name]

@@ -50,6 +50,7 @@ from problems.formation_flying.model import (
     inertial_model,
     leader_orbit,
 )
+from problems.kept import kept
 
 LAWS = {"SMC": sliding_mode, "optimal SMC": optimal_sliding_mode, "LQ only": linear_quadratic}
 
@@ -67,7 +68,7 @@ TRUTH_STEPS = 12000
 """Of the runs in inertial space, which cost four times the others: 0.5 s, worth 1.1e-3 m/s of SMC's Delta-V."""
 
 
-@cache
+@kept
 def run(law: str, *, oblate: bool = True, steps: int = STEPS) -> Run:
     """Return one period of a law."""
     plant = build_model() if oblate else build_model().with_parameters(J2=0.0)

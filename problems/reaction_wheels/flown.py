@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -20,6 +19,7 @@ from gnc_opt.spacecraft import quaternion_angle, quaternion_product
 from problems.comparison import Row, at_most, require
 from problems.dispersed import Rivals
 from problems.flown import Flight, flight_rows, with_settings
+from problems.kept import kept
 from problems.reaction_wheels.laws import PRINTED_FLC, PRINTED_LQR, design_flc, design_quaternion_lqr
 from problems.reaction_wheels.limits import peak_speed
 from problems.reaction_wheels.model import (
@@ -103,7 +103,7 @@ KNOWN: dict[Name, tuple[Flight, Flight]] = {
 program on its own body."""
 
 
-@cache
+@kept
 def plan(name: Name, speed: float = Conditions.speed, torque: float = Conditions.torque) -> go.Solution:
     """Return the slew that is flown, of `FLOWN`, with reserves of speed and torque as in `Conditions`."""
     if name == "time, small":
@@ -159,7 +159,7 @@ def closed(
     return loop, start
 
 
-@cache
+@kept
 def flight(name: Name, law: bool = False, conditions: Conditions = Conditions()) -> go.Run:
     """Return the flight of `closed`, 60 s."""
     loop, start = closed(name, law, conditions)

@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 
 import gnc_opt as go
 from gnc_opt.simulation import WheelArray
+from problems.kept import kept
 from problems.reaction_wheels.laws import Law, Linear, design_flc, design_quaternion_lqr, flc_output
 from problems.reaction_wheels.model import (
     AXES,
@@ -35,7 +36,7 @@ CONTROL_STEP = 0.02
 """Of the sampled runs, s."""
 
 
-@cache
+@kept
 def allocated_run(
     manoeuvre: int, law: Law, balance: Balance, *, limited: bool = False, duration: float = DURATION
 ) -> go.Run:
@@ -112,14 +113,14 @@ def unguarded_breakdown(angle: float) -> float:
     return float(flown.t_events[0][0])
 
 
-@cache
+@kept
 def guarded_run(angle: float, duration: float = 120.0) -> go.Run:
     """Return a slew about z (degrees) with the paper's output, sampled: the guard hands over to quaternion feedback."""
     controller = design_flc(about_z(angle))
     return go.ClosedLoop(wheel_model(drive="body"), controller, dt=CONTROL_STEP).simulate(REST, tf=duration)
 
 
-@cache
+@kept
 def rerouted_slew(angle: float, duration: float = 120.0) -> Slew:
     """Return a slew about z (degrees) with the output chosen for it: the error quaternion if need be.
 

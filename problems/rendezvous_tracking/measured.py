@@ -14,7 +14,6 @@ may come within `KEEP_OUT` of the target.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -32,6 +31,7 @@ from gnc_opt.control import (
 )
 from gnc_opt.simulation import ClosedLoop, Event, Noise
 from gnc_opt.spacecraft import apply, mrp_to_dcm
+from problems.kept import kept
 from problems.rendezvous import chaser_model
 from problems.rendezvous_tracking.guided import Guided
 from problems.rendezvous_tracking.tracking import ACCURACY, AUTHORITY, DT, NOISE, Tracking, turned
@@ -72,6 +72,12 @@ SENSORS = (
 """As the filters see them."""
 
 
+@kept
+def kalman_filter(start: tuple[float, ...]) -> Estimator:
+    """Return the extended Kalman filter for a planned start; all plans of a case have the same."""
+    return design_ekf(observed_chaser(), np.array(start), SENSORS, **KNOWN)
+
+
 def sensed(flown: Tracking, controller: Controller, *, keep_out: bool = False) -> ClosedLoop:
     """Return the loop of `tracking` with these sensors, a controller of them and, if wanted, the keep-out sphere."""
     noise, chaser = flown.conditions.noise, observed_chaser()
@@ -101,7 +107,7 @@ class Filtered(Tracking):
     def filter(self, name: str) -> Estimator:
         """Return "EKF" or "scheduled EKF"."""
         if name == "EKF":
-            return design_ekf(observed_chaser(), self.initial, SENSORS, **KNOWN)
+            return kalman_filter(tuple(self.initial))
         return design_scheduled_ekf(observed_chaser(), self.reference, SENSORS, **KNOWN)
 
     def controller(self, name: str) -> Controller:
@@ -117,10 +123,10 @@ class Filtered(Tracking):
 class Measured(Guided):
     """The guidance behind a filter."""
 
-    @cached_property
+    @property
     def filter(self) -> Estimator:
         """The extended Kalman filter."""
-        return design_ekf(observed_chaser(), self.initial, SENSORS, **KNOWN)
+        return kalman_filter(tuple(self.initial))
 
     def controller(self, name: str = "neighbouring-optimal") -> Controller:
         """Return the guidance fed by the filter."""

@@ -63,6 +63,7 @@ from gnc_opt.simulation import (
 )
 from gnc_opt.simulation.dispersion import Dispersion
 from gnc_opt.spacecraft import mrp_rate
+from problems.kept import kept
 from problems.rendezvous import MASS, MAX_FORCE, MAX_TORQUE, PAPER_MESH, build, chaser_model
 
 RESERVE = 0.85
@@ -115,6 +116,7 @@ MPC_RUNS = 100
 CONTROLLERS = ("open loop", "TVLQR", "integral sliding mode", "MPC")
 
 
+@kept
 def plan(case: int = 1, reserve: float = RESERVE, *, refined: bool = True) -> go.Solution:
     """Return the time-optimal rendezvous with a share of the torques and forces.
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from gnc_opt.spacecraft import TetheredPair
 from problems.comparison import Row, at_most, compare, remark, require
 from problems.dispersed import Rivals
 from problems.flown import Flight, flight_rows, with_settings
+from problems.kept import kept
 from problems.reference import Array
 from problems.tethered_formation.laws import (
     STEP,
@@ -169,7 +169,7 @@ def closed(name: str, conditions: Conditions = Conditions()) -> tuple[go.ClosedL
     return loop, first_state(float(np.radians(conditions.swing)))
 
 
-@cache
+@kept
 def flight(name: str, conditions: Conditions = Conditions()) -> Manoeuvre:
     """Return the flight of `closed`."""
     loop, start = closed(name, conditions)

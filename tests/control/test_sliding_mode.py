@@ -161,7 +161,9 @@ def test_chattering_falls_more_than_a_hundredfold_from_sign_to_saturation():
 
 
 def test_a_chattering_band_is_told_of_laws_without_a_layer():
-    assert design(ConstantRate(0.2), Sign()).explain()["chattering band of s"] == pytest.approx(0.2 * DT)
+    """s = v + SLOPE x goes further in a step, as x moves on: the mean rate is larger by (e^y - 1) / y, y = SLOPE DT."""
+    band = 0.2 * np.expm1(SLOPE * DT) / SLOPE
+    assert design(ConstantRate(0.2), Sign()).explain()["chattering band of s"] == pytest.approx(band)
     names = [fact.name for fact in design(ConstantRate(0.2), SaturationLayer(0.1)).explain()]
     assert "chattering band of s" not in names
     assert "band of s" in names
@@ -203,7 +205,46 @@ def test_super_twisting_chatters_in_a_band_that_falls_with_the_square_of_the_ste
     band = law.explain()["chattering band of s"]
     for start in (0.3, -0.07):
         s = step_through(law, model, [start * dt**2], dt=dt, tf=6000 * dt).x[0]
-        assert 0.5 * band < np.max(np.abs(s[3000:])) <= 1.01 * band
+        assert 0.4 * band < np.max(np.abs(s[3000:])) <= band
+
+
+@pytest.mark.parametrize(
+    ("lag", "slope", "dt", "gains"),
+    [
+        (20.0, 0.1, 0.1, (0.05, 1e-3)),
+        (20.0, 0.5, 0.5, (0.05, 1e-3)),
+        (-2.0, 0.5, 0.5, (0.05, 1e-3)),
+        (3.0, 0.5, 0.1, (0.06, 2e-3)),
+    ],
+)
+def test_the_band_of_super_twisting_holds_on_a_ship_under_any_constant_moment(lag, slope, dt, gains):
+    """lag r' = -r + u + moment, sampled exactly: from 400 moments s comes back to the band."""
+    ship = Model("ship")
+    psi, r, u = ship.state("psi"), ship.state("r"), ship.control("u")
+    ship.ode({psi: r, r: (u - r) / lag})
+    law = design_sliding_mode(
+        ship, [0, 0], outputs="psi", slopes=slope, reaching=SuperTwisting(*gains), boundary=Sign(), dt=dt
+    )
+    band = law.explain()["chattering band of s"]
+    (k1, k2), decay = gains, np.exp(-dt / lag)
+    psi, r, twist = np.full(400, 0.02), np.zeros(400), np.zeros(400)
+    moment, tail = lag * np.linspace(0.0, k2 * dt, 400), []
+    for k in range(4000):
+        s = r + slope * psi
+        told = lag * (r / lag - slope * r - k1 * np.sqrt(np.abs(s)) * np.sign(s) + twist) + moment
+        twist = twist - dt * k2 * np.sign(s)
+        psi, r = psi + told * dt + (r - told) * lag * (1 - decay), told + (r - told) * decay
+        tail += [np.max(np.abs(s))] * (k > 2000)
+    assert 0.8 * band < max(tail) <= band
+
+
+def test_the_band_of_a_sampled_relay_is_that_of_the_plant_that_moves_on():
+    """From beside zero r' = 0.5 r + u goes (e^(0.5 dt) - 1) / 0.5 beyond, more than dt."""
+    model = Model("unstable")
+    r, u = model.state("r"), model.control("u")
+    model.ode({r: 0.5 * r + u})
+    law = design_sliding_mode(model, [0.0], outputs="r", reaching=ConstantRate(1.0), boundary=Sign(), dt=0.4)
+    assert law.explain()["chattering band of s"] == pytest.approx([np.expm1(0.2) / 0.5], rel=1e-12)
 
 
 def test_the_sampling_limit_is_where_the_sampled_surface_begins_to_grow():

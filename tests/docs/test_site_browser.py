@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from functools import partial
+from functools import cache, partial
 from html.parser import HTMLParser
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -85,20 +85,33 @@ def tab() -> Iterator[Tab]:
 def test_links_resolve(site: Path) -> None:
     pages = {page: Links(page) for page in site.rglob("*.html")}
     assert len(pages) > 80
-    lost = []
-    for page, links in pages.items():
-        for target in links.targets:
-            url = urlsplit(target)
-            if url.scheme or url.netloc:
-                continue
-            root = site if url.path.startswith("/") else page.parent
-            there = (root / unquote(url.path).lstrip("/")).resolve() if url.path else page
-            there = there / "index.html" if there.is_dir() else there
-            if not there.is_file() or (
-                url.fragment and there in pages and unquote(url.fragment) not in pages[there].anchors
-            ):
-                lost.append(f"{page.relative_to(site)}: {target}")
+    lost = [
+        f"{page.relative_to(site)}: {target}"
+        for page, links in pages.items()
+        for target in dict.fromkeys(links.targets)
+        if not resolves(target, page, site, pages)
+    ]
     assert not lost, "\n".join(lost)
+
+
+def resolves(target: str, page: Path, site: Path, pages: dict[Path, Links]) -> bool:
+    """Whether a link of a page leads elsewhere, or to a file of the site and to what it names there."""
+    url = urlsplit(target)
+    if url.scheme or url.netloc:
+        return True
+    root = site if url.path.startswith("/") else page.parent
+    there = file_at(os.path.normpath(root / unquote(url.path).lstrip("/"))) if url.path else page
+    if there is None:
+        return False
+    return not url.fragment or there not in pages or unquote(url.fragment) in pages[there].anchors
+
+
+@cache
+def file_at(path: str) -> Path | None:
+    """The file that is served for a path; the menu of every page asks for the same ones."""
+    there = Path(path)
+    there = there / "index.html" if there.is_dir() else there
+    return there if there.is_file() else None
 
 
 def chosen(site: Path) -> list[Path]:

@@ -43,20 +43,25 @@ def too_little_time() -> go.Problem:
 
 
 def windows_apart() -> go.Problem:
-    """Two linked phases, of which the second starts at least 1 s after the first has ended."""
+    """Three linked phases: between the ends of the outer ones lies 1 s at least, and the middle one takes half of it.
+
+    No link is impossible by itself.
+    """
     model = go.Model("drift")
     x, u = model.state("x"), model.control("u")
     model.ode({x: u})
     problem = go.Problem("windows apart")
-    first, second = problem.phase("first", model), problem.phase("second", model)
+    first, middle, last = (problem.phase(name, model) for name in ("first", "middle", "last"))
     first.time(0.0, (0.5, 1.0))
     first.initial(x=0.0)
-    second.time((2.0, 3.0), 4.0)
-    second.final(x=1.0)
-    for leg in (first, second):
+    middle.time(None, None, duration=(0.1, 0.5))
+    last.time((2.0, 3.0), 4.0)
+    last.final(x=1.0)
+    for leg in (first, middle, last):
         leg.bounds(u=(-1.0, 1.0))
-    problem.link(first, second)
-    problem.minimize(first.integral(u**2) + second.integral(u**2))
+    problem.link(first, middle)
+    problem.link(middle, last)
+    problem.minimize(first.integral(u**2) + last.integral(u**2))
     return problem
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -124,6 +125,46 @@ def test_end_that_a_path_constraint_forbids_for_every_control() -> None:
 def test_end_at_which_a_path_constraint_is_just_met(limit: float) -> None:
     problem, leg = rest_to_rest()
     leg.path("wall", leg.model.symbol("q") / 2, upper=limit)
+    problem.check()
+
+
+def two_legs(first_final: Any = None, **second_time: Any) -> tuple[go.Problem, go.Phase]:
+    """A cart moved in two phases that are linked, in least time."""
+    model, problem = cart(), go.Problem("two")
+    a, b = problem.phase("a", model), problem.phase("b", model)
+    for leg in (a, b):
+        leg.bounds(a=(-1.0, 1.0))
+    a.time(final=first_final)
+    b.time(**second_time)
+    a.initial(q=0.0, v=0.0)
+    b.final(q=1.0, v=0.0)
+    problem.link(a, b)
+    problem.minimize(b.final_time)
+    return problem, a
+
+
+@mistake(go.ProblemError, "phase 'b'", "follows phase 'a'", "starts at 0 s", "b.time(initial=None")
+def test_phase_that_follows_another_and_starts_at_zero_as_well() -> None:
+    problem, _ = two_legs()  # time() fixes the initial time at 0: nothing is left for the first phase
+    problem.check()  # wrong
+
+
+@pytest.mark.parametrize("initial", [None, (1.0, 2.0)])
+def test_phase_that_follows_another_later(initial: Any) -> None:
+    two_legs(initial=initial)[0].check()
+
+
+@pytest.mark.parametrize("limits", [{"equals": 4.5}, {"lower": 4.5}, {"upper": 1.5}])
+def test_boundary_constraint_that_no_end_meets(limits: dict[str, float]) -> None:
+    problem, a = two_legs(first_final=(1.0, 2.0), initial=None)
+    problem.constrain("meet", 2 * a.final_time, **limits)
+    with pytest.raises(go.ProblemError, match=r"constraint 'meet' .* cannot hold .* \[2, 4\]"):
+        problem.check()
+
+
+def test_boundary_constraint_that_the_last_end_meets() -> None:
+    problem, a = two_legs(first_final=(1.0, 2.0), initial=None)
+    problem.constrain("meet", 2 * a.final_time, equals=4.0)
     problem.check()
 
 

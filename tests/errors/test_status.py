@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 from collections.abc import Callable
 from typing import Any
@@ -29,7 +30,7 @@ def ended(build: Build, scheme: str = "LG", **options: object) -> go.Solution:
     ("build", "status", "culprit"),
     [
         (ill_posed.too_little_time, go.Status.INFEASIBLE, "q defect, phase leg, segment"),
-        (ill_posed.windows_apart, go.Status.INFEASIBLE, "constraint link_first_second_time"),
+        (ill_posed.windows_apart, go.Status.INFEASIBLE, "constraint link_"),
         (ill_posed.overdetermined, go.Status.INFEASIBLE, "x defect, phase leg, segment 10"),
         (ill_posed.path_out_of_reach, go.Status.INFEASIBLE, "path ceiling, phase leg, segment"),
         (ill_posed.free_ride, go.Status.UNBOUNDED, "u, phase leg, segment 10"),
@@ -86,8 +87,9 @@ def test_violations_are_sorted_and_true() -> None:
     solution = ended(ill_posed.windows_apart)
     amounts = [v.amount for v in solution.violations]
     assert amounts == sorted(amounts, reverse=True) and amounts[0] > 0
-    gap = solution.phase("second").initial_time - solution.phase("first").final_time
-    assert gap == pytest.approx(1.0, abs=1e-6)  # the least that the windows leave
+    legs = [solution.phase(name) for name in ("first", "middle", "last")]
+    gaps = [after.initial_time - before.final_time for before, after in itertools.pairwise(legs)]
+    assert sum(gaps) == pytest.approx(0.5, abs=1e-6)  # the least that the windows leave
 
 
 def test_slow_growth_counts_as_unbounded() -> None:

@@ -18,7 +18,7 @@ import problems
 from gnc_opt import cli
 
 FOLDER = Path(problems.__file__).parent
-SHARED = {"all", "campaigns", "comparison", "dispersed", "flown", "fronts", "reference", "run"}
+SHARED = {"all", "campaigns", "comparison", "dispersed", "flown", "fronts", "kept", "reference", "run"}
 BASIC = sorted({path.stem for path in FOLDER.glob("*.py")} - {"__init__", *SHARED})
 SYSTEMS = sorted(path.parent.name for path in FOLDER.glob("*/__init__.py"))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -73,3 +74,15 @@ def test_a_solve_may_cost_what_is_left_and_some_iterations_on_however_many_point
     assert limits.of_solve([Mesh.uniform(10, 4)], spent=3999.0).iterations == 4000 // 40 - 15
     assert limits.of_solve([Mesh.uniform(500, 4)]).iterations == FEWEST
     assert PassLimits().of_solve([Mesh.uniform(10, 4)]).iterations is None
+
+
+@pytest.mark.parametrize("lost", [300, 3])
+def test_a_start_from_lines_and_what_follows_it_take_no_more_iterations_either(
+    cart: go.Solution, lost: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "LOST", lost)
+    problem = cart.need_problem("solve")
+    found = solve_mesh(problem, "7x3", options=CRAWLING, limits=SolveLimits(iterations=12))
+    tries = 4  # from lines, in flight, in guessed times, from lines again: each ends in an iteration
+    assert found.status is Status.ITERATION_LIMIT
+    assert 12 <= found.statistics.iterations <= 12 + tries

@@ -101,6 +101,36 @@ def test_switches_of_several_controls_pass_each_other() -> None:
         assert own == pytest.approx(channel.switch_times, abs=1e-4)
 
 
+def fuller() -> go.Problem:
+    """x'' = u, |u| <= 1, from 1 at rest to the origin at rest in 3 s, at the least integral of x^2."""
+    model = go.Model("cart")
+    x, v, u = model.state("x"), model.state("v"), model.control("u")
+    model.ode({x: v, v: u})
+    problem = go.Problem("Fuller")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=3.0)
+    leg.initial(x=1.0, v=0.0)
+    leg.final(x=0.0, v=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.integral(x**2))
+    return problem
+
+
+def test_a_few_bangs_stand_for_a_singular_arc_that_is_met_by_chattering() -> None:
+    """The optimum switches on x = -z v|v| ever faster, z^2 = (sqrt(33) - 1) / 24, until it rests after 2.715 s.
+
+    Its cost, 0.764017547725633, is the geometric series of the arcs between (Fuller 1963; Zelikin & Borisov 1994).
+    """
+    found = go.solve(fuller(), mesh="10x3")
+    z = np.sqrt((np.sqrt(33) - 1) / 24)
+    first = np.sqrt(1 / (z + 0.5))  # where 1 - t^2 / 2 = z t^2
+    times = [arc.start for arc in found.structure][1:]
+    assert {arc.kind for arc in found.structure} == {LOWER, UPPER}
+    assert times[:2] == pytest.approx([first, 2.3069051155183793], abs=1e-4)  # by chattering that is cut off
+    assert 0 < found.objective - 0.764017547725633 < 2e-8
+    assert go.verify(found).ok
+
+
 def test_a_shift_of_the_clock_changes_nothing(cart: go.Solution) -> None:
     later = go.solve(carts(4.0, initial=1000.0), mesh="8x3", tol=None)
     found, _ = settle(later, structure([1000.0, 1001.5, 1004.5], LOWER, UPPER)) or pytest.fail()

@@ -14,7 +14,7 @@ import pytest
 from loops import double_integrator
 
 import gnc_opt.simulation.flight as flight_module
-from gnc_opt.control import design_lqr
+from gnc_opt.control import design_lqr, design_mpc
 from gnc_opt.simulation import ClosedLoop, Event, Flight, Lag, Noise, RandomHold, monte_carlo
 from gnc_opt.simulation import native as module
 
@@ -87,6 +87,18 @@ def test_without_machine_code_the_interpreter_flies(
         monkeypatch.setattr(module, "_compile", _refuse)
     quick = flight.natively(2)
     assert quick.library == "" and bits(quick) == bits(flight)
+
+
+@needs_compiler
+def test_a_solver_that_has_no_c_is_left_to_the_interpreter_without_a_word(
+    cache: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    plant = double_integrator()
+    limits: dict[str, Any] = {"limits": (-0.5, 0.5), "state_limits": {"v": (-0.3, 0.3)}}
+    law = design_mpc(plant, [0, 0], Q=1, R=1, horizon=0.5, dt=0.1, solver="piqp", **limits)
+    flight = ClosedLoop(plant, law).flight([1.0, 0.0], t0=0.0, tf=2.0).natively(10)
+    assert flight.library == "" and list(cache.iterdir()) == []
+    assert capfd.readouterr() == ("", "")
 
 
 def _refuse(*_: Any) -> None:

@@ -1,5 +1,7 @@
 """Piecewise polynomials against numpy's Legendre series and against plain calculus."""
 
+import copy
+import pickle
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,7 @@ from numpy.polynomial import legendre
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.solution.polynomial import PiecewisePolynomial
+from gnc_opt.solution.polynomial import KEPT_TIMES, PiecewisePolynomial
 from gnc_opt.transcription.quadrature import collocation_rule
 
 BREAKS = np.array([1.0, 2.0, 4.5])
@@ -56,6 +58,25 @@ def test_values_inside_and_at_the_ends() -> None:
 def test_values_do_not_depend_on_the_order_of_times() -> None:
     t = np.array([4.0, 1.0, 3.0, 1.5, 2.0])
     np.testing.assert_array_equal(two_segments()(t), two_segments()(np.sort(t))[:, np.argsort(np.argsort(t))])
+
+
+def test_signals_on_the_same_grid_have_their_own_values_times_and_sides() -> None:
+    """The bases are remembered: no other signal, side or times in the same array may meet them."""
+    curve, grid = two_segments(), two_segments()
+    other = PiecewisePolynomial(BREAKS, grid.nodes, tuple(2.0 * v for v in grid.values))
+    t = np.linspace(1.0, 4.0, 7)
+    for side in ("right", "left", "right"):
+        expected = [t**3, np.where((t < 2) | ((t == 2) & (side == "left")), t, -t)]
+        np.testing.assert_allclose(curve(t, side), expected, rtol=1e-14)
+        np.testing.assert_allclose(other(t, side), 2.0 * np.array(expected), rtol=1e-14)
+    t += 0.25
+    np.testing.assert_allclose(curve(t)[0], t**3, rtol=1e-14)
+    shifted = PiecewisePolynomial(BREAKS + 1.0, grid.nodes, grid.values)
+    np.testing.assert_allclose(shifted(t + 1.0)[0], t**3, rtol=1e-13)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(curve))(t), curve(t))
+    np.testing.assert_array_equal(copy.deepcopy(curve)(t), curve(t))
+    many = np.linspace(1.0, 4.5, KEPT_TIMES + 2)
+    np.testing.assert_array_equal(curve(many)[:, 1:9], curve(many[1:9]))
 
 
 def test_segments_with_the_same_nodes_are_told_apart() -> None:

@@ -131,6 +131,11 @@ def product(values: Any) -> Decimal:
     return math.prod(values, start=Decimal(1))
 
 
+@cache
+def tables_at_points(scheme: Scheme, n: int) -> tuple[Array, Array]:
+    return legendre_tables(true_points(scheme, n), n)
+
+
 def legendre_tables(x: list[Decimal], degree: int) -> tuple[Array, Array]:
     """P_k and P'_k, k = 0 ... degree, at ``x``; rounded once, shapes (degree + 1, len(x))."""
     with precisely():
@@ -226,7 +231,7 @@ def test_state_nodes(scheme: Scheme, n: int) -> None:
 def test_differentiation_is_exact_up_to_degree_n(scheme: Scheme, n: int) -> None:
     rule = collocation_rule(scheme, n)
     p, _ = legendre_tables(true_state_nodes(scheme, n), n)
-    _, d = legendre_tables(true_points(scheme, n), n)
+    _, d = tables_at_points(scheme, n)
     bound = 1e-14 * np.abs(rule.differentiation).sum(axis=1)[:, None]  # |P_k| <= 1
     assert np.all(np.abs(rule.differentiation @ p.T - d.T) <= bound)
 
@@ -273,7 +278,7 @@ def test_integration_entries_are_correctly_rounded(scheme: Scheme, n: int) -> No
 @each_rule
 def test_integration_is_exact_up_to_degree_n_minus_one(scheme: Scheme, n: int) -> None:
     rule = collocation_rule(scheme, n)
-    p, _ = legendre_tables(true_points(scheme, n), n)
+    p, _ = tables_at_points(scheme, n)
     expected = [rule.points + 1] + [(p[k + 1] - p[k - 1]) / (2 * k + 1) for k in range(1, n)]
     np.testing.assert_allclose(rule.integration @ p[:n].T, np.transpose(expected), rtol=0, atol=5e-15)
     if scheme == "LGL":

@@ -457,22 +457,30 @@ def test_a_mixed_constraint_offends_by_its_multiplier_or_its_value() -> None:
     ],
 )  # fmt: skip
 def test_many_switches_of_a_small_switching_function_are_a_singular_arc(
-    switches: tuple[float, ...], at: float, answer: Any
+    monkeypatch: pytest.MonkeyPatch, switches: tuple[float, ...], at: float, answer: Any
 ) -> None:
-    """Of ((t - 2) / 2)^3, below `SMALL` / 2 from t = 1.57 to 2.43, where an offence asks for one bang more."""
+    """Of ((t - 2) / 2)^3, below `SMALL` / 2 from t = 1.57 to 2.43, where an offence asks for one bang more.
+
+    Where such arcs are of second order, bangs remain bangs.
+    """
     found = line(lambda t, k: [((t - 2) / 2) ** 3], lambda t, k: [0 * t])
     kinds = tuple(((LOW, UP)[k % 2], FREE) for k in range(len(switches) + 1))
     structure = PhaseStructure((0.0, *switches, 4.0), kinds, n_controls=1)
     offence = np.zeros((1, found.times.size))
     offence[0, np.argmin(np.abs(found.times - at))] = 2 * m.WRONG_SIGN
-    assert m._chatter(found, structure, offence) == answer
-    assert m._chatter(found, structure, 0.4 * offence) is None
+    problem: Any = None
+    monkeypatch.setattr(m, "chatters", lambda *_: False)
+    assert m._chatter(found, structure, offence, problem) == answer
+    assert m._chatter(found, structure, 0.4 * offence, problem) is None
+    monkeypatch.setattr(m, "chatters", lambda *_: True)
+    assert m._chatter(found, structure, offence, problem) is None
 
 
 def test_a_missing_arc_is_added_where_the_sign_is_wrong() -> None:
+    problem: Any = None
     found = line(lambda t, k: [(t - 1.3) * (t - 2.6)], lambda t, k: [-1.0 + 0 * t])
     plan = Plan(PhaseStructure((0.0, 4.0), ((LOW, FREE),), n_controls=1), (Resolution(4, 3),))
-    structure, action = m._complete(found, plan)
+    structure, action = m._complete(found, plan, problem)
     assert structure is not None and [kinds[0] for kinds in structure.kinds] == [LOW, UP, LOW]
     assert structure.times == pytest.approx((0.0, 1.3, 2.6, 4.0), abs=0.02)
     assert action == f"arc of u added at {structure.times[1]:.4g} s"
@@ -480,12 +488,12 @@ def test_a_missing_arc_is_added_where_the_sign_is_wrong() -> None:
         PhaseStructure((0.0, 1.0, 4.0), ((LOW, FREE), (UP, FREE)), n_controls=1),
         (Resolution(1, 3), Resolution(3, 3)),
     )
-    assert m._complete(line(lambda t, k: [1 - t], lambda t, k: [0 * t]), agreed) == (None, "")
+    assert m._complete(line(lambda t, k: [1 - t], lambda t, k: [0 * t]), agreed, problem) == (None, "")
     nearly = Plan(
         PhaseStructure((0.0, 1.0, 4.0), ((LOW, FREE), (UP, FREE)), n_controls=1),
         (Resolution(1, 3), Resolution(3, 3)),
     )
-    assert m._complete(line(lambda t, k: [0.9 - t], lambda t, k: [0 * t]), nearly) == (
+    assert m._complete(line(lambda t, k: [0.9 - t], lambda t, k: [0 * t]), nearly, problem) == (
         None,
         "",
     )  # up to its own switch

@@ -188,3 +188,18 @@ def test_singular_segments_are_cut_and_movable_boundaries_stay() -> None:
     )
     assert arc.degrees == (3, 8, 8, 8, *[LEAST_DEGREE] * 3) and arc.movable == (1, 4)
     assert cut(mesh, np.zeros(3, dtype=bool)) == mesh
+
+
+def test_an_end_that_curves_downwards_fails_where_nothing_else_curves() -> None:
+    """From rest any way gains x(1)^2, and u^4 takes less of it; H does not curve at zero, and nothing was told."""
+    model = go.Model("last moment")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("last moment")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    problem.minimize(leg.integral(u**4) - leg.final_state("x") ** 2)
+    t = np.linspace(0.0, 1.0, 9)
+    verdict = go.verify_trajectory(problem, t, 0 * t, 0 * t)
+    assert verdict[NAME].result is go.Result.FAIL, verdict[NAME]

@@ -10,6 +10,7 @@ from wrong import singular_problem
 
 import gnc_opt as go
 from gnc_opt.verify.brief import least_for_long, without_switches
+from gnc_opt.verify.singular import chatters
 from tests.unit import by_hand
 
 NAME = "generalised Legendre-Clebsch"
@@ -54,6 +55,13 @@ def test_order_and_sign_of_a_chain_of_integrators(order: int, sign: float, resul
 def test_an_order_beyond_those_looked_for_is_not_told() -> None:
     condition = judged(chain(4, -1.0))
     assert condition.result is go.Result.CANNOT_TELL and "no derivative up to order 6" in condition.where
+
+
+@pytest.mark.parametrize(("order", "told"), [(1, False), (2, True), (3, False)])
+def test_arcs_of_second_order_are_met_by_chattering(order: int, told: bool) -> None:
+    problem = chain(order, 1.0)
+    samples = go.solve(problem, mesh="3x3", tol=None).samples()["leg"]
+    assert chatters(problem, samples, 0) is told
 
 
 def plane(gyration: float, weights: tuple[float, float] = (1.0, 1.0)) -> go.Problem:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -282,3 +283,18 @@ def test_costates_that_vanish_in_one_phase_only_are_judged() -> None:
     assert verdict["transversality"].result is Result.PASS
     none = {name: replace(leg, lam=scaled(leg.lam, 0.0)) for name, leg in still.items()}
     assert go.verify(replace(solution, phases=none))["transversality"].result is Result.CANNOT_TELL
+
+
+def test_the_second_order_of_what_is_no_extremal_on_a_large_mesh_is_not_looked_at(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    right = go.solve(minimum_energy(), mesh="4x3", tol=None)
+    leg = right.phases["leg"]
+    wrong = with_leg(right, lam=scaled(leg.lam, 1.1))
+    monkeypatch.setattr(sys.modules["gnc_opt.verify.verify"], "MOST_UNKNOWNS", 12 * 3)
+    assert go.verify(replace(right))["second order"].result is Result.PASS
+    assert "not looked at" not in go.verify(replace(wrong))["second order"].where
+    monkeypatch.setattr(sys.modules["gnc_opt.verify.verify"], "MOST_UNKNOWNS", 12 * 3 - 1)
+    assert go.verify(replace(right)).minimum
+    verdict = go.verify(replace(wrong))
+    assert not verdict.ok and verdict["second order"].where.startswith("not looked at")

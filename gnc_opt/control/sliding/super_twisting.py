@@ -21,6 +21,7 @@ bound of this kind on the time.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -31,9 +32,13 @@ from gnc_opt.arguments import read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import DesignError
 
-_BAND_STARTS = np.geomspace(1e-2, 1e2, 32)
-"""Where the map of the sampled law begins, in units of k1^2 h^2: its band has no other start in it."""
-_BAND_STEPS = 4000
+_BAND_STARTS = np.geomspace(1e-2, 1e2, 8)
+"""Where the map of the sampled law begins, in units of k1^2 h^2."""
+_BAND_OFFSETS = 512
+"""Disturbances that it begins with: z goes in steps of k2 h, so that those between two multiples of it are all."""
+_BAND_STEPS = 2000
+_BAND_MARGIN = 1.02
+"""For what lies between the starts: 20 000 others came 0.6 % beyond at most."""
 
 
 def check_gains(k1: float, k2: float, bound: float, what: str) -> None:
@@ -70,21 +75,29 @@ def convergence_time(k1: float, k2: float, s: float, *, z: float = 0.0, bound: f
 
 
 def sampled_band(k1: float, k2: float, dt: float) -> float:
-    """Return the largest |s| that the law, its command held over steps of dt (s), comes back to; undisturbed.
+    """Return the largest |s| that the law, its command held over steps of dt (s), comes back to.
 
-    With :math:`s = h^2 \\sigma`, :math:`z = h \\zeta` the steps
-    :math:`\\sigma_+ = \\sigma - k_1 |\\sigma|^{1/2} \\mathrm{sgn}\\,\\sigma + \\zeta`,
-    :math:`\\zeta_+ = \\zeta - k_2\\,\\mathrm{sgn}\\,\\sigma` do not know their length: the band falls with its square.
+    That is under any constant disturbance, which is part of z. With :math:`s = k_1^2 h^2 \\sigma`,
+    :math:`z = k_1^2 h \\zeta`, :math:`\\kappa = k_2 / k_1^2` the steps
+    :math:`\\sigma_+ = \\sigma - |\\sigma|^{1/2} \\mathrm{sgn}\\,\\sigma + \\zeta`,
+    :math:`\\zeta_+ = \\zeta - \\kappa\\,\\mathrm{sgn}\\,\\sigma` do not know their length: the band falls with its
+    square. It is found by going through them.
     """
-    sigma, zeta = _BAND_STARTS * k1**2, np.zeros(_BAND_STARTS.size)
+    return _map_band(k2 / k1**2) * k1**2 * dt**2
+
+
+@lru_cache(maxsize=64)
+def _map_band(ratio: float) -> float:
+    sigma = np.repeat(_BAND_STARTS, _BAND_OFFSETS)
+    zeta = np.tile(ratio * np.arange(_BAND_OFFSETS) / _BAND_OFFSETS, _BAND_STARTS.size)
     largest = 0.0
     for step in range(_BAND_STEPS):
         sign = np.sign(sigma)
         # the law takes the memory of before the step
-        sigma, zeta = sigma - k1 * np.sqrt(np.abs(sigma)) * sign + zeta, zeta - k2 * sign
+        sigma, zeta = sigma - np.sqrt(np.abs(sigma)) * sign + zeta, zeta - ratio * sign
         if step >= _BAND_STEPS // 2:
             largest = max(largest, float(np.max(np.abs(sigma))))
-    return largest * dt**2
+    return _BAND_MARGIN * largest
 
 
 def _lyapunov(k2: float, bound: float) -> tuple[Array, float]:

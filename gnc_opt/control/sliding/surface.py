@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -26,6 +27,7 @@ from gnc_opt.control.limits import saturated
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.rehearsal import FINENESS, Path, Rehearsal, Trial, drift_facts, limit_facts, rehearse
 from gnc_opt.control.sampling import spectral_radius, zero_order_hold
+from gnc_opt.control.schedule import reference_times
 from gnc_opt.control.sliding.reaching import ExponentialRate
 from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
 from gnc_opt.control.sliding.switching import SlidingOptions, Switching
@@ -63,6 +65,7 @@ def surface_controller(
     pairs = list(zip(coefficients, errors.chains, strict=True))
     s = ca.vertcat(*[_weigh(c, chain, 0) for c, chain in pairs])
     drift = errors.drift + ca.vertcat(*[_weigh(c[:-1], chain, 1) for c, chain in pairs])
+    switching = replace(switching, stretch=_stretch(drift, errors, reference, switching.dt))
     memory, u = _command(s, drift, errors, inverse, switching, options.observer)
     facts = [
         Fact("relative degrees", np.array(errors.degrees), remark=", ".join(errors.labels)),
@@ -103,6 +106,28 @@ def _command(
     known = drift + errors.decoupling @ saturated(u, switching.limits)
     s_next, q_next = observer.update(s, s_hat, q, known, dt)
     return [*memory, Memory("s_hat", s_hat, s, s_next), Memory("disturbance", q, ca.SX.zeros(n), q_next)], u
+
+
+def _stretch(drift: Any, errors: OutputErrors, reference: Reference, dt: float | None) -> float:
+    """Return by what factor surfaces move further over a step than their rates at its beginning say, 1 or more.
+
+    Under a held command ds/dt = drift + E u goes on to change: where the law commands nu = E u + drift, at the rate
+    a nu, a = d(drift + E u)/dx df/du E^+, to first order about the reference.
+    """
+    if dt is None:
+        return 1.0
+    pair = errors.pair
+    slope = ca.jacobian(drift + errors.decoupling @ pair.u, pair.x) @ ca.jacobian(pair.f, pair.u)
+    times = reference_times(reference)
+    grown = [
+        row[i] + np.sum(np.abs(np.delete(row, i)))
+        for j, e in zip(
+            pair.along(reference, times, slope), pair.along(reference, times, errors.decoupling), strict=True
+        )
+        for i, row in enumerate(j @ np.linalg.pinv(e))
+    ]
+    share = dt * max(0.0, float(np.max(grown)))
+    return float(np.expm1(share) / share) if share > 0 else 1.0
 
 
 def _require_decay(labels: Sequence[str], coefficients: Sequence[Array], switching: Switching) -> None:

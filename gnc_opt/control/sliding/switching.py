@@ -77,6 +77,9 @@ class Switching:
         Length of a control step, s.
     limits : (lower, upper) or None
         Authority, (n_controls,) each.
+    stretch : float
+        By what factor s moves further over a step than ds/dt at its beginning says, as the plant moves on under the
+        held command; 1 for integrators.
     """
 
     reaching: Law
@@ -84,6 +87,7 @@ class Switching:
     bounds: Array
     dt: float | None
     limits: Authority | None
+    stretch: float = 1.0
 
     @property
     def bands(self) -> Array:
@@ -96,15 +100,20 @@ class Switching:
         if self.dt is None or not isinstance(self.boundary, Sign):
             return self.bands
         if isinstance(self.reaching, SuperTwisting):
-            undisturbed = sampled_band(self.reaching.k1, self.reaching.k2, self.dt)
-            return None if np.any(self.bounds > 0) else np.full(self.bounds.size, undisturbed)
+            return None if np.any(self.bounds > 0) else np.full(self.bounds.size, self._twisted(self.dt))
         # From beside zero it goes one step to the other side, driven by its full gain and by the disturbance.
-        return (self._switched + self.bounds) * self.dt if np.isfinite(self._switched) else self.bands
+        driven = (self._switched + self.bounds) * self.stretch
+        return driven * self.dt if np.isfinite(self._switched) else self.bands
 
     @property
     def _switched(self) -> float:
         """By how much ds/dt is switched, units of s per second: nothing by `SuperTwisting`, whose gain is a rate."""
         return 0.0 if isinstance(self.reaching, SuperTwisting) else self.reaching.gain
+
+    def _twisted(self, dt: float) -> float:
+        """Return the band of sampled super-twisting, whose steps are stretched."""
+        assert isinstance(self.reaching, SuperTwisting)
+        return sampled_band(self.stretch * self.reaching.k1, self.stretch * self.reaching.k2, dt)
 
     def demand(self, s: Any, drift: Any) -> tuple[Any, list[Memory]]:
         """Return E u, so that ``ds/dt = drift + E u`` obeys the reaching law, and the memory that this takes; SX."""
@@ -147,8 +156,8 @@ class Switching:
     def _chattering(self, dt: float) -> list[Fact]:
         """Return the fact about the |s| within which a law without a boundary layer switches, if that is known."""
         if isinstance(self.reaching, SuperTwisting):
-            band = sampled_band(self.reaching.k1, self.reaching.k2, dt)
-            return [Fact("chattering band of s", band, remark="of the sampled law, undisturbed")]
+            remark = "of the sampled law, under any constant disturbance"
+            return [Fact("chattering band of s", self._twisted(dt), remark=remark)]
         if not np.isfinite(self._switched):
             return []
         remark = "one control step at full gain, disturbed at the bound"

@@ -165,20 +165,18 @@ def _adjoint(error: PhaseError, trials: Sequence[Piece], pieces: SampledPieces) 
     A trial's costates follow the interpolant of their known rates.
     """
     samples, leg = error.samples, error.samples.leg
-    rules = [collocation_rule(leg.scheme, t.degree) for t in trials]
+    tables = [_tables(leg.scheme, t.degree) for t in trials]
     points = np.concatenate(
-        [t.start + 0.5 * (t.end - t.start) * (1 + r.points) for t, r in zip(trials, rules, strict=True)]
+        [t.start + 0.5 * (t.end - t.start) * (1 + b.points) for t, b in zip(trials, tables, strict=True)]
     )
 
     def rates(times: Array) -> Array:
         return costate_rates(samples, times, leg.x(times), leg.flown.clipped(times), leg.lam(times))
 
     known, offset, interpolants = rates(points), 0, []
-    for trial, rule in zip(trials, rules, strict=True):
-        interpolants.append(
-            known[:, offset : offset + rule.n] @ _tables(leg.scheme, trial.degree).interpolate
-        )
-        offset += rule.n
+    for table in tables:
+        interpolants.append(known[:, offset : offset + table.points.size] @ table.interpolate)
+        offset += table.points.size
     segments = np.clip(np.searchsorted(leg.breaks, pieces.times, "right") - 1, 0, leg.mesh.segments - 1)
     counts = unconstrained(samples, error.yardstick.pure_paths)[segments]
     residual = np.abs(np.hstack(interpolants) - rates(pieces.times)) * costate_worth(samples)[:, None]
@@ -191,23 +189,22 @@ def trial_pieces(yardstick: Yardstick, trials: Sequence[Piece]) -> SampledPieces
     tables = [_tables(leg.scheme, trial.degree) for trial in trials]
     starts = np.array([t.start for t in trials])
     halves = np.array([0.5 * (t.end - t.start) for t in trials])
-    rules = [collocation_rule(leg.scheme, t.degree) for t in trials]
-    points = np.concatenate([s + h * (1 + r.points) for s, h, r in zip(starts, halves, rules, strict=True)])
+    points = np.concatenate([s + h * (1 + b.points) for s, h, b in zip(starts, halves, tables, strict=True)])
     x, u = leg.x(points), leg.u(points)
     rates, integrands = functions.rates(points, x, u), functions.integrands(points, x, u)
     first_states = leg.x(starts)
     x_rates, xs, us, integrals, times, weights = [], [], [], [], [], []
     offset = 0
-    for k, (table, rule) in enumerate(zip(tables, rules, strict=True)):
-        at = slice(offset, offset + rule.n)
-        offset += rule.n
+    for k, table in enumerate(tables):
+        at = slice(offset, offset + table.points.size)
+        offset = at.stop
         half = halves[k]
         times.append(starts[k] + half * (1 + table.tau))
         weights.append(half * table.weights)
         x_rates.append(rates[:, at] @ table.interpolate)
         xs.append(first_states[:, k : k + 1] + half * (rates[:, at] @ table.integrate))
         us.append(u[:, at] @ table.interpolate)
-        integrals.append(half * (integrands[:, at] @ rule.weights))
+        integrals.append(half * (integrands[:, at] @ table.collocate))
     sizes = [t.size for t in times]
     return SampledPieces(
         np.concatenate(times),
@@ -222,8 +219,10 @@ def trial_pieces(yardstick: Yardstick, trials: Sequence[Piece]) -> SampledPieces
 
 @dataclass(frozen=True, eq=False)
 class _Tables:
-    """Where a trial of one degree is sampled on [-1, 1], and how its points' values get there."""
+    """A trial of one degree on [-1, 1]: its points and their weights, where it is sampled, and how values get there."""
 
+    points: Array
+    collocate: Array
     tau: Array
     weights: Array
     interpolate: Array
@@ -235,4 +234,5 @@ def _tables(scheme: Scheme, degree: int) -> _Tables:
     rule, fine = collocation_rule(scheme, degree), gauss_rule(min(degree + EXTRA, 64))
     tau = np.concatenate([[-1.0], fine.points, [1.0]])
     weights = np.concatenate([[0.0], fine.weights, [0.0]])
-    return _Tables(tau, weights, interpolation_matrix(rule.points, tau).T, rule.integrate_to(tau).T)
+    interpolate, integrate = interpolation_matrix(rule.points, tau).T, rule.integrate_to(tau).T
+    return _Tables(rule.points, rule.weights, tau, weights, interpolate, integrate)

@@ -10,6 +10,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.composed import VectorControl
 from gnc_opt.problem.arc import ArcKind
+from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.structure.contacts import Determined, determined, with_contacts
 from gnc_opt.refine.structure.curvature import (
     affine_channels,
@@ -23,6 +24,7 @@ from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, 
 from gnc_opt.refine.structure.vectors import label_vectors
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
+from gnc_opt.verify.singular import chatters
 
 NEAR = 0.02
 """A control this close to a bound, relative to its range, is taken to sit on it."""
@@ -116,6 +118,20 @@ def detect(
         leans=(*((),) * leg.controls.size, *leans, *((),) * leg.states.size),
     ).merged()
     return with_flat_times(found, samples)
+
+
+def with_bangs(problem: Problem, samples: PhaseSamples, structure: PhaseStructure) -> PhaseStructure:
+    """Return the structure with bangs, as the signs of the switching functions are, in place of arcs that chatter."""
+    affine = affine_channels(samples)
+    for i in np.flatnonzero(np.any(structure.controls == ArcKind.SINGULAR, axis=1)):
+        if not affine[i] or not chatters(problem, samples, int(i)):
+            continue
+        labels = choose(samples.control_gradient[i] > 0, ArcKind.LOWER, ArcKind.UPPER)
+        kinds = [labels[0], *labels[1:][labels[1:] != labels[:-1]]]
+        edges = [structure.times[0], *_middles(samples, labels), structure.times[-1]]
+        for kind, start, end in zip(kinds, edges[:-1], edges[1:], strict=True):
+            structure = structure.with_arc(int(i), start, end, kind)
+    return structure
 
 
 def switching(samples: PhaseSamples, times: Array) -> Array:

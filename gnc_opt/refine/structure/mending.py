@@ -10,6 +10,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.arc import ArcKind
+from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.structure.contacts import crossed_contact, pushed_contact, wrong_touch
 from gnc_opt.refine.structure.curvature import affine_channels, curved_channels, linear_limits
 from gnc_opt.refine.structure.detect import SMALL
@@ -21,6 +22,7 @@ from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import TINY
 from gnc_opt.tolerances import VANISHED as NO_MAGNITUDE
+from gnc_opt.verify.singular import chatters
 
 KINKS_MOVED, RAISED, LOOSENED = "kinks moved", "resolution raised", "limits beside touches released"
 SMOOTHED = "singular controls of higher degree"
@@ -83,7 +85,7 @@ def improve(
     if actions:
         return {name: plan for name, (plan, _) in adjusted.items()}, ", ".join(actions)
     for name, s in samples.items():
-        structure, action = _complete(s, plans[name])
+        structure, action = _complete(s, plans[name], problem)
         if structure is None:
             structure, action = crossed_contact(constraints[name], plans[name].structure)
         if structure is not None:
@@ -159,13 +161,13 @@ def _spread(structure: PhaseStructure, piece: int) -> PhaseStructure:
 # --- arcs that are missing --------------------------------------------------------------------------------
 
 
-def _complete(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None, str]:
+def _complete(samples: PhaseSamples, plan: Plan, problem: Problem) -> tuple[PhaseStructure | None, str]:
     """Return the structure with the arc that a wrong sign asks for and what was done, or None if all agree."""
     kinds = plan.structure.matrix()[:, plan.segment_pieces[samples.segments]]
     offence, asked = _offences(samples, plan.structure, kinds)
     for i in range(offence.shape[0]):
         _forgive_own_switches(offence[i], kinds[i])
-    if offence.size and (found := _chatter(samples, plan.structure, offence)):
+    if offence.size and (found := _chatter(samples, plan.structure, offence, problem)):
         i, start, end = found
         label = samples.leg.controls.labels[i]
         return plan.structure.with_arc(
@@ -175,11 +177,12 @@ def _complete(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None,
 
 
 def _chatter(
-    samples: PhaseSamples, structure: PhaseStructure, offence: Array
+    samples: PhaseSamples, structure: PhaseStructure, offence: Array, problem: Problem
 ) -> tuple[int, float, float] | None:
     """Return control, start and end of bangs that stand in for a singular arc, if the worst offence is among them.
 
-    There many bangs in a row leave a small switching function, which asks for ever more of them.
+    There many bangs in a row leave a small switching function, which asks for ever more of them. Of second order the
+    arc would meet bangs by chattering: few of them will do.
     """
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
     if offence[i, j] < WRONG_SIGN or i >= samples.leg.controls.size or not affine_channels(samples)[i]:
@@ -190,7 +193,9 @@ def _chatter(
     start, end = first[-1] if first.size else -np.inf, last[0] if last.size else np.inf
     switches = [structure.times[k] for k in range(1, structure.pieces) if i in structure.changes(k)]
     inside = [t for t in switches if start < t < end]
-    return (i, inside[0], inside[-1]) if len(inside) >= CHATTER else None
+    if len(inside) < CHATTER or chatters(problem, samples, i):
+        return None
+    return i, inside[0], inside[-1]
 
 
 def _with_worst(

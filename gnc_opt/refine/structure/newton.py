@@ -21,6 +21,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.problem import Problem
+from gnc_opt.refine.structure.detect import with_bangs
 from gnc_opt.refine.structure.phase_structure import PhaseStructure, choose
 from gnc_opt.refine.structure.switch_flight import SwitchFlight
 from gnc_opt.refine.structure.switch_step import SwitchStep, chord_step, newton_step
@@ -78,6 +79,7 @@ def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructur
         the method does not fit, or does not settle.
     """
     problem, s = solution.need_problem("refine"), next(iter(solution.samples().values()))
+    structure = with_bangs(problem, s, structure)
     if not _fits(problem, s, structure):
         return None
     flight = _optimum(problem, s, _switches(s, structure), OF_A_GUESS)
