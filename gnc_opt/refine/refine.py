@@ -38,6 +38,9 @@ UNASKED, AGAIN = 0.5, 0.25
 """Shares of the work after which a control structure that nobody asked for is given up, first and later. What it costs
 comes on top of what the mesh may cost."""
 
+SLIGHT = 0.25
+"""Share of the work of a structure that another reading of the same mesh may cost in any case."""
+
 BRIEF = SolverOptions(tolerance=TIGHT, max_iterations=100)
 """For solves with such a structure: those that lead anywhere begin near their end."""
 
@@ -265,8 +268,8 @@ class _Task:
     ) -> Iterator[RefinementAttempt]:
         """Try the structure that a mesh shows, then that with path constraints kept at the ends of phases, too.
 
-        Then that in which short bangs are no noise and, if the first cannot be met at all, that of a slightly finer
-        mesh. These share as much work as the first may cost.
+        Then that in which short bangs are no noise, with little work if the first has left none, and, if the first
+        cannot be met at all, that of a slightly finer mesh. These share as much work as the first may cost.
         """
         work, options = share * self.max_work, self.options or (BRIEF if share < 1.0 else None)
         first = self._structured(start, found, work, options)
@@ -281,7 +284,7 @@ class _Task:
                 work -= second.work
         sharp = structures_of(start, sharp=True)
         if work > 0 and not self._known(sharp, solved=False):
-            third = self._structured(start, sharp, work, options)
+            third = self._structured(start, sharp, max(work - first.work, SLIGHT * work), options)
             yield third
             work -= third.work
         failed = first.history.status is RefinementStatus.FAILED

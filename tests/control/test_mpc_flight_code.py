@@ -133,6 +133,7 @@ def test_header_bounds_what_the_compiler_needs(tmp_path):
     controller = tracker(horizon=1.0, rate_limits=5.0, state_limits={"v": (-0.5, 0.5)})
     code = go.export_c(controller, tmp_path, name="law")
     told = int(re.search(r"LAW_STACK (\d+)", code.header.read_text())[1])
+    assert not re.search(r"\b(?:m|c|re)alloc\b|stdlib", code.source.read_text() + code.header.read_text())
     command = [COMPILER, *FLAGS, "-O0", "-fstack-usage", "-c", str(code.source), "-o", "law.o"]
     if subprocess.run(command, cwd=tmp_path, capture_output=True).returncode:
         pytest.skip("the compiler does not tell its frames")

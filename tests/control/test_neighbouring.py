@@ -1,5 +1,6 @@
 """Neighbouring-optimal guidance against closed forms, against solving again, and what is refused."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -247,7 +248,9 @@ def test_campaigns_fly_it(straight):
 @needs_compiler
 def test_flight_code_is_the_same_law(straight, tmp_path):
     controller = guidance(straight, last=0.5, reserve=0.1)
-    program = compiled(export_c(controller, tmp_path / "flight"))
+    code = export_c(controller, tmp_path / "flight")
+    assert not re.search(r"\b(?:m|c|re)alloc\b|stdlib", code.source.read_text() + code.header.read_text())
+    program = compiled(code)
     times = DT * np.arange(90)
     flight = loop(straight, controller).simulate([4.1, 0.05], tf=4.5)
     states = flight.states[:, :90].T

@@ -300,3 +300,30 @@ def test_consistency_needs_the_estimator_of_the_loop(right, campaign):
     known = filter_(model, sigma0=(0.0, 0.0))
     with pytest.raises(go.ArgumentError, match="holds 'q' for exactly known"):
         consistency(loop_of(known).simulate(**MISSION), known)
+
+
+def test_a_push_that_lasts_is_a_state_of_the_filters_own_model():
+    """The cart's filter knows a third state that plant and regulator do not have, and finds it as well as it says."""
+    plant = go.Model("pushed")
+    q, v, a = plant.state("q", unit="m"), plant.state("v", unit="m/s"), plant.control("a", unit="m/s^2")
+    push = plant.parameter("push", 0.0, unit="m/s^2")
+    plant.ode({q: v, v: a + push})
+    own = go.Model("its own")
+    q, v, d, a = own.state("q"), own.state("v"), own.state("d"), own.control("a")
+    own.ode({q: v, v: a + d, d: 0.0})
+    sigma0 = {"q": 0.5, "v": 0.3, "d": 0.2}
+    radar = [Measurement("q", 0.1, gate=0.9999)]
+    noise = {"v": 0.1}
+    told = design_ekf(own, [1.0, 0.0, 0.0], radar, sigma0=sigma0, process_noise=noise, dt=DT)
+    gusts = [RandomHold("gusts", 0.1 / np.sqrt(DT), on="v")]
+    law = output_feedback(regulator(plant), told)
+    loop = go.ClosedLoop(plant, law, sensors=[Noise("radar", 0.1, on="q")], disturbances=gusts)
+    mission = {"x0": [1.0, 0.0], "tf": 6.0, "seed": 5, "executor": "serial"}
+    campaign = go.monte_carlo(loop, 200, **mission, dispersions=SPREAD | {"plant.push": Normal(0.2)})
+    judged = consistency(campaign, told)
+    assert judged.band[0] < judged.average < judged.band[1]
+    assert judged.innovations["q"].average == pytest.approx(1.0, abs=0.1)
+    run = campaign.rerun(0)
+    sigma = np.sqrt(told.covariance(run.memory[: told.memory.size, -1])[2, 2])
+    found = run.remembered("d_hat")(6.0)
+    assert found == pytest.approx(run.parameter("plant.push"), abs=4 * sigma) and sigma < 0.15
