@@ -117,7 +117,8 @@ def test_gradients_and_sides_of_paths() -> None:
     )  # fmt: skip
     times = np.array([0.0, 1.0])
     x, u = s.leg.x(times), s.leg.flown(times)
-    found, _ = path_gradients(s.functions, len(s.leg.path_labels), times, x, u)
+    found, _, by_parameter = path_gradients(s.functions, len(s.leg.path_labels), times, x, u)
+    assert by_parameter.shape == (0, 2, 2)
     np.testing.assert_allclose(found[:, 0], [[1.0, 1.0], [4.0, 2.0]])
     np.testing.assert_allclose(found[:, 1], [[4.0, 3.0], [-2.0, -1.0]])
     pushers = Pushers.at(s, times, x, u)
