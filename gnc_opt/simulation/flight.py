@@ -203,8 +203,11 @@ class Flight:
                 if recorder is None:
                     self._folded.fly(X, rows, C, final[i])
                 else:
-                    columns = np.column_stack([X, self._folded.logged(X, rows, C)[0]])
-                    recorder.add(i, first, self.kernel.state.split(columns), P[self._plant_parameters, i])
+                    after, logs = self._folded.logged(X, rows, C)
+                    columns, applied = np.column_stack([X, after]), self.kernel.log.split(logs)["applied"]
+                    recorder.add(
+                        i, first, self.kernel.state.split(columns), applied, P[self._plant_parameters, i]
+                    )
                     final[i] = columns[:, -1]
                 X[:] = final[i]
                 if self._stopped(X):

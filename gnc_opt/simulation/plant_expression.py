@@ -9,21 +9,22 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import as_expression, foreign_symbols
 
 
-def plant_expression(value: Any, what: str, plant: Model, size: int = 1) -> Any:
-    """Return an SX expression (size, 1) of time, states and parameters of the plant.
+def plant_expression(value: Any, what: str, plant: Model, size: int = 1, *, controls: bool = False) -> Any:
+    """Return an SX expression (size, 1) of time, states and parameters of the plant, and of controls if they may be.
 
     Raises
     ------
     ArgumentError
-        ``what`` has another size, or symbols of a control or of another model.
+        ``what`` has another size, or symbols of a control that may not be there or of another model.
     """
     expression = as_expression(value, what, size, ArgumentError)
-    t, x, _, p = plant.arguments()
-    foreign = foreign_symbols(expression, [t, x, p])
+    t, x, u, p = plant.arguments()
+    foreign = foreign_symbols(expression, [t, x, u, p] if controls else [t, x, p])
     if foreign:
-        known = [*plant.states.names, *plant.parameters.names]
+        kinds = [plant.states, *([plant.controls] if controls else []), plant.parameters]
+        wanted = "state, control or parameter" if controls else "state or parameter"
         raise ArgumentError(
-            f"{what} uses '{foreign[0]}', which is no state or parameter of the plant '{plant.name}': "
-            f"{did_you_mean(foreign[0], known)}"
+            f"{what} uses '{foreign[0]}', which is no {wanted} of the plant '{plant.name}': "
+            f"{did_you_mean(foreign[0], [name for kind in kinds for name in kind.names])}"
         )
     return expression

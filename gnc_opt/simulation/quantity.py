@@ -1,7 +1,8 @@
 """Quantity: a number along the way of a run, of which the extremes, the integral and some samples are kept.
 
-It is looked at at the beginnings of the control steps and at the end, not between them. What is kept does not grow with
-the run: three numbers, and samples at `SAMPLES` instants at most.
+It is looked at at the beginnings and the ends of the control steps, not between them, with the mean over the step of
+what the actuators apply. What is kept does not grow with the run: three numbers, and samples at `SAMPLES` instants at
+most.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ KEPT = ("max", "min", "integral")
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
-    """A number that is followed over a run: a distance, a tilt, an excess over a corridor, fuel.
+    """A number that is followed over a run: a distance, a tilt, an excess over a corridor, fuel, a plume.
 
     Campaigns then have the measures ``max(name)``, ``min(name)`` and ``integral(name)`` (over time), and
     `Campaign.envelope`. A limit on the largest value of ``1 - distance`` is a keep-out of radius 1.
@@ -38,7 +39,8 @@ class Quantity:
     ----------
     name : str
     expression : casadi.SX
-        Of the plant's symbols of time, states and parameters, (1, 1).
+        Of the plant's symbols of time, states, controls and parameters, (1, 1). Controls are what the actuators apply,
+        on average over a control step and without disturbances.
     unit : str
 
     Examples
@@ -64,7 +66,7 @@ class Quantities:
     layout : Layout
         Names and units.
     values : casadi.Function
-        ``(t, x, p) -> y``, columns.
+        ``(t, x, u, p) -> y``, columns.
     """
 
     layout: Layout
@@ -80,18 +82,19 @@ class Quantities:
         Raises
         ------
         ArgumentError
-            Two of one name, symbols of another model or of a control, or wrong sizes.
+            Two of one name, symbols of another model, or wrong sizes.
         """
         names = [quantity.name for quantity in declared]
         for name in names:
             if names.count(name) > 1:
                 raise ArgumentError(f"two quantities of the closed loop are called '{name}': rename one.")
-        t, x, _, p = plant.arguments()
         rows = [
-            plant_expression(q.expression, f"the expression of quantity '{q.name}'", plant) for q in declared
+            plant_expression(q.expression, f"the expression of quantity '{q.name}'", plant, controls=True)
+            for q in declared
         ]
         layout = Layout("quantity", tuple(Variable(q.name, 1, q.unit) for q in declared), "the closed loop")
-        return cls(layout, ca.Function("quantities", [t, x, p], [ca.densify(ca.vertcat(ca.SX(0, 1), *rows))]))
+        stacked = ca.densify(ca.vertcat(ca.SX(0, 1), *rows))
+        return cls(layout, ca.Function("quantities", list(plant.arguments()), [stacked]))
 
 
 def sample_steps(n_steps: int) -> Array:
@@ -123,18 +126,35 @@ class Recorder:
         self.sums = np.repeat([-np.inf, np.inf, 0.0], n)[:, None] * np.ones(runs)
         self.samples = np.full((n, self._at.size, runs), np.nan)
 
-    def add(self, run: int, first: int, parts: Mapping[str, Array], p: Array) -> None:
-        """Take in a leg of a run: parts of X (., n + 1) from control step ``first`` on, p the plant's parameters."""
+    def add(self, run: int, first: int, parts: Mapping[str, Array], applied: Array, p: Array) -> None:
+        """Take in a leg of a run.
+
+        Parameters
+        ----------
+        run, first : int
+            Which run, and the control step that the leg begins with.
+        parts : mapping of str to array (., n + 1)
+            Of the states of the loop.
+        applied : array (n_controls, n)
+            Means over the steps.
+        p : array (n_parameters,)
+            Of the plant.
+        """
         states, times = parts["plant"], self.times[first : first + parts["plant"].shape[1]].copy()
         if "stop" in parts:  # an event may have ended the run
             flown = int(np.sum(parts["stop"][0, :-1] < 0.5))
-            states, times = states[:, : flown + 1], times[: flown + 1]
+            states, times, applied = states[:, : flown + 1], times[: flown + 1], applied[:, :flown]
             if parts["stop"][0, flown] > 0.5:
                 times[-1] = parts["stop time"][0, flown]
-        y = np.asarray(self.quantities.values(times[None, :], states, p).full())
-        n = len(self.quantities)
-        self.sums[:n, run] = np.maximum(self.sums[:n, run], y.max(axis=1))
-        self.sums[n : 2 * n, run] = np.minimum(self.sums[n : 2 * n, run], y.min(axis=1))
-        self.sums[2 * n :, run] += 0.5 * (y[:, 1:] + y[:, :-1]) @ np.diff(times)
+        starts, ends = (
+            np.asarray(self.quantities.values(times[None, here], states[:, here], applied, p).full())
+            for here in (slice(None, -1), slice(1, None))
+        )
+        n, y = len(self.quantities), np.hstack([starts, ends[:, -1:]])
+        self.sums[:n, run] = np.maximum(self.sums[:n, run], np.maximum(starts, ends).max(axis=1))
+        self.sums[n : 2 * n, run] = np.minimum(
+            self.sums[n : 2 * n, run], np.minimum(starts, ends).min(axis=1)
+        )
+        self.sums[2 * n :, run] += 0.5 * (starts + ends) @ np.diff(times)
         here = (self._at >= first) & (self._at < first + times.size)
         self.samples[:, here, run] = y[:, self._at[here] - first]

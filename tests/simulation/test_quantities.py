@@ -11,7 +11,7 @@ from loops import double_integrator, feedback
 import gnc_opt as go
 from gnc_opt.analysis import worst_case
 from gnc_opt.plot import plot_envelope
-from gnc_opt.simulation import Campaign, Event, Noise, Normal, Quantity, Uniform
+from gnc_opt.simulation import Campaign, Event, Lag, Noise, Normal, Quantity, Uniform
 from gnc_opt.simulation.envelope import envelope
 from gnc_opt.simulation.quantity import SAMPLES, sample_steps
 
@@ -130,6 +130,34 @@ def test_a_run_that_an_event_ends_is_followed_until_then():
     assert runs.envelope("q").runs[-1] == 0
 
 
+@pytest.mark.parametrize("wall", [None, 0.3])
+def test_fuel_and_plume_follow_what_the_actuators_apply(wall):
+    # Thrust within 0.5 m of the origin blows at what stands there; steps of 0.1 s, lag, noise, an event.
+    cart = double_integrator()
+    q, a = cart.symbol("q"), cart.symbol("a")
+    loop = go.ClosedLoop(
+        cart, feedback(cart, [[0.5, 0.4]]), sensors=[Noise("rangefinder", 0.02, on="q")],
+        actuators=[Lag("valve", 0.3)],
+        events=[] if wall is None else [Event("wall", q - wall, "falling")],
+        quantities=[
+            Quantity("fuel", ca.fabs(a), "m/s^2"), Quantity("plume", ca.fmax(-a, 0) * (ca.fabs(q) < 0.5), "m/s^2"),
+        ],
+        dt=0.1,
+    )  # fmt: skip
+    runs = go.monte_carlo(loop, 5, **MISSION, seed=3, dispersions=SPREAD, executor="serial")
+    for i in range(5):
+        run = runs.rerun(i)
+        assert (run.times[-1] == 30.0) == (wall is None)
+        spent = np.abs(run.applied[0]) @ np.diff(run.times)
+        assert runs.measure("integral(fuel)")[i] == pytest.approx(spent, rel=1e-12)
+        near = (np.abs(run.states[0]) < 0.5).astype(float)
+        blown = np.maximum(-run.applied[0], 0.0)
+        assert runs.measure("max(plume)")[i] == pytest.approx(np.max(blown * np.maximum(near[:-1], near[1:])))
+        mean = 0.5 * (near[:-1] + near[1:]) * np.diff(run.times)
+        assert runs.measure("integral(plume)")[i] == pytest.approx(blown @ mean, rel=1e-12)
+    assert np.ptp(runs.measure("max(plume)")) > 0
+
+
 def test_files_and_checkpoints_keep_them(campaign, tmp_path):
     again = Campaign.load(campaign.save(tmp_path / "campaign.npz"))
     assert np.array_equal(again.samples, campaign.samples) and np.array_equal(again.sums, campaign.sums)
@@ -150,8 +178,13 @@ def test_mistakes_are_refused(campaign):
     law, q = feedback(cart, [[1.0, 1.0]]), cart.symbol("q")
     with pytest.raises(go.ArgumentError, match="two quantities of the closed loop are called 'a'"):
         go.ClosedLoop(cart, law, quantities=[Quantity("a", q), Quantity("a", -q)], dt=0.1)
-    with pytest.raises(go.ArgumentError, match="quantity 'force' uses 'a', which is no state or parameter"):
-        go.ClosedLoop(cart, law, quantities=[Quantity("force", cart.symbol("a"))], dt=0.1)
+    foreign = double_integrator().symbol("a")
+    with pytest.raises(
+        go.ArgumentError, match="quantity 'force' uses 'a', which is no state, control or param"
+    ):
+        go.ClosedLoop(cart, law, quantities=[Quantity("force", foreign)], dt=0.1)
+    with pytest.raises(go.ArgumentError, match="event 'full' uses 'a', which is no state or parameter"):
+        go.ClosedLoop(cart, law, events=[Event("full", cart.symbol("a") - 1.0, "rising")], dt=0.1)
     with pytest.raises(go.ArgumentError, match="write Quantity"):
         go.ClosedLoop(cart, law, quantities=[q], dt=0.1)
     with pytest.raises(go.UnknownNameError, match=r"max\(intrusion\)"):
