@@ -57,11 +57,21 @@ def convex_channels(samples: PhaseSamples) -> Mask:
     """Return in which controls H is convex all along the phase, and strictly at times, (m,).
 
     It is linear in a control whose square moves a state alone, where that state is worth nothing: heat, beyond its
-    limit.
+    limit. A control that is coupled with others in H, as the direction of a thrust is with its magnitude, has to be
+    strictly convex all along: where it is not, it is worth nothing, and may jump.
     """
     curvature = _curvature(samples)
     above, below = (np.maximum(sign * curvature, 0.0) @ samples.weights for sign in (1.0, -1.0))
-    return np.asarray(np.any(curvature > CONVEX, axis=1) & (below < HOLLOW * above))
+    at_times = np.any(curvature > CONVEX, axis=1) & (below < HOLLOW * above)
+    return np.asarray((at_times & ~_coupled(samples)) | regular_channels(samples))
+
+
+def _coupled(samples: PhaseSamples) -> Mask:
+    """Return which controls have a second derivative of H with another one, (m,)."""
+    scale, mixed = samples.control_scale, np.max(np.abs(samples.control_hessian), axis=2, initial=0.0)
+    shares = mixed * np.outer(scale, scale) / samples.hamiltonian_scale
+    np.fill_diagonal(shares, 0.0)
+    return np.asarray(np.any(shares > LINEAR, axis=1))
 
 
 def with_flat_times(structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
