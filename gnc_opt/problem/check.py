@@ -22,7 +22,7 @@ from gnc_opt.problem.symbols import end_points, parameter_arguments
 from gnc_opt.tolerances import ROUNDING
 
 OFF_LIMIT = 1e-5
-"""A path constraint beyond its limit by less than this, relative to its size or 1, may be meant to be at it."""
+"""A constraint beyond its limit by less than this, relative to its size or 1, may be meant to be at it."""
 
 
 def check_problem(problem: Statement) -> None:
@@ -116,13 +116,18 @@ def _check_paths_at_ends(problem: Statement, leg: Phase) -> None:
     ):
         arguments = (time, intersect(values, numbers.states), numbers.controls, p, q)
         reached = ranges_of(function, arguments)
-        slack = OFF_LIMIT * (1.0 + np.minimum(np.abs(reached.lower), np.abs(reached.upper)))
-        for i in np.flatnonzero((reached.lower > box.upper + slack) | (reached.upper < box.lower - slack)):
-            k = int(i)
+        for k in _beyond(reached, box):
             raise ProblemError(
                 f"path constraint '{leg.path_labels[k]}' cannot hold with the {end} values of {leg.where}: it is "
                 f"{_show(reached, k)} there, outside its limits {_show(box, k)}: correct one of the two."
             )
+
+
+def _beyond(reached: Interval, box: Interval) -> list[int]:
+    """Rows whose range lies outside their limits."""
+    slack = OFF_LIMIT * (1.0 + np.minimum(np.abs(reached.lower), np.abs(reached.upper)))
+    outside = (reached.lower > box.upper + slack) | (reached.upper < box.lower - slack)
+    return [int(i) for i in np.flatnonzero(outside)]
 
 
 def _paths(problem: Statement, leg: Phase) -> Any:
@@ -154,9 +159,7 @@ def _check_constraints(problem: Statement) -> None:
         arguments += [*ends, *leg.times(), free(len(leg.integrands)), Interval(p, p)]
     function = problem.once("constraints", lambda: _constraints(problem))
     reached = ranges_of(function, [*arguments, problem.parameter_interval()])
-    slack = OFF_LIMIT * (1.0 + np.minimum(np.abs(reached.lower), np.abs(reached.upper)))
-    for i in np.flatnonzero((reached.lower > box.upper + slack) | (reached.upper < box.lower - slack)):
-        k = int(i)
+    for k in _beyond(reached, box):
         raise ProblemError(
             f"constraint '{problem.constraint_labels()[k]}' of problem '{problem.name}' cannot hold with the times "
             f"and end values of the phases: it is {_show(reached, k)} there, outside its limits {_show(box, k)}: "
