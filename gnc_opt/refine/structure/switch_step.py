@@ -138,6 +138,11 @@ def chord_step(
     )
 
 
+def final_worth(problem: Problem, s: PhaseSamples, flow: BangBangFlow, multipliers: Array) -> Array:
+    """Return what the final values of a flow are worth, with the multipliers of a step."""
+    return _Ends.of(problem, s, flow).worth(multipliers)[0]
+
+
 def _flown(
     problem: Problem, s: PhaseSamples, switches: Switches, steps: int, refinement: int = 1
 ) -> BangBangFlow:
