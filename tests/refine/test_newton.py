@@ -14,6 +14,7 @@ from gnc_opt.refine.structure import switching
 from gnc_opt.refine.structure.detect import detect
 from gnc_opt.refine.structure.newton import settle, settle_flow
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.refine.structure.plan import Plan
 from gnc_opt.refine.structure.switch_step import chord_step, independent, newton_step
 from gnc_opt.verify.switches import Switches
 from problems.rendezvous import SWITCHES, build
@@ -181,7 +182,7 @@ def test_a_structure_that_cannot_be_collocated_is_given_up(
     """Thrust away from the goal and back leads nowhere: what was detected is tried then."""
     nowhere = structure([0.0, 2.0, 4.0], UPPER, UPPER)
     guess = replace(cart, statistics=cart.statistics)
-    monkeypatch.setattr(switching, "settle", lambda *_: (nowhere, guess))
+    monkeypatch.setattr(switching, "_settled", lambda *_: (guess, {"leg": Plan.of(nowhere)}, None))
     found, history = switching.optimise_switches(cart)
     assert history.converged and not history.passes[0].solved
     assert found.objective == pytest.approx(4.0, abs=1e-9)
