@@ -31,7 +31,9 @@ BEYOND = 1e-7
 
 
 def collocated(known: Solution, flight: SwitchFlight, plan: Plan) -> Solution | None:
-    """Return the flight with its last step at the collocation points of a plan; None if a limit is exceeded.
+    """Return the flight with its last step at the collocation points of a plan.
+
+    None if a limit is exceeded, or if the known solution is merely acceptable: its optimum may be degenerate.
 
     Parameters
     ----------
@@ -42,6 +44,8 @@ def collocated(known: Solution, flight: SwitchFlight, plan: Plan) -> Solution | 
     plan : Plan
         Of the structure that the flight's last step leads to.
     """
+    if known.status is not Status.OPTIMAL:
+        return None
     problem, s, n = known.need_problem("refine"), flight.s, flight.s.leg.states.size
     leg, mesh, ends = s.leg, plan.mesh(), plan.structure.times
     breaks = ends[0] + np.asarray(mesh.breaks) * (ends[-1] - ends[0])
@@ -93,7 +97,6 @@ def collocated(known: Solution, flight: SwitchFlight, plan: Plan) -> Solution | 
         return None
     return replace(
         completed(flown),
-        status=Status.OPTIMAL,
         statistics=Statistics(0, 0.0, 0.0, 0.0, 0.0),
         provenance={**known.provenance, "mesh": f"{leg.name} {mesh}"},
     )
