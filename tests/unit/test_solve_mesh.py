@@ -91,7 +91,7 @@ def test_an_ending_without_a_verdict_is_met_by_the_adaptive_barrier(monkeypatch:
 def test_pivoting_with_care_that_crawls_gives_way_to_the_adaptive_barrier(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Where ends say twice what dynamics conserve, as four components of a quaternion do, it can go on for thousands."""
+    """Where ends say twice what dynamics conserve, as those of a quaternion do, it can go on for thousands."""
     monkeypatch.setattr(sys.modules[solve_mesh.__module__], "BRIEF", 0)
     watch = Stumbling(monkeypatch, Status.SEARCH_DIRECTION_FAILED)
     solution = solve_mesh(regulator(), "3x4")
