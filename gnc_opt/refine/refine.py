@@ -242,8 +242,10 @@ class _Task:
         order = {name: structure.at(()) for name, structure in found.items()}
         return any(
             a.begun == found
-            or (not solved or any(p.solved for p in a.history.passes))
-            and order == {name: structure.at(()) for name, structure in a.begun.items()}
+            or (
+                (not solved or any(p.solved for p in a.history.passes))
+                and order == {name: structure.at(()) for name, structure in a.begun.items()}
+            )
             for a in self.attempted
             if a.begun is not None
         )

@@ -10,8 +10,8 @@ Along an arc on the limit all neighbouring trajectories stay on it, whether its 
 its ends alone. They meet :math:`S = \dots = S^{(q-1)} = 0` where it begins: should that time move by :math:`\delta`,
 what this changes there is of the order of :math:`\delta^2`, since :math:`S^{(q)}` vanishes before it.
 
-A control that holds a constraint of first order may come to a limit of its own there, and S leave its limit: the costate
-jumps, and :math:`\dot S = 0` on either side. All neighbouring trajectories have to come to both limits at one time.
+A control that holds a constraint of first order may come to a limit of its own there, and S leave its limit: the
+costate jumps, and :math:`\dot S = 0` on either side. All neighbouring trajectories come to both limits at one time.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT
 
 LEVEL, BESIDE = 1e-2, 1e-3
-"""A constraint leaves its limit without a slope if, this far (share of the segment) beside the boundary, it has moved by
-less than this share of what its scale says."""
+"""A constraint leaves its limit without a slope if it has moved by less than this share of what its scale says, so far
+(share of the segment) beside the boundary."""
 
 PUSHES = 1e-5
 """Share of the cost from which a jump of the costate across what a constraint moves is a push."""

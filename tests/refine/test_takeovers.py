@@ -47,7 +47,9 @@ def flown(start: Array, times: tuple[float, float], power: float | None = None) 
         slant = -2.0 * (x - 5.0) / WIDTH * slope(x)
         return [v, u - slope(x), lam_v * slant, -lam_x, u**2]
 
-    return np.asarray(scipy.integrate.solve_ivp(rates, times, start, "DOP853", rtol=1e-11, atol=1e-12).y[:, -1])
+    return np.asarray(
+        scipy.integrate.solve_ivp(rates, times, start, "DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
+    )
 
 
 def shot(unknown: Array) -> tuple[Array, float]:
