@@ -38,7 +38,7 @@ from gnc_opt.verify.verify import verify
 PATIENCE = 4
 """Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
 
-IN_VAIN = 3
+IN_VAIN = 2
 """Structures without a solution, one made of the other, after which the loop gives up."""
 
 FINEST = 1e-9
