@@ -39,7 +39,7 @@ UNASKED, AGAIN = 0.5, 0.25
 was tried before has left so much. What it costs comes on top of what the mesh may cost."""
 
 OTHERS, SLIGHT = 0.5, 0.5
-"""Share of the work of a structure that other readings of the same mesh may cost, and of that what one may cost in any
+"""Share of the work of a structure that other readings of the same mesh may cost, and of that what each may cost in any
 case."""
 
 BRIEF = SolverOptions(tolerance=TIGHT, max_iterations=100)
@@ -287,26 +287,28 @@ class _Task:
         first = self._structured(start, found, work, options)
         yield first
         work *= OTHERS
+        least = SLIGHT * work
         met = with_ends_met(start, options=self.options, limits=self._of_solve(start, work))
         if met is not None and met.status.solved:
             work -= _work(met)
             kept = structures_of(met)
             if not self._known(kept):
-                second = self._structured(met, kept, work, options)
+                second = self._structured(met, kept, max(work, least), options)
                 yield second
                 work -= second.work
         sharp = structures_of(start, sharp=True)
-        if work > 0 and not self._known(sharp, solved=False):
-            third = self._structured(start, sharp, max(work - first.work, SLIGHT * work), options)
+        if not self._known(sharp, solved=False):
+            third = self._structured(start, sharp, max(work, least), options)
             yield third
             work -= third.work
         failed = first.history.status is RefinementStatus.FAILED
-        if work > 0 and failed and not any(p.solved for p in first.history.passes):
-            finer = self._finer(start, work)
+        if failed and not any(p.solved for p in first.history.passes):
+            finer = self._finer(start, max(work, least))
             if finer.status is Status.INTERRUPTED:
                 raise KeyboardInterrupt
             if finer.status.solved:
-                yield self._structured(finer, structures_of(finer), work - _work(finer), options)
+                work = max(work - _work(finer), least)
+                yield self._structured(finer, structures_of(finer), work, options)
 
     def _finer(self, start: Solution, work: float) -> Solution:
         """Return the solution with one more collocation point in every segment."""
