@@ -11,43 +11,48 @@ import gnc_opt as go
 G, DRAG, INDUCED, LIFT, MOST = 9.81, 2e-4, 4e3, 1.1e-4, 6.0
 
 
-def hard_turn(speed: float) -> go.Problem:
-    """Half a turn in the least time, slowed down by lift: the load factor is at most 6, and at most 1.1e-4 v^2.
+def hard_turn(speed: float, angle: float) -> go.Problem:
+    """A turn in the least time, slowed down by lift: the load factor is at most 6, and at most 1.1e-4 v^2.
 
-    Above the corner speed slower is better, and H concave in the load factor; below it is worse, and H convex.
+    Below the corner speed slower is worse, and H convex in the load factor; above it is better, and H concave, in so
+    far as the turn is over soon.
     """
     model = go.Model("aircraft")
     v, psi = model.state("v", unit="m/s"), model.state("psi", unit="rad")
     n = model.control("n")
     model.ode({v: -DRAG * v**2 - INDUCED * n**2 / v**2, psi: G * n / v})
-    problem = go.Problem("half a turn")
+    problem = go.Problem("hard turn")
     turn = problem.phase("turn", model)
     turn.time(initial=0.0, final=(1.0, 60.0))
     turn.initial(v=speed, psi=0.0)
-    turn.final(psi=np.pi)
+    turn.final(psi=angle)
     turn.bounds(n=(0.0, MOST), v=(50.0, 500.0))
     turn.path("lift", n - LIFT * v**2, upper=0.0)
     problem.minimize(turn.final_time)
     return problem
 
 
-def hardest(speed: float) -> tuple[float, float]:
+def hardest(speed: float, angle: float) -> tuple[float, float]:
     """Time of the turn flown at the most, and when it comes through the corner speed."""
 
     def rates(t: float, x: np.ndarray) -> list[float]:
         n = min(MOST, LIFT * x[0] ** 2)
         return [-DRAG * x[0] ** 2 - INDUCED * n**2 / x[0] ** 2, G * n / x[0]]
 
-    events = [lambda t, x: x[0] ** 2 - MOST / LIFT, lambda t, x: x[1] - np.pi]
+    events = [lambda t, x: x[0] ** 2 - MOST / LIFT, lambda t, x: x[1] - angle]
     flown = solve_ivp(rates, (0.0, 60.0), [speed, 0.0], events=events, rtol=1e-10, atol=1e-12, max_step=0.05)
     return float(flown.t_events[1][0]), float(flown.t_events[0][0])
 
 
-@pytest.mark.parametrize("speed", [270.0, 300.0])
-def test_a_turn_hands_over_from_the_load_factor_to_lift_at_the_corner_speed(speed: float) -> None:
-    least, corner = hardest(speed)
+@pytest.mark.parametrize(
+    ("speed", "angle"), [(270.0, np.pi), (300.0, np.pi / 3)], ids=["convex", "either way"]
+)
+def test_a_turn_hands_over_from_the_load_factor_to_lift_at_the_corner_speed(
+    speed: float, angle: float
+) -> None:
+    least, corner = hardest(speed, angle)
     assert 0.1 * least < corner < 0.9 * least, "both limits are met"
-    solution = go.solve(hard_turn(speed))
+    solution = go.solve(hard_turn(speed, angle))
     assert solution.objective == pytest.approx(least, rel=1e-7)
     arcs = [(a.channel, a.kind.value) for a in solution.structure if a.channel == "n"]
     assert arcs == [("n", "upper"), ("n", "constrained")]
