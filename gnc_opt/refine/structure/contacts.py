@@ -121,7 +121,7 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
     held = [any(kinds[first + row].at_limit for kinds in structure.kinds) for row in range(constraints.size)]
     orders = [0 if held[row] else constraints.order(row) for row in range(constraints.size)]
     if not any(orders):
-        return structure
+        return without_overlaps(structure)
     known = structure.holders[first:]
     holders = [constraints.holders(row) if order else known[row] for row, order in enumerate(orders)]
     known = structure.leans[first:]
@@ -449,12 +449,13 @@ def _worst_added(
         constraints.samples,
         (*constraints.samples.leg.path_labels, *constraints.samples.leg.states.labels),
     )
-    if not runs:
-        return None, ""
-    run = max(runs, key=lambda r: float(np.max(r.worth)))
-    at = run.times[int(np.argmax(run.worth))]
-    label = labels[run.row - len(structure.controls)]
-    return run.added(structure, s), f"contact of {label} added at {at:.4g} s"
+    for run in sorted(runs, key=lambda r: float(np.max(r.worth)), reverse=True):
+        added = run.added(structure, s)
+        if added != structure:
+            at = run.times[int(np.argmax(run.worth))]
+            label = labels[run.row - len(structure.controls)]
+            return added, f"contact of {label} added at {at:.4g} s"
+    return None, ""
 
 
 def _excesses(constraints: StateConstraints, structure: PhaseStructure) -> list[_Run]:
