@@ -90,12 +90,7 @@ def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructur
     if not _fits(problem, s, structure):
         return None
     switches, steps = _switches(s, structure), STEPS
-    flight = _optimum(problem, s, switches, OF_A_GUESS, STEPS // 2)
-    if flight is not None:  # short arcs of the wrong sign are seen on the whole grid only
-        switches = flight.switches
-        flight = _near(problem, s, switches, flight.step, OF_A_GUESS, STEPS)
-    if flight is None or flight.missing_arc is not None:
-        flight = _optimum(problem, s, switches, OF_A_GUESS, STEPS)
+    flight = _optimum(problem, s, switches, OF_A_GUESS, STEPS)
     while flight is not None and flight.error >= OF_A_GUESS and steps < FINEST:
         steps *= 2
         flight = _near(problem, s, flight.switches, flight.step, OF_A_GUESS, steps) or flight
