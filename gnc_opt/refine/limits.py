@@ -41,7 +41,7 @@ class RefinementLimits:
     """
 
     max_passes: int = 40
-    max_points: int = 1000
+    max_points: int = 2000
     max_work: float = 15.0
     max_wall_time: float | None = None
 

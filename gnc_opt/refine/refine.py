@@ -18,6 +18,7 @@ from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.hp.mesh_refinement import ROOMY, refine_mesh
 from gnc_opt.refine.limits import RefinementLimits
 from gnc_opt.refine.passes import PassLimits, pass_record
+from gnc_opt.refine.structure.carried import on_carrying_arcs
 from gnc_opt.refine.structure.curvature import affine_channels, convex_channels, curved_channels
 from gnc_opt.refine.structure.detect import structures_of
 from gnc_opt.refine.structure.ends import with_ends_met
@@ -231,7 +232,10 @@ class _Task:
     def _unasked(self, start: Solution, share: float) -> Iterator[RefinementAttempt]:
         """Try a structure that nobody asked for, if there is one."""
         found = structures_of(start)
-        if _switches(start, found, at_least=1) and not self._known(found):
+        if self.attempted and _carried(start, found):
+            if not any(a.on_mesh for a in self.attempted):
+                yield self._structured(start, found, self.max_work, self.options or BRIEF, on_mesh=True)
+        elif _switches(start, found, at_least=1) and not self._known(found):
             yield from self._by_structure(start, found, share)
 
     def _known(self, found: Mapping[str, PhaseStructure], solved: bool = True) -> bool:
@@ -315,7 +319,12 @@ class _Task:
         return self._limits(1, work).of_solve(leg.mesh for leg in start.phases.values())
 
     def _structured(
-        self, start: Solution, found: Mapping[str, PhaseStructure], work: float, options: SolverOptions | None
+        self,
+        start: Solution,
+        found: Mapping[str, PhaseStructure],
+        work: float,
+        options: SolverOptions | None,
+        on_mesh: bool = False,
     ) -> RefinementAttempt:
         return RefinementAttempt(
             *optimise_switches(
@@ -325,8 +334,10 @@ class _Task:
                 structures=found,
                 options=options,
                 progress=self.progress,
+                on_mesh=on_mesh,
             ),
             begun=found,
+            on_mesh=on_mesh,
         )
 
     def _limits(self, passes: int, work: float) -> PassLimits:
@@ -361,4 +372,14 @@ def _switches(solution: Solution, found: Mapping[str, PhaseStructure], at_least:
         # Controls that H determines have nothing to settle if they stay between their bounds.
         if np.any(convex_channels(samples)) and found[name].pieces > 1:
             return True
+    return False
+
+
+def _carried(solution: Solution, found: Mapping[str, PhaseStructure]) -> bool:
+    """Whether arcs carry errors on over several segments of the mesh: finer ones do not help where these arise."""
+    for name, structure in found.items():
+        breaks = solution.phases[name].breaks
+        for k in np.flatnonzero(on_carrying_arcs(structure)):
+            if np.any((breaks > structure.times[k]) & (breaks < structure.times[k + 1])):
+                return True
     return False
