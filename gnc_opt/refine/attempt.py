@@ -37,7 +37,7 @@ _CHATTERING = (
 
 @dataclass(frozen=True, eq=False)
 class RefinementAttempt:
-    """What one way of refining led to, and the structure that it began with, if any, and maybe on the mesh as it was."""
+    """What one way of refining led to, the structure that it began with, if any, and whether on the mesh as it was."""
 
     solution: Solution
     history: History

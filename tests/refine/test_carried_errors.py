@@ -64,7 +64,7 @@ def test_structure_on_the_segments_of_the_mesh(coarse: go.Solution) -> None:
 
 
 def test_an_error_comes_back_from_the_segment_in_which_it_arises(coarse: go.Solution) -> None:
-    # The arc begins inside of a segment: what that leaves out returns at every later boundary, nearly as large, with (-1)^5.
+    # The arc begins inside of a segment: what that leaves out returns at each later end, with (-1)^5.
     leg = coarse.phase("leg")
     first = int(np.searchsorted(leg.breaks, WAY)) - 1
     last = int(np.searchsorted(leg.breaks, T - WAY)) - 1

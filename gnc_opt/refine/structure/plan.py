@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 
@@ -198,7 +199,7 @@ class Plan:
         """Return a plan that starts with the segments of the mesh that the structure was found on."""
         times = np.asarray(structure.times)
         ends = (times - times[0]) / (times[-1] - times[0])
-        pieces = zip(ends[:-1], ends[1:], strict=True)
+        pieces = itertools.pairwise(map(float, ends))
         return cls(structure, tuple(_inherited(mesh, a, b) for a, b in pieces), points_of(mesh))
 
     def restructured(self, structure: PhaseStructure) -> Plan:
@@ -362,7 +363,7 @@ def _inherited(mesh: Mesh, start: float, end: float) -> Resolution:
     """The segments of a mesh between two fractions of the phase; what ends too close to them is joined to the next."""
     breaks, degrees = np.asarray(mesh.breaks), np.asarray(mesh.degrees)
     inside = np.flatnonzero((breaks > start) & (breaks < end))
-    room = SLIVER * np.minimum(breaks[inside + 0] - breaks[inside - 1], breaks[inside + 1] - breaks[inside])
+    room = SLIVER * np.minimum(breaks[inside] - breaks[inside - 1], breaks[inside + 1] - breaks[inside])
     kept = breaks[inside[np.minimum(breaks[inside] - start, end - breaks[inside]) > room]]
     cuts = np.array([start, *kept, end])
     middles = 0.5 * (cuts[1:] + cuts[:-1])
