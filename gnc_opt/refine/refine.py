@@ -13,6 +13,7 @@ import numpy as np
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
 from gnc_opt.nlp import SolverOptions, Status
+from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.attempt import CLOSE, RefinementAttempt, interrupted, result_of
 from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.hp.mesh_refinement import ROOMY, refine_mesh
@@ -230,13 +231,21 @@ class _Task:
             yield by_mesh
 
     def _unasked(self, start: Solution, share: float) -> Iterator[RefinementAttempt]:
-        """Try a structure that nobody asked for, if there is one."""
+        """Try a structure that nobody asked for, if there is one.
+
+        On the segments of the mesh, where errors are handed on along its arcs and others had no solution on few.
+        """
         found = structures_of(start)
-        if self.attempted and _carried(start, found):
-            if not any(a.on_mesh for a in self.attempted):
-                yield self._structured(start, found, self.max_work, self.options or BRIEF, on_mesh=True)
+        if self._in_vain and _carried(start, found):
+            yield self._structured(start, found, self.max_work, self.options or BRIEF, on_mesh=True)
         elif _switches(start, found, at_least=1) and not self._known(found):
             yield from self._by_structure(start, found, share)
+
+    @property
+    def _in_vain(self) -> bool:
+        """Whether structures have been tried, on few segments, and had no solution at all."""
+        tried = [a for a in self.attempted if a.begun is not None]
+        return bool(tried) and not any(a.on_mesh or p.solved for a in tried for p in a.history.passes)
 
     def _known(self, found: Mapping[str, PhaseStructure], solved: bool = True) -> bool:
         """Whether the same arcs in the same order have been tried, and had a solution if that is asked for."""
@@ -376,7 +385,9 @@ def _switches(solution: Solution, found: Mapping[str, PhaseStructure], at_least:
 
 
 def _carried(solution: Solution, found: Mapping[str, PhaseStructure]) -> bool:
-    """Whether arcs carry errors on over several segments of the mesh: finer ones do not help where these arise."""
+    """Whether arcs carry errors on over several segments of the mesh, none of them singular."""
+    if any(np.any(structure.controls == ArcKind.SINGULAR) for structure in found.values()):
+        return False
     for name, structure in found.items():
         breaks = solution.phases[name].breaks
         for k in np.flatnonzero(on_carrying_arcs(structure)):
