@@ -6,7 +6,7 @@ import difflib
 import reprlib
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 
 class GncOptError(Exception):
@@ -74,3 +74,14 @@ def unknown_name(what: str, name: object, where: str, known: Iterable[str]) -> U
             f"{where} has no {what} {shown(name)}: give a name, {did_you_mean('', known)}"
         )
     return UnknownNameError(f"{where} has no {what} '{name}': {did_you_mean(name, known)}")
+
+
+def right_symbol(name: str, known: Sequence[str]) -> str:
+    """Say which symbol is meant by one of another model: its namesake here, or `did_you_mean`.
+
+    Components of vectors are symbols called ``r_0``, ``r_1``.
+    """
+    own = name if name in known else name.rpartition("_")[0]
+    if own not in known:
+        return did_you_mean(name, known)
+    return f"it is another model's, write model.symbol('{own}') for the one here."

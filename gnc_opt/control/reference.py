@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gnc_opt.arguments import expect, read_numbers
 from gnc_opt.arrays import Array
@@ -26,7 +27,7 @@ TRIM_TOLERANCE = 1e-6
 """A state counts as one to rest at if, with the best control, no rate is above this (1/s), relative to the
 largest state if that is above 1."""
 
-_GAUSS_POINTS = 8
+_NODES, _WEIGHTS = leggauss(8)  # of the mean of a control over a step without a jump
 _NEWTON = 1e-14
 """A step of Newton's method this small beside the control is rounding."""
 
@@ -226,23 +227,13 @@ class Reference(Strict):
         A held command with this value has the same impulse as the reference, wherever its switches lie.
         """
         starts = np.atleast_1d(read_numbers(times, "the times of a reference"))
-        marks = np.unique(np.concatenate([self.jumps, self._breaks]))
-        owners, lefts, rights = [], [], []  # pieces of the steps without a jump
-        for k, start in enumerate(starts):
-            inner = marks[(marks > start) & (marks < start + dt)]
-            edges = [float(start), *inner, float(start) + dt]
-            owners += [k] * (len(edges) - 1)
-            lefts += edges[:-1]
-            rights += edges[1:]
-        left, right = np.array(lefts), np.array(rights)
-        tau, weights = leggauss(_GAUSS_POINTS)
-        at = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * tau
+        owners, left, right = _pieces(starts, dt, np.unique(np.concatenate([self.jumps, self._breaks])))
+        at = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * _NODES
         means = (
-            self.u(at.ravel()).reshape(self.controls.size, *at.shape) @ weights * (0.5 * (right - left) / dt)
+            self.u(at.ravel()).reshape(self.controls.size, *at.shape) @ _WEIGHTS * (0.5 * (right - left) / dt)
         )
         total = np.zeros((self.controls.size, starts.size))
-        for owner, mean in zip(owners, means.T, strict=True):
-            total[:, owner] += mean
+        np.add.at(total.T, owners, means.T)
         return total
 
     def _evaluate(self, parts: list[Callable[[Array], Array]], t: ArrayLike, tail: Array | None) -> Array:
@@ -327,14 +318,43 @@ def _warn_of_residual(
         )
 
 
+def _pieces(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.intp], Array, Array]:
+    """Return the pieces that marks cut steps into: which step each belongs to, its beginning and its end."""
+    first, behind = np.searchsorted(marks, starts, "right"), np.searchsorted(marks, starts + dt, "left")
+    counts = np.maximum(behind - first, 0) + 1
+    owners = np.repeat(np.arange(starts.size), counts)
+    place = np.arange(owners.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    ends = np.append(marks, np.inf)  # the last piece of a step ends before the next mark
+    mark = first[owners] + place
+    left = np.where(place > 0, marks[mark - 1], starts[owners])
+    right = np.where(place < counts[owners] - 1, ends[mark], starts[owners] + dt)
+    return owners, left, right
+
+
 def _over_times(function: Callable[[float], ArrayLike], layout: Layout) -> Callable[[Array], Array]:
     def many(times: Array) -> Array:
-        columns = [
-            as_vector(function(float(t)), layout.size, f"the {layout.kind}s of a reference") for t in times
-        ]
-        return np.stack(columns, axis=1)
+        rows = [function(float(t)) for t in times]
+        values = _block(rows, layout.size)
+        if values is None:
+            what = f"the {layout.kind}s of a reference"
+            values = np.array([as_vector(row, layout.size, what) for row in rows])
+        return _require_finite(values.T, times, layout)
 
     return many
+
+
+def _block(rows: Sequence[Any], size: int) -> Array | None:
+    """Return rows of plain numbers as an array (n, size), which is far faster than row by row; else None."""
+    kinds = {type(row) for row in rows}
+    if kinds == {np.ndarray}:
+        alike = {(row.shape, row.dtype) for row in rows} == {((size,), np.dtype(float))}
+        return np.array(rows) if alike else None
+    if not kinds <= {list, tuple} or {len(row) for row in rows} != {size}:
+        return None
+    plain = {type(number) for row in rows for number in row} <= {float, int, np.float64}
+    with contextlib.suppress(OverflowError):  # an integer beyond 1e308
+        return np.array(rows, dtype=float) if plain else None
+    return None
 
 
 def _as_stated(leg: PhaseSolution, model: Model) -> Callable[[Array], Array]:
@@ -351,14 +371,19 @@ def _checked(function: Callable[[Array], ArrayLike], layout: Layout) -> Callable
                 f"the {layout.kind}s of a vectorized reference have the shape {values.shape} at {times.size} times, "
                 f"not {(layout.size, times.size)}: return a column for every time, or leave out vectorized."
             )
-        if not np.all(np.isfinite(values)):
-            at = float(times[np.argmin(np.all(np.isfinite(values), axis=0))])
-            raise ArgumentError(
-                f"the {layout.kind}s of a reference are not finite at {at:g} s: correct the function."
-            )
-        return values
+        return _require_finite(values, times, layout)
 
     return many
+
+
+def _require_finite(values: Array, times: Array, layout: Layout) -> Array:
+    """Return values (size, n) of a reference; raise `ArgumentError` where one is not finite."""
+    finite = np.all(np.isfinite(values), axis=0)
+    if not np.all(finite):
+        raise ArgumentError(
+            f"the {layout.kind}s of a reference are not finite at {times[np.argmin(finite)]:g} s: correct the function."
+        )
+    return values
 
 
 def _check_alike(legs: Sequence[PhaseSolution]) -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array
@@ -67,6 +69,12 @@ class SplitControl(ComposedControl):
         ends = np.concatenate([corners[1:], np.full((1, *corners.shape[1:]), np.inf)])
         plus = (np.clip(u, start, end) - start for start, end in zip(corners, ends, strict=True))
         return (*plus, np.maximum(corners[0] - u, 0.0))
+
+    def decompose_symbol(self, u: Any) -> tuple[Any, ...]:
+        """Return the same of a symbol (size, 1)."""
+        corners = [ca.DM(corner) for corner in self.corners] or [ca.DM.zeros(u.shape)]
+        plus = [ca.fmin(ca.fmax(u - a, 0.0), b - a) for a, b in pairwise(corners)]
+        return (*plus, ca.fmax(u - corners[-1], 0.0), ca.fmax(corners[0] - u, 0.0))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_integer, read_name, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ModelError, did_you_mean, unknown_name
+from gnc_opt.errors import ModelError, right_symbol, unknown_name
 from gnc_opt.model.composed import ComposedControl, SplitControl, VectorControl
 from gnc_opt.model.evaluation import checked, evaluate
 from gnc_opt.model.exchange import declared, derivative_in, known_names
@@ -610,6 +610,6 @@ class Model(Strict):
             known = [n for kind in _KINDS for n in self._symbols[kind]]
             raise ModelError(
                 f"{what} uses '{foreign[0]}', which is not a symbol of this model: "
-                f"{did_you_mean(foreign[0], known)}"
+                f"{right_symbol(foreign[0], known)}"
             )
         return expression

@@ -318,6 +318,10 @@ def table(
         if values is not None:
             raise ArgumentError("table() got a DataArray and values: a DataArray has its own.")
         name = name or str(x.name or "")
+        if bare := [str(dim) for dim in x.dims if dim not in x.coords]:
+            raise ArgumentError(
+                f"table() got a DataArray without coordinates along '{bare[0]}': assign them."
+            )
         x, values = [np.asarray(x.coords[dim]) for dim in x.dims], np.asarray(x)
     name = read_label(name or "table", "table")
     if values is None:

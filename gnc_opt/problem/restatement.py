@@ -22,6 +22,8 @@ class Restatement:
         The controls that were stated and are no more, stacked, (k, 1).
     solved : casadi.SX
         What they are in the controls that are solved for, (k, 1).
+    values : casadi.SX
+        The controls that are solved for, in order, in those that were stated, (m, 1); NaN where any would do.
     texts : tuple of str
         What was restated, a clause per norm.
     filled_in_order : tuple of str
@@ -32,8 +34,15 @@ class Restatement:
     model: Model
     stated: Any
     solved: Any
+    values: Any
     texts: tuple[str, ...]
     filled_in_order: tuple[str, ...] = ()
+
+    @classmethod
+    def of_limits(cls, model: Model, texts: tuple[str, ...]) -> Restatement:
+        """Return one that leaves the controls as they are."""
+        none = ca.SX(0, 1)
+        return cls(model, none, none, model.symbols("control"), texts)
 
     def of(self, expression: Any) -> Any:
         """Return an expression of what was stated in what is solved for."""
@@ -47,6 +56,7 @@ class Restatement:
             earlier.model,
             ca.vertcat(earlier.stated, self.stated),
             ca.vertcat(self.of(earlier.solved), self.solved),
+            ca.substitute(self.values, self.model.symbols("control"), earlier.values),
             (*earlier.texts, *self.texts),
             (*earlier.filled_in_order, *self.filled_in_order),
         )

@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from gnc_opt.errors import ProblemError, did_you_mean
+from gnc_opt.errors import ProblemError, right_symbol
 from gnc_opt.model.layout import Layout
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import foreign_symbols
@@ -80,10 +80,11 @@ def refuse_foreign_along(
             f"{what} uses the end-point symbol '{name}': end points belong in constrain() or the cost, "
             "while along a phase there are states, controls, time and parameters."
         )
-    kinds = (leg.model.states, leg.model.controls, leg.model.parameters, parameters)
+    known = [
+        n for k in (leg.model.states, leg.model.controls, leg.model.parameters, parameters) for n in k.names
+    ]
     raise ProblemError(
-        f"{what} uses '{name}', which is no symbol of model '{leg.model.name}': "
-        f"{did_you_mean(name, [n for kind in kinds for n in kind.names])}"
+        f"{what} uses '{name}', which is no symbol of model '{leg.model.name}': {right_symbol(name, known)}"
     )
 
 

@@ -21,6 +21,10 @@ HORIZON = 10
 """If it falls so slowly that more passes than this would be needed, refining stops."""
 
 
+ALIKE = 1e-6
+"""Relative difference of objectives and errors of one solution found twice."""
+
+
 PROMISING, EXTENDED = 0.3, 2.0
 """A pass that leaves no more than this share of the error may be followed by others up to so many times the work."""
 
@@ -44,12 +48,15 @@ class PassLimits:
         One that has begun may cost as much once more at most; see `of_solve`.
     deadline : float
         When to stop, as `time.perf_counter` counts. Ctrl-C stops it, too.
+    known : sequence of Pass
+        What has led nowhere already: where a structure comes to the same, it ends.
     """
 
     passes: int = 40
     points: int = 1000
     work: float = math.inf
     deadline: float = math.inf
+    known: Sequence[Pass] = ()
 
     def allowed(self, records: Sequence[Pass]) -> float:
         """What all passes may cost after these: more where the last one says that few others will do."""
@@ -66,6 +73,15 @@ class PassLimits:
         left = max(self.allowed(records) - spent, self.work)  # what it cannot finish would be lost
         most = max(FEWEST, iterations_for(left, sum(mesh.size for mesh in meshes)))
         return SolveLimits(iterations=most, deadline=self.deadline)
+
+
+def same_pass(one: Pass, other: Pass) -> bool:
+    """Whether two passes have come to the same solution, for the same number of points, and ask for the same."""
+    alike = one.points == other.points and one.solved == other.solved and one.actions == other.actions
+    return alike and all(
+        abs(ours - theirs) <= ALIKE * max(abs(ours), abs(theirs))
+        for ours, theirs in ((one.objective, other.objective), (one.error, other.error))
+    )
 
 
 def pass_record(

@@ -26,7 +26,7 @@ from gnc_opt.refine.structure.ends import with_ends_met
 from gnc_opt.refine.structure.mending import VANISHED
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.switching import TIGHT, optimise_switches
-from gnc_opt.solution.history import RefinementStatus, work_of
+from gnc_opt.solution.history import Pass, RefinementStatus, work_of
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
@@ -248,13 +248,19 @@ class _Task:
         return bool(tried) and not any(a.on_mesh or p.solved for a in tried for p in a.history.passes)
 
     def _known(self, found: Mapping[str, PhaseStructure], solved: bool = True) -> bool:
-        """Whether the same arcs in the same order have been tried, and had a solution if that is asked for."""
+        """Whether the same arcs in the same order have been tried, and had a solution if that is asked for.
+
+        Or were tried from the same times.
+        """
         order = {name: structure.at(()) for name, structure in found.items()}
         return any(
-            a.begun is not None
-            and (not solved or any(p.solved for p in a.history.passes))
-            and order == {name: structure.at(()) for name, structure in a.begun.items()}
+            a.begun == found
+            or (
+                (not solved or any(p.solved for p in a.history.passes))
+                and order == {name: structure.at(()) for name, structure in a.begun.items()}
+            )
             for a in self.attempted
+            if a.begun is not None
         )
 
     def _mesh_start(self) -> Solution:
@@ -339,7 +345,7 @@ class _Task:
             *optimise_switches(
                 start,
                 tol=self.tol,
-                limits=self._limits(self.max_passes, work),
+                limits=replace(self._limits(self.max_passes, work), known=self._passes_by_structure),
                 structures=found,
                 options=options,
                 progress=self.progress,
@@ -348,6 +354,11 @@ class _Task:
             begun=found,
             on_mesh=on_mesh,
         )
+
+    @property
+    def _passes_by_structure(self) -> tuple[Pass, ...]:
+        """Those of structures that have not convinced."""
+        return tuple(p for a in self.attempted if a.begun is not None for p in a.history.passes)
 
     def _limits(self, passes: int, work: float) -> PassLimits:
         return PassLimits(passes, self.max_points, work, self.deadline)

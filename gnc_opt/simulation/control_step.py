@@ -64,7 +64,7 @@ class ControlStep:
                 ("divergence time", 1),
                 ("alarm", 1),
                 ("alarm time", 1),
-                *self._if_events(("armed", len(wiring.events.owners)), *record_of(len(wiring.events))),
+                *self._if_events(("armed", len(wiring.events.owners)), *record_of(wiring.events)),
             )
         )
         self.known = Places(

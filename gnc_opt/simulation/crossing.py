@@ -18,6 +18,7 @@ from typing import Any
 import casadi as ca
 
 from gnc_opt.simulation.event import MOST, Events
+from gnc_opt.simulation.instant import instant_error
 from gnc_opt.simulation.places import Places
 from gnc_opt.tolerances import SAME_TIME
 
@@ -29,6 +30,9 @@ _INSTANT = 1e-13
 
 _ITERATIONS = 60
 """Of Newton's method and bisection; bisection alone would need 44."""
+
+_SHORT = 1e-4
+"""Of a minor step: over which rates are taken as differences."""
 
 _NEAR = 0.05
 """A row whose cubic sinks to this share of its values at the ends of the step may sink to zero."""
@@ -101,9 +105,12 @@ def notes_of(n_states: int) -> tuple[tuple[str, int], ...]:
     )
 
 
-def record_of(count: int) -> tuple[tuple[str, int], ...]:
-    """Return what is kept of events over a run: how often, first when, which one ended it (or one more: Zeno), when."""
-    return (("count", count), ("first", count), ("stop", 1), ("stop time", 1))
+def record_of(events: Events) -> tuple[tuple[str, int], ...]:
+    """Return what is kept of events over a run: how often, first when, which one ended it (or one more: Zeno), when;
+    what their instants add to the error of the integration, and that error when each row was last met."""
+    count, rows = len(events), len(events.owners)
+    kept = (("count", count), ("first", count), ("stop", 1), ("stop time", 1))
+    return (*kept, ("instants", 1), ("error at row", rows))
 
 
 def passage(events: Events, leg: Any, h: float) -> tuple[Any, Places]:
@@ -140,8 +147,9 @@ class _Passage:
                 ("armed", self.n_rows),
                 ("s", 1),
                 ("error", 1),
+                ("error before", 1),
                 ("blur", 1),
-                *record_of(len(events)),
+                *record_of(events),
                 *notes_of(n),
             )
         )
@@ -149,6 +157,7 @@ class _Passage:
         self.lowest = self._lowest()
         self.newton = self._newton()
         self.effect = self._effect()
+        self.instant = instant_error(events, n)
 
     def _context(self) -> list[tuple[str, int]]:
         return [(f"c{i}", self.leg.size1_in(i)) for i in range(4, self.leg.n_in())]
@@ -226,12 +235,21 @@ class _Passage:
         for _ in range(_ITERATIONS):
             r = improve(r, v["x"], v["armed"], v["s"], crossing, *context)
         s = r[0]
-        x, error, blur, armed, y, *_ = self.leg(v["x"], v["armed"], v["s"], s, *context)
+        x, error, blur, armed, y, slope, *_ = self.leg(v["x"], v["armed"], v["s"], s, *context)
         y_later = self.leg(x, armed, s, s + moment, *context)[4]
         least = self.lowest(y, y, crossing)[0]
         fired = ca.logic_and(crossing, ca.logic_or(y_later < 0, y <= least))
-        after = self.effect(self.places.join(self._moved(v, x, armed, s, error, blur)), fired, t, p)
-        w = self.places.split(after)
+        met = self._moved(v, x, armed, s, error, blur)
+        after, reset = self.effect(self.places.join(met), fired, t, p)
+        w, soon = self.places.split(after), _SHORT * self.h
+        x_soon, _, _, _, _, slope_soon, *_ = self.leg(x, armed, s, s + soon, *context)
+        x_later = self.leg(w["x"], armed, s, s + soon, *context)[0]
+        rates = ca.horzcat(x_soon - x, x_later - w["x"]) / soon
+        total, bend = v["error before"] + met["error"], (slope_soon - slope) / soon
+        w["instants"] += self.instant(
+            total - v["error at row"], t + s, x, w["x"], fired, rates, bend, reset, w["stop"] > 0.5, p
+        )
+        w["error at row"] = ca.if_else(fired, total, v["error at row"])
         above = self.leg(w["x"], w["armed"], s, s + moment, *context)[4] > 0
         w["armed"] = ca.logic_or(ca.logic_and(armed, ca.logic_not(fired)), above)
         return ca.Function("happen", given, [self.places.join(w)])
@@ -280,7 +298,8 @@ class _Passage:
         )
 
     def _effect(self) -> Any:
-        """``(q, fired rows, t, p) -> q`` after conditions and resets, with what happened noted."""
+        """``(q, fired rows, t, p) -> (q, slope)`` after conditions and resets, with what happened noted, and the slope
+        of the states after them by those before."""
         column, fired = ca.SX.sym("q", self.places.size), ca.SX.sym("fired", self.n_rows)
         t, p = ca.SX.sym("t"), ca.SX.sym("p", self.events.effects.size1_in(2))
         v = self.places.split(column)
@@ -302,8 +321,9 @@ class _Passage:
             if event.ends:
                 v["stop"] = ca.if_else(happens, j + 1, v["stop"])
                 v["stop time"] = ca.if_else(happens, now, v["stop time"])
+        slope = ca.densify(ca.jacobian(x, v["x"]))
         v["x"] = x
-        return ca.Function("effect", [column, fired, t, p], [self.places.join(v)])
+        return ca.Function("effect", [column, fired, t, p], [self.places.join(v), slope])
 
 
 def _at(column: Any, place: int, condition: Any, value: Any) -> Any:

@@ -113,6 +113,7 @@ class _EventfulStep:
             **{k: b[k] for k, _ in places.parts if k in b},
         }
         first |= {"x": a["plant"], "s": ca.MX(0), "error": ca.MX(0), "blur": ca.MX(0)}
+        first["error before"] = a["error"] + b["error"]
         p = ca.vertcat(*[P_[wiring.layout.slice(f"plant.{name}")] for name in wiring.plant.parameters.names])
         rest = (column_, w_, P_, u_)
         after = way(places.join(first), self.known.split(w_)["t"] + i * h, p, *rest)

@@ -513,8 +513,10 @@ class Flight:
         return (*self.events.names, _ZENO)[code - 1], float(parts["stop time"][0, i])
 
     def _error(self, parts: dict[str, Array]) -> Array:
-        """Return the estimated errors of runs: those of single steps, grown, and what averaging adds to them."""
-        return np.asarray(self.growth * parts["error"][0] + parts["blur"][0])
+        """Return the estimated errors of runs: those of single steps and what the instants of events add to them,
+        grown, and what averaging adds."""
+        instants = parts["instants"][0] if self.events.size else 0.0
+        return np.asarray(self.growth * (parts["error"][0] + instants) + parts["blur"][0])
 
     def _relative(self, states: Array, reference: Any) -> Array:
         """Return the errors of plant states relative to what is followed (n_followed, n).

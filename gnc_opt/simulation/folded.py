@@ -39,10 +39,12 @@ class Folded:
         C : array (n_constants,)
         final : array (n_state,)
         """
+        if self._native is not None:
+            self._native(X, rows, C, final)
+            return
         if len(rows) not in self._buffers:
-            step = loaded(self.step, self.library)
             self._buffers[len(rows)] = self._leg(
-                lambda x, w, c, n: [step.fold(n)(x, w, c)], len(rows)
+                lambda x, w, c, n: [self.step.fold(n)(x, w, c)], len(rows)
             ).buffer()
         buffer, evaluate = self._buffers[len(rows)]
         # reads and writes these arrays themselves: no conversion per run
@@ -58,6 +60,10 @@ class Folded:
             self._logs[len(rows)] = self._leg(lambda x, w, c, n: list(step.mapaccum(n)(x, w, c)), len(rows))
         after, logs = (np.asarray(o.full()) for o in self._logs[len(rows)](X, rows.T, C))
         return after, logs
+
+    @cached_property
+    def _native(self) -> Callable[[Array, Array, Array, Array], None] | None:
+        return loaded(self.library)
 
     @cached_property
     def step(self) -> Any:

@@ -1,11 +1,13 @@
-"""Native: a CasADi function as machine code, from the C that CasADi writes for it, where there is a C compiler.
+"""Native: the step of a kernel as machine code, from the C that CasADi writes for it, where there is a C compiler.
 
-Every operation is the interpreter's, in its order, and none are fused: the results have the same bits. Libraries are
-kept in the user's cache by what is in them, so that a function is compiled once per machine.
+Every operation is the interpreter's, in its order, and none are fused: the results have the same bits. Around the step
+goes a loop over the steps of a leg, so that nothing is copied between them but the state. Libraries are kept in the
+user's cache by what is in them, so that a function is compiled once per machine.
 """
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import io
 import os
@@ -13,55 +15,122 @@ import platform
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Callable
 from contextlib import redirect_stderr
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 
-FLAGS = ("-std=c99", "-O1", "-ffp-contract=off", "-fPIC", "-shared")
-"""Higher levels take many times as long and gain little: a kernel is one long function without loops."""
+from gnc_opt.arrays import Array
+
+FLAGS = (
+    "-std=c99",
+    "-O1",
+    "-fno-semantic-interposition",
+    "-finline-small-functions",
+    "-ffp-contract=off",
+    "-fPIC",
+    "-shared",
+)
+"""Higher levels take many times as long and gain little: a kernel is one long function without loops. That of absolute
+values and squares is not called, but put in its place."""
 
 WORTH = 100_000
 """Evaluations that cost the interpreter about four times what compiling costs; both grow with the operations."""
 
 
-def native(function: Any) -> str:
-    """Return the path of a function's library, compiled now unless it has been; "" where that does not succeed."""
+_LOOP = """
+#include <stdlib.h>
+#include <string.h>
+
+CASADI_SYMBOL_EXPORT int leg(const casadi_real *X, const casadi_real *rows, const casadi_real *C, casadi_real *final,
+                             casadi_int n) {
+  casadi_int n_arg, n_res, n_iw, n_w;
+  int failed = STEP_work(&n_arg, &n_res, &n_iw, &n_w);
+  const casadi_real **arg = malloc(n_arg * sizeof *arg);
+  casadi_real **res = malloc(n_res * sizeof *res), *w = malloc((n_w + STATES) * sizeof *w), *now = w + n_w;
+  casadi_int *iw = malloc((n_iw + 1) * sizeof *iw);
+  failed = failed || !arg || !res || !w || !iw;
+  if (!failed) {
+    STEP_incref();
+    int memory = STEP_checkout();
+    memcpy(final, X, STATES * sizeof *X);
+    for (casadi_int k = 0; k < n && !failed; k++) {
+      memcpy(now, final, STATES * sizeof *now);
+      arg[0] = now;
+      arg[1] = rows + k * KNOWN;
+      arg[2] = C;
+      res[0] = final;
+      failed = STEP(arg, res, iw, w, memory);
+    }
+    STEP_release(memory);
+    STEP_decref();
+  }
+  free(arg);
+  free(res);
+  free(w);
+  free(iw);
+  return failed;
+}
+"""
+"""A leg: the state X, then, step by step, the one that follows, with one row of what is known each."""
+
+
+def native(step: Any) -> str:
+    """Return the path of the library of a step ``(X, w, C) -> X``, compiled now unless it has been; "" where that does
+    not succeed."""
     compiler = shutil.which("cc")
     if compiler is None:
         return ""
-    told = (ca.__version__, *FLAGS, platform.machine(), os.path.realpath(compiler), function.serialize())
+    told = (ca.__version__, *FLAGS, _LOOP, platform.machine(), os.path.realpath(compiler), step.serialize())
     place = _cache() / f"{hashlib.sha256(chr(0).join(told).encode()).hexdigest()}.so"
     try:
         if not place.exists():
-            _compile(function, compiler, place)
+            _compile(step, compiler, place)
     except (OSError, RuntimeError):  # no place to write, no C for an operation: the interpreter does without
         return ""
     return str(place) if place.exists() else ""
 
 
-def loaded(function: Any, library: str) -> Any:
-    """Return a function from its library; the function itself where there is none on this machine."""
-    return ca.external(function.name(), library) if library and os.path.exists(library) else function
+def loaded(library: str) -> Callable[[Array, Array, Array, Array], None] | None:
+    """Return ``(X, rows, C, final)``, which writes to ``final`` the state after the steps of a leg, from a library;
+    ``None`` where there is none on this machine."""
+    if not library or not os.path.exists(library):
+        return None
+    leg = ctypes.CDLL(library).leg
+    leg.argtypes = [ctypes.c_void_p] * 4 + [ctypes.c_longlong]
+
+    def fly(X: Array, rows: Array, C: Array, final: Array) -> None:
+        if leg(X.ctypes.data, rows.ctypes.data, C.ctypes.data, final.ctypes.data, len(rows)):
+            raise RuntimeError("a control step could not be evaluated.")
+
+    return fly
 
 
 def _cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gnc_opt"
 
 
-def _compile(function: Any, compiler: str, place: Path) -> None:
+def _with_loop(source: str, step: Any) -> str:
+    """Return the C of a step with that of a leg below it."""
+    loop = _LOOP.replace("STATES", str(step.size1_in(0))).replace("KNOWN", str(step.size1_in(1)))
+    return source + loop.replace("STEP", step.name())
+
+
+def _compile(step: Any, compiler: str, place: Path) -> None:
     place.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=place.parent) as folder:
         generator = ca.CodeGenerator("kernel.c")
         with redirect_stderr(io.StringIO()) as told:
-            generator.add(function)
-            source = generator.generate(f"{folder}{os.sep}")
+            generator.add(step)
+            source = Path(generator.generate(f"{folder}{os.sep}"))
         if told.getvalue():  # CasADi has no C for a solver in it, and warns that this source does not compile
             return
+        source.write_text(_with_loop(source.read_text(encoding="utf-8"), step), encoding="utf-8")
         made = Path(folder, "kernel.so")
         done = subprocess.run(
-            [compiler, *FLAGS, "-o", str(made), source, "-lm"], capture_output=True, check=False
+            [compiler, *FLAGS, "-o", str(made), str(source), "-lm"], capture_output=True, check=False
         )
         if done.returncode == 0:
             made.replace(place)  # at once: others may be looking for it

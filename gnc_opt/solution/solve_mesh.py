@@ -86,7 +86,7 @@ iterations grow with the mesh, from a trajectory hardly. (Rendezvous: 49 iterati
 224 and 30.)"""
 
 BRIEF = 100
-"""Iterations that such a way gets on each mesh."""
+"""Iterations that such a way gets on each mesh, and pivoting with care."""
 
 SHOWN = 0.1
 """Largest defect between nodes of a coarse solution that is a guess: an oscillation that it cannot show leaves 1."""
@@ -268,7 +268,8 @@ def _solve_point(
         return result
     if result.status in CAREFUL and not solver.options.careful_pivoting:
         there = replace(point, x0=result.x, lam_x0=result.lam_x, lam_g0=result.lam_g)
-        again = solver.solve(there, "careful", callback=show, deadline=deadline)
+        patience = _Patience(show, BRIEF)  # to mend last digits takes few
+        again = solver.solve(there, "careful", callback=patience, deadline=deadline)
         result = again.with_effort([result, again]) if again.status.solved else result
     wandered = result.status is Status.ITERATION_LIMIT and solver.options.max_iterations >= MANY
     if result.status in ADAPTIVE or (wandered and point.way == "cold"):
@@ -357,14 +358,15 @@ class _Allowance:
 
 @dataclass
 class _Patience:
-    """Shows iterations, and ends a solve that takes `LOST` of them, or the last that all tries may take."""
+    """Shows iterations, and ends a solve that takes `LOST` of them, or so many, or the last that all tries may take."""
 
     show: ProgressCallback | None
+    most: int | None = None
     lost: bool = False
 
     def __call__(self, info: IterationInfo) -> bool:
         spent = self.show is not None and bool(self.show(info))
-        self.lost = info.iteration >= LOST
+        self.lost = info.iteration >= (LOST if self.most is None else self.most)
         return self.lost or spent
 
 

@@ -9,6 +9,9 @@ jumps along :math:`\partial S/\partial x` (Bryson & Ho, Applied Optimal Control,
 Along an arc on the limit all neighbouring trajectories stay on it, whether its multiplier is there or in the atoms at
 its ends alone. They meet :math:`S = \dots = S^{(q-1)} = 0` where it begins: should that time move by :math:`\delta`,
 what this changes there is of the order of :math:`\delta^2`, since :math:`S^{(q)}` vanishes before it.
+
+A control that holds a constraint of first order may come to a limit of its own there, and S leave its limit: the
+costate jumps, and :math:`\dot S = 0` on either side. All neighbouring trajectories come to both limits at one time.
 """
 
 from __future__ import annotations
@@ -26,6 +29,10 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT
+
+LEVEL, BESIDE = 1e-2, 1e-3
+"""A constraint leaves its limit without a slope if it has moved by less than this share of what its scale says, so far
+(share of the segment) beside the boundary."""
 
 PUSHES = 1e-5
 """Share of the cost from which a jump of the costate across what a constraint moves is a push."""
@@ -144,7 +151,7 @@ class _Rows:
 
 
 def _touches(problem: Problem, s: PhaseSamples, rows: _Rows) -> tuple[Junction, ...]:
-    """Where constraints of order two or more push at movable boundaries."""
+    """Where constraints push at movable boundaries: where they touch, or an arc of first order is given up."""
     boundaries = s.leg.mesh.movable
     times = s.leg.breaks[list(boundaries)]
     point = times, s.leg.x(times), s.leg.flown(times)
@@ -155,4 +162,19 @@ def _touches(problem: Problem, s: PhaseSamples, rows: _Rows) -> tuple[Junction, 
             order = constraint_order(problem, problem.phases[s.leg.name], int(row)).order
             if order is not None and order >= 2:
                 found.append(Junction(int(row), boundaries[k], kind, 2))
+            elif order == 1 and (side := _given_up(rows, int(row), boundaries[k])):
+                found.append(Junction(int(row), boundaries[k], kind, 0, side))
     return tuple(found)
+
+
+def _given_up(rows: _Rows, row: int, boundary: int) -> int:
+    """The side, -1 or 1, to which a constraint leaves its limit at a boundary without a slope; 0 if it does not."""
+    s, breaks = rows.samples, rows.samples.leg.breaks
+    along = np.any(rows.near(rows.values(s.times, s.x, s.u))[:, row], axis=0)
+    held = [bool(np.all(along[s.segments == k])) for k in (boundary - 1, boundary)]
+    if held[0] == held[1]:
+        return 0
+    side = 1 if held[0] else -1
+    times = breaks[boundary] + np.array([0.0, BESIDE]) * (breaks[boundary + side] - breaks[boundary])
+    values = rows.values(times, s.leg.x(times), s.leg.flown(times))[row]
+    return side if abs(values[1] - values[0]) < LEVEL * BESIDE * rows.scales[row] else 0

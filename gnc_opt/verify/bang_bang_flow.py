@@ -21,7 +21,7 @@ A piece may have no length: it then tells what a control between two switches at
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -82,6 +82,7 @@ class BangBangFlow:
     _rates: _Rates
     _inputs: Array
     _widths: Array
+    _swept: dict[bytes, Array] = field(default_factory=dict)
 
     @property
     def final(self) -> Array:
@@ -104,13 +105,20 @@ class BangBangFlow:
 
     def curvature(self, adjoint: Array) -> Array:
         """Second derivative of ``adjoint @ final``, (n_unknowns, n_unknowns)."""
-        hessians, directions = self._steps.hessians(self.adjoints(adjoint)[:, 1:]), self._sensitivities[0]
+        worths = np.empty((len(self._steps.jacobians), adjoint.size))
+        for j in reversed(range(len(worths))):
+            worths[j] = adjoint
+            adjoint = adjoint @ self._steps.jacobians[j, :, :-1]
+        hessians, directions = self._steps.hessians(worths.T), self._sensitivities[0]
         return np.tensordot(directions, hessians @ directions, axes=((0, 1), (0, 1)))
 
     def _worths(self, adjoint: Array) -> Array:
         """What the states before every step are worth and, last row, the widths of the steps; (n + 1, n_steps + 1)."""
-        places = np.vstack([self.states[:, :-1], self._inputs])[:, ::-1]
-        return evaluate_chain(self._rates.back, np.append(adjoint, 0.0), places)[:, ::-1]
+        key = adjoint.tobytes()
+        if key not in self._swept:
+            places = np.vstack([self.states[:, :-1], self._inputs])[:, ::-1]
+            self._swept[key] = evaluate_chain(self._rates.back, np.append(adjoint, 0.0), places)[:, ::-1]
+        return self._swept[key]
 
     @cached_property
     def _steps(self) -> _Steps:

@@ -19,6 +19,7 @@ from gnc_opt.arrays import Array, Indices
 from gnc_opt.model.composed import VectorControl
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import RANK, TINY
+from gnc_opt.verify.aim import lone_vector
 from gnc_opt.verify.brief import lasting
 
 POINTS = 2**15
@@ -90,7 +91,7 @@ def coupled_gains(s: PhaseSamples, tolerance: float) -> tuple[list[Gain], bool]:
     gains, searched = [], False
     for group in s.functions.coupled_controls:
         search = _Search(s, group, chosen)
-        vector = _lone_vector(s, group)
+        vector = lone_vector(s, group)
         if vector is not None:
             gains.append(search.lasting(search.aligned(vector)))
         elif not search.only_one_minimum:
@@ -99,27 +100,6 @@ def coupled_gains(s: PhaseSamples, tolerance: float) -> tuple[list[Gain], bool]:
         else:
             gains.append(search.lasting(search.nearest()))
     return gains, searched
-
-
-def _lone_vector(s: PhaseSamples, group: Indices) -> VectorControl | None:
-    """Return the vector control that a group consists of, if H is affine in it and only its length is limited."""
-    layout = s.leg.controls
-    for vector in s.leg.composed_controls:
-        if not isinstance(vector, VectorControl):
-            continue
-        places = [np.arange(layout.size)[layout.slice(part)] for part in vector.parts]
-        if not np.array_equal(np.sort(np.concatenate(places)), group):
-            continue
-        bends = s.functions.functions["switching"].jac_sparsity(0, 2)
-        limited = s.functions.functions["paths"].jac_sparsity(0, 2)
-        curved = {(i, j) for i, j in zip(bends.row(), bends.get_col(), strict=True) if i in group}
-        across = {(int(i), int(j)) for i in places[0] for j in places[1]}
-        rows = {
-            s.leg.path_labels[i] for i, j in zip(limited.row(), limited.get_col(), strict=True) if j in group
-        }
-        if curved <= across | {(j, i) for i, j in across} and rows == {vector.length}:
-            return vector
-    return None
 
 
 @dataclass(frozen=True, eq=False)

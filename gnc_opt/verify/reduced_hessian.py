@@ -41,6 +41,7 @@ from gnc_opt.tolerances import AT_LIMIT, VANISHED, magnitude
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.scaling import scale_variables
 from gnc_opt.transcription.transcription import Transcription
+from gnc_opt.verify.aim import without_idle_directions
 from gnc_opt.verify.arc_starts import held_from_their_start
 from gnc_opt.verify.critical_cone import CriticalCone
 from gnc_opt.verify.goh import cut, in_gohs_variables, open_end, singular_samples, singular_segments, straight
@@ -146,7 +147,9 @@ def critical_cone(
         return found
 
     cone = CriticalCone.of(ProgramPoint.of(solution, meshes, scales, rounding))
-    return held_from_their_start(in_gohs_variables(cone, samples), samples) if sizes is flown_spans else cone
+    if sizes is not flown_spans:
+        return cone
+    return held_from_their_start(in_gohs_variables(without_idle_directions(cone, samples), samples), samples)
 
 
 def flown_spans(s: PhaseSamples) -> tuple[Array, Array]:

@@ -35,6 +35,7 @@ from gnc_opt.solution.quality import worst_index
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, BESIDE, RANK, TINY
+from gnc_opt.verify.aim import aimed_gradient
 from gnc_opt.verify.bang_bang_flow import ORDER
 from gnc_opt.verify.goh import straight
 from gnc_opt.verify.induced import NOT_FLOWN, InducedProblem, Unknowns
@@ -112,8 +113,8 @@ def _worst_crossing(s: PhaseSamples) -> _Crossing | None:
     neighbours = np.searchsorted(leg.breaks, times)
     steps = BESIDE * np.minimum(times - leg.breaks[neighbours - 1], leg.breaks[neighbours + 1] - times)
     beside = np.concatenate([times + k * steps for k in (-2, -1, 1, 2)])
-    mu = leg.path_multiplier(beside)
-    values = s.functions.control_gradient(beside, leg.x(beside), leg.flown(beside), leg.lam(beside), mu)
+    at = beside, leg.x(beside), leg.flown(beside), leg.lam(beside), leg.path_multiplier(beside)
+    values = aimed_gradient(s, *at)
     values = values.reshape(-1, 4, times.size)[channels, :, np.arange(times.size)]
     slopes = np.stack([values[:, 1] - values[:, 0], values[:, 3] - values[:, 2]]) / steps
     unit = s.control_scale[channels] * leg.duration / s.hamiltonian_scale
@@ -138,13 +139,17 @@ def _offence_beside(s: PhaseSamples, i: int, own: Array, time: float) -> float:
     near = (s.times >= before) & (s.times <= after)
     bounds = s.leg.control_bounds
     side = np.sign(s.u[i, near] - 0.5 * (bounds.lower[i] + bounds.upper[i]))
-    return float(np.max(side * s.control_gradient[i, near] * s.control_scale[i] / s.hamiltonian_scale))
+    return float(np.max(side * _switching(s)[i, near] * s.control_scale[i] / s.hamiltonian_scale))
+
+
+def _switching(s: PhaseSamples) -> Array:
+    return aimed_gradient(s, s.times_within, s.x, s.u, s.lam, s.mu)
 
 
 def _touched(s: PhaseSamples) -> str:
     """Where a switching function touches zero along a bang arc, or nothing."""
     times, channels = inner_switches(s)
-    worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
+    worth = np.abs(_switching(s)) * s.control_scale[:, None] / s.hamiltonian_scale
     bounds, on_bound = s.leg.control_bounds, _on_bound(s)
     affine = np.all(straight(s), axis=1) | np.all(on_bound, axis=1)
     for i in np.flatnonzero(affine & (bounds.lower < bounds.upper)):

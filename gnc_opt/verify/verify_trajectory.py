@@ -16,6 +16,7 @@ from gnc_opt.model.layout import Layout
 from gnc_opt.nlp.status import Status
 from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.problem.functions import phase_functions
+from gnc_opt.problem.norms import restated
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.extract import extract_phases, model_parameters
@@ -27,6 +28,7 @@ from gnc_opt.tolerances import ACTIVE, AT_LIMIT
 from gnc_opt.transcription.scheme import GAUSS
 from gnc_opt.transcription.transcription import transcribe
 from gnc_opt.verify.multipliers import estimate
+from gnc_opt.verify.restated_samples import restated_samples
 from gnc_opt.verify.trajectory_fit import FittedPhase, Samples, fit
 from gnc_opt.verify.verdict import Result, Verdict
 from gnc_opt.verify.verify import TOLERANCE, verify
@@ -47,6 +49,9 @@ def verify_trajectory(
     problem: Problem, t: Values, x: Values, u: Values, p: Values = None, *, tol: float = TOLERANCE
 ) -> Verdict:
     """Judge a trajectory from any tool, known at samples and without multipliers, by all that `verify` asks.
+
+    What rests on a kink of its cost or on a norm at zero, as a coast of least fuel does, is judged in the controls that
+    `solve` would use: parts, magnitudes and directions.
 
     The samples are joined by polynomials (module `trajectory_fit`), costates and multipliers are those that explain
     the trajectory best (module `multipliers`): least squares of adjoint equation, stationarity, transversality. If
@@ -98,6 +103,15 @@ def verify_trajectory(
     expect(problem, Problem, "what verify_trajectory() got first", "give the problem, then t, x and u")
     q = _parameters(problem, p)
     samples = _read_phases(problem, t, x, u)
+    verdict, twin = _judged(problem, samples, q, tol), restated(problem)
+    if verdict.minimum or twin is problem:
+        return verdict
+    other = _judged_restated(problem, twin, samples, q, tol)
+    prefers_stated = (verdict.failed and other.failed) or (verdict.ok and not other.minimum)
+    return verdict if prefers_stated else other
+
+
+def _judged(problem: Problem, samples: Mapping[str, Samples], q: Array, tol: float) -> Verdict:
     verdict = verify(_solution(problem, samples, q), tol=tol)
     for near in NEARER if verdict["complementarity"].result is Result.FAIL else ():
         other = verify(_solution(problem, samples, q, near=near), tol=tol)
@@ -108,6 +122,28 @@ def verify_trajectory(
             break
         verdict = verify(_solution(problem, samples, q, parts), tol=tol)
     return replace(verdict, estimated=True)
+
+
+def _judged_restated(
+    problem: Problem, twin: Problem, stated: Mapping[str, Samples], q: Array, tol: float
+) -> Verdict:
+    """As a default call judges it: along controls without norms and kinks (`gnc_opt.problem.norms`)."""
+    samples = restated_samples(problem, twin, stated, q)
+    return _judged(twin, samples, _with_added(twin, samples, q), tol)
+
+
+def _with_added(twin: Problem, samples: Mapping[str, Samples], q: Array) -> Array:
+    """Parameters and those in place of kinks at the ends, as small as their constraints allow."""
+    added = [name for name in twin.parameters.names if not twin.parameters.slice(name).start < q.size]
+    if not added:
+        return q
+    q = np.append(q, np.zeros(len(added)))
+    at_zero = _solution(twin, samples, q)
+    rows = dict(zip(at_zero.constraint_labels, at_zero.constraint_values, strict=True))
+    for name in added:
+        missing = [-rows[label] for label in twin.constraints[name].labels]
+        q[twin.parameters.slice(name)] = max(*missing, float(twin.parameter_bounds[name].lower[0]))
+    return q
 
 
 # --- a solution with estimated multipliers ----------------------------------------------------------------

@@ -106,6 +106,45 @@ def test_vectorized_functions_that_return_no_columns_are_refused():
         ).u([0.1, 0.5])
 
 
+def test_functions_that_return_no_numbers_are_refused_where_they_do():
+    with pytest.raises(go.ArgumentError, match=r"states of a reference are not finite at 0\.75 s"):
+        Reference.from_functions(
+            cart(), lambda t: [1.0, np.nan if t == 0.75 else 0.0], lambda t: [0.0], 0, 1
+        ).x([0.5, 0.75])
+    whatever = [
+        [1, 2.5],
+        (1, 2.5),
+        np.array([1, 2.5]),
+        [np.array(1), 2.5],
+        [1.0, np.float32(2.5)],
+        [True, 2.5],
+    ]
+    for row in whatever:
+        reference = Reference.from_functions(cart(), lambda t, row=row: row, lambda t: 0.0, 0, 0)
+        np.testing.assert_array_equal(reference.x([0.0, 0.0]).T, [[1, 2.5], [1, 2.5]])
+    for row, said in (
+        ([1.0, 0.0, 0.0], "is given 3 values"),
+        ([1.0, 10**400], "not a number"),
+        ([1.0, "2"], "not a number"),
+    ):
+        with pytest.raises(go.GncOptError, match=said):
+            Reference.from_functions(cart(), lambda t, row=row: row, lambda t: 0.0, 0, 0).x(0.0)
+
+
+def test_steps_with_several_jumps_have_the_mean_of_their_pieces():
+    jumps, levels = np.array([0.31, 0.32, 0.5, 0.77]), np.array([1.0, -2.0, 5.0, 0.5, 3.0])
+    reference = Reference.from_functions(
+        cart(), lambda t: [0, 0], lambda t: [levels[np.searchsorted(jumps, t, "right")]], 0, 1, jumps=jumps
+    )
+    starts, dt = np.array([0.0, 0.3, 0.31, 0.305, 0.45, 0.7, 0.77]), 0.21
+
+    def impulse(t):
+        return np.sum(levels * np.diff(np.clip([0.0, *jumps, 1.0], None, t)))
+
+    expected = [(impulse(t + dt) - impulse(t)) / dt for t in starts]
+    np.testing.assert_allclose(reference.mean_control(starts, dt)[0], expected, rtol=1e-13)
+
+
 def test_phases_are_followed_one_after_the_other():
     ocp = go.Problem("two legs")
     first, second = ocp.phase("first", cart()), ocp.phase("second", cart())

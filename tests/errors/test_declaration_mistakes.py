@@ -34,6 +34,15 @@ def test_duplicate_phase() -> None:
     problem.phase("leg", model)  # wrong
 
 
+@mistake(go.ProblemError, "'r_0'", "no symbol of model", "another model's", "write model.symbol('r')")
+def test_a_path_in_the_symbols_of_another_model() -> None:
+    here, there = (go.Model(name) for name in ("here", "there"))
+    vectors = [model.state("r", 2) for model in (here, there)]
+    for model, r in zip((here, there), vectors, strict=True):
+        model.ode({r: [1.0, 1.0]})
+    go.Problem("p").phase("leg", here).path("wall", vectors[1][0], upper=1.0)  # wrong
+
+
 @mistake(go.ProblemError, "'first leg' cannot be the name of a phase of problem 'p'", "underscores")
 def test_phase_name_that_is_no_identifier() -> None:
     go.Problem("p").phase("first leg", cart())  # wrong

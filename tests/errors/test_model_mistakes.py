@@ -99,6 +99,13 @@ def test_dynamics_with_a_symbol_of_another_model() -> None:
     model.ode({q: other.symbol("v")})  # wrong
 
 
+@mistake(go.ModelError, "uses 'v'", "another model's", "write model.symbol('v')")
+def test_dynamics_with_the_namesake_in_another_model() -> None:
+    other, model = cart(), go.Model("boat")
+    v = model.state("v")
+    model.ode({v: other.symbol("v")})  # wrong
+
+
 @mistake(go.ModelError, "state 'q'", "'vv'", "did you mean 'v'?")
 def test_dynamics_with_a_symbol_of_ones_own_making() -> None:
     model = go.Model("cart")

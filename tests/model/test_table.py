@@ -149,6 +149,9 @@ def test_xarray() -> None:
     assert table(X[2], Y[3]) == pytest.approx(VALUES[2, 3, 0], abs=1e-13)
     with pytest.raises(go.ArgumentError, match="a DataArray has its own"):
         go.table(data, VALUES)
+    bare = DataArray(data=VALUES[:, :, 0], dims=("mach", "h"), coords={"mach": X}, name="thrust")
+    with pytest.raises(go.ArgumentError, match="without coordinates along 'h'"):
+        go.table(bare)
 
 
 # --- mistakes -------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from loops import double_integrator
@@ -125,3 +126,16 @@ def test_campaigns_use_it(monkeypatch: pytest.MonkeyPatch) -> None:
     plain = monte_carlo(loop(), 4, **mission)
     assert plain.flight is not None and not plain.flight.library
     assert quick.states.tobytes() == plain.states.tobytes()
+
+
+@needs_compiler
+def test_a_step_that_fails_is_told_as_by_the_interpreter() -> None:
+    x, w, c = (ca.MX.sym(name) for name in "xwc")
+    step = ca.Function("only", [x, w, c], [(x - w).attachAssert(x > c, "too low")])
+    fly = module.loaded(module.native(step))
+    final = np.empty(1)
+    assert fly is not None
+    fly(np.array([5.0]), np.array([[1.0], [2.0]]), np.array([3.0]), final)
+    assert final == [2.0]
+    with pytest.raises(RuntimeError, match="could not be evaluated"):
+        fly(np.array([5.0]), np.array([[1.0], [2.0], [0.0]]), np.array([3.0]), final)

@@ -318,46 +318,47 @@ class Planned:
 
 
 @pytest.mark.parametrize(
-    ("lengths", "own", "rests"),
+    ("lengths", "newtons", "landings", "rests"),
     [
-        ([1e-9], 0, True),  # accuracy 1e-8: a share of 1e-6 at rest
-        ([1e-3, 1e-7], 0, True),
-        ([1e-3, 3e-4, 1e-9], 1, True),  # a third: too slow, matrices of its own
-        ([1e-3, 1e-4, 1e-5, 1e-9], 0, True),  # a tenth
-        ([1e-3, 1e-5, 1e-7], 0, True),  # a hundredth each time
-        ([0.1], 0, False),  # a switch that would move too far
-        ([None], 0, False),
-        ([1e-3, None], 0, False),
-        ([1e-5 * 0.99**k for k in range(40)], None, False),  # never
+        ([1e-9], [], [1e-9], True),  # accuracy 1e-8: a share of 1e-6 at rest
+        ([1e-3, 1e-7], [], [1e-7], True),
+        ([1e-5], [], [1e-9], True),  # so short that what it leaves need not be looked at on the coarser grid
+        ([1e-5, 1e-9], [], [2e-5, 1e-9], True),  # unless the finer one tells otherwise
+        ([1e-3, 1e-5], [], [1e-7], True),  # a hundredth each time
+        ([1e-3, 1e-4, 1e-9], [], [1e-9], True),  # a tenth
+        ([1e-3, 3e-4], [1e-7], [1e-7], True),  # a third: too slow, matrices of its own
+        ([1e-2], [1e-7], [1e-7], True),  # so long that its matrices are not those of the next one
+        ([1e-2], [2e-3, None], [], False),
+        ([0.1], [], [], False),  # a switch that would move too far
+        ([None], [], [], False),
+        ([1e-3, None], [], [], False),
+        ([1e-2], [2e-3] * 40, [], False),  # never
     ],
 )
 def test_matrices_of_an_earlier_step_serve_as_long_as_they_are_worth_it(
-    monkeypatch: pytest.MonkeyPatch, lengths: Any, own: Any, rests: bool
+    monkeypatch: pytest.MonkeyPatch, lengths: Any, newtons: Any, landings: Any, rests: bool
 ) -> None:
     """Steps that move the switch by such shares; one at 6 s, from 1 s to 11 s."""
-    left, made = list(lengths), []
 
-    def planned(*_: Any) -> Any:
+    def planned(left: Any) -> Any:
         length = left.pop(0)
-        return (
-            None
-            if length is None
-            else SwitchStep(np.array([0, 10 * length, 0]), *[None] * 4, 0.0, None, None)
-        )  # type: ignore[arg-type]
+        return length and SwitchStep(np.array([0, 10 * length, 0]), *[None] * 4, 0.0, None, None, 2)  # type: ignore[arg-type]
 
-    def newton(_: Any, __: Any, at: Any, steps: int) -> Any:
-        made.append(steps)
-        assert steps == 2
-        return SwitchStep(np.array([0, 1e-6, 0]), *[None] * 4, 0.0, None, None)  # type: ignore[arg-type]
+    def newton(*rest: Any) -> Any:
+        assert rest[-1] == 2
+        return planned(own)
 
-    monkeypatch.setattr(n, "chord_step", planned)
+    def flown(_: Any, __: Any, ___: Any, at: Any, step: Any) -> Any:
+        return SimpleNamespace(switches=at, step=planned(landed))
+
+    left, own, landed = ([*lengths], [*newtons], [*landings])
+    monkeypatch.setattr(n, "chord_step", lambda *_: planned(left))
     monkeypatch.setattr(n, "newton_step", newton)
-    monkeypatch.setattr(n.SwitchFlight, "of", classmethod(lambda _, *rest: rest))
-    found = n._at_rest(None, None, switches([6.0], [0]), None, 1e-8, 2)  # type: ignore[arg-type]
-    assert (found is not None) is rests
-    assert own is None or len(made) == own
+    monkeypatch.setattr(n.SwitchFlight, "of", classmethod(flown))
+    found = n._at_rest(None, None, switches([6.0], [0]), planned(left), 1e-8)  # type: ignore[arg-type]
+    assert (found is not None) is rests and not left and not landed
     if rests:
-        assert found[2].times[0] >= 6.0 and not left  # type: ignore[index]
+        assert found is not None and found.switches.times[0] >= 6.0 and not own
 
 
 @pytest.mark.parametrize(
@@ -380,14 +381,14 @@ def test_when_a_flow_is_accurate(
         seen.append(rest[-1] // n.STEPS)
         return left.pop(0)
 
-    def at_rest(_: Any, __: Any, ___: Any, step: Any, ____: float, steps: int) -> Any:
+    def near(_: Any, __: Any, ___: Any, step: Any, ____: float, steps: int) -> Any:
         if isinstance(step, SwitchStep):
             return Planned(0.0, (0, 1.0, 2.0))
         seen.append(steps // n.STEPS)
         return left.pop(0)
 
     for name, answer in (
-        ("_fits", lambda *_: True), ("_switches", lambda *_: None), ("_optimum", optimum), ("_at_rest", at_rest),
+        ("_fits", lambda *_: True), ("_switches", lambda *_: None), ("_optimum", optimum), ("_near", near),
         ("_structure", lambda *_: "structure"),
     ):  # fmt: skip
         monkeypatch.setattr(n, name, answer)

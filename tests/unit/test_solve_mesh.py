@@ -88,6 +88,18 @@ def test_an_ending_without_a_verdict_is_met_by_the_adaptive_barrier(monkeypatch:
     assert solution.statistics.iterations == sum(watch.costs)
 
 
+def test_pivoting_with_care_that_crawls_gives_way_to_the_adaptive_barrier(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where ends say twice what dynamics conserve, as those of a quaternion do, it can go on for thousands."""
+    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "BRIEF", 0)
+    watch = Stumbling(monkeypatch, Status.SEARCH_DIRECTION_FAILED)
+    solution = solve_mesh(regulator(), "3x4")
+    assert watch.ways == ["cold", "careful", "adaptive"]
+    assert watch.results[1].status is Status.INTERRUPTED and watch.costs[1] == 0
+    assert solution.status.solved and solution.objective == pytest.approx(cost(), rel=1e-9)
+
+
 def test_an_infeasible_ending_is_met_by_the_constraints_first(monkeypatch: pytest.MonkeyPatch) -> None:
     watch = Stumbling(monkeypatch, Status.INFEASIBLE)
     solution = solve_mesh(regulator(), "3x4")

@@ -34,6 +34,13 @@ def test_a_limit_held_on_both_sides_of_another_is_left_where_it_is_shorter() -> 
     assert left.kinds[1:] == ((SING, UP, FREE), (SING, FREE, FREE), (LOW, FREE, FREE))
 
 
+def test_a_control_comes_to_its_own_bound_in_the_middle_of_what_that_shares_with_the_limit_it_holds() -> None:
+    both = structure((0.0, 3.0, 5.0, 9.0), (FREE, UP, FREE), (UP, UP, FREE), (UP, FREE, FREE))
+    left = without_overlaps(both)
+    assert left.times == (0.0, 4.0, 9.0)
+    assert left.kinds == ((FREE, UP, FREE), (UP, FREE, FREE))
+
+
 def test_limits_of_two_controls_may_be_held_together() -> None:
     both = PhaseStructure(
         (0.0, 3.0, 5.0, 9.0), ((SING, SING, UP, FREE), (SING, SING, UP, UP), (SING, SING, FREE, UP)),

@@ -10,7 +10,8 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.verify.least_hamiltonian import _lone_vector, _Search, limits
+from gnc_opt.verify.aim import aimed_gradient, lone_vector
+from gnc_opt.verify.least_hamiltonian import _Search, limits
 
 MAGNITUDE, DIRECTION = 0, slice(1, 3)
 
@@ -47,7 +48,7 @@ def test_nothing_in_the_annulus_has_a_lower_hamiltonian(least: float, angle: flo
     s = samples(flight(least), angle)
     every = np.arange(s.times.size)
     (group,) = s.functions.coupled_controls
-    vector = _lone_vector(s, group)
+    vector = lone_vector(s, group)
     assert vector is not None
     search = _Search(s, group, every)
     lower, upper = limits(s)
@@ -79,7 +80,7 @@ def test_closed_form_is_for_affine_hamiltonians_without_other_limits(curve: str)
         leg.path("forwards", a[0] - 0.1 * norm, lower=0.0)
     problem.minimize(leg.integral(norm**2 if curve == "cost" else norm))
     s = samples(go.solve(problem, mesh="2x3", tol=None))
-    assert _lone_vector(s, s.functions.coupled_controls[0]) is None
+    assert lone_vector(s, s.functions.coupled_controls[0]) is None
 
 
 def test_optimum_passes_and_a_turned_thrust_fails_the_minimum_principle() -> None:
@@ -120,3 +121,36 @@ def test_a_direction_alone_is_judged_to_second_order() -> None:
     assert solution.objective == pytest.approx(1 / 0.8, abs=1e-9)
     assert solution.control("u")(0.5) == pytest.approx([-0.6, 0.8], abs=1e-7)
     assert go.verify(solution)["second order"].result is go.Result.PASS
+
+
+@pytest.mark.parametrize("angle", [0.0, 2.0])
+def test_a_push_would_begin_along_the_primer_vector(angle: float) -> None:
+    """Where nothing pushes the norm costs 1 and gains |lambda_v|, whatever the direction that was stored."""
+    s = samples(flight(0.0), angle)
+    coasts = s.u[MAGNITUDE] < 1e-9
+    assert np.sum(coasts) > 20
+    found = aimed_gradient(s, s.times, s.x, s.u, s.lam, s.mu)
+    primer = np.linalg.norm(s.lam[2:], axis=0)
+    np.testing.assert_allclose(found[MAGNITUDE, coasts], 1 - primer[coasts], atol=1e-12)
+    np.testing.assert_array_equal(found[:, ~coasts], s.control_gradient[:, ~coasts])
+
+
+@pytest.mark.parametrize("v0", [(0.3, -0.2), (0.0, 0.0)])
+def test_a_coast_leaves_no_doubt_of_a_minimum(v0: tuple[float, float]) -> None:
+    """Two burns in the plane with the least fuel: directions along the coast do nothing, and need not curve H."""
+    model = go.Model("cart")
+    r, v = model.state("r", 2), model.state("v", 2)
+    a, norm = model.vector_control("a", 2)
+    model.ode({r: v, v: a})
+    problem = go.Problem("two burns")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=2.5)
+    leg.initial(r=0.0, v=list(v0))
+    leg.final(r=[0.6, 0.8], v=0.0)
+    leg.bounds_norm(a=(0.0, 1.0))
+    problem.minimize(leg.integral(norm))
+    solution = go.solve(problem)
+    if v0 == (0.0, 0.0):  # s (5/2 - s) = 1
+        assert solution.objective == pytest.approx(1.0, abs=1e-7)
+    verdict = go.verify(solution)
+    assert verdict.minimum, verdict.explain()

@@ -240,15 +240,15 @@ def _joseph(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any, Any, 
     for i in range(H.shape[0]):
         h = ca.sparsify(H[i, :].T)
         g = P @ h
-        variance, left_over = ca.dot(h, g) + 1, nu[i] - ca.dot(h, error)
-        nis += left_over**2 / variance
-        k = taken / variance * g
+        information, left_over = 1 / (ca.dot(h, g) + 1), nu[i] - ca.dot(h, error)
+        nis += left_over**2 * information
+        k = taken * information * g
         error = error + k * left_over
         left = ca.tril2symm(ca.tril(P - k @ g.T))
         if h.nnz() == 1:
             # left h is k where rounding is left out: with it in its place no difference is left in that column
             (j,) = h.sparsity().row()
-            left[:, j] = ca.if_else(taken, k, g) / h[j]
+            left[:, j] = ca.if_else(taken, information, 1) * P[:, j]
             P = _mirrored(left, j)
         else:
             P = ca.tril2symm(ca.tril(left + (k - left @ h) @ k.T))

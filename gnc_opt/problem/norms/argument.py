@@ -109,7 +109,7 @@ class ArgumentForm(PhaseForm):
             old.in_controls(controls, [], lambda expression: expression),
             {**leg.paths, name: Constraint(name, z - argument.vector, Interval(zero, zero))},
             {**leg.integrands, argument.integral: (symbol, replaced(integrand, norm))},
-            Restatement(old, none, none, (text,)),
+            Restatement(old, none, none, ca.vertcat(old.symbols("control"), argument.vector), (text,)),
             z,
             argument,
         )

@@ -36,9 +36,8 @@ def bound_controls(leg: Phase, found: BoundsByHand) -> None:
         box = intersect(box, own)
     leg.numbers = replace(leg.numbers, controls=box)
     leg.paths = {name: c for name, c in leg.paths.items() if name not in found}
-    none = ca.SX(0, 1)
     texts = tuple(f"'{name}' is solved for as bounds of controls" for name in found)
-    leg.restatement = Restatement(leg.model, none, none, texts).after(leg.restatement)
+    leg.restatement = Restatement.of_limits(leg.model, texts).after(leg.restatement)
 
 
 def _bounds(

@@ -86,5 +86,4 @@ class EndForm:
         problem.cost, problem.constraints = self.cost, dict(self.constraints)
         if self.texts:
             leg = next(iter(problem.phases.values()))
-            none = ca.SX(0, 1)
-            leg.restatement = Restatement(leg.model, none, none, self.texts).after(leg.restatement)
+            leg.restatement = Restatement.of_limits(leg.model, self.texts).after(leg.restatement)

@@ -137,12 +137,13 @@ class EpigraphForm(PhaseForm):
             integrands[name] = (symbol, replaced(integrand, value))
         texts += [f"'{n}' is solved for as {c.size} smooth limits" for n, c in kinked.limits.items()]
         none = ca.SX(0, 1)
+        values = [ca.fmax(kink.sense * kink.node, least[label]) for label, kink in kinks.items()]
         controls = [*(old.symbol(name) for name in old.controls.names), *symbols.values()]
         return cls(
             old.in_controls(controls, [], lambda expression: expression),
             paths,
             integrands,
-            Restatement(old, none, none, tuple(texts)),
+            Restatement(old, none, none, ca.vertcat(old.symbols("control"), *values), tuple(texts)),
             kinks,
             least,
         )

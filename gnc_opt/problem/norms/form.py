@@ -156,6 +156,7 @@ class Form(PhaseForm):
                 old,
                 stated,
                 express(stated),
+                _values(vector, magnitude, direction, rest),
                 (f"{_shown(vector)} is solved for as {' * '.join(parts)}{limits.text}",),
             ),
             vector,
@@ -212,6 +213,18 @@ def _new_controls(vector: Vector, magnitude: Symbol, direction: Symbol, rest: Sy
         elif v is vector.stated[0]:
             controls += new
     return controls
+
+
+def _values(vector: Vector, magnitude: Symbol, direction: Symbol, rest: Symbol | None) -> Any:
+    """Return the new controls in terms of the old ones; a direction of nothing is NaN."""
+    old = vector.model
+    kept = magnitude.variable.name in old.controls
+    size = old.symbol(magnitude.variable.name) if kept else ca.norm_2(vector.symbols)
+    values = {magnitude.variable.name: size, direction.variable.name: vector.symbols / size}
+    if rest is not None:
+        values[rest.variable.name] = old.symbols("control")[list(vector.rest)]
+    new = [c.variable.name for c in _new_controls(vector, magnitude, direction, rest)]
+    return ca.vertcat(*(values[name] if name in values else old.symbol(name) for name in new))
 
 
 # --- constraints ------------------------------------------------------------------------------------------

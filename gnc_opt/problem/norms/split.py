@@ -197,6 +197,7 @@ class SplitForm(PhaseForm):
                 old,
                 stated,
                 split(stated),
+                _values(old, splits),
                 tuple(map(_told, splits)),
                 tuple(c.name for c in splits if relied & set(c.variable.labels)),
             ),
@@ -251,6 +252,16 @@ def _parts(model: Model, variable: Variable, corners: int) -> list[Symbol]:
         return Symbol(replace(variable, name=free_name(model, f"{variable.name}_{what}")))
 
     return [*(part("plus" if k == 0 else f"plus_{k + 1}") for k in range(corners)), part("minus")]
+
+
+def _values(model: Model, splits: list[SplitControl]) -> Any:
+    """Return the new controls in terms of the old ones."""
+    own = {c.name: c for c in splits}
+    values: list[Any] = []
+    for v in model.controls.variables:
+        symbol = ca.SX(model.symbol(v.name))
+        values += [*own[v.name].decompose_symbol(symbol)] if v.name in own else [symbol]
+    return ca.vertcat(*values)
 
 
 def _new_controls(model: Model, parts: dict[str, list[Symbol]]) -> Iterator[Symbol]:

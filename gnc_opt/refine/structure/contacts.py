@@ -449,12 +449,13 @@ def _worst_added(
         constraints.samples,
         (*constraints.samples.leg.path_labels, *constraints.samples.leg.states.labels),
     )
-    if not runs:
-        return None, ""
-    run = max(runs, key=lambda r: float(np.max(r.worth)))
-    at = run.times[int(np.argmax(run.worth))]
-    label = labels[run.row - len(structure.controls)]
-    return run.added(structure, s), f"contact of {label} added at {at:.4g} s"
+    for run in sorted(runs, key=lambda r: float(np.max(r.worth)), reverse=True):
+        added = run.added(structure, s)
+        if added != structure:
+            at = run.times[int(np.argmax(run.worth))]
+            label = labels[run.row - len(structure.controls)]
+            return added, f"contact of {label} added at {at:.4g} s"
+    return None, ""
 
 
 def _excesses(constraints: StateConstraints, structure: PhaseStructure) -> list[_Run]:

@@ -46,6 +46,12 @@ MOST_CHORDS = 12
 SPENT = 1e-2
 """Share of the accuracy that the last step may be worth."""
 
+BENT = 100.0
+"""What a step with matrices of its own leaves, in shares of itself, is its length in phases times this, about."""
+
+LANDED = 0.1
+"""Share of the accuracy that the finer grid may still ask for where a flight is taken for what it promised to be."""
+
 OF_A_GUESS = 1e-8
 """Accuracy of a flight that a collocated problem starts from."""
 
@@ -82,7 +88,14 @@ def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructur
     structure = with_bangs(problem, s, structure)
     if not _fits(problem, s, structure):
         return None
-    flight = _optimum(problem, s, _switches(s, structure), OF_A_GUESS)
+    switches, steps = _switches(s, structure), STEPS // 2
+    flight = _optimum(problem, s, switches, OF_A_GUESS, steps)
+    if flight is None:
+        steps = STEPS
+        flight = _optimum(problem, s, switches, OF_A_GUESS, steps)
+    while flight is not None and flight.error >= OF_A_GUESS and steps < FINEST:
+        steps *= 2
+        flight = _near(problem, s, flight.switches, flight.step, OF_A_GUESS, steps) or flight
     return None if flight is None else (_structure(structure, s, flight.switches), flight.solution(solution))
 
 
@@ -115,12 +128,12 @@ def settle_flow(
     if not _fits(problem, s, structure):
         return None
     switches, steps = _switches(s, structure), STEPS if known is None else known.steps
-    flight = None if known is None else _at_rest(problem, s, switches, known, accuracy, steps)
+    flight = None if known is None else _near(problem, s, switches, known, accuracy, steps)
     if flight is None or flight.missing_arc is not None:
         flight = _optimum(problem, s, switches, accuracy, steps)
     while flight is not None and flight.error >= accuracy and steps < FINEST:
         steps *= 2
-        flight = _at_rest(problem, s, flight.switches, flight.step, accuracy, steps)
+        flight = _near(problem, s, flight.switches, flight.step, accuracy, steps)
     if flight is None or flight.error >= accuracy or flight.missing_arc is not None:
         return None
     return _structure(structure, s, flight.switches), flight
@@ -140,38 +153,50 @@ def _optimum(
         elif share < 1 or step.share(switches) > NEAR:
             switches = _moved(switches, share * step.change)
         else:
-            flight = _at_rest(problem, s, switches, step, accuracy, steps)
+            flight = _at_rest(problem, s, switches, step, accuracy)
             if flight is None or flight.missing_arc is None:
                 return flight
             switches = _with_arc(flight.switches, *flight.missing_arc)
     return None
 
 
-def _at_rest(
-    problem: Problem,
-    s: PhaseSamples,
-    switches: Switches,
-    known: SwitchStep,
-    accuracy: float,
-    steps: int = STEPS,
+def _near(
+    problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep, accuracy: float, steps: int
 ) -> SwitchFlight | None:
-    """Return the flight of switches near the given ones that the matrices of a step lead to."""
-    step, before = chord_step(problem, s, switches, known, steps), math.inf  # length of the step before
+    """Return the flight of switches near the given ones that the matrices of another step lead to."""
+    return _at_rest(problem, s, switches, chord_step(problem, s, switches, known, steps), accuracy)
+
+
+def _at_rest(
+    problem: Problem, s: PhaseSamples, switches: Switches, step: SwitchStep | None, accuracy: float
+) -> SwitchFlight | None:
+    """Return the flight of switches near the given ones that a step and those after it lead to.
+
+    Steps take the matrices of the one before as long as they can be told to shrink fast enough.
+    """
+    before = math.inf  # length of the step before, if that had these matrices
     for _ in range(MOST_CHORDS):
-        if step is None:
-            return None
-        length = step.share(switches)
-        away = max(step.gain / accuracy, length / math.sqrt(accuracy))
-        if away < SPENT:
-            return SwitchFlight.of(problem, s, switches, step)
-        if away * (length / before) ** WORTH > SPENT:
-            step, length = newton_step(problem, s, switches, steps), math.inf
-        before = length
         if step is None or _allowed(switches, step)[0] < 1:
             return None
+        length, away = step.share(switches), _away(step, switches, accuracy)
+        if away < SPENT:
+            return SwitchFlight.of(problem, s, switches, step)
         switches = _moved(switches, step.change)
-        step = chord_step(problem, s, switches, step, steps)
+        shrinks = min(length / before if before < math.inf else BENT * length, 1.0)
+        if away * shrinks < SPENT:
+            flight = SwitchFlight.of(problem, s, switches, step)
+            if flight is None or _away(flight.step, switches, accuracy) < LANDED:
+                return flight
+        if away * shrinks ** (1 + WORTH) > SPENT:
+            step, before = newton_step(problem, s, switches, step.steps), math.inf
+        else:
+            step, before = chord_step(problem, s, switches, step, step.steps), length
     return None
+
+
+def _away(step: SwitchStep, switches: Switches, accuracy: float) -> float:
+    """How far from rest switches are, in shares of what an accuracy of the cost permits."""
+    return max(step.gain / accuracy, step.share(switches) / math.sqrt(accuracy))
 
 
 def _fits(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:

@@ -162,7 +162,9 @@ class PhaseStructure:
         a control that enters H linearly jumps to where it holds a state constraint, but goes on from its bound to a
         path constraint that limits it on the same side.
         """
-        if self.handed_over(boundary) or self.taken_over(boundary):
+        if self.taken_over(boundary):
+            return False
+        if self.handed_over(boundary):
             return not self.touches[boundary]
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         return not self.touches[boundary] and all(
@@ -252,7 +254,7 @@ class PhaseStructure:
             kinds[state].sign * lean,
             kinds[limit].sign * (1 if limit < self._n_free else self.leans[limit][0]),
         )
-        return rows if sides[0] == sides[1] != 0 else []
+        return [state, limit] if sides[0] == sides[1] != 0 else []
 
     def on_sphere(self) -> Mask:
         """Return where the length of a direction is at its limit beside a state constraint that is, (n_paths, A).

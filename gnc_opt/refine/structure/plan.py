@@ -320,6 +320,7 @@ class Plan:
                 elif structure.orders[i] and sliding:
                     found.append((k, i, before, 0, 1))
             found += [(k, i, kind, 2, 0) for i, kind in structure.touches[k]]
+            found += [(k, i, structure.kinds[k - 1][i], 0, 1) for i in structure.taken_over(k)[:1]]
         found += [(k, i, kind, 1, 0) for k in (0, -1) for i, kind in structure.touches[k]]
         return tuple(
             Junction(i - n_controls, self.piece_ends[k], kind, conditions, tangent)

@@ -9,13 +9,12 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.problem.problem import Problem
-from gnc_opt.refine.structure.switch_step import SwitchStep
+from gnc_opt.refine.structure.switch_step import SwitchStep, chord_step
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
-from gnc_opt.tolerances import TINY
 from gnc_opt.transcription.mesh import Mesh
-from gnc_opt.verify.bang_bang_flow import BangBangFlow, bang_bang_flow
+from gnc_opt.verify.bang_bang_flow import BangBangFlow
 from gnc_opt.verify.switches import Switches
 
 PARTS = 3
@@ -38,29 +37,40 @@ class SwitchFlight:
         Of the phase that the switches come from.
     switches : Switches
     step : SwitchStep
-        That is left at these switches; its multipliers make the costates.
-    flow : BangBangFlow
-        On the finer grid.
+        That is left at these switches on the finer grid; its multipliers make the costates.
     """
 
     s: PhaseSamples
     switches: Switches
     step: SwitchStep
-    flow: BangBangFlow
 
     @classmethod
-    def of(cls, problem: Problem, s: PhaseSamples, switches: Switches, step: SwitchStep) -> SwitchFlight:
-        """Fly a phase."""
-        pieces = switches.pieces(switches.order)
-        return cls(
-            s, switches, step, bang_bang_flow(problem, s, pieces, np.zeros(0, dtype=int), PARTS, step.steps)
-        )
+    def of(
+        cls, problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep
+    ) -> SwitchFlight | None:
+        """Fly a phase; None where that is no number.
+
+        Parameters
+        ----------
+        problem : Problem
+        s : PhaseSamples
+        switches : Switches
+            At rest, or nearly, on the coarser grid.
+        known : SwitchStep
+            Its matrices and its grid.
+        """
+        step = chord_step(problem, s, switches, known, known.steps, PARTS)
+        return None if step is None else cls(s, switches, step)
+
+    @property
+    def flow(self) -> BangBangFlow:
+        """On the finer grid."""
+        return self.step.flow
 
     @property
     def error(self) -> float:
-        """What the step's grid has changed of the cost, relative to its size."""
-        gap = self.step.adjoint @ (self.flow.final - self.step.flow.final)
-        return abs(float(gap)) / max(abs(self.step.cost), TINY)
+        """What the coarser grid, and switches that are not quite at rest, have changed of the cost, relatively."""
+        return self.step.gain
 
     @property
     def times(self) -> Array:

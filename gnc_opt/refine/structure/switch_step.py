@@ -76,10 +76,11 @@ def newton_step(
     steps : int
         Of the grid.
     """
-    ends = _Ends.of(problem, s, switches, steps)
-    if not np.isfinite(ends.flow.final_sensitivity).all():
+    flow = _flown(problem, s, switches, steps)
+    ends = _Ends.of(problem, s, flow)
+    if not np.isfinite(flow.final_sensitivity).all():
         return None
-    flow, size, free = ends.flow, ends.size, ends.free
+    size, free = ends.size, ends.free
     changes = np.vstack([flow.initial_sensitivity[:size], flow.final_sensitivity[:size]])
     slope, jacobian, _ = ends.derivatives(np.zeros(ends.constraints.size))
     rows = np.vstack([flow.final_sensitivity[ends.given], jacobian @ changes])[:, free]
@@ -95,7 +96,12 @@ def newton_step(
 
 
 def chord_step(
-    problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep, steps: int = STEPS
+    problem: Problem,
+    s: PhaseSamples,
+    switches: Switches,
+    known: SwitchStep,
+    steps: int = STEPS,
+    refinement: int = 1,
 ) -> SwitchStep | None:
     """Return the step with the matrices of another one, or None where the flow is no number.
 
@@ -105,8 +111,10 @@ def chord_step(
         As in `newton_step`.
     known : SwitchStep
         Nearby, for switches in the same order.
+    refinement : int
+        Every step of the grid is divided into so many.
     """
-    ends = _Ends.of(problem, s, switches, steps)
+    ends = _Ends.of(problem, s, _flown(problem, s, switches, steps, refinement))
     if not np.isfinite(ends.flow.final).all():
         return None
     adjoint, slope, _ = ends.worth(known.multipliers)
@@ -128,6 +136,13 @@ def chord_step(
         known.rows,
         steps,
     )
+
+
+def _flown(
+    problem: Problem, s: PhaseSamples, switches: Switches, steps: int, refinement: int = 1
+) -> BangBangFlow:
+    nothing = np.zeros(0, dtype=int)
+    return bang_bang_flow(problem, s, switches.pieces(switches.order), nothing, refinement, steps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,12 +171,11 @@ class _Ends:
     cost: float
 
     @classmethod
-    def of(cls, problem: Problem, s: PhaseSamples, switches: Switches, steps: int) -> _Ends:
-        leg, nothing = s.leg, np.zeros(0, dtype=int)
-        flow = bang_bang_flow(problem, s, switches.pieces(switches.order), nothing, steps=steps)
+    def of(cls, problem: Problem, s: PhaseSamples, flow: BangBangFlow) -> _Ends:
+        leg = s.leg
         given, limits = np.flatnonzero(leg.final_bounds.fixed), problem.constraint_interval()
-        times_free = ~np.concatenate([leg.initial_time_bounds.fixed, leg.final_time_bounds.fixed])
-        free = np.concatenate([times_free[:1], np.ones(switches.times.size, bool), times_free[1:]])
+        free = np.ones(flow.initial_sensitivity.shape[1], dtype=bool)
+        free[[0, -1]] = ~np.concatenate([leg.initial_time_bounds.fixed, leg.final_time_bounds.fixed])
         cost, constraints = _end_values(s, problem, flow)
         misses = np.concatenate(
             [flow.final[given] - leg.final_bounds.lower[given], constraints - limits.lower]

@@ -19,7 +19,7 @@ from gnc_opt.nlp import SolverOptions
 from gnc_opt.problem.arc import Arc
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import estimate_errors
-from gnc_opt.refine.passes import PassLimits, pass_meter, pass_record
+from gnc_opt.refine.passes import PassLimits, pass_meter, pass_record, same_pass
 from gnc_opt.refine.structure.apart import shared, solve_apart
 from gnc_opt.refine.structure.curvature import with_flat_times
 from gnc_opt.refine.structure.detect import structures_of
@@ -214,7 +214,7 @@ class _Loop:
             self._note(_Try(solution, current, record))
             if not action or resolved or (self.tol >= record.error and _adjusts_mesh(current, record)):
                 return RefinementStatus.CONVERGED
-            if _restless(self.records) or _returned(self.tries):
+            if _restless(self.records) or _returned(self.tries) or self._known(record):
                 return RefinementStatus.STALLED
         return self._limited(RefinementStatus.PASS_LIMIT)
 
@@ -231,6 +231,10 @@ class _Loop:
     def records(self) -> list[Pass]:
         """Of all tries."""
         return [t.record for t in self.tries]
+
+    def _known(self, record: Pass) -> bool:
+        """Whether another attempt has come to the same, which led it nowhere."""
+        return record.solved and any(same_pass(record, known) for known in self.limits.known)
 
     def _note(self, tried: _Try) -> None:
         self.tries.append(tried)

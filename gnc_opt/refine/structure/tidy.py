@@ -29,11 +29,15 @@ def without_overlaps(structure: PhaseStructure) -> PhaseStructure:
 
 
 def _held_by_one(structure: PhaseStructure, piece: int) -> list[int]:
-    """Rows, some of them state constraints, that are on limits in a piece though one control holds them all."""
-    kinds, holders = structure.kinds[piece], structure.holders
-    found = [i for i, own in enumerate(holders) if kinds[i].at_limit and len(own) == 1]
+    """Rows, some of them state constraints, that are on limits in a piece though one control holds them all.
+
+    Its own bound may be among them.
+    """
+    kinds, first = structure.kinds[piece], len(structure.controls)
+    owners = [(i,) if i < first else own for i, own in enumerate(structure.holders)]
+    found = [i for i, own in enumerate(owners) if kinds[i].at_limit and len(own) == 1]
     by_state = [i for i in found if structure.orders[i]]
-    return [i for i in found if by_state and holders[i] == holders[by_state[0]]]
+    return [i for i in found if by_state and owners[i] == owners[by_state[0]]]
 
 
 def with_possible_ends(structure: PhaseStructure, longest: float) -> PhaseStructure:

@@ -1,0 +1,86 @@
+r"""A car on a hill gives its speed limit up where full power no longer holds it: the costate of speed jumps there.
+
+Least :math:`\int u^2\,dt` to x = 10 with :math:`\dot x = v`, :math:`\dot v = u - s(x)`, :math:`v \le 1`,
+:math:`u \le 0.9`. With :math:`s = e^{-(x-5)^2/2.25}` the arc on the speed limit, u = s, ends where s = 0.9. Here it is
+found anew by shooting: on both sides of the limits u = -lambda_v / 2.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+import scipy
+
+import gnc_opt as go
+from gnc_opt.arrays import Array
+
+MOST, END, WIDTH = 0.9, 14.0, 2.25
+GIVEN_UP = 5.0 - np.sqrt(WIDTH * np.log(1.0 / MOST))
+
+
+@pytest.fixture(scope="module")
+def driven() -> go.Solution:
+    model = go.Model("car")
+    x, v, u = model.state("x"), model.state("v"), model.control("u")
+    model.ode({x: v, v: u - ca.exp(-((x - 5.0) ** 2) / WIDTH)})
+    problem = go.Problem("hill")
+    leg = problem.phase("drive", model)
+    leg.time(initial=0.0, final=END)
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=10.0, v=0.0)
+    leg.bounds(u=(-MOST, MOST), v=(None, 1.0))
+    problem.minimize(leg.integral(u**2))
+    return go.solve(problem, tol=1e-6)
+
+
+def slope(x: float) -> float:
+    return float(np.exp(-((x - 5.0) ** 2) / WIDTH))
+
+
+def flown(start: Array, times: tuple[float, float], power: float | None = None) -> Array:
+    """State, costate and cost after a time without the limit on speed, with u as H has it least, or given."""
+
+    def rates(_: float, y: Array) -> list[float]:
+        x, v, lam_x, lam_v, _ = y
+        u = -0.5 * lam_v if power is None else power
+        slant = -2.0 * (x - 5.0) / WIDTH * slope(x)
+        return [v, u - slope(x), lam_v * slant, -lam_x, u**2]
+
+    return np.asarray(
+        scipy.integrate.solve_ivp(rates, times, start, "DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
+    )
+
+
+def shot(unknown: Array) -> tuple[Array, float]:
+    """What entry and end miss, and the cost: of costates at the start, entry, jump, and end of full power."""
+    lam_x, lam_v, entry, jump, relief = unknown
+    y = flown(np.array([0.0, 0.0, lam_x, lam_v, 0.0]), (0.0, entry))
+    missed = [y[1] - 1.0, y[3] + 2.0 * slope(y[0])]
+    on_limit = GIVEN_UP - y[0]  # at speed 1
+    cost = scipy.integrate.quad(lambda x: slope(x) ** 2, y[0], GIVEN_UP, epsabs=1e-12)[0]
+    lam_x = y[2] - (MOST**2 - slope(y[0]) ** 2)  # its rate is that of -u^2
+    given_up = entry + on_limit
+    y = flown(np.array([GIVEN_UP, 1.0, lam_x, -2.0 * MOST - jump, y[4] + cost]), (given_up, relief), MOST)
+    missed.append(y[3] + 2.0 * MOST)
+    y = flown(y, (relief, END))
+    return np.array([*missed, y[0] - 10.0, y[1]]), float(y[4])
+
+
+def test_limit_of_speed_is_given_up_where_shooting_says(driven: go.Solution) -> None:
+    leg = driven.phases["drive"]
+    ends = {arc.channel: (arc.start, arc.end) for arc in driven.structure if arc.kind.at_limit}
+    (entry, given_up), relief = ends["v"], ends["u"][1]
+    jump = leg.lam(given_up, "left")[1] - leg.lam(given_up, "right")[1]
+    found = np.array([*leg.lam(0.0), entry, jump, relief])
+    exact = scipy.optimize.fsolve(lambda z: shot(z)[0], found, xtol=1e-12)
+    assert found == pytest.approx(exact, abs=1e-6)
+    assert jump > 0.1
+    assert leg.x(given_up)[0] == pytest.approx(GIVEN_UP, abs=1e-9)
+    assert driven.objective == pytest.approx(shot(exact)[1], rel=1e-9)
+
+
+def test_verdict_passes_with_the_jump(driven: go.Solution) -> None:
+    """Without the condition that both limits are met at one time the cost would fall with that time."""
+    assert driven.history is not None and driven.history.converged
+    assert go.verify(driven).ok

@@ -1,0 +1,139 @@
+"""The error of the integration knows what the instants of events make of it."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.simulation import ClosedLoop, Event, Flight
+from gnc_opt.simulation.event import Events
+from gnc_opt.simulation.instant import instant_error
+
+G, DRAG, BACK = 1.6, 0.5, 0.5
+"""Gravity (m/s^2), drag (1/s) and what is left of the speed after a bounce."""
+UP = 5.0
+"""Speed of the throw, m/s."""
+
+
+def ball(drag: float) -> go.Model:
+    model = go.Model("ball")
+    h, w, a = model.state("h"), model.state("w"), model.control("a")
+    model.ode({h: w, w: a - G - drag * w})
+    return model
+
+
+def height(t: float, h: float, w: float) -> float:
+    return float(h - G / DRAG * t - (w + G / DRAG) / DRAG * np.expm1(-DRAG * t))
+
+
+def speed(t: float, w: float) -> float:
+    return float((w + G / DRAG) * np.exp(-DRAG * t) - G / DRAG)
+
+
+APEX = float(np.log((UP + G / DRAG) / (G / DRAG)) / DRAG)
+
+
+def instant(ceiling: float) -> float:
+    """When a ball thrown up from the ground meets the ceiling: bisection of the closed form."""
+    low, high = 0.0, APEX
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if height(middle, 0.0, UP) < ceiling else (low, middle)
+    return low
+
+
+@pytest.fixture(scope="module")
+def flights() -> dict[bool, Flight]:
+    """Of a fast nominal passage, by whether it ends the run; the ceiling is a parameter."""
+    found = {}
+    for ends in (True, False):
+        model = ball(DRAG)
+        ceiling = model.parameter("ceiling", 3.0)
+        h, w = model.symbol("h"), model.symbol("w")
+        event = Event("ceiling", h - ceiling, "rising", reset=None if ends else {w: -BACK * w})
+        law = go.feedforward(go.Reference.constant(model, [0.0, UP], [0.0]))
+        loop = ClosedLoop(model, law, events=[event], dt=0.25, substeps=1, accuracy=1e-2)
+        found[ends] = loop.flight([0.0, UP], tf=2.25)
+    return found
+
+
+@pytest.mark.parametrize("ends", [True, False])
+@pytest.mark.parametrize("gap", [1e-1, 1e-2, 1e-4, 1e-6])
+def test_slow_passages_are_not_more_wrong_than_they_say(
+    flights: dict[bool, Flight], ends: bool, gap: float
+) -> None:
+    """A ball that only just reaches a ceiling; the nominal one, from which growth is known, flies into it."""
+    flight, top = flights[ends], height(APEX, 0.0, UP)
+    P = flight.nominal.copy()
+    P[flight.layout.slice("plant.ceiling")] = top - gap
+    run, met = flight.run(P, 0), instant(top - gap)
+    if ends:
+        truth = np.array([top - gap, speed(met, UP)])
+    else:
+        left, w = 2.25 - met, -BACK * speed(met, UP)
+        truth = np.array([height(left, top - gap, w), speed(left, w)])
+    wrong = float(np.max(np.abs(run.states[:, -1] - truth) / np.maximum(1.0, np.abs(truth))))
+    late = abs(run.events[0].time - met) / max(1.0, met)
+    # the error of the embedded solution of fourth order is some fifty times that of the fifth, which is carried on
+    assert max(wrong, late) < run.integration_error < 200 * max(wrong, late)
+
+
+def test_exact_bounces_that_accumulate_stay_exact() -> None:
+    """Of a row that is met again and again only what is new since the last time moves its instant."""
+    model = ball(0.0)
+    h, w = model.symbol("h"), model.symbol("w")
+    law = go.feedforward(go.Reference.constant(model, [0.0, UP], [0.0]))
+    loop = ClosedLoop(model, law, events=[Event("bounce", h, "falling", reset={w: -BACK * w})], dt=0.0559)
+    run = loop.simulate([1.0, 0.0], tf=3.354)  # the first bounces of infinitely many until 3.3541 s
+    first = np.sqrt(2 / G)
+    times = first * (1 + 2 * np.cumsum([0.0, *(BACK ** np.arange(1, len(run.events)))]))
+    assert len(run.events) > 10
+    apart = np.max(np.abs([event.time for event in run.events] - times))
+    assert apart < run.integration_error < 1e-12
+
+
+def by_hand(**change: object) -> float:
+    """Of a ball that meets the ground at -0.1 m/s, by `instant_error`."""
+    model = ball(0.0)
+    events = Events.of(model, (Event("ground", model.symbol("h"), "falling", reset={}),))
+    given = {
+        "errors": 1e-6,
+        "t": 0.5,
+        "x": [0.0, -0.1],
+        "x_after": [0.0, 0.05],
+        "fired": 1,
+        "rates": ca.DM([[-0.1, 0.05], [-G, -G]]),
+        "bend": -G,
+        "reset": ca.diag([1.0, -BACK]),
+        "ended": 0,
+        "p": [],
+    } | change
+    return float(instant_error(events, 2)(*given.values()))
+
+
+def test_states_after_a_bounce_move_by_the_saltation_matrix() -> None:
+    bounced = 1e-6 * (G * (1 + BACK) / 0.1 + BACK * 1.0)  # errors of h and w of 1e-6
+    assert by_hand() == pytest.approx(
+        bounced - 1e-6, rel=1e-3
+    )  # the speed has changed by 1e-6 G / 0.1 meanwhile
+    ended = 1e-6 * (G / 0.1 + 1.0)
+    assert by_hand(ended=1) == pytest.approx(ended - 1e-6, rel=1e-3)
+
+
+def test_what_is_only_noted_moves_the_instant_alone() -> None:
+    same = {"x_after": [0.0, -0.1], "rates": ca.DM([[-0.1, -0.1], [-G, -G]]), "reset": ca.DM.eye(2)}
+    assert by_hand(**same) == pytest.approx(1e-6 / 0.1 - 1e-6, rel=1e-3)
+    assert by_hand(**same, t=100.0) == 0.0  # relative to the time
+    assert by_hand(**same, fired=0) == 0.0
+
+
+def test_a_mere_touch_has_half_the_digits() -> None:
+    still = {
+        "x": [0.0, 0.0],
+        "x_after": [0.0, 0.0],
+        "rates": ca.DM([[0.0, 0.0], [-G, -G]]),
+        "reset": ca.DM.eye(2),
+    }
+    assert by_hand(**still) == pytest.approx(np.sqrt(2e-6 / G), rel=1e-2)
