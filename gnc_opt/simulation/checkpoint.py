@@ -73,6 +73,7 @@ def _flown(part: Campaign, count: int) -> Flown:
         variation=part.variation[:, :count],
         integration_error=part.integration_error[:count],
         averaging_error=np.full(count, np.nan),
+        instant_error=np.full(count, np.nan),
         outcomes=part.outcomes[:count],
         event_counts=part.event_counts[:, :count],
         event_times=part.event_times[:, :count],

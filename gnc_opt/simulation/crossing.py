@@ -107,10 +107,11 @@ def notes_of(n_states: int) -> tuple[tuple[str, int], ...]:
 
 def record_of(events: Events) -> tuple[tuple[str, int], ...]:
     """Return what is kept of events over a run: how often, first when, which one ended it (or one more: Zeno), when;
-    what their instants add to the error of the integration, and that error when each row was last met."""
+    what resets and instants add to the error of the integration, and that when each row was last met.
+    """
     count, rows = len(events), len(events.owners)
     kept = (("count", count), ("first", count), ("stop", 1), ("stop time", 1))
-    return (*kept, ("instants", 1), ("error at row", rows))
+    return (*kept, ("resets", 1), ("instants", 1), ("error at row", rows))
 
 
 def passage(events: Events, leg: Any, h: float) -> tuple[Any, Places]:
@@ -245,10 +246,13 @@ class _Passage:
         x_soon, _, _, _, _, slope_soon, *_ = self.leg(x, armed, s, s + soon, *context)
         x_later = self.leg(w["x"], armed, s, s + soon, *context)[0]
         rates = ca.horzcat(x_soon - x, x_later - w["x"]) / soon
-        total, bend = v["error before"] + met["error"], (slope_soon - slope) / soon
-        w["instants"] += self.instant(
-            total - v["error at row"], t + s, x, w["x"], fired, rates, bend, reset, w["stop"] > 0.5, p
+        bend, ended = (slope_soon - slope) / soon, w["stop"] > 0.5
+        total = v["error before"] + met["error"]
+        states, instants = self.instant(
+            total - v["error at row"], t + s, x, w["x"], fired, rates, bend, reset, ended, p
         )
+        w["resets"] += states
+        w["instants"] += instants
         w["error at row"] = ca.if_else(fired, total, v["error at row"])
         above = self.leg(w["x"], w["armed"], s, s + moment, *context)[4] > 0
         w["armed"] = ca.logic_or(ca.logic_and(armed, ca.logic_not(fired)), above)

@@ -30,6 +30,9 @@ class Ending:
         Estimated, relative to max(1, \\|x\\|).
     averaging_error : array (n,)
         What of it is owed to actuators that took the mean of a wave.
+    instant_error : array (n,)
+        What of it is owed to instants of events alone, and to the end at one. ``accuracy`` is not asked of it: a soft
+        touchdown is a touch, whose instant has half the digits.
     outcomes : tuple of n Outcome
     event_counts, event_times : array (n_events, n)
         How often each event happened, and the first time (s), not-a-number where it did not.
@@ -57,6 +60,7 @@ class Ending:
     variation: Array
     integration_error: Array
     averaging_error: Array
+    instant_error: Array
     outcomes: tuple[Outcome, ...]
     event_counts: Array
     event_times: Array

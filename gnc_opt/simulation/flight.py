@@ -471,8 +471,9 @@ class Flight:
             parts["energy"],
             parts["saturation"],
             parts["variation"],
-            self._error(parts),
+            self._error(parts) + self._instant_error(parts),
             parts["blur"][0],
+            self._instant_error(parts),
             outcomes,
             counts,
             firsts,
@@ -513,10 +514,15 @@ class Flight:
         return (*self.events.names, _ZENO)[code - 1], float(parts["stop time"][0, i])
 
     def _error(self, parts: dict[str, Array]) -> Array:
-        """Return the estimated errors of runs: those of single steps and what the instants of events add to them,
-        grown, and what averaging adds."""
-        instants = parts["instants"][0] if self.events.size else 0.0
-        return np.asarray(self.growth * (parts["error"][0] + instants) + parts["blur"][0])
+        """Return the estimated errors of runs that fly on: those of single steps and what resets at wrong instants add
+        to them, grown, and what averaging adds."""
+        resets = parts["resets"][0] if self.events.size else 0.0
+        return np.asarray(self.growth * (parts["error"][0] + resets) + parts["blur"][0])
+
+    def _instant_error(self, parts: dict[str, Array]) -> Array:
+        """Return what the instants of events, and the ends there, are off by beyond that."""
+        none = np.zeros(parts["error"].shape[1])
+        return np.asarray(self.growth * parts["instants"][0]) if self.events.size else none
 
     def _relative(self, states: Array, reference: Any) -> Array:
         """Return the errors of plant states relative to what is followed (n_followed, n).

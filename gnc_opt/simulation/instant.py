@@ -40,11 +40,11 @@ def instant_error(events: Events, n_states: int) -> Any:
     Returns
     -------
     casadi.Function
-        ``(errors, t, x, x_after, fired, rates, bend, reset, ended, p) -> more``: relative error of the states since
-        each row was met, states before and after the events, the rows that have fired, rates of the states before and
-        after in columns (n_states, 2), second derivatives of the rows, slope of the reset (n_states, n_states), whether
-        the run has ended, the plant's parameters. ``more`` is the larger of the errors of states and instant, less the
-        error before, at least 0.
+        ``(errors, t, x, x_after, fired, rates, bend, reset, ended, p) -> (states, instants)``: relative error of the
+        states since each row was met, states before and after the events, the rows that have fired, rates of the states
+        before and after in columns (n_states, 2), second derivatives of the rows, slope of the reset (n_states,
+        n_states), whether the run has ended, the plant's parameters. By how much the error of the states grows where
+        the run goes on; and by how much that of the instant, or of the states where the run ends, is larger still.
     """
     t, ended = ca.SX.sym("t"), ca.SX.sym("ended")
     x, x_after = (ca.SX.sym(name, n_states) for name in ("x", "x_after"))
@@ -68,4 +68,6 @@ def instant_error(events: Events, n_states: int) -> Any:
     slopes = ca.if_else(ended, ca.SX.eye(n_states), reset) + leap @ steepness
     states = ca.mmax(error * (ca.fabs(slopes) @ size) / size_after)
     more = ca.fmax(ca.fmax(states, late / ca.fmax(1.0, ca.fabs(t))) - error, 0)
-    return ca.Function("instant", [errors, t, x, x_after, fired, rates, bend, reset, ended, p], [more])
+    flown = ca.if_else(ended, 0, ca.fmax(states - error, 0))
+    inputs = [errors, t, x, x_after, fired, rates, bend, reset, ended, p]
+    return ca.Function("instant", inputs, [flown, more - flown])

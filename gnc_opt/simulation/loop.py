@@ -274,7 +274,7 @@ class ClosedLoop:
                 return flight
             if substeps >= MAX_SUBSTEPS and ending.outcomes[0].diverged:
                 return flight  # also when integrated as finely as can be: that is what is to be told
-            local = float(ending.integration_error[0] - ending.averaging_error[0])
+            local = float((ending.integration_error - ending.averaging_error - ending.instant_error)[0])
             if before is not None:
                 growth = max(growth, _growth(before[0], ending, before[1], before[2] / substeps))
             if local <= self.accuracy or self.substeps is not None:

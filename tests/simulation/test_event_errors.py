@@ -110,7 +110,7 @@ def by_hand(**change: object) -> float:
         "ended": 0,
         "p": [],
     } | change
-    return float(instant_error(events, 2)(*given.values()))
+    return float(sum(instant_error(events, 2)(*given.values())))
 
 
 def test_states_after_a_bounce_move_by_the_saltation_matrix() -> None:
@@ -137,3 +137,31 @@ def test_a_mere_touch_has_half_the_digits() -> None:
         "reset": ca.DM.eye(2),
     }
     assert by_hand(**still) == pytest.approx(np.sqrt(2e-6 / G), rel=1e-2)
+
+
+def test_accuracy_is_not_asked_of_the_instant_of_a_soft_touchdown() -> None:
+    """Braked at 1 m/s^2 to 0.6 um/s at the ground: the error of the instant is told, and no steps are spent on it."""
+    model = ball(0.0)
+    law = go.feedforward(go.Reference.constant(model, [1.0, 0.0], [G + 1.0]))
+    event = Event("touchdown", model.symbol("h"), "falling")
+    loop = ClosedLoop(model, law, events=[event], dt=0.1)
+    start = [1.0, -np.sqrt(2.0) * (1 + 1e-13)]
+    flight = loop.flight(start, tf=2.0)
+    ending = flight.final(flight.nominal[:, None], [0])
+    assert flight.substeps == 1 and ending.outcomes[0].ok and ending.outcomes[0].what == "touchdown"
+    late = abs(ending.outcomes[0].time - (np.sqrt(2) * (1 + 1e-13) - np.sqrt(4e-13)))
+    assert max(late, 1e-9) < ending.integration_error[0] < 1e-6
+    assert ending.integration_error[0] - ending.instant_error[0] < 1e-11
+
+
+def test_coming_to_rest_is_judged_by_the_states_that_go_on() -> None:
+    """At rest on the ground an instant is as uncertain as that of any touch; what rests is not."""
+    model = go.Model("ball with a mode")
+    h, w, air, mass = (model.state(name) for name in ("h", "w", "air", "mass"))
+    model.ode({h: w, w: air * (model.control("a") - G), air: 0.0, mass: 0.0})
+    law = go.feedforward(go.Reference.constant(model, [0.0, 0.0, 1.0, 1000.0], [0.0]))
+    rest = Event("rest", h, "falling", reset={h: 0.0, w: 0.0, air: 0.0})
+    flight = ClosedLoop(model, law, events=[rest], dt=0.1).flight([0.0, 0.0, 1.0, 1000.0], tf=0.5)
+    ending = flight.final(flight.nominal[:, None], [0])
+    assert flight.substeps == 1 and ending.outcomes[0].ok and ending.states[:3, 0].tolist() == [0.0, 0.0, 0.0]
+    assert ending.integration_error[0] - ending.instant_error[0] < 1e-13

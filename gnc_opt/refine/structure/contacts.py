@@ -121,7 +121,7 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
     held = [any(kinds[first + row].at_limit for kinds in structure.kinds) for row in range(constraints.size)]
     orders = [0 if held[row] else constraints.order(row) for row in range(constraints.size)]
     if not any(orders):
-        return structure
+        return without_overlaps(structure)
     known = structure.holders[first:]
     holders = [constraints.holders(row) if order else known[row] for row, order in enumerate(orders)]
     known = structure.leans[first:]

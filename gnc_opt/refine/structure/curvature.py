@@ -21,12 +21,16 @@ LINEAR = 1e-9
 
 
 def affine_channels(samples: PhaseSamples) -> Mask:
-    """Return which controls enter H linearly and have two finite bounds, or path constraints in their place, (m,)."""
+    """Return which controls enter H linearly and have two finite bounds, or path constraints in their place, (m,).
+
+    Or are pressed to their ends: `linear_limits`.
+    """
     bounds, limits = samples.leg.control_bounds, linear_limits(samples)
     bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
+    linear = _linear(samples)
     for i in limits.rows:
-        bounded[i] = all(limits.ended(i))
-    return _linear(samples) & bounded
+        bounded[i], linear[i] = all(limits.ended(i)), True
+    return linear & bounded
 
 
 def curved_channels(samples: PhaseSamples) -> Mask:
@@ -40,8 +44,15 @@ def curved_channels(samples: PhaseSamples) -> Mask:
 
 
 def linear_limits(samples: PhaseSamples) -> LinearLimits:
-    """Return the path constraints that limit one control each that enters H linearly."""
-    return LinearLimits.of(samples, _linear(samples))
+    """Return the path constraints that limit one control each that enters H linearly, or is pressed to its ends.
+
+    A turn at the most lift, or the largest load factor, has no use for less of it, however H may bend.
+    """
+    linear = _linear(samples)
+    bent = LinearLimits.of(samples, ~linear & ~convex_channels(samples))
+    for i in bent.rows:
+        linear[i] = bent.presses(i)
+    return LinearLimits.of(samples, linear)
 
 
 def _linear(samples: PhaseSamples) -> Mask:

@@ -25,6 +25,10 @@ LINEAR = 1e-9
 NEARBY = 0.1
 """By this share of its range the control is moved to see whether a slope changes."""
 
+PRESSED, ALMOST = 0.01, 0.95
+"""A control this close to its end, in shares of its range, is at it; that along so much of the samples, all along: the
+mesh blurs what happens in a segment in which it jumps."""
+
 
 @dataclass(frozen=True, eq=False)
 class LinearLimits:
@@ -91,6 +95,16 @@ class LinearLimits:
         u = self.samples.u[control]
         least, most = np.max([*below.values()], axis=0), np.min([*above.values()], axis=0)
         return np.asarray((u - least <= margin) | (most - u <= margin))
+
+    def presses(self, control: int) -> bool:
+        """Whether H sends a control to its bounds and constraints, and it is there, all along the phase."""
+        s, bounds = self.samples, self.samples.leg.control_bounds
+        above, below = self._reaches(control)
+        upward = s.switching[control] < 0
+        most = np.min([np.full(upward.size, bounds.upper[control]), *above.values()], axis=0)
+        least = np.max([np.full(upward.size, bounds.lower[control]), *below.values()], axis=0)
+        off = np.where(upward, most - s.u[control], s.u[control] - least)
+        return bool(np.mean(np.abs(off) <= PRESSED * s.control_scale[control]) > ALMOST)
 
     def labels(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
         """Return where a control is if it is sent up or down, (n_samples,), and the constraints that hold it there."""

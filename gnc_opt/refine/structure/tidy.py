@@ -29,7 +29,7 @@ def without_overlaps(structure: PhaseStructure) -> PhaseStructure:
 
 
 def _held_by_one(structure: PhaseStructure, piece: int) -> list[int]:
-    """Rows, some of them state constraints, that are on limits in a piece though one control holds them all.
+    """Rows that are on limits in a piece though one control holds them all: state constraints, or else mixed paths.
 
     Its own bound may be among them.
     """
@@ -37,7 +37,8 @@ def _held_by_one(structure: PhaseStructure, piece: int) -> list[int]:
     owners = [(i,) if i < first else own for i, own in enumerate(structure.holders)]
     found = [i for i, own in enumerate(owners) if kinds[i].at_limit and len(own) == 1]
     by_state = [i for i in found if structure.orders[i]]
-    return [i for i in found if by_state and owners[i] == owners[by_state[0]]]
+    mixed = [i for i in found if i >= first and structure.regular[i]]
+    return [i for i in found if (by_state or mixed) and owners[i] == owners[(by_state or mixed)[0]]]
 
 
 def with_possible_ends(structure: PhaseStructure, longest: float) -> PhaseStructure:
