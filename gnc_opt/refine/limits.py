@@ -23,9 +23,9 @@ class RefinementLimits:
         iterations at one collocation point (`Pass.work`), so that it ends in the same place on every machine. What
         costs a few seconds (`gnc_opt.refine.refine.LEAST_WORK`) is allowed in any case, twice as much of either while
         the error falls to a third or less from pass to pass; ``math.inf`` allows everything. A structure that is tried
-        unasked may cost half as much before, and a quarter each time that a finer mesh shows another; on the segments
-        of that mesh, once, as much as the mesh. A pass that has begun may cost that much once more at most, or 25
-        iterations.
+        unasked may cost half as much before, and a quarter when a finer mesh shows another and so much is left of it
+        all; on the segments of that mesh, once, as much as the mesh. A pass that has begun may cost half that much
+        more at most, or 25 iterations.
     max_wall_time : float, optional
         Limit in s on all of it; then, and after Ctrl-C, the best solution so far is returned, without a verdict.
 

@@ -29,8 +29,11 @@ PROMISING, EXTENDED = 0.3, 2.0
 """A pass that leaves no more than this share of the error may be followed by others up to so many times the work."""
 
 
+LEFT = 0.5
+"""Share of all that is allowed that a pass may take in any case, ..."""
+
 FEWEST = 25
-"""Iterations that a pass may take in any case: a warm start near its end takes no more, on however fine a mesh."""
+"""... and iterations: a warm start near its end takes no more, on however fine a mesh."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +48,12 @@ class PassLimits:
         At most so many collocation points in any phase.
     work : float
         No pass begins after this much work, in iterations at one collocation point; see `Pass.work` and `allowed`.
-        One that has begun may cost as much once more at most; see `of_solve`.
+        One that has begun may cost half as much more at most; see `of_solve`.
     deadline : float
         When to stop, as `time.perf_counter` counts. Ctrl-C stops it, too.
+    spare : int
+        So many solves more where the last one is not the best yet; if it is not then, refining has stalled. What begins
+        anew from the best one would only repeat them.
     known : sequence of Pass
         What has led nowhere already: where a structure comes to the same, it ends.
     """
@@ -56,6 +62,7 @@ class PassLimits:
     points: int = 1000
     work: float = math.inf
     deadline: float = math.inf
+    spare: int = 0
     known: Sequence[Pass] = ()
 
     def allowed(self, records: Sequence[Pass]) -> float:
@@ -70,7 +77,7 @@ class PassLimits:
         """What a solve on some meshes may take, after passes of which so much work counts."""
         if math.isinf(self.work):
             return SolveLimits(deadline=self.deadline)
-        left = max(self.allowed(records) - spent, self.work)  # what it cannot finish would be lost
+        left = max(self.allowed(records) - spent, LEFT * self.work)  # what it cannot finish would be lost
         most = max(FEWEST, iterations_for(left, sum(mesh.size for mesh in meshes)))
         return SolveLimits(iterations=most, deadline=self.deadline)
 

@@ -37,19 +37,21 @@ from gnc_opt.verify.verify import verify
 StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]
 
 UNASKED, AGAIN = 0.5, 0.25
-"""Shares of the work after which a control structure that nobody asked for is given up, first and later. What it costs
-comes on top of what the mesh may cost."""
+"""Shares of the work after which a control structure that nobody asked for is given up, first and later, when all that
+was tried before has left so much. What it costs comes on top of what the mesh may cost."""
 
-SLIGHT = 0.25
-"""Share of the work of a structure that another reading of the same mesh may cost in any case."""
+OTHERS, SLIGHT = 0.5, 0.5
+"""Share of the work of a structure that other readings of the same mesh may cost, and of that what each may cost in any
+case."""
 
 BRIEF = SolverOptions(tolerance=TIGHT, max_iterations=100)
 """For solves with such a structure: those that lead anywhere begin near their end."""
 
-EARLY = 3
-"""Passes of the mesh after which it is asked for a structure again, where the first one did not lead anywhere."""
+EARLY, SPARE = 3, 2
+"""Passes of the mesh after which it is asked for a structure again, where the first one did not lead anywhere, and how
+many more it may take to be the best so far."""
 
-LEAST_WORK = 7e4
+LEAST_WORK = 4e4
 """What refining may cost in any case, in iterations at one collocation point (`Pass.work`): one to a few seconds."""
 
 TIGHTER, FURTHER = 0.01, 2
@@ -215,7 +217,8 @@ class _Task:
         if structure == "auto":
             yield from self._unasked(self.solution, UNASKED)
         early = min(EARLY, self.max_passes) if self.attempted else self.max_passes
-        by_mesh = self._by_mesh(self._mesh_start(), self.tol, early)
+        spare = min(SPARE, self.max_passes - early)
+        by_mesh = self._by_mesh(self._mesh_start(), self.tol, early, spare)
         yield by_mesh
         # A finer mesh shows arcs that the first one was too coarse for.
         if structure == "auto":
@@ -231,14 +234,19 @@ class _Task:
             yield by_mesh
 
     def _unasked(self, start: Solution, share: float) -> Iterator[RefinementAttempt]:
-        """Try a structure that nobody asked for, if there is one.
+        """Try a structure that nobody asked for, if there is one: again only with what all that was tried has left.
 
         On the segments of the mesh, where errors are handed on along its arcs and others had no solution on few.
         """
-        found = structures_of(start)
-        if self._in_vain and _carried(start, found):
+        found = structures_of(start) if self._in_vain else None
+        if found and _carried(start, found):
             yield self._structured(start, found, self.max_work, self.options or BRIEF, on_mesh=True)
-        elif _switches(start, found, at_least=1) and not self._known(found):
+            return
+        share = min(share, 1.0 - sum(a.work for a in self.attempted) / self.max_work)
+        if share <= 0:
+            return
+        found = found or structures_of(start)
+        if _switches(start, found, at_least=1) and not self._known(found):
             yield from self._by_structure(start, found, share)
 
     @property
@@ -288,31 +296,34 @@ class _Task:
         """Try the structure that a mesh shows, then that with path constraints kept at the ends of phases, too.
 
         Then that in which short bangs are no noise, with little work if the first has left none, and, if the first
-        cannot be met at all, that of a slightly finer mesh. These share as much work as the first may cost.
+        cannot be met at all, that of a slightly finer mesh. These share half as much work as the first may cost.
         """
         work, options = share * self.max_work, self.options or (BRIEF if share < 1.0 else None)
         first = self._structured(start, found, work, options)
         yield first
+        work *= OTHERS
+        least = SLIGHT * work
         met = with_ends_met(start, options=self.options, limits=self._of_solve(start, work))
         if met is not None and met.status.solved:
             work -= _work(met)
             kept = structures_of(met)
             if not self._known(kept):
-                second = self._structured(met, kept, work, options)
+                second = self._structured(met, kept, max(work, least), options)
                 yield second
                 work -= second.work
         sharp = structures_of(start, sharp=True)
-        if work > 0 and not self._known(sharp, solved=False):
-            third = self._structured(start, sharp, max(work - first.work, SLIGHT * work), options)
+        if not self._known(sharp, solved=False):
+            third = self._structured(start, sharp, max(work, least), options)
             yield third
             work -= third.work
         failed = first.history.status is RefinementStatus.FAILED
-        if work > 0 and failed and not any(p.solved for p in first.history.passes):
-            finer = self._finer(start, work)
+        if failed and not any(p.solved for p in first.history.passes):
+            finer = self._finer(start, max(work, least))
             if finer.status is Status.INTERRUPTED:
                 raise KeyboardInterrupt
             if finer.status.solved:
-                yield self._structured(finer, structures_of(finer), work - _work(finer), options)
+                work = max(work - _work(finer), least)
+                yield self._structured(finer, structures_of(finer), work, options)
 
     def _finer(self, start: Solution, work: float) -> Solution:
         """Return the solution with one more collocation point in every segment."""
@@ -368,12 +379,12 @@ class _Task:
         """Work that is left for meshes, however much structures that nobody asked for have cost."""
         return self.max_work - sum(a.work for a in self.attempted if a.begun is None)
 
-    def _by_mesh(self, start: Solution, tol: float, max_passes: int) -> RefinementAttempt:
+    def _by_mesh(self, start: Solution, tol: float, max_passes: int, spare: int = 0) -> RefinementAttempt:
         return RefinementAttempt(
             *refine_mesh(
                 start,
                 tol=tol,
-                limits=self._limits(max_passes, self._left),
+                limits=replace(self._limits(max_passes, self._left), spare=spare),
                 options=self.options,
                 progress=self.progress,
             )

@@ -227,7 +227,7 @@ class _Rates:
             here = (t, x, control, *unused, p, q)
             return ca.vertcat(rates(*here), integrands(*here), 1, np.zeros(n_q))
 
-        rate = ca.Function("rate", [state, inputs], [derivative(state)])
+        rate = ca.Function("rate", [state, inputs], [ca.cse(derivative(state))])
         places: list[Any] = []
         slopes: list[Any] = []
         for reach in _REACHES:

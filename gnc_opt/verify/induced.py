@@ -188,7 +188,8 @@ class InducedProblem:
         flows = {}
         for s in samples:
             asked = (problem, s, pieces[s.leg.name], unknowns.free_start[s.leg.name])
-            flows[s.leg.name] = bang_bang_flow(*asked, refinement * _grid(*asked))
+            grid, flow = _grid(*asked)
+            flows[s.leg.name] = flow if refinement == 1 else bang_bang_flow(*asked, refinement * grid)
         with np.errstate(over="ignore", invalid="ignore"):  # see `finite`
             changes = _changes(samples, unknowns, flows)
         derivatives = problem.once("end derivatives", lambda: end_derivatives(problem))
@@ -235,19 +236,22 @@ class InducedProblem:
         return np.asarray(np.sum(terms, axis=0)), float(sum(np.linalg.norm(t) for t in terms))
 
 
-def _grid(problem: Problem, s: PhaseSamples, pieces: PiecewiseControl, free_start: Indices) -> int:
-    """Return how often the steps of a flow are halved until it ends where the solution does.
+def _grid(
+    problem: Problem, s: PhaseSamples, pieces: PiecewiseControl, free_start: Indices
+) -> tuple[int, BangBangFlow]:
+    """Return into how many the steps of a flow are divided until it ends where the solution does, and that flow.
 
     What ends elsewhere however fine the steps are is not the flow of these controls: then they stay as they are, unless
     dynamics that are fast for them throw it off altogether.
     """
     end = s.leg.x(s.leg.breaks[-1])
-    finals = []
+    flows = []
     for finer in GRIDS:
-        finals.append(bang_bang_flow(problem, s, pieces, free_start, finer).final)
-        if np.all(np.abs(finals[-1][: end.size] - end) < RESOLVED * s.state_scale):
-            return finer
-    return GRIDS[0] if np.isfinite(finals[0]).all() else GRIDS[-1]
+        flows.append(bang_bang_flow(problem, s, pieces, free_start, finer))
+        if np.all(np.abs(flows[-1].final[: end.size] - end) < RESOLVED * s.state_scale):
+            return finer, flows[-1]
+    which = 0 if np.isfinite(flows[0].final).all() else -1
+    return GRIDS[which], flows[which]
 
 
 def _size(s: PhaseSamples) -> int:

@@ -202,18 +202,28 @@ class SecondOrder:
         return Result.FAIL if self.least < -self.error and self.attained else Result.CANNOT_TELL
 
 
-def normality(solution: Solution, samples: list[PhaseSamples], ends: EndGradients) -> Condition:
-    """Judge the conditions of the induced problem, in any order of its switches."""
+def by_switches(
+    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
+) -> list[Condition]:
+    """Judge the conditions of the induced problem, in any order of its switches, its gradient and its Hessian."""
     switches = {s.leg.name: Switches.of(s) for s in samples}
     pieces = {name: found.pieces(next(found.orders())) for name, found in switches.items()}
     unknowns = Unknowns.of(solution, samples, switches)
-    return normality_of_switches(InducedProblem.of(solution, samples, ends, unknowns, pieces))
+    first = InducedProblem.of(solution, samples, ends, unknowns, pieces)
+    return [normality_of_switches(first), *second_order(solution, samples, ends, tolerance, first)]
 
 
 def second_order(
-    solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
+    solution: Solution,
+    samples: list[PhaseSamples],
+    ends: EndGradients,
+    tolerance: float,
+    first: InducedProblem | None = None,
 ) -> list[Condition]:
-    """The gradient of the induced problem vanishes, and its reduced Hessian is positive definite."""
+    """The gradient of the induced problem vanishes, and its reduced Hessian is positive definite.
+
+    That of the first order of the switches may be known.
+    """
     names = ("induced gradient", "second order")
     meanings = (
         "Moving a switch, an end time, a free end value or parameter within what the conditions allow must not change "
@@ -234,10 +244,14 @@ def second_order(
             Condition(names[1], Result.CANNOT_TELL, float("nan"), 0.0, reason, meanings[1], sufficient=True)
         ]
     unknowns = Unknowns.of(solution, samples, switches)
+    every = itertools.product(*(s.orders() for s in switches.values()))
     found = [
-        _judge(solution, samples, ends, unknowns, dict(zip(switches, orders, strict=True)), switches)
-        for orders in itertools.product(*(s.orders() for s in switches.values()))
-    ]
+        _judge(
+            solution, samples, ends, unknowns, dict(zip(switches, orders, strict=True)), switches,
+            None if k else first,
+        )
+        for k, orders in enumerate(every)
+    ]  # fmt: skip
     off = max(found, key=lambda f: np.inf if np.isnan(f.offence) else f.offence)
     gradient = Result.PASS if off.offence <= tolerance else Result.FAIL
     if off.where == NOT_FLOWN or tolerance < off.offence <= tolerance + off.offence_error:
@@ -268,10 +282,12 @@ def _judge(
     unknowns: Unknowns,
     orders: dict[str, tuple[int, ...]],
     switches: dict[str, Switches],
+    coarse: InducedProblem | None = None,
 ) -> SecondOrder:
-    """Judge the induced problem for one order of the switches of every phase."""
+    """Judge the induced problem for one order of the switches of every phase; on the coarser grid it may be known."""
     pieces = {name: switches[name].pieces(order) for name, order in orders.items()}
-    coarse, fine = (InducedProblem.of(solution, samples, ends, unknowns, pieces, n) for n in (1, 2))
+    coarse = coarse or InducedProblem.of(solution, samples, ends, unknowns, pieces, 1)
+    fine = InducedProblem.of(solution, samples, ends, unknowns, pieces, 2)
     if not (coarse.finite and fine.finite):
         return SecondOrder(np.nan, np.nan, NOT_FLOWN, np.nan, np.nan, unknowns.scale.size, False)
     free, conditions = unknowns.free, fine.conditions

@@ -188,10 +188,7 @@ def _second_variation(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tolerance: float
 ) -> list[Condition]:
     if not second_order.obstacle(samples):
-        return [
-            second_order.normality(solution, samples, ends),
-            *second_order.second_order(solution, samples, ends, tolerance),
-        ]
+        return second_order.by_switches(solution, samples, ends, tolerance)
     rounding = rounding_of_cost(samples)
     cone = critical_cone(solution, samples, rounding, flown_spans)
     if not cone.point.is_finite:

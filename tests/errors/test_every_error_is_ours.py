@@ -29,7 +29,7 @@ ALLOWED = {
     "strict.py: AttributeError": "what Python expects where a class has not one of its protocols",
     "integration.py: EndedError": "caught at once: why a propagation ended",
     "integration.py: SpentError": "one of those",
-    "multistart.py: KeyboardInterrupt": "Ctrl-C, passed on to the search, which keeps what it has found",
+    "refining.py: KeyboardInterrupt": "Ctrl-C, passed on to the search, which keeps what it has found",
     "refine.py: KeyboardInterrupt": "Ctrl-C in an attempt, passed on to the refinement, which keeps the best one",
     "sweep.py: KeyboardInterrupt": "Ctrl-C, passed on to the sweep, which keeps what it has found",
     "archive.py: _NoArchive": "caught at once and turned into 'is no archive'",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -68,12 +69,35 @@ def test_all_tries_of_a_solve_share_its_iterations(cart: go.Solution, most: int)
     assert found.status is Status.ITERATION_LIMIT and found.statistics.iterations == most
 
 
-def test_a_solve_may_cost_what_is_left_and_some_iterations_on_however_many_points() -> None:
+def test_a_solve_may_cost_what_is_left_half_of_all_and_some_iterations_on_however_many_points() -> None:
     limits = PassLimits(work=4000.0)
     assert limits.of_solve([Mesh.uniform(10, 4)]).iterations == 4000 // 40 - 15
-    assert limits.of_solve([Mesh.uniform(10, 4)], spent=3999.0).iterations == 4000 // 40 - 15
+    assert limits.of_solve([Mesh.uniform(10, 4)], spent=3999.0).iterations == 2000 // 40 - 15
     assert limits.of_solve([Mesh.uniform(500, 4)]).iterations == FEWEST
     assert PassLimits().of_solve([Mesh.uniform(10, 4)]).iterations is None
+
+
+def test_a_structure_is_not_followed_to_where_another_attempt_has_been(
+    cart: go.Solution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(switching, "settle", lambda *_: None)
+    _, first = switching.optimise_switches(cart, tol=1e-10)
+    assert first.converged and len(first.passes) > 2
+    _, again = switching.optimise_switches(cart, tol=1e-10, limits=PassLimits(known=first.passes[:1]))
+    assert again.status is go.RefinementStatus.STALLED and len(again.passes) == 1
+    other = replace(first.passes[0], objective=first.passes[0].objective * (1 + 1e-5))
+    _, on = switching.optimise_switches(cart, tol=1e-10, limits=PassLimits(known=[other]))
+    assert on.converged and len(on.passes) == len(first.passes)
+
+
+@pytest.mark.parametrize(("falls", "solves", "status"), [(True, 1, "pass_limit"), (False, 3, "stalled")])
+def test_meshes_have_some_passes_to_spare_until_the_last_is_the_best(
+    cart: go.Solution, falls: bool, solves: int, status: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    meshes = sys.modules[refine_mesh.__module__]
+    monkeypatch.setattr(meshes._Refinement, "_better", lambda *_: falls)
+    _, history = refine_mesh(cart, tol=1e-10, limits=PassLimits(passes=1, spare=2))
+    assert history.status.value == status and len(history.passes) == 1 + solves
 
 
 @pytest.mark.parametrize("lost", [300, 3])

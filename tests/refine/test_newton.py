@@ -14,6 +14,7 @@ from gnc_opt.refine.structure import switching
 from gnc_opt.refine.structure.detect import detect
 from gnc_opt.refine.structure.newton import settle, settle_flow
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.refine.structure.plan import Plan
 from gnc_opt.refine.structure.switch_step import chord_step, independent, newton_step
 from gnc_opt.verify.switches import Switches
 from problems.rendezvous import SWITCHES, build
@@ -66,7 +67,8 @@ def structure(times: list[float], *kinds: ArcKind, others: int = 2) -> PhaseStru
 
 @pytest.mark.parametrize("times", [[0.0, 1.5, 4.5], [0.0, 2.6, 3.4]])
 def test_switch_and_end_time_of_one_cart(cart: go.Solution, times: list[float]) -> None:
-    found, guess = settle(cart, structure(times, LOWER, UPPER)) or pytest.fail("does not settle")
+    found, flight = settle(cart, structure(times, LOWER, UPPER)) or pytest.fail("does not settle")
+    guess = flight.solution(cart)
     assert found.times == pytest.approx([0.0, 2.0, 4.0], abs=1e-6)
     assert [row[0] for row in found.kinds] == [LOWER, UPPER]
     leg = guess.phase("leg")
@@ -180,7 +182,7 @@ def test_a_structure_that_cannot_be_collocated_is_given_up(
     """Thrust away from the goal and back leads nowhere: what was detected is tried then."""
     nowhere = structure([0.0, 2.0, 4.0], UPPER, UPPER)
     guess = replace(cart, statistics=cart.statistics)
-    monkeypatch.setattr(switching, "settle", lambda *_: (nowhere, guess))
+    monkeypatch.setattr(switching, "_settled", lambda *_: (guess, {"leg": Plan.of(nowhere)}, None))
     found, history = switching.optimise_switches(cart)
     assert history.converged and not history.passes[0].solved
     assert found.objective == pytest.approx(4.0, abs=1e-9)
@@ -213,7 +215,8 @@ def measured() -> go.Problem:
 
 def test_a_guess_has_the_integrals_costates_and_multipliers_of_the_flow() -> None:
     solution = go.solve(measured(), mesh="8x3", tol=None)
-    _, guess = settle(solution, structure([0.0, 1.5, 4.5], LOWER, UPPER)) or pytest.fail("does not settle")
+    _, flight = settle(solution, structure([0.0, 1.5, 4.5], LOWER, UPPER)) or pytest.fail("does not settle")
+    guess = flight.solution(solution)
     leg = guess.phase("leg")
     assert leg.integral("area") == pytest.approx(8.0, abs=1e-5)
     assert (leg.initial_time, leg.final_time) == pytest.approx((0.0, 4.0), abs=1e-6)
@@ -246,7 +249,8 @@ def test_conditions_and_costs_at_the_ends_count() -> None:
     problem.minimize(leg.integral(a**2) / 8 - leg.final_state("q"))
     solution = go.solve(problem, mesh="9x3", tol=None)
     start = structure([0.0, 2.0, 6.0], UPPER, LOWER)
-    found, guess = settle(solution, start) or pytest.fail("does not settle")
+    found, flight = settle(solution, start) or pytest.fail("does not settle")
+    guess = flight.solution(solution)
     assert found.times == pytest.approx([0.0, 3.0, 6.0], abs=1e-6)
     assert guess.constraint_multipliers == pytest.approx([3.0], abs=1e-5)
     t = np.linspace(0.0, 6.0, 7)

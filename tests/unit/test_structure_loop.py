@@ -736,11 +736,11 @@ def test_what_was_detected_is_tried_after_a_structure_that_fails(
     base, other = solution(problem, phase(problem)), solution(problem, phase(problem))
     told, calls = {"leg": Plan.of(TWO_ROWS)}, []
 
-    def run(loop: Any, guess: Any, plans: Any) -> Any:
+    def run(loop: Any, guess: Any, plans: Any, flown: Any = None) -> Any:
         calls.append((guess, plans, loop.aim, loop.limits.passes, loop.options.tolerance))
         return RefinementStatus.FAILED
 
-    monkeypatch.setattr(s, "_settled", lambda *_: (other, told))
+    monkeypatch.setattr(s, "_settled", lambda *_: (other, told, None))
     monkeypatch.setattr(s._Loop, "run", run)
     limits = PassLimits(7)
     found, history = s.optimise_switches(base, tol=tol, limits=limits, structures={"leg": TWO_ROWS})
@@ -750,7 +750,7 @@ def test_what_was_detected_is_tried_after_a_structure_that_fails(
         (False, True, asked, 7, s.TIGHT),
     ]
     assert calls[0][1] is told and calls[1][1]["leg"].structure == TWO_ROWS
-    monkeypatch.setattr(s, "_settled", lambda *_: (base, told))
+    monkeypatch.setattr(s, "_settled", lambda *_: (base, told, None))
     calls.clear()
     s.optimise_switches(base, structures={"leg": TWO_ROWS})
     assert len(calls) == 1  # the same guess would fail again

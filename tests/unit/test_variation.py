@@ -12,6 +12,7 @@ from by_hand import cart, costates, interval, phase, solution
 
 import gnc_opt as go
 from gnc_opt.problem.arc import Arc, ArcKind
+from gnc_opt.refine.structure import collocated as c
 from gnc_opt.refine.structure import variation as v
 
 KNOWN = solution(cart(), phase(cart(), integrals=np.array([12.0])))
@@ -103,9 +104,9 @@ def test_a_limit_of_an_end_may_be_missed_by_a_trifle(
     """A flight ends at rest at 1 m after 1 s; each of its ends is tried alone."""
     for row in range(len(values)):
         limits = np.full((2, len(values)), np.array([[-np.inf], [np.inf]]))
-        limits[0 if side > 0 else 1, row] = values[row] + side * share * v.BEYOND * scales[row]
+        limits[0 if side > 0 else 1, row] = values[row] + side * share * c.BEYOND * scales[row]
         leg = replace(KNOWN.phase(), **{what: interval(*limits)})
-        assert v._keeps_limits(replace(KNOWN, phases={"leg": leg}), np.array([20.0, 3.0])) is kept
+        assert c.keeps_limits(replace(KNOWN, phases={"leg": leg}), np.array([20.0, 3.0])) is kept
 
 
 @pytest.mark.parametrize(
@@ -120,7 +121,7 @@ def test_a_limit_of_an_end_may_be_missed_by_a_trifle(
 def test_a_limit_along_the_way_may_not_be_exceeded(what: str, lower: Any, upper: Any, kept: bool) -> None:
     """v is 3/2 at most, a falls from 6 to -6, v + a from 6."""
     leg = replace(KNOWN.phase(), **{what: interval(lower, upper)})
-    assert v._keeps_limits(replace(KNOWN, phases={"leg": leg}), np.ones(2)) is kept
+    assert c.keeps_limits(replace(KNOWN, phases={"leg": leg}), np.ones(2)) is kept
 
 
 @pytest.mark.parametrize("pull", [0.0, 2.0])
@@ -142,7 +143,7 @@ def test_multipliers_are_what_the_ends_and_controls_are_worth(pull: float, free:
     lam = lambda t, k: costates(t, k) + np.array([[0.0], [pull]])  # noqa: E731
     times = {"final_time_bounds": interval(0.5, 9.0)} if free else {}
     flown = phase(problem, lam=lam, integrals=np.array([12.0]), integral_weights=np.array([0.5]), **times)
-    found = v._completed(solution(problem, flown, objective=99.0))
+    found = c.completed(solution(problem, flown, objective=99.0))
     told = found.phase()
     first, last = (-6 + pull) * 6 + 18, (6 + pull) * -6 + 18
     assert told.time_multipliers == pytest.approx([first - 7, 0.0 if free else -(last + 2)])

@@ -175,9 +175,11 @@ class _Refinement:
     def run(self, show: Callable[[Pass], None]) -> RefinementStatus:
         """Refine until one of the endings."""
         show(self._records[-1])
-        for _ in range(self._limits.passes):
+        for k in range(self._limits.passes + self._limits.spare):
             if time.perf_counter() > self._limits.deadline:
                 return self.ending_without(Status.INTERRUPTED)
+            if k >= self._limits.passes and self._best is self._state:
+                return self._ending(RefinementStatus.PASS_LIMIT)
             plan = self._plan()
             if isinstance(plan, RefinementStatus):
                 return plan
@@ -192,7 +194,8 @@ class _Refinement:
                 return self._ending(RefinementStatus.WORK_LIMIT)
             if not status.solved:
                 return self.ending_without(status)
-        return self._ending(RefinementStatus.PASS_LIMIT)
+        rises = self._limits.spare and self._best is not self._state
+        return self._ending(RefinementStatus.STALLED if rises else RefinementStatus.PASS_LIMIT)
 
     @property
     def _spent(self) -> float:

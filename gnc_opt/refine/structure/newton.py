@@ -68,8 +68,10 @@ LEAST_SHARE = 0.2
 """Of a step that must be left after `SHRUNK`; if less is, the arc that stands in the way has vanished."""
 
 
-def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructure, Solution] | None:
+def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructure, SwitchFlight] | None:
     """Find optimal switch times; drop and add arcs as needed.
+
+    The flight is that of a grid whose error is known; the structure is where the step that this leaves leads to.
 
     Parameters
     ----------
@@ -80,23 +82,26 @@ def settle(solution: Solution, structure: PhaseStructure) -> tuple[PhaseStructur
 
     Returns
     -------
-    (PhaseStructure, Solution) or None
-        The structure, and the flown trajectory with its costates as a guess for the collocated problem; None where
-        the method does not fit, or does not settle.
+    (PhaseStructure, SwitchFlight) or None
+        None where the method does not fit, or does not settle.
     """
     problem, s = solution.need_problem("refine"), next(iter(solution.samples().values()))
     structure = with_bangs(problem, s, structure)
     if not _fits(problem, s, structure):
         return None
-    switches, steps = _switches(s, structure), STEPS // 2
-    flight = _optimum(problem, s, switches, OF_A_GUESS, steps)
-    if flight is None:
-        steps = STEPS
-        flight = _optimum(problem, s, switches, OF_A_GUESS, steps)
+    switches, steps = _switches(s, structure), STEPS
+    flight = _optimum(problem, s, switches, OF_A_GUESS, STEPS // 2)
+    if flight is not None:  # short arcs of the wrong sign are seen on the whole grid only
+        switches = flight.switches
+        flight = _near(problem, s, switches, flight.step, OF_A_GUESS, STEPS)
+    if flight is None or flight.missing_arc is not None:
+        flight = _optimum(problem, s, switches, OF_A_GUESS, STEPS)
     while flight is not None and flight.error >= OF_A_GUESS and steps < FINEST:
         steps *= 2
         flight = _near(problem, s, flight.switches, flight.step, OF_A_GUESS, steps) or flight
-    return None if flight is None else (_structure(structure, s, flight.switches), flight.solution(solution))
+    if flight is None or _allowed(flight.switches, flight.step)[0] < 1:
+        return None
+    return _structure(structure, s, _moved(flight.switches, flight.step.change)), flight
 
 
 def settle_flow(

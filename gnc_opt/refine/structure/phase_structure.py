@@ -160,7 +160,8 @@ class PhaseStructure:
 
         They do where they, mixed path constraints, or state constraints that determine them, enter or leave a limit;
         a control that enters H linearly jumps to where it holds a state constraint, but goes on from its bound to a
-        path constraint that limits it on the same side.
+        path constraint that limits it on the same side. Where the costates jump, as a limit takes over from a state
+        constraint, the time is as well determined as that of a switch.
         """
         if self.taken_over(boundary):
             return False

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.problem.functions import end_function
+from gnc_opt.model.evaluation import evaluate_columns
+from gnc_opt.problem.functions import end_values
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import RANK, TINY
@@ -138,6 +139,11 @@ def chord_step(
     )
 
 
+def final_worth(problem: Problem, s: PhaseSamples, flow: BangBangFlow, multipliers: Array) -> Array:
+    """Return what the final values of a flow are worth, with the multipliers of a step."""
+    return _Ends.of(problem, s, flow).worth(multipliers)[0]
+
+
 def _flown(
     problem: Problem, s: PhaseSamples, switches: Switches, steps: int, refinement: int = 1
 ) -> BangBangFlow:
@@ -237,7 +243,7 @@ def _end_values(s: PhaseSamples, problem: Problem, flow: BangBangFlow) -> tuple[
     n, n_integrals = s.leg.states.size, s.leg.integrals.size
     start, final, clock = flow.initial[:n], flow.final[:n], n + n_integrals
     nothing = np.zeros(problem.constraint_interval().lower.size)
-    times = (flow.initial[clock], flow.final[clock])
-    integrals = flow.final[n:clock]
-    found = end_function(problem)(start, final, *times, integrals, s.functions.p, s.functions.q, nothing)
-    return float(found[0]), np.asarray(found[1].full()[:, 0])
+    times = (flow.initial[[clock]], flow.final[[clock]])
+    arguments = (start, final, *times, flow.final[n:clock], s.functions.p, s.functions.q, nothing)
+    *constraints, cost = evaluate_columns(end_values(problem), 1, *arguments)[:, 0]
+    return float(cost), np.array(constraints)

@@ -21,6 +21,7 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.passes import PassLimits, pass_meter, pass_record, same_pass
 from gnc_opt.refine.structure.apart import shared, solve_apart
+from gnc_opt.refine.structure.collocated import collocated
 from gnc_opt.refine.structure.curvature import with_flat_times
 from gnc_opt.refine.structure.detect import structures_of
 from gnc_opt.refine.structure.mending import KINKS_MOVED, RAISED, SMOOTHED, collapsed, improve, smoother
@@ -39,7 +40,7 @@ from gnc_opt.verify.verify import verify
 PATIENCE = 4
 """Passes that only move kinks or raise the resolution without halving the error, after which the loop gives up."""
 
-IN_VAIN = 3
+IN_VAIN = 2
 """Structures without a solution, one made of the other, after which the loop gives up."""
 
 FINEST = 1e-9
@@ -102,8 +103,10 @@ def optimise_switches(
     with pass_meter(solution.problem_name, tol, progress) as show:
         try:
             loop = _Loop(problem, tol, limits or PassLimits(), chosen, show, tries)
-            guess, settled = (solution, plans) if on_mesh else _settled(solution, plans, loop.aim)
-            status = loop.run(guess, settled)
+            guess, settled, flown = (
+                (solution, plans, None) if on_mesh else _settled(solution, plans, loop.aim)
+            )
+            status = loop.run(guess, settled, flown)
             if status is RefinementStatus.FAILED and guess is not solution:
                 status = loop.run(solution, plans)
         except KeyboardInterrupt:
@@ -156,16 +159,23 @@ def _best(tries: list[_Try], status: RefinementStatus) -> int | None:
     return max((k for k, error in solved.items() if error <= ALIKE * least), default=min(solved))
 
 
-def _settled(solution: Solution, plans: dict[str, Plan], aim: float) -> tuple[Solution, dict[str, Plan]]:
-    """Go near the optimum, where Newton's method on switch times finds it, with a mesh fine enough for that."""
+def _settled(
+    solution: Solution, plans: dict[str, Plan], aim: float
+) -> tuple[Solution, dict[str, Plan], Solution | None]:
+    """Go to the optimum, where Newton's method on switch times finds it, with a mesh fine enough for that.
+
+    Returned are a guess, the plans and, where no limit is in its way, the flight as their solution.
+    """
     if len(plans) > 1:
-        return solution, plans  # The flow of one phase says nothing about the others.
+        return solution, plans, None  # The flow of one phase says nothing about the others.
     ((name, plan),) = plans.items()
     found = settle(solution, plan.structure)
     if found is None:
-        return solution, plans
-    structure, guess = found
-    return guess, {name: resolved(Plan.of(structure, plan.points), solution.samples()[name], guess, aim)}
+        return solution, plans, None
+    structure, flight = found
+    guess = flight.solution(solution)
+    plan = resolved(Plan.of(structure, plan.points), solution.samples()[name], guess, aim)
+    return guess, {name: plan}, collocated(solution, flight, plan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,8 +189,13 @@ class _Loop:
     show: Callable[[Pass], None]
     tries: list[_Try]
 
-    def run(self, solution: Solution, plans: dict[str, Plan]) -> RefinementStatus:
-        """Solve and mend until nothing is left to mend; add every pass to ``tries``."""
+    def run(
+        self, solution: Solution, plans: dict[str, Plan], flown: Solution | None = None
+    ) -> RefinementStatus:
+        """Solve, but for the first pass where its solution has been flown, and mend until nothing is left to mend.
+
+        Every pass is added to ``tries``.
+        """
         swapped: set[tuple[str, PhaseStructure]] = set()
         vain = 0
         for _ in range(self.limits.passes):
@@ -193,7 +208,8 @@ class _Loop:
             if spent > self.limits.allowed(self.records):
                 return self._limited(RefinementStatus.WORK_LIMIT)
             within = self.limits.of_solve((plan.mesh() for plan in plans.values()), self.records, spent)
-            found = _solve(self.problem, plans, solution, self.options, within)
+            found = flown or _solve(self.problem, plans, solution, self.options, within)
+            flown = None
             if not found.status.solved:
                 self._note(_Try(found, plans, _record(found, begin, f"not solved ({found.status.value})")))
                 if found.status.value == "interrupted":

@@ -8,26 +8,22 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.problem.problem import Problem
+from gnc_opt.refine.structure.collocated import completed, keeps_limits
 from gnc_opt.refine.structure.detect import detect
 from gnc_opt.refine.structure.newton import settle_flow
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.switch_step import SwitchStep
-from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import PiecewisePolynomial
-from gnc_opt.solution.quality import worst_bound_violation, worst_path_violation
 from gnc_opt.solution.rest import rest_of
 from gnc_opt.solution.solution import Solution
 from gnc_opt.verify.bang_bang_flow import STEPS
-from gnc_opt.verify.judged import ends_of, from_problem
+from gnc_opt.verify.judged import from_problem
 
 ACCURACY = 1e-9
 """Of the cost, relative to its size."""
 
 SPARE = 0.1
 """Share of the accuracy that the grid of a known flight is worth: its neighbours may need a little more."""
-
-BEYOND = 1e-7
-"""By how much a limit may be exceeded, in shares of what is limited."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +69,7 @@ class KnownFlight:
     def vary(self, problem: Problem) -> Solution | None:
         """Fly a variation with its own switch times; None where that fails.
 
-        Its cost is right to `ACCURACY` by an estimate from two grids, and no limit is exceeded by more than `BEYOND`.
+        Its cost is right to `ACCURACY` by an estimate from two grids, and no limit is exceeded; see `keeps_limits`.
         """
         start = on_the_way(self.solution, problem)
         (leg,) = start.phases.values()
@@ -86,10 +82,10 @@ class KnownFlight:
         structure, flight = found
         flown = flight.solution(begun)
         (leg,) = flown.phases.values()
-        if not _keeps_limits(flown, self.state_scale):
+        if not keeps_limits(flown, self.state_scale):
             return None
         labels = (*leg.controls.labels, *leg.path_labels, *leg.states.labels)
-        return replace(_completed(flown), structure=structure.arcs(leg.name, labels))
+        return replace(completed(flown), structure=structure.arcs(leg.name, labels))
 
 
 def on_the_way(known: Solution, problem: Problem) -> Solution:
@@ -112,51 +108,3 @@ def _begun(known: Solution) -> Solution | None:
     moved = np.where(leg.initial_bounds.fixed, leg.initial_bounds.lower - leg.x(leg.breaks[0]), 0.0)
     x = PiecewisePolynomial(leg.x.breaks, leg.x.nodes, tuple(v + moved[:, None] for v in leg.x.values))
     return replace(known, phases={leg.name: replace(leg, x=x)})
-
-
-def _keeps_limits(flown: Solution, state_scale: Array) -> bool:
-    """Whether states, path constraints and ends are within their limits: the flow knows none but equalities."""
-    (s,) = flown.samples().values()
-    leg = s.leg
-    ends = (
-        (leg.final_bounds, leg.x(leg.final_time, "left"), state_scale),
-        (leg.initial_time_bounds, leg.initial_time, s.span),
-        (leg.final_time_bounds, leg.final_time, s.span),
-        (leg.duration_bounds, leg.duration, s.span),
-    )
-    inside = all(
-        np.all((value >= box.lower - BEYOND * scale) & (value <= box.upper + BEYOND * scale))
-        for box, value, scale in ends
-    )
-    return inside and worst_bound_violation(s).or_worse(worst_path_violation(s)).value < BEYOND
-
-
-def _completed(flown: Solution) -> Solution:
-    """The flight with its cost, and the multipliers of limits that follow from its costates."""
-    (leg,) = flown.phases.values()
-    ends, functions = ends_of(flown), flown.functions(leg.name)
-    at, lam = leg.breaks[[0, -1]], np.stack([leg.lam_start[:, 0], leg.lam_end[:, -1]], axis=1)
-    x = np.stack([leg.x(at[0]), leg.x(at[1], "left")], axis=1)
-    u = np.stack([leg.flown(at[0]), leg.flown(at[1], "left")], axis=1)
-    worth = functions.hamiltonian(at, x, u, lam) - np.array(
-        [ends.initial_time[leg.name], -ends.final_time[leg.name]]
-    )
-    fixed = np.concatenate([leg.initial_time_bounds.fixed, leg.final_time_bounds.fixed])
-    impulses = np.zeros_like(leg.state_impulses)
-    impulses[:, 0] = -lam[:, 0] - ends.initial_state[leg.name]
-    impulses[:, -1] = lam[:, 1] - ends.final_state[leg.name]
-    times, nothing = leg.point_times, np.zeros((len(leg.path_labels), leg.point_times.size))
-    gradient = functions.control_gradient(times, leg.x(times), leg.flown(times), leg.point_costates, nothing)
-    told: PhaseSolution = replace(
-        leg,
-        time_multipliers=np.where(fixed, worth * np.array([1.0, -1.0]), 0.0),
-        state_impulses=impulses,
-        control_multipliers=-gradient,
-    )
-    return replace(
-        flown,
-        phases={leg.name: told},
-        objective=ends.cost,
-        constraint_values=ends.constraints,
-        history=None,
-    )
