@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,41 +20,49 @@ _ONE = 1 + 0 * T
 
 def attacks() -> Iterator[Pair]:
     """Yield all of them."""
-    for name, why, off, first_order, make in (
-        ("kick at a free time", "the kick comes too early", 0.1, True, _kick),
-        ("junction with a price on its time", "the price is largest there", 0.5, False, _priced_junction),
-        ("dearer after a free junction", "the junction is half-way in time", 0.05, True, _dearer),
-        ("parameter in a path limit", "the limit is bought too high", 0.05, True, _bought_limit),
-        ("parameter in a state limit", "the ceiling is bought too low", 0.04, True, _bought_ceiling),
+    yield from itertools.starmap(
+        Pair,
         (
-            "two budgets, one of them idle",
-            "it keeps within a budget that it need not",
-            0.01,
-            True,
-            _idle_budget,
+            ("kick at a free time", "the kick comes too early", 0.1, True, _kick),
+            ("junction with a price on its time", "the price is largest there", 0.5, False, _priced_junction),
+            ("dearer after a free junction", "the junction is half-way in time", 0.05, True, _dearer),
+            ("parameter in a path limit", "the limit is bought too high", 0.05, True, _bought_limit),
+            ("parameter in a state limit", "the ceiling is bought too low", 0.04, True, _bought_ceiling),
+            (
+                "two budgets, one of them idle",
+                "it keeps within a budget that it need not",
+                0.01,
+                True,
+                _idle_budget,
+            ),
+            ("two budgets, both used", "a budget pulls instead of pushing", 0.01, True, _two_budgets),
+            ("time before a turning point", "it is the dearest arrival", 0.1, False, _late_arrival),
+            (
+                "target that runs away",
+                "the target bends away, any other time is better",
+                0.1,
+                False,
+                _moving_target,
+            ),
+            ("limit of order 3 touched", "the limit pulls the flight up", 0.01, True, _third_order),
+            ("control set of two pieces", "the two pieces come in the wrong order", 0.05, True, _two_pieces),
+            ("annulus of controls", "it rides on the inner edge", 0.05, True, _annulus),
+            ("inner edge of an annulus", "it is faster than need be", 0.05, True, _inner_edge),
+            ("far away in two controls", "both reversed push twice as hard", 0.5, True, _far_away),
+            ("limit with a kink in time", "it uses 98 % of the limit", 0.01, True, _kinked_limit),
+            ("limit with a kink in place", "it uses 97 % of the limit", 0.02, True, _kinked_place),
+            ("obstacle that flies through", "both meet between two samples", 1.0, True, _crossing),
+            (
+                "parameter below its best",
+                "the cost falls beyond where it stays",
+                0.05,
+                True,
+                _parameter_too_low,
+            ),
+            ("moved by 1e8", "it is 1 % off", 0.01, True, _far_origin),
+            ("clock at 1e6 s", "it pushes unevenly", 0.01, True, _late_clock),
         ),
-        ("two budgets, both used", "a budget pulls instead of pushing", 0.01, True, _two_budgets),
-        ("time before a turning point", "it is the dearest arrival", 0.1, False, _late_arrival),
-        (
-            "target that runs away",
-            "the target bends away, any other time is better",
-            0.1,
-            False,
-            _moving_target,
-        ),
-        ("limit of order 3 touched", "the limit pulls the flight up", 0.01, True, _third_order),
-        ("control set of two pieces", "the two pieces come in the wrong order", 0.05, True, _two_pieces),
-        ("annulus of controls", "it rides on the inner edge", 0.05, True, _annulus),
-        ("inner edge of an annulus", "it is faster than need be", 0.05, True, _inner_edge),
-        ("far away in two controls", "both reversed push twice as hard", 0.5, True, _far_away),
-        ("limit with a kink in time", "it uses 98 % of the limit", 0.01, True, _kinked_limit),
-        ("limit with a kink in place", "it uses 97 % of the limit", 0.02, True, _kinked_place),
-        ("obstacle that flies through", "both meet between two samples", 1.0, True, _crossing),
-        ("parameter below its best", "the cost falls beyond where it stays", 0.05, True, _parameter_too_low),
-        ("moved by 1e8", "it is 1 % off", 0.01, True, _far_origin),
-        ("clock at 1e6 s", "it pushes unevenly", 0.01, True, _late_clock),
-    ):
-        yield Pair(name, why, off, first_order, make)
+    )
 
 
 def _kick(unit: float, cost: float, wrong: bool) -> Answer:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -18,21 +20,32 @@ _ONE = 1 + 0 * T
 
 def unusual() -> Iterator[Pair]:
     """Yield all of them."""
-    for name, why, off, first_order, make in (
-        ("jump of limited size", "it does without the jump", 0.2, True, _limited_jump),
-        ("vertex with an idle side", "it ends beside the vertex", 0.1, True, _vertex),
-        ("limit stated twice", "it uses 97 % of the limit", 0.02, True, _stated_twice),
-        ("integral that says what the end says", "it pushes unevenly", 0.05, True, _redundant),
-        ("thrust through zero below a norm", "it pushes as hard as it may", 0.1, True, _through_zero),
-        ("two vehicles meet", "they meet half-way though one is dearer", 0.1, True, _meeting),
-        ("time shared by two phases", "both take the same time", 0.1, True, _shared_time),
-        ("power and grip", "it uses 97 % of the power", 0.01, True, _power),
-        ("cost as a state", "it pushes unevenly", 0.05, True, _mayer),
-        ("nothing to do, two prices", "one price is paid for nothing", 0.5, True, _idle_prices),
-        ("loop of given area over a point", "its two arcs are unlike", 0.01, True, _lens),
-        ("edge of a table", "it pushes unevenly", 0.02, True, _table_edge),
-    ):
-        yield Pair(name, why, off, first_order, make)
+    yield from itertools.starmap(
+        Pair,
+        (
+            ("jump of limited size", "it does without the jump", 0.2, True, _limited_jump),
+            ("vertex with an idle side", "it ends beside the vertex", 0.1, True, _vertex),
+            ("limit stated twice", "it uses 97 % of the limit", 0.02, True, _stated_twice),
+            ("integral that says what the end says", "it pushes unevenly", 0.05, True, _redundant),
+            ("thrust through zero below a norm", "it pushes as hard as it may", 0.1, True, _through_zero),
+            ("two vehicles meet", "they meet half-way though one is dearer", 0.1, True, _meeting),
+            ("time shared by two phases", "both take the same time", 0.1, True, _shared_time),
+            ("power and grip", "it uses 97 % of the power", 0.01, True, _power),
+            ("cost as a state", "it pushes unevenly", 0.05, True, _mayer),
+            ("nothing to do, two prices", "one price is paid for nothing", 0.5, True, _idle_prices),
+            ("loop of given area over a point", "its two arcs are unlike", 0.01, True, _lens),
+            ("edge of a table", "it pushes unevenly", 0.02, True, _table_edge),
+            ("coast priced by fabs", "it pushes with 99 %", 0.003, True, _coast_by_fabs),
+            ("coast priced by a norm", "it pushes with 99 %", 0.003, True, _coast_by_norm),
+            ("coast, dearer forth than back", "it pushes with 99 %", 0.003, True, _coast_by_cases),
+            ("soft end on its kink", "it ends beside the kink", 0.05, True, _soft_end),
+            ("delay as a second copy", "it takes no notice of the delay", 0.1, True, _delay),
+            ("link that doubles", "costates go on without a jump", 0.1, True, _doubling_link),
+            ("jerk and acceleration", "it uses 96 % of the acceleration", 0.01, True, _jerk),
+            ("focal point moved by a weight", "the weight is too small", np.inf, False, _focal_point),
+            ("steep enough to be straight", "steps of 0 and 1 cost less", 0.004, True, _newtons_body),
+        ),
+    )
 
 
 def _limited_jump(unit: float, cost: float, wrong: bool) -> Answer:
@@ -220,3 +233,133 @@ def _table_edge(unit: float, cost: float, wrong: bool) -> Answer:
     if wrong:
         return Answer(problem, T, unit * T, unit / (1 + T))
     return Answer(problem, T, unit * np.expm1(log * T), unit * log * _ONE)
+
+
+def _coast(unit: float, wrong: bool, plane: bool) -> tuple[go.Problem, go.Phase, Any, tuple[Any, Any, Any]]:
+    """Rest to rest over 1 in 2.5 s, a push, a coast and a push: p s (2.5 - s) = 1 for pushes p of s seconds."""
+    problem, push = go.Problem("coast"), 0.99 if wrong else 1.0
+    s = (2.5 - np.sqrt(2.5**2 - 4 / push)) / 2
+    t, arc = _arcs(s, 2.5 - 2 * s, s)
+    place = np.choose(arc, [push * t**2 / 2, push * s * (t - s / 2), 1 - push * (2.5 - t) ** 2 / 2])
+    speed = np.choose(arc, [push * t, push * s + 0 * t, push * (2.5 - t)])
+    a = push * np.array([1.0, 0.0, -1.0])[arc]
+    if plane:
+        leg, _, (u, w) = _phase(
+            problem, "leg", "x y v q", "u w", lambda x, y, v, q, u, w: [v, q, u, w], (0.0, 2.5)
+        )
+        control, way = ca.vertcat(u, w) / unit, np.array([0.6, 0.8])[:, None]
+    else:
+        leg, _, (u,) = _phase(problem, "leg", "x v", "u", lambda x, v, u: [v, u], (0.0, 2.5))
+        control, way = u / unit, np.ones((1, 1))
+    states = [*(unit * way * place), *(unit * way * speed)]
+    names = "xyvq" if plane else "xv"
+    leg.initial(**dict.fromkeys(names, 0.0))
+    leg.final(**{name: float(values[-1]) for name, values in zip(names, states, strict=True)})
+    return problem, leg, control, (t, states, unit * way * a)
+
+
+def _coast_by_fabs(unit: float, cost: float, wrong: bool) -> Answer:
+    problem, leg, u, flight = _coast(unit, wrong, plane=False)
+    leg.bounds(u=(-unit, unit))
+    problem.minimize(cost * leg.integral(ca.fabs(u)))
+    return Answer(problem, *flight)
+
+
+def _coast_by_norm(unit: float, cost: float, wrong: bool) -> Answer:
+    problem, leg, u, flight = _coast(unit, wrong, plane=True)
+    leg.path("push", ca.sumsqr(u), upper=1.0)
+    problem.minimize(cost * leg.integral(ca.norm_2(u)))
+    return Answer(problem, *flight)
+
+
+def _coast_by_cases(unit: float, cost: float, wrong: bool) -> Answer:
+    problem, leg, u, flight = _coast(unit, wrong, plane=False)
+    leg.bounds(u=(-unit, unit))
+    problem.minimize(cost * leg.integral(ca.if_else(u > 0, 2 * u, -u / 2)))
+    return Answer(problem, *flight)
+
+
+def _soft_end(unit: float, cost: float, wrong: bool) -> Answer:
+    """c^2 + 3 |c - 1| is least at its kink."""
+    problem, leg, _x, u = _line(unit)
+    problem.minimize(cost * (leg.integral(u**2) + 3 * ca.fabs(leg.final_state("x") / unit - 1)))
+    c = 0.95 if wrong else 1.0
+    return Answer(problem, T, unit * c * T, unit * c * _ONE)
+
+
+def _delay(unit: float, cost: float, wrong: bool) -> Answer:
+    """z' = u - z(t - 1) for 2 s from 0 to 1, the second of them as a second state: u grows with t, then stays."""
+    problem = go.Problem("delay")
+    leg, _, (u, w) = _phase(problem, "leg", "x y", "u w", lambda x, y, u, w: [u, w - x], (0.0, 1.0))
+    leg.initial(x=0.0)
+    leg.final(y=unit)
+    problem.constrain("goes on", (leg.final_state("x") - leg.initial_state("y")) / unit, equals=0.0)
+    problem.minimize(cost * leg.integral((u**2 + w**2) / unit**2))
+    if wrong:
+        return Answer(
+            problem, T, [unit * 2 / 3 * T, unit * 2 / 3 * (1 + T - T**2 / 2)], [unit * 2 / 3 * _ONE] * 2
+        )
+    x, y = 0.75 * T**2 / 2, 0.75 * (0.5 + T - T**3 / 6)
+    return Answer(problem, T, [unit * x, unit * y], [unit * 0.75 * T, unit * 0.75 * _ONE])
+
+
+def _doubling_link(unit: float, cost: float, wrong: bool) -> Answer:
+    """To c in 1 s, from 2 c to 1 in 1 s: c^2 + (1 - 2 c)^2."""
+    problem, legs, effort = go.Problem("doubling link"), [], 0.0
+    for name, time in (("before", (0.0, 1.0)), ("after", (1.0, 2.0))):
+        leg, _, (u,) = _phase(problem, name, "x", "u", lambda x, u: [u], time)
+        legs.append(leg)
+        effort = effort + leg.integral((u / unit) ** 2)
+    legs[0].initial(x=0.0)
+    legs[1].final(x=unit)
+    doubled = (legs[1].initial_state("x") - 2 * legs[0].final_state("x")) / unit
+    problem.constrain("doubled", doubled, equals=0.0)
+    problem.minimize(cost * effort)
+    c = 1 / 3 if wrong else 0.4
+    x = {"before": [unit * c * T], "after": [unit * (2 * c + (1 - 2 * c) * T)]}
+    return Answer(
+        problem,
+        {"before": T, "after": 1 + T},
+        x,
+        {"before": unit * c * _ONE, "after": unit * (1 - 2 * c) * _ONE},
+    )
+
+
+def _jerk(unit: float, cost: float, wrong: bool) -> Answer:
+    """Rest to rest with |j| <= 1 and |a| <= 1/2: ramps of a to its peak, both held; 3/2 of way take 4 s."""
+    problem, peak = go.Problem("jerk"), 0.48 if wrong else 0.5
+    leg, _, _ = _phase(problem, "leg", "q v a", "j", lambda q, v, a, j: [v, a, j], (0.0, (0.5, 20.0)))
+    leg.initial(q=0.0, v=0.0, a=0.0)
+    leg.final(q=1.5 * unit, v=0.0, a=0.0)
+    leg.bounds(j=(-unit, unit), a=(-0.5 * unit, 0.5 * unit))
+    problem.minimize(cost * leg.final_time)
+    hold = scipy.optimize.brentq(lambda h: peak * (peak + h) * (2 * peak + h) - 1.5, 0.0, 5.0)
+    t, arc = _arcs(peak, hold, 2 * peak, hold, peak)
+    j = np.array([1.0, 0.0, -1.0, 0.0, 1.0])[arc]
+    states, z = np.zeros((3, t.size)), np.zeros(3)
+    for k in range(5):
+        at = np.flatnonzero(arc == k)
+        s, push = t[at] - t[at[0]], j[at[0]]
+        a = z[2] + push * s
+        v = z[1] + z[2] * s + push * s**2 / 2
+        states[:, at] = [z[0] + z[1] * s + z[2] * s**2 / 2 + push * s**3 / 6, v, a]
+        z = states[:, at[-1]]
+    return Answer(problem, t, unit * states, unit * j)
+
+
+def _focal_point(unit: float, cost: float, wrong: bool) -> Answer:
+    """u^2 - x^2 for 2 s and c x^2 at the end: at rest a minimum for c > -cot 2 = 0.4577."""
+    problem, leg, x, u = _line(unit, (0.0, 2.0))
+    weight = 0.45 if wrong else 0.47
+    problem.minimize(cost * (leg.integral(u**2 - x**2) + weight * (leg.final_state("x") / unit) ** 2))
+    return Answer(problem, 2 * T, 0 * T, 0 * T)
+
+
+def _newtons_body(unit: float, cost: float, wrong: bool) -> Answer:
+    """1 / (1 + u^2) is convex at u = 0.9 and 1.2; its hull is a line from 0 to 1."""
+    problem, leg, _x, u = _line(unit)
+    slope = 0.9 if wrong else 1.2
+    leg.final(x=slope * unit)
+    leg.bounds(u=(0.0, 3 * unit))
+    problem.minimize(cost * leg.integral(1 / (1 + u**2)))
+    return Answer(problem, T, unit * slope * T, unit * slope * _ONE)

@@ -37,11 +37,12 @@ _CHATTERING = (
 
 @dataclass(frozen=True, eq=False)
 class RefinementAttempt:
-    """What one way of refining led to, and the structure that it began with, if any."""
+    """What one way of refining led to, the structure that it began with, if any, and whether on the mesh as it was."""
 
     solution: Solution
     history: History
     begun: Mapping[str, PhaseStructure] | None = None
+    on_mesh: bool = False
 
     @property
     def error(self) -> float:

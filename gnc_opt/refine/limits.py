@@ -24,7 +24,8 @@ class RefinementLimits:
         costs a few seconds (`gnc_opt.refine.refine.LEAST_WORK`) is allowed in any case, twice as much of either while
         the error falls to a third or less from pass to pass; ``math.inf`` allows everything. A structure that is tried
         unasked may cost half as much before, and a quarter when a finer mesh shows another and so much is left of it
-        all. A pass that has begun may cost half that much more at most, or 25 iterations.
+        all; on the segments of that mesh, once, as much as the mesh. A pass that has begun may cost half that much
+        more at most, or 25 iterations.
     max_wall_time : float, optional
         Limit in s on all of it; then, and after Ctrl-C, the best solution so far is returned, without a verdict.
 
@@ -41,7 +42,7 @@ class RefinementLimits:
     """
 
     max_passes: int = 40
-    max_points: int = 1000
+    max_points: int = 2000
     max_work: float = 15.0
     max_wall_time: float | None = None
 

@@ -13,11 +13,13 @@ import numpy as np
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
 from gnc_opt.nlp import SolverOptions, Status
+from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.attempt import CLOSE, RefinementAttempt, interrupted, result_of
 from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.hp.mesh_refinement import ROOMY, refine_mesh
 from gnc_opt.refine.limits import RefinementLimits
 from gnc_opt.refine.passes import PassLimits, pass_record
+from gnc_opt.refine.structure.carried import on_carrying_arcs
 from gnc_opt.refine.structure.curvature import affine_channels, convex_channels, curved_channels
 from gnc_opt.refine.structure.detect import structures_of
 from gnc_opt.refine.structure.ends import with_ends_met
@@ -232,13 +234,26 @@ class _Task:
             yield by_mesh
 
     def _unasked(self, start: Solution, share: float) -> Iterator[RefinementAttempt]:
-        """Try a structure that nobody asked for, if there is one: again only with what all that was tried has left."""
+        """Try a structure that nobody asked for, if there is one: again only with what all that was tried has left.
+
+        On the segments of the mesh, where errors are handed on along its arcs and others had no solution on few.
+        """
+        found = structures_of(start) if self._in_vain else None
+        if found and _carried(start, found):
+            yield self._structured(start, found, self.max_work, self.options or BRIEF, on_mesh=True)
+            return
         share = min(share, 1.0 - sum(a.work for a in self.attempted) / self.max_work)
         if share <= 0:
             return
-        found = structures_of(start)
+        found = found or structures_of(start)
         if _switches(start, found, at_least=1) and not self._known(found):
             yield from self._by_structure(start, found, share)
+
+    @property
+    def _in_vain(self) -> bool:
+        """Whether structures have been tried, on few segments, and had no solution at all."""
+        tried = [a for a in self.attempted if a.begun is not None]
+        return bool(tried) and not any(a.on_mesh or p.solved for a in tried for p in a.history.passes)
 
     def _known(self, found: Mapping[str, PhaseStructure], solved: bool = True) -> bool:
         """Whether the same arcs in the same order have been tried, and had a solution if that is asked for.
@@ -330,7 +345,12 @@ class _Task:
         return self._limits(1, work).of_solve(leg.mesh for leg in start.phases.values())
 
     def _structured(
-        self, start: Solution, found: Mapping[str, PhaseStructure], work: float, options: SolverOptions | None
+        self,
+        start: Solution,
+        found: Mapping[str, PhaseStructure],
+        work: float,
+        options: SolverOptions | None,
+        on_mesh: bool = False,
     ) -> RefinementAttempt:
         return RefinementAttempt(
             *optimise_switches(
@@ -340,8 +360,10 @@ class _Task:
                 structures=found,
                 options=options,
                 progress=self.progress,
+                on_mesh=on_mesh,
             ),
             begun=found,
+            on_mesh=on_mesh,
         )
 
     @property
@@ -381,4 +403,16 @@ def _switches(solution: Solution, found: Mapping[str, PhaseStructure], at_least:
         # Controls that H determines have nothing to settle if they stay between their bounds.
         if np.any(convex_channels(samples)) and found[name].pieces > 1:
             return True
+    return False
+
+
+def _carried(solution: Solution, found: Mapping[str, PhaseStructure]) -> bool:
+    """Whether arcs carry errors on over several segments of the mesh, none of them singular."""
+    if any(np.any(structure.controls == ArcKind.SINGULAR) for structure in found.values()):
+        return False
+    for name, structure in found.items():
+        breaks = solution.phases[name].breaks
+        for k in np.flatnonzero(on_carrying_arcs(structure)):
+            if np.any((breaks > structure.times[k]) & (breaks < structure.times[k + 1])):
+                return True
     return False

@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Indices
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.problem.held import Held
 from gnc_opt.solution.phase_solution import PhaseSolution
@@ -49,24 +49,27 @@ def settle_held_paths(leg: PhaseSolution, held: Held | None, functions: PhaseFun
             ends[:, k] += gradients @ _fit(gradients, continued[:, column] - ends[:, k])
         values[k][:, -1] = end[:, k]
     lam = PiecewisePolynomial(leg.breaks, leg.lam.nodes, tuple(values))
-    multipliers = leg.path_multipliers.copy()
-    for k in np.flatnonzero(np.any(at_limit, axis=0)):
-        points = np.arange(leg.mesh.offsets[k], leg.mesh.offsets[k + 1])
-        rows = np.flatnonzero(at_limit[:, k])
-        multipliers[np.ix_(rows, points)] = _densities(leg, lam, functions, rows, points)
+    multipliers = _with_densities(leg, lam, functions, np.repeat(at_limit, leg.mesh.degrees, axis=1))
     return replace(leg, lam=lam, lam_start=start, lam_end=end, path_multipliers=multipliers)
 
 
-def _densities(
-    leg: PhaseSolution, lam: PiecewisePolynomial, functions: PhaseFunctions, rows: Indices, here: Indices
+def _with_densities(
+    leg: PhaseSolution, lam: PiecewisePolynomial, functions: PhaseFunctions, at_limit: Mask
 ) -> Array:
-    """What the adjoint equation leaves for some path constraints at some points, (n_rows, n_points)."""
-    times, mu = leg.point_times[here], leg.path_multipliers[:, here].copy()
-    mu[rows] = 0.0
+    """The multipliers of path constraints, where they are at their limits what the adjoint equation leaves for them.
+
+    ``at_limit`` and the result (n_paths, N).
+    """
+    mu = leg.path_multipliers.copy()
+    here = np.flatnonzero(np.any(at_limit, axis=0))
+    times, others = leg.point_times[here], np.where(at_limit, 0.0, mu)[:, here]
     x, u = leg.x(times), leg.u(times)
-    left = -lam.derivative()(times) - functions.state_gradient(times, x, u, lam(times), mu)
-    gradients = functions.path_state_jacobian(times, x, u)[rows]
-    return np.stack([_fit(gradients[:, :, j].T, left[:, j]) for j in range(here.size)], axis=1)
+    left = -lam.derivative()(times) - functions.state_gradient(times, x, u, lam(times), others)
+    gradients = functions.path_state_jacobian(times, x, u)
+    for j, point in enumerate(here):
+        rows = np.flatnonzero(at_limit[:, point])
+        mu[rows, point] = _fit(gradients[rows, :, j].T, left[:, j])
+    return mu
 
 
 def _fit(directions: Array, vector: Array) -> Array:

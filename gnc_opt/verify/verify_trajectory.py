@@ -24,7 +24,7 @@ from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.statistics import Statistics
-from gnc_opt.tolerances import ACTIVE, AT_LIMIT
+from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL
 from gnc_opt.transcription.scheme import GAUSS
 from gnc_opt.transcription.transcription import transcribe
 from gnc_opt.verify.multipliers import estimate
@@ -137,13 +137,14 @@ def _with_added(twin: Problem, samples: Mapping[str, Samples], q: Array) -> Arra
     added = [name for name in twin.parameters.names if not twin.parameters.slice(name).start < q.size]
     if not added:
         return q
-    q = np.append(q, np.zeros(len(added)))
-    at_zero = _solution(twin, samples, q)
+    none = np.append(q, np.zeros(len(added)))
+    q, at_zero = none.copy(), _solution(twin, samples, none)
     rows = dict(zip(at_zero.constraint_labels, at_zero.constraint_values, strict=True))
     for name in added:
         missing = [-rows[label] for label in twin.constraints[name].labels]
         q[twin.parameters.slice(name)] = max(*missing, float(twin.parameter_bounds[name].lower[0]))
-    return q
+    priced = abs(_solution(twin, samples, q).objective - at_zero.objective)
+    return q if priced > EQUAL * abs(at_zero.objective) else none  # else it is rounding, on the kink
 
 
 # --- a solution with estimated multipliers ----------------------------------------------------------------

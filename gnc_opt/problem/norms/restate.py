@@ -22,6 +22,7 @@ from gnc_opt.problem.norms.epigraph import EpigraphForm, Kinked
 from gnc_opt.problem.norms.extrema import KINKED
 from gnc_opt.problem.norms.find import guessed_controls, norm_by_hand
 from gnc_opt.problem.norms.form import Form, box_rows
+from gnc_opt.problem.norms.repeated import without_repeated
 from gnc_opt.problem.norms.roots import without_roots
 from gnc_opt.problem.norms.split import Bends, SplitForm
 from gnc_opt.problem.phase import Phase
@@ -36,8 +37,9 @@ def restated(problem: P) -> P:
     """Return a problem without norms of controls that are written by hand; itself if it has none.
 
     Both have the same states, costates and cost. Variations of a problem with other numbers are restated as variations
-    of one another.
+    of one another. Path limits that repeat bounds are free.
     """
+    problem = without_repeated(problem)
     kinked_ends = has_end_kinks(problem)
     if not kinked_ends and not any(_may_have_norms(problem, leg) for leg in problem.phases.values()):
         return problem

@@ -11,6 +11,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.problem import Problem
+from gnc_opt.refine.structure.carried import Decay, on_carrying_arcs
 from gnc_opt.refine.structure.contacts import crossed_contact, pushed_contact, wrong_touch
 from gnc_opt.refine.structure.curvature import affine_channels, curved_channels, linear_limits
 from gnc_opt.refine.structure.detect import SMALL
@@ -377,11 +378,23 @@ def _finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
     contact = np.array([plan.structure.on_contact(k) for k in range(plan.structure.pieces)])
     residual = np.where(contact[plan.segment_pieces], 0.0, residual)
     per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
+    if plan.inherits:
+        return _finer_inherited(samples, plan, per_segment, tol)
     by_piece = np.split(per_segment, plan.piece_ends[1:-1])
     wanted = tuple(
         _next_resolution(r, errors, gradient, tol)
         for r, errors, gradient in zip(plan.resolutions, by_piece, _open_gradient(samples, plan), strict=True)
     )
+    return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
+
+
+def _finer_inherited(samples: PhaseSamples, plan: Plan, errors: Array, tol: float) -> Plan | None:
+    """Return the plan with segments made finer that are to blame for errors (K,), or None."""
+    decay = Decay.of(samples)
+    own = decay.own_errors(on_carrying_arcs(plan.structure)[plan.segment_pieces], errors)
+    points = np.ceil(np.log10(np.maximum(own, tol) / tol) / decay.rates)
+    by_piece = np.split(points.astype(int), plan.piece_ends[1:-1])
+    wanted = tuple(r.with_points(more) for r, more in zip(plan.resolutions, by_piece, strict=True))
     return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
 
 

@@ -34,6 +34,7 @@ from gnc_opt.refine.structure.vectors import with_magnitudes_at_limits, with_sin
 from gnc_opt.solution.history import History, Pass, RefinementStatus
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
+from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.verify.verify import verify
 
 PATIENCE = 4
@@ -44,6 +45,9 @@ IN_VAIN = 2
 
 FINEST = 1e-9
 """Switch times are asked for at least this accurately: that costs a solve of a few iterations, if any."""
+
+ROOM = 0.4
+"""Share of the tolerance that segments of a mesh that is gone on with are refined to."""
 
 SAME = 1e-7
 """Share of a phase below which two times are the same for a loop that runs in a circle."""
@@ -63,6 +67,7 @@ def optimise_switches(
     structures: Mapping[str, PhaseStructure] | None = None,
     options: SolverOptions | None = None,
     progress: bool = False,
+    on_mesh: bool = False,
 ) -> tuple[Solution, History]:
     """Return the solution with exact switch times and its `structure`, and the history of the loop.
 
@@ -78,6 +83,8 @@ def optimise_switches(
     options : SolverOptions, optional
     progress : bool
         Show one line per pass.
+    on_mesh : bool
+        Begin with the segments of the solution's mesh. Default: with few.
 
     Returns
     -------
@@ -91,12 +98,14 @@ def optimise_switches(
     chosen = options or SolverOptions(tolerance=TIGHT, max_iterations=MOST_ITERATIONS)
     found = structures or structures_of(solution)
     solution = with_magnitudes_at_limits(solution)
-    plans = {name: Plan.of(s, points_of(solution.phases[name].mesh)) for name, s in found.items()}
+    plans = {name: _first_plan(s, solution.phases[name].mesh, on_mesh) for name, s in found.items()}
     tries: list[_Try] = []
     with pass_meter(solution.problem_name, tol, progress) as show:
         try:
             loop = _Loop(problem, tol, limits or PassLimits(), chosen, show, tries)
-            guess, settled, flown = _settled(solution, plans, loop.aim)
+            guess, settled, flown = (
+                (solution, plans, None) if on_mesh else _settled(solution, plans, loop.aim)
+            )
             status = loop.run(guess, settled, flown)
             if status is RefinementStatus.FAILED and guess is not solution:
                 status = loop.run(solution, plans)
@@ -112,6 +121,10 @@ def optimise_switches(
     if status is RefinementStatus.CONVERGED:
         solution = _with_unique_costates(solution, plans, chosen, loop.limits.deadline)
     return replace(solution, structure=_arcs(solution, plans)), history
+
+
+def _first_plan(structure: PhaseStructure, mesh: Mesh, on_mesh: bool) -> Plan:
+    return Plan.on_mesh(structure, mesh) if on_mesh else Plan.of(structure, points_of(mesh))
 
 
 def _with_unique_costates(
@@ -209,13 +222,13 @@ class _Loop:
                 continue
             solution, vain = found, 0
             current = {name: _at_solution(plan, solution, name) for name, plan in plans.items()}
-            plans, action = improve(solution, current, swapped, self.aim)
+            plans, action = improve(solution, current, swapped, self._aim_of(current))
             record = _record(solution, begin, action or "structure stands")
-            resolved = _resolved([*self.records, record], self.aim)
+            resolved = _resolved([*self.records, record], self._aim_of(current))
             if resolved and (finer := smoother(solution, current)) != current:
                 plans, resolved, record = finer, False, replace(record, actions=SMOOTHED)
             self._note(_Try(solution, current, record))
-            if not action or resolved:
+            if not action or resolved or (self.tol >= record.error and _adjusts_mesh(current, record)):
                 return RefinementStatus.CONVERGED
             if _restless(self.records) or _returned(self.tries) or self._known(record):
                 return RefinementStatus.STALLED
@@ -225,6 +238,10 @@ class _Loop:
     def aim(self) -> float:
         """Error that meshes are refined to: it costs little more, where a structure is known."""
         return min(self.tol, FINEST)
+
+    def _aim_of(self, plans: Mapping[str, Plan]) -> float:
+        """That error, or the tolerance with some room: the points of a mesh that is gone on with are many."""
+        return ROOM * self.tol if any(plan.inherits for plan in plans.values()) else self.aim
 
     @property
     def records(self) -> list[Pass]:
@@ -291,6 +308,11 @@ def _returned(tries: list[_Try]) -> bool:
 def _adjusting(record: Pass) -> bool:
     """Whether a solution asked for nothing but other kinks and resolutions."""
     return set(str(record.actions).split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED}
+
+
+def _adjusts_mesh(plans: Mapping[str, Plan], record: Pass) -> bool:
+    """Whether the structure stays, on the segments of a mesh: as many points as those are not refined any further."""
+    return any(plan.inherits for plan in plans.values()) and _adjusting(record)
 
 
 def _same(plans: Mapping[str, Plan], others: Mapping[str, Plan]) -> bool:

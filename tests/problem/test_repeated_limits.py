@@ -1,0 +1,68 @@
+"""Path limits that repeat bounds: stated twice, a limit has one multiplier all the same."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from gnc_opt.problem.norms import restated
+
+
+def _cart() -> tuple[go.Problem, go.Phase, Any, Any, Any]:
+    model = go.Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("limits twice")
+    leg = problem.phase("leg", model)
+    leg.bounds(a=(-1.0, 1.0), v=(None, 1.0))
+    return problem, leg, q, v, a
+
+
+def test_limits_stated_on_control_and_state_and_again_are_no_obstacle() -> None:
+    """Rest to rest over 2 with |a| <= 1 and v <= 1: 1 s up, 1 s at the limit, 1 s down."""
+    problem, leg, _q, v, a = _cart()
+    leg.time(0.0, (0.1, 9.0))
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=2.0, v=0.0)
+    leg.path("speed", v, upper=1.0)
+    leg.path("push", ca.vertcat(a, -2 * a), upper=[1.0, 2.0])
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem)
+    assert solution.objective == pytest.approx(3.0, abs=1e-7)
+    verdict = go.verify(solution)
+    assert verdict.ok, verdict.explain()
+
+
+def test_only_what_bounds_say_already_is_free() -> None:
+    problem, leg, q, v, a = _cart()
+    leg.path("looser", 3 * v + 1, upper=5.0)
+    leg.path("tighter", v, upper=0.9)
+    leg.path("below", v, lower=-1.0, upper=1.0)
+    leg.path("fixed", a, equals=1.0)
+    leg.path("mixed", v + a, upper=9.0)
+    leg.path("bent", a**2, upper=9.0)
+    leg.path("free before", q, upper=1.0)
+    paths = restated(problem).phases["leg"].paths
+    limits = {name: (c.interval.lower[0], c.interval.upper[0]) for name, c in paths.items()}
+    assert limits == {
+        "looser": (-np.inf, np.inf),
+        "tighter": (-np.inf, 0.9),
+        "below": (-1.0, np.inf),
+        "fixed": (1.0, 1.0),
+        "mixed": (-np.inf, 9.0),
+        "bent": (-np.inf, 9.0),
+        "free before": (-np.inf, 1.0),
+    }
+
+
+def test_variations_are_variations_of_one_another() -> None:
+    problem, leg, _q, v, _a = _cart()
+    leg.path("speed", v, upper=1.0)
+    problem.minimize(leg.final_state("q") ** 2)
+    slower = problem.with_bounds(v=(None, 0.8))
+    assert restated(slower).builds is restated(problem).builds
+    assert restated(problem).fingerprint() == restated(problem).fingerprint()
