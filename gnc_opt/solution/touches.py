@@ -11,9 +11,9 @@ its ends alone. They meet :math:`S = \dots = S^{(q-1)} = 0` where it begins: sho
 what this changes there is of the order of :math:`\delta^2`, since :math:`S^{(q)}` vanishes before it.
 
 A control that holds a constraint of first order may come to a limit of its own there, and S leave its limit: the
-costate jumps, and :math:`\dot S = 0` on either side. All neighbouring trajectories come to both limits at one time. So do they where one limit of a
-control takes over from another, a bound and a path constraint say: the control goes on and no costate jumps, but to go
-over sooner or later would be to leave one of the two.
+costate jumps, and :math:`\dot S = 0` on either side. All neighbouring trajectories come to both limits at one time. So
+do they where one limit of a control takes over from another, a bound and a path constraint say: the control goes on
+and no costate jumps, but to go over sooner or later would be to leave one of the two.
 """
 
 from __future__ import annotations
