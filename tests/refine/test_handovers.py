@@ -80,7 +80,12 @@ def shot(unknown: Array) -> Array:
     for (throttle, slow), begin, end in zip(pieces, times[:-1], times[1:], strict=True):
         least, rates = hamiltonian_flow(throttle, slow)
         y = scipy.integrate.solve_ivp(
-            lambda _, y, rates=rates: rates(y).full().ravel(), (begin, end), y, "DOP853", rtol=1e-10, atol=1e-12
+            lambda _, y, rates=rates: rates(y).full().ravel(),
+            (begin, end),
+            y,
+            "DOP853",
+            rtol=1e-10,
+            atol=1e-12,
         ).y[:, -1]
         missed.append(float(y[5]) if throttle == IDLE else float(most_lift(y[0], y[1]) / HEAVY - 1.0))
     missed[-1] = float(least(y)) + 1.0
