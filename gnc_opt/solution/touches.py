@@ -179,7 +179,7 @@ def _handovers(problem: Problem, rows: _Rows) -> tuple[Junction, ...]:
         return ()
     at_path = rows.near(rows.values(s.times, s.x, s.u))
     at_bound = np.any(leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale), axis=0)
-    found = {}
+    found: dict[int, Junction] = {}
     for row in paths:
         others = [np.any(at_path[:, i], axis=0) for i in paths if i != row and owners[i] == owners[row]]
         limits = [at_bound[owners[row][0]], *others]
