@@ -235,7 +235,11 @@ class PhaseStructure:
         rows, beside = self.changes(boundary), self.kinds[boundary - 1 : boundary + 1]
         held = [[i for i in rows if kinds[i].at_limit] for kinds in beside]
         bounded = self._n_free + self.n_paths  # bounds of states held by singular controls have holders alone
-        states = [i for i in rows if self.orders[i] == 1 or (i >= bounded and self.holders[i])]
+        states = [
+            i
+            for i in rows
+            if self.orders[i] == 1 or (i >= bounded and self.holders[i] and not self.orders[i])
+        ]
         if len(rows) != 2 or [len(here) for here in held] != [1, 1] or len(states) != 1:
             return []
         (state,), (limit,) = states, [i for i in rows if i not in states]
@@ -247,7 +251,7 @@ class PhaseStructure:
         kinds = {i: pair[i] for pair, here in zip(beside, held, strict=True) for i in here}
         if len(kinds) != 2:
             return []
-        lean = self.leans[state][holders.index(owner[0])]
+        lean = dict(zip(holders, self.leans[state], strict=False)).get(owner[0], 0)  # unknown in plain ones
         own = 1 if limit < self._n_free else self.slopes[limit] or (*self.leans[limit], 0)[0]
         sides = kinds[state].sign * lean, kinds[limit].sign * own
         return [state, limit] if sides[0] == (1 if held[0] == [state] else -1) * sides[1] != 0 else []
