@@ -157,13 +157,17 @@ def test_a_phase_without_switches_has_nothing_to_lose() -> None:
     ("wrong", "own", "left"),
     [
         ([-1, 2, 3, -1, 4, -1], [2], [-1, 0, 0, -1, 4, -1]),
-        ([1, 2, 3, 4], [1], [0, 0, 0, 0]),
-        ([1, 2, -1, 3, 4], [2], [0, 0, -1, 3, 4]),
+        ([3, 4, -4, 3, 2], [1], [0, 0, -4, 3, 2]),
+        ([2, 3, -4, -5, 1], [2], [0, 0, 0, -5, 1]),
+        ([1, 2, 3, 4], [1], [0, 0, 3, 4]),  # it grows: that is no matter of when it switches
+        ([1, 2, 1e-9, 3, 4], [2], [1, 2, 0, 3, 4]),  # at rest, with the wrong slope
+        ([1, 2, -1e-9, 3, 4], [2], [1, 2, 0, 3, 4]),
+        ([-1, -2, -1e-9, 3, -1], [2], [-1, -2, 0, 3, -1]),  # another zero, too near to be seen
         ([1, 0, 2, 3, 0, 1], [3], [1, 0, 0, 0, 0, 1]),
         ([1, 2, 3], [], [1, 2, 3]),
     ],
 )
-def test_offences_that_reach_to_a_switch_are_its_own(wrong: Any, own: Any, left: Any) -> None:
+def test_offences_that_are_worst_at_a_switch_are_its_own(wrong: Any, own: Any, left: Any) -> None:
     values = np.array(wrong, float)
     forgive(values, np.array(own, int))
     assert values.tolist() == left
@@ -193,7 +197,11 @@ def test_a_missing_arc_lies_between_the_zeros_a_quarter_inside() -> None:
         ([[-4, -3, -2, -1, 0.5, 1, 2, 3, 4], [5] * 9], None),
         ([[-4, 1, -2, -1, 0.5, 1, 2, 3, 4], [5] * 9], (0, 0.8, 1 + 1 / 3)),
         ([[-4, -3, -2, -1, 0.5, 1, -2, 3, 4], [5] * 9], (0, 5 + 1 / 3, 6.4)),
-        ([[-4, -3, -2, 1, 0.5, 1, 2, 3, 4], [5] * 9], None),  # it switches a little too late
+        ([[-4, -3, -2, 0.5, 1, 1, 2, 3, 4], [5] * 9], None),  # it switches a little too late
+        ([[-4, -3, -2, -1, -0.5, 1, 2, 3, 4], [5] * 9], None),  # too early
+        # (t - 1)(4 - t)(8 - t) vanishes at 4 s, but for that time of the switch the cost is the largest.
+        ([[-32, 0, 12, 10, 1e-9, -12, -20, -18, 0], [5] * 9], (0, 4.0, 8.0)),
+        ([[-32, 0, 12, 10, -1e-9, -12, -20, -18, 0], [5] * 9], (0, 4.0, 8.0)),
         ([[-4, -3, -2, -1, 0.5, 1, 2, 3, 4], [5, 5, -5, 5, 5, 5, 5, 5, 5]], (1, 1.5, 2.5)),
         # What is worst in shares of its own switching function counts.
         (
@@ -237,6 +245,28 @@ def test_an_arc_is_added_between_two_switches_of_its_control() -> None:
     )
     whole = n._with_arc(before, 0, 1.0, 11.0)
     assert whole.times.tolist() == [3.0] and whole.first.tolist() == [1.0, 4.0]
+
+
+@pytest.mark.parametrize(
+    ("rests", "last"),
+    [
+        ([(6.0, False)], 6.0),
+        ([(6.0, True), (5.0, False)], 5.0),
+        ([(6.0, True), (5.0, True), (5.0 + 1e-5, True)], 5.0),  # where it was before: that arc vanishes
+        ([(6.0, True), (5.0, True), None], 5.0),
+        ([None], None),
+    ],
+)
+def test_arcs_are_added_as_long_as_they_lead_anywhere(
+    monkeypatch: pytest.MonkeyPatch, rests: Any, last: Any
+) -> None:
+    """Flights at rest with a switch at such times, and whether they lack an arc."""
+    left = [r and Planned(0.0, (0, 7.0, 8.0) if r[1] else None, switches([r[0]], [0])) for r in rests]
+    monkeypatch.setattr(n, "newton_step", lambda *_: SwitchStep(np.zeros(3), *[None] * 7))  # type: ignore[arg-type]
+    monkeypatch.setattr(n, "_with_arc", lambda there, *_: there)
+    monkeypatch.setattr(n, "_at_rest", lambda *_: left.pop(0))
+    found = n._optimum(None, None, switches([4.0], [0]), 1e-8)  # type: ignore[arg-type]
+    assert (found and found.switches.times.tolist()) == (last and [last]) and not left
 
 
 # --- as a guess -------------------------------------------------------------------------------------------

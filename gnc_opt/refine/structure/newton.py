@@ -142,11 +142,15 @@ def settle_flow(
 def _optimum(
     problem: Problem, s: PhaseSamples, switches: Switches, accuracy: float, steps: int = STEPS
 ) -> SwitchFlight | None:
-    """Return the flight whose switches have come to rest with signs that agree."""
+    """Return the flight whose switches have come to rest with signs that agree.
+
+    If the arcs that they ask for vanish again, or lead to no rest, it is the last one at rest.
+    """
+    rested: SwitchFlight | None = None
     for _ in range(MOST_STEPS):
         step = newton_step(problem, s, switches, steps)
         if step is None:
-            return None
+            break
         share, emptied = _allowed(switches, step)
         if emptied and share < LEAST_SHARE:
             switches = _without(switches, emptied)
@@ -154,10 +158,12 @@ def _optimum(
             switches = _moved(switches, share * step.change)
         else:
             flight = _at_rest(problem, s, switches, step, accuracy)
-            if flight is None or flight.missing_arc is None:
+            if flight is None or (rested is not None and _alike(flight.switches, rested.switches)):
+                break
+            if flight.missing_arc is None:
                 return flight
-            switches = _with_arc(flight.switches, *flight.missing_arc)
-    return None
+            rested, switches = flight, _with_arc(flight.switches, *flight.missing_arc)
+    return rested
 
 
 def _near(
@@ -279,6 +285,14 @@ def _allowed(switches: Switches, step: SwitchStep) -> tuple[float, tuple[int, in
 def _moved(switches: Switches, change: Array) -> Switches:
     times = switches.times + change[1:-1]
     return replace(switches, times=times, ends=switches.ends + change[[0, -1]])
+
+
+def _alike(switches: Switches, others: Switches) -> bool:
+    """Whether the same controls switch at the same times, nearly."""
+    if not np.array_equal(switches.channels, others.channels):
+        return False
+    apart = np.max(np.abs(switches.times - others.times), initial=0.0)
+    return bool(apart < NEAR * (switches.ends[1] - switches.ends[0]))
 
 
 def _without(switches: Switches, arc: tuple[int, int]) -> Switches:

@@ -163,11 +163,17 @@ def _interpolated(breaks: Array, values: Array, rates: Array) -> PiecewisePolyno
 
 
 def forgive(wrong: Array, switches: Indices) -> None:
-    """Zero the offences that reach up to the control's own switches: it switches there, a little too late or early."""
+    """Zero the offences of switches that are not quite at rest, a little too late or early.
+
+    The sign is wrong from such a switch to the zero that it belongs to, and nowhere more so than at the switch. Where
+    the offence grows instead, the switching function has another zero, or the wrong slope at this one: a time of the
+    switch for which the cost is the largest, not the least.
+    """
     for k in switches:
-        for side in (range(int(k), wrong.size), range(int(k) - 1, -1, -1)):
+        most, wrong[k] = abs(wrong[k]) + WRONG_SIGN, 0.0
+        for side in (range(int(k) + 1, wrong.size), range(int(k) - 1, -1, -1)):
             for j in side:
-                if wrong[j] <= 0:
+                if not 0 < wrong[j] <= most:
                     break
                 wrong[j] = 0.0
 
