@@ -23,6 +23,7 @@ from typing import Any
 import casadi as ca
 
 from gnc_opt.arrays import Array
+from gnc_opt.errors import GncOptError
 
 FLAGS = (
     "-std=c99",
@@ -103,7 +104,9 @@ def loaded(library: str) -> Callable[[Array, Array, Array, Array], None] | None:
 
     def fly(X: Array, rows: Array, C: Array, final: Array) -> None:
         if leg(X.ctypes.data, rows.ctypes.data, C.ctypes.data, final.ctypes.data, len(rows)):
-            raise RuntimeError("a control step could not be evaluated.")
+            raise GncOptError(
+                "a control step could not be evaluated: an assertion in it failed, or memory is short."
+            )
 
     return fly
 

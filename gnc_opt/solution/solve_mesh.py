@@ -86,7 +86,10 @@ iterations grow with the mesh, from a trajectory hardly. (Rendezvous: 49 iterati
 224 and 30.)"""
 
 BRIEF = 100
-"""Iterations that such a way gets on each mesh, and pivoting with care."""
+"""Iterations that such a way gets on each mesh."""
+
+CAREFUL_ITERATIONS = 200
+"""Those that pivoting with care gets to mend last digits, beyond which it crawls."""
 
 SHOWN = 0.1
 """Largest defect between nodes of a coarse solution that is a guess: an oscillation that it cannot show leaves 1."""
@@ -268,7 +271,7 @@ def _solve_point(
         return result
     if result.status in CAREFUL and not solver.options.careful_pivoting:
         there = replace(point, x0=result.x, lam_x0=result.lam_x, lam_g0=result.lam_g)
-        patience = _Patience(show, BRIEF)  # to mend last digits takes few
+        patience = _Patience(show, CAREFUL_ITERATIONS)
         again = solver.solve(there, "careful", callback=patience, deadline=deadline)
         result = again.with_effort([result, again]) if again.status.solved else result
     wandered = result.status is Status.ITERATION_LIMIT and solver.options.max_iterations >= MANY

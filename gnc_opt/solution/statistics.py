@@ -12,6 +12,7 @@ class Statistics:
     Attributes
     ----------
     iterations : int
+        0 for a flight that is a solution as it is, of a bang-bang problem whose switches are found.
     build_s, solve_s : float
         Wall time of transcription and of the solver.
     function_s, linear_solver_s : float
@@ -21,7 +22,7 @@ class Statistics:
 
     Examples
     --------
-    >>> print(solution.statistics.iterations > 0)
+    >>> print(solution.statistics.iterations >= 0)
     True
     """
 

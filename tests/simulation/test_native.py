@@ -16,6 +16,7 @@ from loops import double_integrator
 
 import gnc_opt.simulation.flight as flight_module
 from gnc_opt.control import design_lqr, design_mpc
+from gnc_opt.errors import GncOptError
 from gnc_opt.simulation import ClosedLoop, Event, Flight, Lag, Noise, RandomHold, monte_carlo
 from gnc_opt.simulation import native as module
 
@@ -137,5 +138,5 @@ def test_a_step_that_fails_is_told_as_by_the_interpreter() -> None:
     assert fly is not None
     fly(np.array([5.0]), np.array([[1.0], [2.0]]), np.array([3.0]), final)
     assert final == [2.0]
-    with pytest.raises(RuntimeError, match="could not be evaluated"):
+    with pytest.raises(GncOptError, match="could not be evaluated"):
         fly(np.array([5.0]), np.array([[1.0], [2.0], [0.0]]), np.array([3.0]), final)

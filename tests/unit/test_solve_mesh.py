@@ -92,7 +92,7 @@ def test_pivoting_with_care_that_crawls_gives_way_to_the_adaptive_barrier(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Where ends say twice what dynamics conserve, as those of a quaternion do, it can go on for thousands."""
-    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "BRIEF", 0)
+    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "CAREFUL_ITERATIONS", 0)
     watch = Stumbling(monkeypatch, Status.SEARCH_DIRECTION_FAILED)
     solution = solve_mesh(regulator(), "3x4")
     assert watch.ways == ["cold", "careful", "adaptive"]

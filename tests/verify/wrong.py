@@ -40,7 +40,7 @@ def energy() -> go.Solution:
     leg.time(0.0, 1.0)
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
-    leg.bounds(a=(-10.0, 10.0), v=(-5.0, 5.0))
+    leg.bounds(a=(-10.0, 10.0), v=(-5.0, 5.5))
     leg.path("speed", model.symbol("v"), upper=5.0)
     problem.constrain("reach", leg.final_state("q"), upper=5.0)
     problem.minimize(0.5 * leg.integral(model.symbol("a") ** 2))

@@ -19,7 +19,7 @@ from gnc_opt.nlp import SolverOptions
 from gnc_opt.problem.arc import Arc
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import estimate_errors
-from gnc_opt.refine.passes import PassLimits, pass_meter, pass_record, same_pass
+from gnc_opt.refine.passes import EXTENDED, PassLimits, pass_meter, pass_record, same_pass
 from gnc_opt.refine.structure.apart import shared, solve_apart
 from gnc_opt.refine.structure.collocated import collocated
 from gnc_opt.refine.structure.curvature import with_flat_times
@@ -205,7 +205,7 @@ class _Loop:
             if any(plan.mesh().size > self.limits.points for plan in plans.values()):
                 return self._limited(RefinementStatus.POINT_LIMIT)
             spent = sum(record.work for record in self.records)
-            if spent > self.limits.allowed(self.records):
+            if spent > self._allowed:
                 return self._limited(RefinementStatus.WORK_LIMIT)
             within = self.limits.of_solve((plan.mesh() for plan in plans.values()), self.records, spent)
             found = flown or _solve(self.problem, plans, solution, self.options, within)
@@ -247,6 +247,13 @@ class _Loop:
     def records(self) -> list[Pass]:
         """Of all tries."""
         return [t.record for t in self.tries]
+
+    @property
+    def _allowed(self) -> float:
+        """What all passes may cost: more where the last one is accurate, and only what it leaves idle is taken out."""
+        if self.tries and self.tries[-1].record.solved and self.tries[-1].record.error <= self.tol:
+            return EXTENDED * self.limits.work
+        return self.limits.allowed(self.records)
 
     def _known(self, record: Pass) -> bool:
         """Whether another attempt has come to the same, which led it nowhere."""
