@@ -120,22 +120,18 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
     constraints, first = StateConstraints(problem, samples), len(structure.controls)
     held = [any(kinds[first + row].at_limit for kinds in structure.kinds) for row in range(constraints.size)]
     orders = [0 if held[row] else constraints.order(row) for row in range(constraints.size)]
-    asked = [
-        bool(order) or (on and constraints.order(k) == 1)
-        for k, (order, on) in enumerate(zip(orders, held, strict=True))
-    ]
+    if not any(orders):
+        return without_overlaps(structure)
     known = structure.holders[first:]
-    holders = [constraints.holders(row) if ask else known[row] for row, ask in enumerate(asked)]
+    holders = [constraints.holders(row) if order else known[row] for row, order in enumerate(orders)]
     known = structure.leans[first:]
-    leans = [constraints.leans(row) if ask else known[row] for row, ask in enumerate(asked)]
+    leans = [constraints.leans(row) if order else known[row] for row, order in enumerate(orders)]
     structure = replace(
         structure,
         orders=(*(0,) * first, *orders),
         holders=(*((),) * first, *holders),
         leans=(*((),) * first, *leans),
     )
-    if not any(orders):
-        return without_overlaps(structure)
     for run in _runs_of_pushes(constraints, structure):
         structure = run.added(structure, samples)
     longest = SHORT * float(np.max(np.diff(samples.leg.breaks)))

@@ -227,34 +227,32 @@ class PhaseStructure:
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
 
     def taken_over(self, boundary: int) -> list[int]:
-        """Return a state constraint and a limit of the control that holds it, if one takes over from the other there.
+        """Return a state constraint and a limit of a control that holds it, if the limit takes over, on the same side.
 
-        Uphill a control comes to its limit on the side to which it holds the constraint, which is left; or it is on the
-        other, braking, until the constraint is met. Either way it goes on without a jump, and the costates jump.
+        The control comes to it and goes on, though H may be linear in it from there on: the costates jump.
         """
         rows, beside = self.changes(boundary), self.kinds[boundary - 1 : boundary + 1]
         held = [[i for i in rows if kinds[i].at_limit] for kinds in beside]
-        bounded = self._n_free + self.n_paths  # bounds of states held by singular controls have holders alone
-        states = [
-            i
-            for i in rows
-            if self.orders[i] == 1 or (i >= bounded and self.holders[i] and not self.orders[i])
-        ]
-        if len(rows) != 2 or [len(here) for here in held] != [1, 1] or len(states) != 1:
+        if len(rows) != 2 or [len(here) for here in held] != [1, 1]:
             return []
-        (state,), (limit,) = states, [i for i in rows if i not in states]
-        owner, holders = (limit,) if limit < self._n_free else self.holders[limit], self.holders[state]
-        if self.orders[limit] or len(owner) != 1 or owner[0] not in holders:
+        (state,), (limit,) = held
+        owner = (limit,) if limit < self._n_free else self.holders[limit]
+        if (
+            self.orders[state] != 1
+            or self.orders[limit]
+            or len(owner) != 1
+            or owner[0] not in self.holders[state]
+        ):
             return []
-        if holders != owner and not all(self.regular[i] for i in holders):
+        if not all(self.regular[i] for i in self.holders[state]):
             return []
-        kinds = {i: pair[i] for pair, here in zip(beside, held, strict=True) for i in here}
-        if len(kinds) != 2:
-            return []
-        lean = dict(zip(holders, self.leans[state], strict=False)).get(owner[0], 0)  # unknown in plain ones
-        own = 1 if limit < self._n_free else self.slopes[limit] or (*self.leans[limit], 0)[0]
-        sides = kinds[state].sign * lean, kinds[limit].sign * own
-        return [state, limit] if sides[0] == (1 if held[0] == [state] else -1) * sides[1] != 0 else []
+        lean = self.leans[state][self.holders[state].index(owner[0])]
+        kinds = {i: pair[i] for pair, (i,) in zip(beside, held, strict=True)}
+        sides = (
+            kinds[state].sign * lean,
+            kinds[limit].sign * (1 if limit < self._n_free else self.leans[limit][0]),
+        )
+        return [state, limit] if sides[0] == sides[1] != 0 else []
 
     def on_sphere(self) -> Mask:
         """Return where the length of a direction is at its limit beside a state constraint that is, (n_paths, A).
