@@ -159,11 +159,14 @@ class PhaseStructure:
         """Whether controls only have a kink between a piece and the one before.
 
         They do where they, mixed path constraints, or state constraints that determine them, enter or leave a limit;
-        a control that enters H linearly jumps to where it holds a state constraint. Where a limit takes over from a
-        state constraint or from another limit, the time is as well determined as that of a switch: both are met.
+        a control that enters H linearly jumps to where it holds a state constraint, but goes on from its bound to a
+        path constraint that limits it on the same side. Where the costates jump, as a limit takes over from a state
+        constraint, the time is as well determined as that of a switch.
         """
-        if self.taken_over(boundary) or self.handed_over(boundary):
+        if self.taken_over(boundary):
             return False
+        if self.handed_over(boundary):
+            return not self.touches[boundary]
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         return not self.touches[boundary] and all(
             (self._bends_at(i, boundary) or self._determines(i, boundary) or self.gives_out(i, boundary))

@@ -321,10 +321,6 @@ class Plan:
                     found.append((k, i, before, 0, 1))
             found += [(k, i, kind, 2, 0) for i, kind in structure.touches[k]]
             found += [(k, i, structure.kinds[k - 1][i], 0, 1) for i in structure.taken_over(k)[:1]]
-            paths = [i for i in structure.handed_over(k) if i >= n_controls]
-            for i in paths[:1]:
-                before, after = structure.kinds[k - 1][i], structure.kinds[k][i]
-                found.append((k, i, after, 0, -1) if after.at_limit else (k, i, before, 0, 1))
         found += [(k, i, kind, 1, 0) for k in (0, -1) for i, kind in structure.touches[k]]
         return tuple(
             Junction(i - n_controls, self.piece_ends[k], kind, conditions, tangent)
