@@ -51,7 +51,7 @@ EARLY, SPARE = 3, 2
 """Passes of the mesh after which it is asked for a structure again, where the first one did not lead anywhere, and how
 many more it may take to be the best so far."""
 
-LEAST_WORK = 4e4
+LEAST_WORK = 7e4
 """What refining may cost in any case, in iterations at one collocation point (`Pass.work`): one to a few seconds."""
 
 TIGHTER, FURTHER = 0.01, 2
