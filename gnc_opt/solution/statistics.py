@@ -39,7 +39,9 @@ class Statistics:
         if self.iterations == 0 and self.solve_s == 0.0:
             return "by Newton's method on switch times, no program solved on it"
         build = "build re-used" if self.build_reused else f"build {self.build_s:.3f} s"
-        return f"{self.iterations} iteration{'s' * (self.iterations != 1)}, {build}, solve {self.solve_s:.3f} s"
+        return (
+            f"{self.iterations} iteration{'s' * (self.iterations != 1)}, {build}, solve {self.solve_s:.3f} s"
+        )
 
     def after(self, earlier: Statistics) -> Statistics:
         """Return these together with what an earlier try of the same solve cost."""
