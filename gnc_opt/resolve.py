@@ -61,7 +61,7 @@ class Resolver:
 
     def __init__(self, solution: Solution, *, tol: float | None = None, cold: bool = True) -> None:
         expect(solution, Solution, "what Resolver() got", "write Resolver(solve(problem))")
-        self._builds = solution.need_problem("solve").builds
+        self._problem = solution.need_problem("solve")
         if not solution.status.solved:
             raise ProblemError(
                 f"the solution of '{solution.problem_name}' ended as {solution.status.value}: "
@@ -94,30 +94,33 @@ class Resolver:
         """
         expect(problem, Problem, "what Resolver.solve() got", "give problem.with_initial(...), say")
         stated, problem = problem, restated(problem)
-        if problem.builds is not self._builds:
+        if not stated.leads_to(self._problem):
             raise ProblemError(
                 f"problem '{problem.name}' is no variation of the one that the resolver knows: make it by "
                 "with_initial(), with_parameters() or their like, or make a Resolver of its own solution."
             )
         check_numbers(stated)  # the guess of a variation is used by the last way only, which looks at it
-        start = self.solution if near is None else near
-        if self._known is not None:
-            known = self._known if near is None else KnownFlight.of(near)
-            found = None if known is None else known.vary(problem)
-            if found is not None:
-                return said(found, Way.SWITCH_TIMES)
-        elif self.tol is None:
-            stated.check()
-            meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
-            guess, scheme = on_the_way(start, problem), self.solution.scheme
-            found = solve_mesh(
-                problem, meshes, scheme=scheme, guess=guess, limits=SolveLimits(WARM_ITERATIONS)
-            )
-            if found.status.solved:
-                return said(found, Way.WARM)
+        found = self._nearby(stated, problem, near) if problem.builds is self._problem.builds else None
+        if found is not None:
+            return found
         if not self.cold:
             raise ProblemError(
                 f"problem '{problem.name}' was not solved next to the known solution, and the resolver is not to begin "
                 "from the start: vary it less, or leave out cold=False."
             )
         return said(solve(problem, tol=self.tol), Way.COLD)
+
+    def _nearby(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
+        """Return the solution of a variation in the form that the known one has, if a fast way leads to it."""
+        if self._known is not None:
+            known = self._known if near is None else KnownFlight.of(near)
+            found = None if known is None else known.vary(problem)
+            return None if found is None else said(found, Way.SWITCH_TIMES)
+        if self.tol is not None:
+            return None
+        stated.check()
+        start = self.solution if near is None else near
+        meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
+        guess, scheme, limits = on_the_way(start, problem), self.solution.scheme, SolveLimits(WARM_ITERATIONS)
+        found = solve_mesh(problem, meshes, scheme=scheme, guess=guess, limits=limits)
+        return said(found, Way.WARM) if found.status.solved else None

@@ -18,6 +18,15 @@ from gnc_opt.problem.interval import Interval, read_interval, read_range
 class Constraint:
     """``lower <= expression <= upper``, the expression an SX column vector of ``size`` rows.
 
+    Attributes
+    ----------
+    name : str
+    expression : casadi.SX (size, 1)
+    interval : Interval
+        Limits that are asked for.
+    declared : Interval, optional
+        The same as they were declared, where some of them are free as long as bounds keep them.
+
     Examples
     --------
     >>> slow = problem.with_bounds(a=(-1.0, 1.0)).phases["leg"]
@@ -29,6 +38,7 @@ class Constraint:
     name: str
     expression: Any
     interval: Interval
+    declared: Interval | None = None
 
     @property
     def size(self) -> int:

@@ -143,3 +143,12 @@ class Statement(Strict):
             self.builds[key] = build()
         built: T = self.builds[key]
         return built
+
+    def leads_to(self, other: Statement) -> bool:
+        """Whether another problem is a variation of this one, or of what this one is restated as for other numbers."""
+        return other.builds is self.builds or _contains(self.builds, other.builds)
+
+
+def _contains(builds: dict[Any, Any], others: dict[Any, Any]) -> bool:
+    nested = (value for value in builds.values() if isinstance(value, dict))
+    return any(own is others or _contains(own, others) for own in nested)

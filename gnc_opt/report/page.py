@@ -150,10 +150,7 @@ def _multipliers(solution: Solution) -> str:
 
 def _provenance(solution: Solution, command: str | None) -> str:
     rows = [(key.replace("_", " "), str(value)) for key, value in solution.provenance.items()]
-    spent = solution.statistics
-    rows.append(
-        ("solver", f"{spent.iterations} iterations, build {spent.build_s:.3f} s, solve {spent.solve_s:.3f} s")
-    )
+    rows.append(("solver", solution.statistics.text))
     return again(command) + table(("", ""), rows)
 
 

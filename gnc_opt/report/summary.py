@@ -169,14 +169,8 @@ def _times(solution: Solution) -> str:
 
 
 def _cost(solution: Solution) -> str:
-    spent = solution.statistics
     scheme = next(iter(solution.phases.values())).scheme
-    cost = "build re-used" if spent.build_reused else f"build {spent.build_s:.3f} s"
-    cost += f", solve {spent.solve_s:.3f} s"
-    return _line(
-        "mesh",
-        f"{mesh_text(solution)} {scheme}, {spent.iterations} iterations, {cost}",
-    )
+    return _line("mesh", f"{mesh_text(solution)} {scheme}, {solution.statistics.text}")
 
 
 def _quality_lines(quality: Quality | None, brief: bool) -> Iterator[str]:

@@ -22,8 +22,8 @@ class Statistics:
 
     Examples
     --------
-    >>> print(solution.statistics.iterations >= 0)
-    True
+    >>> print(solution.statistics.iterations)
+    0
     """
 
     iterations: int
@@ -32,6 +32,16 @@ class Statistics:
     function_s: float
     linear_solver_s: float
     build_reused: bool = False
+
+    @property
+    def text(self) -> str:
+        """In words, ``"12 iterations, build 0.046 s, solve 0.010 s"``."""
+        if self.iterations == 0 and self.solve_s == 0.0:
+            return "by Newton's method on switch times, no program solved on it"
+        build = "build re-used" if self.build_reused else f"build {self.build_s:.3f} s"
+        return (
+            f"{self.iterations} iteration{'s' * (self.iterations != 1)}, {build}, solve {self.solve_s:.3f} s"
+        )
 
     def after(self, earlier: Statistics) -> Statistics:
         """Return these together with what an earlier try of the same solve cost."""

@@ -66,3 +66,33 @@ def test_variations_are_variations_of_one_another() -> None:
     slower = problem.with_bounds(v=(None, 0.8))
     assert restated(slower).builds is restated(problem).builds
     assert restated(problem).fingerprint() == restated(problem).fingerprint()
+
+
+@pytest.mark.parametrize("of_solution", [False, True])
+def test_limits_come_back_where_other_bounds_do_not_keep_them(of_solution: bool) -> None:
+    """Rest to rest over 2, |a| <= 1, and v <= 1 by a path limit that a bound of 1 has kept before: 3 s, not 2.83."""
+    problem, leg, _q, v, _a = _cart()
+    leg.time(0.0, (0.1, 9.0))
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=2.0, v=0.0)
+    leg.path("speed", v, upper=1.0)
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem)
+    wider = (solution.need_problem("vary") if of_solution else problem).with_bounds(v=(None, 2.0))
+    assert restated(wider).phases["leg"].paths["speed"].interval.upper == [1.0]
+    assert go.solve(wider).objective == pytest.approx(3.0, abs=1e-7)
+    found = go.Resolver(solution).solve(wider)
+    assert found.objective == pytest.approx(3.0, abs=1e-6) and go.verify(found).ok
+    again = restated(wider).with_bounds(v=(None, 1.0))
+    assert restated(again).phases["leg"].paths["speed"].interval.upper == [np.inf]
+
+
+def test_limits_beside_a_kink_come_back_too() -> None:
+    """The row of the speed shares its constraint with one that is restated."""
+    problem, leg, _q, v, a = _cart()
+    leg.time(0.0, 1.0)
+    leg.path("both", ca.vertcat(v, ca.fabs(a)), upper=[1.0, 0.5])
+    problem.minimize(leg.final_state("q") ** 2)
+    for wider in (problem.with_bounds(v=(None, 2.0)), restated(problem).with_bounds(v=(None, 2.0))):
+        limits = [c.interval for c in restated(wider).phases["leg"].paths.values()]
+        assert any(1.0 in box.upper for box in limits)

@@ -23,14 +23,21 @@ Line: TypeAlias = tuple[int, int, float, float]
 
 
 def without_repeated(problem: P) -> P:
-    """Return a problem whose path limits are free where bounds keep them already; itself if there are none."""
+    """Return a problem whose path limits are free where bounds keep them already, and only there; itself if it is one.
+
+    Of a problem that this was done to before, for other bounds, declared limits come back.
+    """
     freed = {name: _freed(problem, leg) for name, leg in problem.phases.items()}
     if not any(freed.values()):
         return problem
     twin = problem.clone()
     for name, constraints in freed.items():
         twin.phases[name].paths |= constraints
-    key = tuple((name, label) for name, own in freed.items() for label in own)
+    key = tuple(
+        (name, label, np.isfinite(c.interval.lower).tobytes(), np.isfinite(c.interval.upper).tobytes())
+        for name, own in freed.items()
+        for label, c in own.items()
+    )
     twin.builds = problem.builds.setdefault(("without repeated limits", *key), {})
     return twin
 
@@ -42,7 +49,8 @@ def _freed(problem: Statement, leg: Phase) -> dict[str, Constraint]:
     most = np.concatenate([states.upper, controls.upper])
     changed = {}
     for name, own in lines.items():
-        box = leg.paths[name].interval
+        old = leg.paths[name]
+        box = old.declared or old.interval
         lower, upper = box.lower.copy(), box.upper.copy()
         for i, place, slope, offset in own:
             if box.fixed[i]:
@@ -50,8 +58,8 @@ def _freed(problem: Statement, leg: Phase) -> dict[str, Constraint]:
             low, high = sorted((offset + slope * least[place], offset + slope * most[place]))
             lower[i] = -np.inf if low >= lower[i] - ROUNDING * abs(lower[i]) else lower[i]
             upper[i] = np.inf if high <= upper[i] + ROUNDING * abs(upper[i]) else upper[i]
-        if not (np.array_equal(lower, box.lower) and np.array_equal(upper, box.upper)):
-            changed[name] = replace(leg.paths[name], interval=Interval(lower, upper))
+        if not (np.array_equal(lower, old.interval.lower) and np.array_equal(upper, old.interval.upper)):
+            changed[name] = replace(old, interval=Interval(lower, upper), declared=box)
     return changed
 
 

@@ -39,7 +39,10 @@ def restated(problem: P) -> P:
     Both have the same states, costates and cost. Variations of a problem with other numbers are restated as variations
     of one another. Path limits that repeat bounds are free.
     """
-    problem = without_repeated(problem)
+    return without_repeated(_without_norms(problem))
+
+
+def _without_norms(problem: P) -> P:
     kinked_ends = has_end_kinks(problem)
     if not kinked_ends and not any(_may_have_norms(problem, leg) for leg in problem.phases.values()):
         return problem
