@@ -279,7 +279,8 @@ def test_where_costates_vanish_controls_are_worth_the_terms_that_cancel() -> Non
 def test_costates_of_quick_states_are_no_rounding_beside_a_long_phase() -> None:
     """y' = 50 (a - y) with the cost y + a^2 / 2, for 1000 s: lam = 1 / 50 and a = -1, so that H curves by 1 in a.
 
-    The rate of lam is 1 - 50 lam: its terms cancel, and over 1000 s each would make 1000 of it; but lam answers in 0.02 s.
+    The rate of lam is 1 - 50 lam: its terms cancel, and over 1000 s each would make 1000 of it; but lam answers in
+    0.02 s.
     """
     model = go.Model("lag")
     y, a = model.state("y"), model.control("a")
