@@ -19,7 +19,7 @@ from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol, as_expression
 from gnc_opt.problem.constraint import Constraint, make_constraint
-from gnc_opt.problem.guess.values import GuessValue, read_guess_times, sample_guess
+from gnc_opt.problem.guess.values import GuessValue, on_shared_times, read_guess_times, sample_guess
 from gnc_opt.problem.held import Held, Junction, Smooth, read_kinds
 from gnc_opt.problem.interval import Interval, free, intersect, read_interval
 from gnc_opt.problem.named_ranges import merged, one_sided, without_negative_parts
@@ -238,20 +238,25 @@ class Phase(Strict):
         Parameters
         ----------
         time : array (n_times,), optional
-            Times of array-valued guesses; its ends are also the guess of initial and final time.
+            Times of array-valued guesses; its ends are also the guess of initial and final time. Arrays that were
+            given before keep their own times if others come with new ones, and move to these if given alone.
         **values
             By name of state or control: a constant, a tuple ``(start, end)`` (straight line), an array
             (n, n_times), or a function of time that returns the value.
         """
         old = self.numbers.guess
         times = old.time if time is None else read_guess_times(time, self.where)
+        older = old.time if time is not None and values else None  # times of what is joined
         merged = {**old.values, **values}
         ends = np.array([0.0, 1.0])
-        for name, value in merged.items():
+        for name, value in (merged if older is None else values).items():
             variable = self.guessable.get(name) or self._owner_layout(name, "guess")[name]
-            size = variable.size
             if not callable(value):  # those must wait until the phase's times are known
-                sample_guess(value, size, ends, ends, times, f"the guess of '{name}' in {self.where}")
+                what = f"the guess of '{name}' in {self.where}"
+                sample_guess(value, variable.size, ends, ends, times, what)
+        if older is not None and times is not None:
+            kept = {name: value for name, value in old.values.items() if name not in values}
+            merged, times = on_shared_times(kept, older, values, times)
         self._set(guess=PhaseGuess(times, merged))
 
     def scale(self, **magnitudes: ArrayLike) -> None:
