@@ -31,8 +31,7 @@ def check_problem(problem: Statement) -> None:
     first = "checked" not in problem.builds
     solved = restated(problem)
     if first:
-        for leg in problem.phases.values():
-            _check_unused_controls(problem, leg)
+        check_unused_controls(problem)
         for leg in solved.phases.values():
             warn_of_kinks(solved, leg)
         _check_unused_parameters(problem)
@@ -204,15 +203,20 @@ def _idle(variable: Variable, symbol: Any, used: set[int]) -> list[str]:
     return [name for name, s in zip(variable.labels, scalars, strict=True) if s.element_hash() not in used]
 
 
-def _check_unused_controls(problem: Statement, leg: Phase) -> None:
-    used = _used([_along(problem, leg)])
-    for variable in leg.model.controls.variables:
-        idle = _idle(variable, leg.model.symbol(variable.name), used)
-        if idle:
-            raise ProblemError(
-                f"control '{idle[0]}' of {leg.where} appears in no dynamics, path constraint or integral: "
-                "use it or remove it (its value would be arbitrary)."
-            )
+def check_unused_controls(problem: Statement) -> None:
+    """Raise `ProblemError` for a control that neither dynamics nor limits nor an integral that counts depend on."""
+    ends = _used([ca.vertcat(problem.cost, problem.constraint_expression())])
+    for leg in problem.phases.values():
+        counts = [value for symbol, value in leg.integrands.values() if symbol.element_hash() in ends]
+        along = ca.vertcat(leg.model.derivative(), leg.path_expression(), *counts)
+        used = _used([problem.bind(leg, along)])
+        for variable in leg.model.controls.variables:
+            idle = _idle(variable, leg.model.symbol(variable.name), used)
+            if idle:
+                raise ProblemError(
+                    f"control '{idle[0]}' of {leg.where} appears in no dynamics, path constraint or integral of the "
+                    "cost or a constraint: use it or remove it (its value would be arbitrary)."
+                )
 
 
 def _check_unused_parameters(problem: Statement) -> None:

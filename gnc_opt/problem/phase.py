@@ -19,7 +19,7 @@ from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol, as_expression
 from gnc_opt.problem.constraint import Constraint, make_constraint
-from gnc_opt.problem.guess.values import GuessValue, read_guess_times, sample_guess
+from gnc_opt.problem.guess.values import GuessValue, on_shared_times, read_guess_times, sample_guess
 from gnc_opt.problem.held import Held, Junction, Smooth, read_kinds
 from gnc_opt.problem.interval import Interval, free, intersect, read_interval
 from gnc_opt.problem.named_ranges import merged, one_sided, without_negative_parts
@@ -71,6 +71,7 @@ class Phase(Strict):
         "numbers",
         "paths",
         "restatement",
+        "told",
     )
 
     def __init__(self, name: str, model: Model, owner: Owner) -> None:
@@ -90,6 +91,7 @@ class Phase(Strict):
         self.restatement: Restatement | None = None
         self.handed: dict[str, tuple[str, Array]] = {}
         self.follows: str | None = None
+        self.told: dict[tuple[str, str], Array] = {}
         self.integrands: dict[str, tuple[Any, Any]] = {}
         self.initial_time: Any = ca.SX.sym(f"{name}_initial_time")
         self.final_time: Any = ca.SX.sym(f"{name}_final_time")
@@ -236,20 +238,25 @@ class Phase(Strict):
         Parameters
         ----------
         time : array (n_times,), optional
-            Times of array-valued guesses; its ends are also the guess of initial and final time.
+            Times of array-valued guesses; its ends are also the guess of initial and final time. Arrays that were
+            given before keep their own times if others come with new ones, and move to these if given alone.
         **values
             By name of state or control: a constant, a tuple ``(start, end)`` (straight line), an array
             (n, n_times), or a function of time that returns the value.
         """
         old = self.numbers.guess
         times = old.time if time is None else read_guess_times(time, self.where)
+        older = old.time if time is not None and values else None  # times of what is joined
         merged = {**old.values, **values}
         ends = np.array([0.0, 1.0])
-        for name, value in merged.items():
+        for name, value in (merged if older is None else values).items():
             variable = self.guessable.get(name) or self._owner_layout(name, "guess")[name]
-            size = variable.size
             if not callable(value):  # those must wait until the phase's times are known
-                sample_guess(value, size, ends, ends, times, f"the guess of '{name}' in {self.where}")
+                what = f"the guess of '{name}' in {self.where}"
+                sample_guess(value, variable.size, ends, ends, times, what)
+        if older is not None and times is not None:
+            kept = {name: value for name, value in old.values.items() if name not in values}
+            merged, times = on_shared_times(kept, older, values, times)
         self._set(guess=PhaseGuess(times, merged))
 
     def scale(self, **magnitudes: ArrayLike) -> None:
@@ -436,6 +443,12 @@ class Phase(Strict):
         """All phases of the problem, this one among them."""
         return tuple(self._owner.phases.values())
 
+    def note_told(self, end: str, state: str, component: int, value: float) -> None:
+        """Note what a boundary constraint tells of a state at the "initial" or "final" end, for the guess."""
+        told = self.told.get((end, state), np.full(self.model.states[state].size, np.nan)).copy()
+        told[component] = value
+        self.told[end, state] = told
+
     def handed_over(self, state: str) -> tuple[Phase, Array] | None:
         """Return the earlier phase that a link takes a state from, and the jump (n,); None if it begins here."""
         if state not in self.handed:
@@ -460,7 +473,7 @@ class Phase(Strict):
         twin = copy.copy(self)
         twin.paths, twin.integrands = dict(self.paths), dict(self.integrands)
         twin._curved, twin._told_on_sphere = set(self._curved), dict(self._told_on_sphere)
-        twin.handed = dict(self.handed)
+        twin.handed, twin.told = dict(self.handed), dict(self.told)
         twin._owner = owner or self._owner
         return twin
 

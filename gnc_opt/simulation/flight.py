@@ -31,6 +31,9 @@ from gnc_opt.simulation.run import Run
 LEG = 1000
 """Control steps that are flown in one call at most: what a call takes of memory does not grow with the run."""
 
+_AVERAGED = ", owed to actuators that take the mean of what they get"
+"""Said of runs that more integration steps do not make more accurate."""
+
 _ZENO = f"more than {MOST - 1} events in a control step (Zeno: let what they follow come to rest by another event)"
 """What ended a run whose events do not let time pass."""
 
@@ -503,7 +506,8 @@ class Flight:
             return Outcome(RunStatus.STOPPED, name, time)
         error = float(self._error(parts)[i])
         if not error <= self.accuracy:
-            return Outcome(RunStatus.INACCURATE, f"integration error {error:.2g}")
+            why = _AVERAGED if 2 * float(parts["blur"][0, i]) > error else ""
+            return Outcome(RunStatus.INACCURATE, f"integration error {error:.2g}{why}")
         return Outcome(RunStatus.OK, name, time)
 
     def _stop(self, parts: dict[str, Array], i: int) -> tuple[str, float]:

@@ -16,7 +16,7 @@ from gnc_opt.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, SolverOpt
 from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.covector import Iterate
 from gnc_opt.solution.diagnosis import find_violations
-from gnc_opt.solution.extract import extract_phases
+from gnc_opt.solution.extract import extract_phases, unwound_controls
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.start import ProgramStart, program_start
 from gnc_opt.solution.statistics import Statistics
@@ -130,6 +130,7 @@ class Attempt:
         box = transcription.variable_interval(problem)
         # Scaling and unscaling rounds: a variable at its bound must sit exactly there.
         iterate = replace(iterate, x=np.where(box.fixed, box.lower, iterate.x))
+        iterate = replace(iterate, x=unwound_controls(transcription, problem, iterate.x))
         phases, gradients = extract_phases(transcription, problem, iterate)
         places = transcription.parameter_places
         return Solution(

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.arrays import Array
+from gnc_opt.problem.angles import unwound
 from gnc_opt.problem.functions import EndGradients, end_gradients, phase_functions
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
@@ -50,6 +51,23 @@ def extract_phases(
         for name, part in transcription.parts.items()
     }
     return phases, gradients
+
+
+def unwound_controls(transcription: Transcription, problem: Problem, variables: Array) -> Array:
+    """Return the variables with angles among the controls unwound; see `gnc_opt.problem.angles`."""
+    q = variables[transcription.parameter_places]
+    extended = np.concatenate([variables, transcription.fixed_times(problem)])
+    found = variables.copy()
+    for name, part in transcription.parts.items():
+        leg, collocation = problem.phases[name], part.collocation
+        none = np.zeros(len(leg.integrands))
+        functions = phase_functions(problem, name, model_parameters(problem, leg, q), q, none)
+        times, _ = _point_times(collocation, extended[part.times])
+        x, u = extended[collocation.point_states], extended[collocation.point_controls]
+        turned = unwound(functions, leg.numbers.controls, times, x, u)
+        if turned is not u:
+            found[collocation.point_controls] = turned
+    return found
 
 
 def _integrals(transcription: Transcription, problem: Problem, name: str, extended: Array, q: Array) -> Array:

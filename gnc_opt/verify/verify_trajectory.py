@@ -14,8 +14,10 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.layout import Layout
 from gnc_opt.nlp.status import Status
+from gnc_opt.problem.angles import unwound
 from gnc_opt.problem.arc import Arc, ArcKind
-from gnc_opt.problem.functions import phase_functions
+from gnc_opt.problem.check import check_unused_controls
+from gnc_opt.problem.functions import PhaseFunctions, phase_functions
 from gnc_opt.problem.norms import restated
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
@@ -80,7 +82,8 @@ def verify_trajectory(
     Raises
     ------
     ProblemError
-        Wrong sizes, missing or unknown names, times that decrease, numbers that are not finite.
+        Wrong sizes, missing or unknown names, times that decrease, numbers that are not finite, a control that nothing
+        depends on.
 
     Examples
     --------
@@ -102,7 +105,8 @@ def verify_trajectory(
     """
     expect(problem, Problem, "what verify_trajectory() got first", "give the problem, then t, x and u")
     q = _parameters(problem, p)
-    samples = _read_phases(problem, t, x, u)
+    check_unused_controls(problem)
+    samples = _unwound(problem, _read_phases(problem, t, x, u), q)
     verdict, twin = _judged(problem, samples, q, tol), restated(problem)
     if verdict.minimum or twin is problem:
         return verdict
@@ -154,10 +158,8 @@ def _solution(
     problem: Problem, samples: Mapping[str, Samples], q: Array, parts: int = 1, near: float = ACTIVE
 ) -> Solution:
     fitted: dict[str, FittedPhase] = {}
-    for name, leg in problem.phases.items():
-        none = np.zeros(len(leg.integrands))
-        functions = phase_functions(problem, name, model_parameters(problem, leg, q), q, none)
-        fitted[name] = fit(samples[name], functions.rates).split(parts)
+    for name in problem.phases:
+        fitted[name] = fit(samples[name], _functions(problem, name, q).rates).split(parts)
     transcription = transcribe(problem, {name: phase.mesh for name, phase in fitted.items()}, GAUSS)
     iterate = estimate(transcription, problem, fitted, q, near)
     phases, gradients = extract_phases(transcription, problem, iterate)
@@ -194,6 +196,21 @@ def _with_trajectory(leg: PhaseSolution, phase: FittedPhase) -> PhaseSolution:
         initial_time=float(breaks[0]),
         final_time=float(breaks[-1]),
     )
+
+
+def _functions(problem: Problem, name: str, q: Array) -> PhaseFunctions:
+    leg = problem.phases[name]
+    return phase_functions(problem, name, model_parameters(problem, leg, q), q, np.zeros(len(leg.integrands)))
+
+
+def _unwound(problem: Problem, samples: Mapping[str, Samples], q: Array) -> dict[str, Samples]:
+    """The samples with angles that other tools keep within a turn as they run on."""
+    found = {}
+    for name, leg in samples.items():
+        bounds = problem.phases[name].numbers.controls
+        controls = unwound(_functions(problem, name, q), bounds, leg.t, leg.x, leg.u)
+        found[name] = replace(leg, u=controls)
+    return found
 
 
 def _arcs(leg: PhaseSolution) -> list[Arc]:

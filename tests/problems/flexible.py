@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 
@@ -46,9 +48,14 @@ def rate(
     pushed = torque + wave * np.sin(t) + level
     momentum = moments[:, None] * w + COUPLING @ eta_rate
     free = -damped * eta_rate - stiff**2 * eta
-    mass = np.block([[np.diag(moments), COUPLING], [COUPLING.T, np.eye(4)]])
-    accelerations = np.linalg.solve(mass, np.vstack([pushed - cross(w, momentum), free]))
+    accelerations = flexibility(tuple(body[0])) @ np.vstack([pushed - cross(w, momentum), free])
     return np.vstack([turn, accelerations[:3], eta_rate, accelerations[3:]])
+
+
+@cache
+def flexibility(moments: tuple[float, ...]) -> np.ndarray:
+    """Inverse of the mass matrix of hub and modes, which no motion changes."""
+    return np.linalg.inv(np.block([[np.diag(moments), COUPLING], [COUPLING.T, np.eye(4)]]))
 
 
 def rest() -> np.ndarray:

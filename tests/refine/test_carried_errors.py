@@ -15,10 +15,13 @@ import math
 
 import numpy as np
 import pytest
+from scipy.special import spherical_in
 
 import gnc_opt as go
+from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure.carried import Decay, on_carrying_arcs
 from gnc_opt.refine.structure.detect import structures_of
+from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import Plan
 from gnc_opt.refine.structure.switching import optimise_switches
 from gnc_opt.solution.history import RefinementStatus
@@ -92,3 +95,43 @@ def test_segments_of_the_mesh_are_kept(coarse: go.Solution) -> None:
     finer = plan.resolutions[0].with_points(np.array([3, 40, 0]))
     assert finer.each == (8, 6, 6, 6, 6, 7)
     assert 0.3105 * finer.shares == pytest.approx([0.0, 0.1, 0.15, 0.2, 0.25, 0.3, 0.3105])
+
+
+def test_only_limits_without_controls_carry_errors_on() -> None:
+    both = PhaseStructure(
+        (0.0, 1.0, 2.0),
+        (
+            (ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.INTERIOR),
+            (ArcKind.INTERIOR, ArcKind.INTERIOR, ArcKind.LOWER),
+        ),
+        n_controls=1,
+        n_paths=2,
+        orders=(0, 0, 2),
+    )
+    assert list(on_carrying_arcs(both)) == [False, True]
+
+
+def test_blame_is_shared_along_carrying_arcs_alone() -> None:
+    decay = Decay(np.array([1e-9, 1e-3, 1e-5]), np.ones(3))
+    own = decay.own_errors(np.array([False, True, True]), np.array([7.0, 2.0, 3.0]))
+    assert own == pytest.approx([7.0, 3.0, 0.03])
+
+
+def test_coefficients_of_a_hyperbolic_cosine_fall_as_fast_as_said() -> None:
+    """Least integral of x^2 + u^2 with x(-1) = x(1) = 1: x = cosh t / cosh 1, whose odd coefficients vanish."""
+    model = go.Model("point")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u})
+    problem = go.Problem("even")
+    leg = problem.phase("leg", model)
+    leg.time(initial=-1.0, final=1.0)
+    leg.initial(x=1.0)
+    leg.final(x=1.0)
+    problem.minimize(leg.integral(x**2 + u**2))
+    decays = [Decay.of(go.solve(problem, mesh=f"1x{n}", tol=None).samples()["leg"]) for n in (4, 6)]
+    # Of cosh t the even coefficients are (2 n + 1) i_n(1), with modified spherical Bessel functions i_n.
+    n = np.array([4, 6])
+    expected = (2 * n + 1) * spherical_in(n, 1.0)
+    assert decays[1].left[0] / decays[0].left[0] == pytest.approx(expected[1] / expected[0], rel=0.2)
+    mean = np.log10(spherical_in(0, 1.0) / expected) / (n - 1)
+    assert [d.rates[0] for d in decays] == pytest.approx(mean, rel=0.2)

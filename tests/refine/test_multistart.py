@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -31,7 +31,7 @@ from gnc_opt import Multistart, cli, multistart
 from gnc_opt.problem.guess.random import with_random_guess
 from gnc_opt.refine.search.multistart import _answer, _Coarse, _Start
 from gnc_opt.refine.search.refining import Refining
-from gnc_opt.refine.search.reflection import Reflection, Reflections, bent
+from gnc_opt.refine.search.reflection import Reflection, Reflections, bent, parts
 from gnc_opt.solution.solve_mesh import solve_mesh
 from gnc_opt.workers.pool import Done, WorkerDied
 from problems import rendezvous
@@ -192,18 +192,18 @@ def test_spurious_solutions_are_rejected(monkeypatch: pytest.MonkeyPatch) -> Non
 # --- reflections ----------------------------------------------------------------------------------------------
 
 
-def pillar() -> go.Problem:
-    """The shortest way past a pillar of radius 1 in (0, 0.3), from (-2, 0) to (2, 0)."""
+def pillar(height: float = 0.0) -> go.Problem:
+    """The shortest way past a pillar of radius 1 in (0, 0.3), from (-2, 0) to (2, 0), all of it raised to a height."""
     model = go.Model("walker")
     x, y, way = model.state("x"), model.state("y"), model.control("way")
     model.ode({x: ca.cos(way), y: ca.sin(way)})
     problem = go.Problem("pillar")
     walk = problem.phase("walk", model)
     walk.time(initial=0.0, final=(2.0, 20.0))
-    walk.initial(x=-2.0, y=0.0)
-    walk.final(x=2.0, y=0.0)
+    walk.initial(x=-2.0, y=height)
+    walk.final(x=2.0, y=height)
     walk.bounds(way=(-2.0, 2.0))
-    walk.path("pillar", x**2 + (y - 0.3) ** 2, lower=1.0)
+    walk.path("pillar", x**2 + (y - height - 0.3) ** 2, lower=1.0)
     problem.minimize(walk.final_time)
     return problem
 
@@ -260,6 +260,44 @@ def test_every_reflection_of_a_minimum_is_tried_once() -> None:
     (only,) = waiting.of(problem, [minimum], 5)
     assert only.labels == {"y", "way"}
     assert waiting.of(problem, [minimum], 5) == []
+    (other,) = waiting.of(problem, [replace(minimum, objective=minimum.objective + 1.0)], 5)
+    assert other.labels == only.labels
+
+
+def test_a_trajectory_is_reflected_about_the_line_between_its_ends() -> None:
+    problem = pillar(height=5.0)
+    solution = solve_mesh(problem, MESH)
+    guess = Reflection(solution, frozenset({"y", "way"})).guess(problem).phases["walk"].numbers.guess
+    assert guess.time is not None
+    x, y = solution.phase().x(guess.time)
+    np.testing.assert_allclose(guess.values["y"], [10.0 - y], atol=1e-7)
+    np.testing.assert_allclose(guess.values["x"], [x], atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("rate", "apart"),
+    [
+        (lambda x, u, w: 0.5 * w + 0.2 * u, True),  # x is about 1: u moves it too little
+        (lambda x, u, w: 0.5 * w + 0.4 * u, False),
+        (lambda x, u, w: 10.0 * w + 2.0 * u, True),  # enough, but next to nothing beside w
+        (lambda x, u, w: 0.5 * w + ca.sqrt(u), False),  # infinitely much in the middle of its bounds
+    ],
+)
+def test_parts_are_what_moves_each_other_strongly(rate: Callable[..., ca.SX], apart: bool) -> None:
+    model = go.Model("point")
+    x, u, w = model.state("x"), model.control("u"), model.control("w")
+    model.ode({x: rate(x, u, w)})
+    problem = go.Problem("one way")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(x=1.0)
+    leg.final(x=1.3)
+    leg.bounds(u=(-1.0, 1.0), w=(-1.0, 1.0))
+    leg.guess(u=0.5, w=0.5)
+    problem.minimize(leg.integral(u**2 + w**2))
+    found = parts(solve_mesh(problem, "1x2"))
+    assert (frozenset({"u"}) in found) is apart
+    assert any({"x", "w"} <= part for part in found)
 
 
 def aircraft() -> go.Problem:

@@ -94,10 +94,10 @@ def test_exact_bounces_that_accumulate_stay_exact() -> None:
     assert apart < run.integration_error < 1e-12
 
 
-def by_hand(**change: object) -> float:
+def by_hand(level: float = 0.0, **change: object) -> float:
     """Of a ball that meets the ground at -0.1 m/s, by `instant_error`."""
     model = ball(0.0)
-    events = Events.of(model, (Event("ground", model.symbol("h"), "falling", reset={}),))
+    events = Events.of(model, (Event("ground", model.symbol("h") - level, "falling", reset={}),))
     given = {
         "errors": 1e-6,
         "t": 0.5,
@@ -120,6 +120,45 @@ def test_states_after_a_bounce_move_by_the_saltation_matrix() -> None:
     )  # the speed has changed by 1e-6 G / 0.1 meanwhile
     ended = 1e-6 * (G / 0.1 + 1.0)
     assert by_hand(ended=1) == pytest.approx(ended - 1e-6, rel=1e-3)
+
+
+def test_the_row_of_an_end_is_met_whatever_the_way_is_off_by() -> None:
+    """Even motion through the ground: its height there has no error, and its speed no more than before."""
+    even = {"x": [0.0, -10.0], "rates": ca.DM([[-10.0, 0.0], [0.0, 0.0]]), "bend": 0.0, "ended": 1}
+    assert by_hand(**even, x_after=[0.0, -10.0], reset=ca.DM.eye(2)) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_even_motion_that_turns_back_moves_by_twice_the_error_less() -> None:
+    """Perfectly elastic, h is mirrored: what was too high by an error is too low by it, and no more."""
+    mirrored = {"x": [0.0, -10.0], "x_after": [0.0, 10.0], "bend": 0.0, "reset": ca.diag([1.0, -1.0])}
+    assert by_hand(**mirrored, rates=ca.DM([[-10.0, 10.0], [0.0, 0.0]])) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_states_after_a_reset_are_weighed_by_their_own_size() -> None:
+    """A thousand times as fast afterwards, the same change of rates is a thousandth of it."""
+    kicked = {"x_after": [0.0, 1000.0], "rates": ca.DM([[-0.1, -0.1], [0.0, 1e6]]), "bend": 0.0}
+    given = {**kicked, "reset": ca.diag([1.0, 0.0])}  # the speed is set, and grows by 1e6 m/s^2
+    assert by_hand(**given) == pytest.approx(1e-6 * 1e6 / 0.1 / 1000.0 - 1e-6, rel=1e-6)
+
+
+def test_a_row_is_off_by_what_its_states_are_off_by() -> None:
+    """1e-6 of 5 km is 5 mm, which at 0.1 m/s is 50 ms; of the ground's height it is 10 us."""
+    same = {"rates": ca.DM([[-0.1, -0.1], [0.0, 0.0]]), "bend": 0.0, "reset": ca.DM.eye(2)}
+    high = {"x": [5000.0, -0.1], "x_after": [5000.0, -0.1]}
+    assert by_hand(5000.0, **same, **high) == pytest.approx(5e-3 / 0.1 - 1e-6, rel=1e-6)
+
+
+def test_of_two_rows_the_one_that_is_met_counts() -> None:
+    """What the way has been off by since another row was met does not move this one's instant."""
+    model = ball(0.0)
+    h = model.symbol("h")
+    events = Events.of(
+        model, (Event("ground", h, "falling", reset={}), Event("roof", h - 5.0, "falling", reset={}))
+    )
+    rates, reset = ca.DM([[-0.1, 0.05], [-G, -G]]), ca.diag([1.0, -BACK])
+    state = [0.0, -0.1], [0.0, 0.05]
+    both = instant_error(events, 2)([1e-6, 1e-3], 0.5, *state, [1, 0], rates, [-G, -G], reset, 0, [])
+    assert float(sum(both)) == pytest.approx(by_hand(), rel=1e-12)
 
 
 def test_what_is_only_noted_moves_the_instant_alone() -> None:

@@ -280,6 +280,20 @@ def test_what_averaging_may_add_is_reckoned_at_every_minor_step(start, minor):
     assert ending.integration_error[0] == pytest.approx(total, rel=1e-6)  # the integration itself is exact
 
 
+@pytest.mark.parametrize("averaged", [True, False])
+def test_inaccurate_runs_say_whether_averaging_is_to_blame(averaged: bool) -> None:
+    """A delay behind a rate limit takes means; before it, what is left is one integration step in 0.5 s."""
+    plant = Model("spring")
+    x, v, u = plant.state("x"), plant.state("v"), plant.control("u")
+    plant.ode({x: v, v: u - 4 * x})
+    law = scheduled(plant, lambda t: np.sin(3 * t)[None, :])
+    blocks = [RateLimit("valve", 1.0), Delay("bus", 0.2)]
+    loop = ClosedLoop(plant, law, blocks if averaged else blocks[::-1], dt=0.5, substeps=1)
+    outcome = loop.simulate([0.0, 0.0], tf=2.0).outcome
+    assert outcome.what.startswith("integration error")
+    assert ("owed to actuators that take the mean" in outcome.what) is averaged
+
+
 def test_where_waves_of_several_actuators_break_the_integration_begins_anew():
     """Two delays and a rate limit on three controls: held, then held, then a ramp, in one step of 1 s."""
     plant = Model("impulses")

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
+from gnc_opt.solution.program_point import ProgramPoint
 from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.verify.aim import aimed_gradient, lone_vector
+from gnc_opt.verify.aim import aimed_gradient, lone_vector, without_idle_directions
+from gnc_opt.verify.critical_cone import CriticalCone
 from gnc_opt.verify.least_hamiltonian import _Search, limits
 
 MAGNITUDE, DIRECTION = 0, slice(1, 3)
@@ -154,3 +156,22 @@ def test_a_coast_leaves_no_doubt_of_a_minimum(v0: tuple[float, float]) -> None:
         assert solution.objective == pytest.approx(1.0, abs=1e-7)
     verdict = go.verify(solution)
     assert verdict.minimum, verdict.explain()
+
+
+def test_directions_are_held_where_their_magnitude_is_and_there_alone() -> None:
+    solution = flight(0.0)
+    s, cone = samples(solution), CriticalCone.of(ProgramPoint.of(solution))
+    collocation = cone.point.transcription.parts["leg"].collocation
+    magnitude, direction = collocation.point_controls[MAGNITUDE], collocation.point_controls[DIRECTION]
+    length = cone.point.x.size + collocation.path_rows[0]
+    strong = cone.strong.copy()
+    strong[length] = True  # as if it were 1 along the coast, too
+    held = without_idle_directions(replace(cone, strong=strong), [s])
+    coasts = cone.point.x[magnitude] < 1e-9
+    assert 0 < np.sum(coasts) < coasts.size
+    assert np.all(cone.strong[magnitude[coasts]]) and not np.any(cone.strong[direction[:, coasts]])
+    np.testing.assert_array_equal(held.strong[direction], [coasts, coasts])
+    np.testing.assert_array_equal(held.strong[length], ~coasts)  # of what is held already no row is left
+    freed = cone.strong.copy()
+    freed[magnitude] = False  # a magnitude that nothing pushes to zero may grow, in any direction
+    assert not np.any(without_idle_directions(replace(cone, strong=freed), [s]).strong[direction])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TypeAlias
 
 import numpy as np
@@ -25,6 +25,39 @@ def read_guess_times(time: ArrayLike, where: str) -> Array:
             f"the times of the guess in {where} must be finite and increase: give two or more."
         )
     return times
+
+
+def on_shared_times(
+    old: Mapping[str, GuessValue], old_times: Array, new: Mapping[str, GuessValue], times: Array
+) -> tuple[dict[str, GuessValue], Array]:
+    """Return a guess that adds to an older one with times of its own: tables of both as they are, on the times of both.
+
+    Parameters
+    ----------
+    old, new : mapping of str to GuessValue
+        Values that are kept and those that join them, of other names.
+    old_times, times : array (n_times,)
+        The ends of the latter are those of the phase.
+    """
+    if not any(_is_table(value, old_times) for value in old.values()):
+        return {**old, **new}, times
+    shared = np.union1d(old_times, times)
+    shared = shared[(shared >= times[0]) & (shared <= times[-1])]
+    resampled = {
+        name: _resampled(value, given, shared) if _is_table(value, given) else value
+        for values, given in ((old, old_times), (new, times))
+        for name, value in values.items()
+    }
+    return resampled, shared
+
+
+def _is_table(value: GuessValue, times: Array) -> bool:
+    return not callable(value) and not isinstance(value, tuple) and np.shape(value)[-1:] == times.shape
+
+
+def _resampled(value: GuessValue, times: Array, at: Array) -> Array:
+    rows = np.asarray(value, dtype=float).reshape(-1, times.size)
+    return np.stack([np.interp(at, times, row) for row in rows])
 
 
 def sample_guess(
@@ -83,4 +116,4 @@ def _table(array: Array, size: int, at: Array, times: Array | None, what: str) -
         raise ProblemError(
             f"{what} has the shape {array.shape}: with {times.size} guess times give ({size}, {times.size})."
         )
-    return np.stack([np.interp(at, times, row) for row in array.reshape(size, times.size)])
+    return _resampled(array, times, at)

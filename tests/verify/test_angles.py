@@ -1,0 +1,95 @@
+"""Angles without bounds: turns do not count, neither those of the solver nor those of other tools."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import gnc_opt as go
+
+
+def shear(**bounds: tuple[float, float]) -> go.Problem:
+    """Zermelo's boat, 1 m/s, where the current is -y (Bryson & Ho 1975, section 2.7)."""
+    boat = go.Model("boat")
+    x, y, heading = boat.state("x"), boat.state("y"), boat.control("heading")
+    boat.ode({x: ca.cos(heading) - y, y: ca.sin(heading)})
+    problem = go.Problem("shear")
+    leg = problem.phase("leg", boat)
+    leg.time(0.0, (0.1, 30.0))
+    leg.initial(x=3.66, y=-1.86)
+    leg.final(x=0.0, y=0.0)
+    leg.bounds(**bounds)
+    problem.minimize(leg.final_time)
+    return problem
+
+
+def space(turn: float) -> go.Problem:
+    """To a point in least time with one unit of thrust along azimuth and elevation."""
+    probe = go.Model("probe")
+    r, v = probe.state("r", size=3), probe.state("v", size=3)
+    azimuth, elevation = probe.control("azimuth"), probe.control("elevation")
+    a, e = (angle * 2 * np.pi / turn for angle in (azimuth, elevation))
+    probe.ode({r: v, v: ca.vertcat(ca.cos(e) * ca.cos(a), ca.cos(e) * ca.sin(a), ca.sin(e))})
+    problem = go.Problem("space")
+    leg = problem.phase("leg", probe)
+    leg.time(0.0, (0.1, 30.0))
+    leg.initial(r=[0.0, 0.0, 0.0], v=[0.3, 0.0, 0.0])
+    leg.final(r=[1.0, 2.0, 0.7])
+    problem.minimize(leg.final_time)
+    return problem
+
+
+@pytest.fixture(scope="module")
+def crossing() -> go.Solution:
+    return go.solve(shear())
+
+
+def test_a_heading_runs_on_along_zermelo_s_law(crossing: go.Solution) -> None:
+    assert go.verify(crossing).minimum
+    t = crossing.phase("leg").sample_times()
+    slope = np.tan(crossing.control("heading")(t))
+    left = crossing.phase("leg").final_time - t
+    np.testing.assert_allclose(slope, slope[-1] - left, atol=1e-4)
+    assert np.max(np.abs(np.diff(crossing.control("heading")(t)))) < 0.2
+
+
+def test_a_range_of_two_turns_is_no_limit_to_a_heading() -> None:
+    found = go.solve(shear(heading=(-2 * np.pi, 2 * np.pi)))
+    assert go.verify(found).minimum
+    assert found.objective == pytest.approx(5.46, abs=5e-3)  # published
+
+
+def test_headings_within_a_turn_are_judged_as_they_run_on(crossing: go.Solution) -> None:
+    t = np.linspace(0.0, crossing.phase("leg").final_time, 81)
+    x = {name: crossing.state(name)(t) for name in ("x", "y")}
+    heading = crossing.control("heading")(t)
+    wrapped = np.angle(np.exp(1j * heading))
+    assert np.max(np.abs(np.diff(wrapped))) > 5  # by way of 180 degrees
+    assert go.verify_trajectory(crossing.problem, t, x, {"heading": wrapped}).minimum
+    off = wrapped + 1e-2 * np.sin(t)
+    assert not go.verify_trajectory(crossing.problem, t, x, {"heading": off}).ok
+
+
+@pytest.mark.parametrize("turn", [2 * np.pi, 360.0])
+def test_azimuth_and_elevation_of_a_straight_thrust(turn: float) -> None:
+    found = go.solve(space(turn))
+    final = np.max(np.roots([0.25, 0.0, -0.09, 0.6, -5.49]).real)  # |d - v t| = t^2 / 2
+    assert found.objective == pytest.approx(final, abs=1e-8)
+    assert go.verify(found).minimum
+    t = found.phase("leg").sample_times()
+    assert all(np.ptp(found.control(name)(t)) < 1e-4 * turn for name in ("azimuth", "elevation"))
+
+
+def test_an_integral_that_does_not_count_does_not_use_a_control() -> None:
+    twin = go.Model("boat")
+    x, y, heading, idle = twin.state("x"), twin.state("y"), twin.control("heading"), twin.control("idle")
+    twin.ode({x: ca.cos(heading) - y, y: ca.sin(heading)})
+    problem = go.Problem("idle")
+    leg = problem.phase("leg", twin)
+    leg.time(0.0, 1.0)
+    leg.integral(idle**2, "told")
+    problem.minimize(leg.final_state("y"))
+    t = np.linspace(0.0, 1.0, 5)
+    with pytest.raises(go.ProblemError, match="control 'idle' of phase 'leg'"):
+        problem.check()
+    with pytest.raises(go.ProblemError, match="control 'idle' of phase 'leg'"):
+        go.verify_trajectory(problem, t, np.zeros((2, 5)), np.zeros((2, 5)))
