@@ -71,6 +71,7 @@ class Phase(Strict):
         "numbers",
         "paths",
         "restatement",
+        "told",
     )
 
     def __init__(self, name: str, model: Model, owner: Owner) -> None:
@@ -90,6 +91,7 @@ class Phase(Strict):
         self.restatement: Restatement | None = None
         self.handed: dict[str, tuple[str, Array]] = {}
         self.follows: str | None = None
+        self.told: dict[tuple[str, str], Array] = {}
         self.integrands: dict[str, tuple[Any, Any]] = {}
         self.initial_time: Any = ca.SX.sym(f"{name}_initial_time")
         self.final_time: Any = ca.SX.sym(f"{name}_final_time")
@@ -441,6 +443,12 @@ class Phase(Strict):
         """All phases of the problem, this one among them."""
         return tuple(self._owner.phases.values())
 
+    def note_told(self, end: str, state: str, component: int, value: float) -> None:
+        """Note what a boundary constraint tells of a state at the "initial" or "final" end, for the guess."""
+        told = self.told.get((end, state), np.full(self.model.states[state].size, np.nan)).copy()
+        told[component] = value
+        self.told[end, state] = told
+
     def handed_over(self, state: str) -> tuple[Phase, Array] | None:
         """Return the earlier phase that a link takes a state from, and the jump (n,); None if it begins here."""
         if state not in self.handed:
@@ -465,7 +473,7 @@ class Phase(Strict):
         twin = copy.copy(self)
         twin.paths, twin.integrands = dict(self.paths), dict(self.integrands)
         twin._curved, twin._told_on_sphere = set(self._curved), dict(self._told_on_sphere)
-        twin.handed = dict(self.handed)
+        twin.handed, twin.told = dict(self.handed), dict(self.told)
         twin._owner = owner or self._owner
         return twin
 

@@ -20,6 +20,7 @@ from gnc_opt.model.symbol import Symbol, as_expression
 from gnc_opt.problem.check import check_problem
 from gnc_opt.problem.constraint import make_constraint
 from gnc_opt.problem.fingerprint import problem_fingerprint
+from gnc_opt.problem.guess.told import note_told_ends
 from gnc_opt.problem.guess.values import GuessValue
 from gnc_opt.problem.held import Junction, Smooth
 from gnc_opt.problem.interval import Interval, read_interval, read_range
@@ -188,6 +189,7 @@ class Problem(Statement):
         constraint = make_constraint(name, expression, lower, upper, equals, what)
         self._refuse_foreign_ends(constraint.expression, what)
         self.constraints[name] = constraint
+        note_told_ends(constraint, self.phases.values(), self.parameter_symbols(), self.parameter_guess)
         self.changed()
 
     def link(

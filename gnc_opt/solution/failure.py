@@ -76,6 +76,7 @@ def _untold(problem: Problem) -> list[str]:
         boxes = (numbers.initial, numbers.final, numbers.states)
         known = np.any([np.isfinite(limit) for box in boxes for limit in (box.lower, box.upper)], axis=0)
         for name in states.names:
-            here = name in numbers.guess.values or bool(np.any(known[states.slice(name)]))
+            by_constraint = any(state == name for _, state in leg.told)
+            here = by_constraint or name in numbers.guess.values or bool(np.any(known[states.slice(name)]))
             told[name] = here or told.get(name, False)
     return [name for name, known in told.items() if not known]

@@ -282,13 +282,16 @@ class PhaseSamples:
         none = np.zeros_like(at[1]), np.zeros((len(leg.path_labels), middles.size))
         by_cost = np.abs(self.functions.state_gradient(*at, *none))
         by_state = np.abs(self.functions.state_jacobian(*at))
+        # Costates add up what their rates are for no longer than the quickest of them takes to answer.
+        steepest = np.max(np.where(np.isfinite(by_state), by_state, 0.0), axis=2)
+        lasting = self.span / max(1.0, self.span * float(np.max(np.abs(np.linalg.eigvals(steepest)))))
         flown = np.max(np.abs(self.lam_polynomial), axis=1)
         before, balanced, size = np.full_like(flown, np.nan), np.zeros_like(flown), np.abs(leg.lam(middles))
         for _ in range(flown.size):  # costates along a chain may all vanish
             if np.array_equal(before, balanced):
                 break
             costates, before = np.maximum(size, balanced[:, None]), balanced
-            terms = self.span * np.max(np.einsum("jit,jt->it", by_state, costates) + by_cost, axis=1)
+            terms = lasting * np.max(np.einsum("jit,jt->it", by_state, costates) + by_cost, axis=1)
             balanced = np.where(np.isfinite(terms) & (flown <= NEGLIGIBLE * terms), terms, 0.0)
         slopes = np.einsum("jkt,j->kt", np.abs(self.functions.input_jacobian(*at)), balanced)
         return np.asarray(np.max(np.where(np.isfinite(slopes), slopes, 0.0), axis=1, initial=0.0))

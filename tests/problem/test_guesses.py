@@ -364,6 +364,38 @@ def test_a_flight_that_cannot_go_on_is_no_guess() -> None:
     assert with_flown_guess(problem) is None
 
 
+def test_ends_that_boundary_constraints_tell() -> None:
+    """A stage of 9 t of fuel, 1 t of structure and a free payload p, by Tsiolkovsky: p = 9 t / (exp(dv / c) - 1) - 1 t.
+
+    No bound, end or guess tells of the mass: zero, the guess without the constraints, is divided by.
+    """
+    model = go.Model("stage")
+    v, m, idle = model.state("v"), model.state("m"), model.state("idle", 2)
+    model.ode({v: 30e3 / m, m: -10.0, idle: [0.0, 0.0]})
+    problem = go.Problem("payload")
+    payload = problem.parameter("payload", lower=100.0, upper=20e3, guess=2e3)
+    burn = problem.phase("burn", model)
+    burn.time(0.0, (10.0, 5000.0))
+    burn.initial(v=0.0)
+    burn.final(v=3e3)
+    problem.constrain("lift-off", 2 * burn.initial_state("m") - 2 * payload, equals=20e3)
+    problem.constrain("dry", payload + 1e3 - burn.final_state("m"), upper=0.0)
+    start, last = burn.initial_state("idle"), burn.final_state("idle")
+    problem.constrain(
+        "start", ca.vertcat(start[1], start[0] ** 2), equals=[7.0, 4.0]
+    )  # a square tells no value
+    problem.constrain("two unknowns", last - start, equals=[0.0, 0.0])
+    problem.maximize(payload)
+
+    states = guessed(problem).states
+    assert states[1] == pytest.approx(np.linspace(12e3, 3e3, 11))
+    assert states[2:, 0].tolist() == [0.0, 7.0]
+    twin = problem.with_initial(m=5e3)
+    assert guessed(twin).states[1, 0] == 5e3  # what is stated there comes first
+    solution = go.solve(problem, mesh="5x4", tol=None)
+    assert solution.objective == pytest.approx(9e3 / np.expm1(1.0) - 1e3, rel=1e-7)
+
+
 def cart() -> go.Problem:
     model = go.Model("cart")
     q, v, a = model.state("q"), model.state("v"), model.control("a")

@@ -276,6 +276,27 @@ def test_where_costates_vanish_controls_are_worth_the_terms_that_cancel() -> Non
     assert at(0.01)._balanced_slopes.tolist() == [0.0, 0.0] and at(0.01).joint_worth == pytest.approx(0.01)
 
 
+def test_costates_of_quick_states_are_no_rounding_beside_a_long_phase() -> None:
+    """y' = 50 (a - y) with the cost y + a^2 / 2, for 1000 s: lam = 1 / 50 and a = -1, so that H curves by 1 in a.
+
+    The rate of lam is 1 - 50 lam: its terms cancel, and over 1000 s each would make 1000 of it; but lam answers in
+    0.02 s.
+    """
+    model = go.Model("lag")
+    y, a = model.state("y"), model.control("a")
+    model.ode({y: 50 * (a - y)})
+    problem = go.Problem("rest")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1000.0)
+    problem.minimize(leg.integral(y + 0.5 * a**2))
+    found = samples(
+        problem, lambda t, k: [-1 + 0 * t], lambda t, k: [-1 + 0 * t], lambda t, k: [0.02 + 0 * t],
+        weights=(1.0,), breaks=(0.0, 400.0, 1000.0), control_bounds=interval([-2.0], [2.0]),
+    )  # fmt: skip
+    assert found._balanced_slopes.tolist() == [0.0]
+    assert found.joint_worth == pytest.approx(0.5)  # costates move it by 1, at the slope 1 of either term
+
+
 def test_controls_without_bounds_have_their_own_reach() -> None:
     found = samples(
         axes(), lambda t, k: [t, t], lambda t, k: [0.5 + 0 * t, -4 * t, 6 * t], lambda t, k: [0 * t, 0 * t],

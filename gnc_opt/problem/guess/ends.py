@@ -67,9 +67,9 @@ def _time_in(interval: Interval, wanted: float, default: float) -> float:
 def end_values(leg: Phase) -> tuple[Array, Array]:
     """Return guessed initial and final states, each (n,).
 
-    A state that is open at an end is on a straight line between the next values that are known before and after it, in
-    this phase or in those that links join to it; beyond the first and the last one it stays. Where none is known it is
-    in the middle of its bounds.
+    A state that is open at an end is what boundary constraints tell of it there, or else on a straight line between the
+    next values that are known before and after it, in this phase or in those that links join to it; beyond the first
+    and the last one it stays. Where none is known it is in the middle of its bounds.
     """
     first, last = np.zeros((2, leg.model.states.size))
     for name in leg.model.states.names:
@@ -99,10 +99,14 @@ class _Link:
             value, ends = numbers.guess.values[name], np.array([0.0, 1.0])
             guess = sample_guess(value, box.lower.size, times, ends, numbers.guess.time, what)
         known = []
-        for stated, guessed in zip((numbers.initial, numbers.final), guess.T, strict=True):
+        for end, stated, guessed in zip(
+            ("initial", "final"), (numbers.initial, numbers.final), guess.T, strict=True
+        ):
             here = Interval(stated.lower[rows], stated.upper[rows])
             limited = np.isfinite(here.lower) | np.isfinite(here.upper)
-            known.append(np.where(limited, intersect(here, box).middle, guessed))
+            told = np.clip(leg.told.get((end, name), np.full_like(guessed, np.nan)), box.lower, box.upper)
+            open_end = np.where(np.isnan(guessed), told, guessed)
+            known.append(np.where(limited, intersect(here, box).middle, open_end))
         handed = leg.handed_over(name)
         jump = np.zeros(box.lower.size) if handed is None else handed[1]
         return cls(leg, known[0], known[1], box, float(times[1] - times[0]), jump)
