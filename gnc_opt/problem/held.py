@@ -56,7 +56,7 @@ class Junction:
         along the dynamics vanish.
     tangent : int
         -1 or 1: the derivative in which controls appear vanishes, too, with those of the segment before or after; 0:
-        nothing is said of it.
+        nothing is said of it. Of a path constraint with controls, order 0, that is its own value: it is at its limit.
     """
 
     constraint: int

@@ -11,7 +11,9 @@ its ends alone. They meet :math:`S = \dots = S^{(q-1)} = 0` where it begins: sho
 what this changes there is of the order of :math:`\delta^2`, since :math:`S^{(q)}` vanishes before it.
 
 A control that holds a constraint of first order may come to a limit of its own there, and S leave its limit: the
-costate jumps, and :math:`\dot S = 0` on either side. All neighbouring trajectories come to both limits at one time.
+costate jumps, and :math:`\dot S = 0` on either side. All neighbouring trajectories come to both limits at one time. So
+do they where one limit of a control takes over from another, a bound and a path constraint say: the control goes on
+and no costate jumps, but to go over sooner or later would be to leave one of the two.
 """
 
 from __future__ import annotations
@@ -164,7 +166,38 @@ def _touches(problem: Problem, s: PhaseSamples, rows: _Rows) -> tuple[Junction, 
                 found.append(Junction(int(row), boundaries[k], kind, 2))
             elif order == 1 and (side := _given_up(rows, int(row), boundaries[k])):
                 found.append(Junction(int(row), boundaries[k], kind, 0, side))
-    return tuple(found)
+    return tuple(found) + _handovers(problem, rows)
+
+
+def _handovers(problem: Problem, rows: _Rows) -> tuple[Junction, ...]:
+    """Where a path constraint of a control and another limit of it take over from one another, one condition each."""
+    s, leg = rows.samples, rows.samples.leg
+    orders = [constraint_order(problem, problem.phases[leg.name], i) for i in range(len(leg.path_labels))]
+    owners = [order.controls if order.order == 0 else () for order in orders]
+    paths = [row for row, owner in enumerate(owners) if len(owner) == 1]
+    if not paths or not leg.mesh.movable:
+        return ()
+    at_path = rows.near(rows.values(s.times, s.x, s.u))
+    at_bound = np.any(leg.control_bounds.near(s.u, AT_LIMIT * s.control_scale), axis=0)
+    found: dict[int, Junction] = {}
+    for row in paths:
+        others = [np.any(at_path[:, i], axis=0) for i in paths if i != row and owners[i] == owners[row]]
+        limits = [at_bound[owners[row][0]], *others]
+        for kind, near in zip((ArcKind.LOWER, ArcKind.UPPER), at_path[:, row], strict=True):
+            for k in leg.mesh.movable:
+                if side := _takes_over(s, near, limits, k):
+                    found.setdefault(k, Junction(row, k, kind, 0, side))
+    return tuple(found.values())
+
+
+def _takes_over(s: PhaseSamples, near: Mask, others: list[Mask], boundary: int) -> int:
+    """The side, -1 or 1, on which another limit holds a control up to where a constraint does; 0 if there is none."""
+    for side in (-1, 1):
+        off, on = (s.segments == boundary + min(way, 0) for way in (side, -side))
+        meets = np.flatnonzero(off)[-1 if side < 0 else 0]
+        if near[meets] and np.all(near[on]) and not np.all(near[off]) and any(np.all(o[off]) for o in others):
+            return side
+    return 0
 
 
 def _given_up(rows: _Rows, row: int, boundary: int) -> int:

@@ -148,10 +148,10 @@ def junction_rows(junction: Junction, n_paths: int) -> int:
     return len(junction_orders(junction, n_paths)) + (junction.tangent != 0)
 
 
-def junction_values(junction: Junction, paths: Interval) -> Array:
+def junction_values(junction: Junction, paths: Interval, order: int | None) -> Array:
     """Return what the rows of a junction are equal to: a path constraint's limit, and zeros."""
     values = np.zeros(junction_rows(junction, paths.lower.size))
-    if junction.constraint < paths.lower.size and junction.conditions:
+    if junction.constraint < paths.lower.size and (junction.conditions or order == 0):
         values[0] = _limits(paths, junction.kind)[junction.constraint]
     return values
 

@@ -377,7 +377,9 @@ class Transcription(Numbering):
             box.lower[self._first_end_row + i] = duration.lower[0]
             box.upper[self._first_end_row + i] = duration.upper[0]
         for name, junction, rows in self.junctions:
-            values = junction_values(junction, problem.phases[name].path_interval())
+            leg = problem.phases[name]
+            order = constraint_order(self.problem, leg, junction.constraint).order
+            values = junction_values(junction, leg.path_interval(), order)
             box.lower[rows] = box.upper[rows] = values
         first = self._first_end_row + len(self._durations)
         arcs = slice(first, first + len(self._arcs))

@@ -84,3 +84,46 @@ def test_verdict_passes_with_the_jump(driven: go.Solution) -> None:
     """Without the condition that both limits are met at one time the cost would fall with that time."""
     assert driven.history is not None and driven.history.converged
     assert go.verify(driven).ok
+
+
+def test_least_time_over_the_hill_is_full_power_the_limit_of_speed_and_full_brakes() -> None:
+    """H is affine in power: flown here at full power up to the limit, along it while power lasts, and then braked."""
+    model = go.Model("car")
+    x, v, u = model.state("x"), model.state("v"), model.control("u")
+    model.ode({x: v, v: u - ca.exp(-((x - 5.0) ** 2) / WIDTH)})
+    problem = go.Problem("hill in the least time")
+    leg = problem.phase("drive", model)
+    leg.time(initial=0.0, final=(2.0, 40.0))
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=10.0, v=0.0)
+    leg.bounds(u=(-MOST, MOST), v=(None, 1.0))
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem)
+    assert go.verify(solution).ok
+    powered = [(a.start, a.end) for a in solution.structure if (a.channel, a.kind.value) == ("u", "upper")]
+    entry, start = driven_until_limit(0.0, 0.0)
+    over, on = driven_until_limit(GIVEN_UP, 1.0)
+    given_up = entry + GIVEN_UP - start
+    assert powered == [
+        pytest.approx((0.0, entry), abs=1e-8),
+        pytest.approx((given_up, given_up + over), abs=1e-8),
+    ]
+    braking, place = driven_until_limit(10.0, 0.0, power=-MOST)
+    assert solution.objective == pytest.approx(given_up + over + place - on + braking, rel=1e-9)
+
+
+def driven_until_limit(x: float, v: float, power: float = MOST) -> tuple[float, float]:
+    """Time and place at which full power has brought the car to the limit of speed; with brakes backwards in time."""
+    way = np.sign(power)
+
+    def limit(_: float, y: Array) -> float:
+        return float(y[1] - 1.0)
+
+    def rates(_: float, y: Array) -> list[float]:
+        return [way * y[1], way * (power - slope(y[0]))]
+
+    limit.terminal, limit.direction = True, 1.0  # type: ignore[attr-defined]
+    run = scipy.integrate.solve_ivp(
+        rates, (0.0, 5.0), [x, v], "DOP853", events=limit, rtol=1e-12, atol=1e-13, max_step=0.1
+    )
+    return float(run.t_events[0][0]), float(run.y_events[0][0][0])

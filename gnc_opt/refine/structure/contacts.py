@@ -31,6 +31,7 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import states_at_points
 from gnc_opt.refine.structure.ends import with_starts_on_limits
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.refine.structure.ringing import without_ringing
 from gnc_opt.refine.structure.state_constraints import NEAR, StateConstraints
 from gnc_opt.refine.structure.tidy import with_possible_ends, without_overlaps
 from gnc_opt.solution.samples import PhaseSamples
@@ -120,20 +121,25 @@ def with_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSam
     constraints, first = StateConstraints(problem, samples), len(structure.controls)
     held = [any(kinds[first + row].at_limit for kinds in structure.kinds) for row in range(constraints.size)]
     orders = [0 if held[row] else constraints.order(row) for row in range(constraints.size)]
-    if not any(orders):
-        return without_overlaps(structure)
+    asked = [
+        bool(order) or (on and constraints.order(k) == 1)
+        for k, (order, on) in enumerate(zip(orders, held, strict=True))
+    ]
     known = structure.holders[first:]
-    holders = [constraints.holders(row) if order else known[row] for row, order in enumerate(orders)]
+    holders = [constraints.holders(row) if ask else known[row] for row, ask in enumerate(asked)]
     known = structure.leans[first:]
-    leans = [constraints.leans(row) if order else known[row] for row, order in enumerate(orders)]
+    leans = [constraints.leans(row) if ask else known[row] for row, ask in enumerate(asked)]
     structure = replace(
         structure,
         orders=(*(0,) * first, *orders),
         holders=(*((),) * first, *holders),
         leans=(*((),) * first, *leans),
     )
+    if not any(orders):
+        return without_ringing(without_overlaps(structure), constraints, SHORT)
     for run in _runs_of_pushes(constraints, structure):
         structure = run.added(structure, samples)
+    structure = without_ringing(structure, constraints, SHORT)
     longest = SHORT * float(np.max(np.diff(samples.leg.breaks)))
     structure = with_possible_ends(without_overlaps(structure), longest)
     return with_starts_on_limits(structure, problem.phases[samples.leg.name], samples)

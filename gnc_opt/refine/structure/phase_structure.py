@@ -159,14 +159,11 @@ class PhaseStructure:
         """Whether controls only have a kink between a piece and the one before.
 
         They do where they, mixed path constraints, or state constraints that determine them, enter or leave a limit;
-        a control that enters H linearly jumps to where it holds a state constraint, but goes on from its bound to a
-        path constraint that limits it on the same side. Where the costates jump, as a limit takes over from a state
-        constraint, the time is as well determined as that of a switch.
+        a control that enters H linearly jumps to where it holds a state constraint. Where a limit takes over from a
+        state constraint or from another limit, the time is as well determined as that of a switch: both are met.
         """
-        if self.taken_over(boundary):
+        if self.taken_over(boundary) or self.handed_over(boundary):
             return False
-        if self.handed_over(boundary):
-            return not self.touches[boundary]
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         return not self.touches[boundary] and all(
             (self._bends_at(i, boundary) or self._determines(i, boundary) or self.gives_out(i, boundary))
@@ -230,32 +227,34 @@ class PhaseStructure:
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
 
     def taken_over(self, boundary: int) -> list[int]:
-        """Return a state constraint and a limit of a control that holds it, if the limit takes over, on the same side.
+        """Return a state constraint and a limit of the control that holds it, if one takes over from the other there.
 
-        The control comes to it and goes on, though H may be linear in it from there on: the costates jump.
+        Uphill a control comes to its limit on the side to which it holds the constraint, which is left; or it is on the
+        other, braking, until the constraint is met. Either way it goes on without a jump, and the costates jump.
         """
         rows, beside = self.changes(boundary), self.kinds[boundary - 1 : boundary + 1]
         held = [[i for i in rows if kinds[i].at_limit] for kinds in beside]
-        if len(rows) != 2 or [len(here) for here in held] != [1, 1]:
+        bounded = self._n_free + self.n_paths  # bounds of states held by singular controls have holders alone
+        states = [
+            i
+            for i in rows
+            if self.orders[i] == 1 or (i >= bounded and self.holders[i] and not self.orders[i])
+        ]
+        if len(rows) != 2 or [len(here) for here in held] != [1, 1] or len(states) != 1:
             return []
-        (state,), (limit,) = held
-        owner = (limit,) if limit < self._n_free else self.holders[limit]
-        if (
-            self.orders[state] != 1
-            or self.orders[limit]
-            or len(owner) != 1
-            or owner[0] not in self.holders[state]
-        ):
+        (state,), (limit,) = states, [i for i in rows if i not in states]
+        owner, holders = (limit,) if limit < self._n_free else self.holders[limit], self.holders[state]
+        if self.orders[limit] or len(owner) != 1 or owner[0] not in holders:
             return []
-        if not all(self.regular[i] for i in self.holders[state]):
+        if holders != owner and not all(self.regular[i] for i in holders):
             return []
-        lean = self.leans[state][self.holders[state].index(owner[0])]
-        kinds = {i: pair[i] for pair, (i,) in zip(beside, held, strict=True)}
-        sides = (
-            kinds[state].sign * lean,
-            kinds[limit].sign * (1 if limit < self._n_free else self.leans[limit][0]),
-        )
-        return [state, limit] if sides[0] == sides[1] != 0 else []
+        kinds = {i: pair[i] for pair, here in zip(beside, held, strict=True) for i in here}
+        if len(kinds) != 2:
+            return []
+        lean = dict(zip(holders, self.leans[state], strict=False)).get(owner[0], 0)  # unknown in plain ones
+        own = 1 if limit < self._n_free else self.slopes[limit] or (*self.leans[limit], 0)[0]
+        sides = kinds[state].sign * lean, kinds[limit].sign * own
+        return [state, limit] if sides[0] == (1 if held[0] == [state] else -1) * sides[1] != 0 else []
 
     def on_sphere(self) -> Mask:
         """Return where the length of a direction is at its limit beside a state constraint that is, (n_paths, A).

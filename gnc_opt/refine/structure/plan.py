@@ -312,15 +312,19 @@ class Plan:
         structure, n_controls = self.structure, len(self.structure.controls)
         found: list[tuple[int, int, ArcKind, int, int]] = []
         for k in range(1, structure.pieces):
-            sliding = structure.slides(k)
+            sliding, taken = structure.slides(k), structure.taken_over(k)[:1]
             for i in structure.changes(k):
-                before, after = structure.kinds[k - 1][i], structure.kinds[k][i]
-                if structure.orders[i] and after.at_limit:
-                    found.append((k, i, after, structure.orders[i], -1 if sliding else 0))
-                elif structure.orders[i] and sliding:
+                before, after, order = structure.kinds[k - 1][i], structure.kinds[k][i], structure.orders[i]
+                tangent = i in taken or (sliding and order > 0)
+                if after.at_limit and (order or tangent):
+                    found.append((k, i, after, order, -1 if tangent else 0))
+                elif tangent:
                     found.append((k, i, before, 0, 1))
             found += [(k, i, kind, 2, 0) for i, kind in structure.touches[k]]
-            found += [(k, i, structure.kinds[k - 1][i], 0, 1) for i in structure.taken_over(k)[:1]]
+            paths = [i for i in structure.handed_over(k) if i >= n_controls]
+            for i in paths[:1]:
+                before, after = structure.kinds[k - 1][i], structure.kinds[k][i]
+                found.append((k, i, after, 0, -1) if after.at_limit else (k, i, before, 0, 1))
         found += [(k, i, kind, 1, 0) for k in (0, -1) for i, kind in structure.touches[k]]
         return tuple(
             Junction(i - n_controls, self.piece_ends[k], kind, conditions, tangent)
