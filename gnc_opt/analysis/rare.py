@@ -180,9 +180,10 @@ def failure_probability(
         )
     estimates = np.array([answer.probability for answer in answers])
     if not np.all(estimates > 0):
+        told, largest = _told_apart(bound, max(float(answer.levels[-1]) for answer in answers))
         raise GncOptError(
-            f"'{measure}' exceeds {bound:g} less often than once in 10^{MOST_LEVELS} runs, or never: the largest value "
-            f"found is {max(answer.levels[-1] for answer in answers):g}; give a limit within reach."
+            f"'{measure}' exceeds {told} less often than once in 10^{MOST_LEVELS} runs, or never: the largest value "
+            f"found is {largest}; give a limit within reach."
         )
     mean, low, high = repeated_mean(estimates, confidence)
     if all(answer.levels.size == 1 for answer in answers):  # no chains: all runs are independent
@@ -292,3 +293,12 @@ def _chains(
         found_z.append(z)
         found_y.append(y)
     return np.hstack(found_z)[:, :count], np.concatenate(found_y)[:count], taken / max(tried, 1)
+
+
+def _told_apart(one: float, other: float) -> tuple[str, str]:
+    """Return two numbers with so many digits, six at least, that they read different if they are."""
+    for digits in range(6, 18):
+        texts = f"{one:.{digits}g}", f"{other:.{digits}g}"
+        if texts[0] != texts[1] or one == other:
+            break
+    return texts

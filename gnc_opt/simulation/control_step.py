@@ -12,7 +12,7 @@ from gnc_opt.control.steps import in_order
 from gnc_opt.model.layout import Layout
 from gnc_opt.simulation.block import Step, Tick
 from gnc_opt.simulation.crossing import Watch, notes_of, record_of
-from gnc_opt.simulation.integrate import Seen, dormand_prince
+from gnc_opt.simulation.integrate import dormand_prince
 from gnc_opt.simulation.places import Places
 from gnc_opt.simulation.signals import Link, put, put_wave, take, take_wave
 from gnc_opt.simulation.wave import Input, Wave
@@ -58,6 +58,7 @@ class ControlStep:
                 ("steps", 1),
                 ("error", 1),
                 ("blur", 1),
+                ("beside", 1),
                 ("fault", 1),
                 ("fault time", 1),
                 ("divergence", 1),
@@ -190,16 +191,24 @@ class ControlStep:
         t: Any,
         x: Any,
         waves: list[Wave],
-        pushes: dict[str, Any],
+        state: dict[str, Any],
         span: tuple[Any, Any] | None = None,
-        seen: Seen | None = None,
+        watch: Watch | None = None,
     ) -> tuple[Any, Any, Any]:
         """Integrate the plant over a minor step that begins at t, anew wherever an actuator bends or jumps.
 
         ``span`` is the part of it that is flown, two times (s) since it began. Returns the state, the error of the
         integration, and what waves that were taken at their mean may add to it.
         """
-        f, error, held = self._rate(pushes), ca.SX(0), all(wave.held for wave in waves)
+        f, error, held = self._rate(state), ca.SX(0), all(wave.held for wave in waves)
+
+        def stepped(length: Any, before: tuple[Any, ...], after: tuple[Any, ...], error: Any) -> Any:
+            t, x, rate = after
+            x = x - state["beside"] * error
+            if watch is not None:
+                watch(length, before, (t, x, rate))
+            return x
+
         first, last = span or (ca.SX(0), ca.SX(self.h))
         breaks = in_order(_distinct([b for wave in waves for b in wave.breaks]))
         if span is not None:
@@ -208,7 +217,7 @@ class ControlStep:
         for begin, end in itertools.pairwise([first, *breaks, last]):
             if held:
                 x, estimate = dormand_prince(
-                    lambda t, x, _: f(t, x, mean), t + begin, x, end - begin, self.substeps, seen=seen
+                    lambda t, x, _: f(t, x, mean), t + begin, x, end - begin, self.substeps, stepped=stepped
                 )
             else:
                 inputs = [wave.input(begin, end, self.substeps) for wave in waves]
@@ -216,7 +225,7 @@ class ControlStep:
                 def u(k: int, node: float, inputs: list[Input] = inputs) -> Any:
                     return ca.vertcat(*[value(k, node) for value in inputs])
 
-                x, estimate = dormand_prince(f, t + begin, x, end - begin, self.substeps, u, seen)
+                x, estimate = dormand_prince(f, t + begin, x, end - begin, self.substeps, u, stepped)
             error += estimate
         if all(wave.blur is None for wave in waves):
             return x, error, 0.0

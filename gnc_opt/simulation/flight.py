@@ -16,6 +16,7 @@ from gnc_opt.arguments import read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout
+from gnc_opt.simulation.beside import Beside, apart, shrunk
 from gnc_opt.simulation.course import Course
 from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.event import MOST, Occurrence
@@ -33,6 +34,9 @@ LEG = 1000
 
 _AVERAGED = ", owed to actuators that take the mean of what they get"
 """Said of runs that more integration steps do not make more accurate."""
+
+_LOST = ": no digit is right"
+"""Said of runs whose states are off by more than their size; how far then is hard to tell."""
 
 _ZENO = f"more than {MOST - 1} events in a control step (Zeno: let what they follow come to rest by another event)"
 """What ended a run whose events do not let time pass."""
@@ -81,6 +85,8 @@ class Flight:
         Those of them that are failures.
     growth : float
         By how much the errors of single integration steps grow until the end of the nominal run, at least 1.
+    beside : Beside or None
+        How the errors of each run grow is seen from a second flight beside it; None: only the nominal run tells.
     replanner : Replanner or None
     quantities : Quantities or None
         What is kept of the way.
@@ -119,6 +125,7 @@ class Flight:
     accuracy: float
     minor_steps: int
     growth: float = 1.0
+    beside: Beside | None = None
     events: Layout = field(default_factory=lambda: Layout("event"))
     failures: tuple[str, ...] = ()
     replanner: Replanner | None = None
@@ -186,6 +193,7 @@ class Flight:
                 f"give ({self.layout.size}, {len(seeds)})."
             )
         final = np.full((P.shape[1], self.kernel.state.size), np.nan)
+        others = np.full_like(final, np.nan)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         recorder = None if self.quantities is None else Recorder(self.quantities, self.times, P.shape[1])
         refused: dict[int, str] = {}
@@ -215,12 +223,13 @@ class Flight:
                 X[:] = final[i]
                 if self._stopped(X):
                     break
+            others[i] = self._other(X, P[:, i], seed, known, course)
             if self.replanner is not None:
                 replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
                 followed[:, i] = self._followed_at_end(course, final[i : i + 1].T)[:, 0]
         if self.replanner is None:
             followed = self._followed_at_end(self._course(), final.T)
-        ending = self._ending(final.T, refused, followed, replans)
+        ending = self._ending(final.T, others.T, refused, followed, replans)
         return ending if recorder is None else replace(ending, sums=recorder.sums, samples=recorder.samples)
 
     def run(self, P: Array, seed: Any, *, every: int = 1, folder: str | Path | None = None) -> Run:
@@ -283,7 +292,8 @@ class Flight:
         end = self._last_times(final)
         followed = self._followed_at_end(course, X[:, None])
         self._note(log, final, {}, np.array([0]), followed)
-        ending = self._ending(X[:, None], {}, followed)
+        other = self._other(X, P, seed, known, course)
+        ending = self._ending(X[:, None], other[:, None], {}, followed)
         arrays = log.close()
         times = np.append(self.times[kept[kept < last]], end)
         return Run(
@@ -447,6 +457,24 @@ class Flight:
             for k in range(int(min(told["number"][0, step], MOST)))
         ]
 
+    def _other(self, X: Array, P: Array, seed: Any, known: Array, course: Course) -> Array:
+        """Return the end (n_state,) of the flight beside a run that ended with X; that itself where none is needed."""
+        parts = self.kernel.state.split(X)
+        begin = np.concatenate([P[self.layout.slice(f"initial.{name}")] for name in self.states.names])
+        if self.beside is None or not self.beside.needed(
+            float(parts["error"][0]), shrunk(begin, parts["plant"])
+        ):
+            return X
+        # plans change only what is ahead: the course at the end is that which was flown
+        for first, rows in self.legs(seed, known, course):
+            if first == 0:
+                other, C = self._begun(rows[0], P)
+                self.kernel.state.split(other)["beside"][:] = 1.0
+            self._folded.fly(other.copy(), rows, C, other)
+            if self._stopped(other):
+                break
+        return other
+
     @cached_property
     def _folded(self) -> Folded:
         return Folded(self.kernel, self.library)
@@ -457,11 +485,17 @@ class Flight:
         return np.full((self.followed.size, X.shape[1]), np.nan) if found is None else found
 
     def _ending(
-        self, final: Array, refused: dict[int, str], followed: Array, replans: Array | None = None
+        self,
+        final: Array,
+        others: Array,
+        refused: dict[int, str],
+        followed: Array,
+        replans: Array | None = None,
     ) -> Ending:
         parts = self.kernel.state.split(final)
+        errors, instants = self._error_estimates(final, others)
         outcomes = tuple(
-            Outcome(RunStatus.REFUSED, refused[i]) if i in refused else self._outcome(parts, i)
+            Outcome(RunStatus.REFUSED, refused[i]) if i in refused else self._outcome(parts, i, errors[i])
             for i in range(final.shape[1])
         )
         empty = np.empty((0, final.shape[1]))
@@ -474,16 +508,16 @@ class Flight:
             parts["energy"],
             parts["saturation"],
             parts["variation"],
-            self._error(parts) + self._instant_error(parts),
+            errors + instants,
             parts["blur"][0],
-            self._instant_error(parts),
+            instants,
             outcomes,
             counts,
             firsts,
             np.zeros((2, final.shape[1])) if replans is None else replans,
         )
 
-    def _outcome(self, parts: dict[str, Array], i: int) -> Outcome:
+    def _outcome(self, parts: dict[str, Array], i: int, error: float) -> Outcome:
         if parts["fault"][0, i] != 0:
             return Outcome(
                 RunStatus.NOT_FINITE,
@@ -504,9 +538,8 @@ class Flight:
         name, time = self._stop(parts, i)
         if name in self.failures or name == _ZENO:
             return Outcome(RunStatus.STOPPED, name, time)
-        error = float(self._error(parts)[i])
         if not error <= self.accuracy:
-            why = _AVERAGED if 2 * float(parts["blur"][0, i]) > error else ""
+            why = _AVERAGED if 2 * float(parts["blur"][0, i]) > error else _LOST if error > 1 else ""
             return Outcome(RunStatus.INACCURATE, f"integration error {error:.2g}{why}")
         return Outcome(RunStatus.OK, name, time)
 
@@ -517,16 +550,22 @@ class Flight:
             return "", np.nan
         return (*self.events.names, _ZENO)[code - 1], float(parts["stop time"][0, i])
 
-    def _error(self, parts: dict[str, Array]) -> Array:
-        """Return the estimated errors of runs that fly on: those of single steps and what resets at wrong instants add
-        to them, grown, and what averaging adds."""
-        resets = parts["resets"][0] if self.events.size else 0.0
-        return np.asarray(self.growth * (parts["error"][0] + resets) + parts["blur"][0])
-
-    def _instant_error(self, parts: dict[str, Array]) -> Array:
-        """Return what the instants of events, and the ends there, are off by beyond that."""
-        none = np.zeros(parts["error"].shape[1])
-        return np.asarray(self.growth * parts["instants"][0]) if self.events.size else none
+    def _error_estimates(self, final: Array, others: Array) -> tuple[Array, Array]:
+        """Return the estimated errors of runs that fly on (n,): those of single steps and what resets at wrong instants
+        add to them, grown, and what averaging adds; and what the instants of events, and the ends there, are off by
+        beyond that (n,)."""
+        parts = self.kernel.state.split(final)
+        local, blur, none = parts["error"][0], parts["blur"][0], np.zeros(final.shape[1])
+        resets, instants = (parts["resets"][0], parts["instants"][0]) if self.events.size else (none, none)
+        errors, instants = self.growth * (local + resets) + blur, self.growth * instants
+        if self.beside is None:
+            return errors, instants
+        grown = self.beside.error(apart(self.kernel.state, final, others), errors - blur, local) + blur
+        ended = parts["stop"][0] > 0 if self.events.size else none > 0
+        return (
+            np.where(ended, errors, np.maximum(errors, grown)),
+            np.where(ended, np.maximum(instants, grown - errors), instants),
+        )
 
     def _relative(self, states: Array, reference: Any) -> Array:
         """Return the errors of plant states relative to what is followed (n_followed, n).

@@ -39,8 +39,9 @@ ERROR_WEIGHTS = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 
 ROUNDING = 2.0**-53
 """Of a sum, relative."""
 
-Seen: TypeAlias = Callable[[Any, tuple[Any, Any, Any], tuple[Any, Any, Any]], None]
-"""``seen(length, before, after)``: a step of a length (s), and time, state and its rate at both ends."""
+Stepped: TypeAlias = Callable[[Any, tuple[Any, Any, Any], tuple[Any, Any, Any], Any], Any]
+"""``stepped(length, before, after, error)``: the state to go on with after a step of a length (s), from time, state and
+its rate at both ends, and e with rounding (column, of the sign of e)."""
 
 
 def dormand_prince(
@@ -50,7 +51,7 @@ def dormand_prince(
     length: Any,
     steps: int = 1,
     u: Input | None = None,
-    seen: Seen | None = None,
+    stepped: Stepped | None = None,
 ) -> tuple[Any, Any]:
     """Integrate ``dx/dt = f(t, x, u)`` over ``length`` in equal steps.
 
@@ -65,8 +66,8 @@ def dormand_prince(
     steps : int
     u : callable, optional
         ``u(k, node)``, the input in the k-th step at ``node`` of it, see `Input`; it may jump between steps.
-    seen : callable, optional
-        Called after each step, see `Seen`.
+    stepped : callable, optional
+        What to go on with after each step, see `Stepped`; default the fifth-order solution.
 
     Returns
     -------
@@ -86,8 +87,9 @@ def dormand_prince(
             k.append(f(start + node * h, after, None if u is None else u(i, node)))
         error, size = h * _combine(ERROR_WEIGHTS, k), ca.fabs(after)
         total = total + ca.mmax((ca.fabs(error) + ROUNDING * size) / ca.fmax(1.0, size))
-        if seen is not None:
-            seen(h, (start, x, k[0]), (start + h, after, k[-1]))
+        if stepped is not None:
+            error = error + ca.copysign(ROUNDING * size, error)
+            after = stepped(h, (start, x, k[0]), (start + h, after, k[-1]), error)
         # the last stage is the first of the next step, unless the input jumps there
         x, rate = after, k[-1] if u is None else None
     return x, total

@@ -130,7 +130,7 @@ class _Builder(ControlStep):
             waves, saturated = self.actuate(tick, u, new, w, i)
             applied = ca.vertcat(*[wave.mean for wave in waves])
             watch = self.watch_rows(new, ca.SX(0)) if wiring.events else None
-            new["plant"], estimate, blurred = self.fly(tick.t, new["plant"], waves, new, seen=watch)
+            new["plant"], estimate, blurred = self.fly(tick.t, new["plant"], waves, new, watch=watch)
             if watch is not None:
                 new["armed"], found = watch.armed, ca.fmax(found, watch.found)
             error += estimate

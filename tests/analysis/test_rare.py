@@ -99,6 +99,18 @@ def test_runs_that_fail_count_as_failures():
     assert 0 < found.probability < 0.1
 
 
+def test_a_limit_that_is_all_but_reached_reads_different_from_the_largest_value():
+    with pytest.raises(go.GncOptError, match=r"exceeds 3\.0000002 less often .* found is 3;"):
+        failure_probability(
+            go.Experiment(loop_of(), **MISSION, judge={"three": lambda runs: np.full(len(runs), 3.0)}),
+            "three",
+            3.0000002,
+            n=10,
+            repetitions=3,
+            executor="serial",
+        )
+
+
 def test_what_never_fails_and_mistakes_are_refused():
     loop = loop_of()
     with pytest.raises(go.GncOptError, match="or never: the largest value found"):

@@ -516,6 +516,7 @@ def test_columns_of_a_step_have_one_place_for_everything():
         "steps",
         "error",
         "blur",
+        "beside",
         "fault",
         "fault time",
         "divergence",

@@ -1,0 +1,91 @@
+r"""Beside: a second flight of a run, by the embedded solution of the integration, that shows how its errors have grown.
+
+Both flights get the same parameters, random numbers and plans; the second carries on the fourth-order solution of every
+integration step (`gnc_opt.simulation.integrate`), rounded the other way, through its own measurements, commands and
+events. What they are apart at the end is the error of that solution, as the run itself has made it grow or forget,
+whatever the nominal run does.
+
+The fifth-order solution is better, by a factor that falls with the step: the nominal run tells it,
+:math:`s_0` = its own estimated error over what its two flights are apart. Local errors :math:`e` that are larger mean
+rates that are faster, :math:`e \sim (\lambda h)^5`, while the ratio of the orders goes with :math:`\lambda h`; so a run
+is off by
+
+.. math:: \min(1, s)\, |x - \hat x|, \quad s = s_0 \max(1, e / e_0)^{1/5} ,
+
+or by its local errors and the growth of the nominal run, if that is more. Where s exceeds 1 the steps are too long for
+orders to tell one solution from the other, and the lesser of the two is added, in full from s = 2 on.
+
+Runs whose local errors are about those of the nominal run, and whose states have shrunk no more, so that what was a
+small share of them is one still, are taken to make errors grow as it does, and fly alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.simulation.places import Places
+
+MORE = 1.5
+"""Local errors of a run, or what it has shrunk by, over those of the nominal one, beyond which its way is another."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What the nominal run tells of flights beside others.
+
+    Attributes
+    ----------
+    share : float
+        Its estimated error over what its flights are apart.
+    local : float
+        Sum of its local errors.
+    shrunk : float
+        By how much its states have shrunk, see `shrunk`.
+    """
+
+    share: float = 1.0
+    local: float = 0.0
+    shrunk: float = 0.0
+
+    @classmethod
+    def of(cls, error: float, apart: float, local: float, shrunk: float) -> Beside:
+        """Return what a run with this error tells."""
+        return cls(error / apart if 0 < error < apart < np.inf else 1.0, local, shrunk)
+
+    def needed(self, local: float, shrunk: float) -> bool:
+        """Return whether a run with these local errors, and states that have shrunk so, needs a second flight."""
+        return local > MORE * self.local or shrunk > MORE * self.shrunk
+
+    def error(self, apart: Array, known: Array, local: Array) -> Array:
+        """Return the errors of runs (n,) by what their flights are apart, by the growth of the nominal run, and by
+        their local errors."""
+        faster = np.maximum(1.0, local / self.local) ** 0.2 if self.local > 0 else np.full_like(local, 2.0)
+        share = self.share * faster
+        seen = apart * np.minimum(1.0, share)
+        return np.asarray(np.fmax(known, seen) + np.fmin(known, seen) * np.clip(share - 1.0, 0.0, 1.0))
+
+
+def apart(places: Places, final: Array, other: Array) -> Array:
+    """Return what two flights are apart at their ends (n,), relative to max(1, \\|x\\|), from their kernels' states.
+
+    Where events end runs, also their instants count.
+    """
+    one, two = (_ends(places.split(columns)) for columns in (final, other))
+    with np.errstate(invalid="ignore", over="ignore"):
+        distance = np.max(np.abs(one - two) / np.maximum(1.0, np.abs(one)), axis=0)
+    # a second flight that has left the finite numbers is as far as can be
+    return np.asarray(np.where(np.isnan(distance) & np.isfinite(one).all(axis=0), np.inf, distance))
+
+
+def _ends(parts: dict[str, Any]) -> Array:
+    instants = [np.where(parts["stop"] > 0, parts["stop time"], 0.0)] if "stop" in parts else []
+    return np.vstack([parts["plant"], *instants])
+
+
+def shrunk(begin: Array, end: Array) -> float:
+    """Return the largest ratio of sizes max(1, \\|x\\|) of states (n_states,) before and after a run."""
+    return float(np.max(np.maximum(1.0, np.abs(begin)) / np.maximum(1.0, np.abs(end)), initial=0.0))

@@ -1,0 +1,129 @@
+"""The error of the integration knows how the errors of each run grow, however the nominal run behaves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import gnc_opt as go
+from gnc_opt.simulation import ClosedLoop, Flight
+from gnc_opt.simulation.beside import Beside, apart
+from gnc_opt.simulation.places import Places
+
+G = 9.81
+
+
+def double_pendulum(x: Any, kind: Any = np) -> list[Any]:
+    """Rates of two angles and their rates, masses and lengths of 1."""
+    a, b, wa, wb = x[0], x[1], x[2], x[3]
+    s, c = kind.sin(a - b), kind.cos(a - b)
+    down_a, down_b = G * kind.sin(a), G * kind.sin(b)
+    rate_a = (-2 * down_a + c * down_b - s * (wb**2 + wa**2 * c)) / (2 - c**2)
+    rate_b = (2 * s * wa**2 + 2 * c * down_a - 2 * down_b + s * c * wb**2) / (2 - c**2)
+    return [wa, wb, rate_a, rate_b]
+
+
+def kepler(x: Any, kind: Any = np) -> list[Any]:
+    cube = (x[0] ** 2 + x[1] ** 2) ** 1.5
+    return [x[2], x[3], -x[0] / cube, -x[1] / cube]
+
+
+def flight(rates: Callable[..., list[Any]], nominal: list[float], tf: float, **options: Any) -> Flight:
+    """Of a plant without feedback."""
+    model = go.Model("plant")
+    x, u = model.state("x", len(nominal)), model.control("u")
+    model.ode({x: ca.vertcat(*rates(x, ca)) + 0 * u})
+    law = go.feedforward(go.Reference.constant(model, nominal, [0.0]))
+    return ClosedLoop(model, law, dt=0.1, **options).flight(nominal, tf=tf)
+
+
+def started(flight: Flight, x: list[float]) -> Any:
+    P = flight.nominal.copy()
+    P[flight.layout.slice("initial.x")] = x
+    return P
+
+
+@pytest.mark.parametrize(
+    ("rates", "nominal", "dispersed", "tf"),
+    [
+        (double_pendulum, [0.1, 0.0, 0.0, 0.0], ([2.5, 2.0, 0.0, 0.0], [3.0, 3.0, 0.0, 0.0]), 6.0),
+        (kepler, [1.0, 0.0, 0.0, 1.0], ([1.0, 0.0, 0.0, 0.7], [1.0, 0.0, 0.0, 0.5]), 12.0),
+    ],
+)
+def test_dispersed_runs_are_not_more_wrong_than_they_say(
+    rates: Callable[..., list[Any]], nominal: list[float], dispersed: tuple[list[float], ...], tf: float
+) -> None:
+    """From rest to whirling, from a circle to ellipses; the nominal run alone told up to 1e5 times too little."""
+    flown = flight(rates, nominal, tf, substeps=16)
+    for start in (nominal, *dispersed):
+        run = flown.run(started(flown, start), 0)
+        truth = solve_ivp(lambda t, x: rates(x), (0, tf), start, method="DOP853", rtol=2.3e-14, atol=1e-15)
+        wrong = np.max(np.abs(run.states[:, -1] - truth.y[:, -1]) / np.maximum(1.0, np.abs(truth.y[:, -1])))
+        assert wrong < run.integration_error < 1000 * wrong
+
+
+def test_what_forgets_its_errors_is_not_held_to_have_kept_them() -> None:
+    """A loop closed around an unstable plant: a second flight with its own measurements and commands stays near."""
+    model = go.Model("unstable")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: 3 * ca.sin(x) + u})
+    law = go.design_lqr(model, [0.0], Q=1, R=1, dt=0.1)
+    flown = ClosedLoop(model, law, dt=0.1, substeps=2).flight([0.01], tf=20.0)  # exp(60) without feedback
+    P = np.column_stack([flown.nominal, flown.nominal * 30])
+    ending = flown.final(P, [0, 1])
+    finer = ClosedLoop(model, law, dt=0.1, substeps=32).flight([0.01], tf=20.0).final(P, [0, 1])
+    assert np.all(np.abs(ending.states - finer.states)[0] < ending.integration_error)
+    assert np.all(ending.integration_error < 1e-4)
+
+
+def test_a_state_that_has_shrunk_keeps_its_absolute_error() -> None:
+    """Rounding of 1e6, once below 1e-10 of it, is what an end at 0 is off by: even motion, 12 s."""
+    flown = flight(lambda x, kind=np: [x[1], 0.0 * x[1]], [1.0, 0.0], 12.0, substeps=1)
+    start = [1e6, -1e6 / 12 * (1 + 1e-9)]
+    run = flown.run(started(flown, start), 0)
+    wrong = abs(run.states[0, -1] - (start[0] + 12.0 * start[1]))
+    assert wrong < run.integration_error < 1e-7
+
+
+def test_steps_of_integration_are_those_that_the_nominal_run_needs() -> None:
+    """The second flight changes what is told, not how is flown; and not what is told of the nominal run."""
+    flown = flight(kepler, [1.0, 0.0, 0.0, 1.0], 12.0, accuracy=1e-6)
+    assert flown.beside is not None
+    run = flown.run(flown.nominal, 0)
+    assert run.outcome.ok and run.integration_error <= 1e-6
+
+
+def test_bits_of_the_estimate_do_not_depend_on_the_way_of_flying(monkeypatch: Any) -> None:
+    monkeypatch.setattr("gnc_opt.simulation.flight.WORTH", 1)
+    flown = flight(kepler, [1.0, 0.0, 0.0, 1.0], 2.0, substeps=2)
+    P = started(flown, [1.0, 0.0, 0.0, 0.5])
+    told = [f.final(P[:, None], [0]).integration_error[0] for f in (flown, flown.natively(100))]
+    assert told == [flown.run(P, 0).integration_error] * 2
+
+
+def test_distances_are_relative_and_infinite_where_the_second_flight_is_lost() -> None:
+    places = Places((("plant", 2), ("stop", 1), ("stop time", 1)))
+    one = np.array(
+        [[10.0, 0.1, 0.0, 0.0], [10.0, 0.1, 1.0, 1.0], [1.0, 1.0, 0.0, 0.0], [np.nan, 1.0, 0.0, 0.0]]
+    ).T
+    two = np.array(
+        [[10.0, 0.3, 0.0, 9.0], [12.0, 0.2, 1.0, 1.5], [np.nan, 1.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0]]
+    ).T
+    assert apart(places, one, two) == pytest.approx([0.2, 0.5, np.inf, np.nan], nan_ok=True)
+
+
+def test_the_nominal_run_tells_what_the_better_solution_is_worth() -> None:
+    known = Beside.of(1e-9, 1e-8, 1e-10, 1.0)
+    local = np.array([1e-11, 3.2e-9, 1e-10 * 15.0**5, 1.0])
+    seen = known.error(np.ones(4), np.full(4, 0.25), local)
+    assert seen == pytest.approx(
+        [0.25, 0.25, 1.0 + 0.25 * 0.5, 1.25]
+    )  # a tenth, a fifth, the whole 1.5 times, more
+    assert (
+        Beside.of(1e-9, 1e-10, 1e-10, 1.0).share == 1.0 and Beside.of(1e-9, np.inf, 1e-10, 1.0).share == 1.0
+    )
