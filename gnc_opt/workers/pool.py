@@ -125,7 +125,7 @@ class WorkerPool(Generic[Object]):
             remedy = 'give a concurrent.futures.Executor, client.get_executor() of Dask, or "serial"'
             self._executor = expect(executor, Executor, f"the executor of {caller}", remedy)
             sends = shared.maker is not None and not isinstance(executor, ThreadPoolExecutor)
-            if sends or isinstance(executor, ProcessPoolExecutor):  # which may hang if it fails to send (3.13)
+            if sends or isinstance(executor, ProcessPoolExecutor):  # that hangs at times where it cannot send
                 self._parcel = shared.packed()
 
     def __enter__(self) -> WorkerPool[Object]:
