@@ -16,7 +16,7 @@ powers of the arc's length.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
@@ -31,7 +31,6 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import TINY
 from gnc_opt.verify.brief import SMEARED
-from gnc_opt.verify.controls import undetermined
 from gnc_opt.verify.verdict import Condition, Result
 
 MOST_ORDER = 3
@@ -70,9 +69,7 @@ class SingularArc:
     samples: tuple[int, int] = field(default=(0, 0), compare=False)
 
 
-def generalised_legendre_clebsch(
-    problem: Problem, samples: list[PhaseSamples], tolerance: float
-) -> Condition:
+def generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: float) -> Condition:
     """Goh's and the strengthened generalised Legendre-Clebsch condition hold along every singular arc."""
     name = "generalised Legendre-Clebsch"
     meaning = (
@@ -81,7 +78,6 @@ def generalised_legendre_clebsch(
         "eigenvalue, reversed, in shares of H over the arc's length): a negative one means that quick pulses "
         "to and fro lower the cost."
     )
-    arcs = [arc for s in samples for arc in singular_arcs(problem, s, tolerance)]
     if not arcs:
         return Condition(name, Result.PASS, 0.0, 0.0, "no singular arc", meaning, sufficient=True)
     worst = min(arcs, key=lambda arc: (not arc.least < -tolerance, not arc.why, arc.least))
@@ -95,10 +91,10 @@ def generalised_legendre_clebsch(
     )
 
 
-def of_first_order(problem: Problem, s: PhaseSamples, tolerance: float) -> Mask:
-    """Where the second derivatives of the switching functions determine controls (m, n_samples)."""
+def of_first_order(s: PhaseSamples, arcs: Sequence[SingularArc], tolerance: float) -> Mask:
+    """Where the second derivatives of the switching functions determine controls (m, n_samples), on arcs of a phase."""
     found = np.zeros((s.leg.controls.size, s.times.size), dtype=bool)
-    for arc in singular_arcs(problem, s, tolerance):
+    for arc in arcs:
         found[list(arc.channels), slice(*arc.samples)] = (
             arc.order == 1 and not arc.why and arc.least > tolerance
         )
@@ -119,10 +115,17 @@ def chatters(problem: Problem, s: PhaseSamples, channel: int) -> bool:
     return next(contained, 0) > 2
 
 
-def singular_arcs(problem: Problem, s: PhaseSamples, tolerance: float) -> list[SingularArc]:
-    """Judge the arcs of a phase along which controls are between their bounds without curvature of H."""
-    singular, inside = undetermined(s, tolerance)
-    singular &= inside
+def singular_arcs(
+    problem: Problem, s: PhaseSamples, singular: Mask, inside: Mask, tolerance: float
+) -> list[SingularArc]:
+    """Judge the arcs of a phase along which controls are between their bounds without curvature of H.
+
+    Parameters
+    ----------
+    singular, inside : bool array (m, n_samples)
+        As `controls.undetermined` tells.
+    """
+    singular = singular & inside
     kinds = np.vstack([singular, inside])
     changes = np.flatnonzero(np.any(kinds[:, 1:] != kinds[:, :-1], axis=0)) + 1
     found = []
