@@ -84,7 +84,7 @@ def bounds_to_give(problem: Problem) -> str:
     if not missing:
         return ""
     names = ", ".join(dict.fromkeys(missing))
-    return f"time is all that costs, and nothing limits {names}: no time is the least but by its own limit; give bounds()."
+    return f"time is all that costs, and nothing limits {names}: no time is the least but its limit; give bounds()."
 
 
 def _boundless(leg: Phase) -> list[str]:
