@@ -19,7 +19,7 @@ from gnc_opt.nlp import NlpResult, SolverOptions, Status
 from gnc_opt.solution import solve_mesh as tries
 from gnc_opt.solution.attempt import Attempt
 from gnc_opt.solution.diagnosis import Violation, find_violations
-from gnc_opt.solution.failure import SolveError, failure_message
+from gnc_opt.solution.failure import SolveError, bounds_to_give, failure_message
 from gnc_opt.solution.history import Actions, History, Pass, RefinementStatus
 from gnc_opt.solution.solution import Solution, load
 from gnc_opt.transcription.mesh import Mesh
@@ -453,3 +453,32 @@ def test_a_warm_start_is_given_so_many_iterations(moved: Solution, monkeypatch: 
     assert taken[2][1] == 50
     monkeypatch.setattr(tries._Task, "solve", lambda *a, **k: replace(moved, status=Status.INTERRUPTED))
     assert tries.solve_mesh(problem, guess=moved, limits=tries.SolveLimits(7)).status is Status.INTERRUPTED
+
+
+def test_missing_bounds_in_least_time_are_named() -> None:
+    """Of a bound on each side, a path limit, an integral, a heading, or another cost, none must be told."""
+
+    def least_time() -> tuple[go.Problem, go.Phase]:
+        model = go.Model("cart")
+        q, v, w = model.state("q"), model.state("v"), model.state("w")
+        a, b, heading = model.control("a"), model.control("b"), model.control("heading")
+        model.ode({q: v, v: a + b, w: ca.cos(heading)})
+        problem = go.Problem("least time")
+        leg = problem.phase("leg", model)
+        leg.time(0.0, (0.0, 10.0))
+        leg.bounds(b=(-1.0, 1.0))
+        problem.minimize(2 * leg.final_time)
+        return problem, leg
+
+    problem, leg = least_time()
+    assert "nothing limits 'a': no time is the least; give bounds()" in bounds_to_give(problem)
+    assert "nothing limits 'a'" in bounds_to_give(problem.with_bounds(a=(None, 1.0)))
+    assert bounds_to_give(problem.with_bounds(a=(-1.0, 1.0))) == ""
+    leg.path("thrust", leg.model.symbol("a") ** 2, upper=1.0)
+    assert bounds_to_give(problem) == ""
+    problem, leg = least_time()
+    problem.constrain("effort", leg.integral(leg.model.symbol("a") ** 2), upper=1.0)
+    assert bounds_to_give(problem) == ""
+    problem, leg = least_time()
+    problem.cost = leg.final_time + leg.final_state("w")
+    assert bounds_to_give(problem) == ""
