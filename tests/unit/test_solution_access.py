@@ -471,9 +471,7 @@ def test_missing_bounds_in_least_time_are_named() -> None:
         return problem, leg
 
     problem, leg = least_time()
-    assert "nothing limits 'a': no time is the least but its limit; give bounds()" in bounds_to_give(
-        problem
-    )
+    assert "nothing limits 'a': no time is the least but its limit; give bounds()" in bounds_to_give(problem)
     assert "nothing limits 'a'" in bounds_to_give(problem.with_bounds(a=(None, 1.0)))
     assert bounds_to_give(problem.with_bounds(a=(-1.0, 1.0))) == ""
     leg.path("thrust", leg.model.symbol("a") ** 2, upper=1.0)
