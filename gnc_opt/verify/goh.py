@@ -137,7 +137,8 @@ def _not_affine(problem: Problem, s: PhaseSamples) -> Mask:
     found = np.zeros((s.leg.controls.size, s.leg.mesh.segments), dtype=bool)
     for arc in singular_arcs(problem, s, AT_LIMIT):
         if arc.order == 0 and arc.why and (not arc.why.startswith(COUPLED) or arc.least < -CROSS):
-            found[np.ix_(list(arc.channels), np.unique(s.segments[slice(*arc.samples)]))] = True
+            for i in arc.channels:
+                found[i, s.segments[slice(*arc.samples)]] = True
     return found
 
 
