@@ -38,7 +38,7 @@ from gnc_opt.transcription.quadrature import differentiation_matrix, points, wei
 from gnc_opt.verify.critical_cone import CriticalCone
 from gnc_opt.verify.held import left_free
 from gnc_opt.verify.null_space import unit_variations, variation_weights
-from gnc_opt.verify.singular import COUPLED, CROSS, singular_arcs
+from gnc_opt.verify.singular import COUPLED, CROSS, TOO_LARGE, singular_arcs
 from gnc_opt.verify.switches import inner_switches
 
 CUTS = (1e-2, 0.1), (0.9, 0.99)
@@ -136,7 +136,8 @@ def _not_affine(problem: Problem, s: PhaseSamples) -> Mask:
     """
     found = np.zeros((s.leg.controls.size, s.leg.mesh.segments), dtype=bool)
     for arc in singular_arcs(problem, s, AT_LIMIT):
-        if arc.order == 0 and arc.why and (not arc.why.startswith(COUPLED) or arc.least < -CROSS):
+        unknown = arc.why.startswith(TOO_LARGE) or (arc.why.startswith(COUPLED) and arc.least >= -CROSS)
+        if arc.order == 0 and arc.why and not unknown:
             for i in arc.channels:
                 found[i, s.segments[slice(*arc.samples)]] = True
     return found

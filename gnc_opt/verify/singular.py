@@ -47,6 +47,8 @@ OWN_DECAY = 1e3
 """Where H only flattens out in a control, time derivatives of its switching function contain those of the curvature:
 what they tell of the arc is larger than the curvature by more than this."""
 
+TOO_LARGE = "the switching function has too large a derivative of order"
+
 COUPLED = "coupled in H with a control that H determines"
 
 NOT_AFFINE = "H is not affine in the controls between their bounds, whose curvature vanishes here only"
@@ -169,7 +171,7 @@ def _judge(
     for j in range(2 * MOST_ORDER + 1):
         function = derivatives.by_controls(j)
         if function is None:
-            return arc(0, 0.0, f"the derivative of order {j} of the switching function is too large")
+            return arc(0, 0.0, f"{TOO_LARGE} {j}")
         matrices = _evaluated(s, channels, here, function) * (last - first) ** j
         size = float(np.max(np.abs(matrices), initial=0.0))
         flat = size if j == 0 else flat
