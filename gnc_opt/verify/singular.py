@@ -39,6 +39,17 @@ MOST_ORDER = 3
 MOST_INSTRUCTIONS = 200_000
 """Size of the derivatives of a switching function beyond which no further one is taken."""
 
+CROSS = 1e-10
+"""Curvature of H along a coupling, in shares of H, below which it is what is left of stationarity."""
+
+OWN_DECAY = 1e3
+"""Where H only flattens out in a control, time derivatives of its switching function contain those of the curvature:
+what they tell of the arc is larger than the curvature by more than this."""
+
+TOO_LARGE = "the switching function has too large a derivative of order"
+
+COUPLED = "coupled in H with a control that H determines"
+
 NOT_AFFINE = "H is not affine in the controls between their bounds, whose curvature vanishes here only"
 
 
@@ -54,7 +65,7 @@ class SingularArc:
     least : float
         Smallest eigenvalue of K along the arc; or the largest derivative that should vanish, reversed.
     why : str
-        Why nothing can be told, or empty.
+        Why nothing can be told (or what fails, by a coupling), or empty.
     channels : tuple of int
         Its controls.
     samples : (int, int)
@@ -154,16 +165,22 @@ def _judge(
     )
     derivatives = problem.once(key, lambda: Derivatives(s, channels, regular))
     if derivatives.coupled:
-        return arc(0, 0.0, "coupled in H with a control that H determines")
+        least = _along_both(s, channels, regular, here)
+        bends = (
+            f", and both curve H downwards by {-least:.1e} of it: quick pulses gain an eighth of that at most"
+        )
+        return arc(0, least, COUPLED + (bends if least < -CROSS else ""))
+    flat = 0.0
     for j in range(2 * MOST_ORDER + 1):
         function = derivatives.by_controls(j)
         if function is None:
-            return arc(0, 0.0, f"the derivative of order {j} of the switching function is too large")
+            return arc(0, 0.0, f"{TOO_LARGE} {j}")
         matrices = _evaluated(s, channels, here, function) * (last - first) ** j
         size = float(np.max(np.abs(matrices), initial=0.0))
+        flat = size if j == 0 else flat
         if size <= tolerance:
             continue
-        if j == 0:
+        if size <= OWN_DECAY * flat:
             return arc(0, 0.0, NOT_AFFINE)
         if j % 2:
             return arc(0, -size)
@@ -171,6 +188,19 @@ def _judge(
         least = float(np.min(np.linalg.eigvalsh(signed)))
         return arc(j // 2, least, "" if abs(least) > tolerance else f"K of order {j // 2} is singular")
     return arc(0, 0.0, f"no derivative up to order {2 * MOST_ORDER} determines the control")
+
+
+def _along_both(s: PhaseSamples, channels: Indices, regular: Indices, here: Indices) -> float:
+    """Return the least curvature of H along singular controls with the regular ones at their best, in shares of H.
+
+    A matrix with zeros on its diagonal is not positive where it couples: the least of u v + v^2 / 2 is -u^2 / 2.
+    """
+    unit, hessian = s.control_scale, np.moveaxis(s.control_hessian[:, :, here], -1, 0)
+    hessian = hessian * np.outer(unit, unit) / max(s.hamiltonian_scale, TINY)
+    cross = hessian[:, regular[:, None], channels]
+    own = hessian[:, regular[:, None], regular]
+    schur = -cross.transpose(0, 2, 1) @ np.linalg.pinv(own, hermitian=True) @ cross
+    return float(np.min(np.linalg.eigvalsh(schur)))
 
 
 def _evaluated(s: PhaseSamples, channels: Indices, here: Indices, function: Any) -> Array:
