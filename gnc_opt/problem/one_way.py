@@ -53,13 +53,13 @@ def one_way_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
         problem.parameter_interval(),
     ]
     asked = (bounded.tobytes(), *(end.tobytes() for box in ranges for end in (box.lower, box.upper)))
-    last, known = problem.builds.get(("one way", leg.name), (None, None))
-    if last == asked:
-        return known
-    rising, falling, box = _none(leg), _none(leg), ranges_of(rates, ranges)
-    rising[rows], falling[rows] = bounded[rows] & (box.lower == 0), bounded[rows] & (box.upper == 0)
-    problem.builds["one way", leg.name] = asked, (rising, falling)
-    return rising, falling
+    place = ("one way", leg.name)
+    known: tuple[Any, Mask, Mask] | None = problem.builds.get(place)
+    if known is None or known[0] != asked:
+        rising, falling, rate = _none(leg), _none(leg), ranges_of(rates, ranges)
+        rising[rows], falling[rows] = bounded[rows] & (rate.lower == 0), bounded[rows] & (rate.upper == 0)
+        problem.builds[place] = known = (asked, rising, falling)
+    return known[1:]
 
 
 def _none(leg: Phase) -> Mask:

@@ -35,6 +35,7 @@ from gnc_opt.tolerances import AT_LIMIT, RANK
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.numbering import PhasePart
 from gnc_opt.transcription.quadrature import differentiation_matrix, points, weights
+from gnc_opt.verify.controls import undetermined
 from gnc_opt.verify.critical_cone import CriticalCone
 from gnc_opt.verify.held import left_free
 from gnc_opt.verify.null_space import unit_variations, variation_weights
@@ -135,7 +136,7 @@ def _not_affine(problem: Problem, s: PhaseSamples) -> Mask:
     with one that it determines: what it is in their integrals would grow without end on ever finer meshes.
     """
     found = np.zeros((s.leg.controls.size, s.leg.mesh.segments), dtype=bool)
-    for arc in singular_arcs(problem, s, AT_LIMIT):
+    for arc in singular_arcs(problem, s, *undetermined(s, AT_LIMIT), AT_LIMIT):
         unknown = arc.why.startswith(TOO_LARGE) or (arc.why.startswith(COUPLED) and arc.least >= -CROSS)
         if arc.order == 0 and arc.why and not unknown:
             for i in arc.channels:
