@@ -37,27 +37,33 @@ def one_way_states(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
 
     They do not while controls keep to their bounds, and states to theirs as `loose_bounds` has them.
 
-    Only states with bounds that controls can bring to rest are looked at.
+    Only states with bounds that controls can bring to rest are looked at. The answer to the last numbers is kept.
     """
-    rising, falling = np.zeros((2, leg.model.states.size), dtype=bool)
     numbers = leg.numbers
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
     rows, rates = problem.once(("rates by controls", leg.name), lambda: _rates_by_controls(problem, leg))
     if not np.any(bounded[rows]):
-        return rising, falling
+        return _none(leg), _none(leg)
     values, times = leg.model.parameter_values, leg.times()
-    box = ranges_of(
-        rates,
-        [
-            Interval(times[0].lower, times[1].upper),
-            loose_bounds(leg),
-            numbers.controls,
-            Interval(values, values),
-            problem.parameter_interval(),
-        ],
-    )
-    rising[rows], falling[rows] = bounded[rows] & (box.lower == 0), bounded[rows] & (box.upper == 0)
-    return rising, falling
+    ranges = [
+        Interval(times[0].lower, times[1].upper),
+        loose_bounds(leg),
+        numbers.controls,
+        Interval(values, values),
+        problem.parameter_interval(),
+    ]
+    asked = (bounded.tobytes(), *(end.tobytes() for box in ranges for end in (box.lower, box.upper)))
+    place = ("one way", leg.name)
+    known: tuple[Any, Mask, Mask] | None = problem.builds.get(place)
+    if known is None or known[0] != asked:
+        rising, falling, rate = _none(leg), _none(leg), ranges_of(rates, ranges)
+        rising[rows], falling[rows] = bounded[rows] & (rate.lower == 0), bounded[rows] & (rate.upper == 0)
+        problem.builds[place] = known = (asked, rising, falling)
+    return known[1:]
+
+
+def _none(leg: Phase) -> Mask:
+    return np.zeros(leg.model.states.size, dtype=bool)
 
 
 def kept_later(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:

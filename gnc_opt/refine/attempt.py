@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from gnc_opt.refine.error import estimate_errors
-from gnc_opt.refine.passes import pass_record
+from gnc_opt.refine.passes import PROMISING, pass_record
 from gnc_opt.refine.structure.curvature import regular_channels
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.solution.history import History, RefinementStatus
@@ -52,8 +52,14 @@ class RefinementAttempt:
 
     @property
     def work(self) -> float:
-        """Of all its passes."""
-        return sum(p.work for p in self.history.passes)
+        """Of all its passes but, on meshes, the first one, which was given."""
+        return sum(p.work for p in self.history.passes[self.begun is None :])
+
+    @property
+    def leads_on(self) -> bool:
+        """Whether errors fell fast enough, from pass to pass on average, for others to follow; see `PROMISING`."""
+        first, *others = self.history.passes
+        return bool(others) and self.error <= PROMISING ** len(others) * first.error
 
     @property
     def stopped(self) -> bool:

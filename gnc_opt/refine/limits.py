@@ -19,13 +19,13 @@ class RefinementLimits:
     max_points : int
         At most so many collocation points in any phase.
     max_work : float
-        No pass on a mesh begins when these have cost this many times what the given solution did, counted in
-        iterations at one collocation point (`Pass.work`), so that it ends in the same place on every machine. What
-        costs a few seconds (`gnc_opt.refine.refine.LEAST_WORK`) is allowed in any case, twice as much of either while
-        the error falls to a third or less from pass to pass; ``math.inf`` allows everything. A structure that is tried
-        unasked may cost half as much before, and a quarter when a finer mesh shows another and so much is left of it
-        all; on the segments of that mesh, once, as much as the mesh. A pass that has begun may cost half that much
-        more at most, or 25 iterations.
+        No pass begins when all of them have cost this many times what the given solution did, counted in iterations
+        at one collocation point (`Pass.work`), so that it ends in the same place on every machine. What costs about a
+        second (`gnc_opt.refine.refine.LEAST_WORK`) is allowed in any case, twice as much of either while the error
+        falls to a third or less from pass to pass; ``math.inf`` allows everything. A structure that is tried unasked
+        may cost half as much, and a quarter when a finer mesh shows another and so much is left of it all; on the
+        segments of that mesh, once, as much as all. Meshes may cost half as much in any case. A pass that has begun may
+        cost half of what its way may cost more at most, or 25 iterations.
     max_wall_time : float, optional
         Limit in s on all of it; then, and after Ctrl-C, the best solution so far is returned, without a verdict.
 
@@ -43,7 +43,7 @@ class RefinementLimits:
 
     max_passes: int = 40
     max_points: int = 2000
-    max_work: float = 15.0
+    max_work: float = 10.0
     max_wall_time: float | None = None
 
     def __post_init__(self) -> None:

@@ -38,7 +38,7 @@ StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]
 
 UNASKED, AGAIN = 0.5, 0.25
 """Shares of the work after which a control structure that nobody asked for is given up, first and later, when all that
-was tried before has left so much. What it costs comes on top of what the mesh may cost."""
+was tried before has left so much."""
 
 OTHERS, SLIGHT = 0.5, 0.5
 """Share of the work of a structure that other readings of the same mesh may cost, and of that what each may cost in any
@@ -51,8 +51,12 @@ EARLY, SPARE = 3, 2
 """Passes of the mesh after which it is asked for a structure again, where the first one did not lead anywhere, and how
 many more it may take to be the best so far."""
 
-LEAST_WORK = 7e4
-"""What refining may cost in any case, in iterations at one collocation point (`Pass.work`): one to a few seconds."""
+LEAST_WORK = 3.5e4
+"""What refining may cost in any case, in iterations at one collocation point (`Pass.work`): about a second."""
+
+MESHES = 0.5
+"""Share of all work that is left for meshes, however much structures that nobody asked for have cost in vain, before it
+is seen how fast their errors fall."""
 
 TIGHTER, FURTHER = 0.01, 2
 """Where a mesh is within the tolerance but a condition of the verdict fails that finer meshes can meet, refining goes
@@ -242,7 +246,7 @@ class _Task:
         if found and _carried(start, found):
             yield self._structured(start, found, self.max_work, self.options or BRIEF, on_mesh=True)
             return
-        share = min(share, 1.0 - sum(a.work for a in self.attempted) / self.max_work)
+        share = min(share, 1.0 - self._spent / self.max_work)
         if share <= 0:
             return
         found = found or structures_of(start)
@@ -376,8 +380,18 @@ class _Task:
 
     @property
     def _left(self) -> float:
-        """Work that is left for meshes, however much structures that nobody asked for have cost."""
-        return self.max_work - sum(a.work for a in self.attempted if a.begun is None)
+        """Work that is left for meshes: of all that is allowed, or at least of their share of it.
+
+        Where they lead on, what structures have cost in vain does not count.
+        """
+        meshes = [a for a in self.attempted if a.begun is None]
+        share = 1.0 if meshes and meshes[-1].leads_on else MESHES
+        return max(self.max_work - self._spent, share * self.max_work - sum(a.work for a in meshes))
+
+    @property
+    def _spent(self) -> float:
+        """Work of all that was tried."""
+        return sum(a.work for a in self.attempted)
 
     def _by_mesh(self, start: Solution, tol: float, max_passes: int, spare: int = 0) -> RefinementAttempt:
         return RefinementAttempt(

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from gnc_opt.problem.tables import OutsideTable
+from gnc_opt.solution.failure import bounds_to_give
 from gnc_opt.solution.history import RefinementStatus
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.quality import Quality
@@ -137,6 +138,8 @@ def _refinement(solution: Solution) -> Iterator[str]:
         yield _line("verdict", verdict.headline)
         for c in verdict.open[:WORST]:
             yield _line("open", f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.offence_text}")
+        if not verdict.ok and solution.problem is not None and (missing := bounds_to_give(solution.problem)):
+            yield _line("what to do", missing)
     final = history.final
     yield _line(
         "refinement",

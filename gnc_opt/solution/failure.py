@@ -50,7 +50,7 @@ def failure_message(solution: Solution) -> str:
         f"status {solution.status.value}; {worst}. {solution.status.remedy}"
         + (guess_to_give(problem) if problem and solution.status in GUESS_HELPS else "")
         + "".join(f" And {text}." for text in norms)
-        + (bounds_to_give(problem) if problem else "")
+        + (f" And {missing}" if problem and (missing := bounds_to_give(problem)) else "")
     )
 
 
@@ -84,7 +84,7 @@ def bounds_to_give(problem: Problem) -> str:
     if not missing:
         return ""
     names = ", ".join(dict.fromkeys(missing))
-    return f" And time is all that costs, and nothing limits {names}: no time is the least; give bounds()."
+    return f"time is all that costs, and nothing limits {names}: no time is the least but its limit; give bounds()."
 
 
 def _boundless(leg: Phase) -> list[str]:

@@ -11,6 +11,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.composed import VectorControl
 from gnc_opt.problem.functions import PhaseFunctions
+from gnc_opt.solution.idle import without_effect
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.spans import RESOLUTION, STILL, control_spans, end_spans, shared, state_spans, steering
 from gnc_opt.tolerances import AT_LIMIT, SHORTEST, TINY, magnitude
@@ -159,8 +160,9 @@ class PhaseSamples:
 
     @cached_property
     def idle(self) -> Mask:
-        """Where a control does nothing (m, n_samples): the direction of a vector whose magnitude is zero."""
-        layout, idle = self.leg.controls, np.zeros(self.u.shape, dtype=bool)
+        """Where a control does nothing (m, n_samples), as the direction of a vector whose magnitude is zero."""
+        layout, bounds = self.leg.controls, self.leg.control_bounds
+        idle = without_effect(self.functions, bounds, self.times, self.x, self.u, self.control_scale)
         for vector in self.leg.composed_controls:
             if isinstance(vector, VectorControl):
                 magnitude = self.u[layout.slice(vector.magnitude)]

@@ -18,6 +18,9 @@ from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT
 from gnc_opt.verify.critical_cone import CriticalCone
 
+SURELY = 0.99
+"""A collocation point between samples that are idle by this share is so itself."""
+
 
 def lone_vector(s: PhaseSamples, group: Indices) -> VectorControl | None:
     """Return the vector control that a group consists of, if H is affine in it and only its length is limited."""
@@ -57,10 +60,20 @@ def aimed_gradient(s: PhaseSamples, times: Array, x: Array, u: Array, lam: Array
 
 
 def without_idle_directions(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
-    """Return the cone with directions held where their magnitude is: the length of what is held is no row of it."""
+    """Return the cone with directions held where their magnitude is: the length of what is held is no row of it.
+
+    Angles that do nothing while another control is held are held, too.
+    """
     strong = cone.strong.copy()
     for s in samples:
         collocation = cone.point.transcription.parts[s.leg.name].collocation
+        places, times = (
+            collocation.point_controls,
+            s.leg.initial_time + s.leg.duration * collocation.fractions,
+        )
+        for i in np.flatnonzero(np.any(s.idle, axis=1)):
+            alone = np.interp(times, s.times, s.idle[i]) > SURELY
+            strong[places[i, alone & np.any(cone.strong[places], axis=0)]] = True
         for vector in s.leg.composed_controls:
             if not isinstance(vector, VectorControl):
                 continue

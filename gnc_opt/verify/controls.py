@@ -132,23 +132,31 @@ def _scattered_controls(s: PhaseSamples) -> Array:
     return np.where(s.functions.separable_controls[:, None], other, s.u)
 
 
-def legendre_clebsch(samples: list[PhaseSamples], tolerance: float) -> Condition:
-    """The Hessian of H in the controls that are not on a bound is positive definite (strengthened form)."""
+def legendre_clebsch(samples: list[PhaseSamples], tolerance: float, singular: Sequence[Mask]) -> Condition:
+    """The Hessian of H in the controls that are not on a bound is positive definite (strengthened form).
+
+    Parameters
+    ----------
+    samples : list of PhaseSamples
+    tolerance : float
+    singular : sequence of bool array (m, n_samples)
+        Where controls are, phase by phase, as `undetermined` tells.
+    """
     name = "Legendre-Clebsch"
     meaning = (
         "In controls between their bounds the Hessian of H must be positive definite (value: smallest eigenvalue with "
         "its sign reversed, in shares of H's scale): negative curvature means a maximum, none leaves it open."
     )
     found = [_least_curvature(s) for s in samples]
-    singular = [place is not None and abs(value) <= tolerance for value, place in found]
+    vanishing = [place is not None and abs(value) <= tolerance for value, place in found]
     # Where the form vanishes since H is affine in controls, the generalised condition judges; here, the others.
     found = [
-        _least_curvature(s, ~undetermined(s, tolerance)[0]) if affine else told
-        for s, told, affine in zip(samples, found, singular, strict=True)
+        _least_curvature(s, ~here) if affine else told
+        for s, here, told, affine in zip(samples, singular, found, vanishing, strict=True)
     ]
     places = [(value, place) for value, place in found if place is not None]
     if not places:
-        nowhere = "no control between its bounds" + (" but along singular arcs" if any(singular) else "")
+        nowhere = "no control between its bounds" + (" but along singular arcs" if any(vanishing) else "")
         return Condition(name, Result.PASS, 0.0, 0.0, nowhere, meaning, sufficient=True)
     least, place = min(places, key=lambda item: item[0])
     result = Result.PASS if least >= tolerance else Result.CANNOT_TELL if least > -tolerance else Result.FAIL
@@ -172,15 +180,22 @@ def _least_curvature(s: PhaseSamples, among: Mask | bool = True) -> tuple[float,
     return float(least[j]), s.place(j) if least[j] < np.inf else None
 
 
-def singular_arcs(samples: list[PhaseSamples], tolerance: float, told: Sequence[Mask] = ()) -> Condition:
+def singular_arcs(
+    samples: list[PhaseSamples],
+    tolerance: float,
+    singular: Sequence[Mask],
+    told: Sequence[Mask] = (),
+) -> Condition:
     """Every control between its bounds is determined, by H or by the second derivative of its switching function.
 
     Parameters
     ----------
     samples : list of PhaseSamples
     tolerance : float
+    singular : sequence of bool array (m, n_samples)
+        Where controls are, phase by phase, as `undetermined` tells.
     told : sequence of bool array (m, n_samples)
-        Where the latter is so, phase by phase; by default nowhere.
+        Where the second derivative of the switching function does; by default nowhere.
     """
     meaning = (
         "Where a control is between its bounds and dH/du and the curvature of H both vanish (a singular arc), the "
@@ -189,9 +204,8 @@ def singular_arcs(samples: list[PhaseSamples], tolerance: float, told: Sequence[
         "only."
     )
     total, place = 0.0, "nowhere"
-    for k, s in enumerate(samples):
-        singular = undetermined(s, tolerance)[0]
-        beyond = singular & ~told[k] if told else singular
+    for k, (s, here) in enumerate(zip(samples, singular, strict=True)):
+        beyond = here & ~told[k] if told else here
         lengths = np.sum(beyond * s.weights, axis=1) / max(s.leg.duration, SHORTEST)
         if lengths.size and lengths.max() > total:
             i = int(np.argmax(lengths))

@@ -35,9 +35,11 @@ from gnc_opt.tolerances import AT_LIMIT, RANK
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.numbering import PhasePart
 from gnc_opt.transcription.quadrature import differentiation_matrix, points, weights
+from gnc_opt.verify.controls import undetermined
 from gnc_opt.verify.critical_cone import CriticalCone
 from gnc_opt.verify.held import left_free
 from gnc_opt.verify.null_space import unit_variations, variation_weights
+from gnc_opt.verify.singular import COUPLED, CROSS, TOO_LARGE, singular_arcs
 from gnc_opt.verify.switches import inner_switches
 
 CUTS = (1e-2, 0.1), (0.9, 0.99)
@@ -121,7 +123,25 @@ def in_gohs_variables(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> Cr
 def _singular_and_free(cone: CriticalCone, s: PhaseSamples) -> Mask:
     """Segments of the cone's mesh (n_controls, K) along which a control is singular and nothing determines it."""
     part = cone.point.transcription.parts[s.leg.name]
-    return singular_segments(s)[:, _coarse(s.leg.mesh, part.collocation.mesh)] & _free(cone, part)
+    singular = singular_segments(s)
+    if np.any(singular):
+        singular &= ~_not_affine(cone.point.problem, s)
+    return singular[:, _coarse(s.leg.mesh, part.collocation.mesh)] & _free(cone, part)
+
+
+def _not_affine(problem: Problem, s: PhaseSamples) -> Mask:
+    """Segments (n_controls, K) along which the second variation curves in the controls themselves, however little.
+
+    There H only flattens out, as where a control loses its grip on the flight near a free end, or couples its control
+    with one that it determines: what it is in their integrals would grow without end on ever finer meshes.
+    """
+    found = np.zeros((s.leg.controls.size, s.leg.mesh.segments), dtype=bool)
+    for arc in singular_arcs(problem, s, *undetermined(s, AT_LIMIT), AT_LIMIT):
+        unknown = arc.why.startswith(TOO_LARGE) or (arc.why.startswith(COUPLED) and arc.least >= -CROSS)
+        if arc.order == 0 and arc.why and not unknown:
+            for i in arc.channels:
+                found[i, s.segments[slice(*arc.samples)]] = True
+    return found
 
 
 def _coarse(mesh: Mesh, fine: Mesh) -> Indices:

@@ -16,7 +16,7 @@ powers of the arc's length.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
@@ -31,7 +31,6 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import TINY
 from gnc_opt.verify.brief import SMEARED
-from gnc_opt.verify.controls import undetermined
 from gnc_opt.verify.verdict import Condition, Result
 
 MOST_ORDER = 3
@@ -39,6 +38,17 @@ MOST_ORDER = 3
 
 MOST_INSTRUCTIONS = 200_000
 """Size of the derivatives of a switching function beyond which no further one is taken."""
+
+CROSS = 1e-10
+"""Curvature of H along a coupling, in shares of H, below which it is what is left of stationarity."""
+
+OWN_DECAY = 1e3
+"""Where H only flattens out in a control, time derivatives of its switching function contain those of the curvature:
+what they tell of the arc is larger than the curvature by more than this."""
+
+TOO_LARGE = "the switching function has too large a derivative of order"
+
+COUPLED = "coupled in H with a control that H determines"
 
 NOT_AFFINE = "H is not affine in the controls between their bounds, whose curvature vanishes here only"
 
@@ -55,7 +65,7 @@ class SingularArc:
     least : float
         Smallest eigenvalue of K along the arc; or the largest derivative that should vanish, reversed.
     why : str
-        Why nothing can be told, or empty.
+        Why nothing can be told (or what fails, by a coupling), or empty.
     channels : tuple of int
         Its controls.
     samples : (int, int)
@@ -70,9 +80,7 @@ class SingularArc:
     samples: tuple[int, int] = field(default=(0, 0), compare=False)
 
 
-def generalised_legendre_clebsch(
-    problem: Problem, samples: list[PhaseSamples], tolerance: float
-) -> Condition:
+def generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: float) -> Condition:
     """Goh's and the strengthened generalised Legendre-Clebsch condition hold along every singular arc."""
     name = "generalised Legendre-Clebsch"
     meaning = (
@@ -81,7 +89,6 @@ def generalised_legendre_clebsch(
         "eigenvalue, reversed, in shares of H over the arc's length): a negative one means that quick pulses "
         "to and fro lower the cost."
     )
-    arcs = [arc for s in samples for arc in singular_arcs(problem, s, tolerance)]
     if not arcs:
         return Condition(name, Result.PASS, 0.0, 0.0, "no singular arc", meaning, sufficient=True)
     worst = min(arcs, key=lambda arc: (not arc.least < -tolerance, not arc.why, arc.least))
@@ -95,10 +102,10 @@ def generalised_legendre_clebsch(
     )
 
 
-def of_first_order(problem: Problem, s: PhaseSamples, tolerance: float) -> Mask:
-    """Where the second derivatives of the switching functions determine controls (m, n_samples)."""
+def of_first_order(s: PhaseSamples, arcs: Sequence[SingularArc], tolerance: float) -> Mask:
+    """Where the second derivatives of the switching functions determine controls (m, n_samples), on arcs of a phase."""
     found = np.zeros((s.leg.controls.size, s.times.size), dtype=bool)
-    for arc in singular_arcs(problem, s, tolerance):
+    for arc in arcs:
         found[list(arc.channels), slice(*arc.samples)] = (
             arc.order == 1 and not arc.why and arc.least > tolerance
         )
@@ -119,10 +126,17 @@ def chatters(problem: Problem, s: PhaseSamples, channel: int) -> bool:
     return next(contained, 0) > 2
 
 
-def singular_arcs(problem: Problem, s: PhaseSamples, tolerance: float) -> list[SingularArc]:
-    """Judge the arcs of a phase along which controls are between their bounds without curvature of H."""
-    singular, inside = undetermined(s, tolerance)
-    singular &= inside
+def singular_arcs(
+    problem: Problem, s: PhaseSamples, singular: Mask, inside: Mask, tolerance: float
+) -> list[SingularArc]:
+    """Judge the arcs of a phase along which controls are between their bounds without curvature of H.
+
+    Parameters
+    ----------
+    singular, inside : bool array (m, n_samples)
+        As `controls.undetermined` tells.
+    """
+    singular = singular & inside
     kinds = np.vstack([singular, inside])
     changes = np.flatnonzero(np.any(kinds[:, 1:] != kinds[:, :-1], axis=0)) + 1
     found = []
@@ -151,16 +165,22 @@ def _judge(
     )
     derivatives = problem.once(key, lambda: Derivatives(s, channels, regular))
     if derivatives.coupled:
-        return arc(0, 0.0, "coupled in H with a control that H determines")
+        least = _along_both(s, channels, regular, here)
+        bends = (
+            f", and both curve H downwards by {-least:.1e} of it: quick pulses gain an eighth of that at most"
+        )
+        return arc(0, least, COUPLED + (bends if least < -CROSS else ""))
+    flat = 0.0
     for j in range(2 * MOST_ORDER + 1):
         function = derivatives.by_controls(j)
         if function is None:
-            return arc(0, 0.0, f"the derivative of order {j} of the switching function is too large")
+            return arc(0, 0.0, f"{TOO_LARGE} {j}")
         matrices = _evaluated(s, channels, here, function) * (last - first) ** j
         size = float(np.max(np.abs(matrices), initial=0.0))
+        flat = size if j == 0 else flat
         if size <= tolerance:
             continue
-        if j == 0:
+        if size <= OWN_DECAY * flat:
             return arc(0, 0.0, NOT_AFFINE)
         if j % 2:
             return arc(0, -size)
@@ -168,6 +188,19 @@ def _judge(
         least = float(np.min(np.linalg.eigvalsh(signed)))
         return arc(j // 2, least, "" if abs(least) > tolerance else f"K of order {j // 2} is singular")
     return arc(0, 0.0, f"no derivative up to order {2 * MOST_ORDER} determines the control")
+
+
+def _along_both(s: PhaseSamples, channels: Indices, regular: Indices, here: Indices) -> float:
+    """Return the least curvature of H along singular controls with the regular ones at their best, in shares of H.
+
+    A matrix with zeros on its diagonal is not positive where it couples: the least of u v + v^2 / 2 is -u^2 / 2.
+    """
+    unit, hessian = s.control_scale, np.moveaxis(s.control_hessian[:, :, here], -1, 0)
+    hessian = hessian * np.outer(unit, unit) / max(s.hamiltonian_scale, TINY)
+    cross = hessian[:, regular[:, None], channels]
+    own = hessian[:, regular[:, None], regular]
+    schur = -cross.transpose(0, 2, 1) @ np.linalg.pinv(own, hermitian=True) @ cross
+    return float(np.min(np.linalg.eigvalsh(schur)))
 
 
 def _evaluated(s: PhaseSamples, channels: Indices, here: Indices, function: Any) -> Array:

@@ -39,7 +39,7 @@ from gnc_opt.verify.reduced_hessian import (
     rounding_of_cost,
     visible_spans,
 )
-from gnc_opt.verify.singular import generalised_legendre_clebsch, of_first_order
+from gnc_opt.verify.singular import generalised_legendre_clebsch, of_first_order, singular_arcs
 from gnc_opt.verify.smoothness import beyond_theorems, roughness, smoothness
 from gnc_opt.verify.uniqueness import determined_by_slope, has_one_solution
 from gnc_opt.verify.verdict import Condition, Result, Verdict
@@ -125,6 +125,10 @@ def _judge(solution: Solution, tol: float) -> Verdict:
     lasting, problem = [s for s in samples if s.has_length], solution.need_problem("verify")
     if any(table_uses(problem, leg) for leg in problem.phases.values()):
         conditions.append(feasibility.tables(solution))
+    undetermined = [controls.undetermined(s, tol) for s in lasting]
+    singular = [mask for mask, _ in undetermined]
+    arcs = [singular_arcs(problem, s, *where, tol) for s, where in zip(lasting, undetermined, strict=True)]
+    told_by_arcs = [of_first_order(s, found, tol) for s, found in zip(lasting, arcs, strict=True)]
     along = [
         costates.adjoint(lasting, tol),
         costates.transversality(lasting, ends, tol),
@@ -133,9 +137,9 @@ def _judge(solution: Solution, tol: float) -> Verdict:
         controls.control_signs(lasting, tol),
         controls.minimum(lasting, tol, cost_unit(problem)),
         costates.complementarity(solution, lasting, ends, amounts.constraints, tol),
-        controls.legendre_clebsch(lasting, tol),
-        controls.singular_arcs(lasting, tol, [of_first_order(problem, s, tol) for s in lasting]),
-        generalised_legendre_clebsch(problem, lasting, tol),
+        controls.legendre_clebsch(lasting, tol, singular),
+        controls.singular_arcs(lasting, tol, singular, told_by_arcs),
+        generalised_legendre_clebsch([arc for found in arcs for arc in found], tol),
     ]
     switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
     names = ("strict switches", "second order") if switching else ("second order",)

@@ -12,6 +12,7 @@ from concurrent.futures import (
     CancelledError,
     Executor,
     Future,
+    ProcessPoolExecutor,
     ThreadPoolExecutor,
     wait,
 )
@@ -123,7 +124,8 @@ class WorkerPool(Generic[Object]):
         elif not (isinstance(executor, str) and executor == "serial"):
             remedy = 'give a concurrent.futures.Executor, client.get_executor() of Dask, or "serial"'
             self._executor = expect(executor, Executor, f"the executor of {caller}", remedy)
-            if shared.maker is not None and not isinstance(executor, ThreadPoolExecutor):
+            sends = shared.maker is not None and not isinstance(executor, ThreadPoolExecutor)
+            if sends or isinstance(executor, ProcessPoolExecutor):  # that hangs at times where it cannot send
                 self._parcel = shared.packed()
 
     def __enter__(self) -> WorkerPool[Object]:

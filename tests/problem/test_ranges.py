@@ -125,3 +125,19 @@ def test_budgets_are_told_from_what_comes_and_goes() -> None:
     rising, falling = one_way_states(problem, leg)
     assert [names[i] for i in np.flatnonzero(rising)] == ["fuel", "energy"]
     assert [names[i] for i in np.flatnonzero(falling)] == ["dose"]
+
+
+def test_a_budget_is_told_anew_for_other_numbers() -> None:
+    """What is kept of a problem serves its variations, too: with another sign of the parameter the fuel rises."""
+    model = go.Model("tank")
+    fuel, u = model.state("fuel"), model.control("u")
+    loss = model.parameter("loss", 2.0)
+    model.ode({fuel: -loss * u})
+    problem = go.Problem("tank")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=1.0)
+    leg.bounds(u=(0.0, 1.0), fuel=(0.0, 1.0))
+    filled = problem.with_parameters(loss=-2.0)
+    pumped = problem.with_bounds(u=(-1.0, 1.0))
+    for stated, ways in ((problem, (False, True)), (filled, (True, False)), (pumped, (False, False))) * 2:
+        assert tuple(bool(way[0]) for way in one_way_states(stated, stated.get_phase())) == ways

@@ -13,7 +13,7 @@ from problems.all import PAGES
 from problems.dispersed import Rivals, dispersed_rows
 
 
-def few_runs(system: str, rivals: Rivals, runs: int = 12) -> dict[str, Campaign]:
+def few_runs(system: str, rivals: Rivals, runs: int = 8) -> dict[str, Campaign]:
     """Fly the first runs of a page; its medians have to lie among them, and none is beyond its largest."""
     printed = json.loads((PAGES / f"{system}.json").read_text(encoding="utf-8"))
     known = {row["quantity"].partition(" runs, ")[2]: row["ours"] for row in printed["rows"]}

@@ -53,12 +53,7 @@ def test_plant_facts_energy_momentum_and_open_loop() -> None:
     assert sum(row.quantity.startswith("open loop") for row in rows) == 8
 
 
-@pytest.mark.parametrize("case", published.CASES, ids=lambda case: case.title)
-def test_configurations(case: published.Case) -> None:
-    assert failures(published.configuration_rows((case,))) == []
-
-
-def test_every_printed_number_stands_in_the_matrix() -> None:
+def test_configurations_and_disturbances_and_every_printed_number_stands_in_the_matrix() -> None:
     rows = published.configuration_rows() + studies._disturbance_rows(("J",))
     assert failures(rows) == [] and missing("flexible_spacecraft", rows) == []
 
@@ -84,10 +79,6 @@ def test_gain_k_makes_the_slew_faster_and_costs_effort() -> None:
 
 def test_sign_chatters_and_tanh_does_not() -> None:
     assert failures(studies._chattering_rows()) == []
-
-
-def test_disturbances() -> None:
-    assert failures(studies._disturbance_rows(("J",))) == []
 
 
 def test_printed_sign_diverges_and_the_corrected_one_converges() -> None:

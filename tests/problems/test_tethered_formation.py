@@ -349,7 +349,7 @@ def integrated(swings, swing_rates, rates, md):
 def test_dispersed_runs_are_what_another_program_makes_of_the_applied_rates():
     """From their own swings, for the plans and for the published structure."""
     c = Conditions()
-    campaigns = few_runs("tethered_formation", rivals())
+    campaigns = few_runs("tethered_formation", rivals(), runs=12)
     runs = flown_again(campaigns)
     starts = np.array([[run.state(name).values[0, 0] for name in ("theta", "theta_rate")] for run in runs])
     off = np.abs(np.degrees(starts - [np.radians(c.swing), 0.0]))

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import gnc_opt as go
@@ -14,6 +15,7 @@ from gnc_opt.nlp import Status
 from gnc_opt.refine.hp.mesh_refinement import refine_mesh
 from gnc_opt.refine.passes import FEWEST, PassLimits
 from gnc_opt.refine.structure import switching
+from gnc_opt.solution.history import work_of
 from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.transcription.mesh import Mesh
 
@@ -110,3 +112,38 @@ def test_a_start_from_lines_and_what_follows_it_take_no_more_iterations_either(
     tries = 4  # from lines, in flight, in guessed times, from lines again: each ends in an iteration
     assert found.status is Status.ITERATION_LIMIT
     assert 12 <= found.statistics.iterations <= 12 + tries
+
+
+@pytest.fixture(scope="module")
+def corner_turn() -> go.Solution:
+    """Half a turn in least time, the load factor limited by structure and by lift: held where both limits meet.
+
+    There the costate of the speed is no multiplier of either limit alone, which no order of arcs shows.
+    """
+    model = go.Model("aircraft")
+    v, course = model.state("v"), model.state("course")
+    load, throttle = model.control("load"), model.control("throttle")
+    model.ode({v: 12 * throttle - 2 - 1e-4 * v**2 - 40 * load**2 / v, course: 9.81 * load / v})
+    problem = go.Problem("turn")
+    leg = problem.phase("turn", model)
+    leg.time(initial=0.0, final=(2.0, 80.0))
+    leg.initial(v=250.0, course=0.0)
+    leg.final(course=np.pi)
+    leg.bounds(load=(0.0, 5.0), throttle=(0.0, 1.0), v=(60.0, 400.0))
+    leg.path("lift", load - (v / 95) ** 2, upper=0.0)
+    problem.minimize(leg.final_time)
+    return go.solve(problem, tol=None)
+
+
+def test_a_change_of_arcs_that_was_undone_is_not_asked_for_again(corner_turn: go.Solution) -> None:
+    _, history = switching.optimise_switches(corner_turn, tol=1e-6, limits=PassLimits(passes=15))
+    assert history.status is go.RefinementStatus.STALLED and len(history.passes) <= 6
+
+
+def test_what_does_not_converge_costs_little_more_than_fifteen_first_solves(corner_turn: go.Solution) -> None:
+    """Half of what it may cost for the structure, half of that for others, half for meshes, half more for the last."""
+    refined = go.refine(corner_turn, tol=1e-6)
+    assert refined.history is not None
+    points = corner_turn.phases["turn"].mesh.size
+    first = work_of(points, corner_turn.statistics.iterations)
+    assert sum(p.work for p in refined.history.passes) < 16 * first or go.verify(refined).ok

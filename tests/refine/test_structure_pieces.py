@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -213,12 +215,19 @@ def regulator(x_unit: float, u_unit: float, t_unit: float, cost: float) -> go.Pr
     return problem
 
 
+@cache
+def in_units(problem: Callable[..., go.Problem], units: tuple[float, ...]) -> go.Solution:
+    return go.refine(go.solve(problem(*units), tol=None))
+
+
 @pytest.mark.parametrize("problem", [pursuit, regulator])
 @pytest.mark.parametrize("units", [(300.0, 1.0, 1.0, 1.0), (1.0, 0.01, 1.0, 1.0), (1.0, 1.0, 60.0, 1.0),
                                    (1.0, 1.0, 1.0, 1e3), (0.1, -20.0, 0.05, 0.02)])  # fmt: skip
-def test_the_structure_does_not_depend_on_units(problem: object, units: tuple[float, ...]) -> None:
+def test_the_structure_does_not_depend_on_units(
+    problem: Callable[..., go.Problem], units: tuple[float, ...]
+) -> None:
     """Same arcs, same passes, same mesh; the arcs of a control in a negative unit are upside down."""
-    usual, other = (go.refine(go.solve(problem(*u), tol=None)) for u in ((1.0,) * 4, units))  # type: ignore[operator]
+    usual, other = in_units(problem, (1.0,) * 4), in_units(problem, units)
     upside_down = {LOW: UP, UP: LOW} if units[1] < 0 else {}
     for a, b in zip(usual.structure, other.structure, strict=True):
         assert b.kind is upside_down.get(a.kind, a.kind)

@@ -471,7 +471,7 @@ def test_missing_bounds_in_least_time_are_named() -> None:
         return problem, leg
 
     problem, leg = least_time()
-    assert "nothing limits 'a': no time is the least; give bounds()" in bounds_to_give(problem)
+    assert "nothing limits 'a': no time is the least but its limit; give bounds()" in bounds_to_give(problem)
     assert "nothing limits 'a'" in bounds_to_give(problem.with_bounds(a=(None, 1.0)))
     assert bounds_to_give(problem.with_bounds(a=(-1.0, 1.0))) == ""
     leg.path("thrust", leg.model.symbol("a") ** 2, upper=1.0)
@@ -482,3 +482,19 @@ def test_missing_bounds_in_least_time_are_named() -> None:
     problem, leg = least_time()
     problem.cost = leg.final_time + leg.final_state("w")
     assert bounds_to_give(problem) == ""
+
+
+def test_missing_bounds_are_named_where_the_least_time_is_its_own_limit() -> None:
+    """The solve ends at the limit, with costates that are rounding."""
+    model = go.Model("cart")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a})
+    problem = go.Problem("least time")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.01, 10.0))
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=1.0, v=0.0)
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem, mesh="4x4")
+    assert solution.objective == pytest.approx(0.01)
+    assert not go.verify(solution).ok and "nothing limits 'a'" in str(solution)

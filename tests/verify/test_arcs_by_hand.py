@@ -69,7 +69,7 @@ def arcs(monkeypatch: pytest.MonkeyPatch) -> Any:
 
     monkeypatch.setattr(singular, "_judge", judge)
     none: Any = None
-    return lambda s: singular_arcs(none, s, TOLERANCE)
+    return lambda s: singular_arcs(none, s, *controls.undetermined(s, TOLERANCE), TOLERANCE)
 
 
 LATE = [([0], [1], 0.5, 2.0)]
@@ -176,7 +176,7 @@ def test_an_arc_that_fails_needs_no_excuse(sign: float, why: str) -> None:
         breaks=(0.0, 0.5, 2.0),
         control_bounds=by_hand.interval(-1.0, 1.0),
     )
-    (arc,) = singular_arcs(problem, s, TOLERANCE)
+    (arc,) = singular_arcs(problem, s, *controls.undetermined(s, TOLERANCE), TOLERANCE)
     expected = sign * 2.0 * 4.0 * 1.5**2 / s.hamiltonian_scale
     assert arc == SingularArc("phase leg, u from 0.5 s to 2 s", 1, pytest.approx(expected), why)
 
@@ -200,7 +200,7 @@ def test_controls_that_curve_h_together_are_not_affine() -> None:
         breaks=(0.0, 2.0),
         control_bounds=BOX,
     )
-    (arc,) = singular_arcs(problem, s, TOLERANCE)
+    (arc,) = singular_arcs(problem, s, *controls.undetermined(s, TOLERANCE), TOLERANCE)
     assert arc == SingularArc("phase leg, u, w from 0 s to 2 s", 0, 0.0, singular.NOT_AFFINE)
 
 
@@ -298,7 +298,7 @@ def test_no_control_between_its_bounds_is_a_sufficient_pass() -> None:
     box = by_hand.interval([1.0, 2.0], [1.0, 2.0])
     s = flown(u=(1.0, 1.0), control_bounds=by_hand.interval([-1.0, -9.0], [1.0, 9.0]))
     s = PhaseSamples.of(replace(s.leg, control_bounds=box), s.functions)
-    condition = controls.legendre_clebsch([s], TOLERANCE)
+    condition = controls.legendre_clebsch([s], TOLERANCE, [controls.undetermined(s, TOLERANCE)[0]])
     assert condition.result is Result.PASS and condition.sufficient
     assert (condition.value, condition.tolerance, condition.where) == (
         0.0,
@@ -326,7 +326,7 @@ def test_least_curvature_over_the_spans(bend: float) -> None:
     for t in s.times:
         hessian = np.array([[bend, np.exp(-t) / 2], [np.exp(-t) / 2, 1.0]]) * np.outer(unit, unit)
         least.append(np.linalg.eigvalsh(hessian)[0])
-    condition = controls.legendre_clebsch([s], TOLERANCE)
+    condition = controls.legendre_clebsch([s], TOLERANCE, [controls.undetermined(s, TOLERANCE)[0]])
     assert condition.value == pytest.approx(-min(least), rel=1e-9) and condition.tolerance == -TOLERANCE
     assert condition.result is (Result.PASS if min(least) > 0 else Result.FAIL) and condition.sufficient
     assert condition.where.startswith("phase leg, t = 0 s")

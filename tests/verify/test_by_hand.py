@@ -19,6 +19,7 @@ from gnc_opt.transcription.transcription import transcribe
 from gnc_opt.verify import Result, feasibility
 from gnc_opt.verify.brief import lasting
 from gnc_opt.verify.conjugate_points import _free, _system, _worth
+from gnc_opt.verify.controls import undetermined
 from gnc_opt.verify.costates import _slack_offence, _time_transversality, _unexplained, hamiltonian
 from gnc_opt.verify.critical_cone import CriticalCone, _close_arcs, _nodes, _variable_lines
 from gnc_opt.verify.induced import InducedProblem, Unknowns
@@ -30,7 +31,7 @@ from gnc_opt.verify.null_space import variation_weights
 from gnc_opt.verify.pushes import Pushers, _responses, _without_pushes, jumps_explained, pushed_beside
 from gnc_opt.verify.reduced_hessian import Curvature, _doubt, _place
 from gnc_opt.verify.second_order import least_squares
-from gnc_opt.verify.singular import generalised_legendre_clebsch
+from gnc_opt.verify.singular import generalised_legendre_clebsch, singular_arcs
 from gnc_opt.verify.switches import Switches
 from gnc_opt.verify.trajectory_fit import Samples, fit
 from gnc_opt.verify.verdict import Verdict
@@ -113,7 +114,9 @@ def test_times_of_trajectory_and_phase_agree_up_to_their_rounding(
 
 def test_no_singular_arc_asks_for_nothing() -> None:
     problem = plain(np.zeros((2, 2)), lambda t, x, u: u**2)
-    condition = generalised_legendre_clebsch(problem, [arc(problem)], 1e-5)
+    s = arc(problem)
+    arcs = singular_arcs(problem, s, *undetermined(s, 1e-5), 1e-5)
+    condition = generalised_legendre_clebsch(arcs, 1e-5)
     assert (condition.result, condition.value, condition.tolerance) == (Result.PASS, 0.0, 0.0)
 
 

@@ -44,13 +44,10 @@ GOH, UNKNOWN, FLAT = (
         ([GOOD, FLAT], UNTOLD, -1e-7, "flat: order 1"),
     ],
 )
-def test_which_singular_arc_counts(
-    monkeypatch: pytest.MonkeyPatch, arcs: list[SingularArc], result: Result, value: float, where: str
-) -> None:
+def test_which_singular_arc_counts(arcs: list[SingularArc], result: Result, value: float, where: str) -> None:
     """One that fails before one of which nothing is told, before the least; whatever their order."""
     for given in (arcs, arcs[::-1]):
-        monkeypatch.setattr(singular, "singular_arcs", lambda problem, s, tol, given=given: given)
-        condition = singular.generalised_legendre_clebsch(None, [None], 1e-5)  # type: ignore[arg-type, list-item]
+        condition = singular.generalised_legendre_clebsch(given, 1e-5)
         assert (condition.result, condition.where, condition.tolerance) == (result, where, -1e-5)
         assert condition.value == pytest.approx(value) and condition.sufficient
 

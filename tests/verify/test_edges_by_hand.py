@@ -439,11 +439,11 @@ def test_singular_arcs_begin_at_their_first_sample_and_last_a_share() -> None:
         breaks=(0.0, 0.5, 2.0),
         control_bounds=by_hand.interval(-1.0, 1.0),
     )
-    condition = controls.singular_arcs([s], 1e-5)
+    condition = controls.singular_arcs([s], 1e-5, [controls.undetermined(s, 1e-5)[0]])
     assert condition.result is Result.CANNOT_TELL and condition.sufficient
     assert condition.value == pytest.approx(0.75) and condition.tolerance == 1e-5
     assert condition.where == "from phase leg, t = 0.5 s, u, 75.0 % of the phase"
-    none = controls.singular_arcs([], 1e-5)
+    none = controls.singular_arcs([], 1e-5, [])
     assert none.result is Result.PASS and none.where == "nowhere" and none.sufficient
 
 
@@ -649,7 +649,7 @@ def test_derivatives_that_grow_too_large_are_not_told(monkeypatch: pytest.Monkey
         weights=(1.0,), breaks=(0.0, 2.0), control_bounds=by_hand.interval(-1.0, 1.0),
     )  # fmt: skip
     monkeypatch.setattr(singular, "MOST_INSTRUCTIONS", 0)
-    (arc,) = singular.singular_arcs(problem, s, 1e-5)
+    (arc,) = singular.singular_arcs(problem, s, *controls.undetermined(s, 1e-5), 1e-5)
     assert (arc.order, arc.least) == (0, 0.0)
     assert arc.why == "the derivative of order 0 of the switching function is too large"
 

@@ -159,8 +159,16 @@ def ridge(along: float, across: float, side: str, unit: float = 1.0, wide: float
     return problem
 
 
-@pytest.mark.parametrize("side", ["upper", "lower"])
-@pytest.mark.parametrize(("unit", "wide"), [(1.0, 2.0), (1e6, 2.0), (1e-3, 2.0), (1.0, 8.0)])
+@pytest.mark.parametrize(
+    ("side", "unit", "wide"),
+    [
+        ("upper", 1.0, 2.0),
+        ("lower", 1.0, 2.0),
+        ("upper", 1e6, 2.0),
+        ("lower", 1e-3, 2.0),
+        ("upper", 1.0, 8.0),
+    ],
+)
 def test_curvature_counts_along_an_active_mixed_constraint_and_not_across_it(
     side: str, unit: float, wide: float
 ) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from wrong import singular_problem
 
 import gnc_opt as go
 from gnc_opt.verify.brief import least_for_long, without_switches
+from gnc_opt.verify.reduced_hessian import critical_cone, flown_spans, rounding_of_cost
 from gnc_opt.verify.singular import chatters
 from tests.unit import by_hand
 
@@ -178,6 +180,59 @@ def test_a_path_constraint_that_determines_a_control_does_so_in_any_unit(factor:
     problem.minimize(leg.integral(x) + leg.final_state("y"))
     solution = go.solve(problem, mesh="2x4")
     assert go.verify(solution)[NAME].where == "no singular arc"
+
+
+def coupled(coupling: float, start: float = 1.0) -> go.Problem:
+    """x' = u at the least integral of (x^2 + v^2) / 2 + e u v: least in v at v = -e u, where -(e u)^2 / 2 is left."""
+    model = go.Model("coupled")
+    x, u, v = model.state("x"), model.control("u"), model.control("v")
+    model.ode({x: u})
+    problem = go.Problem("coupled")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0 + 7.0 * start)
+    leg.initial(x=start)
+    leg.bounds(u=(-1.0, 1.0), v=(-1.0, 1.0))
+    problem.minimize(leg.integral(0.5 * (x**2 + v**2) + coupling * u * v))
+    return problem
+
+
+@pytest.mark.parametrize(
+    ("coupling", "result"),
+    [(5e-4, go.Result.CANNOT_TELL), (1e-3, go.Result.CANNOT_TELL), (0.1, go.Result.FAIL)],
+)
+def test_a_coupling_with_a_control_that_is_determined_curves_downwards(
+    coupling: float, result: go.Result
+) -> None:
+    """By (2 e)^2 over the range of u, where H amounts to 1 / 2 + e. Pulses of u, with v = -e u, gain e^2 / 2."""
+    condition = judged(coupled(coupling, start=0.0))
+    assert condition.result is result and "both curve H downwards" in condition.where
+    assert condition.value == pytest.approx((2 * coupling) ** 2 / (0.5 + coupling), rel=1e-6)
+
+
+def test_a_coupled_arc_is_ok_within_the_tolerance_and_no_minimum() -> None:
+    verdict = go.verify(go.solve(coupled(5e-4)))
+    assert verdict.ok and not verdict.minimum
+    assert verdict["second order"].result is go.Result.CANNOT_TELL
+
+
+def test_a_control_that_loses_its_grip_before_a_free_end_is_no_singular_arc() -> None:
+    """The furthest x by g' = exp(-20 t) cos b: b = 0. H curves in b by (1 - t) exp(-20 t), which decays."""
+    model = go.Model("grip")
+    x, g, b = model.state("x"), model.state("g"), model.control("b")
+    clock = model.state("clock")
+    model.ode({x: g, g: ca.exp(-20 * clock) * ca.cos(b), clock: 1.0})
+    problem = go.Problem("grip")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0, g=0.0, clock=0.0)
+    leg.bounds(b=(0.0, np.pi))
+    problem.maximize(leg.final_state("x"))
+    solution = go.solve(problem)
+    assert solution.objective == pytest.approx((1.0 - (1.0 - np.exp(-20.0)) / 20) / 20, rel=1e-8)
+    verdict, samples = go.verify(solution), list(solution.samples().values())
+    assert verdict.ok, verdict.explain()
+    # Its integral stands for no control: H is not affine in it.
+    assert critical_cone(solution, samples, rounding_of_cost(samples), flown_spans).unit is None
 
 
 def test_a_switch_smeared_by_a_polynomial_is_no_arc() -> None:

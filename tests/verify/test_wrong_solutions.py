@@ -37,7 +37,7 @@ import gnc_opt as go
 from gnc_opt.problem.interval import Interval
 from gnc_opt.solution.propagation import propagate
 from gnc_opt.solution.samples import PhaseSamples
-from gnc_opt.verify.controls import singular_arcs
+from gnc_opt.verify.controls import singular_arcs, undetermined
 from gnc_opt.verify.pushes import jumps_explained, settle_edges
 
 SMALL = 1e-3
@@ -488,14 +488,15 @@ def test_share_and_name_of_the_singular_control_beside_a_regular_one() -> None:
     problem.minimize(leg.integral(x**2 + w**2))
     solution = go.solve(problem, mesh=go.Mesh((0.0, 0.25, 0.5, 0.75, 1.0), (4,) * 4), tol=None)
     samples = list(solution.samples().values())
-    condition = singular_arcs(samples, 1e-4)  # H alone determines nothing there
+    singular = [undetermined(samples[0], 1e-4)[0]]
+    condition = singular_arcs(samples, 1e-4, singular)  # H alone determines nothing there
     assert condition.result is go.Result.CANNOT_TELL
     assert condition.value == pytest.approx(0.75, abs=0.03)
     assert ", u, " in condition.where
     told = np.ones((2, samples[0].times.size), dtype=bool)
-    assert singular_arcs(samples, 1e-4, [told]).result is go.Result.PASS
+    assert singular_arcs(samples, 1e-4, singular, [told]).result is go.Result.PASS
     told[1, samples[0].times > 1.0] = False
-    assert singular_arcs(samples, 1e-4, [told]).value == pytest.approx(0.5, abs=1e-6)
+    assert singular_arcs(samples, 1e-4, singular, [told]).value == pytest.approx(0.5, abs=1e-6)
     assert go.verify(solution, tol=1e-4)["singular arcs"].result is go.Result.PASS
 
 

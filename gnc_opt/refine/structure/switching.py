@@ -12,14 +12,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-
-import numpy as np
+from typing import TypeAlias
 
 from gnc_opt.nlp import SolverOptions
 from gnc_opt.problem.arc import Arc
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.error import estimate_errors
-from gnc_opt.refine.passes import EXTENDED, PassLimits, pass_meter, pass_record, same_pass
+from gnc_opt.refine.passes import PassLimits, pass_meter, pass_record, same_pass
 from gnc_opt.refine.structure.apart import shared, solve_apart
 from gnc_opt.refine.structure.collocated import collocated
 from gnc_opt.refine.structure.curvature import with_flat_times
@@ -49,8 +48,8 @@ FINEST = 1e-9
 ROOM = 0.4
 """Share of the tolerance that segments of a mesh that is gone on with are refined to."""
 
-SAME = 1e-7
-"""Share of a phase below which two times are the same for a loop that runs in a circle."""
+FINISHING = 4.0
+"""Passes that are, or may be, the last ones begin for up to so many times the work."""
 
 ALIKE = 1.01
 """Ratio of errors of passes that differ by rounding."""
@@ -138,6 +137,10 @@ def _with_unique_costates(
     return settled if apart is None or not verify(apart).ok else apart
 
 
+Change: TypeAlias = tuple[str, PhaseStructure, PhaseStructure]
+"""Phase and its order of arcs, without times, before and after it is mended."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Try:
     """One pass: what was found for which structure."""
@@ -197,6 +200,7 @@ class _Loop:
         Every pass is added to ``tries``.
         """
         swapped: set[tuple[str, PhaseStructure]] = set()
+        asked: set[Change] = set()
         vain = 0
         for _ in range(self.limits.passes):
             begin = time.perf_counter()
@@ -230,7 +234,9 @@ class _Loop:
             self._note(_Try(solution, current, record))
             if not action or resolved or (self.tol >= record.error and _adjusts_mesh(current, record)):
                 return RefinementStatus.CONVERGED
-            if _restless(self.records) or _returned(self.tries) or self._known(record):
+            changes = set() if _adjusting(record) else _changes(current, plans)
+            again, asked = changes & asked, changes | asked
+            if again or _restless(self.records) or self._known(record):
                 return RefinementStatus.STALLED
         return self._limited(RefinementStatus.PASS_LIMIT)
 
@@ -250,10 +256,14 @@ class _Loop:
 
     @property
     def _allowed(self) -> float:
-        """What all passes may cost: more where the last one is accurate, and only what it leaves idle is taken out."""
-        if self.tries and self.tries[-1].record.solved and self.tries[-1].record.error <= self.tol:
-            return EXTENDED * self.limits.work
-        return self.limits.allowed(self.records)
+        """What all passes may cost: more where the last one is accurate, and only what it leaves idle is taken out.
+
+        And where the next one is accurate if errors go on to fall as they did.
+        """
+        errors = [r.error for r in self.records[-2:] if r.solved]
+        if not errors or min(errors[-1], errors[-1] ** 2 / errors[0]) > self.tol:
+            return self.limits.allowed(self.records)
+        return FINISHING * self.limits.work
 
     def _known(self, record: Pass) -> bool:
         """Whether another attempt has come to the same, which led it nowhere."""
@@ -303,13 +313,13 @@ def _restless(records: list[Pass]) -> bool:
     return len(errors) > PATIENCE and min(errors[-PATIENCE:]) > 0.5 * min(errors[:-PATIENCE])
 
 
-def _returned(tries: list[_Try]) -> bool:
-    """Whether the last pass asks a structure for what has led back to it already."""
-    last = tries[-1]
-    return not _adjusting(last.record) and any(
-        _same(last.plans, earlier.plans) and last.record.actions == earlier.record.actions
-        for earlier in tries[:-1]
-    )
+def _changes(before: Mapping[str, Plan], after: Mapping[str, Plan]) -> set[Change]:
+    """Return the orders of arcs, whatever their times, before and after a change of a structure."""
+    return {
+        (name, plan.structure.at(()), after[name].structure.at(()))
+        for name, plan in before.items()
+        if after[name].structure != plan.structure
+    }
 
 
 def _adjusting(record: Pass) -> bool:
@@ -320,18 +330,6 @@ def _adjusting(record: Pass) -> bool:
 def _adjusts_mesh(plans: Mapping[str, Plan], record: Pass) -> bool:
     """Whether the structure stays, on the segments of a mesh: as many points as those are not refined any further."""
     return any(plan.inherits for plan in plans.values()) and _adjusting(record)
-
-
-def _same(plans: Mapping[str, Plan], others: Mapping[str, Plan]) -> bool:
-    """Whether structures and degrees are the same, and the switch times nearly."""
-    for plan, other in ((plan, others[name]) for name, plan in plans.items()):
-        ours, theirs = plan.structure, other.structure
-        smooth = [[r.smooth for r in p.resolutions] for p in (plan, other)]
-        if ours.at(()) != theirs.at(()) or smooth[0] != smooth[1]:
-            return False
-        if not np.allclose(ours.times, theirs.times, rtol=0.0, atol=SAME * (ours.times[-1] - ours.times[0])):
-            return False
-    return True
 
 
 def _solve(
