@@ -34,7 +34,7 @@ MORE = 1.5
 
 
 @dataclass(frozen=True)
-class Beside:
+class Companion:
     """What the nominal run tells of flights beside others.
 
     Attributes
@@ -52,7 +52,7 @@ class Beside:
     shrunk: float = 0.0
 
     @classmethod
-    def of(cls, error: float, apart: float, local: float, shrunk: float) -> Beside:
+    def of(cls, error: float, apart: float, local: float, shrunk: float) -> Companion:
         """Return what a run with this error tells."""
         return cls(error / apart if 0 < error < apart < np.inf else 1.0, local, shrunk)
 

@@ -16,7 +16,7 @@ from gnc_opt.arguments import read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout
-from gnc_opt.simulation.beside import Beside, apart, shrunk
+from gnc_opt.simulation.beside import Companion, apart, shrunk
 from gnc_opt.simulation.course import Course
 from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.event import MOST, Occurrence
@@ -85,7 +85,7 @@ class Flight:
         Those of them that are failures.
     growth : float
         By how much the errors of single integration steps grow until the end of the nominal run, at least 1.
-    beside : Beside or None
+    beside : Companion or None
         How the errors of each run grow is seen from a second flight beside it; None: only the nominal run tells.
     replanner : Replanner or None
     quantities : Quantities or None
@@ -125,7 +125,7 @@ class Flight:
     accuracy: float
     minor_steps: int
     growth: float = 1.0
-    beside: Beside | None = None
+    beside: Companion | None = None
     events: Layout = field(default_factory=lambda: Layout("event"))
     failures: tuple[str, ...] = ()
     replanner: Replanner | None = None
@@ -392,6 +392,12 @@ class Flight:
         return [int(i) for name in names for i in range(self.layout.size)[self.layout.slice(name)]]
 
     @cached_property
+    def _initial(self) -> list[int]:
+        """Places in P of the plant's initial states, in their order."""
+        places = (self.layout.slice(f"initial.{name}") for name in self.states.names)
+        return [int(i) for place in places for i in range(self.layout.size)[place]]
+
+    @cached_property
     def _edges(self) -> list[int]:
         """Steps at which a leg ends and another begins: every `LEG` steps, and where a plan may be made."""
         every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
@@ -460,7 +466,7 @@ class Flight:
     def _other(self, X: Array, P: Array, seed: Any, known: Array, course: Course) -> Array:
         """Return the end (n_state,) of the flight beside a run that ended with X; that itself where none is needed."""
         parts = self.kernel.state.split(X)
-        begin = np.concatenate([P[self.layout.slice(f"initial.{name}")] for name in self.states.names])
+        begin = P[self._initial]
         if self.beside is None or not self.beside.needed(
             float(parts["error"][0]), shrunk(begin, parts["plant"])
         ):

@@ -17,7 +17,7 @@ from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
-from gnc_opt.simulation.beside import Beside, shrunk
+from gnc_opt.simulation.beside import Companion, shrunk
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.control_step import alarm_labels, watched_labels
 from gnc_opt.simulation.disturbances import Disturbance
@@ -264,15 +264,15 @@ class ClosedLoop:
         flight = self._accurate(nominal, times, rows)
         return replace(flight, replanner=self.replanner, beside=self._beside(flight))
 
-    def _beside(self, flight: Flight) -> Beside:
+    def _beside(self, flight: Flight) -> Companion:
         """Return what the nominal run tells of flights beside others."""
         start = self._generic(flight.nominal)[:, None]
-        alone, both = (replace(flight, beside=b).final(start, [0]) for b in (None, Beside(local=-1.0)))
+        alone, both = (replace(flight, beside=b).final(start, [0]) for b in (None, Companion(local=-1.0)))
         known = alone.averaging_error + alone.instant_error
         error, total = (float((ending.integration_error - known)[0]) for ending in (alone, both))
         begin = np.concatenate([start[self.layout.slice(f"initial.{n}"), 0] for n in self.plant.states.names])
         # without a nominal run to compare with, both estimates are added
-        return Beside.of(error, total - error, error / flight.growth, shrunk(begin, alone.states[:, 0]))
+        return Companion.of(error, total - error, error / flight.growth, shrunk(begin, alone.states[:, 0]))
 
     def _accurate(self, nominal: Array, times: Array, rows: Array) -> Flight:
         """Return the flight, as planned, with as many integration steps as its accuracy needs."""

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 import gnc_opt as go
 from gnc_opt.simulation import ClosedLoop, Flight
-from gnc_opt.simulation.beside import Beside, apart
+from gnc_opt.simulation.beside import Companion, apart
 from gnc_opt.simulation.places import Places
 
 G = 9.81
@@ -118,12 +118,13 @@ def test_distances_are_relative_and_infinite_where_the_second_flight_is_lost() -
 
 
 def test_the_nominal_run_tells_what_the_better_solution_is_worth() -> None:
-    known = Beside.of(1e-9, 1e-8, 1e-10, 1.0)
+    known = Companion.of(1e-9, 1e-8, 1e-10, 1.0)
     local = np.array([1e-11, 3.2e-9, 1e-10 * 15.0**5, 1.0])
     seen = known.error(np.ones(4), np.full(4, 0.25), local)
     assert seen == pytest.approx(
         [0.25, 0.25, 1.0 + 0.25 * 0.5, 1.25]
     )  # a tenth, a fifth, the whole 1.5 times, more
     assert (
-        Beside.of(1e-9, 1e-10, 1e-10, 1.0).share == 1.0 and Beside.of(1e-9, np.inf, 1e-10, 1.0).share == 1.0
+        Companion.of(1e-9, 1e-10, 1e-10, 1.0).share == 1.0
+        and Companion.of(1e-9, np.inf, 1e-10, 1.0).share == 1.0
     )
