@@ -651,7 +651,7 @@ def test_derivatives_that_grow_too_large_are_not_told(monkeypatch: pytest.Monkey
     monkeypatch.setattr(singular, "MOST_INSTRUCTIONS", 0)
     (arc,) = singular.singular_arcs(problem, s, *controls.undetermined(s, 1e-5), 1e-5)
     assert (arc.order, arc.least) == (0, 0.0)
-    assert arc.why == "the derivative of order 0 of the switching function is too large"
+    assert arc.why == "the switching function has too large a derivative of order 0"
 
 
 def test_unmarked_jumps_begin_in_the_middle_of_their_interval() -> None:
