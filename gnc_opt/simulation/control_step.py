@@ -204,7 +204,7 @@ class ControlStep:
 
         def stepped(length: Any, before: tuple[Any, ...], after: tuple[Any, ...], error: Any) -> Any:
             t, x, rate = after
-            x = x - state["beside"] * error
+            x = x - ca.if_else(state["beside"], error, 0)  # which may be no number before x is none
             if watch is not None:
                 watch(length, before, (t, x, rate))
             return x

@@ -641,21 +641,6 @@ def test_the_loop_is_restless_if_adjusting_does_not_help() -> None:
     assert not s._restless([moved, moved, moved, record(1.0, f"{s.KINKS_MOVED}, {s.SMOOTHED}"), moved])
 
 
-def test_a_loop_in_a_circle_is_noticed() -> None:
-    def attempt(switch: float, action: str, smooth: int = 4, last: ArcKind = UP) -> Any:
-        structure = PhaseStructure((0.0, switch, 2.0), ((LOW,), (last,)), (False,), 1)
-        return s._Try(None, {"leg": Plan(structure, (Resolution(smooth=smooth),))}, record(1.0, action))  # type: ignore[arg-type]
-
-    added = "arc of u added at 1 s"
-    first = attempt(1.0, added)
-    assert s._returned([first, attempt(0.5, added), attempt(1.0 + 1e-7, added)])
-    assert not s._returned([first, attempt(1.0 + 1e-6, added)]) and not s._returned([first])
-    assert not s._returned([first, attempt(1.0, "piece 1 dropped")])
-    assert not s._returned([attempt(1.0, s.RAISED), attempt(1.0, s.RAISED)])
-    assert not s._returned([first, attempt(1.0, added, smooth=8)])
-    assert not s._returned([first, attempt(1.0, added, last=FREE)])
-
-
 def test_a_mesh_is_refined_once_beyond_a_small_error() -> None:
     """Costates that are zero are rounding to any resolution."""
     raised = record(1e-10, s.RAISED)
