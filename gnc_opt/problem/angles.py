@@ -8,7 +8,6 @@ azimuth and an elevation, (a, e) and (a + half a turn, half a turn - e) are the 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 
 import numpy as np
 
@@ -22,8 +21,6 @@ PERIODS = np.pi, 180.0, 2 * np.pi, 360.0
 
 ELSEWHERE = 0.37
 """A share of a period by which a function of an angle changes."""
-
-Moved = Callable[[Array], Array]
 
 
 def unwound(functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: Array) -> Array:
@@ -103,9 +100,7 @@ class _Along:
         return u
 
     def _values(self, u: Array) -> Array:
-        functions = self.functions
-        rows = (f(self.t, self.x, u) for f in (functions.rates, functions.paths, functions.integrands))
-        return np.nan_to_num(np.vstack(list(rows)))
+        return np.nan_to_num(self.functions.effects(self.t, self.x, u))
 
 
 def _nearest(angle: Array, period: float) -> Array:

@@ -75,6 +75,10 @@ class PhaseFunctions:
         """Integrand values, shape (n_integrals, ...)."""
         return self._call("integrands", t, x, u)
 
+    def effects(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+        """Return all that controls act on, (n + n_paths + n_integrals, ...): rates, path constraints and integrands."""
+        return np.concatenate([f(t, x, u) for f in (self.rates, self.paths, self.integrands)])
+
     def hamiltonian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike) -> Array:
         """H = w.L + lam.f, shape (...)."""
         return np.asarray(self._call("hamiltonian", t, x, u, lam)[0])

@@ -77,14 +77,17 @@ def bounds_to_give(problem: Problem) -> str:
     Of controls that move states at rates proportional to them, and that no path constraint and no integral contains.
     """
     times = ca.vertcat(*[t for leg in problem.phases.values() for t in (leg.initial_time, leg.final_time)])
-    apart = ca.substitute(problem.cost, times, ca.DM.zeros(times.shape)) if problem.phases else problem.cost
+    apart = ca.substitute(problem.cost, times, ca.DM.zeros(times.shape))
     if ca.symvar(apart):
         return ""
     missing = [f"'{name}'" for leg in problem.phases.values() for name in _boundless(leg)]
     if not missing:
         return ""
     names = ", ".join(dict.fromkeys(missing))
-    return f"time is all that costs, and nothing limits {names}: no time is the least but its limit; give bounds()."
+    return (
+        f"time is all that costs, and neither bounds nor path constraints limit {names} to both sides: give bounds(), "
+        "or flights may take as little time as states allow."
+    )
 
 
 def _boundless(leg: Phase) -> list[str]:

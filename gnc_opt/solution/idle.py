@@ -45,8 +45,8 @@ def without_effect(
         others[i] = False
         changes = [
             np.abs(
-                _values(functions, t, x, _moved(base, int(i), share * scale[i]))
-                - _values(functions, t, x, base)
+                functions.effects(t, x, _moved(base, int(i), share * scale[i]))
+                - functions.effects(t, x, base)
             )
             for base in (u, np.where(others, u + SHARES[0] * scale[:, None], u))
             for share in SHARES
@@ -60,7 +60,3 @@ def _moved(u: Array, i: int, by: float) -> Array:
     other = u.copy()
     other[i] += by
     return other
-
-
-def _values(functions: PhaseFunctions, t: Array, x: Array, u: Array) -> Array:
-    return np.vstack([f(t, x, u) for f in (functions.rates, functions.paths, functions.integrands)])

@@ -471,8 +471,10 @@ def test_missing_bounds_in_least_time_are_named() -> None:
         return problem, leg
 
     problem, leg = least_time()
-    assert "nothing limits 'a': no time is the least but its limit; give bounds()" in bounds_to_give(problem)
-    assert "nothing limits 'a'" in bounds_to_give(problem.with_bounds(a=(None, 1.0)))
+    assert "neither bounds nor path constraints limit 'a' to both sides: give bounds()" in bounds_to_give(
+        problem
+    )
+    assert "limit 'a' to both sides" in bounds_to_give(problem.with_bounds(a=(None, 1.0)))
     assert bounds_to_give(problem.with_bounds(a=(-1.0, 1.0))) == ""
     leg.path("thrust", leg.model.symbol("a") ** 2, upper=1.0)
     assert bounds_to_give(problem) == ""
@@ -497,4 +499,4 @@ def test_missing_bounds_are_named_where_the_least_time_is_its_own_limit() -> Non
     problem.minimize(leg.final_time)
     solution = go.solve(problem, mesh="4x4")
     assert solution.objective == pytest.approx(0.01)
-    assert not go.verify(solution).ok and "nothing limits 'a'" in str(solution)
+    assert not go.verify(solution).ok and "limit 'a' to both sides" in str(solution)
