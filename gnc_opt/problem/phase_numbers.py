@@ -9,6 +9,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.problem.guess.values import GuessValue
 from gnc_opt.problem.held import Held
 from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.turns import Turns
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,13 @@ class PhaseGuess:
 
 @dataclass(frozen=True)
 class PhaseNumbers:
-    """The numbers of a phase; they may change without a new transcription."""
+    """The numbers of a phase; they may change without a new transcription.
+
+    Attributes
+    ----------
+    turns : Turns, optional
+        Angles that have lost their bounds, which left out no direction.
+    """
 
     initial_time: Interval | None
     final_time: Interval | None
@@ -33,3 +40,4 @@ class PhaseNumbers:
     guess: PhaseGuess = PhaseGuess()
     scales: Mapping[str, Array] = field(default_factory=dict)
     arcs: Held | None = None
+    turns: Turns | None = None
