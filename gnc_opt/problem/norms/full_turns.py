@@ -54,16 +54,16 @@ def _turns(problem: Statement, leg: Phase) -> Turns:
         return turns
     drawn = _Drawn.of(problem, leg)
     for i in np.flatnonzero(bounded | np.isinf(room)):
-        turns.periods[i] = drawn.period(i, room[i])
+        turns.periods[i] = drawn.period(int(i), float(room[i]))
     reach = 0.5 * turns.periods
     whole = bounded & (reach > 0) & (room >= 2.0 * (1.0 - SHORT) * reach)
     pairs = []
-    for j in np.flatnonzero(bounded & ~whole & (turns.periods > 0)):
-        for i in np.flatnonzero(whole | (np.isinf(room) & (turns.periods > 0))):
+    for j in map(int, np.flatnonzero(bounded & ~whole & (turns.periods > 0))):
+        for i in map(int, np.flatnonzero(whole | (np.isinf(room) & (turns.periods > 0)))):
             if abs(room[j] - reach[j]) <= SHORT * reach[j] and drawn.mirrored(
                 (i, j), turns.periods, box.upper[j]
             ):
-                pairs.append((int(i), int(j)))
+                pairs.append((i, j))
                 break
     for i in [*np.flatnonzero(whole), *(j for _, j in pairs)]:
         half = reach[i] if whole[i] else 0.5 * reach[i]
