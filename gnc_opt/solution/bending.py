@@ -45,7 +45,7 @@ class Bending:
     def rounding(self, spans: Array) -> Indices:
         """Controls that move by nothing beside spans (n_controls,) that H's curvature asks for but does not keep."""
         beyond = np.flatnonzero(spans * IDLE >= np.ptp(self.u, axis=1))
-        return np.array([i for i in beyond if not self._bends(i, spans[i])], int)
+        return beyond[[not self._bends(int(i), spans[i]) for i in beyond]]
 
     def _bends(self, i: int, span: float) -> bool:
         """Whether H changes over a control's span by a fair share of what its largest curvature foretells."""
