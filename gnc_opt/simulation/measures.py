@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import Protocol
 
 import numpy as np
 
@@ -11,9 +12,6 @@ from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.layout import Layout
 from gnc_opt.simulation.metrics import rotation_angle
 from gnc_opt.simulation.quantity import KEPT
-
-if TYPE_CHECKING:
-    from gnc_opt.simulation.campaign import Campaign
 
 COMPONENT_SUMS = {"effort": " s", "energy": "^2 s", "variation": ""}
 """Costs that are summed over the components of a command or control, and what follows the unit."""
@@ -25,10 +23,50 @@ ATTITUDE = (3, 4)
 """Components that an attitude can have: modified Rodrigues parameters, or a quaternion."""
 
 
+class Runs(Protocol):
+    """What measures read of a campaign."""
+
+    @property
+    def layouts(self) -> Mapping[str, Layout]: ...
+
+    @property
+    def measured(self) -> Mapping[str, Array]: ...
+
+    @property
+    def states(self) -> Array: ...
+
+    @property
+    def errors(self) -> Array: ...
+
+    @property
+    def target(self) -> Array: ...
+
+    @property
+    def effort(self) -> Array: ...
+
+    @property
+    def energy(self) -> Array: ...
+
+    @property
+    def saturation_time(self) -> Array: ...
+
+    @property
+    def variation(self) -> Array: ...
+
+    @property
+    def event_times(self) -> Array: ...
+
+    @property
+    def replans(self) -> Array: ...
+
+    @property
+    def sums(self) -> Array: ...
+
+
 class Measures:
     """The measures of a campaign's runs; see `Campaign.measure` for their names."""
 
-    def __init__(self, runs: Campaign) -> None:
+    def __init__(self, runs: Runs) -> None:
         self._runs = runs
         self._known: dict[str, Array] = {}
 
