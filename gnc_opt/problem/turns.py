@@ -46,9 +46,8 @@ class Turns:
         u = u.copy()
         for azimuth, elevation in self.pairs:
             period, upper = self.periods[elevation], self.upper[elevation]
-            angle = u[elevation] - period * np.ceil(
-                (u[elevation] - upper) / period - AT_LIMIT
-            )  # at most a turn below
+            above = np.ceil((u[elevation] - upper) / period - AT_LIMIT)
+            angle = u[elevation] - period * above  # at most a turn below the end
             beyond = angle < self.lower[elevation] - AT_LIMIT * period
             u[elevation] = np.where(beyond, 2.0 * (upper - 0.5 * period) - angle, angle)
             u[azimuth] += np.where(beyond, 0.5 * self.periods[azimuth], 0.0)
