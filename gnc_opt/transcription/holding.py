@@ -20,8 +20,8 @@ from gnc_opt.transcription.collocation import PhaseCollocation
 from gnc_opt.transcription.quadrature import interpolation_matrix
 
 EASE = 0.1
-"""Share of its range by which an eased control may leave its bounds: enough to tell by how much its arc is too short, and
-near enough for H to bend as it does between the bounds."""
+"""Share of its range by which an eased control may leave its bounds: enough to tell by how much its arc is too short,
+and near enough for H to bend as it does between the bounds."""
 
 
 def check_segments(leg: Phase, collocation: PhaseCollocation) -> None:

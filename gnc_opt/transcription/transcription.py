@@ -100,7 +100,9 @@ class Transcription(Numbering):
             blocks.append(self._point_block(leg, "integrals", entries))
         return blocks
 
-    def _point_block(self, leg: Phase, of: Literal["dynamics", "integrals"], entries: list[Any]) -> PointBlock:
+    def _point_block(
+        self, leg: Phase, of: Literal["dynamics", "integrals"], entries: list[Any]
+    ) -> PointBlock:
         """Rates times the duration, and other functions, at all collocation points.
 
         Times that are fixed numbers are data: there is no need to differentiate with respect to them.

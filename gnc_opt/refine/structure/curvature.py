@@ -93,11 +93,11 @@ def with_flat_times(structure: PhaseStructure, samples: PhaseSamples) -> PhaseSt
     """
     flat, count = _curvature(samples) <= CONVEX, len(structure.controls)
     convex = np.asarray(structure.regular[:count], dtype=bool)
-    rows = {i: flat[i] for i in np.flatnonzero(convex & np.any(flat, axis=1))}
+    rows = {int(i): flat[i] for i in np.flatnonzero(convex & np.any(flat, axis=1))}
     if rows and structure.n_paths:
         slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
         for path in np.flatnonzero(structure.regular[count : count + structure.n_paths]):
-            rows[count + path] = np.any(flat[convex] & (slopes[path, convex] != 0), axis=0)
+            rows[count + int(path)] = np.any(flat[convex] & (slopes[path, convex] != 0), axis=0)
     return replace(structure, flat=_spans(rows, samples, 1))
 
 
@@ -119,7 +119,7 @@ def _spans(
     for row, here in rows.items():
         edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(int)))
         found += [
-            (int(row), float(times[max(a - beyond, 0)]), float(times[min(b - 1 + beyond, here.size - 1)]))
+            (row, float(times[max(a - beyond, 0)]), float(times[min(b - 1 + beyond, here.size - 1)]))
             for a, b in edges.reshape(-1, 2)
         ]
     return tuple(found)

@@ -58,7 +58,9 @@ def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | No
     contact = [any(structure.orders[i] for i in structure.changes(k)) for k in range(1, structure.pieces)]
     span, lengths = times[-1] - times[0], structure.lengths
     beside = np.minimum(np.append(lengths, span), np.append(span, lengths))
-    settled = np.where([False, *contact, False], ENTERED * span, np.minimum(SETTLED * span, OF_PIECE * beside))
+    settled = np.where(
+        [False, *contact, False], ENTERED * span, np.minimum(SETTLED * span, OF_PIECE * beside)
+    )
     if np.all(moves <= settled):
         return None
     return structure.at(tuple(times))

@@ -224,7 +224,8 @@ def _with_bends(
 
     Those of different switches know little of each other; one after the other, each would cost a solve.
     """
-    left = np.where(_curved_rows(samples, offence.shape[0])[:, None] & (asked == ArcKind.INTERIOR), offence, 0.0)
+    curved = _curved_rows(samples, offence.shape[0])[:, None]
+    left = np.where(curved & (asked == ArcKind.INTERIOR), offence, 0.0)
     while left.max(initial=0.0) >= WRONG_SIGN:
         i = int(np.unravel_index(int(np.argmax(left)), left.shape)[0])
         start, end = _wrong_interval(samples, left[i])

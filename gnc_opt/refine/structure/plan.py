@@ -27,8 +27,8 @@ HELPED = 0.3
 """A higher degree of a singular control has helped if it leaves at most this share of dH/du."""
 
 FOLLOWED = 4
-"""Collocation points per degree of a singular control's polynomial: with half as many, states do not follow degree 12 to
-1e-8, and the pass that finds out is lost."""
+"""Collocation points per degree of a singular control's polynomial: with half as many, states do not follow degree 12
+to 1e-8, and the pass that finds out is lost."""
 
 INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
 """First degree of an interior piece, and the number of its segments if it were the whole phase."""
@@ -312,8 +312,9 @@ class Plan:
         """Return where controls may leave their bounds a little: H is strictly convex in them, but not farther off."""
         structure = self.structure
         found = np.zeros((len(structure.kinds[0]), structure.pieces), dtype=bool)
+        begins, ends = np.asarray(structure.times[:-1]), np.asarray(structure.times[1:])
         for row, start, end in structure.arched:
-            found[row] |= (np.asarray(structure.times[:-1]) >= start) & (np.asarray(structure.times[1:]) <= end)
+            found[row] |= (begins >= start) & (ends <= end)
         return found[:, self.segment_pieces]
 
     def _junctions(self) -> tuple[Junction, ...]:
