@@ -123,7 +123,9 @@ class Occurrence:
         return f"{self.name} at {self.time:.6g} s"
 
 
-def occurrences(told: Mapping[str, Array], steps: int, names: Sequence[str], n_states: int) -> list[Occurrence]:
+def occurrences(
+    told: Mapping[str, Array], steps: int, names: Sequence[str], n_states: int
+) -> list[Occurrence]:
     """Return the events in the logs, by columns, of the first steps of a leg."""
     shape = (MOST, n_states)
     return [

@@ -154,7 +154,7 @@ class Flight:
         """Return the same flight; for so many runs as machine code if that pays, can be made and has the same bits."""
         if runs * self.n_steps < WORTH:
             return self
-        quick = replace(self, library=native(self._folded.step))
+        quick = replace(self, library=native(self._folded.quick))
         _, rows = next(self.legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
         ends = np.empty((2, self.kernel.state.size))
         for flight, end in zip((self, quick), ends, strict=True):
@@ -481,7 +481,9 @@ class Flight:
         parts = self.kernel.state.split(final)
         errors, instants = estimates(self.kernel.state, final, others, self.growth, self.beside)
         outcomes = tuple(
-            Outcome(RunStatus.REFUSED, refused[i]) if i in refused else self.judge.outcome(parts, i, errors[i])
+            Outcome(RunStatus.REFUSED, refused[i])
+            if i in refused
+            else self.judge.outcome(parts, i, errors[i])
             for i in range(final.shape[1])
         )
         empty = np.empty((0, final.shape[1]))
