@@ -16,7 +16,7 @@ from gnc_opt.arguments import read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout
-from gnc_opt.simulation.beside import Companion, estimates
+from gnc_opt.simulation.beside import NEARER, Companion, apart, estimates
 from gnc_opt.simulation.course import Course
 from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.event import Occurrence, occurrences
@@ -180,7 +180,7 @@ class Flight:
                 f"give ({self.layout.size}, {len(seeds)})."
             )
         final = np.full((P.shape[1], self.kernel.state.size), np.nan)
-        others = np.full_like(final, np.nan)
+        distances = np.full(P.shape[1], np.nan)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         recorder = None if self.quantities is None else Recorder(self.quantities, self.times, P.shape[1])
         refused: dict[int, str] = {}
@@ -214,13 +214,13 @@ class Flight:
                 if self._stopped(X):
                     break
             self._carry_on(other, legs, course, C)
-            others[i] = other
+            distances[i] = self._apart(X, other, P[:, i], seed, course)
             if self.replanner is not None:
                 replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
                 followed[:, i] = self._followed_at_end(course, final[i : i + 1].T)[:, 0]
         if self.replanner is None:
             followed = self._followed_at_end(self._course(), final.T)
-        ending = self._ending(final.T, others.T, refused, followed, replans)
+        ending = self._ending(final.T, distances, refused, followed, replans)
         return ending if recorder is None else replace(ending, sums=recorder.sums, samples=recorder.samples)
 
     def run(self, P: Array, seed: Any, *, every: int = 1, folder: str | Path | None = None) -> Run:
@@ -287,7 +287,8 @@ class Flight:
         end = self._last_times(final)
         followed = self._followed_at_end(course, X[:, None])
         self._note(log, final, {}, np.array([0]), followed)
-        ending = self._ending(X[:, None], other[:, None], {}, followed)
+        distance = np.array([self._apart(X, other, P, seed, course)])
+        ending = self._ending(X[:, None], distance, {}, followed)
         arrays = log.close()
         times = np.append(self.times[kept[kept < last]], end)
         return Run(
@@ -442,10 +443,10 @@ class Flight:
             return np.full(parts["plant"].shape[1], self.times[-1])
         return np.asarray(np.where(parts["stop"][0] > 0, parts["stop time"][0], self.times[-1]))
 
-    def _begun_beside(self, X: Array) -> Array:
-        """Return where the flight beside a run that begins with X begins."""
+    def _begun_beside(self, X: Array, share: float = 1.0) -> Array:
+        """Return where the flight beside a run that begins with X begins, with a share of the errors of every step."""
         other = X.copy()
-        self.kernel.state.split(other)["beside"][:] = 1.0
+        self.kernel.state.split(other)["beside"][:] = share
         return other
 
     def _fly_beside(self, other: Array, rows: Array, C: Array) -> None:
@@ -461,6 +462,29 @@ class Flight:
             self._plan(course, first, rows)
             self._fly_beside(other, rows, C)
 
+    def _apart(self, X: Array, other: Array, P: Array, seed: Any, course: Course) -> float:
+        """Return what a run that ended with X and the flight beside it are apart, looked at nearer by where that is
+        more than the accuracy asked for."""
+        if self.beside is None:
+            return np.nan
+        far = apart(self.kernel.state, X[:, None], other[:, None])
+        if not self._estimates(X[:, None], far)[0][0] > self.accuracy:
+            return float(far[0])
+        known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
+        # plans change only what is ahead: the course at the end is that which was flown
+        for first, rows in self.legs(seed, known, course):
+            if first == 0:
+                start, C = self._begun(rows[0], P)
+                nearer = self._begun_beside(start, NEARER)
+            self._fly_beside(nearer, rows, C)
+            if self._stopped(nearer):
+                break
+        near = apart(self.kernel.state, X[:, None], nearer[:, None]) / NEARER
+        return float(np.fmin(far, near)[0])
+
+    def _estimates(self, final: Array, distances: Array) -> tuple[Array, Array]:
+        return estimates(self.kernel.state, final, distances, self.growth, self.beside)
+
     @cached_property
     def _folded(self) -> Folded:
         return Folded(self.kernel, self.library)
@@ -473,13 +497,13 @@ class Flight:
     def _ending(
         self,
         final: Array,
-        others: Array,
+        distances: Array,
         refused: dict[int, str],
         followed: Array,
         replans: Array | None = None,
     ) -> Ending:
         parts = self.kernel.state.split(final)
-        errors, instants = estimates(self.kernel.state, final, others, self.growth, self.beside)
+        errors, instants = self._estimates(final, distances)
         outcomes = tuple(
             Outcome(RunStatus.REFUSED, refused[i])
             if i in refused

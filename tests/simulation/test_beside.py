@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -11,7 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import gnc_opt as go
-from gnc_opt.simulation import ClosedLoop, Flight
+from gnc_opt.simulation import ClosedLoop, Flight, Noise, Quantisation
 from gnc_opt.simulation.beside import Companion, apart
 from gnc_opt.simulation.places import Places
 
@@ -99,6 +100,25 @@ def test_what_forgets_its_errors_is_not_held_to_have_kept_them() -> None:
     finer = ClosedLoop(model, law, dt=0.1, substeps=32).flight([0.01], tf=20.0).final(P, [0, 1])
     assert np.all(np.abs(ending.states - finer.states)[0] < ending.integration_error)
     assert np.all(ending.integration_error < 1e-4)
+
+
+def test_a_quantum_that_turns_in_the_second_flight_alone_is_no_error() -> None:
+    """Commands in steps: some second flights round one the other way, which the true way and the run hardly ever do."""
+    model = go.Model("swing")
+    a, w, u = model.state("a"), model.state("w"), model.control("u")
+    model.ode({a: w, w: -40 * ca.sin(a) + u})
+    law = go.design_lqr(model, [0.0, 0.0], Q=[100.0, 1.0], R=0.01, dt=0.1)
+    blocks: dict[str, Any] = {"actuators": [Quantisation("steps", 1e-3)], "sensors": [Noise("gauge", 1e-3)]}
+    coarse, fine = (
+        ClosedLoop(model, law, **blocks, dt=0.1, substeps=n, accuracy=1e-7).flight([0.5, 0.0], tf=6.0)
+        for n in (12, 36)
+    )
+    P, seeds = np.tile(coarse.nominal[:, None], 60), list(range(60))
+    ending, truth = coarse.final(P, seeds), fine.final(P, seeds).states
+    wrong = np.max(np.abs(ending.states - truth) / np.maximum(1.0, np.abs(truth)), axis=0)
+    assert np.all(wrong < ending.integration_error) and all(outcome.ok for outcome in ending.outcomes)
+    careless = replace(coarse, judge=replace(coarse.judge, accuracy=1.0)).final(P, seeds)
+    assert np.any(careless.integration_error > 1e-7)
 
 
 def test_a_state_that_has_shrunk_keeps_its_absolute_error() -> None:
