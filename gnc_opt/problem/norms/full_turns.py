@@ -57,14 +57,12 @@ def _turns(problem: Statement, leg: Phase) -> Turns:
         turns.periods[i] = drawn.period(int(i), float(room[i]))
     reach = 0.5 * turns.periods
     whole = bounded & (reach > 0) & (room >= 2.0 * (1.0 - SHORT) * reach)
-    pairs = []
-    for j in map(int, np.flatnonzero(bounded & ~whole & (turns.periods > 0))):
-        for i in map(int, np.flatnonzero(whole | (np.isinf(room) & (turns.periods > 0)))):
-            if abs(room[j] - reach[j]) <= SHORT * reach[j] and drawn.mirrored(
-                (i, j), turns.periods, box.upper[j]
-            ):
-                pairs.append((i, j))
-                break
+    azimuths = np.flatnonzero(whole | (np.isinf(room) & (turns.periods > 0))).tolist()
+    pairs: list[tuple[int, int]] = []
+    for j in np.flatnonzero(bounded & ~whole & (turns.periods > 0)).tolist():
+        mirrored = (i for i in azimuths if drawn.mirrored((i, j), turns.periods, box.upper[j]))
+        azimuth = next(mirrored, None) if abs(room[j] - reach[j]) <= SHORT * reach[j] else None
+        pairs += [] if azimuth is None else [(azimuth, j)]
     for i in [*np.flatnonzero(whole), *(j for _, j in pairs)]:
         half = reach[i] if whole[i] else 0.5 * reach[i]
         middle = 0.5 * (box.lower[i] + box.upper[i])
