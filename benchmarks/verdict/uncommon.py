@@ -166,22 +166,22 @@ def _sphere(unit: float, cost: float, wrong: bool) -> Answer:
 
 
 def _both_ends(unit: float, cost: float, wrong: bool) -> Answer:
-    """At rest where the cost of the ends is stationary; a product of both outweighs their squares, or not."""
+    """Stationary from 0 to 1; a product of both outweighs their squares, or not."""
     problem = go.Problem("ends")
     leg, _, (u,) = _phase(problem, "leg", "x", "u", lambda x, u: [u], (0.0, 1.0))
-    a, b = leg.initial_state("x") / unit - 1, leg.final_state("x") / unit - 1
+    a, b = leg.initial_state("x") / unit, leg.final_state("x") / unit - 1
     price = a**2 + b**2 + (7.0 if wrong else 1.0) * a * b
-    problem.minimize(cost * (leg.integral((u / unit) ** 2) + price))
-    return Answer(problem, T, unit * _ONE, 0 * T)
+    problem.minimize(cost * (leg.integral((u / unit - 1) ** 2) + price))
+    return Answer(problem, T, unit * T, unit * _ONE)
 
 
 def _two_parameters(unit: float, cost: float, wrong: bool) -> Answer:
     problem, leg, _x, u = _line(unit)
-    leg.final(x=0.0)
+    leg.final(x=unit)
     p, r = (problem.parameter(name, lower=-9.0, upper=9.0, guess=0.3) for name in ("p", "r"))
-    price = p**2 / 2 + r**2 + (3.5 if wrong else 1.0) * p * r
+    price = (p - 1) ** 2 / 2 + r**2 + (3.5 if wrong else 1.0) * (p - 1) * r
     problem.minimize(cost * (leg.integral((u - p) ** 2) + price))
-    return Answer(problem, T, 0 * T, 0 * T, [0.0, 0.0])
+    return Answer(problem, T, unit * T, unit * _ONE, [1.0, 0.0])
 
 
 def _place_and_time(unit: float, cost: float, wrong: bool) -> Answer:
