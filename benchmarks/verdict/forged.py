@@ -56,7 +56,7 @@ def _judged(s: Statement, answered: Statement, edit: Edit) -> go.Verdict:
         with np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name].copy() for name in archive.files}
         header = json.loads(str(arrays.pop("header")))
-        header["solution"]["fields"]["provenance"]["map"]["fingerprint"] = problem.fingerprint()
+        header["solution"]["fields"]["provenance"]["map"]["fingerprint"] = solved(s).provenance["fingerprint"]
         edit(header, arrays)
         changed = Path(folder) / "forged.npz"
         np.savez_compressed(changed, header=np.array(json.dumps(header)), **arrays)
