@@ -116,7 +116,7 @@ def find_optimum(prediction: Prediction) -> Optimum:
 
 
 def _lengths(S: Array) -> Array:
-    return np.maximum(np.linalg.norm(S, axis=1), TINY)
+    return np.asarray(np.maximum(np.linalg.norm(S, axis=1), TINY))
 
 
 def _steers(S: Array) -> bool:
