@@ -234,12 +234,7 @@ class PhaseStructure:
         """
         rows, beside = self.changes(boundary), self.kinds[boundary - 1 : boundary + 1]
         held = [[i for i in rows if kinds[i].at_limit] for kinds in beside]
-        bounded = self._n_free + self.n_paths  # bounds of states held by singular controls have holders alone
-        states = [
-            i
-            for i in rows
-            if self.orders[i] == 1 or (i >= bounded and self.holders[i] and not self.orders[i])
-        ]
+        states = [i for i in rows if self.first_order(i)]
         if len(rows) != 2 or [len(here) for here in held] != [1, 1] or len(states) != 1:
             return []
         (state,), (limit,) = states, [i for i in rows if i not in states]
@@ -255,6 +250,11 @@ class PhaseStructure:
         own = 1 if limit < self._n_free else self.slopes[limit] or (*self.leans[limit], 0)[0]
         sides = kinds[state].sign * lean, kinds[limit].sign * own
         return [state, limit] if sides[0] == (1 if held[0] == [state] else -1) * sides[1] != 0 else []
+
+    def first_order(self, row: int) -> bool:
+        """Whether a row is a state constraint of first order; bounds held by singular controls have holders alone."""
+        held = row >= self._n_free + self.n_paths and bool(self.holders[row]) and not self.orders[row]
+        return self.orders[row] == 1 or held
 
     def on_sphere(self) -> Mask:
         """Return where the length of a direction is at its limit beside a state constraint that is, (n_paths, A).
@@ -352,6 +352,12 @@ class PhaseStructure:
         elif piece == self.pieces - 1:
             times = [*self.times[:-2], self.times[-1]]
         return self._merged(times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches)
+
+    def joined(self, piece: int, to: int) -> PhaseStructure:
+        """Return the structure in which a piece is as another one beside it; what is touched between them is gone."""
+        kinds, touches = list(self.kinds), list(self.touches)
+        kinds[piece], touches[max(piece, to)] = self.kinds[to], ()
+        return self._merged(list(self.times), tuple(kinds), touches)
 
     def emptied(self, piece: int) -> PhaseStructure:
         """Return the structure after a piece has vanished; of an arc on a limit a touch is left.
