@@ -15,10 +15,11 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.limits import RefinementLimits
 from gnc_opt.refine.refine import StructureChoice, refine
 from gnc_opt.refine.structure.variation import KnownFlight
+from gnc_opt.solution.again import another_way, relative_gain
 from gnc_opt.solution.failure import SolveError, failure_message
 from gnc_opt.solution.history import RefinementStatus
 from gnc_opt.solution.solution import Solution
-from gnc_opt.solution.solve_mesh import another_way, relative_gain, solve_mesh
+from gnc_opt.solution.solve_mesh import solve_mesh
 from gnc_opt.tolerances import SHORTEST
 from gnc_opt.transcription.mesh import MeshLike
 from gnc_opt.transcription.scheme import GAUSS, Scheme, family_of

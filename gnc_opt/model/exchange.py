@@ -30,6 +30,47 @@ class Declared:
         return as_vector(values[self.name], self.size, f"parameter '{self.name}'", ModelError)
 
 
+@dataclass(frozen=True)
+class Given:
+    """What a model is made of that was written in CasADi first: its variables, values and units by name."""
+
+    states: list[Declared]
+    controls: list[Declared]
+    parameters: list[Declared]
+    values: Mapping[str, ArrayLike]
+    units: Mapping[str, str]
+
+    @classmethod
+    def read(
+        cls,
+        model: str,
+        x: Any,
+        u: Any,
+        p: Any,
+        values: Mapping[str, ArrayLike] | None,
+        units: Mapping[str, str] | None,
+    ) -> Given:
+        """Return what `Model.from_casadi` got for a model of this name."""
+        states, controls, parameters = (
+            declared(given, f"the {what} of model '{model}'")
+            for what, given in (("states", x), ("controls", u), ("parameters", p))
+        )
+        names = [v.name for v in (*states, *controls, *parameters)]
+        units = known_names(units, names, f"units= of '{model}'")
+        values = known_names(values, [v.name for v in parameters], f"values= of '{model}'")
+        return cls(states, controls, parameters, values, units)
+
+    def unit(self, variable: Declared) -> str:
+        """Return the unit of a variable, "" if there is none."""
+        return self.units.get(variable.name, "")
+
+    def symbols(self, t: Any) -> dict[str, list[Any]]:
+        """Return the symbols of t (or None), x, u and p, in the order of the model's arguments."""
+        groups = {"x": self.states, "u": self.controls, "p": self.parameters}
+        times = [] if t is None else [t]
+        return {"t": times} | {letter: [v.symbol for v in group] for letter, group in groups.items()}
+
+
 def declared(given: Any, what: str) -> list[Declared]:
     """Return the variables behind symbols, a sequence of them, or a mapping from names to symbols or sizes.
 

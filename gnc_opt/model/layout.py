@@ -127,3 +127,11 @@ def as_vector(value: ArrayLike, size: int, what: str, error: ErrorType = Problem
         needed = "one value" if size == 1 else f"{size} values, or one for all"
         raise error(f"{what} is given {array.size} values: give {needed}.")
     return array
+
+
+def as_magnitudes(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
+    """Return typical magnitudes as `as_vector` does; they are positive and finite, or an error is raised."""
+    vector = as_vector(value, size, what, error)
+    if not np.all(np.isfinite(vector) & (vector > 0)):
+        raise error(f"{what} is {vector}: give positive finite numbers.")
+    return vector

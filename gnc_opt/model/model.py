@@ -12,16 +12,17 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.arguments import expect, read_integer, read_name, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ModelError, right_symbol, unknown_name
+from gnc_opt.errors import ModelError, right_symbol
 from gnc_opt.model.composed import ComposedControl, SplitControl, VectorControl
+from gnc_opt.model.differences import Differences
 from gnc_opt.model.evaluation import checked, evaluate
-from gnc_opt.model.exchange import declared, derivative_in, known_names
+from gnc_opt.model.exchange import Given, derivative_in
 from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.symbol import Symbol, as_expression, foreign_symbols
 from gnc_opt.model.table import TableUse
+from gnc_opt.model.variables import Variables
 from gnc_opt.strict import Strict
 
-_KINDS = ("state", "control", "parameter")
 _ARGUMENTS = ["t", "x", "u", "p"]
 
 
@@ -50,20 +51,18 @@ class Model(Strict):
         "_in_use_by",
         "_outputs",
         "_parameter_values",
-        "_retractions",
-        "_symbols",
         "_time",
+        "_variables",
         "name",
     )
 
     def __init__(self, name: str) -> None:
         self.name: str = expect(name, str, "the name of a model", 'write Model("cart")')
-        self._symbols: dict[str, dict[str, Symbol]] = {kind: {} for kind in _KINDS}
+        self._variables = Variables(f"model '{self.name}'")
         self._parameter_values: dict[str, Array] = {}
         self._equations: dict[str, Any] = {}
         self._outputs: dict[str, tuple[Variable, Any]] = {}
-        self._differences: dict[str, Callable[[Any, Any], Any]] = {}
-        self._retractions: dict[str, Callable[[Any, Any], Any]] = {}
+        self._differences = Differences(f"model '{self.name}'")
         self._time = Symbol(Variable("t", unit="s"))
         self._in_use_by: str | None = None
         self._composed_controls: dict[str, ComposedControl] = {}
@@ -112,24 +111,15 @@ class Model(Strict):
         >>> cart.f(0.0, [0.0, 2.0], 3.0)
         array([2., 3.])
         """
-        model = cls(name)
-        found = {
-            letter: declared(given, f"the {what} of model '{name}'")
-            for letter, what, given in (("x", "states", x), ("u", "controls", u), ("p", "parameters", p))
-        }
-        units = known_names(units, [v.name for group in found.values() for v in group], f"units= of '{name}'")
-        values = known_names(values, [v.name for v in found["p"]], f"values= of '{name}'")
-        for v in found["x"]:
-            model.state(v.name, v.size, unit=units.get(v.name, ""))
-        for v in found["u"]:
-            model.control(v.name, v.size, unit=units.get(v.name, ""))
-        for v in found["p"]:
-            model.parameter(v.name, v.value(values), unit=units.get(v.name, ""))
-        symbols = {"t": [] if t is None else [t]} | {
-            k: [v.symbol for v in group] for k, group in found.items()
-        }
+        model, given = cls(name), Given.read(name, x, u, p, values, units)
+        for v in given.states:
+            model.state(v.name, v.size, unit=given.unit(v))
+        for v in given.controls:
+            model.control(v.name, v.size, unit=given.unit(v))
+        for v in given.parameters:
+            model.parameter(v.name, v.value(given.values), unit=given.unit(v))
         arguments = dict(zip(_ARGUMENTS, model.arguments(), strict=True))
-        rate = derivative_in(f, arguments, symbols, model.states.size, f"dx/dt of model '{name}'")
+        rate = derivative_in(f, arguments, given.symbols(t), model.states.size, f"dx/dt of model '{name}'")
         model.ode({state: rate[model.states.slice(state)] for state in model.states.names})
         return model
 
@@ -259,7 +249,7 @@ class Model(Strict):
         for key, value in expect(
             equations, Mapping, f"what ode() of model '{self.name}' got", remedy
         ).items():
-            name = self._state_name(key)
+            name = self._variables.state_name(key)
             if name in self._equations:
                 raise ModelError(
                     f"model '{self.name}' states the dynamics of state '{name}' twice: keep one."
@@ -300,14 +290,12 @@ class Model(Strict):
             The result is not a column of SX, or it uses other symbols; or there is no way back with this size.
         """
         self._refuse_if_in_use("difference")
-        name = self._state_name(state)
-        self._differences[name] = function
-        self._retractions.pop(name, None)
-        if retraction is not None:
-            self._retractions[name] = retraction
+        name = self._variables.state_name(state)
+        self._differences.declare(name, function, retraction)
         self.error_expression(self.symbols("state"), ca.SX.sym("x_ref", self.states.size))
         if retraction is not None:
-            self._moved(name, self.symbols("state"), ca.SX.sym("e", self.errors.size))
+            own = self.symbols("state")[self.states.slice(name)]
+            self._differences.moved(name, own, ca.SX.sym("e", self.errors[name].size))
 
     def with_parameters(self, **values: ArrayLike) -> Model:
         """Return a copy of the model with other parameter values (same symbols, same equations)."""
@@ -336,7 +324,7 @@ class Model(Strict):
         """
         twin = copy.copy(self)
         twin._functions = {}
-        twin._symbols = {**self._symbols, "control": {c.variable.name: c for c in controls}}
+        twin._variables = self._variables.with_controls(controls)
         twin._equations = {name: express(rate) for name, rate in self._equations.items()}
         twin._outputs = {name: (v, express(y)) for name, (v, y) in self._outputs.items()}
         twin._outputs |= {c.name: (c.variable, value) for c, value in composed}
@@ -353,17 +341,17 @@ class Model(Strict):
     @property
     def states(self) -> Layout:
         """Names, sizes and units of the states."""
-        return self._layout("state")
+        return self._variables.layout("state")
 
     @property
     def controls(self) -> Layout:
         """Names, sizes and units of the controls."""
-        return self._layout("control")
+        return self._variables.layout("control")
 
     @property
     def parameters(self) -> Layout:
         """Names, sizes and units of the parameters."""
-        return self._layout("parameter")
+        return self._variables.layout("parameter")
 
     @property
     def outputs(self) -> Layout:
@@ -383,17 +371,13 @@ class Model(Strict):
     @property
     def errors(self) -> Layout:
         """Names, sizes and units of the errors of the states; see `difference`."""
-        x, reference = self.symbols("state"), ca.SX.sym("x_ref", self.states.size)
-        parts = self._errors(x, reference)
-        variables = [
-            Variable(v.name, part.shape[0], v.unit)
-            for v, part in zip(self.states.variables, parts, strict=True)
-        ]
-        return Layout("error", tuple(variables), f"model '{self.name}'")
+        return self._differences.layout(
+            self.states, self.symbols("state"), ca.SX.sym("x_ref", self.states.size)
+        )
 
     def error_expression(self, x: Any, x_ref: Any) -> Any:
         """Return the stacked SX errors of states x relative to x_ref, both SX (n_states, 1)."""
-        return ca.vertcat(*self._errors(x, x_ref))
+        return ca.vertcat(*self._differences.errors(self.states, x, x_ref))
 
     def moved_expression(self, x_ref: Any, e: Any) -> Any:
         """Return the stacked SX states that are the errors e (n_errors, 1) away from x_ref (n_states, 1), both SX.
@@ -403,19 +387,16 @@ class Model(Strict):
         ModelError
             A state has a difference without a retraction.
         """
-        return ca.vertcat(*[self._moved(name, x_ref, e) for name in self.states.names])
+        states, errors, moved = self.states, self.errors, self._differences.moved
+        return ca.vertcat(*[moved(n, x_ref[states.slice(n)], e[errors.slice(n)]) for n in states.names])
 
     def symbols(self, kind: str) -> Any:
         """Return the stacked SX vector of "state", "control" or "parameter" symbols."""
-        return ca.vertcat(*self._symbols[kind].values()) if self._symbols[kind] else ca.SX(0, 1)
+        return self._variables.stacked(kind)
 
     def symbol(self, name: str) -> Symbol:
         """Return the symbol of a declared state, control or parameter."""
-        for kind in _KINDS:
-            if isinstance(name, str) and name in self._symbols[kind]:
-                return self._symbols[kind][name]
-        known = [n for kind in _KINDS for n in self._symbols[kind]]
-        raise unknown_name("variable", name, f"model '{self.name}'", known)
+        return self._variables.named(name)
 
     def derivative(self) -> Any:
         """Return the stacked SX expression of dx/dt; raise `ModelError` if an equation is missing."""
@@ -433,8 +414,7 @@ class Model(Strict):
 
     def table_uses(self) -> list[TableUse]:
         """Return the calls of tables with expressions in the model's symbols, wherever those have gone."""
-        symbols = [symbol for kind in _KINDS for symbol in self._symbols[kind].values()]
-        return [use for symbol in [self._time, *symbols] for use in symbol.table_uses]
+        return [use for symbol in (self._time, *self._variables.symbols) for use in symbol.table_uses]
 
     def output_expression(self, name: str) -> Any:
         """Return the SX expression of a declared output."""
@@ -496,34 +476,6 @@ class Model(Strict):
         """Freeze the declarations: a problem now rests on them."""
         self._in_use_by = self._in_use_by or user
 
-    def _errors(self, x: Any, x_ref: Any) -> list[Any]:
-        parts = []
-        for name in self.states.names:
-            rows = self.states.slice(name)
-            own, reference = x[rows], x_ref[rows]
-            if name not in self._differences:
-                parts.append(own - reference)
-                continue
-            what = f"the difference of state '{name}' in model '{self.name}'"
-            parts.append(as_expression(self._differences[name](own, reference), what))
-        return parts
-
-    def _moved(self, name: str, x_ref: Any, e: Any) -> Any:
-        own, error = x_ref[self.states.slice(name)], e[self.errors.slice(name)]
-        if name not in self._differences:
-            return own + error
-        what = f"the retraction of state '{name}' in model '{self.name}'"
-        if name not in self._retractions:
-            raise ModelError(
-                f"{what} is missing: give difference('{name}', ..., retraction=...) the way back."
-            )
-        value = as_expression(self._retractions[name](own, error), what)
-        if value.shape != own.shape:
-            raise ModelError(
-                f"{what} has the shape {value.shape} where {own.shape} is needed: return a state."
-            )
-        return value
-
     def _function(self, name: str, expressions: Any, *names: str) -> Any:
         if name not in self._functions:
             self._functions[name] = ca.Function(
@@ -531,25 +483,10 @@ class Model(Strict):
             )
         return self._functions[name]
 
-    def _layout(self, kind: str) -> Layout:
-        variables = tuple(symbol.variable for symbol in self._symbols[kind].values())
-        return Layout(kind, variables, f"model '{self.name}'")
-
     def _declare(self, kind: str, name: str, size: int, unit: str, nominal: ArrayLike | None) -> Symbol:
         self._refuse_if_in_use(kind)
         self._check_new_name(name)
-        what = f"{kind} '{name}' of model '{self.name}'"
-        size = read_integer(size, f"the size of {what}", 1, ModelError)
-        expect(unit, str, f"the unit of {what}", 'write unit="m/s"')
-        scale = None
-        if nominal is not None:
-            vector = as_vector(nominal, size, f"the nominal value of {what}", ModelError)
-            if not np.all(np.isfinite(vector) & (vector > 0)):
-                raise ModelError(f"the nominal value of {what} is {nominal!r}: give positive finite numbers.")
-            scale = tuple(float(v) for v in vector)
-        symbol = Symbol(Variable(name, size, unit, scale))
-        self._symbols[kind][name] = symbol
-        return symbol
+        return self._variables.declare(kind, name, size, unit, nominal)
 
     def _compose(
         self, kind: type[ComposedControl], name: str, first: Symbol, second: Symbol, unit: str
@@ -563,8 +500,7 @@ class Model(Strict):
 
     def _check_new_name(self, name: str) -> None:
         read_name(name, f"variable of model '{self.name}'", ModelError)
-        taken = {n for kind in _KINDS for n in self._symbols[kind]} | set(self._outputs)
-        if name in taken:
+        if name in self._variables.names or name in self._outputs:
             raise ModelError(f"model '{self.name}' declares '{name}' twice: rename one of the two.")
 
     def _refuse_if_in_use(self, what: str) -> None:
@@ -583,33 +519,12 @@ class Model(Strict):
             raise ModelError(f"{what} is {vector}: give finite numbers.")
         return vector
 
-    def _state_name(self, key: Symbol | str) -> str:
-        name = key if isinstance(key, str) else getattr(getattr(key, "variable", None), "name", None)
-        if name is None:
-            raise ModelError(
-                f"ode() of model '{self.name}' got the key {key}: use the symbol that state() returned, or "
-                "its name."
-            )
-        own = [
-            k
-            for k in _KINDS
-            if name in self._symbols[k] and (isinstance(key, str) or self._symbols[k][name] is key)
-        ]
-        if own != ["state"] and (own or not isinstance(key, str)):
-            what = own[0] if own else "symbol of another model"
-            raise ModelError(
-                f"ode() of model '{self.name}': '{name}' is a {what}; give dynamics to its states only."
-            )
-        self.states.slice(name)
-        return name
-
     def _own_expression(self, value: Any, what: str, size: int | None) -> Any:
         expression = as_expression(value, what, size)
         foreign = foreign_symbols(expression, list(self.arguments()))
         if foreign:
-            known = [n for kind in _KINDS for n in self._symbols[kind]]
             raise ModelError(
                 f"{what} uses '{foreign[0]}', which is not a symbol of this model: "
-                f"{right_symbol(foreign[0], known)}"
+                f"{right_symbol(foreign[0], self._variables.names)}"
             )
         return expression

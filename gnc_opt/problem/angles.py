@@ -43,8 +43,7 @@ def unwound(functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: 
     if not np.any((room > min(PERIODS)) & (jumps > 0.5 * min(PERIODS))):
         return u
     along = _Along(functions, t, x, u)
-    periods = {i: along.period(i) for i in range(room.size) if room[i] > min(PERIODS)}
-    angles = {i: period for i, period in periods.items() if 0 < period < room[i]}
+    angles = {i: period for i in range(room.size) if 0 < (period := along.period(i)) < room[i]}
     pairs = [pair for pair in itertools.permutations(angles, 2) if along.mirrors(pair, angles)]
     turned = u.copy()
     for i, j in pairs:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.composed import SplitControl
+from gnc_opt.model.composed import SplitControl, VectorControl
 from gnc_opt.model.layout import Layout
 from gnc_opt.model.model import Model
 from gnc_opt.problem.interval import Interval, free, read_interval
@@ -56,4 +56,22 @@ def one_sided(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, 
         plus, minus = composed.parts
         parts[plus] = (np.zeros(box.upper.size), box.upper)
         parts[minus] = (np.zeros(box.lower.size), -box.lower)
+    return parts
+
+
+def of_magnitudes(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, tuple[float, float]]:
+    """Return ranges of the norms of vector controls as ranges of their magnitudes, which are >= 0."""
+    parts = {}
+    for name, value in ranges.items():
+        what = f"the norm of '{name}' in {where}"
+        vector = model.composed_controls.get(name)
+        if not isinstance(vector, VectorControl):
+            if name in model.controls or vector is not None:
+                raise ProblemError(f"{what} has no bounds: declare '{name}' with vector_control().")
+            known = [v.name for v in model.composed_controls.values() if isinstance(v, VectorControl)]
+            raise unknown_name("vector control", name, where, known)
+        box = read_interval(value, 1, what)
+        if box.upper[0] < 0:
+            raise ProblemError(f"{what} is at most {box.upper[0]:g}: give a limit >= 0.")
+        parts[vector.magnitude] = (max(0.0, float(box.lower[0])), float(box.upper[0]))
     return parts

@@ -15,15 +15,15 @@ from gnc_opt.arguments import read_label
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.composed import VectorControl
-from gnc_opt.model.layout import Layout, Variable, as_vector
+from gnc_opt.model.layout import Layout, Variable, as_magnitudes
 from gnc_opt.model.model import Model
 from gnc_opt.model.symbol import Symbol, as_expression
 from gnc_opt.problem.constraint import Constraint, make_constraint
-from gnc_opt.problem.guess.values import GuessValue, on_shared_times, read_guess_times, sample_guess
+from gnc_opt.problem.guess.values import GuessValue
 from gnc_opt.problem.held import Held, Junction, Smooth, read_kinds
 from gnc_opt.problem.interval import Interval, free, intersect, read_interval
-from gnc_opt.problem.named_ranges import merged, one_sided, without_negative_parts
-from gnc_opt.problem.phase_numbers import PhaseGuess, PhaseNumbers
+from gnc_opt.problem.named_ranges import merged, of_magnitudes, one_sided, without_negative_parts
+from gnc_opt.problem.phase_numbers import PhaseNumbers
 from gnc_opt.problem.restatement import Restatement
 from gnc_opt.strict import Strict
 
@@ -78,11 +78,9 @@ class Phase(Strict):
         self.name = name
         self.model = model
         self._owner = owner
-        n, m = model.states.size, model.controls.size
-        self.numbers = PhaseNumbers(
-            None, None, Interval(np.zeros(1), np.full(1, np.inf)), free(n), free(n), free(n), free(m)
-        )
-        self.numbers = replace(self.numbers, controls=without_negative_parts(model))
+        n, positive = model.states.size, Interval(np.zeros(1), np.full(1, np.inf))
+        controls = without_negative_parts(model)
+        self.numbers = PhaseNumbers(None, None, positive, free(n), free(n), free(n), controls)
         self.paths: dict[str, Constraint] = {}
         self._curved: set[str] = set()
         self._told_on_sphere: dict[str, bool] = {}
@@ -170,20 +168,7 @@ class Phase(Strict):
         ProblemError
             The name is not that of a ``Model.vector_control``, or the range has no number >= 0.
         """
-        parts = {}
-        for name, value in ranges.items():
-            what = f"the norm of '{name}' in {self.where}"
-            vector = self.model.composed_controls.get(name)
-            if not isinstance(vector, VectorControl):
-                known = [v.name for v in self.vectors]
-                if name in self.model.controls or name in self.model.composed_controls:
-                    raise ProblemError(f"{what} has no bounds: declare '{name}' with vector_control().")
-                raise unknown_name("vector control", name, self.where, known)
-            box = read_interval(value, 1, what)
-            if box.upper[0] < 0:
-                raise ProblemError(f"{what} is at most {box.upper[0]:g}: give a limit >= 0.")
-            parts[vector.magnitude] = (max(0.0, box.lower[0]), box.upper[0])
-        self.bounds(**parts)
+        self.bounds(**of_magnitudes(self.model, ranges, self.where))
 
     def path(
         self, name: str, expression: Any = None, *, lower: Any = None, upper: Any = None, equals: Any = None
@@ -244,20 +229,12 @@ class Phase(Strict):
             By name of state or control: a constant, a tuple ``(start, end)`` (straight line), an array
             (n, n_times), or a function of time that returns the value.
         """
-        old = self.numbers.guess
-        times = old.time if time is None else read_guess_times(time, self.where)
-        older = old.time if time is not None and values else None  # times of what is joined
-        merged = {**old.values, **values}
-        ends = np.array([0.0, 1.0])
-        for name, value in (merged if older is None else values).items():
-            variable = self.guessable.get(name) or self._owner_layout(name, "guess")[name]
-            if not callable(value):  # those must wait until the phase's times are known
-                what = f"the guess of '{name}' in {self.where}"
-                sample_guess(value, variable.size, ends, ends, times, what)
-        if older is not None and times is not None:
-            kept = {name: value for name, value in old.values.items() if name not in values}
-            merged, times = on_shared_times(kept, older, values, times)
-        self._set(guess=PhaseGuess(times, merged))
+        guess, known = self.numbers.guess, self.guessable
+        sizes = {
+            name: (known.get(name) or self._owner_layout(name, "guess")[name]).size
+            for name in {**guess.values, **values}
+        }
+        self._set(guess=guess.joined(time, values, sizes, self.where))
 
     def scale(self, **magnitudes: ArrayLike) -> None:
         """Override the automatic scaling: typical magnitudes > 0 of states or controls by name.
@@ -266,12 +243,8 @@ class Phase(Strict):
         """
         scales = dict(self.numbers.scales)
         for name, magnitude in magnitudes.items():
-            layout = self._owner_layout(name, "scale")
-            what = f"the scale of '{name}' in {self.where}"
-            vector = as_vector(magnitude, layout[name].size, what)
-            if not np.all(np.isfinite(vector) & (vector > 0)):
-                raise ProblemError(f"{what} is {vector}: give positive finite numbers.")
-            scales[name] = vector
+            size = self._owner_layout(name, "scale")[name].size
+            scales[name] = as_magnitudes(magnitude, size, f"the scale of '{name}' in {self.where}")
         self._set(scales=scales)
 
     def hold(
@@ -289,8 +262,8 @@ class Phase(Strict):
         ----------
         arcs : array (n_controls, K) of ArcKind or int, or None
             LOWER (or -1): on the lower bound, UPPER (+1): on the upper bound, INTERIOR (0): free within its bounds,
-            RELEASED: free of its bounds. With movable mesh boundaries the switch times are then what is left to
-            optimise. ``None`` lets everything go.
+            RELEASED: free of its bounds, EASED: free of them by a tenth of its range. With movable mesh boundaries the
+            switch times are then what is left to optimise. ``None`` lets everything go.
         paths : array (n_paths, K), optional
             The same for the rows of the path constraints.
         states : array (n_states, K), optional
@@ -305,20 +278,17 @@ class Phase(Strict):
             self._set(arcs=None)
             return
         model, box = self.model, self.numbers
-        held = Held(
-            read_kinds(arcs, model.controls.labels, box.controls, "controls", self.where),
-            smooth=tuple(smooth),
-            junctions=tuple(junctions),
-        )
-        if paths is not None:
-            labels, limits = self.path_labels, self.path_interval()
-            kinds = read_kinds(paths, labels, limits, "path constraints", self.where)
-            held = replace(held, paths=kinds)
-        if states is not None:
-            labels = model.states.labels
-            kinds = read_kinds(states, labels, box.states, "states", self.where)
-            held = replace(held, states=kinds)
-        self._set(arcs=held)
+        rows = {
+            "controls": (arcs, model.controls.labels, box.controls),
+            "paths": (paths, self.path_labels, self.path_interval()),
+            "states": (states, model.states.labels, box.states),
+        }
+        kinds = {
+            name: read_kinds(given, labels, limits, name, self.where)
+            for name, (given, labels, limits) in rows.items()
+            if given is not None
+        }
+        self._set(arcs=Held(**kinds, smooth=tuple(smooth), junctions=tuple(junctions)))
 
     # --- internals --------------------------------------------------------------------------------
 

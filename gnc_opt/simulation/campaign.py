@@ -21,18 +21,11 @@ from gnc_opt.packing import Packing
 from gnc_opt.simulation.envelope import Envelope, envelope
 from gnc_opt.simulation.first_files import campaign_fields
 from gnc_opt.simulation.flight import Flight
-from gnc_opt.simulation.metrics import rotation_angle
+from gnc_opt.simulation.measures import Measures
 from gnc_opt.simulation.outcome import Outcome, RunStatus
-from gnc_opt.simulation.quantity import KEPT
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.statistics import CONFIDENCE, PassRate, Percentile, pass_rate, percentile
 from gnc_opt.strict import Strict
-
-_COMPONENT_SUMS = {"effort": " s", "energy": "^2 s", "variation": ""}
-"""Costs that are summed over the components of a command or control, and what follows the unit."""
-
-_REPLANS = ("replans", "failed replans")
-"""Measures of runs that re-plan in flight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,17 +148,9 @@ class Campaign(Strict):
         """Return what was drawn for a parameter, (size, m)."""
         return self.parameters[self.layouts["parameter"].slice(name)]
 
-    @property
-    def _events(self) -> Layout:
-        return self.layouts.get("event", Layout("event", (), "the campaign"))  # older files know none
-
-    @property
-    def _quantities(self) -> Layout:
-        return self.layouts.get("quantity", Layout("quantity", (), "the campaign"))
-
     def happened(self, event: str) -> Any:
         """Return whether an event happened in each run, bool array (m,)."""
-        return self.event_counts[self._events.slice(event)][0] > 0
+        return self.event_counts[self._measures.layout("event").slice(event)][0] > 0
 
     def measure(self, name: str) -> Array:
         """Return a number per run, (m,); not-a-number for runs that have none.
@@ -189,95 +174,20 @@ class Campaign(Strict):
         ArgumentError
             The error is relative to nothing.
         """
-        if name in self.measured:
-            return self.measured[name]
-        if name in _REPLANS:
-            return np.asarray(self.replans[_REPLANS.index(name)])
-        if name not in self._values:
-            self._values[name] = self._evaluate(*self._parse(name))
-        return self._values[name]
-
-    @cached_property
-    def _values(self) -> dict[str, Array]:
-        return {}
-
-    def _evaluate(self, kind: str, subject: str) -> Array:
-        if kind == "error":
-            return np.asarray(np.linalg.norm(self.error(subject), axis=0))
-        if kind == "angle":
-            place = self.layouts["state"].slice(subject)
-            columns = self.states[place].T
-            return np.array(
-                [rotation_angle(c, self.target[place]) if np.isfinite(c).all() else np.nan for c in columns]
-            )
-        if kind == "time":
-            return np.asarray(self.event_times[self._events.slice(subject)][0])
-        if kind in KEPT:
-            return np.asarray(
-                self.sums[KEPT.index(kind) * self._quantities.size + self._quantities.slice(subject).start]
-            )
-        if kind == "saturation":
-            return np.asarray(np.max(self.saturation_time[self.layouts["command"].slice(subject)], axis=0))
-        layout = self.layouts["command" if kind == "variation" else "applied"]
-        return np.asarray(np.sum(getattr(self, kind)[layout.slice(subject)], axis=0))
+        return self._measures.values(name)
 
     def unit(self, name: str) -> str:
         """Return the unit of a measure."""
-        if name in self.measured or name in _REPLANS:
-            return ""
-        kind, subject = self._parse(name)
-        if kind in KEPT:
-            unit = self._quantities[subject].unit
-            return f"{unit} s".strip() if kind == "integral" else unit
-        if kind in ("angle", "saturation", "time"):
-            return "rad" if kind == "angle" else "s"
-        if kind == "error":
-            return self.layouts["error"][subject].unit
-        unit = self.layouts["command" if kind == "variation" else "applied"][subject].unit
-        bracketed = f"({unit})" if kind == "energy" and set(unit) & set(" /*") else unit
-        return f"{bracketed}{_COMPONENT_SUMS[kind]}".strip()
+        return self._measures.unit(name)
 
     @property
     def measures(self) -> tuple[str, ...]:
         """Names of all measures that have values."""
-        controls, commands = self.layouts["applied"].names, self.layouts["command"].names
-        states = [n for n in self.layouts["state"].names if self._has_target(n)]
-        own = tuple(self.measured)
-        costs = [f"effort({n})" for n in controls] + [f"energy({n})" for n in controls]
-        costs += [f"saturation({n})" for n in commands] + [f"variation({n})" for n in commands]
-        way = [f"{kind}({n})" for n in self._quantities.names for kind in KEPT]
-        again = _REPLANS if self.replans.any() else ()
-        return (*states, *own, *costs, *(f"time({n})" for n in self._events.names), *way, *again)
+        return self._measures.names
 
-    def _has_target(self, name: str) -> bool:
-        return bool(np.all(np.isfinite(self.target[self.layouts["state"].slice(name)])))
-
-    def _parse(self, name: str) -> tuple[str, str]:
-        kind, _, rest = name.partition("(") if isinstance(name, str) else ("", "", "")
-        subject = rest[:-1] if rest.endswith(")") else ""
-        if isinstance(name, str) and name in self.layouts["state"]:
-            kind, subject = "error", name
-        elif kind == "angle" and subject in self.layouts["state"]:
-            if self.layouts["state"][subject].size not in (3, 4):
-                raise ArgumentError(
-                    f"'{subject}' has {self.layouts['state'][subject].size} component(s): an attitude has three "
-                    "(modified Rodrigues parameters) or four (quaternion)."
-                )
-        elif not (
-            (kind in ("effort", "energy") and subject in self.layouts["applied"])
-            or (kind in ("saturation", "variation") and subject in self.layouts["command"])
-            or (kind == "time" and subject in self._events)
-            or (kind in KEPT and subject in self._quantities)
-        ):
-            states = self.layouts["state"].names
-            known = [*self.measures, *(n for n in states if n not in self.measures)]
-            known += [f"angle({n})" for n in states if self.layouts["state"][n].size in (3, 4)]
-            raise unknown_name("measure", name, "the campaign", known)
-        if kind in ("error", "angle") and not self._has_target(subject):
-            raise ArgumentError(
-                f"the controller follows no reference of '{subject}': give target={{'{subject}': ...}}."
-            )
-        return kind, subject
+    @cached_property
+    def _measures(self) -> Measures:
+        return Measures(self)
 
     def envelope(
         self, quantity: str, levels: Sequence[float] = (0.05, 0.5, 0.95), confidence: float = CONFIDENCE
@@ -297,8 +207,8 @@ class Campaign(Strict):
         UnknownNameError
             The loop had no such quantity.
         """
-        place = self._quantities.slice(quantity).start
-        unit = self._quantities[quantity].unit
+        place = self._measures.layout("quantity").slice(quantity).start
+        unit = self._measures.layout("quantity")[quantity].unit
         return envelope(quantity, unit, self.sample_times, self.samples[place], levels, confidence)
 
     # --- what passed --------------------------------------------------------------------------------------
@@ -347,7 +257,7 @@ class Campaign(Strict):
     @property
     def event_totals(self) -> dict[str, int]:
         """In how many runs each event happened."""
-        return {name: int(np.sum(self.happened(name))) for name in self._events.names}
+        return {name: int(np.sum(self.happened(name))) for name in self._measures.layout("event").names}
 
     @property
     def failures(self) -> dict[int, Outcome]:

@@ -17,13 +17,14 @@ from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
-from gnc_opt.simulation.beside import Companion, shrunk
+from gnc_opt.simulation.accuracy import Accuracy
+from gnc_opt.simulation.beside import Companion
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.control_step import alarm_labels, watched_labels
 from gnc_opt.simulation.disturbances import Disturbance
-from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.event import Event
 from gnc_opt.simulation.flight import LEG, Flight
+from gnc_opt.simulation.judge import Judge
 from gnc_opt.simulation.kernel import Kernel, build_kernel
 from gnc_opt.simulation.quantity import Quantities, Quantity
 from gnc_opt.simulation.replanner import Replanner
@@ -31,17 +32,8 @@ from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.wiring import Blocks, Wiring, wire
 from gnc_opt.tolerances import STEP_SLACK
 
-MAX_SUBSTEPS = 64
-"""Integration steps per minor step at most; a plant that needs more is too fast for this step."""
-
 PLAUSIBLE = 1e15
 """Size of a state beyond which a run has diverged, in any unit: a hundred times as far as Neptune, in metres."""
-
-_STABLE = 3.0
-"""The Runge-Kutta method damps a real mode up to 3.3 times the inverse of its step."""
-
-_MARGIN = 1.1
-"""Integration steps that were reckoned from an estimate of the error are made more numerous by this factor."""
 
 _MAX_STEPS = 2_000_000
 """Control steps of a run at most; with fifty numbers each their log fills a gigabyte."""
@@ -267,42 +259,27 @@ class ClosedLoop:
     def _beside(self, flight: Flight) -> Companion:
         """Return what the nominal run tells of flights beside others."""
         start = self._generic(flight.nominal)[:, None]
-        alone, both = (replace(flight, beside=b).final(start, [0]) for b in (None, Companion(local=-1.0)))
+        alone, both = (replace(flight, beside=b).final(start, [0]) for b in (None, Companion()))
         known = alone.averaging_error + alone.instant_error
-        error, total = (float((ending.integration_error - known)[0]) for ending in (alone, both))
-        begin = np.concatenate([start[self.layout.slice(f"initial.{n}"), 0] for n in self.plant.states.names])
         # without a nominal run to compare with, both estimates are added
-        return Companion.of(error, total - error, error / flight.growth, shrunk(begin, alone.states[:, 0]))
+        error, total = (float((ending.integration_error - known)[0]) for ending in (alone, both))
+        return Companion.of(error, total - error, error / flight.growth)
 
     def _accurate(self, nominal: Array, times: Array, rows: Array) -> Flight:
         """Return the flight, as planned, with as many integration steps as its accuracy needs."""
-        substeps = self.substeps or self._stable_substeps(nominal, times[0])
-        start, growth, before = self._generic(nominal)[:, None], 1.0, None
-        while True:
-            flight = self._flight(nominal, times, rows, substeps)
-            ending = flight.final(start, [0])
-            # a run that leaves the finite numbers is not one whose accuracy could be had by more steps
-            if not np.isfinite(ending.integration_error[0]) or ending.outcomes[0].not_finite:
-                return flight
-            if substeps >= MAX_SUBSTEPS and ending.outcomes[0].diverged:
-                return flight  # also when integrated as finely as can be: that is what is to be told
-            local = float((ending.integration_error - ending.averaging_error - ending.instant_error)[0])
-            if before is not None:
-                growth = max(growth, _growth(before[0], ending, before[1], before[2] / substeps))
-            if local <= self.accuracy or self.substeps is not None:
-                finer = self._flight(nominal, times, rows, substeps + 1).final(start, [0])
-                growth = max(growth, _growth(ending, finer, local, substeps / (substeps + 1)))
-            before, flight = (ending, local, substeps), replace(flight, growth=growth)
-            error = growth * local
-            if error <= self.accuracy or self.substeps is not None:
-                return flight
-            if substeps >= MAX_SUBSTEPS and local <= self.accuracy:
-                return flight  # errors grow: runs are flagged
-            if substeps >= MAX_SUBSTEPS:
-                raise self._too_fast(f"leave an error of {error:.1e} where {self.accuracy:.1e} is asked for")
-            # the local error of the embedded fourth-order solution, summed over a run, falls with h^4
-            needed = substeps * (error / self.accuracy) ** 0.25 * _MARGIN
-            substeps = int(min(MAX_SUBSTEPS, max(substeps + 1, np.ceil(needed))))
+        accuracy = Accuracy(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
+        first = self.substeps or accuracy.stable_substeps(times[0], *self._at_start(nominal))
+        start = self._generic(nominal)[:, None]
+        return accuracy.reached(lambda n: self._flight(nominal, times, rows, n), start, first)
+
+    def _at_start(self, nominal: Array) -> tuple[Array, Array]:
+        """Return the plant's states (n_states,) and parameters (n_parameters,) in a column of parameters."""
+        named = [
+            [nominal[self.layout.slice(f"{group}.{name}")] for name in layout.names]
+            for group, layout in (("initial", self.plant.states), ("plant", self.plant.parameters))
+        ]
+        x, p = (np.concatenate([np.empty(0), *parts]) for parts in named)
+        return x, p
 
     def _generic(self, nominal: Array) -> Array:
         """Return parameters with a start beside the nominal one.
@@ -366,26 +343,6 @@ class ClosedLoop:
 
     # --- internals ----------------------------------------------------------------------------------------
 
-    def _stable_substeps(self, nominal: Array, t: float) -> int:
-        """Return how many integration steps the fastest mode of the plant at the start needs to stay stable."""
-        plant, p = self.plant, {n: nominal[self.layout.slice(n)] for n in self.layout.names}
-        x = np.concatenate([p[f"initial.{n}"] for n in plant.states.names])
-        constants = np.concatenate([np.empty(0), *[p[f"plant.{n}"] for n in plant.parameters.names]])
-        a, _ = plant.linearize(t, x, np.zeros(plant.controls.size), constants)
-        if not np.all(np.isfinite(a)):
-            return 1  # the run itself will say what is not finite
-        fastest = float(np.max(np.abs(np.linalg.eigvals(a))))
-        substeps = max(1, int(np.ceil(fastest * self.dt / self.minor_steps / _STABLE)))
-        if substeps > MAX_SUBSTEPS:
-            raise self._too_fast(f"cannot follow its mode of {fastest:.3g} rad/s")
-        return substeps
-
-    def _too_fast(self, why: str) -> ArgumentError:
-        return ArgumentError(
-            f"the plant '{self.plant.name}' is too fast for minor steps of {self.dt / self.minor_steps:g} s: "
-            f"{MAX_SUBSTEPS} integration steps in each {why}; give more minor_steps, a coarser accuracy, or substeps."
-        )
-
     def _flight(self, nominal: Array, times: Array, rows: Array, substeps: int) -> Flight:
         return Flight(
             kernel=self.kernel(substeps),
@@ -406,14 +363,21 @@ class ClosedLoop:
             errors=self._error_function(),
             error_layout=self.plant.errors,
             events=self.wiring.events.layout,
-            failures=tuple(event.name for event in self.events if event.failure),
             quantities=Quantities.of(self.plant, tuple(self.quantities)) if self.quantities else None,
-            watched=tuple(watched_labels(self.wiring)),
-            alarms=tuple(alarm_labels(self.wiring)),
-            plausible=self.wiring.plausible,
-            accuracy=self.accuracy,
+            judge=self._judge(),
             minor_steps=self.minor_steps,
             estimates=self._estimates(),
+        )
+
+    def _judge(self) -> Judge:
+        return Judge(
+            tuple(watched_labels(self.wiring)),
+            tuple(alarm_labels(self.wiring)),
+            self.plant.states,
+            self.wiring.plausible,
+            self.wiring.events.layout.names,
+            tuple(event.name for event in self.events if event.failure),
+            self.accuracy,
         )
 
     def _times(self, t0: float, tf: float) -> Array:
@@ -481,17 +445,3 @@ def _read_plausible(value: float | Mapping[str, ArrayLike], states: Layout) -> A
     if not np.all(largest > 0):
         raise ArgumentError(f"the plausible sizes of the states are {largest}: give positive ones.")
     return largest
-
-
-def _growth(coarse: Ending, fine: Ending, local: float, ratio: float) -> float:
-    """Return by how much the local errors of a run have grown until its end, from the same run with shorter steps.
-
-    ``local`` is the sum of local errors of the coarse run, ``ratio`` that of the lengths of the steps, below 1. The
-    error at the end falls with the fifth power of the step. What is rounding of it does not fall, and a relay that has
-    turned the other way meanwhile leaves the runs no farther apart than it can: where either may be, the largest of
-    several comparisons is nearest to the truth.
-    """
-    if not local > 0 or not np.all(np.isfinite(fine.states)):
-        return 1.0
-    apart = np.abs(coarse.states - fine.states) / np.maximum(1.0, np.abs(fine.states))
-    return max(1.0, float(np.max(apart)) / ((1 - ratio**5) * local))

@@ -40,15 +40,12 @@ def without_effect(
     bound = lower | upper
     if coupled.size < 2 or not np.any(bound[coupled]):
         return idle
+    bases = u, np.where(bound, u, u + SHARES[0] * scale[:, None])
+    effects = [functions.effects(t, x, base) for base in bases]
     for i in coupled:
-        others = ~bound
-        others[i] = False
         changes = [
-            np.abs(
-                functions.effects(t, x, _moved(base, int(i), share * scale[i]))
-                - functions.effects(t, x, base)
-            )
-            for base in (u, np.where(others, u + SHARES[0] * scale[:, None], u))
+            np.abs(functions.effects(t, x, _moved(base, int(i), share * scale[i])) - before)
+            for base, before in zip(bases, effects, strict=True)
             for share in SHARES
         ]
         largest = np.nanmax(changes, axis=(0, 2), initial=0.0)

@@ -16,7 +16,7 @@ from gnc_opt.arguments import expect
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError, ProblemError, unknown_name
 from gnc_opt.markup import preformatted
-from gnc_opt.model.composed import AssembledControl, SplitControl, VectorControl
+from gnc_opt.model.composed import AssembledControl, SplitControl, SwitchedControl, VectorControl
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.nlp.status import Status
 from gnc_opt.packing import Packing
@@ -408,7 +408,7 @@ SOLUTION_FILES = FileFormat(
     Packing(
         (
             *(Solution, PhaseSolution, PiecewisePolynomial, Layout, Variable, Interval, Mesh),
-            *(SplitControl, VectorControl, AssembledControl),
+            *(SplitControl, VectorControl, AssembledControl, SwitchedControl),
             *(Statistics, Violation, Arc, ArcKind, Status, Quality),
             *(History, Pass, Actions, RefinementStatus),
         ),

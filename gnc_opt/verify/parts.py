@@ -20,7 +20,7 @@ def worst_of_parts(problem: Problem, s: PhaseSamples) -> Worst:
         parts = [s.u[layout.slice(part)] for part in control.parts]
         filled = s.u.copy()
         for part, own in zip(control.parts, control.decompose(control.compose(*parts)), strict=True):
-            filled[layout.slice(part)] = own
+            filled[layout.slice(part)] = np.where(np.isnan(own), filled[layout.slice(part)], own)
         rates = s.functions.rates(s.times, s.x, s.u) - s.functions.rates(s.times, s.x, filled)
         moved = np.sum(np.abs(rates) * s.weights, axis=1) / s.state_scale
         i, j = int(np.argmax(moved)), int(np.argmax(np.max(np.abs(rates), axis=0)))

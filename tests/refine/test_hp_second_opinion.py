@@ -11,8 +11,8 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.nlp import SolverOptions
+from gnc_opt.solution.again import STRATEGY
 from gnc_opt.solution.history import RefinementStatus
-from gnc_opt.solution.solve_mesh import STRATEGY
 from gnc_opt.solve import better_of_two
 
 TILT, EFFORT = 0.3, 0.01

@@ -11,7 +11,7 @@ from loops import controller, feedback, scheduled
 
 from gnc_opt.model.model import Model
 from gnc_opt.simulation import ClosedLoop, Delay, Lag, RandomHold, RateLimit
-from gnc_opt.simulation.loop import _growth
+from gnc_opt.simulation.accuracy import grown
 from gnc_opt.simulation.wave import Part, Wave, cut, stacked
 
 H = 2.0
@@ -314,12 +314,12 @@ def test_by_how_much_errors_grow():
     def at(*states):
         return SimpleNamespace(states=np.array(states)[:, None])
 
-    growth = _growth(at(1.5, 20.0, 0.5), at(1.0, 10.0, 0.4), 0.01, 0.5)
+    growth = grown(at(1.5, 20.0, 0.5), at(1.0, 10.0, 0.4), 0.01, 0.5)
     assert growth == pytest.approx(1 / ((1 - 1 / 32) * 0.01))
-    assert _growth(at(0.7), at(0.2), 0.01, 0.5) == pytest.approx(0.5 / ((1 - 1 / 32) * 0.01))
-    assert _growth(at(1.001), at(1.0), 0.01, 0.5) == 1.0
-    assert _growth(at(2.0), at(1.0), 0.0, 0.5) == 1.0 and _growth(at(2.0), at(1.0), 1e-300, 0.5) > 1.0
-    assert _growth(at(1.5, 1.0), at(1.0, np.nan), 0.01, 0.5) == 1.0
+    assert grown(at(0.7), at(0.2), 0.01, 0.5) == pytest.approx(0.5 / ((1 - 1 / 32) * 0.01))
+    assert grown(at(1.001), at(1.0), 0.01, 0.5) == 1.0
+    assert grown(at(2.0), at(1.0), 0.0, 0.5) == 1.0 and grown(at(2.0), at(1.0), 1e-300, 0.5) > 1.0
+    assert grown(at(1.5, 1.0), at(1.0, np.nan), 0.01, 0.5) == 1.0
 
 
 @pytest.mark.parametrize("options", [{"substeps": 1}, {"accuracy": 0.1}])

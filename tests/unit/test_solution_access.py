@@ -16,6 +16,7 @@ from by_hand import cart, phase, rest, solution
 import gnc_opt as go
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.nlp import NlpResult, SolverOptions, Status
+from gnc_opt.solution import again
 from gnc_opt.solution import solve_mesh as tries
 from gnc_opt.solution.attempt import Attempt
 from gnc_opt.solution.diagnosis import Violation, find_violations
@@ -312,23 +313,6 @@ def test_only_plain_endings_are_without_another_try() -> None:
     assert set(tries.TRAJECTORY_ONLY) == set(Status) - {Status.OPTIMAL, Status.ACCEPTABLE, Status.INTERRUPTED}
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "maximised", "gain"),
-    [
-        (4.0, 3.0, False, 0.25),
-        (3.0, 4.0, False, -0.25),
-        (3.0, 4.0, True, 0.25),
-        (-3.0, -4.0, False, 0.25),
-        (0.0, 0.0, False, 0.0),
-    ],
-)
-def test_a_gain_is_relative_to_the_larger_objective(
-    moved: Solution, old: float, new: float, maximised: bool, gain: float
-) -> None:
-    first, second = (replace(moved, objective=value, maximised=maximised) for value in (old, new))
-    assert tries.relative_gain(first, second) == pytest.approx(gain)
-
-
 def knowing(**guess: Any) -> bool:
     problem = cart()
     problem.get_phase().guess(**guess)
@@ -390,9 +374,9 @@ def test_another_way_is_taken_if_it_is_clearly_better(
         asked.append(options)
         return replace(moved, objective=objective, status=status)
 
-    monkeypatch.setattr(tries, "solve_mesh", solve)
+    monkeypatch.setattr(again, "solve_mesh", solve)
     chosen: Any = SimpleNamespace(**options) if "solver" in options else SolverOptions(**options)
-    better = tries.another_way(moved.need_problem("x"), moved, None, "LG", chosen)
+    better = again.another_way(moved.need_problem("x"), moved, None, "LG", chosen)
     assert (better is not None) is found
     if asked:
         assert asked[0].extra["ipopt.mu_strategy"] == "adaptive"
@@ -405,9 +389,9 @@ def test_a_sharper_solution_is_kept_if_there_is_one(
 ) -> None:
     sharp = replace(moved, status=status)
     seen: dict[str, Any] = {}
-    monkeypatch.setattr(tries, "solve_mesh", lambda problem, **more: seen.update(more) or sharp)
-    assert tries.sharper(moved) is (sharp if status is Status.OPTIMAL else moved)
-    assert seen["options"].tolerance == tries.SHARP and seen["guess"] is moved and seen["scheme"] == "LG"
+    monkeypatch.setattr(again, "solve_mesh", lambda problem, **more: seen.update(more) or sharp)
+    assert again.sharper(moved) is (sharp if status is Status.OPTIMAL else moved)
+    assert seen["options"].tolerance == again.SHARP and seen["guess"] is moved and seen["scheme"] == "LG"
 
 
 def test_the_mesh_of_a_solve_is_that_of_its_guess_unless_one_is_given(

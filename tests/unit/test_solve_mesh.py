@@ -14,14 +14,8 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.nlp import NlpPoint, NlpResult, NlpSolver, Status
-from gnc_opt.solution.solve_mesh import (
-    SolveLimits,
-    another_way,
-    knows_trajectory,
-    relative_gain,
-    sharper,
-    solve_mesh,
-)
+from gnc_opt.solution.again import another_way, relative_gain, sharper
+from gnc_opt.solution.solve_mesh import SolveLimits, knows_trajectory, solve_mesh
 
 
 def regulator(weight: float = 1.0) -> go.Problem:

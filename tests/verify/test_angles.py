@@ -1,5 +1,7 @@
 """Angles without bounds: turns do not count, neither those of the solver nor those of other tools."""
 
+from collections.abc import Sequence
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -22,7 +24,7 @@ def shear(**bounds: tuple[float, float]) -> go.Problem:
     return problem
 
 
-def space(turn: float) -> go.Problem:
+def space(turn: float, speed: float = 0.3, to: Sequence[float] = (1.0, 2.0, 0.7)) -> go.Problem:
     """To a point in least time with one unit of thrust along azimuth and elevation."""
     probe = go.Model("probe")
     r, v = probe.state("r", size=3), probe.state("v", size=3)
@@ -32,8 +34,8 @@ def space(turn: float) -> go.Problem:
     problem = go.Problem("space")
     leg = problem.phase("leg", probe)
     leg.time(0.0, (0.1, 30.0))
-    leg.initial(r=[0.0, 0.0, 0.0], v=[0.3, 0.0, 0.0])
-    leg.final(r=[1.0, 2.0, 0.7])
+    leg.initial(r=[0.0, 0.0, 0.0], v=[speed, 0.0, 0.0])
+    leg.final(r=list(to))
     problem.minimize(leg.final_time)
     return problem
 
@@ -122,3 +124,47 @@ def test_an_integral_that_does_not_count_does_not_use_a_control() -> None:
         problem.check()
     with pytest.raises(go.ProblemError, match="control 'idle' of phase 'leg'"):
         go.verify_trajectory(problem, t, np.zeros((2, 5)), np.zeros((2, 5)))
+
+
+@pytest.fixture(scope="module")
+def waiting() -> go.Solution:
+    """Two boats in the current of `shear`, the second of which has time to spare."""
+    boats = go.Model("boats")
+    names = "first", "second"
+    x, y, heading = zip(
+        *[(boats.state(f"x_{n}"), boats.state(f"y_{n}"), boats.control(n)) for n in names], strict=True
+    )
+    boats.ode({x[k]: ca.cos(heading[k]) - y[k] for k in (0, 1)} | {y[k]: ca.sin(heading[k]) for k in (0, 1)})
+    problem = go.Problem("boats")
+    leg = problem.phase("leg", boats)
+    leg.time(0.0, (0.1, 30.0))
+    leg.initial(x_first=3.66, y_first=-1.86, x_second=1.66, y_second=-0.86)
+    leg.final(x_first=0.0, y_first=0.0, x_second=0.0, y_second=0.0)
+    problem.minimize(leg.final_time)
+    return go.solve(problem)
+
+
+def test_a_boat_with_time_to_spare_is_left_open_and_fails_nothing(
+    waiting: go.Solution, crossing: go.Solution
+) -> None:
+    assert waiting.objective == pytest.approx(crossing.objective, abs=1e-8)
+    verdict = go.verify(waiting)
+    assert verdict.ok
+    assert not verdict.minimum  # it may take any way
+
+
+def test_the_other_boat_is_judged_all_the_same(waiting: go.Solution) -> None:
+    leg = waiting.phase("leg")
+    t = np.linspace(0.0, leg.final_time, 81)
+    x = np.array([waiting.state(name)(t) for name in waiting.problem.phases["leg"].model.states.labels])
+    u = np.array([waiting.control(name)(t) for name in ("first", "second")])
+    u[0] += 1e-2 * np.sin(t)
+    assert not go.verify_trajectory(waiting.problem, t, x, u).ok
+
+
+def test_along_the_pole_any_azimuth_will_do() -> None:
+    """2 m straight up from rest to any speed, in 2 s; what H curves by in the azimuth is rounding."""
+    problem = space(2 * np.pi, speed=0.0, to=[0.0, 0.0, 2.0])
+    found = go.solve(problem)
+    assert found.objective == pytest.approx(2.0, abs=1e-8)
+    assert go.verify(found).ok

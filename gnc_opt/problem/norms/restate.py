@@ -14,8 +14,10 @@ from gnc_opt.model.norms import ROOTS
 from gnc_opt.problem.guess.ends import guess_times
 from gnc_opt.problem.guess.trajectory import start_phase
 from gnc_opt.problem.interval import Interval, free
+from gnc_opt.problem.norms.actuators import Actuators
 from gnc_opt.problem.norms.argument import ArgumentForm, argument_of_norm
 from gnc_opt.problem.norms.bounds import bound_controls, bounds_by_hand
+from gnc_opt.problem.norms.dead_zone import DeadZoneForm
 from gnc_opt.problem.norms.domain import Domain
 from gnc_opt.problem.norms.ends import EndForm, has_end_kinks
 from gnc_opt.problem.norms.epigraph import EpigraphForm, Kinked
@@ -119,6 +121,13 @@ def _straighten(problem: Statement, leg: Phase, key: tuple[Any, ...]) -> tuple[A
     if bounds:
         told = (*told, *bounds)
         bound_controls(leg, bounds)
+        domain = Domain.along(problem, leg)
+    actuators = problem.once(("actuators", *told, domain.key), lambda: Actuators.of(problem, leg, domain))
+    if actuators.bounds or actuators.dead:
+        told = (*told, *actuators.key)
+        actuators.bound(leg)
+        if actuators.dead:
+            problem.once(("dead", *told), lambda: DeadZoneForm.of(leg, actuators.dead)).apply(leg)
         domain = Domain.along(problem, leg)
     bends = problem.once(("bends", *told, domain.key), lambda: Bends.of(problem, leg, domain))
     if bends.at:

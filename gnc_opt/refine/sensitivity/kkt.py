@@ -27,10 +27,10 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.errors import GncOptError, warn_user
 from gnc_opt.problem.problem import Problem
+from gnc_opt.solution.again import sharper
 from gnc_opt.solution.program_point import WEAK, ProgramLimits, ProgramPoint, saddle_matrix
 from gnc_opt.solution.saddle import SaddlePoint
 from gnc_opt.solution.solution import Solution
-from gnc_opt.solution.solve_mesh import sharper
 from gnc_opt.solution.touches import with_contacts
 from gnc_opt.transcription.scaling import Scaling
 from gnc_opt.transcription.transcription import Transcription

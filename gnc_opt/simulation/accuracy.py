@@ -1,0 +1,114 @@
+"""How many integration steps a flight takes: as many as it needs by its own estimates of its error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gnc_opt.arrays import Array
+from gnc_opt.errors import ArgumentError
+from gnc_opt.model.model import Model
+from gnc_opt.simulation.ending import Ending
+from gnc_opt.simulation.flight import Flight
+
+MAX_SUBSTEPS = 64
+"""Integration steps per minor step at most; a plant that needs more is too fast for this step."""
+
+_STABLE = 3.0
+"""The Runge-Kutta method damps a real mode up to 3.3 times the inverse of its step."""
+
+_MARGIN = 1.1
+"""Integration steps that were reckoned from an estimate of the error are made more numerous by this factor."""
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """What is asked of the integration of a plant.
+
+    Attributes
+    ----------
+    plant : Model
+    step : float
+        Minor step, s.
+    asked : float
+        Largest error over a run, relative to max(1, \\|x\\|) per state.
+    substeps : int, optional
+        Integration steps per minor step, if they are given.
+    """
+
+    plant: Model
+    step: float
+    asked: float
+    substeps: int | None
+
+    def stable_substeps(self, t: float, x: Array, p: Array) -> int:
+        """Return how many integration steps the fastest mode of the plant at the start needs to stay stable."""
+        a, _ = self.plant.linearize(t, x, np.zeros(self.plant.controls.size), p)
+        if not np.all(np.isfinite(a)):
+            return 1  # the run itself will say what is not finite
+        fastest = float(np.max(np.abs(np.linalg.eigvals(a))))
+        substeps = max(1, int(np.ceil(fastest * self.step / _STABLE)))
+        if substeps > MAX_SUBSTEPS:
+            raise self._too_fast(f"cannot follow its mode of {fastest:.3g} rad/s")
+        return substeps
+
+    def reached(self, flight_with: Callable[[int], Flight], start: Array, substeps: int) -> Flight:
+        """Return the flight with as many integration steps as its accuracy needs.
+
+        Parameters
+        ----------
+        flight_with : function
+            Returns it with so many integration steps per minor step.
+        start : array (n_parameters, 1)
+            Of the run that is looked at.
+        substeps : int
+            How many to begin with.
+        """
+        growth, before = 1.0, None
+        while True:
+            flight = flight_with(substeps)
+            ending = flight.final(start, [0])
+            # a run that leaves the finite numbers is not one whose accuracy could be had by more steps
+            if not np.isfinite(ending.integration_error[0]) or ending.outcomes[0].not_finite:
+                return flight
+            if substeps >= MAX_SUBSTEPS and ending.outcomes[0].diverged:
+                return flight  # also when integrated as finely as can be: that is what is to be told
+            local = float((ending.integration_error - ending.averaging_error - ending.instant_error)[0])
+            if before is not None:
+                growth = max(growth, grown(before[0], ending, before[1], before[2] / substeps))
+            if local <= self.asked or self.substeps is not None:
+                finer = flight_with(substeps + 1).final(start, [0])
+                growth = max(growth, grown(ending, finer, local, substeps / (substeps + 1)))
+            before, flight = (ending, local, substeps), replace(flight, growth=growth)
+            error = growth * local
+            if error <= self.asked or self.substeps is not None:
+                return flight
+            if substeps >= MAX_SUBSTEPS and local <= self.asked:
+                return flight  # errors grow: runs are flagged
+            if substeps >= MAX_SUBSTEPS:
+                raise self._too_fast(f"leave an error of {error:.1e} where {self.asked:.1e} is asked for")
+            # the local error of the embedded fourth-order solution, summed over a run, falls with h^4
+            needed = substeps * (error / self.asked) ** 0.25 * _MARGIN
+            substeps = int(min(MAX_SUBSTEPS, max(substeps + 1, np.ceil(needed))))
+
+    def _too_fast(self, why: str) -> ArgumentError:
+        return ArgumentError(
+            f"the plant '{self.plant.name}' is too fast for minor steps of {self.step:g} s: "
+            f"{MAX_SUBSTEPS} integration steps in each {why}; give more minor_steps, a coarser accuracy, or substeps."
+        )
+
+
+def grown(coarse: Ending, fine: Ending, local: float, ratio: float) -> float:
+    """Return by how much the local errors of a run have grown until its end, from the same run with shorter steps.
+
+    ``local`` is the sum of local errors of the coarse run, ``ratio`` that of the lengths of the steps, below 1. The
+    error at the end falls with the fifth power of the step. What is rounding of it does not fall, and a relay that has
+    turned the other way meanwhile leaves the runs no farther apart than it can: where either may be, the largest of
+    several comparisons is nearest to the truth.
+    """
+    if not local > 0 or not np.all(np.isfinite(fine.states)):
+        return 1.0
+    apart = np.abs(coarse.states - fine.states) / np.maximum(1.0, np.abs(fine.states))
+    return max(1.0, float(np.max(apart)) / ((1 - ratio**5) * local))
