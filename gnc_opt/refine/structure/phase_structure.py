@@ -357,12 +357,6 @@ class PhaseStructure:
             times = [*self.times[:-2], self.times[-1]]
         return self._merged(times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches)
 
-    def joined(self, piece: int, to: int) -> PhaseStructure:
-        """Return the structure in which a piece is as another one beside it; what is touched between them is gone."""
-        kinds, touches = list(self.kinds), list(self.touches)
-        kinds[piece], touches[max(piece, to)] = self.kinds[to], ()
-        return self._merged(list(self.times), tuple(kinds), touches)
-
     def emptied(self, piece: int) -> PhaseStructure:
         """Return the structure after a piece has vanished; of an arc on a limit a touch is left.
 

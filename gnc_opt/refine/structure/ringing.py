@@ -9,6 +9,8 @@ over without a jump.) A bang that does neither is of the arc.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gnc_opt.problem.arc import ArcKind
@@ -31,7 +33,7 @@ def without_ringing(
     for piece in short:
         for arc in (piece - 1, piece + 1) if 0 < piece < structure.pieces - 1 else ():
             if _left_idle(structure, piece, arc):
-                return without_ringing(structure.joined(piece, arc), constraints, segments)
+                return without_ringing(_of_arc(structure, piece, arc), constraints, segments)
         if _back_and_forth(structure, piece):
             return without_ringing(structure.without(piece), constraints, segments)
     for piece in short:
@@ -67,6 +69,13 @@ def _left_idle(structure: PhaseStructure, piece: int, arc: int) -> bool:
         and [structure.kinds[piece][i] for i in structure.holders[row]] == [ArcKind.SINGULAR]
         for row in rows
     )
+
+
+def _of_arc(structure: PhaseStructure, piece: int, arc: int) -> PhaseStructure:
+    """Return the structure in which a piece is as the arc beside it."""
+    kinds = list(structure.kinds)
+    kinds[piece] = kinds[arc]
+    return replace(structure, kinds=tuple(kinds)).merged()
 
 
 def _back_and_forth(structure: PhaseStructure, piece: int) -> bool:
@@ -124,8 +133,8 @@ def with_short_arc(
 ) -> PhaseStructure:
     """Return the structure with an arc where a limit of first order pushes that one control comes to, and leaves.
 
-    That takes an arc, however short: between the bang that leads there and the one that leads away, with all that a
-    mesh shows between them.
+    For no longer than a segment of the mesh, that is: it takes an arc, however short, between the bang that leads there
+    and the one that leads away, with all that a mesh shows between them.
 
     Parameters
     ----------
@@ -142,7 +151,8 @@ def with_short_arc(
         for k in range(1, structure.pieces)
         if control in structure.changes(k) and pushed[0] - length < structure.times[k] < pushed[1] + length
     ]
-    if not near or any(structure.kinds[k][row].at_limit for k in range(near[0] - 1, near[-1] + 1)):
+    longer = pushed[1] - pushed[0] > length
+    if longer or not near or any(structure.kinds[k][row].at_limit for k in range(near[0] - 1, near[-1] + 1)):
         return structure
     before, after = near[0] - 1, near[-1]
     if not all(structure.kinds[k][control].at_limit for k in (before, after)):
