@@ -220,13 +220,17 @@ class Plan:
         kept = tuple(self._smooth_as_now(structure, k, r) for k, r in enumerate(plan.resolutions))
         plan = replace(plan, resolutions=kept)
         if structure.bends and structure.pieces > self.structure.pieces:
-            finest = max(self.resolutions, key=lambda r: (r.degree, r.segments))
-            finer = tuple(
-                replace(r, segments=r.segments if r.edges else finest.segments, degree=finest.degree)
-                for r in plan.resolutions
-            )
+            finer = tuple(self._as_fine_as_now(structure, k, r) for k, r in enumerate(plan.resolutions))
             return replace(plan, resolutions=finer)
         return plan
+
+    def _as_fine_as_now(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
+        """The resolution of a piece of another structure with the segments that this plan has in its place."""
+        times, (left, right) = np.asarray(self.structure.times), structure.times[piece : piece + 2]
+        shared = np.maximum(np.minimum(times[1:], right) - np.maximum(times[:-1], left), 0.0)
+        counts = [r.segments for r in self.resolutions] * shared / self.structure.lengths
+        degree = max(r.degree for r in (first, *itertools.compress(self.resolutions, shared > 0)))
+        return replace(first, degree=degree, segments=max(first.segments, math.ceil(np.sum(counts))))
 
     def _smooth_as_now(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
         """The resolution of the piece of this plan with the kinds of one of another structure, if it is smooth."""
