@@ -28,7 +28,7 @@ from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.structure.ends import with_starts_on_limits
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.pushes import LASTING, SHORT, Run, pushing_runs, runs_of
+from gnc_opt.refine.structure.pushes import LASTING, SHORT, Push, pushing_runs, runs_of
 from gnc_opt.refine.structure.ringing import with_short_arc, without_ringing
 from gnc_opt.refine.structure.state_constraints import StateConstraints
 from gnc_opt.refine.structure.tidy import with_possible_ends, without_overlaps
@@ -142,7 +142,7 @@ def _with_short_arcs(structure: PhaseStructure, constraints: StateConstraints) -
     return structure
 
 
-def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) -> list[Run]:
+def _runs_of_pushes(constraints: StateConstraints, structure: PhaseStructure) -> list[Push]:
     """Where constraints push that determine a control, but for the contacts of the structure."""
     first, found = len(structure.controls), []
     for run in pushing_runs(constraints, np.flatnonzero(structure.orders[first:])):
@@ -191,7 +191,7 @@ def crossed_contact(
 
 
 def _worst_added(
-    constraints: StateConstraints, structure: PhaseStructure, runs: list[Run]
+    constraints: StateConstraints, structure: PhaseStructure, runs: list[Push]
 ) -> tuple[PhaseStructure | None, str]:
     s, labels = (
         constraints.samples,
@@ -206,16 +206,16 @@ def _worst_added(
     return None, ""
 
 
-def _excesses(constraints: StateConstraints, structure: PhaseStructure) -> list[Run]:
+def _excesses(constraints: StateConstraints, structure: PhaseStructure) -> list[Push]:
     """Samples at which constraints are left beside their arcs and between points."""
     s, first = constraints.samples, len(structure.controls)
     values = constraints.values(s.times, s.x, s.u_polynomial)
-    found: list[Run] = []
+    found: list[Push] = []
     for row in np.flatnonzero(structure.orders[first:]):
         known = structure.contact(first + int(row), s.times)
         for kind, limit in constraints.limits(int(row)):
             excess = np.where(known, 0.0, kind.sign * (values[row] - limit) / constraints.scales[row])
             found += [
-                Run(first + int(row), kind, s.times[a:b], excess[a:b]) for a, b in runs_of(excess > EXCEEDED)
+                Push(first + int(row), kind, s.times[a:b], excess[a:b]) for a, b in runs_of(excess > EXCEEDED)
             ]
     return [run for run in found if run.possible(structure)]

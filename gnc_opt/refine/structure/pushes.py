@@ -38,7 +38,7 @@ among them, are between two touches: an arc that need not push between its ends 
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Push:
     """Neighbouring nodes of a mesh near a limit at some of which a constraint pushes.
 
     Attributes
@@ -252,10 +252,10 @@ class Run:
         return float(end if abs(end - outer) <= abs(outer - inner) else outer)
 
 
-def pushing_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[Run]:
+def pushing_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[Push]:
     """Where constraints of some rows push."""
     s, rows = constraints.samples, list(rows)
-    found: list[Run] = []
+    found: list[Push] = []
     if not rows:
         return found
     times, values, pushes = _at_nodes(constraints)
@@ -270,7 +270,7 @@ def pushing_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[Run
                 for a, b in runs_of(off & (worth == 0)):
                     near[a:b] &= b - a < LASTING
             runs = [(a, b) for a, b in runs_of(near) if np.any(worth[a:b] > 0)]
-            found += [Run(int(row), kind, times[a:b], worth[a:b]) for a, b in runs]
+            found += [Push(int(row), kind, times[a:b], worth[a:b]) for a, b in runs]
     return found
 
 
