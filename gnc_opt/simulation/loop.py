@@ -18,13 +18,14 @@ from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.accuracy import Accuracy, local_error
-from gnc_opt.simulation.beside import Companion, shrunk
+from gnc_opt.simulation.beside import Companion
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.control_step import alarm_labels, watched_labels
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.event import Event
 from gnc_opt.simulation.flight import LEG, Flight
+from gnc_opt.simulation.judge import Judge
 from gnc_opt.simulation.kernel import Kernel, build_kernel
 from gnc_opt.simulation.quantity import Quantities, Quantity
 from gnc_opt.simulation.replanner import Replanner
@@ -259,12 +260,11 @@ class ClosedLoop:
     def _beside(self, flight: Flight, alone: Ending) -> Companion:
         """Return what the nominal run, as it ended alone, tells of flights beside others."""
         start = self._generic(flight.nominal)[:, None]
-        both = replace(flight, beside=Companion(local=-1.0)).final(start, [0])
+        both = replace(flight, beside=Companion()).final(start, [0])
         local = local_error(alone)
-        error, total = flight.growth * local, local_error(both)
-        begin, _ = self._at_start(start[:, 0])
         # without a nominal run to compare with, both estimates are added
-        return Companion.of(error, total - error, local, shrunk(begin, alone.states[:, 0]))
+        error, total = flight.growth * local, local_error(both)
+        return Companion.of(error, total - error, local)
 
     def _accurate(self, nominal: Array, times: Array, rows: Array) -> tuple[Flight, Ending]:
         """Return the flight, as planned, with as many integration steps as its accuracy needs, and its ending."""
@@ -364,14 +364,21 @@ class ClosedLoop:
             errors=self._error_function(),
             error_layout=self.plant.errors,
             events=self.wiring.events.layout,
-            failures=tuple(event.name for event in self.events if event.failure),
             quantities=Quantities.of(self.plant, tuple(self.quantities)) if self.quantities else None,
-            watched=tuple(watched_labels(self.wiring)),
-            alarms=tuple(alarm_labels(self.wiring)),
-            plausible=self.wiring.plausible,
-            accuracy=self.accuracy,
+            judge=self._judge(),
             minor_steps=self.minor_steps,
             estimates=self._estimates(),
+        )
+
+    def _judge(self) -> Judge:
+        return Judge(
+            tuple(watched_labels(self.wiring)),
+            tuple(alarm_labels(self.wiring)),
+            self.plant.states,
+            self.wiring.plausible,
+            self.wiring.events.layout.names,
+            tuple(event.name for event in self.events if event.failure),
+            self.accuracy,
         )
 
     def _times(self, t0: float, tf: float) -> Array:
