@@ -81,6 +81,9 @@ class Controller:
         ``states`` then are measurements.
     flight : FlightLaw, optional
         The form of the law in flight code, where its own solves a problem at every step.
+    easy : casadi.Function, optional
+        ``(t, x, r, z) -> (u, z_next, enough)`` of elementary operations: the bits of ``step`` wherever enough is 1,
+        for a law that solves a problem at some steps only.
     schedule : callable
         See `Schedule`.
     dt : float or None
@@ -117,6 +120,7 @@ class Controller:
     unbridged: Controller | None = field(default=None, repr=False)
     estimated: Layout | None = None
     flight: FlightLaw | None = field(default=None, repr=False)
+    easy: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         sizes = (1, self.states.size, self.signals.size, self.memory.size)
@@ -215,7 +219,7 @@ class Controller:
         return sampled_system(self.name, step, length, bare.memory, bare.states, bare.commands)
 
 
-def law(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any) -> Any:
+def law(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any, *enough: Any) -> Any:
     """Return the CasADi function of a control law from its symbols and expressions (SX or MX columns).
 
     Parameters
@@ -224,6 +228,8 @@ def law(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any) -> Any:
         Symbols: time (1, 1), measured state (n_states, 1), row of the schedule (n_signals, 1), memory (n_memory, 1).
     u, z_next : casadi SX or MX
         Expressions of them: the command (n_commands, 1) and the next memory (n_memory, 1).
+    enough : casadi SX or MX, optional
+        Expression of them, see ``easy`` of `Controller`.
 
     Examples
     --------
@@ -234,7 +240,8 @@ def law(t: Any, x: Any, r: Any, z: Any, u: Any, z_next: Any) -> Any:
     >>> print(step(0.0, [1.0, 0.5], [], [])[0])
     -2
     """
-    return ca.Function("law", [t, x, r, z], [u, z_next], _INPUTS, _OUTPUTS)
+    names = [*_OUTPUTS, *("enough" for _ in enough)]
+    return ca.Function("law", [t, x, r, z], [u, z_next, *enough], _INPUTS, names)
 
 
 def first_memory(t: Any, x: Any, r: Any, z: Any) -> Any:

@@ -87,7 +87,8 @@ def bridge_dropouts(controller: Controller, *, hold: int = HOLD, safe: ArrayLike
         Variable("lost", 1),
         Variable(INVALID, 1),
     )
-    step, start = _functions(inner, hold, given)
+    step, start = _functions(inner, inner.step, hold, given)
+    easy = None if inner.easy is None else _functions(inner, inner.easy, hold, given)[0]
     flight = inner.flight
     if flight is not None:
         flight = replace(flight, controller=bridge_dropouts(flight.controller, hold=hold, safe=safe))
@@ -103,13 +104,14 @@ def bridge_dropouts(controller: Controller, *, hold: int = HOLD, safe: ArrayLike
         explanation=Explanation(told.title, (*told.facts, Fact("dropouts", str(hold), remark=remark))),
         unbridged=inner,
         flight=flight,
+        easy=easy,
     )
 
 
-def _functions(inner: Controller, hold: int, safe: Any) -> tuple[Any, Any]:
-    """Return the law and the first memory of the bridged controller."""
+def _functions(inner: Controller, bare: Any, hold: int, safe: Any) -> tuple[Any, Any]:
+    """Return the law and the first memory of the bridged controller, of the law or its easy form."""
     states, size = inner.states.size, inner.memory.size
-    kind = ca.SX if inner.step.is_a("SXFunction") and inner.start.is_a("SXFunction") else ca.MX
+    kind = ca.SX if bare.is_a("SXFunction") and inner.start.is_a("SXFunction") else ca.MX
     t, x, r = kind.sym("t"), kind.sym("x", states), kind.sym("r", inner.signals.size)
     z = kind.sym("z", size + states + 2)
     memory, last, lost, invalid = ca.vertsplit(
@@ -120,7 +122,7 @@ def _functions(inner: Controller, hold: int, safe: Any) -> tuple[Any, Any]:
     first = inner.start(t, ca.if_else(good, x, 0), r)
     usable = ca.logic_or(good, ca.logic_and(lost > _NEVER / 2, lost < hold - 0.5))
     y = ca.if_else(good, x, last)
-    u, after = inner.step(t, y, r, ca.if_else(lost < _NEVER / 2, first, memory))
+    u, after, *enough = bare(t, y, r, ca.if_else(lost < _NEVER / 2, first, memory))
     works = ca.logic_and(usable, ca.logic_and(_finite(u), _finite(after)))
     spare = _feedforward(inner, r) if safe is None else ca.DM(safe)
     z_next = ca.vertcat(
@@ -129,7 +131,7 @@ def _functions(inner: Controller, hold: int, safe: Any) -> tuple[Any, Any]:
         ca.if_else(good, 0, ca.if_else(lost < _NEVER / 2, _NEVER, lost + 1)),
         ca.if_else(works, invalid, 1),
     )
-    step = law(t, x, r, z, ca.if_else(works, u, spare), z_next)
+    step = law(t, x, r, z, ca.if_else(works, u, spare), z_next, *enough)
     begun = ca.if_else(good, ca.vertcat(first, x), 0)
     return step, first_memory(t, x, r, ca.vertcat(begun, ca.if_else(good, 0, _NEVER), 0))
 

@@ -14,13 +14,7 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.problem.interval import Interval
-from gnc_opt.tolerances import EQUAL, ROUNDING
-
-PERIODS = np.pi, 180.0, 2 * np.pi, 360.0
-"""Turns in radians and degrees; half a turn where only its double counts, as with ``sin(2 u)``."""
-
-ELSEWHERE = 0.37
-"""A share of a period by which a function of an angle changes."""
+from gnc_opt.problem.turns import ELSEWHERE, PERIODS, turned_back
 
 
 def unwound(functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: Array) -> Array:
@@ -87,11 +81,7 @@ class _Along:
 
     def _same(self, other: Array, away: Array) -> bool:
         """Whether other controls change nothing, compared with those that are known to be elsewhere."""
-        changes = np.max(np.abs(self._values(away) - self.here), axis=1)
-        changed = np.max(np.abs(self._values(other) - self.here), axis=1)
-        rounding = ROUNDING * np.max(np.abs(self.here), axis=1)
-        depends = changes > rounding
-        return bool(np.any(depends) and np.all(changed <= EQUAL * changes + rounding))
+        return turned_back(self.here, self._values(other), self._values(away))
 
     def _shifted(self, i: int, by: float) -> Array:
         u = self.u.copy()
@@ -99,7 +89,7 @@ class _Along:
         return u
 
     def _values(self, u: Array) -> Array:
-        return np.nan_to_num(self.functions.effects(self.t, self.x, u))
+        return self.functions.effects(self.t, self.x, u)
 
 
 def _nearest(angle: Array, period: float) -> Array:

@@ -11,7 +11,8 @@ class ArcKind(Enum):
 
     A constrained control is between its bounds, where a state on its bound or an active path constraint determines it;
     the arcs of the latter are LOWER or UPPER under their own names. A released one may leave its limits, which tells
-    the structure loop where its arc has to end; no arc of a finished solution is released.
+    the structure loop where its arc has to end, and an eased one by a tenth of its range only; no arc of a finished
+    solution is released or eased.
     """
 
     LOWER = "lower"
@@ -20,6 +21,7 @@ class ArcKind(Enum):
     SINGULAR = "singular"
     CONSTRAINED = "constrained"
     RELEASED = "released"
+    EASED = "eased"
 
     @property
     def sign(self) -> int:

@@ -15,7 +15,7 @@ from gnc_opt.problem.interval import Interval
 Kinds: TypeAlias = "tuple[tuple[ArcKind, ...], ...]"
 """Rows of kinds, one per segment or piece."""
 
-MAY_BE_TOLD = (ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED)
+MAY_BE_TOLD = (ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED, ArcKind.EASED)
 """What a control, path constraint or state may be told."""
 
 

@@ -262,8 +262,8 @@ class Phase(Strict):
         ----------
         arcs : array (n_controls, K) of ArcKind or int, or None
             LOWER (or -1): on the lower bound, UPPER (+1): on the upper bound, INTERIOR (0): free within its bounds,
-            RELEASED: free of its bounds. With movable mesh boundaries the switch times are then what is left to
-            optimise. ``None`` lets everything go.
+            RELEASED: free of its bounds, EASED: free of them by a tenth of its range. With movable mesh boundaries the
+            switch times are then what is left to optimise. ``None`` lets everything go.
         paths : array (n_paths, K), optional
             The same for the rows of the path constraints.
         states : array (n_states, K), optional

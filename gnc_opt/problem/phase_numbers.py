@@ -12,6 +12,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.problem.guess.values import GuessValue, on_shared_times, read_guess_times, sample_guess
 from gnc_opt.problem.held import Held
 from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.turns import Turns
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,13 @@ class PhaseGuess:
 
 @dataclass(frozen=True)
 class PhaseNumbers:
-    """The numbers of a phase; they may change without a new transcription."""
+    """The numbers of a phase; they may change without a new transcription.
+
+    Attributes
+    ----------
+    turns : Turns, optional
+        Angles that have lost their bounds, which left out no direction.
+    """
 
     initial_time: Interval | None
     final_time: Interval | None
@@ -61,3 +68,4 @@ class PhaseNumbers:
     guess: PhaseGuess = PhaseGuess()
     scales: Mapping[str, Array] = field(default_factory=dict)
     arcs: Held | None = None
+    turns: Turns | None = None

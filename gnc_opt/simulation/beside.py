@@ -15,8 +15,12 @@ is off by
 or by its local errors and the growth of the nominal run, if that is more. Where s exceeds 1 the steps are too long for
 orders to tell one solution from the other, and the lesser of the two is added, in full from s = 2 on.
 
-Runs whose local errors are about those of the nominal run, and whose states have shrunk no more, so that what was a
-small share of them is one still, are taken to make errors grow as it does, and fly alone.
+
+A relay or a quantum that turns the other way in the second flight sets both apart, however near they were. Where they
+are farther apart than the accuracy asked for, a third flight is made with a share of the error of every step
+(`NEARER`), about as near as the run is to the truth: what has grown is apart by that share of it, and what has turned
+by chance is not apart there. The lesser of both is taken, what is apart then over the share or what was apart before.
+Where a quantum turns in the run and not in the truth, or the other way round, no flight beside need see it.
 """
 
 from __future__ import annotations
@@ -29,8 +33,9 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.simulation.places import Places
 
-MORE = 1.5
-"""Local errors of a run, or what it has shrunk by, over those of the nominal one, beyond which its way is another."""
+NEARER = 2.0**-5
+"""Share of the errors of steps with which a run is looked at nearer by; the fifth-order solution is better by about as
+much."""
 
 
 @dataclass(frozen=True)
@@ -42,23 +47,16 @@ class Companion:
     share : float
         Its estimated error over what its flights are apart.
     local : float
-        Sum of its local errors.
-    shrunk : float
-        By how much its states have shrunk, see `shrunk`.
+        Sum of its local errors; without any, what flights are apart is added in full.
     """
 
     share: float = 1.0
     local: float = 0.0
-    shrunk: float = 0.0
 
     @classmethod
-    def of(cls, error: float, apart: float, local: float, shrunk: float) -> Companion:
+    def of(cls, error: float, apart: float, local: float) -> Companion:
         """Return what a run with this error tells."""
-        return cls(error / apart if 0 < error < apart < np.inf else 1.0, local, shrunk)
-
-    def needed(self, local: float, shrunk: float) -> bool:
-        """Return whether a run with these local errors, and states that have shrunk so, needs a second flight."""
-        return local > MORE * self.local or shrunk > MORE * self.shrunk
+        return cls(error / apart if 0 < error < apart < np.inf else 1.0, local)
 
     def error(self, apart: Array, known: Array, local: Array) -> Array:
         """Return the errors of runs (n,) by what their flights are apart, by the growth of the nominal run, and by
@@ -67,6 +65,45 @@ class Companion:
         share = self.share * faster
         seen = apart * np.minimum(1.0, share)
         return np.asarray(np.fmax(known, seen) + np.fmin(known, seen) * np.clip(share - 1.0, 0.0, 1.0))
+
+
+def estimates(
+    places: Places, final: Array, apart: Array, growth: float, companion: Companion | None
+) -> tuple[Array, Array]:
+    """Return the estimated errors of runs whose kernels' states ended so.
+
+    Parameters
+    ----------
+    places : Places
+        Of the columns that follow.
+    final : array (n_state, n)
+        Ends of the runs.
+    apart : array (n,)
+        From the flights beside them, see `apart`.
+    growth : float
+        By which local errors have grown until the end of the nominal run.
+    companion : Companion or None
+        What it tells of flights beside; None: only its growth.
+
+    Returns
+    -------
+    errors : array (n,)
+        Those of single steps and what resets at wrong instants add to them, grown, and what averaging adds.
+    instants : array (n,)
+        What the instants of events, and the ends there, are off by beyond that.
+    """
+    parts, none = places.split(final), np.zeros(final.shape[1])
+    local, blur = parts["error"][0], parts["blur"][0]
+    resets, late, stop = (parts[k][0] if k in parts else none for k in ("resets", "instants", "stop"))
+    errors, instants = growth * (local + resets) + blur, growth * late
+    if companion is None:
+        return errors, instants
+    grown = companion.error(apart, errors - blur, local) + blur
+    ended = stop > 0
+    return (
+        np.where(ended, errors, np.maximum(errors, grown)),
+        np.where(ended, np.maximum(instants, grown - errors), instants),
+    )
 
 
 def apart(places: Places, final: Array, other: Array) -> Array:
@@ -84,8 +121,3 @@ def apart(places: Places, final: Array, other: Array) -> Array:
 def _ends(parts: dict[str, Any]) -> Array:
     instants = [np.where(parts["stop"] > 0, parts["stop time"], 0.0)] if "stop" in parts else []
     return np.vstack([parts["plant"], *instants])
-
-
-def shrunk(begin: Array, end: Array) -> float:
-    """Return the largest ratio of sizes max(1, \\|x\\|) of states (n_states,) before and after a run."""
-    return float(np.max(np.maximum(1.0, np.abs(begin)) / np.maximum(1.0, np.abs(end)), initial=0.0))

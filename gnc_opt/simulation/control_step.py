@@ -202,9 +202,12 @@ class ControlStep:
         """
         f, error, held = self._rate(state), ca.SX(0), all(wave.held for wave in waves)
 
-        def stepped(length: Any, before: tuple[Any, ...], after: tuple[Any, ...], error: Any) -> Any:
-            t, x, rate = after
-            x = x - ca.if_else(state["beside"], error, 0)  # which may be no number before x is none
+        def stepped(
+            length: Any, before: tuple[Any, ...], after: tuple[Any, ...], error: tuple[Any, Any]
+        ) -> Any:
+            (t, x, rate), share = after, state["beside"]
+            # the error may be no number before x is none
+            x = x - ca.if_else(share, share * error[0] + error[1], 0)
             if watch is not None:
                 watch(length, before, (t, x, rate))
             return x

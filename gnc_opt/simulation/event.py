@@ -7,11 +7,12 @@ of the graph of modes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from gnc_opt.arguments import expect, read_label
 from gnc_opt.arrays import Array
@@ -120,6 +121,23 @@ class Occurrence:
 
     def __str__(self) -> str:
         return f"{self.name} at {self.time:.6g} s"
+
+
+def occurrences(
+    told: Mapping[str, Array], steps: int, names: Sequence[str], n_states: int
+) -> list[Occurrence]:
+    """Return the events in the logs, by columns, of the first steps of a leg."""
+    shape = (MOST, n_states)
+    return [
+        Occurrence(
+            names[int(told["codes"][k, step]) - 1],
+            float(told["times"][k, step]),
+            told["before"][:, step].reshape(shape)[k],
+            told["after"][:, step].reshape(shape)[k],
+        )
+        for step in np.flatnonzero(told["number"][0, :steps])
+        for k in range(int(min(told["number"][0, step], MOST)))
+    ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,13 +34,13 @@ def with_events(step: ControlStep, act: Any) -> Any:
     return _EventfulStep(step).function(act)
 
 
-def until_the_end(control_step: ControlStep, step: Any) -> Any:
-    """Return the step that does nothing once an event has ended the run."""
+def until_the_end(control_step: ControlStep, step: Any, told: Any) -> Any:
+    """Return the step that does nothing once an event has ended the run; its second output then is ``told``."""
     x, w, c = (ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3))
-    rest = ca.Function("rest", [x, w, c], [x, ca.MX.zeros(control_step.log.size)])
+    rest = ca.Function("rest", [x, w, c], [x, told])
     either = ca.Function.if_else("either", rest, step)
     after = either(control_step.state.split(x)["stop"] > 0.5, x, w, c)
-    return ca.Function("step", [x, w, c], after, ["X", "w", "C"], ["X_next", "log"])
+    return ca.Function(step.name(), [x, w, c], after, step.name_in(), step.name_out())
 
 
 class _EventfulStep:

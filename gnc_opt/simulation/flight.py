@@ -16,11 +16,12 @@ from gnc_opt.arguments import read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout
-from gnc_opt.simulation.beside import Companion, apart, shrunk
+from gnc_opt.simulation.beside import NEARER, Companion, apart, estimates
 from gnc_opt.simulation.course import Course
 from gnc_opt.simulation.ending import Ending
-from gnc_opt.simulation.event import MOST, Occurrence
+from gnc_opt.simulation.event import Occurrence, occurrences
 from gnc_opt.simulation.folded import Folded
+from gnc_opt.simulation.judge import Judge
 from gnc_opt.simulation.kernel import Kernel
 from gnc_opt.simulation.log import Log
 from gnc_opt.simulation.native import WORTH, native
@@ -31,15 +32,6 @@ from gnc_opt.simulation.run import Run
 
 LEG = 1000
 """Control steps that are flown in one call at most: what a call takes of memory does not grow with the run."""
-
-_AVERAGED = ", owed to actuators that take the mean of what they get"
-"""Said of runs that more integration steps do not make more accurate."""
-
-_LOST = ": no digit is right"
-"""Said of runs whose states are off by more than their size; how far then is hard to tell."""
-
-_ZENO = f"more than {MOST - 1} events in a control step (Zeno: let what they follow come to rest by another event)"
-"""What ended a run whose events do not let time pass."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,18 +63,12 @@ class Flight:
     errors : casadi Function
         Errors of the states relative to the reference.
     error_layout : Layout
-    watched, alarms : tuple of str
-        Quantities that must stay finite, and entries of the memory that must stay 0.
-    plausible : array (n_states,)
-        Size of the states beyond which a run has diverged.
-    accuracy : float
-        Asked of the integration, relative.
+    judge : Judge
+        Of the runs.
     minor_steps : int
         Per control step.
     events : Layout
         Names of the events.
-    failures : tuple of str
-        Those of them that are failures.
     growth : float
         By how much the errors of single integration steps grow until the end of the nominal run, at least 1.
     beside : Companion or None
@@ -119,15 +105,11 @@ class Flight:
     memory: Layout
     errors: Any
     error_layout: Layout
-    watched: tuple[str, ...]
-    alarms: tuple[str, ...]
-    plausible: Array
-    accuracy: float
+    judge: Judge
     minor_steps: int
     growth: float = 1.0
     beside: Companion | None = None
     events: Layout = field(default_factory=lambda: Layout("event"))
-    failures: tuple[str, ...] = ()
     replanner: Replanner | None = None
     estimates: Any = None
     quantities: Quantities | None = None
@@ -143,6 +125,11 @@ class Flight:
     def n_steps(self) -> int:
         """Number of control steps."""
         return int(self.times.size - 1)
+
+    @property
+    def accuracy(self) -> float:
+        """Asked of the integration, relative."""
+        return self.judge.accuracy
 
     @property
     def reference(self) -> Array | None:
@@ -167,7 +154,7 @@ class Flight:
         """Return the same flight; for so many runs as machine code if that pays, can be made and has the same bits."""
         if runs * self.n_steps < WORTH:
             return self
-        quick = replace(self, library=native(self._folded.step))
+        quick = replace(self, library=native(self._folded.quick))
         _, rows = next(self.legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
         ends = np.empty((2, self.kernel.state.size))
         for flight, end in zip((self, quick), ends, strict=True):
@@ -193,7 +180,7 @@ class Flight:
                 f"give ({self.layout.size}, {len(seeds)})."
             )
         final = np.full((P.shape[1], self.kernel.state.size), np.nan)
-        others = np.full_like(final, np.nan)
+        distances = np.full(P.shape[1], np.nan)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         recorder = None if self.quantities is None else Recorder(self.quantities, self.times, P.shape[1])
         refused: dict[int, str] = {}
@@ -206,9 +193,11 @@ class Flight:
                 refused[i] = culprit
                 continue
             course = self._course()
-            for first, rows in self.legs(seed, known, course, again=again):
+            legs = self.legs(seed, known, course, again=again)
+            for first, rows in legs:
                 if first == 0:
                     X, C, again = *self._begun(rows[0], P[:, i]), True
+                    other = self._begun_beside(X)
                 elif self.replanner is not None:
                     self._consider(course, first, X, rows, C)
                 if recorder is None:
@@ -221,15 +210,17 @@ class Flight:
                     )
                     final[i] = columns[:, -1]
                 X[:] = final[i]
+                self._fly_beside(other, rows, C)
                 if self._stopped(X):
                     break
-            others[i] = self._other(X, P[:, i], seed, known, course)
+            self._carry_on(other, legs, course, C)
+            distances[i] = self._apart(X, other, P[:, i], seed, course)
             if self.replanner is not None:
                 replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
                 followed[:, i] = self._followed_at_end(course, final[i : i + 1].T)[:, 0]
         if self.replanner is None:
             followed = self._followed_at_end(self._course(), final.T)
-        ending = self._ending(final.T, others.T, refused, followed, replans)
+        ending = self._ending(final.T, distances, refused, followed, replans)
         return ending if recorder is None else replace(ending, sums=recorder.sums, samples=recorder.samples)
 
     def run(self, P: Array, seed: Any, *, every: int = 1, folder: str | Path | None = None) -> Run:
@@ -269,31 +260,35 @@ class Flight:
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         events: list[Occurrence] = []
         course, last = self._course(), self.n_steps
-        for first, rows in self.legs(seed, known, course):
+        legs = self.legs(seed, known, course)
+        for first, rows in legs:
             if first == 0:
                 X, C = self._begun(rows[0], P)
+                other = self._begun_beside(X)
             elif self.replanner is not None:
                 self._consider(course, first, X, rows, C)
             after, logs = self._folded.logged(X, rows, C)
             parts, told = self.kernel.state.split(np.column_stack([X, after])), self.kernel.log.split(logs)
             flown = len(rows) if not self.events.size else int(np.sum(parts["stop"][0, :-1] < 0.5))
             if self.events.size:
-                events += self._occurrences(told, flown)
+                events += occurrences(told, flown, self.events.names, self.states.size)
             # the states at the beginnings of the steps; that at the end of the run follows
             at = np.arange(first + (-first) % every, first + flown, every) - first
             if at.size:
                 noted = {name: values[:, at] for name, values in told.items()}
                 self._note(log, parts, noted, at, course.reference_at(self.times[first + at]))
             X = np.ascontiguousarray(after[:, -1])
+            self._fly_beside(other, rows, C)
             if self._stopped(X):
                 last = first + flown
                 break
+        self._carry_on(other, legs, course, C)
         final = self.kernel.state.split(X[:, None])
         end = self._last_times(final)
         followed = self._followed_at_end(course, X[:, None])
         self._note(log, final, {}, np.array([0]), followed)
-        other = self._other(X, P, seed, known, course)
-        ending = self._ending(X[:, None], other[:, None], {}, followed)
+        distance = np.array([self._apart(X, other, P, seed, course)])
+        ending = self._ending(X[:, None], distance, {}, followed)
         arrays = log.close()
         times = np.append(self.times[kept[kept < last]], end)
         return Run(
@@ -392,12 +387,6 @@ class Flight:
         return [int(i) for name in names for i in range(self.layout.size)[self.layout.slice(name)]]
 
     @cached_property
-    def _initial(self) -> list[int]:
-        """Places in P of the plant's initial states, in their order."""
-        places = (self.layout.slice(f"initial.{name}") for name in self.states.names)
-        return [int(i) for place in places for i in range(self.layout.size)[place]]
-
-    @cached_property
     def _edges(self) -> list[int]:
         """Steps at which a leg ends and another begins: every `LEG` steps, and where a plan may be made."""
         every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
@@ -414,7 +403,12 @@ class Flight:
         else:
             x = self.kernel.state.split(X)["memory"][self.estimates]
         course.consider(step, np.asarray(x))
-        rows[:, 1 : 1 + self.schedule.shape[0]] = course.schedule[:, step : step + len(rows)].T
+        self._plan(course, step, rows)
+
+    def _plan(self, course: Course, step: int, rows: Array) -> None:
+        """Put what a run follows from a step on into the rows of a leg."""
+        if self.replanner is not None:
+            rows[:, 1 : 1 + self.schedule.shape[0]] = course.schedule[:, step : step + len(rows)].T
 
     def _begun(self, known: Array, P: Array) -> tuple[Array, Array]:
         """Return X at the first step, and the constants of the run."""
@@ -449,37 +443,47 @@ class Flight:
             return np.full(parts["plant"].shape[1], self.times[-1])
         return np.asarray(np.where(parts["stop"][0] > 0, parts["stop time"][0], self.times[-1]))
 
-    def _occurrences(self, told: dict[str, Array], steps: int) -> list[Occurrence]:
-        """Return the events in the logs of the first steps of a leg."""
-        shape = (MOST, self.states.size)
-        return [
-            Occurrence(
-                self.events.names[int(told["codes"][k, step]) - 1],
-                float(told["times"][k, step]),
-                told["before"][:, step].reshape(shape)[k],
-                told["after"][:, step].reshape(shape)[k],
-            )
-            for step in np.flatnonzero(told["number"][0, :steps])
-            for k in range(int(min(told["number"][0, step], MOST)))
-        ]
+    def _begun_beside(self, X: Array, share: float = 1.0) -> Array:
+        """Return where the flight beside a run that begins with X begins, with a share of the errors of every step."""
+        other = X.copy()
+        self.kernel.state.split(other)["beside"][:] = share
+        return other
 
-    def _other(self, X: Array, P: Array, seed: Any, known: Array, course: Course) -> Array:
-        """Return the end (n_state,) of the flight beside a run that ended with X; that itself where none is needed."""
-        parts = self.kernel.state.split(X)
-        begin = P[self._initial]
-        if self.beside is None or not self.beside.needed(
-            float(parts["error"][0]), shrunk(begin, parts["plant"])
-        ):
-            return X
+    def _fly_beside(self, other: Array, rows: Array, C: Array) -> None:
+        """Fly a leg beside a run."""
+        if self.beside is not None:
+            self._folded.fly(other.copy(), rows, C, other)
+
+    def _carry_on(self, other: Array, legs: Iterator[tuple[int, Array]], course: Course, C: Array) -> None:
+        """Fly the legs that are left beside a run that an event has ended, until it ends the other, too."""
+        for first, rows in legs:
+            if self.beside is None or self._stopped(other):
+                return
+            self._plan(course, first, rows)
+            self._fly_beside(other, rows, C)
+
+    def _apart(self, X: Array, other: Array, P: Array, seed: Any, course: Course) -> float:
+        """Return what a run that ended with X and the flight beside it are apart, looked at nearer by where that is
+        more than the accuracy asked for."""
+        if self.beside is None:
+            return np.nan
+        far = apart(self.kernel.state, X[:, None], other[:, None])
+        if not self._estimates(X[:, None], far)[0][0] > self.accuracy:
+            return float(far[0])
+        known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         # plans change only what is ahead: the course at the end is that which was flown
         for first, rows in self.legs(seed, known, course):
             if first == 0:
-                other, C = self._begun(rows[0], P)
-                self.kernel.state.split(other)["beside"][:] = 1.0
-            self._folded.fly(other.copy(), rows, C, other)
-            if self._stopped(other):
+                start, C = self._begun(rows[0], P)
+                nearer = self._begun_beside(start, NEARER)
+            self._fly_beside(nearer, rows, C)
+            if self._stopped(nearer):
                 break
-        return other
+        near = apart(self.kernel.state, X[:, None], nearer[:, None]) / NEARER
+        return float(np.fmin(far, near)[0])
+
+    def _estimates(self, final: Array, distances: Array) -> tuple[Array, Array]:
+        return estimates(self.kernel.state, final, distances, self.growth, self.beside)
 
     @cached_property
     def _folded(self) -> Folded:
@@ -493,15 +497,17 @@ class Flight:
     def _ending(
         self,
         final: Array,
-        others: Array,
+        distances: Array,
         refused: dict[int, str],
         followed: Array,
         replans: Array | None = None,
     ) -> Ending:
         parts = self.kernel.state.split(final)
-        errors, instants = self._error_estimates(final, others)
+        errors, instants = self._estimates(final, distances)
         outcomes = tuple(
-            Outcome(RunStatus.REFUSED, refused[i]) if i in refused else self._outcome(parts, i, errors[i])
+            Outcome(RunStatus.REFUSED, refused[i])
+            if i in refused
+            else self.judge.outcome(parts, i, errors[i])
             for i in range(final.shape[1])
         )
         empty = np.empty((0, final.shape[1]))
@@ -521,56 +527,6 @@ class Flight:
             counts,
             firsts,
             np.zeros((2, final.shape[1])) if replans is None else replans,
-        )
-
-    def _outcome(self, parts: dict[str, Array], i: int, error: float) -> Outcome:
-        if parts["fault"][0, i] != 0:
-            return Outcome(
-                RunStatus.NOT_FINITE,
-                self.watched[int(parts["fault"][0, i]) - 1],
-                float(parts["fault time"][0, i]),
-            )
-        if parts["divergence"][0, i] != 0:
-            k = int(parts["divergence"][0, i]) - 1
-            return Outcome(
-                RunStatus.DIVERGED,
-                f"state '{self.states.labels[k]}' beyond {self.plausible[k]:g}",
-                float(parts["divergence time"][0, i]),
-            )
-        if parts["alarm"][0, i] != 0:
-            return Outcome(
-                RunStatus.ALARM, self.alarms[int(parts["alarm"][0, i]) - 1], float(parts["alarm time"][0, i])
-            )
-        name, time = self._stop(parts, i)
-        if name in self.failures or name == _ZENO:
-            return Outcome(RunStatus.STOPPED, name, time)
-        if not error <= self.accuracy:
-            why = _AVERAGED if 2 * float(parts["blur"][0, i]) > error else _LOST if error > 1 else ""
-            return Outcome(RunStatus.INACCURATE, f"integration error {error:.2g}{why}")
-        return Outcome(RunStatus.OK, name, time)
-
-    def _stop(self, parts: dict[str, Array], i: int) -> tuple[str, float]:
-        """Return the event that ended a run, and when."""
-        code = int(parts["stop"][0, i]) if self.events.size else 0
-        if not code:
-            return "", np.nan
-        return (*self.events.names, _ZENO)[code - 1], float(parts["stop time"][0, i])
-
-    def _error_estimates(self, final: Array, others: Array) -> tuple[Array, Array]:
-        """Return the estimated errors of runs that fly on (n,): those of single steps and what resets at wrong instants
-        add to them, grown, and what averaging adds; and what the instants of events, and the ends there, are off by
-        beyond that (n,)."""
-        parts = self.kernel.state.split(final)
-        local, blur, none = parts["error"][0], parts["blur"][0], np.zeros(final.shape[1])
-        resets, instants = (parts["resets"][0], parts["instants"][0]) if self.events.size else (none, none)
-        errors, instants = self.growth * (local + resets) + blur, self.growth * instants
-        if self.beside is None:
-            return errors, instants
-        grown = self.beside.error(apart(self.kernel.state, final, others), errors - blur, local) + blur
-        ended = parts["stop"][0] > 0 if self.events.size else none > 0
-        return (
-            np.where(ended, errors, np.maximum(errors, grown)),
-            np.where(ended, np.maximum(instants, grown - errors), instants),
         )
 
     def _relative(self, states: Array, reference: Any) -> Array:

@@ -21,7 +21,7 @@ class Folded:
     ----------
     kernel : Kernel
     library : str
-        Of the step without its log as machine code; "" for the interpreter.
+        Of `quick` as machine code; "" for the interpreter.
     """
 
     def __init__(self, kernel: Kernel, library: str = "") -> None:
@@ -39,9 +39,17 @@ class Folded:
         C : array (n_constants,)
         final : array (n_state,)
         """
-        if self._native is not None:
-            self._native(X, rows, C, final)
+        if self._native is None:
+            self._interpret(X, rows, C, final)
             return
+        flown = self._native(X, rows, C, final)
+        while flown < len(rows):  # a step that is not easy
+            self._interpret(final.copy(), rows[flown : flown + 1], C, final)
+            flown += 1
+            flown += self._native(final.copy(), rows[flown:], C, final)
+
+    def _interpret(self, X: Array, rows: Array, C: Array, final: Array) -> None:
+        """The same, by the interpreter."""
         if len(rows) not in self._buffers:
             self._buffers[len(rows)] = self._leg(
                 lambda x, w, c, n: [self.step.fold(n)(x, w, c)], len(rows)
@@ -62,8 +70,13 @@ class Folded:
         return after, logs
 
     @cached_property
-    def _native(self) -> Callable[[Array, Array, Array, Array], None] | None:
+    def _native(self) -> Callable[[Array, Array, Array, Array], int] | None:
         return loaded(self.library)
+
+    @property
+    def quick(self) -> Any:
+        """What machine code is made of."""
+        return self.kernel.easy or self.step
 
     @cached_property
     def step(self) -> Any:

@@ -36,6 +36,9 @@ class Kernel:
         ``(w, P) -> X`` at the first control step.
     step : casadi.Function
         ``(X, w, C) -> (X_next, log)``.
+    easy : casadi.Function or None
+        ``(X, w, C) -> (X_next, enough)``: X_next of ``step`` wherever enough is 1, where a law solves a problem at some
+        steps only.
     measure : casadi.Function
         ``(X, w, C) -> y``: what the controller gets to see in that step.
     state, known, log : Places
@@ -45,6 +48,7 @@ class Kernel:
     constants: Any
     start: Any
     step: Any
+    easy: Any
     measure: Any
     state: Places
     known: Places
@@ -61,10 +65,10 @@ class _Builder(ControlStep):
 
     def kernel(self) -> Kernel:
         """Return the finished functions."""
-        constants, step = self._step()
-        return Kernel(
-            constants, self._start(), step, self._measure(constants), self.state, self.known, self.log
-        )
+        constants, act = self._act_functions()
+        step, easy = self._step(constants, act), self._easy(constants, act)
+        measure = self._measure(constants)
+        return Kernel(constants, self._start(), step, easy, measure, self.state, self.known, self.log)
 
     def _start(self) -> Any:
         wiring = self.wiring
@@ -89,20 +93,28 @@ class _Builder(ControlStep):
         values["memory"] = wiring.controller.start(known["t"], y_, known["r"])
         return ca.Function("start", [w_, p_], [self.state.join(values)], ["w", "P"], ["X"])
 
-    def _step(self) -> tuple[Any, Any]:
-        wiring = self.wiring
-        sense, (constants, act) = self._sense_function(), self._act_functions()
-        kind = ca.MX if wiring.events else _symbol_kind(wiring.controller.step)
-        x_, w_, c_ = (
-            kind.sym(n, s)
-            for n, s in (("X", self.state.size), ("w", self.known.size), ("C", constants.size1_out(0)))
-        )
-        y, sensed = sense(x_, w_, c_[: self.P.shape[0]])
-        known = self.known.split(w_)
-        u, memory = wiring.controller.step(known["t"], y, known["r"], self.state.split(x_)["memory"])
-        after, log = act(sensed, w_, c_, y, u, memory)
-        step = ca.Function("step", [x_, w_, c_], [after, log], ["X", "w", "C"], ["X_next", "log"])
-        return constants, until_the_end(self, step) if wiring.events else step
+    def _step(self, constants: Any, act: Any) -> Any:
+        inputs, after, log, _ = self._stepped(self.wiring.controller.step, constants, act)
+        step = ca.Function("step", inputs, [after, log], ["X", "w", "C"], ["X_next", "log"])
+        return until_the_end(self, step, ca.MX.zeros(self.log.size)) if self.wiring.events else step
+
+    def _easy(self, constants: Any, act: Any) -> Any:
+        easy = self.wiring.controller.easy
+        if easy is None:
+            return None
+        inputs, after, _, (enough,) = self._stepped(easy, constants, act)
+        step = ca.Function("easy", inputs, [after, enough], ["X", "w", "C"], ["X_next", "enough"])
+        return until_the_end(self, step, ca.MX(1)) if self.wiring.events else step
+
+    def _stepped(self, law: Any, constants: Any, act: Any) -> tuple[list[Any], Any, Any, list[Any]]:
+        """Return X, w, C as symbols, and of a step by a law the next X, the log, and whether an easy law is enough."""
+        kind = ca.MX if self.wiring.events else _symbol_kind(law)
+        sizes = (("X", self.state.size), ("w", self.known.size), ("C", constants.size1_out(0)))
+        x, w, c = inputs = [kind.sym(name, size) for name, size in sizes]
+        y, sensed = self._sense_function()(x, w, c[: self.P.shape[0]])
+        known = self.known.split(w)
+        u, memory, *enough = law(known["t"], y, known["r"], self.state.split(x)["memory"])
+        return inputs, *act(sensed, w, c, y, u, memory), enough
 
     def _measure(self, constants: Any) -> Any:
         x, w = ca.MX.sym("X", self.state.size), ca.MX.sym("w", self.known.size)

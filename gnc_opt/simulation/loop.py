@@ -18,12 +18,13 @@ from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.accuracy import Accuracy
-from gnc_opt.simulation.beside import Companion, shrunk
+from gnc_opt.simulation.beside import Companion
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.control_step import alarm_labels, watched_labels
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.event import Event
 from gnc_opt.simulation.flight import LEG, Flight
+from gnc_opt.simulation.judge import Judge
 from gnc_opt.simulation.kernel import Kernel, build_kernel
 from gnc_opt.simulation.quantity import Quantities, Quantity
 from gnc_opt.simulation.replanner import Replanner
@@ -258,12 +259,11 @@ class ClosedLoop:
     def _beside(self, flight: Flight) -> Companion:
         """Return what the nominal run tells of flights beside others."""
         start = self._generic(flight.nominal)[:, None]
-        alone, both = (replace(flight, beside=b).final(start, [0]) for b in (None, Companion(local=-1.0)))
+        alone, both = (replace(flight, beside=b).final(start, [0]) for b in (None, Companion()))
         known = alone.averaging_error + alone.instant_error
-        error, total = (float((ending.integration_error - known)[0]) for ending in (alone, both))
-        begin, _ = self._at_start(start[:, 0])
         # without a nominal run to compare with, both estimates are added
-        return Companion.of(error, total - error, error / flight.growth, shrunk(begin, alone.states[:, 0]))
+        error, total = (float((ending.integration_error - known)[0]) for ending in (alone, both))
+        return Companion.of(error, total - error, error / flight.growth)
 
     def _accurate(self, nominal: Array, times: Array, rows: Array) -> Flight:
         """Return the flight, as planned, with as many integration steps as its accuracy needs."""
@@ -363,14 +363,21 @@ class ClosedLoop:
             errors=self._error_function(),
             error_layout=self.plant.errors,
             events=self.wiring.events.layout,
-            failures=tuple(event.name for event in self.events if event.failure),
             quantities=Quantities.of(self.plant, tuple(self.quantities)) if self.quantities else None,
-            watched=tuple(watched_labels(self.wiring)),
-            alarms=tuple(alarm_labels(self.wiring)),
-            plausible=self.wiring.plausible,
-            accuracy=self.accuracy,
+            judge=self._judge(),
             minor_steps=self.minor_steps,
             estimates=self._estimates(),
+        )
+
+    def _judge(self) -> Judge:
+        return Judge(
+            tuple(watched_labels(self.wiring)),
+            tuple(alarm_labels(self.wiring)),
+            self.plant.states,
+            self.wiring.plausible,
+            self.wiring.events.layout.names,
+            tuple(event.name for event in self.events if event.failure),
+            self.accuracy,
         )
 
     def _times(self, t0: float, tf: float) -> Array:

@@ -1,7 +1,8 @@
 """Native: the step of a kernel as machine code, from the C that CasADi writes for it, where there is a C compiler.
 
 Every operation is the interpreter's, in its order, and none are fused: the results have the same bits. Around the step
-goes a loop over the steps of a leg, so that nothing is copied between them but the state. Libraries are kept in the
+goes a loop over the steps of a leg, so that nothing is copied between them but the state. A step that says that it is
+not enough (a law that solves a problem now and then, which has no C) ends the loop before it. Libraries are kept in the
 user's cache by what is in them, so that a function is compiled once per machine.
 """
 
@@ -45,25 +46,31 @@ _LOOP = """
 #include <stdlib.h>
 #include <string.h>
 
-CASADI_SYMBOL_EXPORT int leg(const casadi_real *X, const casadi_real *rows, const casadi_real *C, casadi_real *final,
-                             casadi_int n) {
-  casadi_int n_arg, n_res, n_iw, n_w;
+CASADI_SYMBOL_EXPORT casadi_int leg(const casadi_real *X, const casadi_real *rows, const casadi_real *C,
+                                    casadi_real *final, casadi_int n) {
+  casadi_int n_arg, n_res, n_iw, n_w, k = 0;
+  casadi_real enough = 1;
   int failed = STEP_work(&n_arg, &n_res, &n_iw, &n_w);
   const casadi_real **arg = malloc(n_arg * sizeof *arg);
-  casadi_real **res = malloc(n_res * sizeof *res), *w = malloc((n_w + STATES) * sizeof *w), *now = w + n_w;
+  casadi_real **res = malloc((n_res + 1) * sizeof *res), *w = malloc((n_w + STATES) * sizeof *w), *now = w + n_w;
   casadi_int *iw = malloc((n_iw + 1) * sizeof *iw);
   failed = failed || !arg || !res || !w || !iw;
   if (!failed) {
     STEP_incref();
     int memory = STEP_checkout();
     memcpy(final, X, STATES * sizeof *X);
-    for (casadi_int k = 0; k < n && !failed; k++) {
+    for (; k < n && !failed; k++) {
       memcpy(now, final, STATES * sizeof *now);
       arg[0] = now;
       arg[1] = rows + k * KNOWN;
       arg[2] = C;
       res[0] = final;
+      if (N_OUT > 1) res[1] = &enough;
       failed = STEP(arg, res, iw, w, memory);
+      if (enough != 1) {
+        memcpy(final, now, STATES * sizeof *now);
+        break;
+      }
     }
     STEP_release(memory);
     STEP_decref();
@@ -72,15 +79,16 @@ CASADI_SYMBOL_EXPORT int leg(const casadi_real *X, const casadi_real *rows, cons
   free(res);
   free(w);
   free(iw);
-  return failed;
+  return failed ? -1 : k;
 }
 """
-"""A leg: the state X, then, step by step, the one that follows, with one row of what is known each."""
+"""A leg: the state X, then, step by step, the one that follows, with one row of what is known each. Returns how many
+steps were enough."""
 
 
 def native(step: Any) -> str:
-    """Return the path of the library of a step ``(X, w, C) -> X``, compiled now unless it has been; "" where that does
-    not succeed."""
+    """Return the path of the library of a step ``(X, w, C) -> X`` or ``(X, enough)``, compiled now unless it has been;
+    "" where that does not succeed."""
     compiler = shutil.which("cc")
     if compiler is None:
         return ""
@@ -94,19 +102,21 @@ def native(step: Any) -> str:
     return str(place) if place.exists() else ""
 
 
-def loaded(library: str) -> Callable[[Array, Array, Array, Array], None] | None:
-    """Return ``(X, rows, C, final)``, which writes to ``final`` the state after the steps of a leg, from a library;
-    ``None`` where there is none on this machine."""
+def loaded(library: str) -> Callable[[Array, Array, Array, Array], int] | None:
+    """Return ``(X, rows, C, final)``, which writes to ``final`` the state after those first steps of a leg that were
+    enough, and returns how many, from a library; ``None`` where there is none on this machine."""
     if not library or not os.path.exists(library):
         return None
     leg = ctypes.CDLL(library).leg
-    leg.argtypes = [ctypes.c_void_p] * 4 + [ctypes.c_longlong]
+    leg.argtypes, leg.restype = [ctypes.c_void_p] * 4 + [ctypes.c_longlong], ctypes.c_longlong
 
-    def fly(X: Array, rows: Array, C: Array, final: Array) -> None:
-        if leg(X.ctypes.data, rows.ctypes.data, C.ctypes.data, final.ctypes.data, len(rows)):
+    def fly(X: Array, rows: Array, C: Array, final: Array) -> int:
+        flown = leg(X.ctypes.data, rows.ctypes.data, C.ctypes.data, final.ctypes.data, len(rows))
+        if flown < 0:
             raise GncOptError(
                 "a control step could not be evaluated: an assertion in it failed, or memory is short."
             )
+        return int(flown)
 
     return fly
 
@@ -117,7 +127,10 @@ def _cache() -> Path:
 
 def _with_loop(source: str, step: Any) -> str:
     """Return the C of a step with that of a leg below it."""
-    loop = _LOOP.replace("STATES", str(step.size1_in(0))).replace("KNOWN", str(step.size1_in(1)))
+    sizes = {"STATES": step.size1_in(0), "KNOWN": step.size1_in(1), "N_OUT": step.n_out()}
+    loop = _LOOP
+    for name, size in sizes.items():
+        loop = loop.replace(name, str(size))
     return source + loop.replace("STEP", step.name())
 
 

@@ -32,11 +32,11 @@ def records(leg: PhaseSolution, times: ArrayLike | None = None) -> Records:
 
 def _quantities(leg: PhaseSolution, t: Array) -> Iterator[tuple[Variable, Array]]:
     """Yield everything that has a time history with its values (size, n_times)."""
-    x, u, lam = leg.x(t), leg.flown(t), leg.lam(t)
+    x, lam = leg.x(t), leg.lam(t)
     for state in leg.states.variables:
         yield state, x[leg.states.slice(state.name)]
     for control in leg.controls.variables:
-        yield control, u[leg.controls.slice(control.name)]
+        yield control, np.atleast_2d(leg.flown_control(control.name)(t))
     for composed in leg.composed_controls:
         yield composed.variable, np.atleast_2d(leg.flown_control(composed.name)(t))
     for state in leg.states.variables:

@@ -174,6 +174,7 @@ def _extract_phase(
         final_time_bounds=final_time,
         duration_bounds=numbers.duration,
         composed_controls=tuple(leg.model.composed_controls.values()),
+        turns=numbers.turns,
     )
     return settle_held_paths(found, numbers.arcs, functions)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,7 @@ from gnc_opt.errors import unknown_name
 from gnc_opt.model.composed import ComposedControl
 from gnc_opt.model.layout import Layout
 from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.turns import Turns
 from gnc_opt.solution.flown import FlownControl
 from gnc_opt.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.transcription.mesh import Mesh
@@ -39,7 +40,7 @@ class Signal:
     name: str
     unit: str
     labels: tuple[str, ...]
-    source: PiecewisePolynomial | FlownControl | ComposedSignal
+    source: PiecewisePolynomial | FlownControl | ComposedSignal | TurnedSignal
     rows: slice
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array | float:
@@ -62,6 +63,18 @@ class ComposedSignal:
         """Evaluate at times t (s): shape (size,) for a scalar, (size, n_times) for an array."""
         values = self.source(t, side)
         return np.asarray(self.control.compose(*(values[self.layout.slice(p)] for p in self.control.parts)))
+
+
+@dataclass(frozen=True)
+class TurnedSignal:
+    """Controls over time of which some are angles, moved by whole turns to be within one."""
+
+    source: PiecewisePolynomial | FlownControl
+    turns: Turns
+
+    def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
+        """Evaluate at times t (s): shape (size,) for a scalar, (size, n_times) for an array."""
+        return self.turns.within(self.source(t, side))
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +117,8 @@ class PhaseSolution:
     initial_time_bounds, final_time_bounds, duration_bounds : Interval
     composed_controls : tuple of ComposedControl
         Controls as they were declared that are made of two of ``controls``.
+    turns : Turns or None
+        Where controls that are angles are told by name; ``u`` runs on.
 
     Examples
     --------
@@ -146,6 +161,7 @@ class PhaseSolution:
     final_time_bounds: Interval
     duration_bounds: Interval
     composed_controls: tuple[ComposedControl, ...] = ()
+    turns: Turns | None = None
 
     @cached_property
     def rules(self) -> tuple[CollocationRule, ...]:
@@ -223,7 +239,8 @@ class PhaseSolution:
             if composed.name == name:
                 own, variable = ComposedSignal(composed, self.controls, source), composed.variable
                 return Signal(name, variable.unit, variable.labels, own, slice(None))
-        return self._signal(name, self.controls, source)
+        signal = self._signal(name, self.controls, source)
+        return signal if self.turns is None else replace(signal, source=TurnedSignal(source, self.turns))
 
     def _signal(self, name: str, layout: Layout, source: PiecewisePolynomial | FlownControl) -> Signal:
         rows = layout.slice(name)

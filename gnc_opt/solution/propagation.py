@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Literal
 
 import numpy as np
-from numpy.polynomial import legendre
+from numpy.polynomial import chebyshev
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.integration import Budget, EndedError, Rate, Tolerance, integrate
@@ -68,10 +69,9 @@ def propagate(
     signal = leg.flown if control == "flown" else leg.u
     tolerance = Tolerance(rtol, state_magnitudes(leg))
     states = [leg.x(leg.breaks[0])]
-    degree = max(leg.mesh.degrees)
     fast, budget, ended = functions.fast_rates(), Budget(leg.states.labels), ""
     for left, right in itertools.pairwise(edges):
-        rate = _right_hand_side(fast, signal, left, right, degree)
+        rate = _right_hand_side(fast, signal, left, right, _degree(leg, left, right))
         try:
             run = integrate(rate, states[-1], (left, right), tolerance=tolerance, budget=budget)
         except EndedError as why:
@@ -102,6 +102,12 @@ def state_magnitudes(leg: PhaseSolution) -> Array:
     return magnitude(largest)
 
 
+def _degree(leg: PhaseSolution, left: float, right: float) -> int:
+    """The largest number of points of the segments that a time span has a part in: more than their controls' degree."""
+    inside = (leg.breaks[:-1] < right) & (leg.breaks[1:] > left)
+    return int(np.max(np.asarray(leg.mesh.degrees)[inside], initial=1))
+
+
 def _right_hand_side(
     fast: Callable[[float, Array, Array], Array],
     signal: Callable[..., Array],
@@ -118,23 +124,19 @@ def _right_hand_side(
         return lambda t, x: fast(t, x, held)
     coefficients = values @ to_coefficients
 
+    orders = np.arange(degree + 1.0)
+
     def rate(t: float, x: Array) -> Array:
-        return fast(t, x, coefficients @ _legendre((t - middle) / half, degree))
+        # Chebyshev's polynomials at one place, in one call; Runge-Kutta stages may round beyond the ends.
+        angle = math.acos(min(1.0, max(-1.0, (t - middle) / half)))
+        return fast(t, x, coefficients @ np.cos(angle * orders))
 
     return rate
 
 
 @cache
 def _fit(degree: int) -> tuple[Array, Array]:
-    """Gauss points on [-1, 1], and what makes Legendre coefficients of the values there: exact up to a degree."""
-    tau, weights = legendre.leggauss(degree + 1)
-    sizes = np.arange(degree + 1) + 0.5
-    return tau, weights[:, None] * legendre.legvander(tau, degree) * sizes
-
-
-def _legendre(tau: float, degree: int) -> list[float]:
-    """Legendre polynomials up to a degree at one place, in plain numbers: for one place arrays take far longer."""
-    values = [1.0, tau]
-    for k in range(1, degree):
-        values.append(((2 * k + 1) * tau * values[k] - k * values[k - 1]) / (k + 1))
-    return values[: degree + 1]
+    """Chebyshev's points on [-1, 1], and what makes coefficients of the values there: exact up to a degree."""
+    tau = chebyshev.chebpts1(degree + 1)
+    sizes = np.where(np.arange(degree + 1) > 0, 2.0, 1.0) / (degree + 1)
+    return tau, chebyshev.chebvander(tau, degree) * sizes

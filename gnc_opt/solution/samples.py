@@ -11,9 +11,18 @@ import numpy as np
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.composed import VectorControl
 from gnc_opt.problem.functions import PhaseFunctions
+from gnc_opt.solution.bending import Bending
 from gnc_opt.solution.idle import without_effect
 from gnc_opt.solution.phase_solution import PhaseSolution
-from gnc_opt.solution.spans import RESOLUTION, STILL, control_spans, end_spans, shared, state_spans, steering
+from gnc_opt.solution.spans import (
+    RESOLUTION,
+    STILL,
+    control_spans,
+    end_spans,
+    shared,
+    state_spans,
+    steering,
+)
 from gnc_opt.tolerances import AT_LIMIT, SHORTEST, TINY, magnitude
 from gnc_opt.transcription.quadrature import CollocationRule, gauss_rule
 
@@ -31,9 +40,6 @@ NEGLIGIBLE = 1e-4
 
 MINOR = 1e-2
 """Controls that are worth less than this share of what all are worth together are measured by that share."""
-
-_KEPT = 10.0
-"""Times what H bends by over half of a control's span its curvature there may amount to."""
 
 _BY_COST_MAGNITUDE = ("cost_scale", "hamiltonian_scale", "adjoint_residual")
 """What is kept of samples and depends on the cost magnitude."""
@@ -228,10 +234,21 @@ class PhaseSamples:
     def control_span(self) -> Array:
         """How far each control is moved, by itself or by the costates (m,); see module `spans`."""
         terms = np.abs(self.switching - self.cost_slope)
-        curvature = np.einsum("iij->ij", self.control_hessian)
         most = float(np.nanmax(self._terms, initial=0.0))
         asked = steering(self.leg, self.functions)
-        return control_spans(self.leg, self.u, terms, curvature, most, asked)
+        curvature = self._bending.curvature
+        spans = control_spans(self.leg, self.u, terms, curvature, most, asked)
+        rounding = self._bending.rounding(spans)
+        if not rounding.size:
+            return spans
+        # Their part of the problem is not pressed.
+        pressed = np.where(np.isin(np.arange(spans.size), rounding)[:, None], 0.0, curvature)
+        return control_spans(self.leg, self.u, terms, pressed, most, asked)
+
+    @cached_property
+    def _bending(self) -> Bending:
+        curvature = np.einsum("iij->ij", self.control_hessian)
+        return Bending(self.functions, self.times, self.x, self.u, self.lam, curvature)
 
     @cached_property
     def switching(self) -> Array:
@@ -251,27 +268,9 @@ class PhaseSamples:
         bends = 0.5 * np.sum(np.abs(self.control_hessian) * amplitude, axis=1) * amplitude
         for i in np.flatnonzero(np.any(bends > by_slope[:, None], axis=1)):
             steep = np.flatnonzero(bends[i] > by_slope[i])
-            bends[i, steep] *= self._lasting_bend(int(i), steep)
+            bends[i, steep] *= self._bending.lasting(int(i), steep, self.control_span[i])
         flown = np.fmax(by_slope, _largest_finite(bends))
         return np.asarray(np.fmax(flown, self._balanced_slopes * amplitude[:, 0]))
-
-    def _lasting_bend(self, i: int, at: Indices) -> Array:
-        """Share of its curvature in a control that H may keep over half of the control's span, at some samples.
-
-        A kink that is rounded, as sqrt(u^2 + e^2) for |u|, curves as 1 / e and is worth no more than the kink.
-        """
-        step = np.zeros((self.u.shape[0], 1))
-        step[i] = 0.5 * self.control_span[i]
-        rest = self.times[at], self.x[:, at], self.lam[:, at]
-
-        def h(u: Array) -> Array:
-            return self.functions.hamiltonian(rest[0], rest[1], u, rest[2])
-
-        u = self.u[:, at]
-        bend = np.abs(h(u + step) - 2.0 * h(u) + h(u - step))
-        local = np.abs(self.control_hessian[i, i, at]) * step[i, 0] ** 2
-        kept = np.divide(bend, local, out=np.ones_like(local), where=local > 0)
-        return np.asarray(np.where(np.isfinite(kept), np.minimum(_KEPT * kept, 1.0), 1.0))
 
     @cached_property
     def _balanced_slopes(self) -> Array:

@@ -26,6 +26,7 @@ from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
 from gnc_opt.problem.tables import OutsideTable, outside_tables, table_uses
+from gnc_opt.problem.turns import Turns
 from gnc_opt.solution.diagnosis import Violation
 from gnc_opt.solution.export import records
 from gnc_opt.solution.history import Actions, History, Pass, RefinementStatus
@@ -404,17 +405,17 @@ class Solution:
 SOLUTION_FILES = FileFormat(
     Solution,
     "solution",
-    2,
+    3,
     Packing(
         (
             *(Solution, PhaseSolution, PiecewisePolynomial, Layout, Variable, Interval, Mesh),
-            *(SplitControl, VectorControl, AssembledControl, SwitchedControl),
+            *(SplitControl, VectorControl, AssembledControl, SwitchedControl, Turns),
             *(Statistics, Violation, Arc, ArcKind, Status, Quality),
             *(History, Pass, Actions, RefinementStatus),
         ),
         left_out={Solution: ("problem", "history", "bound")},
     ),
-    alike=(1,),  # has no composed controls
+    alike=(1, 2),  # have no turns, 1 no composed controls
 )
 """Solutions on disk: numbers and text, no code. Raise the version whenever a stored class changes its fields."""
 

@@ -33,6 +33,9 @@ IDLE = 1e-6
 STEERED = 1e-2
 """Least share of a span that misses of an end are measured against."""
 
+FORETOLD = 1e-6
+"""Share of what derivatives foretell that a step of a control must change, unless these derivatives are rounding."""
+
 RESOLUTION = 1e-7
 """Least span, in shares of the size: with the tolerance of 1e-5 then 1e-12 of it, which is rounding."""
 
@@ -126,17 +129,22 @@ def control_spans(
 def steering(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
     """Return what each control would have to be to do what the flight does (n_controls,), by the least moved state.
 
-    Zero where a control moves a state that stays, or none directly.
+    Zero where a control moves a state that stays, or none directly, and where so much of it would not do so, as no
+    azimuth of a thrust along the pole.
     """
     middles, values = 0.5 * (leg.breaks[:-1] + leg.breaks[1:]), leg.x(leg.sample_times())
     moved = shared(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)[:, None]
-    by_control = np.median(
-        np.abs(functions.input_jacobian(middles, leg.x(middles), leg.flown(middles))), axis=2
-    )
+    x, u = leg.x(middles), leg.flown(middles)
+    by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
     lasts = leg.breaks[-1] - leg.breaks[0]
     asked = np.divide(moved, lasts * by_control, out=np.full(by_control.shape, np.inf), where=by_control > 0)
     least = np.min(asked, axis=0, initial=np.inf)
     least = np.where(np.isfinite(least), least, 0.0)
+    for i in np.flatnonzero(np.max(np.abs(u), axis=1, initial=0.0) <= EQUAL * least):
+        by = least[i] * (np.arange(least.size) == i)[:, None]
+        changed = np.max(np.abs(functions.rates(middles, x, u + by) - functions.rates(middles, x, u)), axis=1)
+        if np.all(changed <= FORETOLD * by_control[:, i] * least[i]):
+            least[i] = 0.0
     for vector in (c for c in leg.composed_controls if isinstance(c, VectorControl)):
         place = leg.controls.slice(
             vector.direction

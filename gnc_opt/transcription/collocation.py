@@ -90,28 +90,21 @@ class PhaseCollocation:
 
     @cached_property
     def _numbering(self) -> tuple[Indices, Indices, Indices, int]:
-        n, m = self.n_states, self.n_controls
-        boundary, points, controls = [], [], []
-        place = self.first_variable
-        boundary.append(place + np.arange(n))
-        place += n
-        for rule in self.rules:
-            segment_end: Indices | None = None
-            for j in range(rule.n):
-                at_start = j == 0 and self.family.starts_at_point
-                state = boundary[-1] if at_start else place + np.arange(n)
-                place += 0 if at_start else n
-                points.append(state)
-                controls.append(place + np.arange(m))
-                place += m
-                if self.family.ends_at_point and j == rule.n - 1:
-                    segment_end = state
-            if segment_end is None:
-                segment_end = place + np.arange(n)
-                place += n
-            boundary.append(segment_end)
-        stacked = [np.asarray(a, dtype=np.int64).T for a in (boundary, points, controls)]
-        return stacked[0], stacked[1], stacked[2].reshape(m, self.mesh.size), place - self.first_variable
+        n, m, mesh = self.n_states, self.n_controls, self.mesh
+        starts, ends = self.family.starts_at_point, self.family.ends_at_point
+        degrees, offsets = np.asarray(mesh.degrees), np.asarray(mesh.offsets)
+        # A segment's own variables: states and controls point by point, then the state at its end.
+        sizes = (n + m) * degrees - n * starts + n * (not ends)
+        places = self.first_variable + n + np.concatenate([[0], np.cumsum(sizes)])
+        within = np.arange(mesh.size) - np.repeat(offsets[:-1], degrees)
+        controls = np.repeat(places[:-1], degrees) + (n + m) * within + n * (not starts)
+        points = controls - n
+        inner = points[offsets[1:] - 1] if ends else places[1:] - n
+        boundary = np.concatenate([[self.first_variable], inner])
+        if starts:
+            points[offsets[:-1]] = boundary[:-1]
+        grids = (_grid(boundary, n), _grid(points, n), _grid(controls, m))
+        return *grids, int(places[-1]) - self.first_variable
 
     @property
     def boundary_states(self) -> Indices:
@@ -260,3 +253,8 @@ def weight_matrix(n_rows: int, n_columns: int, *entries: tuple[Any, Any, Any]) -
     matrix = scipy.sparse.csc_array((values, (rows, columns)), shape=(n_rows, n_columns))
     matrix.sum_duplicates()
     return matrix
+
+
+def _grid(first: Indices, count: int) -> Indices:
+    """Places of so many variables from each of some places on, (count, n); those of one place lie side by side."""
+    return np.asarray(first[:, None] + np.arange(count), dtype=np.int64).T

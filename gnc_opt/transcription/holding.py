@@ -19,6 +19,10 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.transcription.collocation import PhaseCollocation
 from gnc_opt.transcription.quadrature import interpolation_matrix
 
+EASE = 0.1
+"""Share of its range by which an eased control may leave its bounds: enough to tell by how much its arc is too short,
+and near enough for H to bend as it does between the bounds."""
+
 
 def check_segments(leg: Phase, collocation: PhaseCollocation) -> None:
     """Refuse arcs that are given for another number of segments."""
@@ -128,6 +132,10 @@ def _put(box: Interval, places: Indices, kinds: Any, bounds: Interval) -> None:
         box.lower[places[here]] = box.upper[places[here]] = limits[here]
     released = places[kinds == ArcKind.RELEASED]
     box.lower[released], box.upper[released] = -np.inf, np.inf
+    eased = kinds == ArcKind.EASED
+    room = np.broadcast_to(EASE * (bounds.upper - bounds.lower)[:, None], kinds.shape)[eased]
+    box.lower[places[eased]] -= room
+    box.upper[places[eased]] += room
 
 
 # --- junctions of state constraints -------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -94,17 +94,15 @@ class Transcription(Numbering):
         rows, columns, values = collocation.weights(
             n_states + n_paths, np.arange(n_states), n_states + np.arange(n_paths)
         )
-        blocks = [
-            self._point_block(
-                leg, leg.model.derivative(), leg.path_expression(), [(rows + 1, columns, values)]
-            )
-        ]
+        blocks = [self._point_block(leg, "dynamics", [(rows + 1, columns, values)])]
         entries = self._integral_entries(leg)
         if entries:  # integrals may be declared only to be read
-            blocks.append(self._point_block(leg, leg.integrand_expression(), ca.SX(0, 1), entries))
+            blocks.append(self._point_block(leg, "integrals", entries))
         return blocks
 
-    def _point_block(self, leg: Phase, rates: Any, others: Any, entries: list[Any]) -> PointBlock:
+    def _point_block(
+        self, leg: Phase, of: Literal["dynamics", "integrals"], entries: list[Any]
+    ) -> PointBlock:
         """Rates times the duration, and other functions, at all collocation points.
 
         Times that are fixed numbers are data: there is no need to differentiate with respect to them.
@@ -112,11 +110,6 @@ class Transcription(Numbering):
         part = self.parts[leg.name]
         collocation = part.collocation
         n_points = collocation.mesh.size
-        t, x, u, p = leg.model.arguments()
-        ends, fraction = ca.SX.sym("ends", 2), ca.SX.sym("fraction")
-        span = ends[1] - ends[0]
-        outputs = self.problem.bind(leg, ca.vertcat(span * rates, others))
-        outputs = ca.substitute(outputs, t, ends[0] + fraction * span)
         end_places = np.stack([part.times[collocation.point_arcs], part.times[collocation.point_arcs + 1]])
         is_free = np.any(end_places < self.n_variables, axis=1)
         free, fixed = np.flatnonzero(is_free), np.flatnonzero(~is_free)
@@ -130,14 +123,31 @@ class Transcription(Numbering):
             *fixed_times,
             ca.repmat(self._symbols.models[leg.name], 1, n_points),
         )
-        function = PointFunction.build(
-            "point",
-            ca.vertcat(x, u, ends[free.tolist()], self.problem.parameter_symbols()),
-            ca.vertcat(fraction, ends[fixed.tolist()], p),
-            outputs,
+        function = self.problem.once(
+            ("point", leg.name, of, *free.tolist()), lambda: self._point_function(leg, of, free, fixed)
         )
         weights = weight_matrix(1 + self.n_constraints, function.rows * n_points, *entries)
         return PointBlock(function, variables.astype(np.int64), data, weights)
+
+    def _point_function(
+        self, leg: Phase, of: Literal["dynamics", "integrals"], free: Indices, fixed: Indices
+    ) -> PointFunction:
+        """The same on any mesh: by states, controls, those ends of the arc that are free, and free parameters."""
+        t, x, u, p = leg.model.arguments()
+        ends, fraction = ca.SX.sym("ends", 2), ca.SX.sym("fraction")
+        span = ends[1] - ends[0]
+        rates, others = (
+            (leg.model.derivative(), leg.path_expression())
+            if of == "dynamics"
+            else (leg.integrand_expression(), ca.SX(0, 1))
+        )
+        outputs = self.problem.bind(leg, ca.vertcat(span * rates, others))
+        return PointFunction.build(
+            "point",
+            ca.vertcat(x, u, ends[free.tolist()], self.problem.parameter_symbols()),
+            ca.vertcat(fraction, ends[fixed.tolist()], p),
+            ca.substitute(outputs, t, ends[0] + fraction * span),
+        )
 
     def _integral_entries(self, leg: Phase) -> list[Any]:
         collocation = self.parts[leg.name].collocation
@@ -193,7 +203,19 @@ class Transcription(Numbering):
         return PointBlock(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
 
     def _end_block(self) -> PointBlock:
-        function, variables = self._end_function()
+        """The cost and the end rows as one function of end points, parameters and integrals."""
+        places = [
+            place
+            for part in self.parts.values()
+            for place in (
+                part.collocation.boundary_states[:, 0],
+                part.collocation.boundary_states[:, -1],
+                part.times,
+            )
+        ]
+        variables = np.concatenate([*places, self.parameter_places, self.integral_places])
+        arcs = [len(boundaries) for boundaries in self._movable.values()]
+        function = self.problem.once(("end rows", *arcs, *self._durations), self._end_function)
         rows = np.concatenate([[0], 1 + self._first_end_row + np.arange(len(self._end_labels))])
         weights = weight_matrix(
             1 + self.n_constraints, rows.size, (rows, np.arange(rows.size), np.ones(rows.size))
@@ -201,25 +223,18 @@ class Transcription(Numbering):
         data = ca.vertcat(*self._symbols.models.values())
         return PointBlock(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
 
-    def _end_function(self) -> tuple[PointFunction, Indices]:
-        """The cost and the end rows as one function of end points, parameters and integrals."""
+    def _end_function(self) -> PointFunction:
+        """The same on any mesh with so many movable boundaries."""
         phases = self.problem.phases.values()
-        arguments, variables = [], []
+        arguments: list[Any] = []
         arc_lengths: list[Any] = []
         for leg in phases:
-            part = self.parts[leg.name]
             inner = ca.SX.sym("boundary", len(self._movable[leg.name]))
             times = ca.vertcat(leg.initial_time, inner, leg.final_time)
             arguments += [leg.ends("initial"), leg.ends("final"), times]
-            variables += [
-                part.collocation.boundary_states[:, 0],
-                part.collocation.boundary_states[:, -1],
-                part.times,
-            ]
             arc_lengths += [times[1:] - times[:-1]] if self._movable[leg.name] else []
         defined = [self.problem.phases[name].integrands[label][0] for name, label in self._defined]
         arguments += [self.problem.parameter_symbols(), *defined]
-        variables += [self.parameter_places, self.integral_places]
         outputs = ca.vertcat(
             self.problem.sense * self.problem.cost,
             *[self.problem.phases[name].duration for name in self._durations],
@@ -232,8 +247,7 @@ class Transcription(Numbering):
         for leg in phases:
             outputs = self.problem.bind(leg, outputs)
         data = ca.vertcat(*parameter_arguments(self.problem.phases.values()))
-        function = PointFunction.build("ends", ca.vertcat(*arguments), data, outputs)
-        return function, np.concatenate(variables)
+        return PointFunction.build("ends", ca.vertcat(*arguments), data, outputs)
 
     def _linear(self) -> Any:
         entries = [part.collocation.linear for part in self.parts.values()]

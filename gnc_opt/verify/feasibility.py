@@ -33,6 +33,9 @@ from gnc_opt.verify.verdict import Condition, Result
 UNSTABLE = 1e6
 """Growth of integration errors beyond which propagating a whole phase in one go says nothing."""
 
+HOPELESS = 1e12
+"""Growth beyond which no propagation in one go arrives: it is not tried."""
+
 PART = 1e3
 """Growth of errors after which a propagation in parts starts anew: samples are interpolated to 1e-9 or so."""
 
@@ -68,9 +71,10 @@ def dynamics(problem: Problem, samples: list[PhaseSamples], tolerance: float) ->
 
 def propagation(samples: list[PhaseSamples], tolerance: float) -> Condition:
     """Flying the bounded control from the initial state arrives at the final state."""
-    worst = NOTHING
     gaps = [_missing_number(s) for s in samples]
-    for s, gap in zip(samples, gaps, strict=True):
+    told = [s for s, gap in zip(samples, gaps, strict=True) if not gap]
+    worst, hopeless = NOTHING, any(_may_grow(s) and _growth(s) >= HOPELESS for s in told)
+    for s, gap in zip(samples, gaps, strict=True) if not hopeless else ():
         worst = worst.or_worse(gap or worst_terminal_error(s))
     condition = judge(
         "propagation",
@@ -79,9 +83,9 @@ def propagation(samples: list[PhaseSamples], tolerance: float) -> Condition:
         "The control as it can be flown (within bounds), integrated from the initial state by an independent "
         "integrator, must reach the final state; where it does not, the control is wrong between its nodes.",
     )
-    if condition.result is not Result.FAIL:
+    if condition.result is not Result.FAIL and not hopeless:
         return condition
-    growth = max((_growth(s) for s, gap in zip(samples, gaps, strict=True) if not gap), default=1.0)
+    growth = max(map(_growth, told), default=1.0)
     if growth <= UNSTABLE:
         return condition
     parts = NOTHING
@@ -113,21 +117,35 @@ def _growth(samples: PhaseSamples) -> float:
     for step in _transitions(samples):
         transition = step @ transition
         largest = max(largest, float(np.linalg.norm(transition, 2)))
-        if not largest < 1e12:
+        if not largest < HOPELESS:
             break
     return largest
 
 
-def _transitions(samples: PhaseSamples) -> Iterator[Array]:
-    """Transition matrices exp(A h) of the segments, A = df/dx in scaled states; none where that is no number."""
+def _may_grow(samples: PhaseSamples) -> bool:
+    """Whether errors may grow `HOPELESS` times, by the logarithmic norm of the dynamics, which bounds their growth."""
+    jacobians, widths = _jacobians(samples)
+    if not np.all(np.isfinite(jacobians)):
+        return False
+    steepest = np.linalg.eigvalsh(0.5 * (jacobians + jacobians.transpose(0, 2, 1)))[:, -1]
+    return bool(np.sum(np.maximum(steepest * widths, 0.0)) >= np.log(HOPELESS))
+
+
+def _jacobians(samples: PhaseSamples) -> tuple[Array, Array]:
+    """df/dx amid every segment in scaled states (K, n, n), and how long segments last (K,)."""
     leg, scale = samples.leg, samples.state_scale
     middles = 0.5 * (leg.breaks[:-1] + leg.breaks[1:])
     jacobians = samples.functions.state_jacobian(middles, leg.x(middles), leg.flown(middles))
+    return (jacobians * scale[None, :, None] / scale[:, None, None]).transpose(2, 0, 1), np.diff(leg.breaks)
+
+
+def _transitions(samples: PhaseSamples) -> Iterator[Array]:
+    """Transition matrices exp(A h) of the segments, A = df/dx in scaled states; none where that is no number."""
+    jacobians, widths = _jacobians(samples)
     if not np.all(np.isfinite(jacobians)):  # an iterate beyond a singularity of the dynamics
         return
-    scaled = jacobians * scale[None, :, None] / scale[:, None, None]
-    for k, width in enumerate(np.diff(leg.breaks)):
-        yield scipy.linalg.expm(np.clip(scaled[:, :, k] * width, -50.0, 50.0))
+    for jacobian, width in zip(jacobians, widths, strict=True):
+        yield scipy.linalg.expm(np.clip(jacobian * width, -50.0, 50.0))
 
 
 def _restarts(samples: PhaseSamples) -> list[float]:

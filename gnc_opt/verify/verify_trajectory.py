@@ -108,7 +108,7 @@ def verify_trajectory(
     check_unused_controls(problem)
     samples = _unwound(problem, _read_phases(problem, t, x, u), q)
     verdict, twin = _judged(problem, samples, q, tol), restated(problem)
-    if verdict.minimum or twin is problem:
+    if verdict.minimum or twin is problem or _beyond_turns(problem, twin, samples):
         return verdict
     other = _judged_restated(problem, twin, samples, q, tol)
     prefers_stated = (verdict.failed and other.failed) or (verdict.ok and not other.minimum)
@@ -133,7 +133,19 @@ def _judged_restated(
 ) -> Verdict:
     """As a default call judges it: along controls without norms and kinks (`gnc_opt.problem.norms`)."""
     samples = restated_samples(problem, twin, stated, q)
-    return _judged(twin, samples, _with_added(twin, samples, q), tol)
+    q = _with_added(twin, samples, q)
+    return _judged(twin, _unwound(twin, samples, q), q, tol)
+
+
+def _beyond_turns(problem: Problem, twin: Problem, stated: Mapping[str, Samples]) -> bool:
+    """Whether angles leave bounds of a whole turn, which are no limits to a twin."""
+    for name, leg in twin.phases.items():
+        if leg.numbers.turns is not None:
+            box, u = problem.phases[name].numbers.controls, stated[name].u
+            slack = AT_LIMIT * leg.numbers.turns.periods
+            if np.any(u < (box.lower - slack)[:, None]) or np.any(u > (box.upper + slack)[:, None]):
+                return True
+    return False
 
 
 def _with_added(twin: Problem, samples: Mapping[str, Samples], q: Array) -> Array:

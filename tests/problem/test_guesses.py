@@ -396,6 +396,22 @@ def test_ends_that_boundary_constraints_tell() -> None:
     assert solution.objective == pytest.approx(9e3 / np.expm1(1.0) - 1e3, rel=1e-7)
 
 
+@pytest.mark.filterwarnings("error")
+def test_what_boundary_constraints_do_not_tell() -> None:
+    """The middle of a range; nothing of times, of more than a line, of a slope of zero, or by way of infinity."""
+    model = go.Model("still")
+    x = model.state("x", 5)
+    model.ode({x: np.zeros(5)})
+    problem = go.Problem("still")
+    leg, none = problem.phase("leg", model), problem.parameter("none", lower=-1.0, upper=1.0, guess=0.0)
+    leg.time(0.0, (1.0, 9.0))
+    start = leg.initial_state("x")
+    problem.constrain("time", leg.final_time, upper=5.0)
+    rows = ca.vertcat(start[0], (start[1] + 1) ** 2, none * start[2], start[3] - 1 / none, start[4] + none)
+    problem.constrain("start", rows, lower=[2.0, 4.0, 4.0, 4.0, 4.0], upper=[4.0, 5.0, 5.0, 5.0, 5.0])
+    assert leg.told[("initial", "x")] == pytest.approx([3.0, np.nan, np.nan, np.nan, 4.5], nan_ok=True)
+
+
 def cart() -> go.Problem:
     model = go.Model("cart")
     q, v, a = model.state("q"), model.state("v"), model.control("a")

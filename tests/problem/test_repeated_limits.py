@@ -46,6 +46,7 @@ def test_only_what_bounds_say_already_is_free() -> None:
     leg.path("mixed", v + a, upper=9.0)
     leg.path("bent", a**2, upper=9.0)
     leg.path("free before", q, upper=1.0)
+    leg.path("turned", ca.vertcat(-2 * a, a), upper=[1.0, np.inf], lower=[-np.inf, -0.5])
     paths = restated(problem).phases["leg"].paths
     limits = {name: (c.interval.lower[0], c.interval.upper[0]) for name, c in paths.items()}
     assert limits == {
@@ -56,7 +57,31 @@ def test_only_what_bounds_say_already_is_free() -> None:
         "mixed": (-np.inf, 9.0),
         "bent": (-np.inf, 9.0),
         "free before": (-np.inf, 1.0),
+        "turned": (-np.inf, 1.0),
     }
+    assert paths["turned"].interval.lower[1] == -0.5
+
+
+def test_products_of_numbers_are_compared_up_to_their_rounding() -> None:
+    """3 * 0.1 is 0.30000000000000004; what differs by 1e-10 is another limit. Without any the problem stays."""
+    problem, leg, _q, v, _a = _cart()
+    leg.bounds(v=(-0.1, 0.1))
+    leg.path("same", 3 * v, lower=-0.3, upper=0.3)
+    same = restated(problem).phases["leg"].paths["same"].interval
+    assert (same.lower, same.upper) == ([-np.inf], [np.inf])
+    problem, leg, _q, v, _a = _cart()
+    leg.bounds(v=(-0.1, 0.1))
+    leg.path("other", 3 * v, lower=-0.3 * (1 - 1e-10), upper=0.3 * (1 - 1e-10))
+    assert restated(problem) is problem
+
+
+def test_what_is_free_tells_programs_apart() -> None:
+    problem, leg, _q, v, a = _cart()
+    leg.path("both", ca.vertcat(v, a), upper=[1.0, 1.0])
+    problem.minimize(leg.final_state("q") ** 2)
+    stronger = problem.with_bounds(a=(-1.0, 2.0))
+    assert restated(stronger).phases["leg"].paths["both"].interval.upper.tolist() == [np.inf, 1.0]
+    assert restated(stronger).builds is not restated(problem).builds
 
 
 def test_variations_are_variations_of_one_another() -> None:

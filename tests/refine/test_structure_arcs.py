@@ -246,3 +246,32 @@ def test_a_control_in_which_h_bends_jumps_from_bound_to_bound(k: float) -> None:
     assert found.objective == pytest.approx(2 / np.sqrt(1 + k), abs=1e-12)
     assert [arc.kind.value for arc in found.structure] == ["upper", "lower"]
     assert go.verify(found).minimum
+
+
+def test_short_arcs_where_h_is_convex_are_found_at_once_and_end_in_kinks() -> None:
+    """Oscillator to rest, x' = v + e u^2, v' = u - x: costates turn with it, so that all times but one are known.
+
+    H = 1 + ... + lam_x e u^2 + lam_v u, with (lam_x, lam_v) = A (cos, -sin)(t - c): where lam_x > 0, u is between its
+    bounds while |tan(t - c)| < 2 e; where lam_x < 0 it jumps, half a turn later.
+    """
+    e = 0.02
+    model = go.Model("oscillator")
+    x, v, u = model.state("x"), model.state("v"), model.control("u")
+    model.ode({x: v + e * u**2, v: u - x})
+    problem = go.Problem("oscillator to rest")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (1.0, 30.0))
+    leg.initial(x=7.0, v=0.0)
+    leg.final(x=0.0, v=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.final_time)
+    found = go.refine(go.solve(problem, tol=None))
+    kinds = ["lower", "interior", "upper", "lower", "interior", "upper", "lower"]
+    assert [arc.kind.value for arc in found.structure] == kinds
+    begins = np.array([arc.start for arc in found.structure])
+    turn, half = np.pi, np.arctan(2 * e)
+    middle = begins[1] + half
+    times = middle + np.array([-half, half, turn, 2 * turn - half, 2 * turn + half, 3 * turn])
+    np.testing.assert_allclose(begins[1:], times, rtol=0, atol=1e-8)
+    assert found.history is not None and found.history.converged and go.verify(found).minimum
+    assert sum("added" in str(p.actions) for p in found.history.passes) == 1

@@ -16,9 +16,12 @@ from loops import double_integrator
 
 import gnc_opt.simulation.flight as flight_module
 from gnc_opt.control import design_lqr, design_mpc
+from gnc_opt.control.controller import Controller
 from gnc_opt.errors import GncOptError
+from gnc_opt.model.model import Model
 from gnc_opt.simulation import ClosedLoop, Event, Flight, Lag, Noise, RandomHold, monte_carlo
 from gnc_opt.simulation import native as module
+from gnc_opt.simulation.folded import Folded
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 
@@ -95,12 +98,37 @@ def test_without_machine_code_the_interpreter_flies(
 def test_a_solver_that_has_no_c_is_left_to_the_interpreter_without_a_word(
     cache: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    plant = double_integrator()
-    limits: dict[str, Any] = {"limits": (-0.5, 0.5), "state_limits": {"v": (-0.3, 0.3)}}
-    law = design_mpc(plant, [0, 0], Q=1, R=1, horizon=0.5, dt=0.1, solver="piqp", **limits)
-    flight = ClosedLoop(plant, law).flight([1.0, 0.0], t0=0.0, tf=2.0).natively(10)
+    plant, law = predictive()
+    flight = ClosedLoop(plant, replace(law, easy=None)).flight([1.0, 0.0], t0=0.0, tf=2.0).natively(10)
     assert flight.library == "" and list(cache.iterdir()) == []
     assert capfd.readouterr() == ("", "")
+
+
+def predictive() -> tuple[Model, Controller]:
+    plant = double_integrator()
+    limits: dict[str, Any] = {"limits": (-0.5, 0.5), "state_limits": {"v": (-0.3, 0.3)}}
+    return plant, design_mpc(plant, [0, 0], Q=1, R=1, horizon=0.5, dt=0.1, solver="piqp", **limits)
+
+
+@needs_compiler
+@pytest.mark.parametrize("through", [None, 0.01])
+def test_steps_at_which_a_law_asks_its_solver_are_the_interpreters_and_no_others(
+    monkeypatch: pytest.MonkeyPatch, through: float | None
+) -> None:
+    """From 1 m a limit is in reach for 2 s and no more; the speed reaches its limit on the way."""
+    plant, law = predictive()
+    events = [] if through is None else [Event("through", plant.symbol("q") - through, "falling")]
+    noise = [Noise("gauge", 1e-3, on="q")]
+    flight = ClosedLoop(plant, law, sensors=noise, events=events).flight([1.0, 0.0], t0=0.0, tf=8.0)
+    quick = flight.natively(2)
+    assert quick.library and bits(quick) == bits(flight)
+    asked = flight.run(flight.nominal, 1).commands
+    interpreted: list[int] = []
+    interpret = Folded._interpret
+    monkeypatch.setattr(Folded, "_interpret", lambda *a: interpreted.append(len(a[2])) or interpret(*a))
+    replace(quick, beside=None).final(flight.nominal[:, None], [1])
+    at_limit = np.sum(np.abs(asked[0]) > 0.5 - 1e-9)
+    assert set(interpreted) == {1} and max(3, at_limit) <= len(interpreted) < 60
 
 
 def _refuse(*_: Any) -> None:

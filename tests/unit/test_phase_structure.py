@@ -187,17 +187,20 @@ def test_touches_of_a_plan_are_junctions_of_second_order_within_and_first_at_the
     )
 
 
-def test_beside_a_bang_that_bends_more_pieces_are_as_fine_as_the_finest() -> None:
-    coarse, bent = made("u"), made("u", "i")
+def test_beside_a_bang_that_bends_more_pieces_are_as_fine_as_what_was_in_their_place() -> None:
+    """Half of five segments are three; eight interior ones along the phase are the least."""
+    coarse, bent = made("u"), made("u", "i").at((0.0, 0.5, 1.0))
     plan = Plan(coarse, (Resolution(5, 9),), 7.0, True)
-    assert plan.restructured(bent).resolutions == (Resolution(5, 9), Resolution(5, 9))
+    assert plan.restructured(bent).resolutions == (Resolution(3, 9), Resolution(4, 9))
     assert plan.restructured(bent).loose and plan.restructured(bent).points == 7.0
     straight = made("u", "l")
     assert plan.restructured(straight).resolutions == Plan.of(straight, 7.0).resolutions
-    same = Plan(bent, (Resolution(5, 9), Resolution(2, 12)), 7.0)
+    same = Plan(bent, (Resolution(5, 10), Resolution(2, 12)), 7.0)
     assert same.restructured(made("i", "u")).resolutions == Plan.of(made("i", "u"), 7.0).resolutions
-    finer = same.restructured(made("i", "u", "i"))
-    assert finer.resolutions == (Resolution(2, 12),) * 3  # points of a segment count first
+    finer = same.restructured(made("i", "u", "i").at((0.0, 0.25, 0.5, 1.0)))
+    assert finer.resolutions == (Resolution(3, 10), Resolution(3, 10), Resolution(4, 12))
+    across = same.restructured(made("u", "i", "u").at((0.0, 0.25, 0.875, 1.0)))
+    assert across.resolutions == (Resolution(3, 10), Resolution(5, 12), Resolution(1, 12))
 
 
 def test_plans_begin_as_defaults_say() -> None:

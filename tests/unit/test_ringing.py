@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
 import pytest
 
 import gnc_opt as go
@@ -13,21 +17,25 @@ from gnc_opt.refine.structure.state_constraints import StateConstraints
 LOW, FREE, UP, SING = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.SINGULAR
 
 
-@pytest.fixture(scope="module")
-def cart() -> StateConstraints:
-    """With segments of 0.4 s."""
+def speeding(rate: Callable[[Any, Any], Any] = lambda a, t: a, mesh: Any = "10x3") -> StateConstraints:
+    """Of a speed with this rate, over 4 s."""
     model = go.Model("cart")
     v, a = model.state("v"), model.control("a")
-    model.ode({v: a})
+    model.ode({v: rate(a, model.time)})
     problem = go.Problem("fast")
     leg = problem.phase("leg", model)
     leg.time(0.0, 4.0)
     leg.initial(v=0.0)
-    leg.final(v=0.0)
     leg.bounds(a=(-1.0, 1.0), v=(-1.0, 1.0))
     problem.minimize(leg.integral(a**2 - v, "cost"))
-    solution = go.solve(problem, mesh="10x3", tol=None)
-    return StateConstraints(solution.need_problem("test"), solution.samples()["leg"])
+    solution = go.solve(problem, mesh=mesh, tol=None, throw=False)
+    return StateConstraints(problem, solution.samples()["leg"])
+
+
+@pytest.fixture(scope="module")
+def cart() -> StateConstraints:
+    """With segments of 0.4 s."""
+    return speeding()
 
 
 def of(times: tuple[float, ...], *kinds: tuple[ArcKind, ArcKind]) -> PhaseStructure:
@@ -52,7 +60,13 @@ def test_an_arc_goes_on_where_it_is_left_with_the_control_on_no_bound(cart: Stat
     arc, free, bang = (SING, UP), (SING, FREE), (LOW, FREE)
     left = of((0.0, 1.0, 1.2, 3.0), arc, free, arc)
     assert without_ringing(left, cart, 1.0) == of((0.0, 3.0), arc)
-    for real in (of((0.0, 1.0, 1.5, 3.0), arc, free, arc), of((0.0, 1.0, 1.2, 3.0), arc, free, bang)):
+    for real in (
+        of((0.0, 1.0, 1.5, 3.0), arc, free, arc),
+        of((0.0, 1.0, 1.2, 3.0), arc, free, bang),
+        of((0.0, 0.2, 3.0), free, arc),
+        of((0.0, 1.0, 1.2, 3.0), free, arc, free),
+        of((0.0, 1.0, 1.2, 3.0), bang, (FREE, FREE), arc),
+    ):
         assert without_ringing(real, cart, 1.0) == real
 
 
@@ -70,3 +84,51 @@ def test_two_limits_of_a_control_that_change_places_within_segments_do_it_once(
     assert 1.0 <= once.times[1] <= 1.3
     real = structure((0.0, 1.0, 2.0, 3.0), own, path, own)
     assert without_ringing(real, cart, 1.0) == real
+
+
+ARC, PUSH, BRAKE = (SING, UP), (UP, FREE), (LOW, FREE)
+PUSHED_TWICE = of((0.0, 1.0, 1.2, 3.0, 4.0), ARC, PUSH, ARC, BRAKE)
+
+
+@pytest.mark.parametrize(
+    ("gain", "drift", "of_the_arc"), [(1.0, -0.98, False), (1.0, -0.5, True), (0.01, -0.5, True)]
+)  # fmt: skip
+def test_a_bang_leads_beyond_by_what_the_control_can_do(gain: float, drift: float, of_the_arc: bool) -> None:
+    """After the arc that a flight begins with: full push against a drift, in shares of what the control does."""
+    structure = of((0.0, 1.0, 1.2, 4.0), ARC, PUSH, BRAKE)
+    found = without_ringing(structure, speeding(lambda a, t: gain * (a + drift)), 1.0)
+    assert found == (of((0.0, 1.2, 4.0), ARC, BRAKE) if of_the_arc else structure)
+
+
+def test_a_bang_that_leads_nowhere_between_two_arcs_is_no_gap() -> None:
+    structure = of((0.0, 1.0, 1.2, 3.0), ARC, BRAKE, ARC)
+    assert without_ringing(structure, speeding(lambda a, t: a + 1.0), 1.0) == structure
+
+
+@pytest.mark.parametrize("turn", [1.05, 1.15])
+def test_where_a_bang_leads_is_told_where_it_meets_the_arc(turn: float) -> None:
+    """Beside 1.1 s the rate changes its sign: a bang that ends at 1.1 s, with an arc before and none after it."""
+    structure = of((0.0, 1.1, 1.2, 4.0), ARC, PUSH, BRAKE)
+    found = without_ringing(structure, speeding(lambda a, t: a * 10 * (t - turn)), 1.0)
+    assert (found == structure) is (turn > 1.1)
+
+
+@pytest.mark.parametrize("begin", [1.0, 2.1])
+def test_short_is_what_segments_where_it_is_are_longer_than(begin: float) -> None:
+    """Of 1 s until 2 s, of 0.1 s beyond: a gap of 0.2 s is real on the latter."""
+    breaks = np.concatenate([[0.0, 1.0], np.linspace(2.0, 4.0, 21)]) / 4.0
+    there = speeding(mesh=go.Mesh(tuple(breaks), (3,) * (breaks.size - 1)))
+    gap = of((0.0, begin, begin + 0.2, 4.0), ARC, (SING, FREE), ARC)
+    assert (without_ringing(gap, there, 1.0) == gap) is (begin > 2.0)
+
+
+@pytest.mark.parametrize("other", [SING, LOW])
+def test_of_two_controls_that_can_hold_a_limit_nothing_is_taken_away(
+    cart: StateConstraints, other: ArcKind
+) -> None:
+    """An arc is left by both together, or by one beside another on its bound: which one holds it again is not known."""
+    arc, free = (SING, other, UP), (SING, other, FREE)
+    left = PhaseStructure(
+        (0.0, 1.0, 1.2, 3.0), (arc, free, arc), n_controls=2, orders=(0, 0, 1), holders=((), (), (0, 1))
+    )
+    assert without_ringing(left, cart, 1.0) == left

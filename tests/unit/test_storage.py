@@ -327,7 +327,7 @@ def test_an_entry_that_does_not_match_its_checksum_is_noticed(file: Path) -> Non
 
 def test_other_versions_are_refused(file: Path) -> None:
     edit_header(file, lambda header: header.update(version=99, written_by="7.0"))
-    with pytest.raises(GncOptError, match=r"format version 99 \(gnc_opt 7\.0\).*reads version 2"):
+    with pytest.raises(GncOptError, match=r"format version 99 \(gnc_opt 7\.0\).*reads version 3"):
         go.load(file)
 
 
@@ -360,11 +360,13 @@ def test_nothing_is_unpickled(file: Path) -> None:
         go.load(file)
 
 
-def test_files_of_the_first_version_are_read(file: Path) -> None:
+@pytest.mark.parametrize(("version", "lacking"), [(1, ("turns", "composed_controls")), (2, ("turns",))])
+def test_files_of_older_versions_are_read(file: Path, version: int, lacking: tuple[str, ...]) -> None:
     def older(header: dict[str, Any]) -> None:
-        header["version"] = 1
+        header["version"] = version
         for phase in header["solution"]["fields"]["phases"]["map"].values():
-            del phase["fields"]["composed_controls"]
+            for name in lacking:
+                del phase["fields"][name]
 
     now = go.load(file)
     edit_header(file, older)
@@ -381,7 +383,7 @@ def test_stored_classes_belong_to_this_version() -> None:
         for kind in packing.classes
         if dataclasses.is_dataclass(kind)
     }
-    assert SOLUTION_FILES.version == 2
+    assert SOLUTION_FILES.version == 3
     assert known["Mesh"] == "breaks degrees movable"
     assert known["Solution"] == (
         "problem_name status objective maximised phases free_parameters parameter_values "
@@ -394,5 +396,5 @@ def test_stored_classes_belong_to_this_version() -> None:
         "control_multipliers "
         "state_impulses time_multipliers duration_multiplier integrals integral_weights parameters "
         "state_bounds control_bounds path_bounds initial_bounds final_bounds initial_time_bounds "
-        "final_time_bounds duration_bounds composed_controls"
+        "final_time_bounds duration_bounds composed_controls turns"
     )

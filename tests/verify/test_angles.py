@@ -1,5 +1,8 @@
 """Angles without bounds: turns do not count, neither those of the solver nor those of other tools."""
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -22,7 +25,7 @@ def shear(**bounds: tuple[float, float]) -> go.Problem:
     return problem
 
 
-def space(turn: float) -> go.Problem:
+def space(turn: float, speed: float = 0.3, to: Sequence[float] = (1.0, 2.0, 0.7)) -> go.Problem:
     """To a point in least time with one unit of thrust along azimuth and elevation."""
     probe = go.Model("probe")
     r, v = probe.state("r", size=3), probe.state("v", size=3)
@@ -32,8 +35,8 @@ def space(turn: float) -> go.Problem:
     problem = go.Problem("space")
     leg = problem.phase("leg", probe)
     leg.time(0.0, (0.1, 30.0))
-    leg.initial(r=[0.0, 0.0, 0.0], v=[0.3, 0.0, 0.0])
-    leg.final(r=[1.0, 2.0, 0.7])
+    leg.initial(r=[0.0, 0.0, 0.0], v=[speed, 0.0, 0.0])
+    leg.final(r=list(to))
     problem.minimize(leg.final_time)
     return problem
 
@@ -56,6 +59,65 @@ def test_a_range_of_two_turns_is_no_limit_to_a_heading() -> None:
     found = go.solve(shear(heading=(-2 * np.pi, 2 * np.pi)))
     assert go.verify(found).minimum
     assert found.objective == pytest.approx(5.46, abs=5e-3)  # published
+
+
+def test_bounds_of_a_turn_are_no_limit_to_a_heading_that_crosses_them(
+    crossing: go.Solution, tmp_path: Path
+) -> None:
+    problem = shear(heading=(-np.pi, np.pi))
+    found = go.solve(problem)
+    assert go.verify(found).minimum
+    assert found.objective == pytest.approx(crossing.objective, abs=1e-8)
+    t = found.phase("leg").sample_times()
+    heading, free = found.control("heading")(t), crossing.control("heading")(crossing.phase("leg").breaks)
+    assert np.max(np.abs(heading)) <= np.pi
+    assert np.max(np.abs(np.diff(heading))) > 5  # by way of 180 degrees
+    np.testing.assert_allclose(np.exp(1j * heading[[0, -1]]), np.exp(1j * free[[0, -1]]), atol=1e-4)
+    kept = go.load(found.save(tmp_path / "crossing"), problem=problem)
+    np.testing.assert_array_equal(kept.control("heading")(t), heading)
+    assert go.verify(kept).minimum
+
+
+def test_what_leaves_bounds_of_a_turn_is_failed(crossing: go.Solution) -> None:
+    t = np.linspace(0.0, crossing.phase("leg").final_time, 81)
+    x = {name: crossing.state(name)(t) for name in ("x", "y")}
+    heading = crossing.control("heading")(t)
+    problem = shear(heading=(-np.pi, np.pi))
+    assert not go.verify_trajectory(problem, t, x, {"heading": heading}).ok
+    assert go.verify_trajectory(problem, t, x, {"heading": np.angle(np.exp(1j * heading))}).minimum
+
+
+def test_bounds_that_leave_a_direction_out_are_limits() -> None:
+    """Straight to where nothing but a course of 3.05 rad leads, beside which 3 rad is the nearest there is."""
+    boat = go.Model("boat")
+    x, heading = boat.state("x"), boat.control("heading")
+    boat.ode({x: ca.cos(heading - 3.05)})
+    problem = go.Problem("course")
+    leg = problem.phase("leg", boat)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.bounds(heading=(-3.0, 3.0))
+    problem.maximize(leg.final_state("x"))
+    found = go.solve(problem.with_guess(heading=2.0))
+    assert found.objective == pytest.approx(np.cos(0.05), abs=1e-8)
+    assert found.control("heading")(0.5) == pytest.approx(3.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("turn", [2 * np.pi, 360.0])
+def test_azimuth_and_elevation_are_told_within_half_a_turn_of_elevation(turn: float) -> None:
+    """Behind the start: over the pole, by a solver."""
+    target = np.array([-2.0, 0.1, -0.5])
+    bounded = space(turn, to=target).with_bounds(azimuth=(0.0, turn), elevation=(-turn / 4, turn / 4))
+    found = go.solve(bounded)
+    v, d = np.array([0.3, 0.0, 0.0]), target
+    final = np.max(np.roots([0.25, 0.0, -v @ v, 2 * v @ d, -d @ d]).real)
+    assert found.objective == pytest.approx(final, abs=1e-8)
+    assert go.verify(found).minimum
+    away = d - final * v
+    azimuth = np.arctan2(away[1], away[0]) / (2 * np.pi) * turn
+    elevation = np.arcsin(away[2] / np.linalg.norm(away)) / (2 * np.pi) * turn
+    assert found.control("azimuth")(1.0) == pytest.approx(azimuth, abs=1e-4 * turn)
+    assert found.control("elevation")(1.0) == pytest.approx(elevation, abs=1e-4 * turn)
 
 
 def test_headings_within_a_turn_are_judged_as_they_run_on(crossing: go.Solution) -> None:
@@ -122,3 +184,47 @@ def test_an_integral_that_does_not_count_does_not_use_a_control() -> None:
         problem.check()
     with pytest.raises(go.ProblemError, match="control 'idle' of phase 'leg'"):
         go.verify_trajectory(problem, t, np.zeros((2, 5)), np.zeros((2, 5)))
+
+
+@pytest.fixture(scope="module")
+def waiting() -> go.Solution:
+    """Two boats in the current of `shear`, the second of which has time to spare."""
+    boats = go.Model("boats")
+    names = "first", "second"
+    x, y, heading = zip(
+        *[(boats.state(f"x_{n}"), boats.state(f"y_{n}"), boats.control(n)) for n in names], strict=True
+    )
+    boats.ode({x[k]: ca.cos(heading[k]) - y[k] for k in (0, 1)} | {y[k]: ca.sin(heading[k]) for k in (0, 1)})
+    problem = go.Problem("boats")
+    leg = problem.phase("leg", boats)
+    leg.time(0.0, (0.1, 30.0))
+    leg.initial(x_first=3.66, y_first=-1.86, x_second=1.66, y_second=-0.86)
+    leg.final(x_first=0.0, y_first=0.0, x_second=0.0, y_second=0.0)
+    problem.minimize(leg.final_time)
+    return go.solve(problem)
+
+
+def test_a_boat_with_time_to_spare_is_left_open_and_fails_nothing(
+    waiting: go.Solution, crossing: go.Solution
+) -> None:
+    assert waiting.objective == pytest.approx(crossing.objective, abs=1e-8)
+    verdict = go.verify(waiting)
+    assert verdict.ok
+    assert not verdict.minimum  # it may take any way
+
+
+def test_the_other_boat_is_judged_all_the_same(waiting: go.Solution) -> None:
+    leg = waiting.phase("leg")
+    t = np.linspace(0.0, leg.final_time, 81)
+    x = np.array([waiting.state(name)(t) for name in waiting.problem.phases["leg"].model.states.labels])
+    u = np.array([waiting.control(name)(t) for name in ("first", "second")])
+    u[0] += 1e-2 * np.sin(t)
+    assert not go.verify_trajectory(waiting.problem, t, x, u).ok
+
+
+def test_along_the_pole_any_azimuth_will_do() -> None:
+    """2 m straight up from rest to any speed, in 2 s; what H curves by in the azimuth is rounding."""
+    problem = space(2 * np.pi, speed=0.0, to=[0.0, 0.0, 2.0])
+    found = go.solve(problem)
+    assert found.objective == pytest.approx(2.0, abs=1e-8)
+    assert go.verify(found).ok

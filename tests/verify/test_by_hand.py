@@ -80,6 +80,24 @@ def test_growth_is_the_largest_norm_of_the_transition_matrices(matrix: Any) -> N
     assert feasibility._growth(s) == pytest.approx(max(1.0, *norms), rel=1e-9)
 
 
+@pytest.mark.parametrize(("rate", "whole"), [(13.0, True), (14.5, False)])
+def test_what_grows_beyond_hope_is_not_flown_in_one_go(
+    rate: float, whole: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Errors grow by exp(26) = 2e11 or exp(29) = 4e12 over 2 s; the logarithmic norm says the same of a diagonal."""
+    s, flown = arc(plain([[rate, 0.0], [0.0, -1.0]])), []
+    far = feasibility.Worst(1.0, "far off")
+    monkeypatch.setattr(
+        feasibility, "worst_terminal_error", lambda _, anew=(): flown.append(len(anew)) or far
+    )
+    found = feasibility.propagation([s], 1e-5)
+    assert flown == ([0, 1] if whole else [1])
+    assert (found.result, found.sufficient) == (
+        Result.CANNOT_TELL,
+        True,
+    ) and found.where == "far off, in parts"
+
+
 def test_growth_of_what_has_no_derivative() -> None:
     model = go.Model("root")
     x, u = model.state("x", 2), model.control("u")

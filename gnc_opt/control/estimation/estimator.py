@@ -203,7 +203,8 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     fed = _places(controller.states, estimator.states, "state", controller.name, estimator.name)
     sent = _places(estimator.commands, controller.commands, "command", estimator.name, controller.name)
     _check_names(controller, estimator)
-    step, start = _functions(controller, estimator, fed, sent)
+    step, start = _functions(controller, controller.step, estimator, fed, sent)
+    easy = controller.easy and _functions(controller, controller.easy, estimator, fed, sent)[0]
     told, flight = controller.explanation, controller.flight
     return replace(
         controller,
@@ -227,6 +228,7 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
         flight=None
         if flight is None
         else replace(flight, controller=output_feedback(flight.controller, estimator)),
+        easy=easy,
     )
 
 
@@ -246,9 +248,10 @@ def _known_beforehand(controller: Controller, estimator: Estimator) -> dict[str,
 
 
 def _functions(
-    controller: Controller, estimator: Estimator, fed: list[int], sent: list[int]
+    controller: Controller, bare: Any, estimator: Estimator, fed: list[int], sent: list[int]
 ) -> tuple[Any, Any]:
-    scalar = controller.step.is_a("SXFunction") and controller.start.is_a("SXFunction")
+    """Return the law and the first memory of both, of the controller's law or its easy form."""
+    scalar = bare.is_a("SXFunction") and controller.start.is_a("SXFunction")
     kind = ca.SX if scalar else ca.MX
     size = estimator.memory.size
     t, y = kind.sym("t"), kind.sym("y", estimator.measured.size)
@@ -257,8 +260,8 @@ def _functions(
     r, known = ca.vertsplit(row, [0, *sizes])
     own, inner = ca.vertsplit(z, [0, size, size + controller.memory.size])
     x, after = estimator.update(t, y, known, own)
-    u, inner_after = controller.step(t, x[fed], r, inner)
-    step = law(t, y, row, z, u, ca.vertcat(estimator.predict(t, u[sent], after), inner_after))
+    u, inner_after, *enough = bare(t, x[fed], r, inner)
+    step = law(t, y, row, z, u, ca.vertcat(estimator.predict(t, u[sent], after), inner_after), *enough)
     x_first, _ = estimator.update(t, y, known, ca.DM(estimator.first))
     begun = ca.vertcat(ca.DM(estimator.first), controller.start(t, x_first[fed], r))
     return step, first_memory(t, y, row, begun)

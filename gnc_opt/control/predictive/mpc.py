@@ -173,9 +173,11 @@ def design_mpc(
     schedule = _Schedule(ReferenceSchedule(reference), windows, rows.states)
     signals = reference_signals(reference, *schedule.more())
     step, start, memory = _law(deviation, schedule, rows, signals, solver)
+    easy = _law(deviation, schedule, rows, signals, solver, easy=True)[0]
     plain = Controller(
         name=name,
         step=step,
+        easy=easy,
         start=start,
         states=model.states,
         commands=model.controls,
@@ -267,8 +269,15 @@ class _Schedule:
 
 
 def _law(
-    deviation: Deviation, schedule: _Schedule, rows: Rows, signals: Layout, solver: str
+    deviation: Deviation,
+    schedule: _Schedule,
+    rows: Rows,
+    signals: Layout,
+    solver: str,
+    *,
+    easy: bool = False,
 ) -> tuple[Any, Any, Layout]:
+    """Return the law, the first memory and its layout; ``easy``: without the solver, told where that is enough."""
     states, m = deviation.model.states.size, rows.lower.size
     count, limited = schedule.windows.count, len(schedule.limited)
     t, x, r = ca.MX.sym("t"), ca.MX.sym("x", states), ca.MX.sym("r", signals.size)
@@ -285,7 +294,12 @@ def _law(
     previous, plan, multipliers, alarm = ca.vertsplit(
         z, [0, m, m + size, m + size + n_rows, m + size + n_rows + 1]
     )
-    y, lam_a, solved = _solution(schedule, rows, (e, *given, previous), plan, multipliers, solver)
+    found = _unlimited(schedule, rows, (e, *given, previous), solver)
+    if easy:
+        (y, solved), lam_a = found, ca.MX.zeros(multipliers.shape[0])
+    else:
+        known = (e, *given, previous, plan, multipliers)
+        y, lam_a, solved = _solution(schedule, rows, known, found, solver)
 
     lower, upper = ca.DM(rows.lower), ca.DM(rows.upper)
     if rows.change is not None:
@@ -302,41 +316,47 @@ def _law(
     memory = Layout("memory", tuple(Variable(k, v) for k, v in parts.items()), "the memory of the controller")
     first = clip(u_ff[:m], rows.lower, rows.upper)
     return (
-        law(t, x, r, z, u, after),
+        law(t, x, r, z, u, after, *([solved] if easy else [])),
         first_memory(t, x, r, ca.vertcat(first, ca.MX.zeros(size + n_rows + 1))),
         memory,
     )
 
 
-def _solution(
-    schedule: _Schedule, rows: Rows, given: tuple[Any, ...], plan: Any, multipliers: Any, solver: str
-) -> list[Any]:
-    """Return unknowns, multipliers and whether they are the solution.
+def _unlimited(schedule: _Schedule, rows: Rows, given: tuple[Any, ...], solver: str) -> list[Any]:
+    """Return the regulator's unknowns and whether they meet no limit.
 
-    They are those of the regulator if it meets no limit, else what the solver finds. ``given`` are the errors, the
-    feedforward and the reference of the limited states over the horizon, the matrices and the command before.
+    ``given`` are the errors, the feedforward and the reference of the limited states over the horizon, the matrices and
+    the command before. Elementary operations, as they are carried out at every step.
     """
-    # Elementary operations, as they are carried out at every step; the programme is only built where it is solved.
     symbols = [ca.SX.sym(f"i{k}", argument.shape[0]) for k, argument in enumerate(given)]
     e, u_ff, x_limited, matrices, previous = symbols
     alone = _horizon(schedule, rows, matrices, solver).alone(e, u_ff, x_limited, previous)
-    regulated, inside = ca.Function("alone", symbols, list(alone))(*given)
-    symbols = [
-        ca.MX.sym(f"i{k}", argument.shape[0])
-        for k, argument in enumerate((*given, plan, multipliers, regulated))
-    ]
+    return list(ca.Function("alone", symbols, list(alone))(*given))
+
+
+def _solution(
+    schedule: _Schedule, rows: Rows, known: tuple[Any, ...], found: list[Any], solver: str
+) -> list[Any]:
+    """Return unknowns, multipliers and whether they are the solution.
+
+    They are those ``found`` of the regulator if it meets no limit, else what the solver finds. ``known`` are what
+    `_unlimited` is given, and plan and multipliers of the step before.
+    """
+    # the programme is only built where it is solved
+    regulated, inside = found
+    symbols = [ca.MX.sym(f"i{k}", argument.shape[0]) for k, argument in enumerate((*known, regulated))]
     e, u_ff, x_limited, matrices, previous, x0, lam0, rest = symbols
     task = _horizon(schedule, rows, matrices, solver).programme(e, u_ff, x_limited, previous)
     shape = {"h": task.h.sparsity(), "a": task.a.sparsity()}
     qp = ca.conic("qp", solver, shape, {**_OPTIONS[solver], "error_on_fail": False})
     least = np.full(rest.shape[0], -np.inf)
     least[task.free :] = 0  # slacks are not negative
-    found = qp(h=task.h, g=task.g, a=task.a, lba=task.low, uba=task.high, lbx=least, x0=x0, lam_a0=lam0)
-    solved = task.optimality_residual(found["x"], found["lam_a"], found["lam_x"]) <= QP_TOLERANCE
-    solve = ca.Function("solve", symbols, [found["x"], found["lam_a"], solved])
-    keep = ca.Function("keep", symbols, [rest, ca.MX.zeros(multipliers.shape[0]), ca.MX(1)])
+    answer = qp(h=task.h, g=task.g, a=task.a, lba=task.low, uba=task.high, lbx=least, x0=x0, lam_a0=lam0)
+    solved = task.optimality_residual(answer["x"], answer["lam_a"], answer["lam_x"]) <= QP_TOLERANCE
+    solve = ca.Function("solve", symbols, [answer["x"], answer["lam_a"], solved])
+    keep = ca.Function("keep", symbols, [rest, ca.MX.zeros(lam0.shape[0]), ca.MX(1)])
     either = ca.Function.if_else("either", keep, solve)  # calls one of them
-    return list(either(inside, *given, plan, multipliers, regulated))
+    return list(either(inside, *known, regulated))
 
 
 def _horizon(schedule: _Schedule, rows: Rows, matrices: Any, solver: str) -> Horizon:

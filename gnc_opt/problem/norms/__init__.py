@@ -8,6 +8,7 @@ of norms limits of s, and cones about a direction, of which s is a factor, limit
 Kinks that cost the more the larger they are (``fabs(u)``, ``fmax(2 * u, -u)``, ``if_else(u > 0, u / 0.8, 0.8 * u)``)
 bend along a control, which is the sum of parts from corner to corner then, or have a control above all of their pieces
 in their place. Limits of kinks are limits of their pieces. Path limits that repeat bounds are left to those.
+Bounds that leave an angle a whole turn limit nothing.
 """
 
 from gnc_opt.problem.norms.restate import restated

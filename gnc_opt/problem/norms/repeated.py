@@ -67,8 +67,7 @@ def _lines_of(leg: Phase) -> dict[str, list[Line]]:
     model = leg.model
     symbols = ca.vertsplit(ca.vertcat(model.symbols("state"), model.symbols("control")))
     places = {symbol.element_hash(): k for k, symbol in enumerate(symbols)}
-    lengths = {vector.length for vector in leg.vectors}
-    found = {name: list(_lines(c, places)) for name, c in leg.paths.items() if name not in lengths}
+    found = {name: list(_lines(c, places)) for name, c in leg.paths.items()}
     return {name: lines for name, lines in found.items() if lines}
 
 

@@ -24,6 +24,7 @@ from gnc_opt.problem.norms.epigraph import EpigraphForm, Kinked
 from gnc_opt.problem.norms.extrema import KINKED
 from gnc_opt.problem.norms.find import guessed_controls, norm_by_hand
 from gnc_opt.problem.norms.form import Form, box_rows
+from gnc_opt.problem.norms.full_turns import without_full_turns
 from gnc_opt.problem.norms.repeated import without_repeated
 from gnc_opt.problem.norms.roots import without_roots
 from gnc_opt.problem.norms.split import Bends, SplitForm
@@ -39,9 +40,9 @@ def restated(problem: P) -> P:
     """Return a problem without norms of controls that are written by hand; itself if it has none.
 
     Both have the same states, costates and cost. Variations of a problem with other numbers are restated as variations
-    of one another. Path limits that repeat bounds are free.
+    of one another. Path limits that repeat bounds are free, and angles whose bounds leave them a whole turn.
     """
-    return without_repeated(_without_norms(problem))
+    return without_full_turns(without_repeated(_without_norms(problem)))
 
 
 def _without_norms(problem: P) -> P:

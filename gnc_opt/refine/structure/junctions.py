@@ -27,8 +27,9 @@ from gnc_opt.solution.polynomial import Side
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.tolerances import BESIDE
 
-SETTLED = 1e-8
-"""A kink that wants to move by less than this share of the phase is where it belongs."""
+SETTLED, OF_PIECE = 1e-7, 3e-6
+"""A kink that wants to move by less than these shares of the phase and of the shorter piece beside it is where it
+belongs: states and costates are wrong by the square of the first, controls by the second, in shares of their range."""
 
 FARTHEST = 0.5
 """Share of the shorter piece beside a junction by which it may move at once."""
@@ -55,8 +56,12 @@ def move_kinks(constraints: StateConstraints, plan: Plan) -> PhaseStructure | No
             times[boundary] = max(wanted, key=lambda t: abs(t - structure.times[boundary]))
     moves = np.abs(np.asarray(times) - np.asarray(structure.times))
     contact = [any(structure.orders[i] for i in structure.changes(k)) for k in range(1, structure.pieces)]
-    settled = np.where([False, *contact, False], ENTERED, SETTLED)
-    if np.all(moves <= settled * (times[-1] - times[0])):
+    span, lengths = times[-1] - times[0], structure.lengths
+    beside = np.minimum(np.append(lengths, span), np.append(span, lengths))
+    settled = np.where(
+        [False, *contact, False], ENTERED * span, np.minimum(SETTLED * span, OF_PIECE * beside)
+    )
+    if np.all(moves <= settled):
         return None
     return structure.at(tuple(times))
 

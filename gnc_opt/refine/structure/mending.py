@@ -59,8 +59,9 @@ SATURATED = 1e-3
 WRONG_SIGN = 1e-7
 """First-order gain in H, in shares of H, beyond which a wrong sign asks for another arc."""
 
-WRONG_SLOPE = 1e-5
-"""The same on both sides of a switch of the same control."""
+WRONG_SLOPE, WRONG_BEND = 1e-5, 1e-6
+"""The same on both sides of a switch of the same control; and where H bends in it: there half of what it bends is left
+on either side of a jump that should be a short interior arc, and no error of the mesh."""
 
 
 def improve(
@@ -166,15 +167,19 @@ def _complete(samples: PhaseSamples, plan: Plan, problem: Problem) -> tuple[Phas
     """Return the structure with the arc that a wrong sign asks for and what was done, or None if all agree."""
     kinds = plan.structure.matrix()[:, plan.segment_pieces[samples.segments]]
     offence, asked = _offences(samples, plan.structure, kinds)
+    curved = _curved_rows(samples, offence.shape[0])
     for i in range(offence.shape[0]):
-        _forgive_own_switches(offence[i], kinds[i])
+        _forgive_own_switches(offence[i], kinds[i], WRONG_BEND if curved[i] else WRONG_SLOPE)
     if offence.size and (found := _chatter(samples, plan.structure, offence, problem)):
         i, start, end = found
         label = samples.leg.controls.labels[i]
         return plan.structure.with_arc(
             i, start, end, ArcKind.SINGULAR
         ), f"{label} singular from {start:.4g} s"
-    return _with_worst(samples, plan.structure, offence, asked)
+    structure, action = _with_worst(samples, plan.structure, offence, asked)
+    if structure is not None and structure.bends:
+        structure = _with_bends(samples, structure, offence, asked)
+    return structure, action
 
 
 def _chatter(
@@ -210,6 +215,30 @@ def _with_worst(
     label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
     mended = linear_limits(samples).with_arc(structure, i, j, (start, end), asked[i, j])
     return mended, f"arc of {label} added at {start:.4g} s"
+
+
+def _with_bends(
+    samples: PhaseSamples, structure: PhaseStructure, offence: Array, asked: KindArray
+) -> PhaseStructure:
+    """Return the structure with all short interior arcs that bangs ask for where H bends in a control.
+
+    Those of different switches know little of each other; one after the other, each would cost a solve.
+    """
+    curved = _curved_rows(samples, offence.shape[0])[:, None]
+    left = np.where(curved & (asked == ArcKind.INTERIOR), offence, 0.0)
+    while left.max(initial=0.0) >= WRONG_SIGN:
+        i = int(np.unravel_index(int(np.argmax(left)), left.shape)[0])
+        start, end = _wrong_interval(samples, left[i])
+        structure = structure.with_arc(i, start, end, ArcKind.INTERIOR)
+        left[i, (samples.times >= start) & (samples.times <= end)] = 0.0
+    return structure
+
+
+def _curved_rows(samples: PhaseSamples, count: int) -> Mask:
+    """Which of so many rows are controls that H bends in either way."""
+    curved = np.zeros(count, dtype=bool)
+    curved[: samples.leg.controls.size] = curved_channels(samples)
+    return curved
 
 
 def _offences(samples: PhaseSamples, structure: PhaseStructure, kinds: KindArray) -> tuple[Array, KindArray]:
@@ -310,8 +339,8 @@ def _around(holds: Mask, j: int) -> slice:
     return slice(before[-1] + 1 if before.size else 0, after[0] if after.size else holds.size)
 
 
-def _forgive_own_switches(offence: Array, kinds: KindArray) -> None:
-    """Zero the offences that reach up to one of the channel's own switches, but for those on both sides of it.
+def _forgive_own_switches(offence: Array, kinds: KindArray, least: float = WRONG_SLOPE) -> None:
+    """Zero the offences that reach up to one of the channel's own switches, but for such on both sides of it.
 
     There the switching function vanishes at the optimum, and what is left of it is rounding and mesh error. On both
     sides it has the wrong slope: the cost is the largest, not the least, for that time of the switch.
@@ -321,7 +350,7 @@ def _forgive_own_switches(offence: Array, kinds: KindArray) -> None:
             _run_of(offence > 0, range(int(j), -1, -1)),
             _run_of(offence > 0, range(int(j) + 1, offence.size)),
         )
-        if min(np.max(offence[run], initial=0.0) for run in sides) < WRONG_SLOPE:
+        if min(np.max(offence[run], initial=0.0) for run in sides) < least:
             for run in sides:
                 offence[run] = 0.0
 

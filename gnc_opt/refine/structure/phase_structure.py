@@ -52,6 +52,8 @@ class PhaseStructure:
         it, or to its derivative of the constraint's order; 0 if that changes.
     flat : tuple of tuple
         Row, start and end (s) of times at which H is linear in a control that it is convex in at others.
+    arched : tuple of tuple
+        The same for times at which H is strictly convex in a control that it is neither linear nor convex in at others.
     """
 
     times: tuple[float, ...]
@@ -65,6 +67,7 @@ class PhaseStructure:
     slopes: tuple[int, ...] = ()
     leans: tuple[tuple[int, ...], ...] = ()
     flat: tuple[tuple[int, float, float], ...] = field(default=(), compare=False)
+    arched: tuple[tuple[int, float, float], ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         if not self.orders:
@@ -174,7 +177,8 @@ class PhaseStructure:
     def _bends_at(self, row: int, boundary: int) -> bool:
         """Whether a row is of a control that H is strictly convex in at a boundary."""
         time = self.times[boundary]
-        return self.regular[row] and not any(i == row and a <= time <= b for i, a, b in self.flat)
+        spans = self.flat if self.regular[row] else self.arched
+        return self.regular[row] != any(i == row and a <= time <= b for i, a, b in spans)
 
     def curved(self) -> Mask:
         """Return where rows are of controls that H is strictly convex in all along a piece, (n_rows, A)."""

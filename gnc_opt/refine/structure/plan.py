@@ -26,6 +26,10 @@ SINGULAR_DEGREE, MAX_SINGULAR_DEGREE = 4, 28
 HELPED = 0.3
 """A higher degree of a singular control has helped if it leaves at most this share of dH/du."""
 
+FOLLOWED = 4
+"""Collocation points per degree of a singular control's polynomial: with half as many, states do not follow degree 12
+to 1e-8, and the pass that finds out is lost."""
+
 INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
 """First degree of an interior piece, and the number of its segments if it were the whole phase."""
 
@@ -158,7 +162,7 @@ class Resolution:
             return self
         smooth, degree = min(self.smooth + 4, MAX_SINGULAR_DEGREE), min(self.degree + STEP, MAX_DEGREE)
         raised = replace(self, smooth=smooth, degree=degree, gradient=gradient)
-        wanted = math.ceil(2 * smooth / degree)
+        wanted = math.ceil(FOLLOWED * smooth / degree)
         return raised if wanted <= self.segments else replace(raised, segments=wanted, edges=())
 
 
@@ -216,13 +220,17 @@ class Plan:
         kept = tuple(self._smooth_as_now(structure, k, r) for k, r in enumerate(plan.resolutions))
         plan = replace(plan, resolutions=kept)
         if structure.bends and structure.pieces > self.structure.pieces:
-            finest = max(self.resolutions, key=lambda r: (r.degree, r.segments))
-            finer = tuple(
-                replace(r, segments=r.segments if r.edges else finest.segments, degree=finest.degree)
-                for r in plan.resolutions
-            )
+            finer = tuple(self._as_fine_as_now(structure, k, r) for k, r in enumerate(plan.resolutions))
             return replace(plan, resolutions=finer)
         return plan
+
+    def _as_fine_as_now(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
+        """The resolution of a piece of another structure with the segments that this plan has in its place."""
+        times, (left, right) = np.asarray(self.structure.times), structure.times[piece : piece + 2]
+        shared = np.maximum(np.minimum(times[1:], right) - np.maximum(times[:-1], left), 0.0)
+        counts = [r.segments for r in self.resolutions] * shared / self.structure.lengths
+        degree = max(r.degree for r in (first, *itertools.compress(self.resolutions, shared > 0)))
+        return replace(first, degree=degree, segments=max(first.segments, math.ceil(np.sum(counts))))
 
     def _smooth_as_now(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
         """The resolution of the piece of this plan with the kinds of one of another structure, if it is smooth."""
@@ -277,7 +285,9 @@ class Plan:
         controls = choose(structure.controls == ArcKind.SINGULAR, ArcKind.INTERIOR, structure.controls)
         paths = choose(structure.on_sphere(), ArcKind.UPPER, structure.paths)
         kinds = np.vstack([controls, paths, structure.states])[:, segments]
-        kinds = choose((kinds == ArcKind.INTERIOR) & self._released(), ArcKind.RELEASED, kinds)
+        free = kinds == ArcKind.INTERIOR
+        kinds = choose(free & self._released(), ArcKind.RELEASED, kinds)
+        kinds = choose(free & self._eased(), ArcKind.EASED, kinds)
         paths, states = kinds[n_controls : n_controls + n_paths], kinds[n_controls + n_paths :]
         return problem.with_arcs(
             phase,
@@ -301,6 +311,15 @@ class Plan:
             for row in structure.changes(k):
                 found[row, end - 1 : end + 1] |= bool(structure.orders[row])
         return np.asarray(found)
+
+    def _eased(self) -> Mask:
+        """Return where controls may leave their bounds a little: H is strictly convex in them, but not farther off."""
+        structure = self.structure
+        found = np.zeros((len(structure.kinds[0]), structure.pieces), dtype=bool)
+        begins, ends = np.asarray(structure.times[:-1]), np.asarray(structure.times[1:])
+        for row, start, end in structure.arched:
+            found[row] |= (begins >= start) & (ends <= end)
+        return found[:, self.segment_pieces]
 
     def _junctions(self) -> tuple[Junction, ...]:
         """Where state constraints that determine a control reach their limit to stay there, or touch it.

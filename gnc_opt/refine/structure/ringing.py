@@ -74,7 +74,6 @@ def _left(structure: PhaseStructure, piece: int, arc: int) -> list[int]:
         row
         for row in structure.changes(max(piece, arc))
         if structure.orders[row] == 1
-        and structure.kinds[arc][row].at_limit
         and [structure.kinds[arc][i] for i in structure.holders[row]] == [ArcKind.SINGULAR]
         and structure.kinds[piece][structure.holders[row][0]].at_limit
     ]

@@ -21,7 +21,7 @@ from gnc_opt.refine.error import estimate_errors
 from gnc_opt.refine.passes import PassLimits, pass_meter, pass_record, same_pass
 from gnc_opt.refine.structure.apart import shared, solve_apart
 from gnc_opt.refine.structure.collocated import collocated
-from gnc_opt.refine.structure.curvature import with_flat_times
+from gnc_opt.refine.structure.curvature import with_arched_times, with_flat_times
 from gnc_opt.refine.structure.detect import structures_of
 from gnc_opt.refine.structure.mending import KINKS_MOVED, RAISED, SMOOTHED, collapsed, improve, smoother
 from gnc_opt.refine.structure.newton import settle
@@ -350,6 +350,8 @@ def _at_solution(plan: Plan, solution: Solution, name: str) -> Plan:
     found = plan.structure.at(times)
     if any(found.regular):
         found = with_flat_times(found, solution.samples()[name])
+    if found.bends:
+        found = with_arched_times(found, solution.samples()[name])
     return replace(plan, structure=found)
 
 
