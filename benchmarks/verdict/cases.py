@@ -21,6 +21,7 @@ from benchmarks.verdict.pairs import SCALES, Pair, pairs
 from benchmarks.verdict.right import NotRight, right
 from benchmarks.verdict.several import several
 from benchmarks.verdict.statements import FAMILY, Frame, Statement, build, frames, in_frame
+from benchmarks.verdict.uncommon import uncommon
 from benchmarks.verdict.unusual import unusual
 
 Told = Literal["failed", "passed", "untold", "not planted", "not found", "crash"]
@@ -102,7 +103,16 @@ def cases(documents: Sequence[Mapping[str, Any]], seed: int) -> Iterator[Case]:
         yield Case(e.kind, e.name, e.why, True, e.first_order, lambda e=e: (e.judge(), e.off))
     for f in forged():
         yield Case("forged file", f.name, f.why, True, True, lambda f=f: (f.judge(), f.off))
-    for pair in (*pairs(), *closed_forms(), *limits(), *degenerate(), *several(), *attacks(), *unusual()):
+    for pair in (
+        *pairs(),
+        *closed_forms(),
+        *limits(),
+        *degenerate(),
+        *several(),
+        *attacks(),
+        *unusual(),
+        *uncommon(),
+    ):
         for scale in SCALES:
             name = f"{pair.name}, unit {scale[0]:g}, cost {scale[1]:g}"
             yield Case(pair.kind, name, pair.why, True, pair.first_order, _paired(pair, scale, True))

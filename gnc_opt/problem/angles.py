@@ -11,7 +11,7 @@ import itertools
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.turns import ELSEWHERE, PERIODS, turned_back
@@ -49,6 +49,14 @@ def unwound(functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: 
     if not all(inside[i] and inside[j] for i, j in pairs):
         inside[list(itertools.chain(*pairs))] = False
     return np.where(inside[:, None], turned, u)
+
+
+def periods(functions: PhaseFunctions, t: Array, x: Array, u: Array, among: Mask) -> Array:
+    """Return the periods of controls along a trajectory (m,); 0 for those without, or not among some (m,)."""
+    if not np.any(among):
+        return np.zeros(u.shape[0])
+    along = _Along(functions, t, x, u)
+    return np.array([along.period(i) if wanted else 0.0 for i, wanted in enumerate(among)])
 
 
 def _turns_inside(angle: Array, lower: float, upper: float, period: float) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.model.composed import VectorControl
+from gnc_opt.problem.angles import periods
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.bending import Bending
 from gnc_opt.solution.idle import without_effect
@@ -249,6 +250,15 @@ class PhaseSamples:
     def _bending(self) -> Bending:
         curvature = np.einsum("iij->ij", self.control_hessian)
         return Bending(self.functions, self.times, self.x, self.u, self.lam, curvature)
+
+    @cached_property
+    def turns(self) -> Array:
+        """Periods of all that controls act on (m,); 0 for those that are no angles, or have bounds."""
+        bounds = self.leg.control_bounds
+        unbounded = np.isinf(bounds.lower) & np.isinf(bounds.upper)
+        return periods(
+            self.functions, self.times, self.x, self.u, unbounded & ~self.functions.separable_controls
+        )
 
     @cached_property
     def switching(self) -> Array:

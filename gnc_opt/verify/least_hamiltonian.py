@@ -67,11 +67,13 @@ class Gain:
 
 
 def limits(s: PhaseSamples) -> tuple[Array, Array]:
-    """Bounds of the controls; where there is none, well beyond the values that occur."""
-    bounds = s.leg.control_bounds
+    """Bounds of the controls; where there is none, half a turn, or well, beyond the values that occur."""
+    bounds, half = s.leg.control_bounds, 0.5 * s.turns
     reach = 2.0 * np.maximum(np.max(np.abs(s.u), axis=1), s.control_scale)
-    lower = np.where(np.isfinite(bounds.lower), bounds.lower, -reach)
-    return lower, np.where(np.isfinite(bounds.upper), bounds.upper, reach)
+    least = np.where(half > 0, np.min(s.u, axis=1) - half, -reach)
+    most = np.where(half > 0, np.max(s.u, axis=1) + half, reach)
+    lower = np.where(np.isfinite(bounds.lower), bounds.lower, least)
+    return lower, np.where(np.isfinite(bounds.upper), bounds.upper, most)
 
 
 def lattice(n: int, dimensions: int) -> Array:

@@ -66,6 +66,9 @@ CANCELLED = 1e-6
 SHIFT = 0.1
 """The shift, in shares of the Hessian's middle row: large beside curvatures that are as good as none."""
 
+STEEP = 1e4
+"""Curvatures beyond this, in shares of the middle row, are looked for by themselves: their inverses vanish."""
+
 STEPS = 80
 """Steps of Lanczos' method; the ends of the spectrum of a compact operator settle in far fewer."""
 
@@ -307,6 +310,9 @@ def _least_direction(space: NullSpace, hessian: Any) -> Array | None:
     n = hessian.shape[0]
     if n == 0:
         return None
+    steep = _steep_direction(space, hessian)
+    if steep is not None:
+        return steep
     inverse = space.projected_inverse(hessian + SHIFT * scipy.sparse.eye_array(n))
     start = inverse(np.random.default_rng(0).standard_normal(n))
     values, vectors = lanczos(inverse, start, STEPS)
@@ -316,4 +322,17 @@ def _least_direction(space: NullSpace, hessian: Any) -> Array | None:
     found = values < -FOUND * np.max(np.abs(values))
     chosen = vectors[:, np.argmin(values)] if np.any(found) else vectors[:, np.argmax(values)]
     direction = inverse(chosen)
+    return np.asarray(direction / np.linalg.norm(direction))
+
+
+def _steep_direction(space: NullSpace, hessian: Any) -> Array | None:
+    """Return the direction of a curvature so far below the middle row that its inverse is none, None without one."""
+    if np.sqrt(np.max((hessian**2).sum(axis=1))) < STEEP:
+        return None
+    project = space.projection
+    start = project(hessian @ project(np.random.default_rng(0).standard_normal(hessian.shape[0])))
+    values, vectors = lanczos(lambda v: project(hessian @ project(v)), start, STEPS)
+    if not values.size or values[0] > -max(STEEP, FOUND * float(np.max(np.abs(values)))):
+        return None
+    direction = project(vectors[:, 0])
     return np.asarray(direction / np.linalg.norm(direction))

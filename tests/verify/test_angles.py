@@ -120,6 +120,26 @@ def test_azimuth_and_elevation_are_told_within_half_a_turn_of_elevation(turn: fl
     assert found.control("elevation")(1.0) == pytest.approx(elevation, abs=1e-4 * turn)
 
 
+@pytest.mark.parametrize("turn", [2 * np.pi, 360.0])
+def test_a_better_heading_half_a_turn_away_is_seen(turn: float) -> None:
+    """Speeds of 1.1 and 2.1 m/s at two headings, each the best of those beside it."""
+    boat = go.Model("boat")
+    x, heading = boat.state("x"), boat.control("heading")
+    angle = heading * 2 * np.pi / turn
+    boat.ode({x: 1.0 + 0.6 * ca.cos(2 * angle) - 0.5 * ca.cos(angle)})
+    problem = go.Problem("wells")
+    leg = problem.phase("leg", boat)
+    leg.time(0.0, (0.1, 9.0))
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    problem.minimize(leg.final_time)
+    share = np.linspace(0.0, 1.0, 11)
+    worse = go.verify_trajectory(problem, share / 1.1, {"x": share}, {"heading": 0 * share})
+    assert [c.name for c in worse.failed] == ["minimum principle"]
+    better = {"heading": 0 * share + 0.5 * turn}
+    assert go.verify_trajectory(problem, share / 2.1, {"x": share}, better).minimum
+
+
 def test_headings_within_a_turn_are_judged_as_they_run_on(crossing: go.Solution) -> None:
     t = np.linspace(0.0, crossing.phase("leg").final_time, 81)
     x = {name: crossing.state(name)(t) for name in ("x", "y")}

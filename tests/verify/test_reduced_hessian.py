@@ -278,3 +278,22 @@ def test_an_arc_on_a_path_constraint_is_held_where_it_begins(stated: str) -> Non
         problem, t, np.minimum(t, 0.8), push, [0.8] if stated == "parameter" else None
     )
     assert verdict.minimum, verdict.explain()
+
+
+@pytest.mark.parametrize(("product", "minimum"), [(1.0, True), (3.5, False)])
+def test_a_saddle_far_steeper_than_the_middle_row_is_seen(product: float, minimum: bool) -> None:
+    """p^2 / 2 + r^2 + product p r, and a speed in 1e-4 of its unit beside it: as steep as 1e8 middle rows."""
+    cart = go.Model("cart")
+    x, u = cart.state("x"), cart.control("u")
+    cart.ode({x: u})
+    problem = go.Problem("saddle")
+    leg = problem.phase("leg", cart)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.final(x=0.0)
+    p, r = (problem.parameter(name, lower=-9.0, upper=9.0, guess=0.3) for name in ("p", "r"))
+    problem.minimize(leg.integral((1e-4 * u - p) ** 2) + 0.5 * p**2 + r**2 + product * p * r)
+    t = np.linspace(0.0, 1.0, 11)
+    verdict = go.verify_trajectory(problem, t, [0 * t], [0 * t], [0.0, 0.0])
+    assert verdict.minimum == minimum
+    assert (verdict["second order"].result is FAIL) != minimum
