@@ -39,6 +39,9 @@ _NUMBER: dict[str, Any] = {
     "bbox": {"facecolor": "white", "edgecolor": "none", "pad": 0.6},
 }
 
+_TICK, _WIDE = 0.3, 0.12
+"""Height that a tick of the degrees takes, and how wide their colours are drawn, inches."""
+
 _NARROW = 3e-3
 """End segments narrower than this share of their phase are drawn on an axis that stretches both ends."""
 
@@ -76,9 +79,15 @@ def plot_refinement(history: History) -> Figure:
         for ax, phase in zip(axes[1:], phases, strict=True):
             _draw_meshes(ax, history, phase, norm)
             ax.set_ylabel("pass" if len(phases) == 1 else f"pass ({phase})")
-        colors = ScalarMappable(norm, _COLORMAP)
+        tall = sum(heights[1:])
+        ticks = MaxNLocator(max(1, int(tall / _TICK)), integer=True)
         figure.colorbar(
-            colors, ax=list(axes[1:]), label="degree", aspect=30, pad=0.01, ticks=MaxNLocator(integer=True)
+            ScalarMappable(norm, _COLORMAP),
+            ax=list(axes[1:]),
+            label="degree",
+            aspect=tall / _WIDE,
+            pad=0.01,
+            ticks=ticks,
         )
         legend_on_top(figure, _legend(history))
     return figure

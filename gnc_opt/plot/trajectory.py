@@ -446,10 +446,15 @@ def _flown_hamiltonian(solution: Solution, leg: PhaseSolution) -> Callable[..., 
 
 
 def _hamiltonian_legend(low: float, high: float, expected: float | None) -> list[Any]:
-    band = f"band of these, {number_text(low)} to {number_text(high)}"
+    ends = number_text(low), number_text(high)
+    told = (
+        f"{ends[0]} to {ends[1]}"
+        if ends[0] != ends[1]
+        else f"{ends[0]} \N{PLUS-MINUS SIGN} {number_text(0.5 * (high - low), 2)}"
+    )
     handles: list[Any] = [
         Line2D([], [], label="at the collocation points", **_AT_POINTS),
-        Line2D([], [], label=band, color=COLORS[0], alpha=0.25, linewidth=6),
+        Line2D([], [], label=f"band of these, {told}", color=COLORS[0], alpha=0.25, linewidth=6),
         Line2D([], [], label="along the flown controls", **_ALONG_FLOWN),
     ]
     if expected is not None:

@@ -17,11 +17,12 @@ from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
-from gnc_opt.simulation.accuracy import Accuracy
+from gnc_opt.simulation.accuracy import Accuracy, local_error
 from gnc_opt.simulation.beside import Companion
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.control_step import alarm_labels, watched_labels
 from gnc_opt.simulation.disturbances import Disturbance
+from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.event import Event
 from gnc_opt.simulation.flight import LEG, Flight
 from gnc_opt.simulation.judge import Judge
@@ -253,20 +254,20 @@ class ClosedLoop:
         nominal = self.parameters(x0, parameters)
         times = self._times(t0, tf)
         rows = self._schedule(times)
-        flight = self._accurate(nominal, times, rows)
-        return replace(flight, replanner=self.replanner, beside=self._beside(flight))
+        flight, alone = self._accurate(nominal, times, rows)
+        return replace(flight, replanner=self.replanner, beside=self._beside(flight, alone))
 
-    def _beside(self, flight: Flight) -> Companion:
-        """Return what the nominal run tells of flights beside others."""
+    def _beside(self, flight: Flight, alone: Ending) -> Companion:
+        """Return what the nominal run, as it ended alone, tells of flights beside others."""
         start = self._generic(flight.nominal)[:, None]
-        alone, both = (replace(flight, beside=b).final(start, [0]) for b in (None, Companion()))
-        known = alone.averaging_error + alone.instant_error
+        both = replace(flight, beside=Companion()).final(start, [0])
+        local = local_error(alone)
         # without a nominal run to compare with, both estimates are added
-        error, total = (float((ending.integration_error - known)[0]) for ending in (alone, both))
-        return Companion.of(error, total - error, error / flight.growth)
+        error, total = flight.growth * local, local_error(both)
+        return Companion.of(error, total - error, local)
 
-    def _accurate(self, nominal: Array, times: Array, rows: Array) -> Flight:
-        """Return the flight, as planned, with as many integration steps as its accuracy needs."""
+    def _accurate(self, nominal: Array, times: Array, rows: Array) -> tuple[Flight, Ending]:
+        """Return the flight, as planned, with as many integration steps as its accuracy needs, and its ending."""
         accuracy = Accuracy(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
         first = self.substeps or accuracy.stable_substeps(times[0], *self._at_start(nominal))
         start = self._generic(nominal)[:, None]

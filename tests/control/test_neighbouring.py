@@ -279,6 +279,18 @@ def test_plans_that_it_cannot_follow_are_refused(straight):
         guidance(replace(straight, structure=tuple(smooth)))
 
 
+@pytest.mark.parametrize(("place", "possible"), [(0.508, False), (0.53, True)])
+def test_an_end_that_the_reserve_does_not_reach_is_refused(place, possible):
+    """At -1 m/s: braking with all there is takes 0.5 m, with 10 % less in the last 0.5 s 0.45 of them are left to it:
+    (1 - 0.45^2) / 2 + 0.45 * 0.5 / 2 = 0.51125 m. Nearer than that no switch time leads to the end."""
+    plan = go.solve(problem(start=(place, -1.0)), tol=1e-8)
+    if possible:
+        assert guidance(plan, reserve=0.1).explain()["end"] > plan.objective
+    else:
+        with pytest.raises(DesignError, match="no switch times of least time were found"):
+            guidance(plan, reserve=0.1)
+
+
 def test_bad_options_are_refused(straight):
     model = Reference(straight).model
     for options, words in (

@@ -84,6 +84,19 @@ def test_slow_passages_are_not_more_wrong_than_they_say(
     assert max(wrong, late) < told <= run.integration_error < 200 * max(wrong, late)
 
 
+def test_an_instant_is_off_by_the_root_of_an_error_at_most(flights: dict[bool, Flight]) -> None:
+    """The nearer the ceiling is to the apex, the slower the passage, without limit; what its instant is off by has one,
+    sqrt(2 e / G) of an error e. Without it, it would be sqrt(1000) = 32 times as much."""
+    flight, told = replace(flights[True], beside=None), []
+    for gap in (1e-4, 1e-7):
+        P = flight.nominal.copy()
+        P[flight.layout.slice("plant.ceiling")] = height(APEX, 0.0, UP) - gap
+        run = flight.run(P, 0)
+        assert len(run.events) == 1
+        told.append(run.integration_error)
+    assert told[1] < 15 * told[0]
+
+
 def test_what_another_event_met_does_not_make_a_row_forget_what_its_way_was_off_by() -> None:
     """A mark that changes nothing, passed just before a ceiling that is only just reached, leaves what is told."""
     model = ball(DRAG)

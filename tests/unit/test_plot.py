@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ from gnc_opt.plot import (
 from gnc_opt.plot.refinement import plot_refinement
 from gnc_opt.plot.sampling import sample, zero_crossings
 from gnc_opt.plot.style import name_text, number_text, per_unit, unit_text
+from gnc_opt.plot.trajectory import _hamiltonian_legend
 from gnc_opt.solution.history import Pass
 from gnc_opt.transcription.mesh import Mesh
 
@@ -162,6 +165,13 @@ def test_hamiltonian_shows_its_band_and_the_expected_value(cart: go.Solution) ->
     assert bottom < -1.0 < top
 
 
+def test_a_band_that_no_digit_shows_is_told_by_its_width() -> None:
+    _, band, _ = _hamiltonian_legend(-1.0 - 1e-12, -1.0 + 1e-12, None)
+    assert band.get_label() == "band of these, −1 ± 1e−12"
+    _, band, _ = _hamiltonian_legend(-1.5, -1.0, None)
+    assert band.get_label() == "band of these, −1.5 to −1"
+
+
 def test_unknown_names_are_refused(cart: go.Solution) -> None:
     with pytest.raises(go.UnknownNameError, match="speed"):
         plot_states(cart, ["speed"])
@@ -245,6 +255,20 @@ def test_a_single_pass_has_whole_numbers_at_its_axes() -> None:
     assert [tick for tick in meshes.get_yticks() if low <= tick <= high] == [0.0]
     low, high = errors.get_xlim()
     assert [tick for tick in errors.get_xticks() if low <= tick <= high] == [6.0]
+
+
+@pytest.mark.parametrize("passes", [1, 12])
+def test_degrees_beside_few_passes_are_told_without_overlap(passes: int) -> None:
+    mesh = Mesh.uniform(9, 3)
+    mesh = replace(mesh, degrees=tuple(range(3, 12)))
+    one = Pass({"leg": mesh}, {"leg": mesh.breaks}, 1.0, "", 1.0, True, 5, 0.1, "-")
+    figure = plot_refinement(go.History(go.RefinementStatus.FAILED, 1e-9, (one,) * passes, 0, ""))
+    figure.draw_without_rendering()
+    degrees = figure.axes[-1]
+    low, high = degrees.get_ylim()
+    told = [text for text in degrees.get_yticklabels() if low <= text.get_position()[1] <= high]
+    places = sorted((box.y0, box.y1) for box in (text.get_window_extent() for text in told))
+    assert len(told) >= 2 and all(below[1] <= above[0] for below, above in itertools.pairwise(places))
 
 
 def test_passes_that_were_not_solved_are_crossed_out() -> None:

@@ -60,9 +60,11 @@ def test_an_arc_goes_on_where_it_is_left_with_the_control_on_no_bound(cart: Stat
     arc, free, bang = (SING, UP), (SING, FREE), (LOW, FREE)
     left = of((0.0, 1.0, 1.2, 3.0), arc, free, arc)
     assert without_ringing(left, cart, 1.0) == of((0.0, 3.0), arc)
+    switched = of((0.0, 1.0, 1.2, 3.0), arc, free, bang)
+    assert without_ringing(switched, cart, 1.0) == of((0.0, 1.2, 3.0), arc, bang)
     for real in (
         of((0.0, 1.0, 1.5, 3.0), arc, free, arc),
-        of((0.0, 1.0, 1.2, 3.0), arc, free, bang),
+        of((0.0, 1.0, 1.5, 3.0), arc, free, bang),
         of((0.0, 0.2, 3.0), free, arc),
         of((0.0, 1.0, 1.2, 3.0), free, arc, free),
         of((0.0, 1.0, 1.2, 3.0), bang, (FREE, FREE), arc),

@@ -263,7 +263,7 @@ def test_bang_bang_needs_two_bounds(bounds: Any, affine: bool) -> None:
 def test_curvature_tells_linear_from_convex() -> None:
     """H'' = 1 over a range of 20, in shares of H of 54: 400 / 54."""
     found = samples(CART, control_bounds=interval(-10.0, 10.0))
-    assert b._curvature(found) == pytest.approx(400 / found.hamiltonian_scale)
+    assert b.curvature(found) == pytest.approx(400 / found.hamiltonian_scale)
     assert b.regular_channels(found).tolist() == [True] and b.affine_channels(found).tolist() == [False]
     concave = samples(CART, weights=(-0.5,), control_bounds=interval(-10.0, 10.0))
     assert b.regular_channels(concave).tolist() == [False] == b.affine_channels(concave).tolist()

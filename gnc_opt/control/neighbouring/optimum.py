@@ -32,6 +32,10 @@ _LARGEST = 0.02
 _SETTLED = 1e-8
 """Step at which Newton's method has ended, in shares of the duration."""
 
+_MET = 1e-6
+"""By how much the switch times that are found may miss the end, in shares of the duration by which they would have to
+move for it."""
+
 _STATIONARY = 1e-3
 """Gradient of the Lagrangian (s/s) above which the switch times are not those of least time."""
 
@@ -82,12 +86,17 @@ def find_optimum(prediction: Prediction) -> Optimum:
     step = np.full(tau.size, np.inf)
     for _ in range(_STEPS):
         optimum, gradient, psi = _derivatives(prediction, tau, _DIFFERENCE * duration)
-        if np.max(np.abs(step)) <= _SETTLED * duration:
+        if not _steers(optimum.S) or np.max(np.abs(step)) <= _SETTLED * duration:
             break
         kkt = np.block([[optimum.H, optimum.S.T], [optimum.S, np.zeros((errors, errors))]])
         step = np.linalg.lstsq(kkt, -np.concatenate([gradient, psi]), rcond=RANK)[0][: tau.size]
         tau = tau + step * min(1.0, _LARGEST * duration / max(np.max(np.abs(step)), TINY))
-    if np.max(np.abs(step)) > _SETTLED * duration:
+    if not _steers(optimum.S) and not np.isfinite(step).all():
+        raise DesignError(
+            f"the switch times of the plan of '{name}' cannot steer all states at its end: follow it by design_tvlqr()."
+        )
+    missed = np.max(np.abs(psi) / _lengths(optimum.S))  # steps vanish where the end cannot be met, too
+    if np.max(np.abs(step)) > _SETTLED * duration or missed > _MET * duration or not _steers(optimum.S):
         raise DesignError(
             f"no switch times of least time were found beside those of the plan of '{name}': give the regulator a "
             "smaller reserve or a shorter last part."
@@ -106,6 +115,16 @@ def find_optimum(prediction: Prediction) -> Optimum:
     return optimum
 
 
+def _lengths(S: Array) -> Array:
+    return np.asarray(np.maximum(np.linalg.norm(S, axis=1), TINY))
+
+
+def _steers(S: Array) -> bool:
+    """Whether every condition at the end can be moved by itself."""
+    sizes = np.linalg.svd(S / _lengths(S)[:, None], compute_uv=False)
+    return bool(sizes[-1] > RANK * sizes[0])
+
+
 def _derivatives(prediction: Prediction, tau: Array, d: float) -> tuple[Optimum, Array, Array]:
     """Return S, H and the multipliers of least squares at these times, with the gradient of L and psi."""
     plan = prediction.plan
@@ -117,12 +136,6 @@ def _derivatives(prediction: Prediction, tau: Array, d: float) -> tuple[Optimum,
 
     moves = d * np.eye(tau.size)
     S = np.stack([(ends(tau + m)[0] - ends(tau - m)[0]) / (2 * d) for m in moves], axis=1)
-    sizes = np.linalg.svd(S / np.linalg.norm(S, axis=1, keepdims=True), compute_uv=False)
-    if not sizes[-1] > RANK * sizes[0]:
-        raise DesignError(
-            f"the switch times of the plan of '{plan.reference.model.name}' cannot steer all states at its end: follow "
-            "it by design_tvlqr()."
-        )
     g = np.eye(tau.size)[-1]
     nu = np.linalg.lstsq(S.T, -g, rcond=None)[0]
     psi, slope = ends(tau, nu)

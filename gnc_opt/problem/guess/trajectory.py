@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array
+from gnc_opt.model.composed import VectorControl
 from gnc_opt.model.model import Model
+from gnc_opt.problem.guess.balance import balanced
 from gnc_opt.problem.guess.ends import end_values, guess_times
 from gnc_opt.problem.guess.values import sample_guess
 from gnc_opt.problem.interval import Interval
@@ -18,6 +20,9 @@ PERTURBATION = 0.01
 
 A guess on a plane of symmetry can be a saddle of the problem (the planar rendezvous is one), from which
 Newton's method cannot leave; the perturbation is smooth, deterministic and independent of the mesh."""
+
+SUSTAINED = 0.2
+"""Share of what a vector control can give from which on the straight line between the ends asks for it all along."""
 
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
@@ -46,8 +51,7 @@ def start_phase(leg: Phase, fractions: Array, *, perturbed: bool = True) -> Phas
     states = first[:, None] + (last - first)[:, None] * fractions
     controls = np.repeat(numbers.controls.middle[:, None], fractions.size, axis=1)
     for vector in leg.vectors:
-        if leg.on_sphere(vector):  # at its centre the derivatives of the sphere vanish
-            controls[model.controls.slice(vector.direction)] = vector.variable.size**-0.5
+        _aim(leg, vector, times, (first, last), controls)
     if perturbed:
         controls += perturbation(numbers.controls, fractions)
     for name, value in numbers.guess.values.items():
@@ -58,6 +62,26 @@ def start_phase(leg: Phase, fractions: Array, *, perturbed: bool = True) -> Phas
         else:
             put_control(model, controls, name, values)
     return PhaseStart(times, states, controls)
+
+
+def _aim(leg: Phase, vector: VectorControl, times: Array, ends: tuple[Array, Array], controls: Array) -> None:
+    """Let a vector control, at all times, be what half way between the ends the rate from one to the other asks for.
+
+    Where that is sustained thrust. If it is more than the vector can give, no flight is near to the straight line; if
+    it is little, pulses will do, and nothing is told of when.
+    """
+    layout, (first, last), duration = leg.model.controls, ends, times[1] - times[0]
+    if leg.on_sphere(vector):  # at its centre the derivatives of the sphere vanish
+        controls[layout.slice(vector.direction)] = vector.variable.size**-0.5
+    if duration <= 0 or controls.shape[1] == 0:
+        return
+    rate, place = (last - first) / duration, layout.slice(vector.magnitude)
+    found = balanced(leg, vector, float(np.mean(times)), 0.5 * (first + last), controls[:, 0], rate)
+    box = leg.numbers.controls
+    most = float(box.upper[place][0])
+    if found is not None and np.isfinite(most) and SUSTAINED * most <= found[0] <= most:
+        controls[place] = max(found[0], float(box.lower[place][0]))
+        controls[layout.slice(vector.direction)] = found[1][:, None]
 
 
 def put_control(model: Model, controls: Array, name: str, values: Array) -> None:

@@ -57,12 +57,12 @@ def linear_limits(samples: PhaseSamples) -> LinearLimits:
 
 
 def _linear(samples: PhaseSamples) -> Mask:
-    return np.asarray(np.max(np.abs(_curvature(samples)), axis=1, initial=0.0) < LINEAR)
+    return np.asarray(np.max(np.abs(curvature(samples)), axis=1, initial=0.0) < LINEAR)
 
 
 def regular_channels(samples: PhaseSamples) -> Mask:
     """Return in which controls H is strictly convex all along the phase, (m,)."""
-    return np.asarray(np.min(_curvature(samples), axis=1, initial=np.inf) > CONVEX)
+    return np.asarray(np.min(curvature(samples), axis=1, initial=np.inf) > CONVEX)
 
 
 def convex_channels(samples: PhaseSamples) -> Mask:
@@ -72,9 +72,9 @@ def convex_channels(samples: PhaseSamples) -> Mask:
     limit. A control that is coupled with others in H, as the direction of a thrust is with its magnitude, has to be
     strictly convex all along: where it is not, it is worth nothing, and may jump.
     """
-    curvature = _curvature(samples)
-    above, below = (np.maximum(sign * curvature, 0.0) @ samples.weights for sign in (1.0, -1.0))
-    at_times = np.any(curvature > CONVEX, axis=1) & (below < HOLLOW * above)
+    bends = curvature(samples)
+    above, below = (np.maximum(sign * bends, 0.0) @ samples.weights for sign in (1.0, -1.0))
+    at_times = np.any(bends > CONVEX, axis=1) & (below < HOLLOW * above)
     return np.asarray((at_times & ~_coupled(samples)) | regular_channels(samples))
 
 
@@ -91,7 +91,7 @@ def with_flat_times(structure: PhaseStructure, samples: PhaseSamples) -> PhaseSt
 
     A path constraint is left or met with a jump where one of its controls jumps.
     """
-    flat, count = _curvature(samples) <= CONVEX, len(structure.controls)
+    flat, count = curvature(samples) <= CONVEX, len(structure.controls)
     convex = np.asarray(structure.regular[:count], dtype=bool)
     rows = {int(i): flat[i] for i in np.flatnonzero(convex & np.any(flat, axis=1))}
     if rows and structure.n_paths:
@@ -106,7 +106,7 @@ def with_arched_times(structure: PhaseStructure, samples: PhaseSamples) -> Phase
 
     There they enter and leave their bounds with kinks, however short they are between them.
     """
-    convex = _curvature(samples) > CONVEX
+    convex = curvature(samples) > CONVEX
     rows = {int(i): convex[i] for i in np.flatnonzero(curved_channels(samples)) if not structure.regular[i]}
     return replace(structure, arched=_spans(rows, samples, 0))
 
@@ -125,7 +125,7 @@ def _spans(
     return tuple(found)
 
 
-def _curvature(samples: PhaseSamples) -> Array:
+def curvature(samples: PhaseSamples) -> Array:
     """Second derivative of H in each control over its range, in shares of H, (m, n_samples)."""
     scale = samples.control_scale
     return np.asarray(

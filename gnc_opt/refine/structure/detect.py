@@ -15,6 +15,7 @@ from gnc_opt.refine.structure.contacts import Determined, determined, with_conta
 from gnc_opt.refine.structure.curvature import (
     affine_channels,
     convex_channels,
+    curvature,
     linear_limits,
     regular_channels,
     with_flat_times,
@@ -24,6 +25,7 @@ from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, 
 from gnc_opt.refine.structure.vectors import label_vectors
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import CONVEX
 from gnc_opt.verify.singular import chatters
 
 NEAR = 0.02
@@ -35,6 +37,9 @@ CLEARLY = 2.0
 REACHED = 1e-3
 """A control that H determines, or a path constraint, this close to its limit (relative to its size) is at it if its
 multiplier says so too."""
+
+IDLE = 1e-6
+"""A multiplier this small, relative to its largest value, is rounding."""
 
 STILL = 1e-4
 """A state that stays this close to its bound, relative to its size, along a segment is held there."""
@@ -293,12 +298,22 @@ def _mixed_holders(samples: PhaseSamples, mixed: Mask) -> tuple[list[tuple[int, 
 
 
 def _path_labels(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:
-    """LOWER, INTERIOR or UPPER at each sample for every path constraint; INTERIOR for all but mixed ones."""
+    """LOWER, INTERIOR or UPPER at each sample for every path constraint; INTERIOR for all but mixed ones.
+
+    Where H bends in none of its controls, as their costates vanish, so does its multiplier, and nothing else
+    determines them.
+    """
     if not mixed.size:
         return []
     values = samples.functions.paths(samples.times, samples.x, samples.u)
+    depends = np.any(
+        samples.functions.path_control_jacobian(samples.times, samples.x, samples.u) != 0, axis=2
+    )
+    bends = curvature(samples) > CONVEX
+    idle = np.abs(samples.mu) <= IDLE * np.max(np.abs(samples.mu), axis=1, keepdims=True)
+    alone = idle & np.array([~np.any(bends[own], axis=0) for own in depends])
     at_lower, at_upper = samples.leg.path_bounds.near(values, REACHED * np.max(np.abs(values), axis=1))
-    at_lower, at_upper = at_lower & (samples.mu < 0), at_upper & (samples.mu > 0)
+    at_lower, at_upper = at_lower & (alone | (samples.mu < 0)), at_upper & (alone | (samples.mu > 0))
     return list(_at_limits(mixed[:, None] & at_lower, mixed[:, None] & at_upper))
 
 
@@ -317,20 +332,21 @@ def _state_labels(
     for i in range(leg.states.size):
         labels = np.full(samples.times.size, ArcKind.INTERIOR)
         margin = STILL * samples.state_scale[i]
-        for kind, limit, distance in (
+        limits = (
             (ArcKind.UPPER, leg.state_bounds.upper[i], leg.state_bounds.upper[i] - samples.x[i]),
             (ArcKind.LOWER, leg.state_bounds.lower[i], samples.x[i] - leg.state_bounds.lower[i]),
-        ):
-            off = [k for k, given in ends if not given.lower[i] - margin <= limit <= given.upper[i] + margin]
+        )
+        for kind, _, distance in limits:
             for k in range(leg.mesh.segments):
                 here = samples.segments == k
                 if np.all(distance[here] < margin) and _middle(commanded[i, here]):
                     labels[here] = kind
-            if np.any(labels == kind):
-                inner = ~np.isin(samples.segments, off)
-                pushes = [(d.start, d.end) for d in determined if (d.row, d.kind) == (first + i, kind)]
-                labels[_within(samples, pushes) & inner] = kind
-                _spread(samples, labels, kind, commanded[i] & inner)
+        for kind, limit, _ in limits if np.any(labels != ArcKind.INTERIOR) else ():
+            off = [k for k, given in ends if not given.lower[i] - margin <= limit <= given.upper[i] + margin]
+            inner = ~np.isin(samples.segments, off)
+            pushes = [(d.start, d.end) for d in determined if (d.row, d.kind) == (first + i, kind)]
+            labels[_within(samples, pushes) & inner] = kind
+            _spread(samples, labels, kind, commanded[i] & inner)
         rows.append(labels)
     return rows
 

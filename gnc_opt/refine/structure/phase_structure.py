@@ -238,12 +238,7 @@ class PhaseStructure:
         """
         rows, beside = self.changes(boundary), self.kinds[boundary - 1 : boundary + 1]
         held = [[i for i in rows if kinds[i].at_limit] for kinds in beside]
-        bounded = self._n_free + self.n_paths  # bounds of states held by singular controls have holders alone
-        states = [
-            i
-            for i in rows
-            if self.orders[i] == 1 or (i >= bounded and self.holders[i] and not self.orders[i])
-        ]
+        states = [i for i in rows if self.first_order(i)]
         if len(rows) != 2 or [len(here) for here in held] != [1, 1] or len(states) != 1:
             return []
         (state,), (limit,) = states, [i for i in rows if i not in states]
@@ -259,6 +254,11 @@ class PhaseStructure:
         own = 1 if limit < self._n_free else self.slopes[limit] or (*self.leans[limit], 0)[0]
         sides = kinds[state].sign * lean, kinds[limit].sign * own
         return [state, limit] if sides[0] == (1 if held[0] == [state] else -1) * sides[1] != 0 else []
+
+    def first_order(self, row: int) -> bool:
+        """Whether a row is a state constraint of first order; bounds held by singular controls have holders alone."""
+        held = row >= self._n_free + self.n_paths and bool(self.holders[row]) and not self.orders[row]
+        return self.orders[row] == 1 or held
 
     def on_sphere(self) -> Mask:
         """Return where the length of a direction is at its limit beside a state constraint that is, (n_paths, A).

@@ -9,14 +9,20 @@ over without a jump.) A bang that does neither is of the arc.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.state_constraints import StateConstraints
+from gnc_opt.tolerances import TINY
 
 CLEARLY = 0.05
 """So much of what the range of a control does to a constraint is more than the noise of a mesh."""
+
+LEAST = 0.1
+"""An arc that a mesh hides is to begin with at least so much of a segment."""
 
 
 def without_ringing(
@@ -25,7 +31,10 @@ def without_ringing(
     """Return the structure without arcs shorter than some segments of the mesh that no trajectory has."""
     short = _short(structure, constraints, segments)
     for piece in short:
-        if _gap(structure, piece) or _back_and_forth(structure, piece):
+        for arc in (piece - 1, piece + 1) if 0 < piece < structure.pieces - 1 else ():
+            if _left_idle(structure, piece, arc):
+                return without_ringing(_of_arc(structure, piece, arc), constraints, segments)
+        if _back_and_forth(structure, piece):
             return without_ringing(structure.without(piece), constraints, segments)
     for piece in short:
         for arc in (piece - 1, piece + 1):
@@ -51,14 +60,22 @@ def _within(structure: PhaseStructure, piece: int) -> bool:
     return 0 < piece < structure.pieces - 1 and structure.kinds[piece - 1] == structure.kinds[piece + 1]
 
 
-def _gap(structure: PhaseStructure, piece: int) -> bool:
-    """Whether limits of first order are left and met again by controls that are on no bound meanwhile."""
-    return _within(structure, piece) and all(
-        structure.orders[row] == 1
-        and structure.kinds[piece - 1][row].at_limit
+def _left_idle(structure: PhaseStructure, piece: int, arc: int) -> bool:
+    """Whether nothing but limits of first order are left beside an arc, by controls that are on no bound there."""
+    rows = structure.changes(max(piece, arc))
+    return bool(rows) and all(
+        structure.first_order(row)
+        and structure.kinds[arc][row].at_limit
         and [structure.kinds[piece][i] for i in structure.holders[row]] == [ArcKind.SINGULAR]
-        for row in structure.changes(piece)
+        for row in rows
     )
+
+
+def _of_arc(structure: PhaseStructure, piece: int, arc: int) -> PhaseStructure:
+    """Return the structure in which a piece is as the arc beside it."""
+    kinds = list(structure.kinds)
+    kinds[piece] = kinds[arc]
+    return replace(structure, kinds=tuple(kinds)).merged()
 
 
 def _back_and_forth(structure: PhaseStructure, piece: int) -> bool:
@@ -73,7 +90,7 @@ def _left(structure: PhaseStructure, piece: int, arc: int) -> list[int]:
     return [
         row
         for row in structure.changes(max(piece, arc))
-        if structure.orders[row] == 1
+        if structure.first_order(row)
         and [structure.kinds[arc][i] for i in structure.holders[row]] == [ArcKind.SINGULAR]
         and structure.kinds[piece][structure.holders[row][0]].at_limit
     ]
@@ -83,8 +100,16 @@ def _leads_beyond(
     structure: PhaseStructure, constraints: StateConstraints, row: int, piece: int, arc: int
 ) -> bool:
     """Whether a bang would lead a row beyond the limit along the arc beside it."""
+    way = 1 if piece > arc else -1
+    time, kind = structure.times[max(piece, arc)], structure.kinds[arc][row]
+    return way * _outward(structure, constraints, row, piece, time, kind) > CLEARLY
+
+
+def _outward(
+    structure: PhaseStructure, constraints: StateConstraints, row: int, piece: int, time: float, kind: ArcKind
+) -> float:
+    """How fast a bang would lead a row beyond a limit, in shares of what the range of its control does to it."""
     s, (control,) = constraints.samples, structure.holders[row]
-    time = structure.times[max(piece, arc)]
     upper = structure.kinds[piece][control] is ArcKind.UPPER
     bounds, u = s.leg.control_bounds, np.tile(s.leg.u(time)[:, None], 2)
     u[control] = (bounds.upper if upper else bounds.lower)[control] + np.array(
@@ -93,5 +118,50 @@ def _leads_beyond(
     rates = constraints.derivative(
         row - len(structure.controls), 1, np.repeat(time, 2), np.tile(s.leg.x(time)[:, None], 2), u
     )
-    outward = structure.kinds[arc][row].sign * (1 if piece > arc else -1) * rates[0]
-    return bool(outward > CLEARLY * abs(rates[1] - rates[0]))
+    return float(kind.sign * rates[0] / max(abs(rates[1] - rates[0]), TINY))
+
+
+# --- arcs within a segment ------------------------------------------------------------------------------------
+
+
+def with_short_arc(
+    structure: PhaseStructure,
+    constraints: StateConstraints,
+    row: int,
+    kind: ArcKind,
+    pushed: tuple[float, float],
+) -> PhaseStructure:
+    """Return the structure with an arc where a limit of first order pushes that one control comes to, and leaves.
+
+    For no longer than a segment of the mesh, that is: it takes an arc, however short, between the bang that leads there
+    and the one that leads away, with all that a mesh shows between them.
+
+    Parameters
+    ----------
+    row : int
+        Of first order.
+    pushed : tuple of float
+        First and last time (s) of the push.
+    """
+    (control,), breaks = structure.holders[row], constraints.samples.leg.breaks
+    place = int(np.clip(np.searchsorted(breaks, pushed[0]) - 1, 0, breaks.size - 2))
+    length = float(breaks[place + 1] - breaks[place])
+    near = [
+        k
+        for k in range(1, structure.pieces)
+        if control in structure.changes(k) and pushed[0] - length < structure.times[k] < pushed[1] + length
+    ]
+    longer = pushed[1] - pushed[0] > length
+    if longer or not near or any(structure.kinds[k][row].at_limit for k in range(near[0] - 1, near[-1] + 1)):
+        return structure
+    before, after = near[0] - 1, near[-1]
+    if not all(structure.kinds[k][control].at_limit for k in (before, after)):
+        return structure
+    start, end = structure.times[near[0]], structure.times[near[-1]]
+    comes = _outward(structure, constraints, row, before, start, kind) > CLEARLY
+    goes = _outward(structure, constraints, row, after, end, kind) < -CLEARLY
+    if not (comes and goes):
+        return structure
+    room = max(LEAST * length - (end - start), 0.0)
+    start, end = start - 0.5 * room, end + 0.5 * room
+    return structure.with_arc(control, start, end, ArcKind.SINGULAR).with_arc(row, start, end, kind)

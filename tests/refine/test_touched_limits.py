@@ -1,0 +1,197 @@
+"""Limits met for a moment: rocks that a rover drives round, the inside of a bend, an acceleration hardly held."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+import scipy
+
+import gnc_opt as go
+from gnc_opt.arrays import Array
+
+PUSH, TURN, FAST = 0.5, 0.8, 1.2
+ROCKS = ((3.0, 1.0, 1.2), (6.0, 4.5, 1.3))
+GOAL = np.array([10.0, 6.0])
+
+GRIP, INSIDE, OUTSIDE, ENTRY = 8.0, 27.0, 33.0, 12.0
+
+UP, DOWN = 1.0, 0.35
+"""m/s^2, of a lift with a jerk of 1 m/s^3."""
+
+
+# --- a rover among rocks --------------------------------------------------------------------------------------
+
+
+def tangent(start: Array, centre: Array, radius: float) -> tuple[float, float]:
+    """Length and heading of the way from a point that is tangent to a circle, which is on its right."""
+    across, along = centre - start
+    far = float(np.hypot(across, along))
+    return float(np.sqrt(far**2 - radius**2)), float(np.arctan2(along, across) + np.arcsin(radius / far))
+
+
+def way_round(angles: Array) -> float:
+    """Time of the drive that turns round two rocks, right and left, as narrowly as it may and straight between them.
+
+    The circles of the turns are wider than the rocks, and touch them at some angles.
+    """
+    radius = FAST / TURN
+    first, second = (
+        np.array([x, y]) + (size - radius) * np.array([np.cos(angle), np.sin(angle)])
+        for (x, y, size), angle in zip(ROCKS, angles, strict=True)
+    )
+
+    def after(angle: float) -> Array:
+        """Where the turn from rest has come to."""
+        t, sine, cosine = angle / TURN, np.sin(angle), np.cos(angle)
+        return PUSH / TURN * np.array([t * sine - (1.0 - cosine) / TURN, sine / TURN - t * cosine])
+
+    begun = scipy.optimize.brentq(lambda a: tangent(after(a), first, radius)[1] - a, 0.1, 1.5, xtol=1e-13)
+    between = second - first
+    far = float(np.hypot(*between))
+    crossing = float(np.arctan2(between[1], between[0]) - np.arcsin(2 * radius / far))
+    last, back = tangent(GOAL, second, radius)  # driven the other way
+    turned = abs(crossing - begun) + abs(back + np.pi - crossing)
+    straight = tangent(after(begun), first, radius)[0] + float(np.sqrt(far**2 - 4 * radius**2)) + last
+    driven = 0.5 * PUSH * (begun / TURN) ** 2 + straight + radius * turned
+    return driven / FAST + FAST / PUSH
+
+
+def test_a_rover_turns_round_rocks_as_the_shortest_way_does() -> None:
+    """Its turns touch rocks that are narrower than it can turn."""
+    model = go.Model("rover")
+    x, y, theta, v = (model.state(name) for name in ("x", "y", "theta", "v"))
+    a, w = model.control("a"), model.control("w")
+    model.ode({x: v * ca.cos(theta), y: v * ca.sin(theta), theta: w, v: a})
+    problem = go.Problem("rover among rocks")
+    leg = problem.phase("drive", model)
+    leg.time(initial=0.0, final=(3.0, 60.0))
+    leg.initial(x=0.0, y=0.0, theta=0.0, v=0.0)
+    leg.final(x=GOAL[0], y=GOAL[1], v=0.0)
+    leg.bounds(a=(-PUSH, PUSH), w=(-TURN, TURN), v=(0.0, FAST))
+    for k, (across, along, size) in enumerate(ROCKS):
+        leg.path(f"rock{k}", ((x - across) ** 2 + (y - along) ** 2) / size**2, lower=1.0)
+    problem.minimize(leg.final_time)
+    solution = go.solve(problem)
+    best = scipy.optimize.minimize(way_round, [2.0, -1.0], method="BFGS", options={"gtol": 1e-9})
+    assert solution.objective == pytest.approx(best.fun, rel=1e-8)
+    assert go.verify(solution).ok
+
+
+# --- an acceleration that is held for a moment ----------------------------------------------------------------
+
+
+def lift(way: float) -> go.Problem:
+    model = go.Model("lift")
+    x, v, a, jerk = model.state("x"), model.state("v"), model.state("a"), model.control("jerk")
+    model.ode({x: v, v: a, a: jerk})
+    problem = go.Problem("lift")
+    leg = problem.phase("leg", model)
+    leg.time(initial=0.0, final=(1.0, 40.0))
+    leg.initial(x=0.0, v=0.0, a=0.0)
+    leg.final(x=way, v=0.0, a=0.0)
+    leg.bounds(jerk=(-1.0, 1.0), a=(-DOWN, UP))
+    problem.minimize(leg.final_time)
+    return problem
+
+
+def least_time(way: float) -> float:
+    """To the speed V and back, in V / A + A each at a mean of V / 2, where A is the acceleration that is reached."""
+    halves = 0.5 * (UP + DOWN)
+    square = 0.5 / UP + 0.5 / DOWN
+    speed = (-halves + np.sqrt(halves**2 + 4.0 * square * way)) / (2.0 * square)
+    return float(speed / UP + UP + speed / DOWN + DOWN)
+
+
+@pytest.mark.parametrize("way", [3.0, 6.0], ids=["held for a moment", "held"])
+def test_a_lift_holds_either_acceleration_for_as_long_as_it_takes(way: float) -> None:
+    """The arc of 0.08 s at the first one is a third of a segment of the first mesh."""
+    solution = go.solve(lift(way))
+    assert solution.objective == pytest.approx(least_time(way), rel=1e-10)
+    assert [(a.channel, a.kind.value) for a in solution.structure if a.channel == "a"] == [
+        ("a", "upper"),
+        ("a", "lower"),
+    ]
+    assert go.verify(solution).ok
+
+
+# --- the inside of a bend -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def bend() -> go.Solution:
+    """A car with a given grip in a half circle of road, without another limit on its speed."""
+    model = go.Model("car")
+    x, y, vx, vy = (model.state(name) for name in ("x", "y", "vx", "vy"))
+    ax, ay = model.control("ax"), model.control("ay")
+    model.ode({x: vx, y: vy, vx: ax, vy: ay})
+    problem = go.Problem("bend")
+    leg = problem.phase("bend", model)
+    leg.time(initial=0.0, final=(1.0, 30.0))
+    leg.initial(x=30.0, y=0.0, vx=0.0, vy=ENTRY)
+    leg.final(x=-30.0, y=0.0)
+    leg.path("grip", (ax**2 + ay**2) / GRIP**2, upper=1.0)
+    leg.path("road", (x**2 + y**2) / 900.0, lower=(INSIDE / 30.0) ** 2, upper=(OUTSIDE / 30.0) ** 2)
+    leg.bounds(ax=(-10.0, 10.0), ay=(-10.0, 10.0))
+    angle = np.linspace(0.0, np.pi, 9)
+    leg.guess(
+        time=np.linspace(0.0, 8.0, 9),
+        x=30.0 * np.cos(angle),
+        y=30.0 * np.sin(angle),
+        vx=-ENTRY * np.sin(angle),
+        vy=ENTRY * np.cos(angle),
+    )
+    problem.minimize(leg.final_time)
+    return go.solve(problem)
+
+
+def missed(unknown: Array) -> Array:
+    """By the extremal of costates at the start, two times at which the inside pushes, how hard, and the final time.
+
+    Between pushes the costate of the place is constant, that of the velocity falls with it, and all of the grip points
+    against the latter.
+    """
+    state, along, push, times = (
+        np.array([30.0, 0.0, 0.0, ENTRY]),
+        unknown[:4],
+        unknown[6:8],
+        unknown[[4, 5, 8]],
+    )
+    found, begin = [], 0.0
+    for k, end in enumerate(times):
+        start, place, speed = begin, along[:2].copy(), along[2:].copy()
+
+        def rates(
+            t: float, y: Array, start: float = start, place: Array = place, speed: Array = speed
+        ) -> Array:
+            pull = speed - place * (t - start)
+            return np.concatenate([y[2:], -GRIP * pull / np.linalg.norm(pull)])
+
+        state = scipy.integrate.solve_ivp(rates, (begin, end), state, "DOP853", rtol=1e-11, atol=1e-11).y[
+            :, -1
+        ]
+        along = np.concatenate([place, speed - place * (end - start)])
+        if k < 2:
+            found += [state[:2] @ state[:2] / INSIDE**2 - 1.0, state[:2] @ state[2:] / INSIDE**2]
+            along[:2] += push[k] * state[:2]
+        begin = end
+    start = 1.0 + unknown[1] * ENTRY - GRIP * float(np.hypot(*unknown[2:4]))  # H at the start is -1
+    return np.array([*found, state[0] / 30.0 + 1.0, state[1] / 30.0, *along[2:], start])
+
+
+def test_a_car_touches_the_inside_of_a_bend_where_shooting_says(bend: go.Solution) -> None:
+    leg = bend.phases["bend"]
+    touches = [arc.start for arc in bend.structure if arc.channel == "road"]
+    assert len(touches) == 2
+    pushes = [
+        float(np.mean((leg.lam(t, "right")[:2] - leg.lam(t, "left")[:2]) / leg.x(t)[:2])) for t in touches
+    ]
+    found = np.array([*leg.lam(0.0), *touches, *pushes, bend.objective])
+    exact = scipy.optimize.fsolve(missed, found, xtol=1e-11)
+    assert found == pytest.approx(exact, rel=1e-5, abs=1e-7)
+    assert bend.objective == pytest.approx(exact[-1], rel=1e-8)
+    assert min(pushes) > 0.0
+
+
+def test_the_bend_passes_the_verdict(bend: go.Solution) -> None:
+    assert go.verify(bend).ok
