@@ -15,7 +15,6 @@ is off by
 or by its local errors and the growth of the nominal run, if that is more. Where s exceeds 1 the steps are too long for
 orders to tell one solution from the other, and the lesser of the two is added, in full from s = 2 on.
 
-
 A relay or a quantum that turns the other way in the second flight sets both apart, however near they were. Where they
 are farther apart than the accuracy asked for, a third flight is made with a share of the error of every step
 (`NEARER`), about as near as the run is to the truth: what has grown is apart by that share of it, and what has turned
