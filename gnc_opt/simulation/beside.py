@@ -17,9 +17,11 @@ orders to tell one solution from the other, and the lesser of the two is added, 
 
 A relay or a quantum that turns the other way in the second flight sets both apart, however near they were. Where they
 are farther apart than the accuracy asked for, a third flight is made with a share of the error of every step
-(`NEARER`), about as near as the run is to the truth: what has grown is apart by that share of it, and what has turned
-by chance is not apart there. The lesser of both is taken, what is apart then over the share or what was apart before.
-Where a quantum turns in the run and not in the truth, or the other way round, no flight beside need see it.
+(`NEARER`): what has grown is apart by that share of it, and what has turned is apart as before, or not at all. What is
+turned in the second flight alone is printed in full, for the truth may have turned like it, but it is not held against
+the accuracy of the integration, as no steps are short enough for what happens at an edge. A run that the third flight
+is turned from, too, is at such an edge itself, and off by all of that: no order of a solution makes a turn less.
+A quantum that turns in the truth and in neither flight beside the run is not seen.
 """
 
 from __future__ import annotations
@@ -36,6 +38,9 @@ NEARER = 2.0**-5
 """Share of the errors of steps with which a run is looked at nearer by; the fifth-order solution is better by about as
 much."""
 
+TURNED = 4.0
+"""Where the distances of the second and the third flight are so many times those of growth alone, one has turned."""
+
 
 @dataclass(frozen=True)
 class Companion:
@@ -47,15 +52,25 @@ class Companion:
         Its estimated error over what its flights are apart.
     local : float
         Sum of its local errors; without any, what flights are apart is added in full.
+    steps : float
+        Share of the errors of steps that the second flight makes.
     """
 
     share: float = 1.0
     local: float = 0.0
+    steps: float = 1.0
 
     @classmethod
     def of(cls, error: float, apart: float, local: float) -> Companion:
         """Return what a run with this error tells."""
         return cls(error / apart if 0 < error < apart < np.inf else 1.0, local)
+
+    def nearer(self, far: float, near: float) -> tuple[float, float]:
+        """Return what counts as grown, and as turned alone, of what a second and a third flight are from a run."""
+        if near > TURNED * NEARER * far:
+            return far / min(1.0, self.share), 0.0
+        grown = near / NEARER
+        return (grown, far) if far > TURNED * grown else (min(far, grown), 0.0)
 
     def error(self, apart: Array, known: Array, local: Array) -> Array:
         """Return the errors of runs (n,) by what their flights are apart, by the growth of the nominal run, and by

@@ -180,7 +180,7 @@ class Flight:
                 f"give ({self.layout.size}, {len(seeds)})."
             )
         final = np.full((P.shape[1], self.kernel.state.size), np.nan)
-        distances = np.full(P.shape[1], np.nan)
+        distances = np.full((2, P.shape[1]), np.nan)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         recorder = None if self.quantities is None else Recorder(self.quantities, self.times, P.shape[1])
         refused: dict[int, str] = {}
@@ -214,7 +214,7 @@ class Flight:
                 if self._stopped(X):
                     break
             self._carry_on(other, legs, course, C)
-            distances[i] = self._apart(X, other, P[:, i], seed, course)
+            distances[:, i] = self._apart(X, other, P[:, i], seed, course)
             if self.replanner is not None:
                 replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
                 followed[:, i] = self._followed_at_end(course, final[i : i + 1].T)[:, 0]
@@ -287,8 +287,8 @@ class Flight:
         end = self._last_times(final)
         followed = self._followed_at_end(course, X[:, None])
         self._note(log, final, {}, np.array([0]), followed)
-        distance = np.array([self._apart(X, other, P, seed, course)])
-        ending = self._ending(X[:, None], distance, {}, followed)
+        distances = np.array(self._apart(X, other, P, seed, course))[:, None]
+        ending = self._ending(X[:, None], distances, {}, followed)
         arrays = log.close()
         times = np.append(self.times[kept[kept < last]], end)
         return Run(
@@ -443,10 +443,11 @@ class Flight:
             return np.full(parts["plant"].shape[1], self.times[-1])
         return np.asarray(np.where(parts["stop"][0] > 0, parts["stop time"][0], self.times[-1]))
 
-    def _begun_beside(self, X: Array, share: float = 1.0) -> Array:
+    def _begun_beside(self, X: Array, steps: float | None = None) -> Array:
         """Return where the flight beside a run that begins with X begins, with a share of the errors of every step."""
         other = X.copy()
-        self.kernel.state.split(other)["beside"][:] = share
+        if self.beside is not None:
+            self.kernel.state.split(other)["beside"][:] = self.beside.steps if steps is None else steps
         return other
 
     def _fly_beside(self, other: Array, rows: Array, C: Array) -> None:
@@ -462,14 +463,16 @@ class Flight:
             self._plan(course, first, rows)
             self._fly_beside(other, rows, C)
 
-    def _apart(self, X: Array, other: Array, P: Array, seed: Any, course: Course) -> float:
-        """Return what a run that ended with X and the flight beside it are apart, looked at nearer by where that is
-        more than the accuracy asked for."""
+    def _apart(self, X: Array, other: Array, P: Array, seed: Any, course: Course) -> tuple[float, float]:
+        """Return what a run that ended with X is off by as the flight beside it tells, grown and by turns alone.
+
+        It is looked at nearer by where that is more than the accuracy asked for.
+        """
         if self.beside is None:
-            return np.nan
+            return np.nan, np.nan
         far = apart(self.kernel.state, X[:, None], other[:, None])
         if not self._estimates(X[:, None], far)[0][0] > self.accuracy:
-            return float(far[0])
+            return float(far[0]), 0.0
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         # plans change only what is ahead: the course at the end is that which was flown
         for first, rows in self.legs(seed, known, course):
@@ -479,8 +482,8 @@ class Flight:
             self._fly_beside(nearer, rows, C)
             if self._stopped(nearer):
                 break
-        near = apart(self.kernel.state, X[:, None], nearer[:, None]) / NEARER
-        return float(np.fmin(far, near)[0])
+        near = apart(self.kernel.state, X[:, None], nearer[:, None])
+        return self.beside.nearer(float(far[0]), float(near[0]))
 
     def _estimates(self, final: Array, distances: Array) -> tuple[Array, Array]:
         return estimates(self.kernel.state, final, distances, self.growth, self.beside)
@@ -503,7 +506,7 @@ class Flight:
         replans: Array | None = None,
     ) -> Ending:
         parts = self.kernel.state.split(final)
-        errors, instants = self._estimates(final, distances)
+        errors, instants = self._estimates(final, distances[0])
         outcomes = tuple(
             Outcome(RunStatus.REFUSED, refused[i])
             if i in refused
@@ -520,7 +523,7 @@ class Flight:
             parts["energy"],
             parts["saturation"],
             parts["variation"],
-            errors + instants,
+            errors + instants + np.nan_to_num(distances[1]),
             parts["blur"][0],
             instants,
             outcomes,

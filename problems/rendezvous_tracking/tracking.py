@@ -72,8 +72,9 @@ DT = 0.1
 """Control step, s."""
 SETTLING = 20.0
 """Time after the planned arrival, s."""
-ACCURACY = 1e-7
-"""Of the integration."""
+ACCURACY = 1e-4
+"""Of the integration, a fiftieth of the noise of measurements: errors of 1e-8 may turn a quantum of thrust, which sets
+two flights apart by up to 5e-5."""
 
 LIMITS = {
     "r_L": 0.05,

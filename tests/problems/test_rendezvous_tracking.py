@@ -34,7 +34,6 @@ from problems.rendezvous_tracking.guided import Guided, settled
 from problems.rendezvous_tracking.measured import KEEP_OUT, Filtered, Measured
 from problems.rendezvous_tracking.replanned import PLANNED, Replanned, resolver
 from problems.rendezvous_tracking.report import FILTERS
-from problems.rendezvous_tracking.tracking import ACCURACY
 
 RUNS, SEED = {"TVLQR": 1000, "integral sliding mode": 250}, 1
 FEW = 60
@@ -230,7 +229,7 @@ def test_scipy_goes_the_same_way(filtered):
     """Chaser, thrusters and force of five runs written down again, flown with their commands to their arrival."""
     runs, steps = [filtered.rerun(i) for i in range(5)], 265
     again = np.stack([run.states[:, steps] for run in runs], axis=1)
-    assert flown_again(runs, steps) == pytest.approx(again, abs=ACCURACY)
+    assert flown_again(runs, steps) == pytest.approx(again, abs=1e-7)
     assert np.all(np.linalg.norm(again[6:9], axis=0) < 0.1)  # moving all the way, and nearly at rest again
 
 
