@@ -345,6 +345,25 @@ def test_a_push_counts_near_the_limit_in_its_direction() -> None:
     assert c._runs_of_pushes(here, base.with_arc(2, 1.5, 2.5, UP)) == []
 
 
+@pytest.mark.parametrize(
+    ("begin", "end", "runs"), [(1.3, 1.9, 1), (1.3, 2.5, 1), (1.0, 2.0, 2), (0.9, 2.5, 2)]
+)
+def test_a_bounce_takes_all_points_of_a_segment(begin: float, end: float, runs: int) -> None:
+    """A polynomial that meets a limit at some points of a segment may swing at others, though it is an arc."""
+
+    def off(t: Array) -> Array:
+        return np.asarray((t > begin) & (t < end))
+
+    here = constraints(
+        lambda t, k: [4.0 * np.minimum(4 * t, 1.0) - 0.02 * off(t), 0 * t], steady, jumping, degree=9,
+        state_bounds=interval([-9, -9], [4, 9]), states=lambda t, k: [5.0 * ((t > 0.3) & ~off(t)), 0 * t],
+    )  # fmt: skip
+    found = p.pushing_runs(here, [1])
+    assert len(found) == runs and {run.kind for run in found} == {UP}
+    pushing = np.concatenate([run.times[run.worth > 0] for run in found])
+    assert not np.any(off(pushing)) and np.min(pushing) < begin and np.max(pushing) > end
+
+
 @dataclass(frozen=True)
 class Push:
     """A run that knows whether it can be held, whether it is known, and whether the mesh or a barrier alone pushes."""
