@@ -15,6 +15,8 @@ from gnc_opt.arrays import Array
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure import contacts as c
 from gnc_opt.refine.structure import junctions as j
+from gnc_opt.refine.structure import pushes as p
+from gnc_opt.refine.structure import state_constraints as sc
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.samples import PhaseSamples
@@ -29,8 +31,8 @@ def free(order: int, pieces: int = 1, touches: Any = ()) -> PhaseStructure:
     return PhaseStructure(times, ((FREE, FREE),) * pieces, (), 1, 0, (0, order), touches, ((), (0,)))
 
 
-def run(times: Any, worth: Any, kind: ArcKind = UP) -> c._Run:
-    return c._Run(1, kind, np.array(times, float), np.array(worth, float))
+def run(times: Any, worth: Any, kind: ArcKind = UP) -> p.Push:
+    return p.Push(1, kind, np.array(times, float), np.array(worth, float))
 
 
 # --- runs of pushes -----------------------------------------------------------------------------------------
@@ -48,7 +50,7 @@ def run(times: Any, worth: Any, kind: ArcKind = UP) -> c._Run:
     ],
 )
 def test_runs(here: str, found: Any) -> None:
-    assert c._runs(np.array([h == "1" for h in here], dtype=bool)) == found
+    assert p.runs_of(np.array([h == "1" for h in here], dtype=bool)) == found
 
 
 @pytest.mark.parametrize(
@@ -62,7 +64,7 @@ def test_runs(here: str, found: Any) -> None:
     ],
 )
 def test_runs_with_a_boundary_of_the_mesh_between_them_are_one(runs: Any, joined: Any) -> None:
-    assert c._joined(runs) == joined
+    assert p._joined(runs) == joined
 
 
 def test_where_a_first_order_constraint_pushes_is_an_arc() -> None:
@@ -137,9 +139,9 @@ def climb() -> go.Problem:
 CLIMB = climb()
 
 
-def constraints(x: Any, u: Any, lam: Any, **changes: Any) -> c.StateConstraints:
+def constraints(x: Any, u: Any, lam: Any, **changes: Any) -> sc.StateConstraints:
     leg = phase(CLIMB, x, u, lam, breaks=(0.0, 1.0, 2.0, 4.0), **changes)
-    return c.StateConstraints(CLIMB, PhaseSamples.of(leg, functions(CLIMB)))
+    return sc.StateConstraints(CLIMB, PhaseSamples.of(leg, functions(CLIMB)))
 
 
 def falling(t: Array, k: int) -> Any:
@@ -186,7 +188,7 @@ def test_orders_count_where_limits_and_regular_controls_are() -> None:
     ("inside", "outside", "nodes", "found"),
     [
         (0.5, 2.0, 9, True), (0.5, -2.0, 9, True), (2.0, -2.0, 9, False), (-2.0, 0.0, 9, False), (2.0, 0.0, 9, False),
-        (0.5, 2.0, 1, False), (0.5, 2.0, c.LASTING - 1, False), (0.5, 2.0, c.LASTING, True),
+        (0.5, 2.0, 1, False), (0.5, 2.0, p.LASTING - 1, False), (0.5, 2.0, p.LASTING, True),
     ],
 )  # fmt: skip
 def test_a_control_that_is_on_no_limit_of_its_own_holds_the_constraint(
@@ -200,8 +202,8 @@ def test_a_control_that_is_on_no_limit_of_its_own_holds_the_constraint(
 
     here = constraints(falling, u, jumping, control_bounds=interval([-2], [2]), degree=6)
     times = np.array([0.5, *np.linspace(1.0, 2.0, max(nodes, 2))[:nodes], 2.5])
-    pushes = [c._Run(0, UP, times, np.array([0.0, *[1.0] * nodes, 0.0]))]
-    monkeypatch.setattr(c, "_pushing_runs", lambda *_: pushes)
+    pushes = [p.Push(0, UP, times, np.array([0.0, *[1.0] * nodes, 0.0]))]
+    monkeypatch.setattr(c, "pushing_runs", lambda *_: pushes)
     assert c.determined(CLIMB, here.samples) == ([c.Determined(0, 1.0, 2.0, 0, UP)] if found else [])
 
 
@@ -301,7 +303,7 @@ def test_pushes_are_those_of_points_and_boundaries() -> None:
         paths=lambda t, k: [(3.0 if k == 1 else 1.0 if k == 0 else -1.0) + 0 * t], states=lambda t, k: [2 + 0 * t, t],
     )  # fmt: skip
     leg: PhaseSolution = here.samples.leg
-    times, values, pushes = c._at_nodes(here)
+    times, values, pushes = p._at_nodes(here)
     assert np.all(np.diff(times) > 0) and times.size == 12 + 2
     at = [int(np.flatnonzero(times == t)[0]) for t in (1.0, 2.0)]
     points = np.setdiff1d(np.arange(14), at)
@@ -318,7 +320,7 @@ def test_pushes_are_those_of_points_and_boundaries() -> None:
 def test_a_push_counts_near_the_limit_in_its_direction() -> None:
     """h is pushed down at the top, about 2 s: upper multipliers are positive. What it is told elsewhere is noise."""
 
-    def pushed(sign: float, bounds: Any, upside_down: float = 1.0) -> c.StateConstraints:
+    def pushed(sign: float, bounds: Any, upside_down: float = 1.0) -> sc.StateConstraints:
         return constraints(
             lambda t, k: [upside_down * v for v in falling(t, k)], steady, jumping, degree=9, state_bounds=bounds,
             states=lambda t, k: [sign * (5.0 * (np.abs(t - 2.0) < 0.1) + 0.1 * (t < 1.0)), 0 * t],
@@ -332,7 +334,7 @@ def test_a_push_counts_near_the_limit_in_its_direction() -> None:
     counted = found.times[found.worth > 0]
     assert np.all(np.abs(counted - 2.0) < 0.1) and np.all(found.worth >= 0)
     assert np.max(found.worth) == pytest.approx(here.scales[1] / here.samples.cost_scale)
-    assert np.all(falling(found.times, 0)[0] > 4 - c.NEAR * here.scales[1])
+    assert np.all(falling(found.times, 0)[0] > 4 - sc.NEAR * here.scales[1])
     structure, what = c.pushed_contact(here, base)
     assert structure is not None and what.startswith("contact of h added at ")
     (touch,) = structure.touching(2, UP)
@@ -343,9 +345,28 @@ def test_a_push_counts_near_the_limit_in_its_direction() -> None:
     assert c._runs_of_pushes(here, base.with_arc(2, 1.5, 2.5, UP)) == []
 
 
+@pytest.mark.parametrize(
+    ("begin", "end", "runs"), [(1.3, 1.9, 1), (1.3, 2.5, 1), (1.0, 2.0, 2), (0.9, 2.5, 2)]
+)
+def test_a_bounce_takes_all_points_of_a_segment(begin: float, end: float, runs: int) -> None:
+    """A polynomial that meets a limit at some points of a segment may swing at others, though it is an arc."""
+
+    def off(t: Array) -> Array:
+        return np.asarray((t > begin) & (t < end))
+
+    here = constraints(
+        lambda t, k: [4.0 * np.minimum(4 * t, 1.0) - 0.02 * off(t), 0 * t], steady, jumping, degree=9,
+        state_bounds=interval([-9, -9], [4, 9]), states=lambda t, k: [5.0 * ((t > 0.3) & ~off(t)), 0 * t],
+    )  # fmt: skip
+    found = p.pushing_runs(here, [1])
+    assert len(found) == runs and {run.kind for run in found} == {UP}
+    pushing = np.concatenate([run.times[run.worth > 0] for run in found])
+    assert not np.any(off(pushing)) and np.min(pushing) < begin and np.max(pushing) > end
+
+
 @dataclass(frozen=True)
 class Push:
-    """A run that knows whether it can be held, whether it is known, and whether the mesh alone pushes."""
+    """A run that knows whether it can be held, whether it is known, and whether the mesh or a barrier alone pushes."""
 
     row: int
     times: Any
@@ -353,6 +374,10 @@ class Push:
     can: bool
     seen: bool
     slides: bool = False
+    touched: bool = False
+
+    def beside_touch(self, structure: Any, samples: Any) -> bool:
+        return self.touched
 
     def beside_slide(self, structure: Any, samples: Any) -> bool:
         return self.slides
@@ -372,9 +397,10 @@ def test_runs_that_nothing_holds_or_that_are_known_are_no_contacts(monkeypatch: 
     times, worth = np.array([0.25, 0.75, 1.5]), np.array([1.0, 2.0, 3.0])
     runs = [Push(1, times, worth, can, seen) for can in (True, False) for seen in (False, True)]
     runs.append(Push(1, times, worth, True, False, True))
+    runs.append(Push(1, times, worth, True, False, False, True))
     runs.append(Push(1, times[2:], worth[2:], True, False))  # on the contact alone
     asked: list[Any] = []
-    monkeypatch.setattr(c, "_pushing_runs", lambda constraints, rows: asked.append(list(rows)) or runs)
+    monkeypatch.setattr(c, "pushing_runs", lambda constraints, rows: asked.append(list(rows)) or runs)
     (found,) = c._runs_of_pushes(SimpleNamespace(samples=None), structure)  # type: ignore[arg-type]
     assert asked == [[1]] and found.row == 2 and found.worth.tolist() == [1.0, 2.0, 0.0]
-    assert (found.can, found.seen, found.slides) == (True, False, False)  # type: ignore[attr-defined]
+    assert (found.can, found.seen, found.slides, found.touched) == (True, *[False] * 3)  # type: ignore[attr-defined]

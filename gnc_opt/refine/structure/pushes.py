@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -34,7 +35,8 @@ LASTING = 3
 
 BOUNCE = 1e-3
 """So many nodes in a row that far from a limit of higher order, in shares of what the constraint moves, without a push
-among them, are between two touches: an arc that need not push between its ends stays on the limit."""
+among them, are between two touches if all points of a segment are among them: an arc that need not push between its
+ends stays on the limit, and a polynomial that meets it at some of its points may swing between the others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,10 +270,17 @@ def pushing_runs(constraints: StateConstraints, rows: Iterable[int]) -> list[Pus
             if constraints.order(int(row)) > 1:
                 off = np.abs(values[row] - limit) > BOUNCE * constraints.scales[row]
                 for a, b in runs_of(off & (worth == 0)):
-                    near[a:b] &= b - a < LASTING
+                    near[a:b] &= b - a < LASTING or not _fills_a_segment(times[a:b], s)
             runs = [(a, b) for a, b in runs_of(near) if np.any(worth[a:b] > 0)]
             found += [Push(int(row), kind, times[a:b], worth[a:b]) for a, b in runs]
     return found
+
+
+def _fills_a_segment(times: Array, samples: PhaseSamples) -> bool:
+    """Whether all points of some segment are among the times of neighbouring nodes."""
+    leg = samples.leg
+    inside = np.isin(leg.point_times, times)
+    return any(bool(np.all(inside[a:b])) for a, b in pairwise(leg.mesh.offsets))
 
 
 def _at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
