@@ -23,7 +23,8 @@ class Turns:
     Attributes
     ----------
     lower, upper : array (n_controls,)
-        One turn, or half a turn of the second angle of a pair; infinite for what is no such angle.
+        One turn, or more if the bounds leave room for more: then angles run on within them. Half a turn of the second
+        angle of a pair; infinite for what is no such angle.
     periods : array (n_controls,)
         0 for what is no angle.
     pairs : tuple of (int, int)
@@ -53,8 +54,9 @@ class Turns:
             u[azimuth] += np.where(beyond, 0.5 * self.periods[azimuth], 0.0)
         for i in np.flatnonzero(self.free):
             low, high, period = self.lower[i], self.upper[i], self.periods[i]
-            outside = np.maximum(low - u[i], u[i] - high) > AT_LIMIT * period
-            u[i] = np.clip(np.where(outside, low + (u[i] - low) % period, u[i]), low, high)
+            beyond = np.ceil((u[i] - high) / period - AT_LIMIT), np.ceil((low - u[i]) / period - AT_LIMIT)
+            above, below = (np.maximum(turns, 0.0) for turns in beyond)
+            u[i] = np.clip(u[i] + period * (below - above), low, high)
         return u
 
 

@@ -37,7 +37,7 @@ from gnc_opt.solution.program_point import ProgramPoint
 from gnc_opt.solution.samples import NEGLIGIBLE, PhaseSamples
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.touches import with_touches
-from gnc_opt.tolerances import AT_LIMIT, VANISHED, magnitude
+from gnc_opt.tolerances import AT_LIMIT, ROUNDING, VANISHED, magnitude
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.scaling import scale_variables
 from gnc_opt.transcription.transcription import Transcription
@@ -292,43 +292,47 @@ def least_curvature(point: ProgramPoint, held: Mask, unit: Any = None, further: 
     # The one row of a parameter far from its origin, however large, is not what variations are worth.
     typical = float(np.median(sizes[sizes > 0])) if np.any(sizes > 0) else 1.0
     typical = max(typical, point.rounding)  # where costates vanish, no row is more than that
-    direction = _least_direction(space, hessian / typical)
+    # Integrals of variations have steep rows of their own, whatever the variations themselves are worth.
+    steep = bool(np.max(sizes, initial=0.0) >= STEEP * typical)
+    direction = _least_direction(space, hessian / typical, steep)
     if direction is None:
         return Curvature(float("nan"), float("nan"), np.zeros(point.x.size), 0.0)
     curvature, share = quadratic(hessian, direction)
     whole = space.variables(direction)
-    # What is varied by its integral may have peaks of any height.
-    single = np.diff(scipy.sparse.csr_array(space.unit).indptr) <= 1
-    largest = float(np.max(np.abs(whole[single])))
+    # What is varied by its integral may have peaks of any height; they count where nothing else varies.
+    single, peaks = np.diff(scipy.sparse.csr_array(space.unit).indptr) <= 1, np.abs(whole)
+    largest = float(np.max(peaks[single], initial=0.0))
+    if largest <= ROUNDING * np.max(peaks):
+        largest = float(np.max(peaks))
     gain = -0.5 * curvature * (STEP / largest) ** 2 / point.scaling.objective
     least = LEAST_GAIN / NEGLIGIBLE * point.rounding / point.scaling.objective
     return Curvature(curvature / typical, share, whole / largest, gain, least)
 
 
-def _least_direction(space: NullSpace, hessian: Any) -> Array | None:
-    """Return the direction of least curvature (unit length) in a null space, or None if that is 0."""
+def _least_direction(space: NullSpace, hessian: Any, steep: bool = True) -> Array | None:
+    """Return the direction of least curvature (unit length) in a null space, or None if that is 0.
+
+    What is downwards and steep is looked for by itself.
+    """
     n = hessian.shape[0]
     if n == 0:
         return None
-    steep = _steep_direction(space, hessian)
-    if steep is not None:
-        return steep
+    if steep and (found := _steep_direction(space, hessian)) is not None:
+        return found
     inverse = space.projected_inverse(hessian + SHIFT * scipy.sparse.eye_array(n))
     start = inverse(np.random.default_rng(0).standard_normal(n))
     values, vectors = lanczos(inverse, start, STEPS)
     if not values.size or np.max(np.abs(values)) * SHIFT < FOUND:
         return None
     # 1 / (curvature + shift): below -shift it is negative, and above it is largest where the curvature is least.
-    found = values < -FOUND * np.max(np.abs(values))
-    chosen = vectors[:, np.argmin(values)] if np.any(found) else vectors[:, np.argmax(values)]
+    downwards = values < -FOUND * np.max(np.abs(values))
+    chosen = vectors[:, np.argmin(values)] if np.any(downwards) else vectors[:, np.argmax(values)]
     direction = inverse(chosen)
     return np.asarray(direction / np.linalg.norm(direction))
 
 
 def _steep_direction(space: NullSpace, hessian: Any) -> Array | None:
     """Return the direction of a curvature so far below the middle row that its inverse is none, None without one."""
-    if np.sqrt(np.max((hessian**2).sum(axis=1))) < STEEP:
-        return None
     project = space.projection
     start = project(hessian @ project(np.random.default_rng(0).standard_normal(hessian.shape[0])))
     values, vectors = lanczos(lambda v: project(hessian @ project(v)), start, STEPS)

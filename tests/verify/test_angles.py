@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
+from gnc_opt.problem.turns import Turns
 
 
 def shear(**bounds: tuple[float, float]) -> go.Problem:
@@ -59,6 +60,9 @@ def test_a_range_of_two_turns_is_no_limit_to_a_heading() -> None:
     found = go.solve(shear(heading=(-2 * np.pi, 2 * np.pi)))
     assert go.verify(found).minimum
     assert found.objective == pytest.approx(5.46, abs=5e-3)  # published
+    heading = found.control("heading")(found.phase("leg").sample_times())
+    assert np.max(np.abs(heading)) <= 2 * np.pi
+    assert np.max(np.abs(np.diff(heading))) < 0.2  # by way of 180 degrees, in one go: there is room for it
 
 
 def test_bounds_of_a_turn_are_no_limit_to_a_heading_that_crosses_them(
@@ -118,6 +122,16 @@ def test_azimuth_and_elevation_are_told_within_half_a_turn_of_elevation(turn: fl
     elevation = np.arcsin(away[2] / np.linalg.norm(away)) / (2 * np.pi) * turn
     assert found.control("azimuth")(1.0) == pytest.approx(azimuth, abs=1e-4 * turn)
     assert found.control("elevation")(1.0) == pytest.approx(elevation, abs=1e-4 * turn)
+
+
+def test_angles_are_told_where_they_are_within_their_bounds_or_as_few_turns_away_as_there_are() -> None:
+    lower, upper = np.array([-180.0, -360.0, -np.inf]), np.array([180.0, 360.0, np.inf])
+    turns = Turns(lower, upper, np.array([360.0, 360.0, 0.0]))
+    angles = np.array([-190.0, -180.0, -10.0, 180.0, 190.0, 370.0, -800.0])
+    told = turns.within(np.stack([angles, angles, angles]))
+    assert told[0] == pytest.approx([170.0, -180.0, -10.0, 180.0, -170.0, 10.0, -80.0])
+    assert told[1] == pytest.approx([-190.0, -180.0, -10.0, 180.0, 190.0, 10.0, -80.0])
+    np.testing.assert_array_equal(told[2], angles)
 
 
 @pytest.mark.parametrize("turn", [2 * np.pi, 360.0])

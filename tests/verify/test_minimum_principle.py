@@ -151,3 +151,9 @@ def test_controls_on_a_curve_are_searched_along_it(bend: float, gain: float) -> 
     condition = go.verify(idle(2, lambda u: 1 + u[1] - bend * u[1] ** 2, *on_curve))["minimum principle"]
     assert condition.result is (go.Result.FAIL if gain else go.Result.PASS)
     assert (condition.value > 0.1) is bool(gain)
+
+
+def test_wells_beside_an_affine_control_that_moves_nothing_are_saddles_of_plain_size() -> None:
+    """-2 u^2 in half of the range: what is varied by its integral is no steeper than that, and gains what H does."""
+    condition = go.verify(idle(2, GAINS[1][2]))["second order"]
+    assert condition.result is go.Result.FAIL and condition.value < 100.0

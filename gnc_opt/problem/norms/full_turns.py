@@ -64,7 +64,7 @@ def _turns(problem: Statement, leg: Phase) -> Turns:
         azimuth = next(mirrored, None) if abs(room[j] - reach[j]) <= SHORT * reach[j] else None
         pairs += [] if azimuth is None else [(azimuth, j)]
     for i in [*np.flatnonzero(whole), *(j for _, j in pairs)]:
-        half = reach[i] if whole[i] else 0.5 * reach[i]
+        half = max(reach[i], 0.5 * room[i]) if whole[i] else 0.5 * reach[i]
         middle = 0.5 * (box.lower[i] + box.upper[i])
         turns.lower[i], turns.upper[i] = middle - half, middle + half
     return replace(turns, pairs=tuple(pairs))
