@@ -16,12 +16,10 @@ or by its local errors and the growth of the nominal run, if that is more. Where
 orders to tell one solution from the other, and the lesser of the two is added, in full from s = 2 on.
 
 A relay or a quantum that turns the other way in the second flight sets both apart, however near they were. Where they
-are farther apart than the accuracy asked for, a third flight is made with a share of the error of every step
-(`NEARER`): what has grown is apart by that share of it, and what has turned is apart as before, or not at all. What is
-turned in the second flight alone is printed in full, for the truth may have turned like it, but it is not held against
-the accuracy of the integration, as no steps are short enough for what happens at an edge. A run that the third flight
-is turned from, too, is at such an edge itself, and off by all of that: no order of a solution makes a turn less.
-A quantum that turns in the truth and in neither flight beside the run is not seen.
+are farther apart than the accuracy asked for, a third flight is made to the other side, by the opposite errors: what
+has grown is as far apart there, what has turned hardly ever. What is turned on one side alone is printed in full, for
+the truth may have turned like it, but it is not held against the accuracy of the integration, as no steps are short
+enough for what happens at an edge. A quantum that turns in the truth and in neither flight beside the run is not seen.
 """
 
 from __future__ import annotations
@@ -34,12 +32,8 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.simulation.places import Places
 
-NEARER = 2.0**-5
-"""Share of the errors of steps with which a run is looked at nearer by; the fifth-order solution is better by about as
-much."""
-
 TURNED = 4.0
-"""Where the distances of the second and the third flight are so many times those of growth alone, one has turned."""
+"""Where flights to both sides of a run are apart from it by distances of this ratio, a turn has set one apart."""
 
 
 @dataclass(frozen=True)
@@ -52,25 +46,18 @@ class Companion:
         Its estimated error over what its flights are apart.
     local : float
         Sum of its local errors; without any, what flights are apart is added in full.
-    steps : float
-        Share of the errors of steps that the second flight makes.
+    side : int
+        1 where the second flight makes the errors of steps, -1 for the opposite ones.
     """
 
     share: float = 1.0
     local: float = 0.0
-    steps: float = 1.0
+    side: int = 1
 
     @classmethod
     def of(cls, error: float, apart: float, local: float) -> Companion:
         """Return what a run with this error tells."""
         return cls(error / apart if 0 < error < apart < np.inf else 1.0, local)
-
-    def nearer(self, far: float, near: float) -> tuple[float, float]:
-        """Return what counts as grown, and as turned alone, of what a second and a third flight are from a run."""
-        if near > TURNED * NEARER * far:
-            return far / min(1.0, self.share), 0.0
-        grown = near / NEARER
-        return (grown, far) if far > TURNED * grown else (min(far, grown), 0.0)
 
     def error(self, apart: Array, known: Array, local: Array) -> Array:
         """Return the errors of runs (n,) by what their flights are apart, by the growth of the nominal run, and by
@@ -130,6 +117,12 @@ def apart(places: Places, final: Array, other: Array) -> Array:
         distance = np.max(np.abs(one - two) / np.maximum(1.0, np.abs(one)), axis=0)
     # a second flight that has left the finite numbers is as far as can be
     return np.asarray(np.where(np.isnan(distance) & np.isfinite(one).all(axis=0), np.inf, distance))
+
+
+def told_from_turns(one: float, other: float) -> tuple[float, float]:
+    """Return what counts as grown, and as turned alone, of what flights to both sides of a run are apart from it."""
+    lesser, greater = sorted((one, other))
+    return (lesser, greater) if greater > TURNED * lesser else (greater, 0.0)
 
 
 def _ends(parts: dict[str, Any]) -> Array:

@@ -16,7 +16,7 @@ from gnc_opt.arguments import read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout
-from gnc_opt.simulation.beside import NEARER, Companion, apart, estimates
+from gnc_opt.simulation.beside import Companion, apart, estimates, told_from_turns
 from gnc_opt.simulation.course import Course
 from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.event import Occurrence, occurrences
@@ -197,7 +197,7 @@ class Flight:
             for first, rows in legs:
                 if first == 0:
                     X, C, again = *self._begun(rows[0], P[:, i]), True
-                    other = self._begun_beside(X)
+                    other = self._begun_beside(X, self.beside.side if self.beside else 0)
                 elif self.replanner is not None:
                     self._consider(course, first, X, rows, C)
                 if recorder is None:
@@ -264,7 +264,7 @@ class Flight:
         for first, rows in legs:
             if first == 0:
                 X, C = self._begun(rows[0], P)
-                other = self._begun_beside(X)
+                other = self._begun_beside(X, self.beside.side if self.beside else 0)
             elif self.replanner is not None:
                 self._consider(course, first, X, rows, C)
             after, logs = self._folded.logged(X, rows, C)
@@ -443,11 +443,10 @@ class Flight:
             return np.full(parts["plant"].shape[1], self.times[-1])
         return np.asarray(np.where(parts["stop"][0] > 0, parts["stop time"][0], self.times[-1]))
 
-    def _begun_beside(self, X: Array, steps: float | None = None) -> Array:
-        """Return where the flight beside a run that begins with X begins, with a share of the errors of every step."""
+    def _begun_beside(self, X: Array, side: int) -> Array:
+        """Return where a flight to a side of a run that begins with X begins."""
         other = X.copy()
-        if self.beside is not None:
-            self.kernel.state.split(other)["beside"][:] = self.beside.steps if steps is None else steps
+        self.kernel.state.split(other)["beside"][:] = side
         return other
 
     def _fly_beside(self, other: Array, rows: Array, C: Array) -> None:
@@ -466,7 +465,7 @@ class Flight:
     def _apart(self, X: Array, other: Array, P: Array, seed: Any, course: Course) -> tuple[float, float]:
         """Return what a run that ended with X is off by as the flight beside it tells, grown and by turns alone.
 
-        It is looked at nearer by where that is more than the accuracy asked for.
+        It is looked at from the other side, too, where that is more than the accuracy asked for.
         """
         if self.beside is None:
             return np.nan, np.nan
@@ -478,12 +477,11 @@ class Flight:
         for first, rows in self.legs(seed, known, course):
             if first == 0:
                 start, C = self._begun(rows[0], P)
-                nearer = self._begun_beside(start, NEARER)
-            self._fly_beside(nearer, rows, C)
-            if self._stopped(nearer):
+                third = self._begun_beside(start, -self.beside.side)
+            self._fly_beside(third, rows, C)
+            if self._stopped(third):
                 break
-        near = apart(self.kernel.state, X[:, None], nearer[:, None])
-        return self.beside.nearer(float(far[0]), float(near[0]))
+        return told_from_turns(float(far[0]), float(apart(self.kernel.state, X[:, None], third[:, None])[0]))
 
     def _estimates(self, final: Array, distances: Array) -> tuple[Array, Array]:
         return estimates(self.kernel.state, final, distances, self.growth, self.beside)

@@ -18,7 +18,7 @@ from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.accuracy import Accuracy, local_error
-from gnc_opt.simulation.beside import NEARER, Companion
+from gnc_opt.simulation.beside import Companion
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.control_step import alarm_labels, watched_labels
 from gnc_opt.simulation.disturbances import Disturbance
@@ -260,12 +260,13 @@ class ClosedLoop:
     def _beside(self, flight: Flight, alone: Ending) -> Companion:
         """Return what the nominal run, as it ended alone, tells of flights beside others."""
         start, judge = self._generic(flight.nominal)[:, None], replace(flight.judge, accuracy=np.inf)
-        # so near by that hardly anything turns between them
-        both = replace(flight, beside=Companion(steps=NEARER), judge=judge).final(start, [0])
         local = local_error(alone)
         # without a nominal run to compare with, both estimates are added
-        error, total = flight.growth * local, local_error(both)
-        return Companion.of(error, (total - error) / NEARER, local)
+        error, total = flight.growth * local, np.inf
+        for side in (1, -1):  # a quantum hardly ever turns on both
+            both = replace(flight, beside=Companion(side=side), judge=judge).final(start, [0])
+            total = min(total, local_error(both))
+        return Companion.of(error, total - error, local)
 
     def _accurate(self, nominal: Array, times: Array, rows: Array) -> tuple[Flight, Ending]:
         """Return the flight, as planned, with as many integration steps as its accuracy needs, and its ending."""

@@ -13,7 +13,8 @@ from scipy.integrate import solve_ivp
 
 import gnc_opt as go
 from gnc_opt.simulation import ClosedLoop, Event, Flight, Noise, Quantisation
-from gnc_opt.simulation.beside import Companion, apart
+from gnc_opt.simulation.beside import Companion, apart, told_from_turns
+from gnc_opt.simulation.outcome import RunStatus
 from gnc_opt.simulation.places import Places
 
 G = 9.81
@@ -169,3 +170,17 @@ def test_the_nominal_run_tells_what_the_better_solution_is_worth() -> None:
     )  # a tenth, a fifth, the whole 1.5 times, more
     assert Companion.of(1e-9, 1e-10, 1e-10).share == 1.0
     assert Companion.of(1e-9, np.inf, 1e-10).share == 1.0
+
+
+def test_a_turn_is_told_from_growth() -> None:
+    assert told_from_turns(1e-6, 1.1e-6) == (1.1e-6, 0.0)  # grown
+    assert told_from_turns(1e-3, 1e-6) == (1e-6, 1e-3) == told_from_turns(1e-6, 1e-3)
+    assert told_from_turns(1e-3, 1e-3) == (1e-3, 0.0)  # turned on both sides: nothing tells
+
+
+def test_the_other_side_of_a_flight_is_as_far_where_rounding_grows() -> None:
+    """exp(t) from 1, unstable: rounding and the errors of steps are no turns, and held against the integration."""
+    loop = flight(lambda x, kind=np: [x[0]], [1.0], 12.0, substeps=20, accuracy=1e-15)
+    run = loop.run(loop.nominal, 0)
+    wrong = abs(run.states[0, -1] / np.exp(12.0) - 1)
+    assert wrong < run.integration_error and run.outcome.status is RunStatus.INACCURATE
