@@ -48,7 +48,7 @@ CART = cart()
 def test_a_singular_control_gets_four_degrees_more_and_points_for_them() -> None:
     first = Resolution(2, 6, SINGULAR_DEGREE)
     second = first.smoother(1.0)
-    assert second == Resolution(4, 9, SINGULAR_DEGREE + 4, 1.0)
+    assert second == Resolution(2, 9, SINGULAR_DEGREE + 4, 1.0)
     third = second.smoother(HELPED)
     assert third == Resolution(4, MAX_DEGREE, SINGULAR_DEGREE + 8, HELPED)
     assert third.smoother(0.0) == Resolution(6, MAX_DEGREE, SINGULAR_DEGREE + 12, 0.0)
@@ -824,10 +824,10 @@ def test_what_vanishes_is_mended_first_then_kinks_and_points_then_what_is_missin
 @pytest.mark.parametrize(
     ("error", "gradient", "wanted"),
     [
-        (1e-3, 1e-2, Resolution(4, 9, 8, 1e-2)),  # a polynomial that is no guess of the control comes first
+        (1e-3, 1e-2, Resolution(2, 9, 8, 1e-2)),  # a polynomial that is no guess of the control comes first
         (1e-2, 1e-3, Resolution(2, 9, 4)),
         (1e-6, 1e-5, Resolution(2, 9, 4)),  # then the states,
-        (1e-10, 1e-5, Resolution(4, 9, 8, 1e-5)),  # then the last digits of the control
+        (1e-10, 1e-5, Resolution(2, 9, 8, 1e-5)),  # then the last digits of the control
         (1e-10, 1e-10, Resolution(2, 6, 4)),
     ],
 )
