@@ -15,11 +15,8 @@ is off by
 or by its local errors and the growth of the nominal run, if that is more. Where s exceeds 1 the steps are too long for
 orders to tell one solution from the other, and the lesser of the two is added, in full from s = 2 on.
 
-A relay or a quantum that turns the other way in the second flight sets both apart, however near they were. Where they
-are farther apart than the accuracy asked for, a third flight is made to the other side, by the opposite errors: what
-has grown is as far apart there, what has turned hardly ever. What is turned on one side alone is printed in full, for
-the truth may have turned like it, but it is not held against the accuracy of the integration, as no steps are short
-enough for what happens at an edge. A quantum that turns in the truth and in neither flight beside the run is not seen.
+A relay or a quantum that turns the other way in the second flight sets both apart, however near they were: the truth
+may have turned like it, and such a run is off by as much. One that turns in the truth and in neither flight is not seen.
 """
 
 from __future__ import annotations
@@ -31,9 +28,6 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.simulation.places import Places
-
-TURNED = 4.0
-"""Where flights to both sides of a run are apart from it by distances of this ratio, a turn has set one apart."""
 
 
 @dataclass(frozen=True)
@@ -117,12 +111,6 @@ def apart(places: Places, final: Array, other: Array) -> Array:
         distance = np.max(np.abs(one - two) / np.maximum(1.0, np.abs(one)), axis=0)
     # a second flight that has left the finite numbers is as far as can be
     return np.asarray(np.where(np.isnan(distance) & np.isfinite(one).all(axis=0), np.inf, distance))
-
-
-def told_from_turns(one: float, other: float) -> tuple[float, float]:
-    """Return what counts as grown, and as turned alone, of what flights to both sides of a run are apart from it."""
-    lesser, greater = sorted((one, other))
-    return (lesser, greater) if greater > TURNED * lesser else (greater, 0.0)
 
 
 def _ends(parts: dict[str, Any]) -> Array:

@@ -16,7 +16,7 @@ from gnc_opt.arguments import read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout
-from gnc_opt.simulation.beside import Companion, apart, estimates, told_from_turns
+from gnc_opt.simulation.beside import Companion, apart, estimates
 from gnc_opt.simulation.course import Course
 from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.event import Occurrence, occurrences
@@ -180,7 +180,7 @@ class Flight:
                 f"give ({self.layout.size}, {len(seeds)})."
             )
         final = np.full((P.shape[1], self.kernel.state.size), np.nan)
-        distances = np.full((2, P.shape[1]), np.nan)
+        distances = np.full(P.shape[1], np.nan)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         recorder = None if self.quantities is None else Recorder(self.quantities, self.times, P.shape[1])
         refused: dict[int, str] = {}
@@ -197,7 +197,7 @@ class Flight:
             for first, rows in legs:
                 if first == 0:
                     X, C, again = *self._begun(rows[0], P[:, i]), True
-                    other = self._begun_beside(X, self.beside.side if self.beside else 0)
+                    other = self._begun_beside(X)
                 elif self.replanner is not None:
                     self._consider(course, first, X, rows, C)
                 if recorder is None:
@@ -214,7 +214,7 @@ class Flight:
                 if self._stopped(X):
                     break
             self._carry_on(other, legs, course, C)
-            distances[:, i] = self._apart(X, other, P[:, i], seed, course)
+            distances[i] = self._apart(X, other)
             if self.replanner is not None:
                 replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
                 followed[:, i] = self._followed_at_end(course, final[i : i + 1].T)[:, 0]
@@ -264,7 +264,7 @@ class Flight:
         for first, rows in legs:
             if first == 0:
                 X, C = self._begun(rows[0], P)
-                other = self._begun_beside(X, self.beside.side if self.beside else 0)
+                other = self._begun_beside(X)
             elif self.replanner is not None:
                 self._consider(course, first, X, rows, C)
             after, logs = self._folded.logged(X, rows, C)
@@ -287,8 +287,7 @@ class Flight:
         end = self._last_times(final)
         followed = self._followed_at_end(course, X[:, None])
         self._note(log, final, {}, np.array([0]), followed)
-        distances = np.array(self._apart(X, other, P, seed, course))[:, None]
-        ending = self._ending(X[:, None], distances, {}, followed)
+        ending = self._ending(X[:, None], np.array([self._apart(X, other)]), {}, followed)
         arrays = log.close()
         times = np.append(self.times[kept[kept < last]], end)
         return Run(
@@ -443,10 +442,10 @@ class Flight:
             return np.full(parts["plant"].shape[1], self.times[-1])
         return np.asarray(np.where(parts["stop"][0] > 0, parts["stop time"][0], self.times[-1]))
 
-    def _begun_beside(self, X: Array, side: int) -> Array:
-        """Return where a flight to a side of a run that begins with X begins."""
+    def _begun_beside(self, X: Array) -> Array:
+        """Return where the flight beside a run that begins with X begins."""
         other = X.copy()
-        self.kernel.state.split(other)["beside"][:] = side
+        self.kernel.state.split(other)["beside"][:] = 0 if self.beside is None else self.beside.side
         return other
 
     def _fly_beside(self, other: Array, rows: Array, C: Array) -> None:
@@ -462,29 +461,11 @@ class Flight:
             self._plan(course, first, rows)
             self._fly_beside(other, rows, C)
 
-    def _apart(self, X: Array, other: Array, P: Array, seed: Any, course: Course) -> tuple[float, float]:
-        """Return what a run that ended with X is off by as the flight beside it tells, grown and by turns alone.
-
-        It is looked at from the other side, too, where that is more than the accuracy asked for.
-        """
-        if self.beside is None:
-            return np.nan, np.nan
-        far = apart(self.kernel.state, X[:, None], other[:, None])
-        if not self._estimates(X[:, None], far)[0][0] > self.accuracy:
-            return float(far[0]), 0.0
-        known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
-        # plans change only what is ahead: the course at the end is that which was flown
-        for first, rows in self.legs(seed, known, course):
-            if first == 0:
-                start, C = self._begun(rows[0], P)
-                third = self._begun_beside(start, -self.beside.side)
-            self._fly_beside(third, rows, C)
-            if self._stopped(third):
-                break
-        return told_from_turns(float(far[0]), float(apart(self.kernel.state, X[:, None], third[:, None])[0]))
-
-    def _estimates(self, final: Array, distances: Array) -> tuple[Array, Array]:
-        return estimates(self.kernel.state, final, distances, self.growth, self.beside)
+    def _apart(self, X: Array, other: Array) -> float:
+        """Return what a run that ended with X and the flight beside it are apart."""
+        return (
+            np.nan if self.beside is None else float(apart(self.kernel.state, X[:, None], other[:, None])[0])
+        )
 
     @cached_property
     def _folded(self) -> Folded:
@@ -504,7 +485,7 @@ class Flight:
         replans: Array | None = None,
     ) -> Ending:
         parts = self.kernel.state.split(final)
-        errors, instants = self._estimates(final, distances[0])
+        errors, instants = estimates(self.kernel.state, final, distances, self.growth, self.beside)
         outcomes = tuple(
             Outcome(RunStatus.REFUSED, refused[i])
             if i in refused
@@ -521,7 +502,7 @@ class Flight:
             parts["energy"],
             parts["saturation"],
             parts["variation"],
-            errors + instants + np.nan_to_num(distances[1]),
+            errors + instants,
             parts["blur"][0],
             instants,
             outcomes,

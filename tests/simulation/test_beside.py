@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -13,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 import gnc_opt as go
 from gnc_opt.simulation import ClosedLoop, Event, Flight, Noise, Quantisation
-from gnc_opt.simulation.beside import Companion, apart, told_from_turns
+from gnc_opt.simulation.beside import Companion, apart
 from gnc_opt.simulation.outcome import RunStatus
 from gnc_opt.simulation.places import Places
 
@@ -106,7 +105,7 @@ def test_what_forgets_its_errors_is_not_held_to_have_kept_them() -> None:
     assert np.all(ending.integration_error < 1e-4)
 
 
-def test_a_quantum_that_turns_in_the_second_flight_alone_is_no_error() -> None:
+def test_quanta_that_turn_are_in_the_printed_error() -> None:
     """Commands in steps: some second flights round one the other way, which the true way and the run hardly ever do."""
     model = go.Model("swing")
     a, w, u = model.state("a"), model.state("w"), model.control("u")
@@ -120,9 +119,10 @@ def test_a_quantum_that_turns_in_the_second_flight_alone_is_no_error() -> None:
     P, seeds = np.tile(coarse.nominal[:, None], 60), list(range(60))
     ending, truth = coarse.final(P, seeds), fine.final(P, seeds).states
     wrong = np.max(np.abs(ending.states - truth) / np.maximum(1.0, np.abs(truth)), axis=0)
-    assert np.all(wrong < ending.integration_error) and all(outcome.ok for outcome in ending.outcomes)
-    careless = replace(coarse, judge=replace(coarse.judge, accuracy=1.0)).final(P, seeds)
-    assert np.any(careless.integration_error > 1e-7)
+    assert np.all(wrong < ending.integration_error)
+    turned = ending.integration_error > 1e-7
+    assert 0 < np.sum(turned) < 10
+    assert np.array_equal(turned, [not outcome.ok for outcome in ending.outcomes])
 
 
 def test_a_state_that_has_shrunk_keeps_its_absolute_error() -> None:
@@ -172,14 +172,8 @@ def test_the_nominal_run_tells_what_the_better_solution_is_worth() -> None:
     assert Companion.of(1e-9, np.inf, 1e-10).share == 1.0
 
 
-def test_a_turn_is_told_from_growth() -> None:
-    assert told_from_turns(1e-6, 1.1e-6) == (1.1e-6, 0.0)  # grown
-    assert told_from_turns(1e-3, 1e-6) == (1e-6, 1e-3) == told_from_turns(1e-6, 1e-3)
-    assert told_from_turns(1e-3, 1e-3) == (1e-3, 0.0)  # turned on both sides: nothing tells
-
-
-def test_the_other_side_of_a_flight_is_as_far_where_rounding_grows() -> None:
-    """exp(t) from 1, unstable: rounding and the errors of steps are no turns, and held against the integration."""
+def test_what_rounding_has_grown_to_is_held_against_the_integration() -> None:
+    """exp(t) from 1, unstable."""
     loop = flight(lambda x, kind=np: [x[0]], [1.0], 12.0, substeps=20, accuracy=1e-15)
     run = loop.run(loop.nominal, 0)
     wrong = abs(run.states[0, -1] / np.exp(12.0) - 1)
