@@ -16,7 +16,7 @@ or by its local errors and the growth of the nominal run, if that is more. Where
 orders to tell one solution from the other, and the lesser of the two is added, in full from s = 2 on.
 
 A relay or a quantum that turns the other way in the second flight sets both apart, however near they were: the truth
-may have turned like it, and such a run is off by as much. One that turns in the truth and in neither flight is not seen.
+may have turned like it, and such a run is off by as much. What turns in the truth and in neither flight is not seen.
 """
 
 from __future__ import annotations

@@ -26,11 +26,6 @@ SINGULAR_DEGREE, MAX_SINGULAR_DEGREE = 4, 28
 HELPED = 0.3
 """A higher degree of a singular control has helped if it leaves at most this share of dH/du."""
 
-FOLLOWED, FOLLOWED_HIGH, HIGH = 2, 4, 12
-"""Collocation points per degree of a singular control's polynomial, and from the last of these degrees on: with half as
-many, states do not follow degree 12 to 1e-8, and the pass that finds out is lost. Below, more of them only move the
-ends of the arc, which the cost hardly tells, by what the solver's barrier weighs at each (van der Pol's: 4e-10 s)."""
-
 INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
 """First degree of an interior piece, and the number of its segments if it were the whole phase."""
 
@@ -163,7 +158,7 @@ class Resolution:
             return self
         smooth, degree = min(self.smooth + 4, MAX_SINGULAR_DEGREE), min(self.degree + STEP, MAX_DEGREE)
         raised = replace(self, smooth=smooth, degree=degree, gradient=gradient)
-        wanted = math.ceil((FOLLOWED_HIGH if smooth >= HIGH else FOLLOWED) * smooth / degree)
+        wanted = math.ceil(2 * smooth / degree)
         return raised if wanted <= self.segments else replace(raised, segments=wanted, edges=())
 
 
