@@ -202,12 +202,9 @@ class ControlStep:
         """
         f, error, held = self._rate(state), ca.SX(0), all(wave.held for wave in waves)
 
-        def stepped(
-            length: Any, before: tuple[Any, ...], after: tuple[Any, ...], error: tuple[Any, Any]
-        ) -> Any:
-            (t, x, rate), share = after, state["beside"]
-            # the error may be no number before x is none
-            x = x - ca.if_else(share, share * error[0] + error[1], 0)
+        def stepped(length: Any, before: tuple[Any, ...], after: tuple[Any, ...], error: Any) -> Any:
+            (t, x, rate), side = after, state["beside"]
+            x = x - ca.if_else(side, side * error, 0)  # the error may be no number before x is none
             if watch is not None:
                 watch(length, before, (t, x, rate))
             return x
