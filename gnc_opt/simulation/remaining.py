@@ -1,8 +1,8 @@
 """What is left of an optimal control problem once a part of its flight has been flown.
 
-By Bellman's principle the rest of a plan is the plan for the rest, provided that what is asked tells what was flown from
-what is to come: time limits move with the clock, but a budget that integrates over the whole phase, or a condition on
-where it began, would be granted anew.
+By Bellman's principle the rest of a plan is the plan for the rest, provided that what is asked tells what was flown
+from what is to come: time limits move with the clock, but a budget that integrates over the whole phase, or a condition
+on where it began, would be granted anew.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ def check_remaining(problem: Problem) -> None:
     names = [n for n in problem.parameters.names if n in leg.model.parameters]
     if names:
         raise ArgumentError(
-            f"parameter '{names[0]}' of model '{leg.model.name}' is chosen along with the plan of the Replanner, but in "
-            "flight the vehicle has one already: plan with its number, Model.parameter(name, number)."
+            f"parameter '{names[0]}' of model '{leg.model.name}' is chosen along with the plan of the Replanner, but "
+            "in flight the vehicle has one already: plan with its number, Model.parameter(name, number)."
         )
     whole = ca.vertcat(leg.ends("initial"), leg.initial_time, leg.integral_symbols())
     for constraint in problem.constraints.values():

@@ -78,8 +78,8 @@ class Replanner:
     every : float
         Time between two re-plannings, s, a multiple of the control step.
     when : callable, optional
-        ``when(t, x, x_ref)``, True or False: whether to re-plan at such a time t (s), the estimated states x (n,) and those of
-        the plan x_ref (n,) in the order of what the controller follows. Default: always.
+        ``when(t, x, x_ref)``, True or False: whether to re-plan at such a time t (s), the estimated states x (n,) and
+        those of the plan x_ref (n,) in the order of what the controller follows. Default: always.
     latency : float, optional
         How long solving takes on board, s; it is rounded up to control steps. Default: measured here, the slowest of
         three solves.
@@ -206,8 +206,8 @@ class Replanner:
         busy = self.every + self.latency + self.last
         if busy >= leg.duration:
             raise ArgumentError(
-                f"the Replanner would plan nothing: every, latency and last are {busy:g} s together, and its plan takes "
-                f"{leg.duration:g} s; make them shorter."
+                f"the Replanner would plan nothing: every, latency and last are {busy:g} s together, and its plan "
+                f"takes {leg.duration:g} s; make them shorter."
             )
         for share in (0.0, 0.5):
             t = leg.initial_time + share * leg.duration
@@ -275,8 +275,8 @@ class Replanner:
         (found,) = plan.phases.values()
         if not math.isclose(found.initial_time, begin, rel_tol=SAME_TIME, abs_tol=SAME_TIME):
             raise ArgumentError(
-                f"the plan that was made begins at {found.initial_time:g} s, not at {begin:g} s: let the resolver solve "
-                "the problem that it is given."
+                f"the plan that was made begins at {found.initial_time:g} s, not at {begin:g} s: let the resolver "
+                "solve the problem that it is given."
             )
         return plan
 

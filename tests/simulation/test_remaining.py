@@ -1,6 +1,7 @@
-"""The rest of a problem is asked for as the whole was: clocks go on, budgets are not granted anew, what does not fit is told.
+"""The rest of a problem is asked for as the whole was: clocks go on, no budget is granted anew.
 
-The cart has the least integral of u^2 from q = -1 at rest to the origin within 1 s: 12 q^2 / T^3 + 12 q v / T^2 + 4 v^2 / T.
+The cart has the least integral of u^2 from q = -1 at rest to the origin in 1 s; from
+(q, v) in T it is 12 q^2 / T^3 + 12 q v / T^2 + 4 v^2 / T.
 """
 
 from __future__ import annotations
