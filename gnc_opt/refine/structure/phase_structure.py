@@ -226,7 +226,7 @@ class PhaseStructure:
         sides: list[int] = []
         for kinds in (self.kinds[boundary - 1], self.kinds[boundary]):
             held = [i for i in rows if kinds[i].at_limit]
-            sides += [kinds[i].sign * (self.slopes[i] if i >= self._n_free else 1) for i in held]
+            sides += [kinds[i].sign * self._slope(i) for i in held]
         controls = {i for row in rows for i in (self.holders[row] if row >= self._n_free else (row,))}
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
 
@@ -251,9 +251,12 @@ class PhaseStructure:
         if len(kinds) != 2:
             return []
         lean = dict(zip(holders, self.leans[state], strict=False)).get(owner[0], 0)  # unknown in plain ones
-        own = 1 if limit < self._n_free else self.slopes[limit] or (*self.leans[limit], 0)[0]
-        sides = kinds[state].sign * lean, kinds[limit].sign * own
+        sides = kinds[state].sign * lean, kinds[limit].sign * self._slope(limit)
         return [state, limit] if sides[0] == (1 if held[0] == [state] else -1) * sides[1] != 0 else []
+
+    def _slope(self, row: int) -> int:
+        """The sign of what a control does to a row, its own or that of a limit of it alone; 0 if that changes."""
+        return 1 if row < self._n_free else self.slopes[row] or (*self.leans[row], 0)[0]
 
     def first_order(self, row: int) -> bool:
         """Whether a row is a state constraint of first order; bounds held by singular controls have holders alone."""
