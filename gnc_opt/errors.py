@@ -57,6 +57,11 @@ def shown(value: object) -> str:
     return " ".join(reprlib.repr(value).split())
 
 
+def in_words(error: BaseException) -> str:
+    """Return an error of any kind on one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return "did you mean 'x'?" if a known name is near, else the list of the known names."""
     names = list(known)

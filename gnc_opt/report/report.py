@@ -95,10 +95,11 @@ def _verdict_figure(verdict: Verdict) -> Figure:
 def _generic_figures(solution: Solution) -> Iterator[tuple[str, Figure]]:
     """Yield file stem and figure of what every solution has, all phases one after the other."""
     from gnc_opt.plot import trajectory
+    from gnc_opt.plot.controls import plot_controls
 
     yield "states", trajectory.plot_states(solution)
     if any(leg.controls.size for leg in solution.phases.values()):
-        yield "controls", trajectory.plot_controls(solution)
+        yield "controls", plot_controls(solution)
     yield "costates", trajectory.plot_costates(solution)
     if solution.problem is not None:
         yield "hamiltonian", trajectory.plot_hamiltonian(solution)

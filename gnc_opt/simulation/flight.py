@@ -198,7 +198,7 @@ class Flight:
                 if first == 0:
                     X, C, again = *self._folded.begun(rows[0], P[:, i]), True
                     other = self._begun_beside(X)
-                elif self.replanner is not None:
+                else:
                     self._consider(course, first, X, rows, C)
                 if recorder is None:
                     self._folded.fly(X, rows, C, final[i])
@@ -265,7 +265,7 @@ class Flight:
             if first == 0:
                 X, C = self._folded.begun(rows[0], P)
                 other = self._begun_beside(X)
-            elif self.replanner is not None:
+            else:
                 self._consider(course, first, X, rows, C)
             after, logs = self._folded.logged(X, rows, C)
             parts, told = self.kernel.state.split(np.column_stack([X, after])), self.kernel.log.split(logs)
@@ -397,6 +397,8 @@ class Flight:
 
     def _consider(self, course: Course, step: int, X: Array, rows: Array, C: Array) -> None:
         """Re-plan at the first of the steps ``rows``, if that is asked for then, and put the new plan in them."""
+        if self.replanner is None or step % round(self.replanner.every / self.dt):
+            return
         if self.estimates is None:
             x = self.kernel.measure(X, rows[0], C).full()[:, 0]
         else:
