@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from gnc_opt.refine.structure.curvature import affine_channels, curved_channels,
 from gnc_opt.refine.structure.detect import SMALL
 from gnc_opt.refine.structure.junctions import move_kinks
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose, signs_of
+from gnc_opt.refine.structure.pinned import unpinned
 from gnc_opt.refine.structure.plan import Plan, Resolution
 from gnc_opt.refine.structure.state_constraints import StateConstraints
 from gnc_opt.solution.samples import PhaseSamples
@@ -79,7 +80,9 @@ def improve(
         if structure is not None:
             return {**plans, name: plans[name].restructured(structure)}, action
     for name, s in samples.items():
-        structure, action = _saturated(s, plans[name], swapped)
+        structure, action = unpinned(s, plans[name])
+        if structure is None:
+            structure, action = _saturated(s, plans[name], swapped)
         if structure is not None:
             return {**plans, name: plans[name].restructured(structure)}, action
     adjusted = {name: _adjust(c, plans[name], tol) for name, c in constraints.items()}
@@ -91,7 +94,7 @@ def improve(
         if structure is None:
             structure, action = crossed_contact(constraints[name], plans[name].structure)
         if structure is not None:
-            return {**plans, name: plans[name].restructured(structure)}, action
+            return {**plans, name: plans[name].completed(structure)}, action
     return plans, ""
 
 
@@ -165,11 +168,17 @@ def _spread(structure: PhaseStructure, piece: int) -> PhaseStructure:
 
 def _complete(samples: PhaseSamples, plan: Plan, problem: Problem) -> tuple[PhaseStructure | None, str]:
     """Return the structure with the arc that a wrong sign asks for and what was done, or None if all agree."""
-    kinds = plan.structure.matrix()[:, plan.segment_pieces[samples.segments]]
+    pieces = plan.segment_pieces[samples.segments]
+    kinds = plan.structure.matrix()[:, pieces]
     offence, asked = _offences(samples, plan.structure, kinds)
     curved = _curved_rows(samples, offence.shape[0])
+    jumps = [
+        (plan.structure.jumped_to(k), np.flatnonzero(pieces == k)[0] - 1)
+        for k in range(1, plan.structure.pieces)
+    ]
     for i in range(offence.shape[0]):
-        _forgive_own_switches(offence[i], kinds[i], WRONG_BEND if curved[i] else WRONG_SLOPE)
+        jumped = [int(j) for rows, j in jumps if i in rows]
+        _forgive_own_switches(offence[i], kinds[i], WRONG_BEND if curved[i] else WRONG_SLOPE, jumped)
     if offence.size and (found := _chatter(samples, plan.structure, offence, problem)):
         i, start, end = found
         label = samples.leg.controls.labels[i]
@@ -339,13 +348,16 @@ def _around(holds: Mask, j: int) -> slice:
     return slice(before[-1] + 1 if before.size else 0, after[0] if after.size else holds.size)
 
 
-def _forgive_own_switches(offence: Array, kinds: KindArray, least: float = WRONG_SLOPE) -> None:
+def _forgive_own_switches(
+    offence: Array, kinds: KindArray, least: float = WRONG_SLOPE, jumped: Sequence[int] = ()
+) -> None:
     """Zero the offences that reach up to one of the channel's own switches, but for such on both sides of it.
 
     There the switching function vanishes at the optimum, and what is left of it is rounding and mesh error. On both
-    sides it has the wrong slope: the cost is the largest, not the least, for that time of the switch.
+    sides it has the wrong slope: the cost is the largest, not the least, for that time of the switch. Nor is it zero
+    where the control has ``jumped`` from holding a state constraint.
     """
-    for j in np.flatnonzero(kinds[1:] != kinds[:-1]):
+    for j in set(np.flatnonzero(kinds[1:] != kinds[:-1])).difference(jumped):
         sides = (
             _run_of(offence > 0, range(int(j), -1, -1)),
             _run_of(offence > 0, range(int(j) + 1, offence.size)),

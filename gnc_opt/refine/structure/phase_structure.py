@@ -165,7 +165,7 @@ class PhaseStructure:
         a control that enters H linearly jumps to where it holds a state constraint. Where a limit takes over from a
         state constraint or from another limit, the time is as well determined as that of a switch: both are met.
         """
-        if self.taken_over(boundary) or self.handed_over(boundary):
+        if self.taken_over(boundary) or self.handed_over(boundary) or self.jumped_to(boundary):
             return False
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         return not self.touches[boundary] and all(
@@ -251,6 +251,21 @@ class PhaseStructure:
         lean = dict(zip(holders, self.leans[state], strict=False)).get(owner[0], 0)  # unknown in plain ones
         sides = kinds[state].sign * lean, kinds[limit].sign * self._slope(limit)
         return [state, limit] if sides[0] == (1 if held[0] == [state] else -1) * sides[1] != 0 else []
+
+    def jumped_to(self, boundary: int) -> list[int]:
+        """Return the controls that are at a bound on one side of a boundary and hold a state constraint on the other.
+
+        Of second order or higher, that is: where H determines such a control it is continuous, and goes from one to the
+        other along an interior arc, which may be too short for the mesh to show. Without it the control jumps, at a time
+        that the cost depends on as on that of a switch.
+        """
+        rows, beside = self.changes(boundary), self.kinds[boundary - 1 : boundary + 1]
+        found: list[int] = []
+        for row in rows:
+            if self.orders[row] > 1:
+                free = beside[0] if beside[1][row].at_limit else beside[1]
+                found += [i for i in self.holders[row] if i in rows and self.regular[i] and free[i].at_limit]
+        return found
 
     def _slope(self, row: int) -> int:
         """The sign of what a control does to its own row or a path constraint; 0 if it changes, or for states."""
@@ -379,7 +394,8 @@ class PhaseStructure:
     def swapped(self, piece: int) -> PhaseStructure | None:
         """Return the structure in which the switches at the two ends of a piece change places.
 
-        ``None`` where there is nothing to swap: at the phase's ends, or when one control switches at both ends.
+        ``None`` where there is nothing to swap: at the phase's ends, when one control switches at both ends, or where
+        nothing would be left to hold a state constraint.
         """
         if not 0 < piece < self.pieces - 1:
             return None
@@ -387,6 +403,9 @@ class PhaseStructure:
         if any(before is not here and here is not after for before, here, after in rows):
             return None
         other = tuple(after if before is here else before for before, here, after in rows)
+        held = [self.holders[i] for i in np.flatnonzero(self.orders) if other[i].at_limit]
+        if any(holders and all(other[i].at_limit for i in holders) for holders in held):
+            return None
         touches = list(self.touches)
         touches[piece], touches[piece + 1] = touches[piece + 1], touches[piece]
         kinds = (*self.kinds[:piece], other, *self.kinds[piece + 1 :])

@@ -57,6 +57,9 @@ TURNING_SEGMENTS = 6
 THINNED = 1.5
 """Points of a finer mesh for one point of the pieces, which converge faster than a mesh that switches fall into."""
 
+SAME = 0.9
+"""Share of both that pieces of two structures have in common to be the same."""
+
 
 @dataclass(frozen=True)
 class Resolution:
@@ -219,6 +222,28 @@ class Plan:
             finer = tuple(self._as_fine_as_now(structure, k, r) for k, r in enumerate(plan.resolutions))
             return replace(plan, resolutions=finer)
         return plan
+
+    def completed(self, structure: PhaseStructure) -> Plan:
+        """Return the plan of the structure with one more arc: pieces that are as before keep their segments.
+
+        They are fine enough already, and what the arc changes in them is small.
+        """
+        plan = self.restructured(structure)
+        if self.inherits:
+            return plan
+        kept = tuple(self._of_same_piece(structure, k) or r for k, r in enumerate(plan.resolutions))
+        return replace(plan, resolutions=kept)
+
+    def _of_same_piece(self, structure: PhaseStructure, piece: int) -> Resolution | None:
+        """The resolution of the piece of this plan that does the same at nearly the same time, or None."""
+        left, right = structure.times[piece : piece + 2]
+        for k, (begin, end) in enumerate(itertools.pairwise(self.structure.times)):
+            shared = min(right, end) - max(left, begin)
+            if self.structure.kinds[k] == structure.kinds[piece] and shared > SAME * max(
+                right - left, end - begin
+            ):
+                return self.resolutions[k]
+        return None
 
     def _as_fine_as_now(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
         """The resolution of a piece of another structure with the segments that this plan has in its place."""
