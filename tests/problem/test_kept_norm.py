@@ -13,7 +13,7 @@ ANGLE, TIME = 1.2, 3.0
 
 
 def slew(rate: str = "kept", scalars: bool = False, size: float = 1.0) -> go.Problem:
-    """A body with inertia 1 turned about its third axis from rest to rest; its quaternion has length `size` at first."""
+    """A body of inertia 1 turned about its third axis from rest to rest; its quaternion has length `size` at first."""
     model = go.Model("body")
     q = ca.vertcat(*(model.state(f"q_{i}") for i in range(4))) if scalars else model.state("q", 4)
     w, u = model.state("w", 3, unit="rad/s"), model.control("u", 3, unit="rad/s^2")
