@@ -7,18 +7,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from gnc_opt.arguments import read_integer
 from gnc_opt.errors import GncOptError
 from gnc_opt.markup import preformatted, table
-from gnc_opt.report.campaign import campaign_table
 from gnc_opt.report.document import again, chip, document, pictures, report_folder, save_figures
-from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.run import Run
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from gnc_opt.plot.view import View
+    from gnc_opt.simulation.campaign import Campaign
+    from gnc_opt.simulation.run import Run
 
 
 def write_run_report(
@@ -120,6 +120,8 @@ def write_campaign_report(
     >>> print([file.name for file in write_campaign_report(campaign, "report")][:3])
     ['report.html', 'campaign.npz', 'campaign.json']
     """
+    from gnc_opt.report.campaign import campaign_table
+
     runs = read_integer(runs, "the number of runs to show", 1)
     if not len(campaign):
         raise GncOptError("no run of the campaign has ended: there is nothing to report.")

@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from matplotlib.figure import Figure
-
 from gnc_opt.report.document import report_folder, save_figures
 from gnc_opt.report.page import page
 from gnc_opt.report.summary_json import write_json
@@ -15,6 +13,8 @@ from gnc_opt.solution.solution import Solution
 from gnc_opt.verify.verdict import Verdict
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from gnc_opt.plot.view import View
 
 Figures: TypeAlias = "Callable[[Solution, Path], Any]"
