@@ -130,7 +130,7 @@ def write_campaign_report(
     files = save_figures(folder, _campaign_figures(campaign))
     failures = [(index, str(outcome)) for index, outcome in campaign.failures.items()]
     sections = {
-        "Answer": preformatted(campaign_table(campaign)),
+        "Answer": preformatted(str(campaign)),
         "Motion": motion,
         "Figures": pictures(files),
         "Failures": table(("run", "what went wrong"), failures),
