@@ -120,8 +120,6 @@ def write_campaign_report(
     >>> print([file.name for file in write_campaign_report(campaign, "report")][:3])
     ['report.html', 'campaign.npz', 'campaign.json']
     """
-    from gnc_opt.report.campaign import campaign_table
-
     runs = read_integer(runs, "the number of runs to show", 1)
     if not len(campaign):
         raise GncOptError("no run of the campaign has ended: there is nothing to report.")

@@ -39,7 +39,8 @@ def test_import_loads_nothing_heavy(package: str) -> None:
 
 
 def test_reports_load_neither_figures_nor_the_closed_loop_before_they_are_drawn() -> None:
-    program = "import sys, gnc_opt.report; print({'matplotlib', 'scipy.optimize', 'gnc_opt.simulation'} & set(sys.modules))"
+    loaded = "{'matplotlib', 'scipy.optimize', 'gnc_opt.simulation'} & set(sys.modules)"
+    program = f"import sys, gnc_opt.report; print({loaded})"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["set()"]
 
