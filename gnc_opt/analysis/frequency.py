@@ -33,6 +33,7 @@ from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, Tick
 from gnc_opt.simulation.loop import ClosedLoop
 from gnc_opt.simulation.sensors import Sampling
 from gnc_opt.strict import Strict
+from gnc_opt.threads import one_thread
 
 _PROBE = "probe of the command"
 
@@ -161,6 +162,7 @@ class LoopResponse(Strict):
         fed_back = bool(np.any(self.c[index]))
         return fed_back and bool(np.all(np.abs(self._closed(_LOOKS * np.pi / self.dt, index)) < _NOTHING))
 
+    @one_thread()
     def _closed(self, omega: ArrayLike, index: int) -> Array:
         """Return the way from d to u, (n_omega, m, m)."""
         w = read_numbers(omega, "the frequencies").reshape(-1)
@@ -197,6 +199,7 @@ def _solved(matrices: Array, columns: Array) -> Array:
         ) from None
 
 
+@one_thread()
 def loop_response(
     loop: ClosedLoop,
     *,
