@@ -38,6 +38,13 @@ def test_import_loads_nothing_heavy(package: str) -> None:
     assert done.stdout.split() == []
 
 
+def test_reports_load_neither_figures_nor_the_closed_loop_before_they_are_drawn() -> None:
+    loaded = "{'matplotlib', 'scipy.optimize', 'gnc_opt.simulation'} & set(sys.modules)"
+    program = f"import sys, gnc_opt.report; print({loaded})"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["set()"]
+
+
 def test_import_leaves_the_closed_loop_until_it_is_asked_for() -> None:
     program = (
         "import sys, gnc_opt as go; rooms = {'gnc_opt.control', 'gnc_opt.simulation', 'gnc_opt.analysis'};"
