@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias, get_args
 
@@ -54,6 +54,11 @@ many more it may take to be the best so far."""
 
 LEAST_WORK = 3.5e4
 """What refining may cost in any case, in iterations at one collocation point (`Pass.work`): about a second."""
+
+LITTLE, FELL = 5e5, 0.1
+"""What is little for all attempts, in iterations of one variable at one collocation point: about two seconds. Where the
+work allowed was less than that, because the first solve was quick, and has reduced the error of the mesh to this share,
+refining begins once more from where it ended."""
 
 MESHES = 0.5
 """Share of all work that is left for meshes, however much structures that nobody asked for have cost in vain, before it
@@ -131,17 +136,33 @@ def refine(
     attempts: list[RefinementAttempt] = []
     try:
         solution = _released(solution, options, deadline)
-        work = max(limits.max_work * _work(solution), LEAST_WORK)
-        task = _Task(
-            solution, tol, limits.max_passes, limits.max_points, work, options, deadline, progress, attempts
-        )
-        for attempt in task.attempts(structure):
-            attempts.append(attempt)
-            if attempt.final:
-                break
+        start: Solution | None = solution
+        while start is not None:
+            work = max(limits.max_work * _work(start), LEAST_WORK)
+            task = _Task(start, tol, limits.max_passes, limits.max_points, work, options, deadline, progress)
+            for attempt in task.attempts(structure):
+                task.attempted.append(attempt)
+                attempts.append(attempt)
+                if attempt.final:
+                    break
+            start = _worth_another(attempts)
     except KeyboardInterrupt:
         attempts.append(interrupted(solution, tol, begin))
     return result_of(solution, attempts, tol, begin)
+
+
+def _worth_another(attempts: Sequence[RefinementAttempt]) -> Solution | None:
+    """Return the mesh from which to begin again, with work of its own; or None.
+
+    Where all there was has cost little, and the error fell.
+    """
+    meshes = [a for a in attempts if a.begun is None]
+    if attempts[-1].final or not meshes or meshes[-1].history.status is not RefinementStatus.WORK_LIMIT:
+        return None
+    first, last = meshes[0].history.passes[0], meshes[-1]
+    size = max(leg.states.size + leg.controls.size for leg in last.solution.phases.values())
+    cheap = size * sum(a.work for a in attempts) <= LITTLE
+    return last.solution if cheap and last.error <= FELL * first.error else None
 
 
 def _check(solution: Solution) -> None:

@@ -66,13 +66,13 @@ on either side of a jump that should be a short interior arc, and no error of th
 
 
 def improve(
-    solution: Solution, plans: dict[str, Plan], swapped: set[tuple[str, PhaseStructure]], tol: float
+    solution: Solution, plans: dict[str, Plan], left: set[tuple[str, PhaseStructure]], tol: float
 ) -> tuple[dict[str, Plan], str]:
     """Mend the structure of one phase, or kinks and resolution of all; return the plans and what was done."""
     problem, samples = solution.need_problem("refine"), solution.samples()
     constraints = {name: StateConstraints(problem, s) for name, s in samples.items()}
     for name, s in samples.items():
-        structure, action = collapsed(s, plans[name], swapped)
+        structure, action = collapsed(s, plans[name], left)
         if structure is not None:
             return {**plans, name: plans[name].restructured(structure)}, action
     for name, c in constraints.items():
@@ -81,8 +81,8 @@ def improve(
             return {**plans, name: plans[name].restructured(structure)}, action
     for name, s in samples.items():
         structure, action = unpinned(s, plans[name])
-        if structure is None:
-            structure, action = _saturated(s, plans[name], swapped)
+        if structure is None or (name, structure.at(())) in left:
+            structure, action = _saturated(s, plans[name], left)
         if structure is not None:
             return {**plans, name: plans[name].restructured(structure)}, action
     adjusted = {name: _adjust(c, plans[name], tol) for name, c in constraints.items()}
@@ -94,6 +94,7 @@ def improve(
         if structure is None:
             structure, action = crossed_contact(constraints[name], plans[name].structure)
         if structure is not None:
+            left.add((name, plans[name].structure.at(())))
             return {**plans, name: plans[name].completed(structure)}, action
     return plans, ""
 
@@ -120,7 +121,7 @@ def _adjust(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan
 
 
 def collapsed(
-    samples: PhaseSamples, plan: Plan, swapped: set[tuple[str, PhaseStructure]]
+    samples: PhaseSamples, plan: Plan, left: set[tuple[str, PhaseStructure]]
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure after a piece has vanished and what was done, or None if none has."""
     structure, lengths = plan.structure, plan.structure.lengths
@@ -130,9 +131,9 @@ def collapsed(
     if structure.pieces == 1 or not gone:
         return None, ""
     other = structure.swapped(shortest)
-    swapped.add((samples.leg.name, structure.at(())))
+    left.add((samples.leg.name, structure.at(())))
     # Only an order that has been left before is not tried again.
-    if other is not None and (samples.leg.name, other.at(())) not in swapped:
+    if other is not None and (samples.leg.name, other.at(())) not in left:
         return _spread(other, shortest), f"switches {shortest} and {shortest + 1} swapped"
     return structure.emptied(shortest), f"piece {shortest + 1} dropped"
 

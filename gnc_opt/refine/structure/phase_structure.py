@@ -255,9 +255,9 @@ class PhaseStructure:
     def jumped_to(self, boundary: int) -> list[int]:
         """Return the controls that are at a bound on one side of a boundary and hold a state constraint on the other.
 
-        Of second order or higher, that is: where H determines such a control it is continuous, and goes from one to the
-        other along an interior arc, which may be too short for the mesh to show. Without it the control jumps, at a time
-        that the cost depends on as on that of a switch.
+        Of second order or higher: where H determines such a control it is continuous, and goes from one to the other
+        along an interior arc, which may be too short for the mesh to show. Without that it jumps, at a time that the
+        cost depends on as on that of a switch.
         """
         rows, beside = self.changes(boundary), self.kinds[boundary - 1 : boundary + 1]
         found: list[int] = []

@@ -199,7 +199,7 @@ class _Loop:
 
         Every pass is added to ``tries``.
         """
-        swapped: set[tuple[str, PhaseStructure]] = set()
+        left: set[tuple[str, PhaseStructure]] = set()
         asked: set[Change] = set()
         vain = 0
         for _ in range(self.limits.passes):
@@ -219,14 +219,14 @@ class _Loop:
                 if found.status.value == "interrupted":
                     return RefinementStatus.INTERRUPTED
                 vain += 1
-                others = _instead(found, plans, swapped)
+                others = _instead(found, plans, left)
                 if others is None or vain == IN_VAIN:
                     return RefinementStatus.FAILED
                 plans = others
                 continue
             solution, vain = found, 0
             current = {name: _at_solution(plan, solution, name) for name, plan in plans.items()}
-            plans, action = improve(solution, current, swapped, self._aim_of(current))
+            plans, action = improve(solution, current, left, self._aim_of(current))
             record = _record(solution, begin, action or "structure stands")
             resolved = _resolved([*self.records, record], self._aim_of(current))
             if resolved and (finer := smoother(solution, current)) != current:
@@ -281,7 +281,7 @@ class _Loop:
 
 
 def _instead(
-    failed: Solution, plans: dict[str, Plan], swapped: set[tuple[str, PhaseStructure]]
+    failed: Solution, plans: dict[str, Plan], left: set[tuple[str, PhaseStructure]]
 ) -> dict[str, Plan] | None:
     """Return what to try where a structure had no solution, or None.
 
@@ -292,7 +292,7 @@ def _instead(
         return {name: replace(plan, firm=True) for name, plan in plans.items()}
     for name, s in failed.samples().items():
         current = _at_solution(plans[name], failed, name)
-        structure, _ = collapsed(s, current, swapped)
+        structure, _ = collapsed(s, current, left)
         if structure is not None:
             return {**plans, name: current.restructured(structure)}
     return None
