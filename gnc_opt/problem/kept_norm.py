@@ -25,7 +25,7 @@ ROUNDING = 1e-12
 
 
 def idle_bounds(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
-    """Return which lower and which upper bounds of states hold by themselves, since the state's vector keeps its length.
+    """Return which lower and which upper bounds of states hold by themselves, since a vector of them keeps its length.
 
     Vectors are those that are declared as such, and what scalars that share their bounds make together.
     """

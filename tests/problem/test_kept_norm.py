@@ -13,12 +13,9 @@ ANGLE, TIME = 1.2, 3.0
 
 
 def slew(rate: str = "kept", scalars: bool = False, size: float = 1.0) -> go.Problem:
-    """A body with inertia 1, turned about its third axis from rest to rest; its quaternion begins with length `size`."""
+    """A body of inertia 1 turned about its third axis from rest to rest; its quaternion has length `size` at first."""
     model = go.Model("body")
-    if scalars:
-        q = ca.vertcat(*(model.state(f"q_{i}") for i in range(4)))
-    else:
-        q = model.state("q", 4)
+    q = ca.vertcat(*(model.state(f"q_{i}") for i in range(4))) if scalars else model.state("q", 4)
     w, u = model.state("w", 3, unit="rad/s"), model.control("u", 3, unit="rad/s^2")
     turned = 0.5 * ca.vertcat(-ca.dot(q[1:], w), q[0] * w + ca.cross(q[1:], w))
     if rate == "pulled to 1":

@@ -149,8 +149,8 @@ def test_where_constraints_are_looked_for(monkeypatch: pytest.MonkeyPatch) -> No
 def test_lines_that_lead_on_and_on_give_way_to_a_flight(
     monkeypatch: pytest.MonkeyPatch, ending: Status, tries: int
 ) -> None:
-    """Here after two iterations, and two with the adaptive barrier from the same lines; what fails from the flight as well has its constraints met in the guessed time,
-    and only if that is lost, too, goes on from the lines."""
+    """Here after two iterations, and two with the adaptive barrier from the same lines; what fails from the flight as
+    well has its constraints met in the guessed time, and only if that is lost, too, goes on from the lines."""
     for limit in ("LOST", "BRIEF"):
         monkeypatch.setattr(sys.modules[solve_mesh.__module__], limit, 2)
     watch = Stumbling(monkeypatch, None, None, ending)
