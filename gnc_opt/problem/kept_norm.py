@@ -2,7 +2,7 @@
 
 A bound that no vector of that length passes says nothing. Yet a quaternion that begins at rest, (1, 0, 0, 0), with
 bounds of 1 begins on a bound, whose gradient is that of the length: no step leads to the inside, and an interior point
-method, which lives there, wanders for thousands of iterations. Such bounds are dropped.
+method, which lives there, wanders for thousands of iterations. Such bounds are dropped. (Wider ones leave an inside.)
 """
 
 from __future__ import annotations
@@ -21,11 +21,14 @@ PLACES, SEED = 8, 5
 vanishes at them vanishes everywhere, but for functions made to deceive."""
 
 ROUNDING = 1e-12
-"""Share of its terms within which a rate is none, and of a length within which a bound is one of it."""
+"""Share of its terms within which a rate is none, and of a length by which a bound may fall short of it."""
+
+ROOM = 1e-2
+"""Share of a length by which a bound of it may exceed it."""
 
 
 def idle_bounds(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
-    """Return which lower and which upper bounds of states hold by themselves, since a vector of them keeps its length.
+    """Return which lower and which upper bounds of states are the length that a vector of them keeps.
 
     Vectors are those that are declared as such, and what scalars that share their bounds make together.
     """
@@ -33,9 +36,9 @@ def idle_bounds(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
     bounds = leg.numbers.states
     for places in _vectors(leg):
         length = _first_length(leg, places)
-        reached = length * (1.0 - ROUNDING)
-        lower = np.isfinite(bounds.lower[places]) & (bounds.lower[places] <= -reached)
-        upper = np.isfinite(bounds.upper[places]) & (bounds.upper[places] >= reached)
+        least, most = length * (1.0 - ROUNDING), length * (1.0 + ROOM)
+        lower, upper = -bounds.lower[places], bounds.upper[places]
+        lower, upper = (least <= lower) & (lower <= most), (least <= upper) & (upper <= most)
         if length > 0 and np.any(lower | upper) and _kept(problem, leg, places, length):
             idle[0, places], idle[1, places] = lower, upper
     return idle[0], idle[1]
