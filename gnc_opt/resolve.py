@@ -11,6 +11,7 @@ from gnc_opt.refine.structure.variation import KnownFlight, on_the_way
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.solve import Way, said, solve
+from gnc_opt.threads import one_thread
 
 WARM_ITERATIONS = 50
 """After which a warm start has lost its way, and the trajectory alone is kept."""
@@ -73,6 +74,7 @@ class Resolver:
         known = KnownFlight.of(solution)
         self._known = None if known is None else known.differentiated()
 
+    @one_thread()
     def solve(self, problem: Problem, *, near: Solution | None = None) -> Solution:
         """Return the solution of a variation; ``solution.provenance["way"]`` names the `Way` it was found.
 

@@ -30,6 +30,7 @@ from gnc_opt.solution.history import Pass, RefinementStatus, work_of
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import LOST, SolveLimits, solve_mesh
+from gnc_opt.threads import one_thread
 from gnc_opt.tolerances import SHORTEST
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.verify.verify import verify
@@ -63,6 +64,7 @@ TIGHTER, FURTHER = 0.01, 2
 on to this share of the tolerance, so many times: what a condition forgives is not the same share of every problem."""
 
 
+@one_thread()
 def refine(
     solution: Solution,
     *,

@@ -63,7 +63,7 @@ class Companion:
 
 
 def estimates(
-    places: Places, final: Array, apart: Array, growth: float, companion: Companion | None
+    places: Places, final: Array, others: Array, growth: float, companion: Companion | None
 ) -> tuple[Array, Array]:
     """Return the estimated errors of runs whose kernels' states ended so.
 
@@ -73,8 +73,8 @@ def estimates(
         Of the columns that follow.
     final : array (n_state, n)
         Ends of the runs.
-    apart : array (n,)
-        From the flights beside them, see `apart`.
+    others : array (n_state, n)
+        Ends of the flights beside them.
     growth : float
         By which local errors have grown until the end of the nominal run.
     companion : Companion or None
@@ -93,7 +93,7 @@ def estimates(
     errors, instants = growth * (local + resets) + blur, growth * late
     if companion is None:
         return errors, instants
-    grown = companion.error(apart, errors - blur, local) + blur
+    grown = companion.error(apart(places, final, others), errors - blur, local) + blur
     ended = stop > 0
     return (
         np.where(ended, errors, np.maximum(errors, grown)),

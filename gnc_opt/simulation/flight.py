@@ -14,9 +14,9 @@ import numpy as np
 
 from gnc_opt.arguments import read_integer
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError
+from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.model.layout import Layout
-from gnc_opt.simulation.beside import Companion, apart, estimates
+from gnc_opt.simulation.beside import Companion, estimates
 from gnc_opt.simulation.course import Course
 from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.event import Occurrence, occurrences
@@ -158,7 +158,7 @@ class Flight:
         _, rows = next(self.legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
         ends = np.empty((2, self.kernel.state.size))
         for flight, end in zip((self, quick), ends, strict=True):
-            X, C = self._begun(rows[0], self.nominal)
+            X, C = self._folded.begun(rows[0], self.nominal)
             flight._folded.fly(X, rows, C, end)
         return quick if ends[0].tobytes() == ends[1].tobytes() else self
 
@@ -180,7 +180,7 @@ class Flight:
                 f"give ({self.layout.size}, {len(seeds)})."
             )
         final = np.full((P.shape[1], self.kernel.state.size), np.nan)
-        distances = np.full(P.shape[1], np.nan)
+        others = np.full_like(final, np.nan)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         recorder = None if self.quantities is None else Recorder(self.quantities, self.times, P.shape[1])
         refused: dict[int, str] = {}
@@ -196,9 +196,9 @@ class Flight:
             legs = self.legs(seed, known, course, again=again)
             for first, rows in legs:
                 if first == 0:
-                    X, C, again = *self._begun(rows[0], P[:, i]), True
+                    X, C, again = *self._folded.begun(rows[0], P[:, i]), True
                     other = self._begun_beside(X)
-                elif self.replanner is not None:
+                else:
                     self._consider(course, first, X, rows, C)
                 if recorder is None:
                     self._folded.fly(X, rows, C, final[i])
@@ -214,13 +214,13 @@ class Flight:
                 if self._stopped(X):
                     break
             self._carry_on(other, legs, course, C)
-            distances[i] = self._apart(X, other)
+            others[i] = other
             if self.replanner is not None:
                 replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
                 followed[:, i] = self._followed_at_end(course, final[i : i + 1].T)[:, 0]
         if self.replanner is None:
             followed = self._followed_at_end(self._course(), final.T)
-        ending = self._ending(final.T, distances, refused, followed, replans)
+        ending = self._ending(final.T, others.T, refused, followed, replans)
         return ending if recorder is None else replace(ending, sums=recorder.sums, samples=recorder.samples)
 
     def run(self, P: Array, seed: Any, *, every: int = 1, folder: str | Path | None = None) -> Run:
@@ -263,9 +263,9 @@ class Flight:
         legs = self.legs(seed, known, course)
         for first, rows in legs:
             if first == 0:
-                X, C = self._begun(rows[0], P)
+                X, C = self._folded.begun(rows[0], P)
                 other = self._begun_beside(X)
-            elif self.replanner is not None:
+            else:
                 self._consider(course, first, X, rows, C)
             after, logs = self._folded.logged(X, rows, C)
             parts, told = self.kernel.state.split(np.column_stack([X, after])), self.kernel.log.split(logs)
@@ -287,7 +287,7 @@ class Flight:
         end = self._last_times(final)
         followed = self._followed_at_end(course, X[:, None])
         self._note(log, final, {}, np.array([0]), followed)
-        ending = self._ending(X[:, None], np.array([self._apart(X, other)]), {}, followed)
+        ending = self._ending(X[:, None], other[:, None], {}, followed)
         arrays = log.close()
         times = np.append(self.times[kept[kept < last]], end)
         return Run(
@@ -370,8 +370,7 @@ class Flight:
                     f"the random numbers of a run have the shape {seed.shape}: give ({self.n_steps}, {size})."
                 )
             return lambda first, last: seed[first:last]
-        sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        generator = np.random.Generator(np.random.Philox(sequence))
+        generator = np.random.Generator(np.random.Philox(_sequence(seed)))
         return lambda first, last: generator.standard_normal((last - first, size))
 
     @cached_property
@@ -397,6 +396,8 @@ class Flight:
 
     def _consider(self, course: Course, step: int, X: Array, rows: Array, C: Array) -> None:
         """Re-plan at the first of the steps ``rows``, if that is asked for then, and put the new plan in them."""
+        if self.replanner is None or step % round(self.replanner.every / self.dt):
+            return
         if self.estimates is None:
             x = self.kernel.measure(X, rows[0], C).full()[:, 0]
         else:
@@ -408,11 +409,6 @@ class Flight:
         """Put what a run follows from a step on into the rows of a leg."""
         if self.replanner is not None:
             rows[:, 1 : 1 + self.schedule.shape[0]] = course.schedule[:, step : step + len(rows)].T
-
-    def _begun(self, known: Array, P: Array) -> tuple[Array, Array]:
-        """Return X at the first step, and the constants of the run."""
-        X, C = self.kernel.start(known, P), self.kernel.constants(P)
-        return np.asarray(X.full()[:, 0]), np.asarray(C.full()[:, 0])
 
     def _note(
         self,
@@ -434,7 +430,7 @@ class Flight:
 
     def _stopped(self, X: Array) -> bool:
         """Whether an event has ended the run."""
-        return bool(self.events.size and self.kernel.state.split(X)["stop"][0] > 0)
+        return bool(self.events.size and X[self.kernel.state.slices["stop"]][0] > 0)
 
     def _last_times(self, parts: dict[str, Array]) -> Array:
         """Return when runs ended (n,), s."""
@@ -445,7 +441,7 @@ class Flight:
     def _begun_beside(self, X: Array) -> Array:
         """Return where the flight beside a run that begins with X begins."""
         other = X.copy()
-        self.kernel.state.split(other)["beside"][:] = 0 if self.beside is None else self.beside.side
+        other[self.kernel.state.slices["beside"]] = 0 if self.beside is None else self.beside.side
         return other
 
     def _fly_beside(self, other: Array, rows: Array, C: Array) -> None:
@@ -461,12 +457,6 @@ class Flight:
             self._plan(course, first, rows)
             self._fly_beside(other, rows, C)
 
-    def _apart(self, X: Array, other: Array) -> float:
-        """Return what a run that ended with X and the flight beside it are apart."""
-        return (
-            np.nan if self.beside is None else float(apart(self.kernel.state, X[:, None], other[:, None])[0])
-        )
-
     @cached_property
     def _folded(self) -> Folded:
         return Folded(self.kernel, self.library)
@@ -479,13 +469,14 @@ class Flight:
     def _ending(
         self,
         final: Array,
-        distances: Array,
+        others: Array,
         refused: dict[int, str],
         followed: Array,
         replans: Array | None = None,
     ) -> Ending:
+        """Return how runs have ended, from the kernels' states (n_state, n) and those of the flights beside them."""
         parts = self.kernel.state.split(final)
-        errors, instants = estimates(self.kernel.state, final, distances, self.growth, self.beside)
+        errors, instants = estimates(self.kernel.state, final, others, self.growth, self.beside)
         outcomes = tuple(
             Outcome(RunStatus.REFUSED, refused[i])
             if i in refused
@@ -521,3 +512,15 @@ class Flight:
             if name in self.states:
                 follow[self.states.slice(name)] = reference[self.followed.slice(name)]
         return np.asarray(self.errors(states, follow).full())
+
+
+def _sequence(seed: Any) -> np.random.SeedSequence:
+    """Return what random numbers are drawn from; a seed that would draw others each time is refused."""
+    if isinstance(seed, np.random.SeedSequence):
+        return seed
+    try:
+        if seed is not None and not isinstance(seed, bool):
+            return np.random.SeedSequence(seed)
+    except (TypeError, ValueError):
+        pass
+    raise ArgumentError(f"the seed of a run is {shown(seed)}: give an integer >= 0, or several.")

@@ -26,7 +26,7 @@ class Folded:
 
     def __init__(self, kernel: Kernel, library: str = "") -> None:
         self.kernel, self.library = kernel, library
-        self._buffers: dict[int, Any] = {}
+        self._buffers: dict[Any, Any] = {}
         self._logs: dict[int, Any] = {}
 
     def fly(self, X: Array, rows: Array, C: Array, final: Array) -> None:
@@ -48,17 +48,33 @@ class Folded:
             flown += 1
             flown += self._native(final.copy(), rows[flown:], C, final)
 
+    def begun(self, known: Array, P: Array) -> tuple[Array, Array]:
+        """Return X at the first step (n_state,), and the constants of a run (n_constants,)."""
+        start, constants = self.kernel.start, self.kernel.constants
+        X, C = np.empty(start.size1_out(0)), np.empty(constants.size1_out(0))
+        P = np.ascontiguousarray(P)
+        self._evaluate("start", lambda: start, (np.ascontiguousarray(known), P), X)
+        self._evaluate("constants", lambda: constants, (P,), C)
+        return X, C
+
     def _interpret(self, X: Array, rows: Array, C: Array, final: Array) -> None:
         """The same, by the interpreter."""
-        if len(rows) not in self._buffers:
-            self._buffers[len(rows)] = self._leg(
-                lambda x, w, c, n: [self.step.fold(n)(x, w, c)], len(rows)
-            ).buffer()
-        buffer, evaluate = self._buffers[len(rows)]
-        # reads and writes these arrays themselves: no conversion per run
-        for k, array in enumerate((X, rows, C)):
+
+        def leg() -> Any:
+            return self._leg(lambda x, w, c, n: [self.step.fold(n)(x, w, c)], len(rows))
+
+        self._evaluate(len(rows), leg, (X, rows, C), final)
+
+    def _evaluate(
+        self, key: Any, function: Callable[[], Any], arguments: tuple[Array, ...], result: Array
+    ) -> None:
+        """Write what a function makes of contiguous arrays to another one: no conversion per run."""
+        if key not in self._buffers:
+            self._buffers[key] = function().buffer()
+        buffer, evaluate = self._buffers[key]
+        for k, array in enumerate(arguments):
             buffer.set_arg(k, memoryview(array.data))
-        buffer.set_res(0, memoryview(final.data))
+        buffer.set_res(0, memoryview(result.data))
         evaluate()
 
     def logged(self, X: Array, rows: Array, C: Array) -> tuple[Array, Array]:
