@@ -37,8 +37,8 @@ def idle_bounds(problem: Statement, leg: Phase) -> tuple[Mask, Mask]:
     for places in _vectors(leg):
         length = _first_length(leg, places)
         least, most = length * (1.0 - ROUNDING), length * (1.0 + ROOM)
-        lower, upper = -bounds.lower[places], bounds.upper[places]
-        lower, upper = (least <= lower) & (lower <= most), (least <= upper) & (upper <= most)
+        below, above = -bounds.lower[places], bounds.upper[places]
+        lower, upper = (least <= below) & (below <= most), (least <= above) & (above <= most)
         if length > 0 and np.any(lower | upper) and _kept(problem, leg, places, length):
             idle[0, places], idle[1, places] = lower, upper
     return idle[0], idle[1]
