@@ -8,12 +8,13 @@ from scipy.integrate import quad
 from scipy.optimize import fsolve
 
 import gnc_opt as go
+from gnc_opt.problem.rooted import reachable_bounds
 from gnc_opt.refine.error import estimate_errors
 
 TIME, DISTANCE, WEIGHT, SPEED = 4.0, 0.7, 0.5, 1.0
 
 
-def hop() -> go.Problem:
+def hop(power: float = 1.5) -> go.Problem:
     """A rotor's lift, 0 to 1, pays by its power 3/2 (induced power): from a speed to rest, in given time."""
     model = go.Model("hop")
     h, v, lift = model.state("h"), model.state("v"), model.control("lift")
@@ -24,7 +25,7 @@ def hop() -> go.Problem:
     leg.initial(h=0.0, v=SPEED)
     leg.final(h=DISTANCE, v=0.0)
     leg.bounds(lift=(0.0, 1.0))
-    problem.minimize(leg.integral(lift**1.5))
+    problem.minimize(leg.integral(lift**power))
     return problem
 
 
@@ -61,3 +62,13 @@ def test_a_polynomial_beyond_its_bound_has_an_error_and_refines_to_the_optimum()
 def _at(error: object, low: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     s, at = error.samples, low[0]  # type: ignore[attr-defined]
     return s.times[at], s.x[:, at], s.u_polynomial[:, at]
+
+
+def test_only_controls_of_which_roots_are_taken_are_held_inside() -> None:
+    problem = hop()
+    leg = problem.get_phase()
+    bounds = reachable_bounds(problem, leg)
+    assert 0 < bounds.lower[0] < 1e-13 and 0 < 1.0 - bounds.upper[0] < 1e-13
+    smooth = hop(power=2)
+    leg = smooth.get_phase()
+    assert reachable_bounds(smooth, leg).lower[0] == 0.0 and reachable_bounds(smooth, leg).upper[0] == 1.0
