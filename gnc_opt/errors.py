@@ -44,10 +44,14 @@ class ProblemWarning(UserWarning):
     """Something in a problem that is legal and probably not meant."""
 
 
+_OURS = ("gnc_opt", "contextlib")
+"""Packages whose frames are no user's: what decorates functions of ours stands between them."""
+
+
 def warn_user(message: str) -> None:
     """Issue a `ProblemWarning` that points to the user's line, however deep in gnc_opt it arises."""
     depth = 1
-    while sys._getframe(depth).f_globals.get("__name__", "").partition(".")[0] == "gnc_opt":
+    while sys._getframe(depth).f_globals.get("__name__", "").partition(".")[0] in _OURS:
         depth += 1
     warnings.warn(message, ProblemWarning, stacklevel=depth + 1)
 
@@ -55,6 +59,11 @@ def warn_user(message: str) -> None:
 def shown(value: object) -> str:
     """Return a short form of a value on one line, for messages."""
     return " ".join(reprlib.repr(value).split())
+
+
+def in_words(error: BaseException) -> str:
+    """Return an error of any kind on one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.reference import Reference
-from gnc_opt.errors import GncOptError
+from gnc_opt.errors import GncOptError, in_words
 from gnc_opt.model.layout import Layout
 from gnc_opt.simulation.replanner import Replanner
 from gnc_opt.tolerances import STEP_SLACK
@@ -119,11 +119,9 @@ class Course:
             return
         if self.replans and t < self.replans[-1].effective - self.dt / 2:
             return  # the one before is not ready yet
-        known = bool(np.isfinite(x).all())
-        if known and planner.when is not None:
-            there = np.full(x.size, np.nan) if self.places is None else self.schedule[self.places, step]
-            if not planner.when(t, x, there):
-                return
+        there = np.full(x.size, np.nan) if self.places is None else self.schedule[self.places, step]
+        if np.isfinite(x).all() and not planner.wanted(t, x, there):
+            return
         names = planner.model.states.names
         start = np.concatenate([x[self.followed.slice(n)] for n in names])
         self.replans.append(self._replanned(planner, step, step + late, start))
@@ -137,11 +135,12 @@ class Course:
                 raise GncOptError("the estimated state is not a number")
             state = planner.predicted(self._path, t, x, begin, self.dt)
             plan = planner.solved(begin, state, self._plan)
-            rows = np.asarray(planner.follow(plan)(self.times[first:], self.dt), dtype=float)
+            rows = planner.rows(plan, self.times[first:], self.dt, self.schedule.shape[0])
             path = Reference(plan, tail="hold")
-        except (GncOptError, ArithmeticError, np.linalg.LinAlgError, RuntimeError) as error:
-            why = f"{type(error).__name__}: {' '.join(str(error).split())}"
-            return Replan(t, begin, time.perf_counter() - begun, why)
+        except (
+            Exception
+        ) as error:  # in flight the old plan is what there is, whatever a solver or a design does
+            return Replan(t, begin, time.perf_counter() - begun, in_words(error))
         self.schedule[:, first:] = rows
         self._plan, self._path = plan, path
         way, cost = str(plan.provenance.get("way", "")), float(plan.objective)

@@ -14,7 +14,7 @@ import numpy as np
 
 from gnc_opt.arguments import read_integer
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError
+from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.model.layout import Layout
 from gnc_opt.simulation.beside import Companion, estimates
 from gnc_opt.simulation.course import Course
@@ -362,8 +362,7 @@ class Flight:
                     f"the random numbers of a run have the shape {seed.shape}: give ({self.n_steps}, {size})."
                 )
             return lambda first, last: seed[first:last]
-        sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        generator = np.random.Generator(np.random.Philox(sequence))
+        generator = np.random.Generator(np.random.Philox(_sequence(seed)))
         return lambda first, last: generator.standard_normal((last - first, size))
 
     @cached_property
@@ -391,7 +390,7 @@ class Flight:
         """Re-plan at the first of the steps ``rows``, if that is asked for then, and put the new plan in them."""
         if self.replanner is None:
             return
-        if not self._stopped(X[0]):
+        if step % round(self.replanner.every / self.dt) == 0 and not self._stopped(X[0]):
             if self.estimates is None:
                 x = self.kernel.measure(X[0], rows[0], C).full()[:, 0]
             else:
@@ -495,3 +494,15 @@ class Flight:
             if name in self.states:
                 follow[self.states.slice(name)] = reference[self.followed.slice(name)]
         return np.asarray(self.errors(states, follow).full())
+
+
+def _sequence(seed: Any) -> np.random.SeedSequence:
+    """Return what random numbers are drawn from; a seed that would draw others each time is refused."""
+    if isinstance(seed, np.random.SeedSequence):
+        return seed
+    try:
+        if seed is not None and not isinstance(seed, bool):
+            return np.random.SeedSequence(seed)
+    except (TypeError, ValueError):
+        pass
+    raise ArgumentError(f"the seed of a run is {shown(seed)}: give an integer >= 0, or several.")

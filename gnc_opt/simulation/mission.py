@@ -13,6 +13,7 @@ from typing import TypeAlias
 import numpy as np
 
 from gnc_opt.arrays import Array
+from gnc_opt.errors import in_words
 from gnc_opt.simulation.dispersion import Dispersions, dispersed
 from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.flight import Flight
@@ -98,11 +99,6 @@ def flown_parts(done: Done[Batch, list[Flown]]) -> list[Flown]:
     if done.answer is not None:
         return done.answer
     assert done.error is not None
-    return [Flown(done.item, None, None, in_words(done.error), isinstance(done.error, WorkerDied))]
-
-
-def in_words(error: BaseException) -> str:
-    """Return an error on one line."""
-    if isinstance(error, WorkerDied):
-        return str(error)
-    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+    died = isinstance(done.error, WorkerDied)
+    why = str(done.error) if died else in_words(done.error)
+    return [Flown(done.item, None, None, why, died)]

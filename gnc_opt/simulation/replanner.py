@@ -13,6 +13,7 @@ leaves the old plan in force.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Callable
@@ -28,12 +29,14 @@ from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Schedule
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.schedule import ReferenceSchedule
-from gnc_opt.errors import ArgumentError
+from gnc_opt.errors import ArgumentError, GncOptError, in_words, shown
 from gnc_opt.model.layout import Layout
 from gnc_opt.model.model import Model
 from gnc_opt.problem.problem import Problem
 from gnc_opt.simulation.integrate import dormand_prince
+from gnc_opt.simulation.remaining import check_remaining, remaining
 from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import SAME_TIME
 
 _REHEARSALS = 3
 """Solves of which the slowest is the latency where none is stated."""
@@ -54,8 +57,13 @@ class Solver(Protocol):
 
 
 def follow_plan(plan: Solution) -> Schedule:
-    """Return the schedule of a law with constant gains that follows a plan."""
-    return ReferenceSchedule(Reference(plan))
+    """Return the schedule of a law with constant gains that follows a plan.
+
+    After its end come the controls that keep it at rest, or the last ones where none do.
+    """
+    with contextlib.suppress(ArgumentError):
+        return ReferenceSchedule(Reference(plan))
+    return ReferenceSchedule(Reference(plan, tail="hold"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +78,8 @@ class Replanner:
     every : float
         Time between two re-plannings, s, a multiple of the control step.
     when : callable, optional
-        ``when(t, x, x_ref) -> bool``: whether to re-plan at such a time t (s), the estimated states x (n,) and those of
-        the plan x_ref (n,) in the order of what the controller follows. Default: always.
+        ``when(t, x, x_ref)``, True or False: whether to re-plan at such a time t (s), the estimated states x (n,) and
+        those of the plan x_ref (n,) in the order of what the controller follows. Default: always.
     latency : float, optional
         How long solving takes on board, s; it is rounded up to control steps. Default: measured here, the slowest of
         three solves.
@@ -87,7 +95,8 @@ class Replanner:
     Raises
     ------
     ArgumentError
-        Bad numbers, a plan of several phases, or one that does not begin at a fixed time.
+        Bad numbers, a plan of several phases, or one that does not begin at a fixed time; constraints on the whole
+        flight or a cost that does not add up, which the rest of it would be granted anew.
 
     Examples
     --------
@@ -132,7 +141,12 @@ class Replanner:
     def solver(self) -> Solver:
         """What solves again, made when it is needed for the first time."""
         if "_solver" not in vars(self):
-            object.__setattr__(self, "_solver", self.resolver())
+            made = self.resolver()
+            if not isinstance(getattr(made, "solution", None), Solution):
+                raise ArgumentError(
+                    f"the resolver of a Replanner returned {shown(made)}: write lambda: Resolver(solve(problem))."
+                )
+            object.__setattr__(self, "_solver", made)
         return self._solver  # type: ignore[attr-defined,no-any-return]
 
     @property
@@ -189,15 +203,59 @@ class Replanner:
                 f"the time between two re-plannings is {self.every:g} s: give a multiple of the control step {dt:g} s."
             )
         (leg,) = self.plan.phases.values()
-        schedule = self.follow(self.plan)
+        busy = self.every + self.latency + self.last
+        if busy >= leg.duration:
+            raise ArgumentError(
+                f"the Replanner would plan nothing: every, latency and last are {busy:g} s together, and its plan "
+                f"takes {leg.duration:g} s; make them shorter."
+            )
         for share in (0.0, 0.5):
             t = leg.initial_time + share * leg.duration
-            own, found = row(t), np.asarray(schedule(np.array([t]), dt), dtype=float)
-            if found.shape != (signals.size, 1) or not np.allclose(found[:, 0], own, rtol=1e-6, atol=1e-9):
+            try:
+                own, found = row(t), self.rows(self.plan, np.array([t]), dt, signals.size)
+            except GncOptError:
+                raise
+            except Exception as error:
+                raise ArgumentError(
+                    f"follow= of the Replanner failed for its own plan, {in_words(error)}: let it return a schedule, "
+                    "schedule(times, dt) -> (n_signals, n_times)."
+                ) from error
+            if not np.allclose(found[:, 0], own, rtol=1e-6, atol=1e-9):
                 raise ArgumentError(
                     "the controller of the loop follows something else than the plan of its Replanner: design it for "
                     "this plan, and give follow= a function that makes its schedule of a plan."
                 )
+
+    def wanted(self, t: float, x: Array, x_ref: Array) -> bool:
+        """Whether to re-plan at t (s), the estimated states x (n,) and those of the plan x_ref (n,)."""
+        if self.when is None:
+            return True
+        try:
+            said = self.when(t, x, x_ref)
+        except Exception as error:
+            raise ArgumentError(
+                f"when= of the Replanner failed at {t:g} s, {in_words(error)}: let it take (t, x, x_ref) and return "
+                "True or False."
+            ) from error
+        if not isinstance(said, (bool, np.bool_)):
+            raise ArgumentError(
+                f"when= of the Replanner returned {shown(said)} at {t:g} s: let it return True or False."
+            )
+        return bool(said)
+
+    def rows(self, plan: Solution, times: Array, dt: float, size: int) -> Array:
+        """Return what the controller follows (size, n_times) of a plan at times (s)."""
+        rows = np.asarray(self.follow(plan)(times, dt), dtype=float)
+        if rows.shape != (size, times.size):
+            raise ArgumentError(
+                f"follow= of the Replanner gives a schedule of the shape {rows.shape} at {times.size} times: the "
+                f"controller needs ({size}, {times.size})."
+            )
+        if not np.isfinite(rows).all():
+            raise ArgumentError(
+                "follow= of the Replanner gives a schedule with numbers that are not finite: correct it."
+            )
+        return rows
 
     def predicted(self, plan: Reference, t: float, x: Array, until: float, dt: float) -> Array:
         """Return the state (n_states,) to which the controls of a plan lead from x at t until then (s)."""
@@ -210,8 +268,17 @@ class Replanner:
         """Return the plan from a time (s) and a state (n_states,) on."""
         names = self.model.states
         start = {name: x[names.slice(name)] for name in names.names}
-        problem = self.plan.need_problem("solve again").with_time(initial=begin).with_initial(**start)
-        return self.solver.solve(problem, near=near)
+        (leg,) = self.plan.phases.values()
+        problem = remaining(self.plan.need_problem("solve again"), leg.initial_time, begin, start)
+        plan = self.solver.solve(problem, near=near)
+        expect(plan, Solution, "what the resolver of a Replanner solved", "let it return a Solution")
+        (found,) = plan.phases.values()
+        if not math.isclose(found.initial_time, begin, rel_tol=SAME_TIME, abs_tol=SAME_TIME):
+            raise ArgumentError(
+                f"the plan that was made begins at {found.initial_time:g} s, not at {begin:g} s: let the resolver "
+                "solve the problem that it is given."
+            )
+        return plan
 
     def _check_plan(self) -> None:
         plan = self.plan
@@ -223,6 +290,12 @@ class Replanner:
             raise ArgumentError(
                 "the plan of a Replanner does not begin at a fixed time: give time(initial=...)."
             )
+        check_remaining(plan.need_problem("solve again"))
+        if not callable(getattr(self.solver, "solve", None)):
+            raise ArgumentError(
+                f"the resolver of a Replanner returned {shown(self.solver)}, which has no solve(): write lambda: "
+                "Resolver(plan)."
+            )
 
     def _measured(self) -> float:
         """Return the longest time (s) that a solve from a state of the plan takes."""
@@ -231,7 +304,13 @@ class Replanner:
         for k in range(1, _REHEARSALS + 1):
             t = leg.initial_time + k / (_REHEARSALS + 1) * leg.duration
             begun = time.perf_counter()
-            self.solved(t, leg.x(t), self.plan)
+            try:
+                self.solved(t, leg.x(t), self.plan)
+            except GncOptError as error:
+                raise ArgumentError(
+                    f"the Replanner cannot solve the rest of its own plan from {t:g} s on ({in_words(error)}): let its "
+                    "resolver solve from the start, with cold=True, or plan on another mesh."
+                ) from error
             found.append(time.perf_counter() - begun)
         return max(found)
 

@@ -24,6 +24,7 @@ from gnc_opt.transcription.collocation import weight_matrix
 from gnc_opt.transcription.holding import (
     check_segments,
     controls_beside,
+    drop_idle,
     hold_controls,
     hold_paths,
     hold_states,
@@ -358,6 +359,7 @@ class Transcription(Numbering):
         ):
             box.lower[places], box.upper[places] = bounds.lower[:, None], bounds.upper[:, None]
         loosen_one_way(box, problem, leg, collocation)
+        drop_idle(box, problem, leg, collocation)
         check_segments(leg, collocation)
         if numbers.arcs is not None:
             hold_controls(box, numbers.arcs, numbers.controls, collocation)

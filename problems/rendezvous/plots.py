@@ -9,8 +9,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import gnc_opt as go
+from gnc_opt.plot.controls import plot_controls
 from gnc_opt.plot.path import plot_curves, plot_path
-from gnc_opt.plot.trajectory import plot_controls, plot_costates, plot_hamiltonian, plot_states
+from gnc_opt.plot.trajectory import plot_costates, plot_hamiltonian, plot_states
 from gnc_opt.spacecraft import mrp_to_dcm, mrp_to_euler
 
 _AXES_ALONG_PATH = 9

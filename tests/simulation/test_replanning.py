@@ -226,7 +226,7 @@ def two_phases() -> Any:
         (lambda: loop(every(), controller=feedforward(_another_way())), "follows something else"),
         (
             lambda: loop(every(follow=lambda plan: lambda t, dt: np.zeros((2, t.size)))),
-            "follows something else",
+            r"shape \(2, 1\) at 1 times: the controller needs \(3, 1\)",
         ),
     ],
 )

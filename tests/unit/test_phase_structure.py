@@ -115,6 +115,15 @@ def test_a_path_constraint_takes_over_from_a_bound_on_the_same_side(
     assert structure.limited_by_paths().tolist() == [held]
 
 
+def test_a_limit_of_a_convex_control_takes_over_from_its_bound_and_a_state_constraint_does_not() -> None:
+    """A mixed path constraint leans on the control as one that is linear in it; a state constraint has to be met."""
+    given: dict[str, Any] = {"n_controls": 1, "holders": ((), (0,)), "leans": ((), (1,))}
+    mixed = made("ui", "iu", n_paths=1, regular=(True, True), **given)
+    assert mixed.handed_over(1) == [0, 1] and not mixed.kinked(1)
+    assert made("ui", "iu", n_paths=1, orders=(0, 1), **given).handed_over(1) == []
+    assert made("ui", "iu", **given).handed_over(1) == []
+
+
 def test_of_two_controls_none_takes_over_from_the_other() -> None:
     structure = made("uii", "iiu", n_controls=2, n_paths=1, holders=((), (), (1,)), slopes=(0, 0, 1))
     assert structure.handed_over(1) == []

@@ -56,6 +56,7 @@ from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, refer
 from gnc_opt.errors import ArgumentError, DesignError, did_you_mean, shown, unknown_name
 from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.model import Model
+from gnc_opt.threads import one_thread
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, alike
 
 QpSolver: TypeAlias = Literal["piqp", "osqp", "daqp"]
@@ -72,6 +73,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 }
 
 
+@one_thread()
 def design_mpc(
     model: Model,
     reference: Reference | ArrayLike,

@@ -16,6 +16,7 @@ import numpy as np
 
 from gnc_opt.errors import GncOptError
 from gnc_opt.nlp import SolverOptions, Status
+from gnc_opt.nlp.options import last_barrier
 from gnc_opt.refine.error import NEGLIGIBLE, PhaseError, estimate_errors
 from gnc_opt.refine.hp.remesh import SAFETY, UNRESOLVED, Past, Remesh, known_segments
 from gnc_opt.refine.passes import PassLimits, crawls, pass_meter, pass_record
@@ -27,18 +28,22 @@ from gnc_opt.transcription.mesh import Mesh
 WARM_ITERATIONS = 150
 """A warm start that takes longer has lost its way."""
 
-WARM_MU, LEAST_MU = 1e-6, 1e-10
-"""Barrier parameter of a warm start, per unit of the error that is left, at most and at least: what is nearly right
-must not be pushed off its bounds only to come back in ten iterations."""
+WARM_MU = 1e-6
+"""Barrier parameter of a warm start, per unit of the error that is left: what is nearly right must not be pushed off
+its bounds only to come back in ten iterations. Where no segment is `UNRESOLVED` any more it begins at the last barrier:
+each one before costs two iterations or more."""
 
 MOST_PASSES = 20
 """At most so many solves, if nobody says otherwise."""
 
 STAGE = 1e-4
-"""Each pass aims at this share of the error before it, and at least at this error; ..."""
+"""Each pass aims at this share of the error before it, ..."""
 
 EARLY = 1e-3
-"""... at this share while some segment is hopelessly coarse, and all others still move with it."""
+"""... at this share while some segment is hopelessly coarse, and all others still move with it; ..."""
+
+NEARLY = 30.0
+"""... but at the tolerance itself where that is no further than this: another pass costs more than a few points."""
 
 SOLVED, LAXER = 1e-9, 0.1
 """Tolerance of the solver at most, and in shares of the error that the pass aims at: more digits of a mesh that is
@@ -232,6 +237,7 @@ class _Refinement:
         )
         error = min(self._state.finite_error, 1.0)
         stage = max(self._tol, (STAGE if error < UNRESOLVED else EARLY) * error)
+        stage = stage if stage > NEARLY * self._tol else self._tol
         merging = last.points > max(ROOMY, GROWN * self._lean) and not worse
         plan = self._finer(stage, merging)
         if merging:
@@ -344,7 +350,8 @@ class _Refinement:
         if not self._asked:
             options = replace(options, tolerance=max(options.tolerance, LAXER * STAGE * left))
         if options.mu_init is None:
-            options = replace(options, mu_init=max(WARM_MU * left, LEAST_MU))
+            last = last_barrier(options.tolerance)
+            options = replace(options, mu_init=last if left <= UNRESOLVED else max(WARM_MU * left, last))
         return options
 
     def _judge(self, solution: Solution, begin: float, actions: Actions) -> _State:

@@ -223,10 +223,8 @@ class PhaseStructure:
     def handed_over(self, boundary: int) -> list[int]:
         """Return the rows that change between two pieces, if one limit of a control takes over from another there."""
         rows = self.changes(boundary)
-        sides: list[int] = []
-        for kinds in (self.kinds[boundary - 1], self.kinds[boundary]):
-            held = [i for i in rows if kinds[i].at_limit]
-            sides += [kinds[i].sign * (self.slopes[i] if i >= self._n_free else 1) for i in held]
+        beside = self.kinds[boundary - 1 : boundary + 1]
+        sides = [held[i].sign * self._slope(i) for held in beside for i in rows if held[i].at_limit]
         controls = {i for row in rows for i in (self.holders[row] if row >= self._n_free else (row,))}
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
 
@@ -251,9 +249,13 @@ class PhaseStructure:
         if len(kinds) != 2:
             return []
         lean = dict(zip(holders, self.leans[state], strict=False)).get(owner[0], 0)  # unknown in plain ones
-        own = 1 if limit < self._n_free else self.slopes[limit] or (*self.leans[limit], 0)[0]
-        sides = kinds[state].sign * lean, kinds[limit].sign * own
+        sides = kinds[state].sign * lean, kinds[limit].sign * self._slope(limit)
         return [state, limit] if sides[0] == (1 if held[0] == [state] else -1) * sides[1] != 0 else []
+
+    def _slope(self, row: int) -> int:
+        """The sign of what a control does to its own row or a path constraint; 0 if it changes, or for states."""
+        own = 1 if row < self._n_free else self.slopes[row] or (*self.leans[row], 0)[0]
+        return 0 if self.orders[row] or row >= self._n_free + self.n_paths else own
 
     def first_order(self, row: int) -> bool:
         """Whether a row is a state constraint of first order; bounds held by singular controls have holders alone."""

@@ -1,0 +1,229 @@
+"""Figures of the controls over time, each with its switching function."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from gnc_opt.arrays import Array
+from gnc_opt.errors import GncOptError
+from gnc_opt.model.composed import AssembledControl, ComposedControl, VectorControl
+from gnc_opt.plot.over_time import (
+    BOUND,
+    NEGLIGIBLE,
+    Labels,
+    component_labels,
+    draw_components,
+    leave_room,
+    span_phases,
+)
+from gnc_opt.plot.sampling import chosen_names, chosen_phases, sample, zero_crossings
+from gnc_opt.plot.style import (
+    COLORS,
+    axis_label,
+    legend_above,
+    legend_on_top,
+    name_text,
+    new_figure,
+    per_unit,
+    style,
+)
+from gnc_opt.solution.phase_solution import PhaseSolution
+from gnc_opt.solution.solution import Solution
+
+_FLOWN: dict[str, Any] = {"color": COLORS[0], "linewidth": 2.0}
+_POLYNOMIAL: dict[str, Any] = {"color": COLORS[1], "linewidth": 0.7}
+_SWITCHING: dict[str, Any] = {"color": COLORS[2], "linewidth": 1.2}
+_SIGN_CHANGE: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle": ":"}
+
+_ON_BOUND = 1e-3
+"""Shares of a control's range: nearer to a bound it counts as on it."""
+
+_ROOM = 1.25
+"""Half height of a control's axis in units of its half range: bounds in sight, overshoot cut off."""
+
+
+def plot_controls(
+    solution: Solution,
+    names: Sequence[str] | None = None,
+    *,
+    phase: str | None = None,
+    labels: Labels | None = None,
+    hamiltonian_unit: str = "",
+) -> Figure:
+    """Draw every control component with its switching function underneath.
+
+    Above: the flown signal (bold), the collocation polynomial with its nodes (thin; it may overshoot between
+    nodes and is cut off beyond an eighth of the range), bounds dashed. Below: the switching function dH/du;
+    a bounded control belongs on its upper bound where this is negative. Dotted lines mark its changes of
+    sign. A solution that was loaded without its problem has no switching functions. Controls that are made of two
+    (``Model.vector_control``, ``Model.split_control``) follow, as flown.
+
+    Parameters
+    ----------
+    solution : Solution
+    names : sequence of str, optional
+        Controls; default all.
+    phase : str, optional
+        Default all, one after the other.
+    labels : mapping, optional
+        Component labels by control name.
+    hamiltonian_unit : str
+        Cost per second; none for minimum time. The switching function has this unit per unit of the control.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    UnknownNameError
+        There is no such phase or control.
+    GncOptError
+        There are no controls at all.
+
+    Examples
+    --------
+    >>> from gnc_opt.plot import plot_controls
+    >>> print(len(plot_controls(solution).axes))  # the control, and its switching function
+    2
+    """
+    legs = chosen_phases(solution, phase)
+    known = {c.name: c for leg in legs for c in leg.composed_controls}
+    composed = [
+        c
+        for name, c in known.items()
+        if (name in names if names is not None else _as_stated(c, known.values()))
+    ]
+    names = chosen_names(legs, "controls", names if names is None else [n for n in names if n not in known])
+    sizes = {name: leg.controls[name].size for leg in legs for name in names if name in leg.controls}
+    parts = [(name, i) for name in names for i in range(sizes[name])]
+    if not parts and not composed:
+        raise GncOptError(
+            f"'{solution.problem_name}' has no controls to draw: draw its states by plot_states()."
+        )
+    rows = 1 if solution.problem is None else 2
+    with style():
+        figure = new_figure(0.5 + 2.15 * (len(parts) + len(composed)))
+        ratios = [2.2, 1.0][:rows] * len(parts) + [2.2] * len(composed)
+        grid = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
+        for ax, control in zip(grid[rows * len(parts) :], composed, strict=True):
+            _draw_composed(ax, legs, control, labels)
+        for k, (name, i) in enumerate(parts):
+            axes = grid[rows * k : rows * (k + 1)]
+            for leg in legs:
+                if name in leg.controls:
+                    shown = component_labels(name, leg.control(name), labels)[i]
+                    _draw_control(axes[0], leg, name, i, shown)
+                    if rows == 2:
+                        _draw_switching(axes, solution, leg, name, i, shown, hamiltonian_unit)
+        for ax in grid:
+            span_phases(ax, legs)
+        grid[-1].set_xlabel("time (s)")
+        figure.align_ylabels(list(grid))
+        legend_on_top(figure, _control_legend(rows == 2))
+    return figure
+
+
+# --- pieces of figures --------------------------------------------------------------------------------
+
+
+def _draw_control(ax: Axes, leg: PhaseSolution, name: str, i: int, shown: str) -> None:
+    signal = leg.control(name)
+    t, polynomial = sample(signal, leg.breaks, gaps=True)
+    ax.plot(t, polynomial[i], zorder=2, **_POLYNOMIAL)
+    nodes = np.atleast_2d(signal(leg.point_times))[i]
+    ax.plot(leg.point_times, nodes, ".", color=_POLYNOMIAL["color"], markersize=3.0, zorder=4)
+    t, flown = sample(leg.flown_control(name), leg.flown.jumps)
+    ax.plot(t, flown[i], zorder=3, **_FLOWN)
+    row = leg.controls.slice(name).start + i
+    lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
+    for level in (lower, upper):
+        if np.isfinite(level):
+            ax.plot(leg.breaks[[0, -1]], [level, level], zorder=1.5, **BOUND)
+    if np.isfinite(lower) and np.isfinite(upper) and lower < upper:
+        middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+        ax.set_ylim(middle - _ROOM * half, middle + _ROOM * half)
+    ax.set_ylabel(axis_label(shown, signal.unit))
+
+
+def _as_stated(control: ComposedControl, others: Iterable[ComposedControl]) -> bool:
+    """Whether a control was stated as it is, and not as components that are drawn themselves."""
+    whole = isinstance(control, VectorControl)
+    return not any(whole and isinstance(c, AssembledControl) and c.parts[:2] == control.parts for c in others)
+
+
+def _draw_composed(
+    ax: Axes, legs: Sequence[PhaseSolution], control: ComposedControl, labels: Labels | None
+) -> None:
+    """Draw all components of a control that is made of two, as flown."""
+    for leg in legs:
+        if control in leg.composed_controls:
+            signal = leg.flown_control(control.name)
+            shown = component_labels(control.name, signal, labels)
+            draw_components(ax, *sample(signal, leg.flown.jumps), shown)
+    ax.set_ylabel(axis_label(name_text(control.name), control.variable.unit))
+    if control.variable.size > 1:
+        legend_above(ax)
+
+
+def _draw_switching(
+    axes: Sequence[Axes], solution: Solution, leg: PhaseSolution, name: str, i: int, shown: str, unit: str
+) -> None:
+    """Draw into the second axis; mark changes of sign in both."""
+
+    def switching(t: Array, side: Any) -> Any:
+        return solution.switching_function(name, t, leg.name, side)
+
+    t, values = sample(switching, leg.breaks)
+    axes[1].plot(t, values[i], **_SWITCHING)
+    axes[1].axhline(0.0, color="black", linewidth=0.6)
+    axes[1].locator_params(axis="y", nbins=3)
+    per = per_unit(unit, leg.control(name).unit)
+    axes[1].set_ylabel(axis_label(f"$\\partial H/\\partial${shown}" + "\n" * bool(per), per))
+    negligible = _negligible_switching(solution, leg, name, i)
+    leave_room(axes[1], negligible)
+    on_bound = _on_a_bound(
+        leg, leg.controls.slice(name).start + i, t
+    )  # between them it is zero up to rounding
+    for crossing in zero_crossings(t[on_bound], values[i][on_bound], negligible):
+        for ax in axes:
+            ax.axvline(crossing, zorder=1, **_SIGN_CHANGE)
+
+
+def _on_a_bound(leg: PhaseSolution, row: int, t: Array) -> Any:
+    """Return at which times (n_times,) the flown control sits on one of its bounds."""
+    lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
+    flown = leg.flown(t)[row]
+    room = np.minimum(flown - lower, upper - flown)
+    return room <= _ON_BOUND * (upper - lower if np.isfinite(upper - lower) else 1.0 + np.max(np.abs(flown)))
+
+
+def _negligible_switching(solution: Solution, leg: PhaseSolution, name: str, i: int) -> float:
+    """Return the switching function that is worth 1e-7 of the Hamiltonian's terms over the control's range.
+
+    An interior control holds it at zero; without this the figure would magnify the rounding errors.
+    """
+    t, rows = leg.point_times, leg.controls.slice(name)
+    row = rows.start + i
+    terms = leg.lam(t) * solution.functions(leg.name).rates(t, leg.x(t), leg.u(t))
+    reach = leg.control_bounds.upper[row] - leg.control_bounds.lower[row]
+    if not (np.isfinite(reach) and reach > 0):
+        reach = float(np.max(np.abs(leg.u(t)[rows]))) or 1.0
+    return float(NEGLIGIBLE * np.max(np.sum(np.abs(terms), axis=0)) / reach)
+
+
+def _control_legend(with_switching: bool) -> list[Any]:
+    handles = [
+        Line2D([], [], label="flown", **_FLOWN),
+        Line2D([], [], label="polynomial and nodes", marker=".", markersize=4, **_POLYNOMIAL),
+        Line2D([], [], label="bounds", **BOUND),
+    ]
+    if with_switching:
+        handles.append(Line2D([], [], label="switching function", **_SWITCHING))
+    return handles
