@@ -18,8 +18,8 @@ orders to tell one solution from the other, and the lesser of the two is added, 
 
 A relay or a quantum that turns the other way in the second flight sets both apart, however near they were: the truth
 may have turned like it, and such a run is off by as much; the share is one of errors of steps alone. So flights that
-are apart by more than the nominal one's and their local errors let expect count for more, by the factor g. What turns in
-the truth and not in the second flight is not seen.
+are apart by more than the nominal one's and their local errors let expect count for more, by the factor g. What turns
+in the truth and not in the second flight is not seen.
 """
 
 from __future__ import annotations
