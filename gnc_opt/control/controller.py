@@ -186,6 +186,11 @@ class Controller:
         """
         state = as_vector(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
         row = self.signal(t, dt)
+        if z is not None and np.size(z) != self.memory.size:
+            raise ArgumentError(
+                f"the memory given to '{self.name}' has {np.size(z)} entries, not {self.memory.size}: give the one "
+                "that the step before returned."
+            )
         memory = np.asarray(self.start(float(t), state, row).full()[:, 0]) if z is None else z
         u, after = self.step(float(t), state, row, memory)
         return np.asarray(u.full()[:, 0]), np.asarray(after.full()[:, 0])
