@@ -51,7 +51,7 @@ class Resolver:
     GncOptError
         The solution has no problem.
     ProblemError
-        It is not solved.
+        It is not solved, or without ``cold`` no way is left: it was refined and is not bang-bang.
 
     Examples
     --------
@@ -73,6 +73,12 @@ class Resolver:
         self.solution, self.cold = solution, cold
         known = KnownFlight.of(solution)
         self._known = None if known is None else known.differentiated()
+        if self._known is None and self.tol is not None and not cold:
+            raise ProblemError(
+                f"nothing would solve variations of '{solution.problem_name}': its solution was refined and is not "
+                "bang-bang, so that only the start is left, and that is not allowed; solve it on a mesh, "
+                "solve(problem, mesh=..., tol=None), or leave out cold=False."
+            )
 
     @one_thread()
     def solve(self, problem: Problem, *, near: Solution | None = None) -> Solution:

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_positive
+from gnc_opt.arguments import read_label, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.c_numbers import CNumbers
 from gnc_opt.control.explanation import Explanation
@@ -123,6 +123,7 @@ class Controller:
     easy: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
+        read_label(self.name, "controller")
         sizes = (1, self.states.size, self.signals.size, self.memory.size)
         _check_shape(f"the law of '{self.name}'", self.step, sizes, (self.commands.size, self.memory.size))
         _check_shape(f"the first memory of '{self.name}'", self.start, sizes[:3], (self.memory.size,))
