@@ -1,4 +1,4 @@
-"""Folded: the step of a kernel, many control steps in one call."""
+"""Folded: the step of a kernel, many control steps of a run and the flights beside it in one call."""
 
 from __future__ import annotations
 
@@ -30,15 +30,17 @@ class Folded:
         self._logs: dict[int, Any] = {}
 
     def fly(self, X: Array, rows: Array, C: Array, final: Array) -> None:
-        """Write the state after the steps of a leg to ``final``.
+        """Write the states after the steps of a leg to ``final``.
 
         Parameters
         ----------
-        X : array (n_state,)
+        X : array (n_flights, n_state)
         rows : array (n_steps, n_known)
         C : array (n_constants,)
-        final : array (n_state,)
+        final : array (n_flights, n_state)
         """
+        if not len(X):
+            return
         if self._native is None:
             self._interpret(X, rows, C, final)
             return
@@ -63,7 +65,8 @@ class Folded:
         def leg() -> Any:
             return self._leg(lambda x, w, c, n: [self.step.fold(n)(x, w, c)], len(rows))
 
-        self._evaluate(len(rows), leg, (X, rows, C), final)
+        for x, end in zip(X, final, strict=True):
+            self._evaluate(len(rows), leg, (x, rows, C), end)
 
     def _evaluate(
         self, key: Any, function: Callable[[], Any], arguments: tuple[Array, ...], result: Array
@@ -77,13 +80,17 @@ class Folded:
         buffer.set_res(0, memoryview(result.data))
         evaluate()
 
-    def logged(self, X: Array, rows: Array, C: Array) -> tuple[Array, Array]:
-        """Return the states after every step of a leg, and the logs of the steps, by columns."""
+    def logged(self, X: Array, rows: Array, C: Array) -> tuple[Array, Array, Array]:
+        """Return the states of the run, the first flight, before and after the steps of a leg (n_state, n_steps + 1),
+        the logs of its steps (n_log, n_steps), and the states of all flights after the last (n_flights, n_state)."""
         if len(rows) not in self._logs:
             step = self.kernel.step
             self._logs[len(rows)] = self._leg(lambda x, w, c, n: list(step.mapaccum(n)(x, w, c)), len(rows))
-        after, logs = (np.asarray(o.full()) for o in self._logs[len(rows)](X, rows.T, C))
-        return after, logs
+        after, logs = (np.asarray(o.full()) for o in self._logs[len(rows)](X[0], rows.T, C))
+        final = np.empty_like(X)
+        final[0] = after[:, -1]
+        self.fly(X[1:], rows, C, final[1:])
+        return np.column_stack([X[0], after]), logs, final
 
     @cached_property
     def _native(self) -> Callable[[Array, Array, Array, Array], int] | None:

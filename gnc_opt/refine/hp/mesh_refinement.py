@@ -49,9 +49,10 @@ SOLVED, LAXER = 1e-9, 0.1
 """Tolerance of the solver at most, and in shares of the error that the pass aims at: more digits of a mesh that is
 given up at once are worth nothing."""
 
-ROOMY = 300
+ROOMY, WORTH_MERGING = 300, 0.1
 """Meshes with no more points than this are refined without making them smaller elsewhere: to find out what can go
-takes as long as solving. Where nothing could, they grow by `GROWN` before it is tried again."""
+takes as long as solving. Where less than that share of the segments could, they grow by `GROWN` before it is tried
+again."""
 
 GROWN = 1.5
 """An accurate mesh that is that many times as large as the first one, or not `ROOMY`, ..."""
@@ -170,7 +171,7 @@ class _Refinement:
         self._past: dict[str, Past] = {}
         self._totals: list[float] = []
         self._trimmed_once, self._repairs = False, 0
-        self._lean = 0  # points of the last mesh of which nothing could go
+        self._lean = 0  # points of the last mesh of which hardly anything could go
         self._departure = DEPARTURE * math.sqrt(tol)
         self._confirming = False
         self._begin = time.perf_counter()
@@ -241,7 +242,8 @@ class _Refinement:
         merging = last.points > max(ROOMY, GROWN * self._lean) and not worse
         plan = self._finer(stage, merging)
         if merging:
-            self._lean = 0 if plan[1].merged or plan[1].lowered else last.points
+            gone = plan[1].merged + plan[1].lowered
+            self._lean = 0 if gone > WORTH_MERGING * last.segments else last.points
         while self._too_many(plan[0]):
             stage *= 10.0
             if stage > 0.5 * last.error:
