@@ -1,7 +1,7 @@
 """From a state limit of second order to a bound of the control: along an interior arc that may be short.
 
-A cart rests on the limit q >= 0 and takes off as late as it can, from t_e on with a = (t - t_e) / tau up to a = 1. Least
-effort, with a price on the speed at the end that makes this the optimum: the arc lasts tau, the cart comes to
+A cart rests on the limit q >= 0 and takes off as late as it can, from t_e on with a = (t - t_e) / tau up to a = 1.
+Least effort, with a price on the speed at the end that makes this the optimum: the arc lasts tau, the cart comes to
 q = 1/2 + tau^2 / 24 at 2 s, hence t_e = 1 - tau / 2, and by H = a^2 / 2 + ... the costs are
 J = (1 - tau / 6) / 2 - (1 + tau / 2) / tau.
 """

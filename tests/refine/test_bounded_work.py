@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -148,10 +149,27 @@ def test_a_change_of_arcs_that_was_undone_is_not_asked_for_again(corner_turn: go
     assert history.status is go.RefinementStatus.STALLED and len(history.passes) <= 6
 
 
-def test_what_does_not_converge_costs_little_more_than_fifteen_first_solves(corner_turn: go.Solution) -> None:
+def test_what_does_not_converge_costs_little_more_than_fifteen_first_solves(
+    corner_turn: go.Solution, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Half of what it may cost for the structure, half of that for others, half for meshes, half more for the last."""
+    monkeypatch.setattr(sys.modules["gnc_opt.refine.refine"], "LITTLE", 0.0)
     refined = go.refine(corner_turn, tol=1e-6)
     assert refined.history is not None
     points = corner_turn.phases["turn"].mesh.size
     first = work_of(points, corner_turn.statistics.iterations)
     assert sum(p.work for p in refined.history.passes) < 16 * first or go.verify(refined).ok
+
+
+@pytest.mark.parametrize(("fell", "again"), [(0.0, False), (math.inf, True)])
+def test_what_has_cost_little_begins_again_where_its_error_fell(
+    corner_turn: go.Solution, fell: float, again: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refining = sys.modules["gnc_opt.refine.refine"]
+    monkeypatch.setattr(refining, "FELL", fell)
+    monkeypatch.setattr(refining, "LITTLE", 1e5)  # of four variables: one round costs 23 000
+    monkeypatch.setattr(refining, "LEAST_WORK", 4e3)
+    refined = go.refine(corner_turn, structure="none", tol=1e-12, limits=go.RefinementLimits(max_work=0.5))
+    assert refined.history is not None and not refined.converged
+    begun = [p for p in refined.history.passes if str(p.actions) == "-"]
+    assert (len(begun) > 1) is again
