@@ -773,6 +773,7 @@ def improved(monkeypatch: pytest.MonkeyPatch, **answers: Any) -> tuple[dict[str,
     monkeypatch.setattr(m, "_adjust", step("adjust", lambda plan, tol: (plan, "")))
     monkeypatch.setattr(m, "_complete", step("complete", lambda *_: (None, "")))
     monkeypatch.setattr(m, "_saturated", step("saturate", lambda *_: (None, "")))
+    monkeypatch.setattr(m, "_overrun", step("overrun", lambda *_: (None, "")))
     monkeypatch.setattr(m, "_mended_contacts", step("mended", lambda *_: (None, "")))
     monkeypatch.setattr(m, "crossed_contact", step("crossed", lambda *_: (None, "")))
     return m.improve(there, plans, set(), 1e-9)
@@ -797,6 +798,8 @@ def test_what_vanishes_is_mended_first_then_kinks_and_points_then_what_is_missin
     assert (action, plans["b"]) == ("r", finer) and plans["a"].structure is THREE
     plans, action = improved(monkeypatch, saturate={"a": (other, "saturated"), "b": None}, adjust=adjust)
     assert (action, plans["a"].structure, plans["a"].points) == ("saturated", other, 7.0)
+    plans, action = improved(monkeypatch, overrun={"a": (other, "overrun"), "b": None}, adjust=adjust)
+    assert (action, plans["a"].structure, plans["a"].points) == ("overrun", other, 7.0)
     plans, action = improved(monkeypatch, complete=add)
     assert (action, plans["a"].structure, plans["a"].points) == ("added", other, 7.0)
     plans, action = improved(monkeypatch, collapse=drop, mended=add, adjust=adjust)
