@@ -12,6 +12,7 @@ from gnc_opt.problem.relaxation import Relaxation, relaxations
 from gnc_opt.solution.lower_bound import LowerBound
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solve import solve
+from gnc_opt.threads import one_thread
 from gnc_opt.verify.global_minimum import theorem_of
 from gnc_opt.verify.kept import keep_verdict
 from gnc_opt.verify.verify import TOLERANCE, verify
@@ -20,6 +21,7 @@ _TIMES = 201
 """At which a relaxation is told the flight, its first guess."""
 
 
+@one_thread()
 def bound_below(solution: Solution, *, tol: float = 1e-6) -> Solution:
     """Return the solution with a lower bound of its problem's cost, if one is found: `Solution.bound`, `Solution.gap`.
 

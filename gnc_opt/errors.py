@@ -44,10 +44,14 @@ class ProblemWarning(UserWarning):
     """Something in a problem that is legal and probably not meant."""
 
 
+_OURS = ("gnc_opt", "contextlib")
+"""Packages whose frames are no user's: what decorates functions of ours stands between them."""
+
+
 def warn_user(message: str) -> None:
     """Issue a `ProblemWarning` that points to the user's line, however deep in gnc_opt it arises."""
     depth = 1
-    while sys._getframe(depth).f_globals.get("__name__", "").partition(".")[0] == "gnc_opt":
+    while sys._getframe(depth).f_globals.get("__name__", "").partition(".")[0] in _OURS:
         depth += 1
     warnings.warn(message, ProblemWarning, stacklevel=depth + 1)
 

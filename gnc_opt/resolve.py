@@ -11,6 +11,7 @@ from gnc_opt.refine.structure.variation import KnownFlight, on_the_way
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
 from gnc_opt.solve import Way, said, solve
+from gnc_opt.threads import one_thread
 
 WARM_ITERATIONS = 50
 """After which a warm start has lost its way, and the trajectory alone is kept."""
@@ -50,7 +51,7 @@ class Resolver:
     GncOptError
         The solution has no problem.
     ProblemError
-        It is not solved.
+        It is not solved, or without ``cold`` no way is left: it was refined and is not bang-bang.
 
     Examples
     --------
@@ -72,7 +73,14 @@ class Resolver:
         self.solution, self.cold = solution, cold
         known = KnownFlight.of(solution)
         self._known = None if known is None else known.differentiated()
+        if self._known is None and self.tol is not None and not cold:
+            raise ProblemError(
+                f"nothing would solve variations of '{solution.problem_name}': its solution was refined and is not "
+                "bang-bang, so that only the start is left, and that is not allowed; solve it on a mesh, "
+                "solve(problem, mesh=..., tol=None), or leave out cold=False."
+            )
 
+    @one_thread()
     def solve(self, problem: Problem, *, near: Solution | None = None) -> Solution:
         """Return the solution of a variation; ``solution.provenance["way"]`` names the `Way` it was found.
 

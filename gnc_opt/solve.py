@@ -20,6 +20,7 @@ from gnc_opt.solution.failure import SolveError, failure_message
 from gnc_opt.solution.history import RefinementStatus
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
+from gnc_opt.threads import one_thread
 from gnc_opt.tolerances import SHORTEST
 from gnc_opt.transcription.mesh import MeshLike
 from gnc_opt.transcription.scheme import GAUSS, Scheme, family_of
@@ -37,6 +38,7 @@ TOLERANCE = 1e-6
 """What a solution is refined to where nobody says otherwise."""
 
 
+@one_thread()
 def solve(
     problem: Problem,
     *,

@@ -43,6 +43,7 @@ from gnc_opt.simulation.dispersion import Dispersions, dispersed
 from gnc_opt.simulation.flight import LEG, Flight
 from gnc_opt.simulation.statistics import CONFIDENCE
 from gnc_opt.strict import Strict
+from gnc_opt.threads import one_thread
 from gnc_opt.tolerances import TINY
 
 LINEAR = 0.05
@@ -199,6 +200,7 @@ class LinearCovariance(Strict):
         raise unknown_name("signal", signal, "the linear covariance", known)
 
 
+@one_thread()
 def linear_covariance(
     experiment: Experiment,
     *,

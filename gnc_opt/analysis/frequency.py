@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.analysis.linearization import Linearization
-from gnc_opt.arguments import expect, read_numbers
+from gnc_opt.arguments import expect, read_integer, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.control.linear.margins import Margins, margins
 from gnc_opt.control.poles import continuous_poles
@@ -33,6 +33,7 @@ from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, Tick
 from gnc_opt.simulation.loop import ClosedLoop
 from gnc_opt.simulation.sensors import Sampling
 from gnc_opt.strict import Strict
+from gnc_opt.threads import one_thread
 
 _PROBE = "probe of the command"
 
@@ -94,9 +95,7 @@ class LoopResponse(Strict):
         """Return L, (n_omega, m, m) complex, at one of the instants."""
         closed = self._closed(omega, index)
         one = np.eye(closed.shape[1])
-        return np.asarray(
-            np.linalg.solve((one + closed).transpose(0, 2, 1), -closed.transpose(0, 2, 1)).transpose(0, 2, 1)
-        )
+        return _solved((one + closed).transpose(0, 2, 1), -closed.transpose(0, 2, 1)).transpose(0, 2, 1)
 
     def sensitivity(self, omega: ArrayLike, index: int = 0) -> Array:
         """Return S, (n_omega, m, m) complex: what of d is left in what the actuators get."""
@@ -110,7 +109,7 @@ class LoopResponse(Strict):
 
     def poles(self, index: int = 0) -> Array:
         """Return the poles z of the closed loop, (n,) complex."""
-        return np.asarray(np.linalg.eigvals(self.a[index]).astype(complex))
+        return np.asarray(np.linalg.eigvals(self.a[self._instant(index)]).astype(complex))
 
     def stable(self, index: int = 0) -> bool:
         """Whether the frozen loop is."""
@@ -163,6 +162,7 @@ class LoopResponse(Strict):
         fed_back = bool(np.any(self.c[index]))
         return fed_back and bool(np.all(np.abs(self._closed(_LOOKS * np.pi / self.dt, index)) < _NOTHING))
 
+    @one_thread()
     def _closed(self, omega: ArrayLike, index: int) -> Array:
         """Return the way from d to u, (n_omega, m, m)."""
         w = read_numbers(omega, "the frequencies").reshape(-1)
@@ -170,11 +170,16 @@ class LoopResponse(Strict):
             raise ArgumentError(
                 f"frequencies lie between 0 and pi / dt = {np.pi / self.dt:g} rad/s: give such."
             )
-        a, b, c = self.a[index], self.b[index], self.c[index]
+        k = self._instant(index)
+        a, b, c = self.a[k], self.b[k], self.c[k]
         z = np.exp(1j * w * self.dt)[:, None, None]
-        return np.asarray(
-            c @ np.linalg.solve(z * np.eye(a.shape[0]) - a, np.broadcast_to(b, (w.size, *b.shape)))
-        )
+        return np.asarray(c @ _solved(z * np.eye(a.shape[0]) - a, np.broadcast_to(b, (w.size, *b.shape))))
+
+    def _instant(self, index: int) -> int:
+        k = read_integer(index, "the index of an instant", 0)
+        if k >= self.times.size:
+            raise ArgumentError(f"there is no instant {k}: the response has {self.times.size}, from 0 on.")
+        return k
 
     def _label(self, command: str) -> str:
         labels = self.commands.labels
@@ -183,6 +188,18 @@ class LoopResponse(Strict):
         return command
 
 
+def _solved(matrices: Array, columns: Array) -> Array:
+    """Return the solutions of systems at some frequencies, (n_omega, n, m)."""
+    try:
+        return np.asarray(np.linalg.solve(matrices, columns))
+    except np.linalg.LinAlgError:
+        raise ArgumentError(
+            "the loop has a pole at one of the frequencies, as an integral or a constant has at 0: "
+            "ask beside it, at 1e-6 rad/s, say."
+        ) from None
+
+
+@one_thread()
 def loop_response(
     loop: ClosedLoop,
     *,

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_positive
+from gnc_opt.arguments import read_label, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.c_numbers import CNumbers
 from gnc_opt.control.explanation import Explanation
@@ -123,6 +123,7 @@ class Controller:
     easy: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
+        read_label(self.name, "controller")
         sizes = (1, self.states.size, self.signals.size, self.memory.size)
         _check_shape(f"the law of '{self.name}'", self.step, sizes, (self.commands.size, self.memory.size))
         _check_shape(f"the first memory of '{self.name}'", self.start, sizes[:3], (self.memory.size,))
@@ -185,6 +186,11 @@ class Controller:
         """
         state = as_vector(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
         row = self.signal(t, dt)
+        if z is not None and np.size(z) != self.memory.size:
+            raise ArgumentError(
+                f"the memory given to '{self.name}' has {np.size(z)} entries, not {self.memory.size}: give the one "
+                "that the step before returned."
+            )
         memory = np.asarray(self.start(float(t), state, row).full()[:, 0]) if z is None else z
         u, after = self.step(float(t), state, row, memory)
         return np.asarray(u.full()[:, 0]), np.asarray(after.full()[:, 0])

@@ -41,11 +41,13 @@ from gnc_opt.control.schedule import reference_times
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import as_vector
 from gnc_opt.model.model import Model
+from gnc_opt.threads import one_thread
 
 _SPAN = 20.0
 """A rehearsal lasts this many time constants of the slowest pole."""
 
 
+@one_thread()
 def design_feedback_linearization(
     model: Model,
     reference: Reference | ArrayLike,

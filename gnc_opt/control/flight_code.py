@@ -203,6 +203,10 @@ def _remarks(code: FlightCode, options: CodeOptions, missed: Array) -> tuple[str
 
 def _read_prefix(name: str) -> str:
     prefix = read_name(name, "C function")
+    if not prefix.isascii():
+        raise ArgumentError(
+            f"'{prefix}' cannot be the name of flight code: use letters of C, A to Z and a to z."
+        )
     if prefix.lower() in _C_HEADERS:  # file systems may not tell capitals apart
         raise ArgumentError(
             f"'{prefix}' cannot be the name of flight code: its files would hide the header '{prefix.lower()}.h' of C; "

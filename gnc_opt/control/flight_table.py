@@ -7,15 +7,19 @@ from functools import cached_property
 
 import numpy as np
 
+from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array, Indices
 from gnc_opt.control.c_numbers import CNumbers, wrapped
 from gnc_opt.control.controller import Controller
-from gnc_opt.errors import ArgumentError
+from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.model.layout import Layout
 
 _TAIL_TOLERANCE = 1e-12
 _KEPT = ("_ref", "_ff")
 """Ends of the names of what is never interpolated: references and feedforwards, whose errors act undamped."""
+
+_MOST_NUMBERS = 50_000_000
+"""In a table at most: some gigabytes of source, which no compiler takes."""
 
 _SHORT = 65535
 """The largest row that a short number holds."""
@@ -147,11 +151,19 @@ def flight_table(
         raise ArgumentError(
             f"the schedule of '{controller.name}' does not tell when it ends: give export_c(..., span=(t_0, t_f))."
         )
-    first, last = (float(t) for t in found)
-    if not (np.isfinite(first) and np.isfinite(last) and first <= last):
-        raise ArgumentError(f"the span of a schedule is {found}: give finite times (t_0, t_f), t_0 <= t_f.")
+    ends = read_numbers(found, "the span of a schedule").reshape(-1)
+    if ends.size != 2 or not (np.isfinite(ends).all() and ends[0] <= ends[1]):
+        raise ArgumentError(
+            f"the span of a schedule is {shown(found)}: give finite times (t_0, t_f), t_0 <= t_f."
+        )
+    first, last = (float(t) for t in ends)
     # rounding: a row at the end itself is of the tail; a little before it is not
     count = int(np.ceil((last - first) / dt - 1e-9)) + 1
+    if count * controller.signals.size > _MOST_NUMBERS:
+        raise ArgumentError(
+            f"the schedule of '{controller.name}' has {count} rows from {first:g} s to {last:g} s, too many for a "
+            "table: give a shorter span."
+        )
     times = first + dt * np.append(np.arange(count + 1), count + 1000)
     rows = controller.schedule(times, dt).T
     change = np.max(np.abs(rows[count:] - rows[count - 1]), initial=0.0)

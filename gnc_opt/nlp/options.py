@@ -172,6 +172,14 @@ def _complementarity(tolerance: float) -> float:
     return min(tolerance, max(1e-2 * tolerance, 1e-11))
 
 
+def last_barrier(tolerance: float) -> float:
+    """Return the barrier parameter at which IPOPT's descent ends, with its ``barrier_tol_factor`` of 10.
+
+    A warm start that begins there has one barrier problem to solve, and no other after it.
+    """
+    return _complementarity(tolerance) / (10.0 + 1.0)
+
+
 def _other_options(options: SolverOptions) -> dict[str, Any]:
     """The same wishes for another plugin, as far as it has options for them."""
     quiet_qp = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}

@@ -82,6 +82,12 @@ class RefinementAttempt:
         return rests and self.verdict.ok
 
     @property
+    def offence(self) -> float:
+        """By how many tolerances the worst necessary condition of the verdict is missed; 0 if none is."""
+        missed = [c.value / abs(c.tolerance) for c in self.verdict.open if not c.sufficient]
+        return max((math.inf if math.isnan(value) else value for value in missed), default=0.0)
+
+    @property
     def resolvable(self) -> bool:
         """Whether conditions of the verdict are open that a finer mesh can meet: none of them by far.
 
@@ -117,14 +123,12 @@ def result_of(given: Solution, attempts: Sequence[RefinementAttempt], tol: float
         chosen = min(range(len(attempts)), key=lambda k: attempts[k].error)
     elif attempts[-1].final:
         chosen = len(attempts) - 1
-    else:  # a structure that nobody asked for is not worth more than the mesh if it does not convince
-        meshes = [k for k, a in enumerate(attempts) if not a.solution.structure and a.history.final.solved]
-        chosen = meshes[-1] if meshes else len(attempts) - 1
+    else:
+        chosen = _least_wrong(attempts, tol)
     solution, history = attempts[chosen].solution, attempts[chosen].history
     verdict = None if attempts[-1].stopped else attempts[chosen].verdict
     status = RefinementStatus.INTERRUPTED if verdict is None else history.status
-    convinces = not solution.structure or (verdict is not None and verdict.ok)
-    within = convinces and history.final.error <= tol
+    within = history.final.solved and history.final.error <= tol
     if (history.converged or within) and verdict is not None:
         status = RefinementStatus.CONVERGED
         if not verdict.ok:
@@ -144,6 +148,22 @@ def result_of(given: Solution, attempts: Sequence[RefinementAttempt], tol: float
     if verdict is not None:
         keep_verdict(refined, verdict, TOLERANCE)
     return refined
+
+
+def _least_wrong(attempts: Sequence[RefinementAttempt], tol: float) -> int:
+    """Return which attempt to keep if none convinces: the last mesh, or a structure that is more right.
+
+    A structure that nobody asked for is not worth more than a mesh within the tolerance. Where that is not reached, one
+    within it is, which offends less against the verdict.
+    """
+    meshes = [k for k, a in enumerate(attempts) if not a.solution.structure and a.history.final.solved]
+    if not meshes:
+        return len(attempts) - 1
+    mesh = attempts[meshes[-1]]
+    if mesh.error <= tol:
+        return meshes[-1]
+    accurate = [k for k, a in enumerate(attempts) if a.error <= tol and a.offence < mesh.offence]
+    return min(accurate, key=lambda k: attempts[k].offence, default=meshes[-1])
 
 
 def _message(status: RefinementStatus, history: History, verdict: Verdict | None, tol: float) -> str:

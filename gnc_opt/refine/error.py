@@ -26,6 +26,7 @@ from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.problem.interval import Interval
 from gnc_opt.refine.adjoint import WORTH, adjoint_density
+from gnc_opt.solution.defined import defined
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
@@ -122,14 +123,17 @@ class Yardstick:
         """Measure a phase."""
         leg, functions = samples.leg, samples.functions
         at = samples.times, samples.x, samples.u_polynomial
-        integral = np.sum(np.abs(functions.integrands(*at)) * samples.weights, axis=1)
+        integrands = defined(functions.integrands, *at, leg.control_bounds)
+        integral = np.sum(np.abs(integrands) * samples.weights, axis=1)
         path, has_control = np.zeros(0), np.zeros(0, dtype=bool)
         if leg.path_labels:
             limits = [
                 np.where(np.isfinite(b), np.abs(b), 0.0)
                 for b in (leg.path_bounds.lower, leg.path_bounds.upper)
             ]
-            path = np.maximum(np.max(np.abs(functions.paths(*at)), axis=1), np.maximum(*limits))
+            path = np.maximum(
+                np.max(np.abs(defined(functions.paths, *at, leg.control_bounds)), axis=1), np.maximum(*limits)
+            )
             has_control = np.any(functions.path_control_jacobian(*at) != 0, axis=(1, 2))
         return cls(
             leg,
@@ -156,18 +160,19 @@ class Yardstick:
         adjoint : array (n_states, n_samples)
             Residual of the costates' equation at the samples; see `gnc_opt.refine.adjoint`.
         """
-        f = self.functions
-        rates = f.rates(pieces.times, pieces.x, pieces.u)
+        f, leg = self.functions, self.leg
+        at = pieces.times, pieces.x, pieces.u
+        rates = defined(f.rates, *at, leg.control_bounds)
         dynamics = pieces.total(np.abs(pieces.x_rate - rates)) / self.state[:, None]
-        exact = pieces.total(f.integrands(pieces.times, pieces.x, pieces.u))
+        exact = pieces.total(defined(f.integrands, *at, leg.control_bounds))
         integrals = np.abs(exact - pieces.integrals) / self.integral[:, None]
-        leg, span = self.leg, self.leg.duration
+        span = leg.duration
         states = pieces.largest(_excess(pieces.x, leg.state_bounds, self.state, pieces.times))
         excess = _excess(pieces.u, leg.control_bounds, self.control)
         controls = np.maximum(pieces.total(excess) / span, PEAK * pieces.largest(excess))
         overshoot = [states, controls]
         if leg.path_labels:
-            values = f.paths(pieces.times, pieces.x, pieces.u)
+            values = defined(f.paths, *at, leg.control_bounds)
             mean = pieces.total(_excess(values, leg.path_bounds, self.path)) / span
             peak = pieces.largest(_excess(values, leg.path_bounds, self.path, pieces.times))
             overshoot.append(np.where(self.path_has_control[:, None], mean, peak))

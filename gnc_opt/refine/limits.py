@@ -20,7 +20,8 @@ class RefinementLimits:
         At most so many collocation points in any phase.
     max_work : float
         No pass begins when all of them have cost this many times what the given solution did, counted in iterations
-        at one collocation point (`Pass.work`), so that it ends in the same place on every machine. What costs about a
+        at one collocation point (`Pass.work`), so that it ends in the same place on every machine. (Of tries that led
+        nowhere before that solution no more than 300 iterations count.) What costs about a
         second (`gnc_opt.refine.refine.LEAST_WORK`) is allowed in any case, twice as much of either while the error
         falls to a third or less from pass to pass; ``math.inf`` allows everything. A structure that is tried unasked
         may cost half as much, and a quarter when a finer mesh shows another and so much is left of it all; on the

@@ -29,7 +29,8 @@ from gnc_opt.refine.structure.switching import TIGHT, optimise_switches
 from gnc_opt.solution.history import Pass, RefinementStatus, work_of
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.solution import Solution
-from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
+from gnc_opt.solution.solve_mesh import LOST, SolveLimits, solve_mesh
+from gnc_opt.threads import one_thread
 from gnc_opt.tolerances import SHORTEST
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.verify.verify import verify
@@ -63,6 +64,7 @@ TIGHTER, FURTHER = 0.01, 2
 on to this share of the tolerance, so many times: what a condition forgives is not the same share of every problem."""
 
 
+@one_thread()
 def refine(
     solution: Solution,
     *,
@@ -151,8 +153,9 @@ def _check(solution: Solution) -> None:
 
 
 def _work(solution: Solution) -> float:
+    """Return what a solution cost; what was lost on the way to it is no measure of what refining may cost."""
     points = sum(leg.mesh.size for leg in solution.phases.values())
-    return work_of(points, solution.statistics.iterations)
+    return work_of(points, min(solution.statistics.iterations, LOST))
 
 
 def _released(solution: Solution, options: SolverOptions | None, deadline: float) -> Solution:

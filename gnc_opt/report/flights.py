@@ -7,18 +7,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from gnc_opt.arguments import read_integer
 from gnc_opt.errors import GncOptError
 from gnc_opt.markup import preformatted, table
-from gnc_opt.report.campaign import campaign_table
 from gnc_opt.report.document import again, chip, document, pictures, report_folder, save_figures
-from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.run import Run
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from gnc_opt.plot.view import View
+    from gnc_opt.simulation.campaign import Campaign
+    from gnc_opt.simulation.run import Run
 
 
 def write_run_report(
@@ -128,7 +128,7 @@ def write_campaign_report(
     files = save_figures(folder, _campaign_figures(campaign))
     failures = [(index, str(outcome)) for index, outcome in campaign.failures.items()]
     sections = {
-        "Answer": preformatted(campaign_table(campaign)),
+        "Answer": preformatted(str(campaign)),
         "Motion": motion,
         "Figures": pictures(files),
         "Failures": table(("run", "what went wrong"), failures),

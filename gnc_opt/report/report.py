@@ -6,15 +6,14 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from matplotlib.figure import Figure
-
 from gnc_opt.report.document import report_folder, save_figures
-from gnc_opt.report.page import page
 from gnc_opt.report.summary_json import write_json
 from gnc_opt.solution.solution import Solution
 from gnc_opt.verify.verdict import Verdict
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from gnc_opt.plot.view import View
 
 Figures: TypeAlias = "Callable[[Solution, Path], Any]"
@@ -67,6 +66,8 @@ def write_report(
     >>> print([path.name for path in paths[:3]])
     ['report.html', 'summary.json', 'solution.npz']
     """
+    from gnc_opt.report.page import page
+
     folder = report_folder(directory)
     motion = "" if view is None else _motion(solution, view)
     pictures = save_figures(folder, _generic_figures(solution))

@@ -10,13 +10,16 @@ The fifth-order solution is better, by a factor that falls with the step: the no
 rates that are faster, :math:`e \sim (\lambda h)^5`, while the ratio of the orders goes with :math:`\lambda h`; so a run
 is off by
 
-.. math:: \min(1, s)\, |x - \hat x|, \quad s = s_0 \max(1, e / e_0)^{1/5} ,
+.. math:: \min(1, s g)\, |x - \hat x|, \quad s = s_0 \max(1, e / e_0)^{1/5}, \quad
+   g = \max\left(1, \frac{|x - \hat x| / e}{|x_0 - \hat x_0| / e_0}\right) ,
 
 or by its local errors and the growth of the nominal run, if that is more. Where s exceeds 1 the steps are too long for
 orders to tell one solution from the other, and the lesser of the two is added, in full from s = 2 on.
 
 A relay or a quantum that turns the other way in the second flight sets both apart, however near they were: the truth
-may have turned like it, and such a run is off by as much. What turns in the truth and in neither flight is not seen.
+may have turned like it, and such a run is off by as much; the share is one of errors of steps alone. So flights that
+are apart by more than the nominal one's and their local errors let expect count for more, by the factor g. What turns
+in the truth and not in the second flight is not seen.
 """
 
 from __future__ import annotations
@@ -42,28 +45,33 @@ class Companion:
         Sum of its local errors; without any, what flights are apart is added in full.
     side : int
         1 where the second flight makes the errors of steps, -1 for the opposite ones.
+    apart : float
+        What its flights are apart.
     """
 
     share: float = 1.0
     local: float = 0.0
     side: int = 1
+    apart: float = np.inf
 
     @classmethod
     def of(cls, error: float, apart: float, local: float) -> Companion:
         """Return what a run with this error tells."""
-        return cls(error / apart if 0 < error < apart < np.inf else 1.0, local)
+        return cls(error / apart if 0 < error < apart < np.inf else 1.0, local, apart=apart)
 
     def error(self, apart: Array, known: Array, local: Array) -> Array:
         """Return the errors of runs (n,) by what their flights are apart, by the growth of the nominal run, and by
         their local errors."""
         faster = np.maximum(1.0, local / self.local) ** 0.2 if self.local > 0 else np.full_like(local, 2.0)
         share = self.share * faster
-        seen = apart * np.minimum(1.0, share)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            farther = np.fmax(1.0, apart * self.local / (self.apart * local))
+        seen = apart * np.minimum(1.0, share * farther)
         return np.asarray(np.fmax(known, seen) + np.fmin(known, seen) * np.clip(share - 1.0, 0.0, 1.0))
 
 
 def estimates(
-    places: Places, final: Array, apart: Array, growth: float, companion: Companion | None
+    places: Places, final: Array, others: Array, growth: float, companion: Companion | None
 ) -> tuple[Array, Array]:
     """Return the estimated errors of runs whose kernels' states ended so.
 
@@ -73,8 +81,8 @@ def estimates(
         Of the columns that follow.
     final : array (n_state, n)
         Ends of the runs.
-    apart : array (n,)
-        From the flights beside them, see `apart`.
+    others : array (n_state, n)
+        Ends of the flights beside them.
     growth : float
         By which local errors have grown until the end of the nominal run.
     companion : Companion or None
@@ -93,7 +101,7 @@ def estimates(
     errors, instants = growth * (local + resets) + blur, growth * late
     if companion is None:
         return errors, instants
-    grown = companion.error(apart, errors - blur, local) + blur
+    grown = companion.error(apart(places, final, others), errors - blur, local) + blur
     ended = stop > 0
     return (
         np.where(ended, errors, np.maximum(errors, grown)),

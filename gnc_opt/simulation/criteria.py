@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_positive
+from gnc_opt.arguments import expect, read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError
+from gnc_opt.errors import ArgumentError, in_words
 from gnc_opt.model.layout import as_vector
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.flight import Flight
@@ -36,16 +36,26 @@ class Criteria:
                     goal[flight.states.slice(name)] = flight.reference[flight.followed.slice(name), -1]
         for name, value in self.target.items():
             place = flight.states.slice(name)
-            goal[place] = as_vector(value, flight.states[name].size, f"the target of '{name}'", ArgumentError)
+            numbers = as_vector(value, flight.states[name].size, f"the target of '{name}'", ArgumentError)
+            if not np.all(np.isfinite(numbers)):
+                raise ArgumentError(
+                    f"the target of '{name}' is {numbers}: give finite numbers, or leave it out."
+                )
+            goal[place] = numbers
         return goal
 
     def check(self, empty: Campaign) -> None:
         """Refuse limits of measures that a campaign (without runs) does not have, and what is no limit or measure."""
+        kinds = {"target": '{"q": 0.0}', "limits": '{"q": 0.05}', "judge": '{"miss": lambda campaign: ...}'}
+        for kind, example in kinds.items():
+            expect(getattr(self, kind), Mapping, f"{kind} of monte_carlo()", f"write {example}")
         for name, value in self.limits.items():
             if name not in self.judge:
                 empty.measure(name)
             _limit(name, value)
         for name, function in self.judge.items():
+            if name in empty.measures:
+                raise ArgumentError(f"the campaign has a measure '{name}' already: give yours another name.")
             if not callable(function):
                 raise ArgumentError(f"the measure '{name}' is no function: give one of the campaign.")
 
@@ -64,7 +74,12 @@ def _limit(name: str, value: float) -> float:
 
 
 def _measured(name: str, judge: Judge, campaign: Campaign) -> Array:
-    values = np.asarray(judge(campaign), dtype=float)
+    try:
+        values = np.asarray(judge(campaign), dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(
+            f"the measure '{name}' gives no numbers ({in_words(error)}): return one per run, ({len(campaign)},)."
+        ) from error
     if values.shape != (len(campaign),):
         raise ArgumentError(
             f"the measure '{name}' has the shape {values.shape}: return one number per run, ({len(campaign)},)."

@@ -82,6 +82,7 @@ class Event:
         if self.reset is not None:
             remedy = "write reset={v: -v}, states with their new values"
             expect(self.reset, Mapping, f"the reset of event '{self.name}'", remedy)
+        expect(self.failure, bool, f"failure of event '{self.name}'", "write True or False")
         if self.failure and not self.ends:
             raise ArgumentError(
                 f"event '{self.name}' is a failure and does not end the run: leave out reset= or failure=."
@@ -167,6 +168,16 @@ class Events:
     def __len__(self) -> int:
         return len(self.declared)
 
+    def behind(self, t: float, x: Array, p: Array) -> tuple[Event, float] | None:
+        """Return an event that is to end a run, but lies behind its start (t, x), and its expression there."""
+        y = self.rows(t, x, np.zeros(x.size), p)[0].full()[:, 0]
+        holds = self.effects(t, x, p)[0].full()[:, 0]
+        for value, owner in zip(y, self.owners, strict=True):
+            event = self.declared[owner]
+            if event.ends and event.direction != "either" and value < 0 and holds[owner]:
+                return event, float(value * _SIGNS[event.direction][0])
+        return None
+
     @property
     def layout(self) -> Layout:
         """Names of the events."""
@@ -189,7 +200,7 @@ class Events:
         t, x, _, p = plant.arguments()
         rate = ca.SX.sym("dx_dt", plant.states.size)
         signed = [
-            (sign * _read(event, event.expression, "the expression", plant), owner)
+            (sign * _moving(event, plant), owner)
             for owner, event in enumerate(declared)
             for sign in _SIGNS[event.direction]
         ]
@@ -203,6 +214,23 @@ class Events:
             ca.Function("rows", [t, x, rate, p], [y, ca.densify(slope)]),
             ca.Function("effects", [t, x, p], [ca.vertcat(*holds), ca.horzcat(*after)]),
         )
+
+
+def _moving(event: Event, plant: Model) -> Any:
+    """Return the expression of an event; refuse one that never passes through zero."""
+    found, what = _read(event, event.expression, "the expression", plant), "the expression of event"
+    t, x, _, _ = plant.arguments()
+    if not ca.depends_on(found, ca.vertcat(t, x)):
+        raise ArgumentError(
+            f"{what} '{event.name}' depends neither on a state nor on the time, and never passes through zero: "
+            "write what does, altitude, say."
+        )
+    if ca.jacobian(found, ca.vertcat(t, x)).is_zero():
+        raise ArgumentError(
+            f"{what} '{event.name}' jumps where it should pass through zero: write h - 0.5 with a direction, "
+            "not h < 0.5."
+        )
+    return found
 
 
 def _read(event: Event, value: Any, what: str, plant: Model, size: int = 1) -> Any:

@@ -14,9 +14,9 @@ import numpy as np
 
 from gnc_opt.arguments import read_integer
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError
+from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.model.layout import Layout
-from gnc_opt.simulation.beside import Companion, apart, estimates
+from gnc_opt.simulation.beside import Companion, estimates
 from gnc_opt.simulation.course import Course
 from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.event import Occurrence, occurrences
@@ -156,9 +156,9 @@ class Flight:
             return self
         quick = replace(self, library=native(self._folded.quick))
         _, rows = next(self.legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
-        ends = np.empty((2, self.kernel.state.size))
+        X, C = self._begun(rows[0], self.nominal)
+        ends = [np.empty_like(X) for _ in range(2)]
         for flight, end in zip((self, quick), ends, strict=True):
-            X, C = self._begun(rows[0], self.nominal)
             flight._folded.fly(X, rows, C, end)
         return quick if ends[0].tobytes() == ends[1].tobytes() else self
 
@@ -179,8 +179,7 @@ class Flight:
                 f"the parameters of {len(seeds)} runs have the shape {P.shape}: "
                 f"give ({self.layout.size}, {len(seeds)})."
             )
-        final = np.full((P.shape[1], self.kernel.state.size), np.nan)
-        distances = np.full(P.shape[1], np.nan)
+        final = np.full((P.shape[1], self._flights, self.kernel.state.size), np.nan)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         recorder = None if self.quantities is None else Recorder(self.quantities, self.times, P.shape[1])
         refused: dict[int, str] = {}
@@ -197,30 +196,23 @@ class Flight:
             for first, rows in legs:
                 if first == 0:
                     X, C, again = *self._begun(rows[0], P[:, i]), True
-                    other = self._begun_beside(X)
                 else:
                     self._consider(course, first, X, rows, C)
-                if recorder is None:
+                if recorder is None or self._stopped(X[0]):
                     self._folded.fly(X, rows, C, final[i])
                 else:
-                    after, logs = self._folded.logged(X, rows, C)
-                    columns, applied = np.column_stack([X, after]), self.kernel.log.split(logs)["applied"]
-                    recorder.add(
-                        i, first, self.kernel.state.split(columns), applied, P[self._plant_parameters, i]
-                    )
-                    final[i] = columns[:, -1]
+                    columns, logs, final[i] = self._folded.logged(X, rows, C)
+                    parts, applied = self.kernel.state.split(columns), self.kernel.log.split(logs)["applied"]
+                    recorder.add(i, first, parts, applied, P[self._plant_parameters, i])
                 X[:] = final[i]
-                self._fly_beside(other, rows, C)
-                if self._stopped(X):
+                if all(self._stopped(x) for x in X):
                     break
-            self._carry_on(other, legs, course, C)
-            distances[i] = self._apart(X, other)
             if self.replanner is not None:
                 replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
-                followed[:, i] = self._followed_at_end(course, final[i : i + 1].T)[:, 0]
+                followed[:, i] = self._followed_at_end(course, final[i, :1].T)[:, 0]
         if self.replanner is None:
-            followed = self._followed_at_end(self._course(), final.T)
-        ending = self._ending(final.T, distances, refused, followed, replans)
+            followed = self._followed_at_end(self._course(), final[:, 0].T)
+        ending = self._ending(final, refused, followed, replans)
         return ending if recorder is None else replace(ending, sums=recorder.sums, samples=recorder.samples)
 
     def run(self, P: Array, seed: Any, *, every: int = 1, folder: str | Path | None = None) -> Run:
@@ -264,11 +256,13 @@ class Flight:
         for first, rows in legs:
             if first == 0:
                 X, C = self._begun(rows[0], P)
-                other = self._begun_beside(X)
             else:
                 self._consider(course, first, X, rows, C)
-            after, logs = self._folded.logged(X, rows, C)
-            parts, told = self.kernel.state.split(np.column_stack([X, after])), self.kernel.log.split(logs)
+            if self._stopped(X[0]):  # the flight beside it goes on until an event ends it, too
+                self._folded.fly(X.copy(), rows, C, X)
+                continue
+            columns, logs, X = self._folded.logged(X, rows, C)
+            parts, told = self.kernel.state.split(columns), self.kernel.log.split(logs)
             flown = len(rows) if not self.events.size else int(np.sum(parts["stop"][0, :-1] < 0.5))
             if self.events.size:
                 events += occurrences(told, flown, self.events.names, self.states.size)
@@ -277,17 +271,15 @@ class Flight:
             if at.size:
                 noted = {name: values[:, at] for name, values in told.items()}
                 self._note(log, parts, noted, at, course.reference_at(self.times[first + at]))
-            X = np.ascontiguousarray(after[:, -1])
-            self._fly_beside(other, rows, C)
-            if self._stopped(X):
+            if self._stopped(X[0]):
                 last = first + flown
+            if all(self._stopped(x) for x in X):
                 break
-        self._carry_on(other, legs, course, C)
-        final = self.kernel.state.split(X[:, None])
+        final = self.kernel.state.split(X[:1].T)
         end = self._last_times(final)
-        followed = self._followed_at_end(course, X[:, None])
+        followed = self._followed_at_end(course, X[:1].T)
         self._note(log, final, {}, np.array([0]), followed)
-        ending = self._ending(X[:, None], np.array([self._apart(X, other)]), {}, followed)
+        ending = self._ending(X[None], {}, followed)
         arrays = log.close()
         times = np.append(self.times[kept[kept < last]], end)
         return Run(
@@ -370,8 +362,7 @@ class Flight:
                     f"the random numbers of a run have the shape {seed.shape}: give ({self.n_steps}, {size})."
                 )
             return lambda first, last: seed[first:last]
-        sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        generator = np.random.Generator(np.random.Philox(sequence))
+        generator = np.random.Generator(np.random.Philox(_sequence(seed)))
         return lambda first, last: generator.standard_normal((last - first, size))
 
     @cached_property
@@ -397,24 +388,27 @@ class Flight:
 
     def _consider(self, course: Course, step: int, X: Array, rows: Array, C: Array) -> None:
         """Re-plan at the first of the steps ``rows``, if that is asked for then, and put the new plan in them."""
-        if self.replanner is None or step % round(self.replanner.every / self.dt):
+        if self.replanner is None:
             return
-        if self.estimates is None:
-            x = self.kernel.measure(X, rows[0], C).full()[:, 0]
-        else:
-            x = self.kernel.state.split(X)["memory"][self.estimates]
-        course.consider(step, np.asarray(x))
-        self._plan(course, step, rows)
-
-    def _plan(self, course: Course, step: int, rows: Array) -> None:
-        """Put what a run follows from a step on into the rows of a leg."""
-        if self.replanner is not None:
-            rows[:, 1 : 1 + self.schedule.shape[0]] = course.schedule[:, step : step + len(rows)].T
+        if step % round(self.replanner.every / self.dt) == 0 and not self._stopped(X[0]):
+            if self.estimates is None:
+                x = self.kernel.measure(X[0], rows[0], C).full()[:, 0]
+            else:
+                x = X[0, self.kernel.state.slices["memory"]][self.estimates]
+            course.consider(step, np.asarray(x))
+        rows[:, 1 : 1 + self.schedule.shape[0]] = course.schedule[:, step : step + len(rows)].T
 
     def _begun(self, known: Array, P: Array) -> tuple[Array, Array]:
-        """Return X at the first step, and the constants of the run."""
-        X, C = self.kernel.start(known, P), self.kernel.constants(P)
-        return np.asarray(X.full()[:, 0]), np.asarray(C.full()[:, 0])
+        """Return X of a run and the flight beside it at the first step (1 or 2, n_state), and the constants of both."""
+        X, C = self._folded.begun(known, P)
+        both = np.tile(X, (self._flights, 1))
+        if self.beside is not None:
+            both[1, self.kernel.state.slices["beside"]] = self.beside.side
+        return both, C
+
+    @property
+    def _flights(self) -> int:
+        return 1 if self.beside is None else 2
 
     def _note(
         self,
@@ -436,38 +430,13 @@ class Flight:
 
     def _stopped(self, X: Array) -> bool:
         """Whether an event has ended the run."""
-        return bool(self.events.size and self.kernel.state.split(X)["stop"][0] > 0)
+        return bool(self.events.size and X[self.kernel.state.slices["stop"]][0] > 0)
 
     def _last_times(self, parts: dict[str, Array]) -> Array:
         """Return when runs ended (n,), s."""
         if not self.events.size:
             return np.full(parts["plant"].shape[1], self.times[-1])
         return np.asarray(np.where(parts["stop"][0] > 0, parts["stop time"][0], self.times[-1]))
-
-    def _begun_beside(self, X: Array) -> Array:
-        """Return where the flight beside a run that begins with X begins."""
-        other = X.copy()
-        self.kernel.state.split(other)["beside"][:] = 0 if self.beside is None else self.beside.side
-        return other
-
-    def _fly_beside(self, other: Array, rows: Array, C: Array) -> None:
-        """Fly a leg beside a run."""
-        if self.beside is not None:
-            self._folded.fly(other.copy(), rows, C, other)
-
-    def _carry_on(self, other: Array, legs: Iterator[tuple[int, Array]], course: Course, C: Array) -> None:
-        """Fly the legs that are left beside a run that an event has ended, until it ends the other, too."""
-        for first, rows in legs:
-            if self.beside is None or self._stopped(other):
-                return
-            self._plan(course, first, rows)
-            self._fly_beside(other, rows, C)
-
-    def _apart(self, X: Array, other: Array) -> float:
-        """Return what a run that ended with X and the flight beside it are apart."""
-        return (
-            np.nan if self.beside is None else float(apart(self.kernel.state, X[:, None], other[:, None])[0])
-        )
 
     @cached_property
     def _folded(self) -> Folded:
@@ -480,14 +449,16 @@ class Flight:
 
     def _ending(
         self,
-        final: Array,
-        distances: Array,
+        ends: Array,
         refused: dict[int, str],
         followed: Array,
         replans: Array | None = None,
     ) -> Ending:
+        """Return how runs have ended, from the kernels' states, and those of the flights beside them (n, 1 or 2,
+        n_state)."""
+        final = ends[:, 0].T
         parts = self.kernel.state.split(final)
-        errors, instants = estimates(self.kernel.state, final, distances, self.growth, self.beside)
+        errors, instants = estimates(self.kernel.state, final, ends[:, -1].T, self.growth, self.beside)
         outcomes = tuple(
             Outcome(RunStatus.REFUSED, refused[i])
             if i in refused
@@ -523,3 +494,15 @@ class Flight:
             if name in self.states:
                 follow[self.states.slice(name)] = reference[self.followed.slice(name)]
         return np.asarray(self.errors(states, follow).full())
+
+
+def _sequence(seed: Any) -> np.random.SeedSequence:
+    """Return what random numbers are drawn from; a seed that would draw others each time is refused."""
+    if isinstance(seed, np.random.SeedSequence):
+        return seed
+    try:
+        if seed is not None and not isinstance(seed, bool):
+            return np.random.SeedSequence(seed)
+    except (TypeError, ValueError):
+        pass
+    raise ArgumentError(f"the seed of a run is {shown(seed)}: give an integer >= 0, or several.")

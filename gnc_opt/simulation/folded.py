@@ -1,4 +1,4 @@
-"""Folded: the step of a kernel, many control steps in one call."""
+"""Folded: the step of a kernel, many control steps of a run and the flights beside it in one call."""
 
 from __future__ import annotations
 
@@ -26,19 +26,21 @@ class Folded:
 
     def __init__(self, kernel: Kernel, library: str = "") -> None:
         self.kernel, self.library = kernel, library
-        self._buffers: dict[int, Any] = {}
+        self._buffers: dict[Any, Any] = {}
         self._logs: dict[int, Any] = {}
 
     def fly(self, X: Array, rows: Array, C: Array, final: Array) -> None:
-        """Write the state after the steps of a leg to ``final``.
+        """Write the states after the steps of a leg to ``final``.
 
         Parameters
         ----------
-        X : array (n_state,)
+        X : array (n_flights, n_state)
         rows : array (n_steps, n_known)
         C : array (n_constants,)
-        final : array (n_state,)
+        final : array (n_flights, n_state)
         """
+        if not len(X):
+            return
         if self._native is None:
             self._interpret(X, rows, C, final)
             return
@@ -48,26 +50,47 @@ class Folded:
             flown += 1
             flown += self._native(final.copy(), rows[flown:], C, final)
 
+    def begun(self, known: Array, P: Array) -> tuple[Array, Array]:
+        """Return X at the first step (n_state,), and the constants of a run (n_constants,)."""
+        start, constants = self.kernel.start, self.kernel.constants
+        X, C = np.empty(start.size1_out(0)), np.empty(constants.size1_out(0))
+        P = np.ascontiguousarray(P)
+        self._evaluate("start", lambda: start, (np.ascontiguousarray(known), P), X)
+        self._evaluate("constants", lambda: constants, (P,), C)
+        return X, C
+
     def _interpret(self, X: Array, rows: Array, C: Array, final: Array) -> None:
         """The same, by the interpreter."""
-        if len(rows) not in self._buffers:
-            self._buffers[len(rows)] = self._leg(
-                lambda x, w, c, n: [self.step.fold(n)(x, w, c)], len(rows)
-            ).buffer()
-        buffer, evaluate = self._buffers[len(rows)]
-        # reads and writes these arrays themselves: no conversion per run
-        for k, array in enumerate((X, rows, C)):
+
+        def leg() -> Any:
+            return self._leg(lambda x, w, c, n: [self.step.fold(n)(x, w, c)], len(rows))
+
+        for x, end in zip(X, final, strict=True):
+            self._evaluate(len(rows), leg, (x, rows, C), end)
+
+    def _evaluate(
+        self, key: Any, function: Callable[[], Any], arguments: tuple[Array, ...], result: Array
+    ) -> None:
+        """Write what a function makes of contiguous arrays to another one: no conversion per run."""
+        if key not in self._buffers:
+            self._buffers[key] = function().buffer()
+        buffer, evaluate = self._buffers[key]
+        for k, array in enumerate(arguments):
             buffer.set_arg(k, memoryview(array.data))
-        buffer.set_res(0, memoryview(final.data))
+        buffer.set_res(0, memoryview(result.data))
         evaluate()
 
-    def logged(self, X: Array, rows: Array, C: Array) -> tuple[Array, Array]:
-        """Return the states after every step of a leg, and the logs of the steps, by columns."""
+    def logged(self, X: Array, rows: Array, C: Array) -> tuple[Array, Array, Array]:
+        """Return the states of the run, the first flight, before and after the steps of a leg (n_state, n_steps + 1),
+        the logs of its steps (n_log, n_steps), and the states of all flights after the last (n_flights, n_state)."""
         if len(rows) not in self._logs:
             step = self.kernel.step
             self._logs[len(rows)] = self._leg(lambda x, w, c, n: list(step.mapaccum(n)(x, w, c)), len(rows))
-        after, logs = (np.asarray(o.full()) for o in self._logs[len(rows)](X, rows.T, C))
-        return after, logs
+        after, logs = (np.asarray(o.full()) for o in self._logs[len(rows)](X[0], rows.T, C))
+        final = np.empty_like(X)
+        final[0] = after[:, -1]
+        self.fly(X[1:], rows, C, final[1:])
+        return np.column_stack([X[0], after]), logs, final
 
     @cached_property
     def _native(self) -> Callable[[Array, Array, Array, Array], int] | None:

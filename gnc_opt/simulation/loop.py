@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -11,10 +11,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer, read_numbers, read_positive
+from gnc_opt.arguments import expect, read_integer, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
-from gnc_opt.errors import ArgumentError, unknown_name
+from gnc_opt.errors import ArgumentError, shown, unknown_name, warn_user
 from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.accuracy import Accuracy, local_error
@@ -126,33 +126,17 @@ class ClosedLoop:
             read_integer(self.substeps, "substeps of a closed loop", 1)
         self.plant.derivative()
         for name, kind in (("actuators", Block), ("sensors", Block), ("disturbances", Disturbance)):
-            given = getattr(self, name)
-            set_(self, name, tuple([given] if isinstance(given, Block) else given))
-            for block in getattr(self, name):
-                expect(
-                    block,
-                    kind,
-                    f"one of the {name} of a closed loop",
-                    f"use those of gnc_opt.simulation.{name}",
-                )
-        set_(self, "events", tuple([self.events] if isinstance(self.events, Event) else self.events))
-        for event in self.events:
-            expect(event, Event, "one of the events of a closed loop", "write Event(name, expression)")
+            set_(
+                self,
+                name,
+                _listed(getattr(self, name), kind, name, f"use those of gnc_opt.simulation.{name}"),
+            )
+        set_(self, "events", _listed(self.events, Event, "events", "write Event(name, expression)"))
         blocks = Blocks(
             tuple(self.actuators), tuple(self.sensors), tuple(self.disturbances), tuple(self.events)
         )
-        set_(
-            self,
-            "quantities",
-            tuple([self.quantities] if isinstance(self.quantities, Quantity) else self.quantities),
-        )
-        for quantity in self.quantities:
-            expect(
-                quantity,
-                Quantity,
-                "one of the quantities of a closed loop",
-                "write Quantity(name, expression)",
-            )
+        quantities = _listed(self.quantities, Quantity, "quantities", "write Quantity(name, expression)")
+        set_(self, "quantities", quantities)
         Quantities.of(self.plant, tuple(self.quantities))
         if self.replanner is not None:
             expect(
@@ -207,6 +191,9 @@ class ClosedLoop:
         """
         P = self.defaults.copy()
         states = self.plant.states
+        expect(
+            {} if changes is None else changes, Mapping, "the changes of parameters", 'write {"plant.m": 2.0}'
+        )
         if isinstance(x0, Mapping):
             changes = {**{f"initial.{n}": v for n, v in x0.items()}, **(changes or {})}
         elif x0 is not None:
@@ -219,10 +206,15 @@ class ClosedLoop:
             P[self.layout.slice(name)] = as_vector(
                 value, self.layout[name].size, f"parameter '{name}' of a run", ArgumentError
             )
-        bad = np.flatnonzero(np.isnan(P))
-        if bad.size:
-            label = self.layout.labels[bad[0]]
-            raise ArgumentError(f"'{label}' of a run is not a number: give x0= every state, and numbers.")
+        labels = self.layout.labels
+        bad = [
+            i for i, p in enumerate(P) if np.isnan(p) or (np.isinf(p) and labels[i].startswith("initial."))
+        ]
+        if bad:
+            label = labels[bad[0]]
+            raise ArgumentError(
+                f"'{label}' of a run is not a number (it is {P[bad[0]]:g}): give x0= every state, and numbers."
+            )
         return P
 
     # --- runs ---------------------------------------------------------------------------------------------
@@ -253,6 +245,7 @@ class ClosedLoop:
         """
         nominal = self.parameters(x0, parameters)
         times = self._times(t0, tf)
+        self._warn_of_events(times[0], nominal)
         rows = self._schedule(times)
         flight, alone = self._accurate(nominal, times, rows)
         return replace(flight, replanner=self.replanner, beside=self._beside(flight, alone))
@@ -274,6 +267,18 @@ class ClosedLoop:
         first = self.substeps or accuracy.stable_substeps(times[0], *self._at_start(nominal))
         start = self._generic(nominal)[:, None]
         return accuracy.reached(lambda n: self._flight(nominal, times, rows, n), start, first)
+
+    def _warn_of_events(self, t: float, nominal: Array) -> None:
+        """Tell of an event that is to end the nominal run and has happened before it begins."""
+        if not self.events:
+            return
+        behind = self.wiring.events.behind(t, *self._at_start(nominal))
+        if behind is not None:
+            event, value = behind
+            warn_user(
+                f"event '{event.name}' ends a run when its expression comes through zero {event.direction}; this one "
+                f"begins beyond that, at {value:.6g}, and flies on until it has been on the other side."
+            )
 
     def _at_start(self, nominal: Array) -> tuple[Array, Array]:
         """Return the plant's states (n_states,) and parameters (n_parameters,) in a column of parameters."""
@@ -384,8 +389,10 @@ class ClosedLoop:
         )
 
     def _times(self, t0: float, tf: float) -> Array:
-        begin = float(read_numbers(t0, "t0 of a run").reshape(-1)[0])
-        end = float(read_numbers(tf, "tf of a run").reshape(-1)[0])
+        begin, end = (
+            float(as_vector(t, 1, f"{name} of a run", ArgumentError)[0])
+            for name, t in (("t0", t0), ("tf", tf))
+        )
         if not (np.isfinite([begin, end]).all() and end > begin):
             raise ArgumentError(
                 f"a run from t0 = {begin:g} s to tf = {end:g} s is none: give finite times, tf > t0."
@@ -434,6 +441,14 @@ class ClosedLoop:
     def _error_function(self) -> Any:
         x, x_ref = (ca.SX.sym(n, self.plant.states.size) for n in ("x", "x_ref"))
         return ca.Function("e", [x, x_ref], [self.plant.error_expression(x, x_ref)])
+
+
+def _listed(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
+    """Return one or several parts of a loop as a tuple."""
+    parts = (given,) if isinstance(given, kind) else given
+    if not isinstance(parts, Iterable):
+        raise ArgumentError(f"the {name} of a closed loop are {shown(given)}: give a list; {remedy}.")
+    return tuple(expect(part, kind, f"one of the {name} of a closed loop", remedy) for part in parts)
 
 
 def _read_plausible(value: float | Mapping[str, ArrayLike], states: Layout) -> Array:

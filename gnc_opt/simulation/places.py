@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -22,15 +23,19 @@ class Places:
         """Length of the column."""
         return sum(n for _, n in self.parts)
 
-    def split(self, column: Any) -> dict[str, Any]:
-        """Return the parts (rows) of a column or an array by name."""
+    @cached_property
+    def slices(self) -> dict[str, slice]:
+        """Where each part is."""
         out, at = {}, 0
         for name, n in self.parts:
-            out[name] = (
-                rows(column, at, at + n) if isinstance(column, (ca.SX, ca.MX)) else column[at : at + n]
-            )
-            at += n
+            out[name], at = slice(at, at + n), at + n
         return out
+
+    def split(self, column: Any) -> dict[str, Any]:
+        """Return the parts (rows) of a column or an array by name."""
+        if isinstance(column, (ca.SX, ca.MX)):
+            return {name: rows(column, place.start, place.stop) for name, place in self.slices.items()}
+        return {name: column[place] for name, place in self.slices.items()}
 
     def join(self, values: Mapping[str, Any]) -> Any:
         """Return the column of all parts."""

@@ -17,6 +17,9 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 
+_A_LITTLE = 0.02
+"""Share of the range of a state (of its limit, where there is only one) by which a start beyond it counts as on it."""
+
 _SAME_DIRECTION = 1e-9
 """Two gradients of a cost point the same way if the sine of the angle between them is at most this."""
 
@@ -31,12 +34,29 @@ def remaining(problem: Problem, began: float, begin: float, start: dict[str, Arr
     began, begin : float
         Its first time, and that of the rest, s.
     start : dict
-        States there, by name.
+        States there, by name; those that are a little beyond a limit begin on it.
     """
     (leg,) = problem.phases.values()
     span, flown = leg.numbers.duration, begin - began
     left = (max(float(span.lower[0]) - flown, 0.0), float(span.upper[0]) - flown)
-    return problem.with_time(initial=begin, duration=left).with_initial(**start)
+    return problem.with_time(initial=begin, duration=left).with_initial(**_within(leg, start))
+
+
+def _within(leg: Phase, start: dict[str, Array]) -> dict[str, Array]:
+    """Return states, those that are a little beyond a limit on it.
+
+    A vehicle that flies along a limit is estimated beyond it as often as not; no plan begins there.
+    """
+    names, lower, upper = leg.model.states, leg.numbers.states.lower, leg.numbers.states.upper
+    width = upper - lower
+    sizes = np.where(np.isfinite(lower), np.abs(lower), np.abs(upper))
+    slack = _A_LITTLE * np.where(np.isfinite(width), width, np.where(np.isfinite(sizes), sizes, 0.0))
+    found = {}
+    for name, x in start.items():
+        at = names.slice(name)
+        kept = np.clip(x, lower[at], upper[at])
+        found[name] = np.where(np.abs(x - kept) <= slack[at], kept, x)
+    return found
 
 
 def check_remaining(problem: Problem) -> None:

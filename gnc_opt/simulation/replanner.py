@@ -304,7 +304,13 @@ class Replanner:
         for k in range(1, _REHEARSALS + 1):
             t = leg.initial_time + k / (_REHEARSALS + 1) * leg.duration
             begun = time.perf_counter()
-            self.solved(t, leg.x(t), self.plan)
+            try:
+                self.solved(t, leg.x(t), self.plan)
+            except GncOptError as error:
+                raise ArgumentError(
+                    f"the Replanner cannot solve the rest of its own plan from {t:g} s on ({in_words(error)}): let its "
+                    "resolver solve from the start, with cold=True, or plan on another mesh."
+                ) from error
             found.append(time.perf_counter() - begun)
         return max(found)
 

@@ -131,6 +131,11 @@ def wire(
         Something does not fit; the message names it.
     """
     check_measured(plant, controller)
+    for block in (*blocks.actuators, *blocks.sensors):
+        if isinstance(block, Disturbance):
+            raise ArgumentError(
+                f"'{block.name}' is a disturbance, not an actuator or a sensor: give it among the disturbances."
+            )
     check_names((*blocks.actuators, *blocks.sensors, *blocks.disturbances))
     actuators, applied = chain(blocks.actuators, kinds(controller.commands), "command")
     check_applied(plant, applied, controller)

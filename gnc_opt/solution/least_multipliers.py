@@ -21,8 +21,8 @@ from gnc_opt.nlp import NlpPoint, NlpResult
 from gnc_opt.solution.program_point import as_sparse
 from gnc_opt.transcription.transcription import Transcription
 
-LARGE = 1e3
-"""Scaled multipliers from which they may have drifted; those of well-scaled programs are smaller."""
+LARGE = 1e2
+"""Scaled multipliers from which they may have drifted; most of well-scaled programs are smaller."""
 
 DRIFTED = 0.5
 """Least share of the largest multiplier that the part in the null space has if that has drifted."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array
+from gnc_opt.solution.defined import defined
 from gnc_opt.solution.distance import bound_offences, path_offences
 from gnc_opt.solution.limits import Limits, violations
 from gnc_opt.solution.propagation import propagate
@@ -77,7 +78,7 @@ def worst_defect(samples: PhaseSamples, at: PhaseSamples | None = None) -> Worst
     It is looked for at ``samples``, or ``at`` others of the same phase.
     """
     at = samples if at is None else at
-    rates = at.functions.rates(at.times, at.x, at.u_polynomial)
+    rates = defined(at.functions.rates, at.times, at.x, at.u_polynomial, at.leg.control_bounds)
     errors = at.per_segment(at.x_rate - rates) / samples.state_scale[:, None]
     leg, inner = samples.leg, samples.leg.breaks[1:-1]
     if inner.size:

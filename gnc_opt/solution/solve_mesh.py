@@ -11,9 +11,10 @@ try                   after                                   how
 `TRAJECTORY_ONLY`     a warm start that has lost its way      the trajectory alone, without its multipliers
 `CONSTRAINTS_FIRST`   "infeasible", without a trajectory as   the constraints are met first, the cost is lowered
                       a guess                                 afterwards
-`LOST`                so many iterations from straight lines  from a flight with the guessed controls first; next
-                                                              from where the constraints are met in the guessed
-                                                              times; only then to the end from the lines
+`LOST`                so many iterations from straight lines  IPOPT's adaptive barrier for a few; from a flight with
+                                                              the guessed controls; next from where the constraints
+                                                              are met in the guessed times; only then to the end from
+                                                              the lines
 ====================  ======================================  ====================================================
 
 A fine mesh without a guess gets one first: from a coarse mesh, by `_coarse_to_fine`.
@@ -85,7 +86,8 @@ iterations grow with the mesh, from a trajectory hardly. (Rendezvous: 49 iterati
 224 and 30.)"""
 
 BRIEF = 100
-"""Iterations that such a way gets on each mesh."""
+"""Iterations that such a way gets on each mesh, and the adaptive barrier where the monotone one has lost its way: above
+the apex of a cone, for one, it takes 20 to 30 from lines from which the other finds nothing in 1000."""
 
 CAREFUL_ITERATIONS = 200
 """Those that pivoting with care gets to mend last digits, beyond which it crawls."""
@@ -323,7 +325,9 @@ def _solve_from_lines(
     first = solver.solve(point, callback=patience, deadline=deadline)
     if not patience.lost:
         return _solve_point(solver, point, show, deadline, first)
-    spent = [first, *_from_flight(attempt, show, deadline)]
+    spent = [first, solver.solve(point, "adaptive", callback=_Patience(show, BRIEF), deadline=deadline)]
+    if not spent[-1].status.solved:
+        spent += _from_flight(attempt, show, deadline)
     if not spent[-1].status.solved:
         spent += _from_held_times(attempt, show, deadline)
     if not spent[-1].status.solved:

@@ -21,6 +21,7 @@ from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
 from gnc_opt.solve import solve
 from gnc_opt.study.prediction import predict
+from gnc_opt.threads import one_thread
 from gnc_opt.transcription.mesh import MeshLike
 from gnc_opt.transcription.scheme import GAUSS, Scheme
 from gnc_opt.verify.verify import verify
@@ -121,6 +122,7 @@ class Continuation:
         return "\n".join([*lines, *self.events])
 
 
+@one_thread()
 def continue_in(
     problem_of: Family,
     values: Sequence[float],

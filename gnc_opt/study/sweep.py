@@ -19,6 +19,7 @@ from gnc_opt.problem.problem import Problem
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
 from gnc_opt.solve import solve
+from gnc_opt.threads import one_thread
 from gnc_opt.transcription.mesh import MeshLike
 from gnc_opt.workers import Shared, WorkerDied, WorkerPool
 
@@ -158,6 +159,7 @@ class Sweep:
         return "\n".join(lines)
 
 
+@one_thread()
 def sweep(
     problem_of: Family,
     grid: Mapping[str, Sequence[float]],

@@ -13,6 +13,7 @@ from gnc_opt.errors import ProblemError
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.held import Held, Junction, Kinds, Smooth
 from gnc_opt.problem.interval import Interval
+from gnc_opt.problem.kept_norm import idle_bounds
 from gnc_opt.problem.one_way import kept_later, loose_bounds, one_way_states
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
@@ -102,6 +103,13 @@ def loosen_one_way(box: Interval, problem: Problem, leg: Phase, collocation: Pha
             boundaries, points = collocation.boundary_states[i], collocation.point_states[i]
             for (limits, wider), idle in ((with_it, slice(None) if handed[i] else first), (against_it, last)):
                 limits[boundaries[idle]] = limits[points] = wider[i]
+
+
+def drop_idle(box: Interval, problem: Problem, leg: Phase, collocation: PhaseCollocation) -> None:
+    """Drop the bounds of states that hold by themselves, since a vector keeps its length."""
+    sides = (box.lower, -np.inf), (box.upper, np.inf)
+    for (limits, none), idle in zip(sides, idle_bounds(problem, leg), strict=True):
+        limits[collocation.boundary_states[idle]] = limits[collocation.point_states[idle]] = none
 
 
 def meet_limits(box: Interval, held: Held, bounds: Interval, collocation: PhaseCollocation) -> None:

@@ -18,12 +18,14 @@ from gnc_opt.problem.held import Junction
 from gnc_opt.problem.interval import Interval, free
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
+from gnc_opt.problem.rooted import reachable_bounds
 from gnc_opt.problem.symbols import parameter_arguments
 from gnc_opt.tolerances import SHORTEST
 from gnc_opt.transcription.collocation import weight_matrix
 from gnc_opt.transcription.holding import (
     check_segments,
     controls_beside,
+    drop_idle,
     hold_controls,
     hold_paths,
     hold_states,
@@ -358,9 +360,10 @@ class Transcription(Numbering):
         ):
             box.lower[places], box.upper[places] = bounds.lower[:, None], bounds.upper[:, None]
         loosen_one_way(box, problem, leg, collocation)
+        drop_idle(box, problem, leg, collocation)
         check_segments(leg, collocation)
         if numbers.arcs is not None:
-            hold_controls(box, numbers.arcs, numbers.controls, collocation)
+            hold_controls(box, numbers.arcs, reachable_bounds(problem, leg), collocation)
         for places, values in ((collocation.boundary_states[:, 0], numbers.initial),
                                (collocation.boundary_states[:, -1], numbers.final)):  # fmt: skip
             # Not max and min: a value that rounding puts beyond a bound must not cross it.

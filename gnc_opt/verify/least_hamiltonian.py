@@ -310,7 +310,8 @@ class _Search:
         costs = s.cost_slope[np.ix_(group, self.chosen)]
         states = s.switching[np.ix_(group, self.chosen)] - costs
         bends = s.control_hessian[np.ix_(group, group, self.chosen)]
-        curved = 0.5 * np.einsum("in,ijt,jn->tn", direction, bends, direction, optimize=True)
+        with np.errstate(invalid="ignore"):  # roots bend infinitely at zero
+            curved = 0.5 * np.einsum("in,ijt,jn->tn", direction, bends, direction, optimize=True)
         worth = np.fmax(np.fmax(np.abs(costs.T @ direction), np.abs(states.T @ direction)), np.abs(curved))
         return np.asarray(np.maximum(np.max(np.where(np.isfinite(worth), worth, 0.0), axis=0), s.least_worth))
 

@@ -15,6 +15,7 @@ from gnc_opt.problem.tables import table_uses
 from gnc_opt.solution.quality import NOTHING
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
+from gnc_opt.threads import one_thread
 from gnc_opt.verify import controls, costates, feasibility, second_order
 from gnc_opt.verify.conjugate_points import conjugate_points
 from gnc_opt.verify.convex import is_convex
@@ -56,6 +57,7 @@ _NO_EXTREMAL = (
 _CANNOT_VARY = "Costates or other numbers are missing, so that what variations cost cannot be told."
 
 
+@one_thread()
 def verify(solution: Solution, *, tol: float = TOLERANCE) -> Verdict:
     """Judge a solution's trajectory and costates against its problem, densely in time.
 

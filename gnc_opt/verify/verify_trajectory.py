@@ -26,6 +26,7 @@ from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.statistics import Statistics
+from gnc_opt.threads import one_thread
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL
 from gnc_opt.transcription.scheme import GAUSS
 from gnc_opt.transcription.transcription import transcribe
@@ -47,6 +48,7 @@ Values = Any
 """Arrays (n, n_times) in the model's order, or a mapping from names to them; of several phases a mapping of those."""
 
 
+@one_thread()
 def verify_trajectory(
     problem: Problem, t: Values, x: Values, u: Values, p: Values = None, *, tol: float = TOLERANCE
 ) -> Verdict:

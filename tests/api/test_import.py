@@ -22,12 +22,27 @@ HEAVY = (
 
 
 @pytest.mark.parametrize(
-    "package", ["gnc_opt", "gnc_opt.control", "gnc_opt.simulation", "gnc_opt.analysis", "gnc_opt.spacecraft"]
+    "package",
+    [
+        "gnc_opt",
+        "gnc_opt.control",
+        "gnc_opt.simulation",
+        "gnc_opt.analysis",
+        "gnc_opt.spacecraft",
+        "gnc_opt.report",  # which prints solutions, most of which nobody draws
+    ],
 )
 def test_import_loads_nothing_heavy(package: str) -> None:
     program = f"import sys, {package}; print(*sorted(set({HEAVY!r}) & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
+
+
+def test_reports_load_neither_figures_nor_the_closed_loop_before_they_are_drawn() -> None:
+    loaded = "{'matplotlib', 'scipy.optimize', 'gnc_opt.simulation'} & set(sys.modules)"
+    program = f"import sys, gnc_opt.report; print({loaded})"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["set()"]
 
 
 def test_import_leaves_the_closed_loop_until_it_is_asked_for() -> None:

@@ -247,6 +247,12 @@ def test_refusals(tmp_path):
         export_c(follower(), tmp_path, dt=0.1, name="no name")
     with pytest.raises(ArgumentError, match="what a design function returned"):
         export_c(model, tmp_path)
+    with pytest.raises(ArgumentError, match="letters of C"):
+        export_c(follower(), tmp_path, dt=0.1, name="\u00e9tage")
+    with pytest.raises(ArgumentError, match=r"span of a schedule is 3\.0: give finite times"):
+        export_c(follower(), tmp_path, dt=0.1, span=3.0)
+    with pytest.raises(ArgumentError, match="too many for a table"):
+        export_c(follower(), tmp_path, dt=0.1, span=(0.5, 1e9))
 
 
 @needs_compiler

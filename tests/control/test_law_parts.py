@@ -30,6 +30,7 @@ from gnc_opt.control.lie import (
     zero_dynamics,
 )
 from gnc_opt.control.linear.gains import SampledGains
+from gnc_opt.control.linear.lqr import design_lqr
 from gnc_opt.control.predictive import programme_code
 from gnc_opt.control.predictive.horizon import Horizon, Programme, Rows
 from gnc_opt.control.predictive.mpc import _error_scale, _rates, _state_rows, _steps, _subtracts, _Windows
@@ -1086,3 +1087,11 @@ def test_a_law_that_switches_at_once_has_no_alarm_of_a_strong_disturbance():
     outside = ca.substitute(away.after, away.symbol, 0.0)
     found = [float(ca.DM(ca.evalf(ca.substitute(outside, s, v)))) for v in (0.59, 0.61, -0.59, -0.61)]
     assert found == [0.0, 1.0, 0.0, 1.0]
+
+
+def test_a_memory_of_another_size_is_refused() -> None:
+    """CasADi would take one number for all of it."""
+    cart = crane()
+    regulator = design_lqr(cart, [0.0, 0.0], Q=1, R=1, dt=0.1)
+    with pytest.raises(ArgumentError, match="memory given to 'LQR' has 1 entries, not"):
+        regulator(0.0, [1.0, 0.0], [1.0])

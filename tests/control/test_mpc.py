@@ -231,6 +231,16 @@ def test_refusals():
         tracker(solver="pipq")
     with pytest.raises(ArgumentError, match="terminal is 'ricatti'"):
         tracker(terminal="ricatti")
+    for wrong, message in (
+        ({"horizon": 1e4 * DT * 3}, "30000 steps of"),
+        ({"limits": None}, "has no limits of the controls"),
+        ({"state_limits": {"v": 3}}, r"limits of state 'v' are 3: give \(lower, upper\)"),
+        ({"state_limits": [1]}, "state_limits of design_mpc.. is a list"),
+        ({"hard": "v", "state_limits": {"v": (-1, 1)}}, "hard of design_mpc.. is 'v': give a list"),
+        ({"name": ""}, "cannot be the name of a controller"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            tracker(**wrong)
     angles = go.Model("turning")
     q, w = angles.state("q"), angles.control("w")
     angles.ode({q: w})

@@ -14,6 +14,7 @@ import gnc_opt as go
 from gnc_opt.nlp import Status
 from gnc_opt.refine.hp.mesh_refinement import refine_mesh
 from gnc_opt.refine.passes import FEWEST, PassLimits
+from gnc_opt.refine.refine import _work
 from gnc_opt.refine.structure import switching
 from gnc_opt.solution.history import work_of
 from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
@@ -106,12 +107,19 @@ def test_meshes_have_some_passes_to_spare_until_the_last_is_the_best(
 def test_a_start_from_lines_and_what_follows_it_take_no_more_iterations_either(
     cart: go.Solution, lost: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "LOST", lost)
+    for limit in ("LOST", "BRIEF"):
+        monkeypatch.setattr(sys.modules[solve_mesh.__module__], limit, lost)
     problem = cart.need_problem("solve")
     found = solve_mesh(problem, "7x3", options=CRAWLING, limits=SolveLimits(iterations=12))
-    tries = 4  # from lines, in flight, in guessed times, from lines again: each ends in an iteration
+    tries = 5  # from lines, with the other barrier, in flight, in guessed times, from lines: each ends in an iteration
     assert found.status is Status.ITERATION_LIMIT
     assert 12 <= found.statistics.iterations <= 12 + tries
+
+
+def test_what_was_lost_on_the_way_to_a_solution_buys_no_refinement(cart: go.Solution) -> None:
+    points = sum(leg.mesh.size for leg in cart.phases.values())
+    found = replace(cart, statistics=replace(cart.statistics, iterations=5000))
+    assert _work(found) == work_of(points, 300) and _work(cart) == work_of(points, cart.statistics.iterations)
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ import gnc_opt as go
 from gnc_opt.refine.error import estimate_errors, largest_error
 from gnc_opt.refine.hp.kinks import SHARPENING, _closed_in
 from gnc_opt.refine.hp.mesh_refinement import refine_mesh
-from gnc_opt.refine.hp.remesh import Remesh
+from gnc_opt.refine.hp.remesh import UNRESOLVED, Remesh
 from gnc_opt.refine.passes import PATIENCE, PassLimits, crawls
 from gnc_opt.solution.history import SETTING_UP, History, RefinementStatus
 from gnc_opt.solution.solve_mesh import solve_mesh
@@ -474,6 +474,14 @@ def test_a_limit_on_a_path_is_left_at_a_boundary() -> None:
     check(history, 1e-8)
     assert solution.objective == pytest.approx(3.0, rel=1e-7)
     assert np.min(np.abs(solution.phase().breaks - 2.0)) < 1e-4 and len(history.passes) < 12
+
+
+def test_a_limit_that_nothing_touches_costs_no_iterations() -> None:
+    problem = pendulum().with_bounds(torque=(-5.0, 5.0))
+    free, limited = (refine_mesh(go.solve(p, mesh="6x4", tol=None))[1] for p in (pendulum(), problem))
+    first = next(k for k, record in enumerate(limited.passes, 1) if record.error < UNRESOLVED)
+    own, others = (sum(p.iterations for p in h.passes[first:]) for h in (limited, free))
+    assert len(limited.passes) > first and own <= others, "each barrier beside the last one would cost two"
 
 
 def test_what_is_accurate_already_is_left_alone() -> None:

@@ -17,7 +17,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.refine import RefinementStatus
-from gnc_opt.refine.attempt import RefinementAttempt
+from gnc_opt.refine.attempt import RefinementAttempt, _least_wrong
 from gnc_opt.refine.hp.mesh_refinement import refine_mesh
 from gnc_opt.refine.passes import PassLimits
 from gnc_opt.solution.history import History
@@ -412,6 +412,34 @@ def test_a_finer_mesh_mends_what_is_nearly_met(
     opened = [condition(v) for v in values] + [condition(v, sufficient=True) for v in second_order]
     attempt = SimpleNamespace(verdict=SimpleNamespace(open=tuple(opened)), in_steps=in_steps)
     assert RefinementAttempt.resolvable.fget(attempt) is resolvable
+
+
+def attempt(error: float, *values: float, arcs: bool = False) -> Any:
+    """One that ended with an error and offences against the verdict, on a mesh or with a structure."""
+    opened = tuple(condition(v) for v in values)
+    made = SimpleNamespace(
+        solution=SimpleNamespace(structure=("an arc",) if arcs else ()),
+        history=SimpleNamespace(final=SimpleNamespace(solved=True)),
+        error=error,
+        begun={} if arcs else None,
+        verdict=SimpleNamespace(open=opened),
+    )
+    made.offence = RefinementAttempt.offence.fget(made)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("mesh", "structure", "kept"),
+    [
+        (attempt(4e-4, 0.46, 1e-3), attempt(3e-7, 2.8e-5, arcs=True), 0),  # more accurate, and nearly right
+        (attempt(4e-7, 0.46), attempt(3e-7, 2.8e-5, arcs=True), 1),  # a mesh within the tolerance
+        (attempt(4e-4, 0.46), attempt(3e-5, 2.8e-5, arcs=True), 1),  # no structure within it
+        (attempt(4e-4, 0.46), attempt(3e-7, 0.9, 1e-5, arcs=True), 1),  # one that offends more
+        (attempt(4e-4, 0.46), attempt(3e-7, float("nan"), arcs=True), 1),
+    ],
+)
+def test_of_what_does_not_convince_the_least_wrong_is_kept(mesh: Any, structure: Any, kept: int) -> None:
+    assert _least_wrong([structure, mesh], 1e-6) == kept
 
 
 def test_an_attempt_that_is_on_its_way_is_not_judged() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -125,6 +126,24 @@ def test_quanta_that_turn_are_in_the_printed_error() -> None:
     assert np.array_equal(turned, [not outcome.ok for outcome in ending.outcomes])
 
 
+def test_of_a_turned_quantum_all_is_in_the_printed_error() -> None:
+    """The run's command rounds to a whole step at 1.2 s; the true one, and that of the second flight, to nothing."""
+    model = go.Model("growing")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: 2 * x + u})
+    law, steps = go.design_lqr(model, [0.0], Q=1, R=1, dt=0.1), Quantisation("steps", 100.0)
+    coarse, fine = (
+        ClosedLoop(model, law, [steps], dt=0.1, substeps=n).flight([0.01], tf=1.3) for n in (2, 40)
+    )
+    assert coarse.beside is not None and coarse.beside.share < 0.5
+    edge = np.mean([flown.run(flown.nominal, 0).commands[0, 12] for flown in (coarse, fine)])
+    P = started(coarse, [2 * abs(edge)], "steps.step_size")
+    end, truth = (f.run(P, 0) for f in (replace(coarse, beside=replace(coarse.beside, side=-1)), fine))
+    assert truth.applied[0, 12] == 0 != end.applied[0, 12]
+    wrong = abs(end.states[0, -1] - truth.states[0, -1]) / max(1.0, abs(end.states[0, -1]))
+    assert wrong == pytest.approx(end.integration_error, rel=1e-5)
+
+
 def test_a_state_that_has_shrunk_keeps_its_absolute_error() -> None:
     """Rounding of 1e6, once below 1e-10 of it, is what an end at 0 is off by: even motion, 12 s."""
     flown = flight(lambda x, kind=np: [x[1], 0.0 * x[1]], [1.0, 0.0], 12.0, substeps=1)
@@ -164,10 +183,15 @@ def test_distances_are_relative_and_infinite_where_the_second_flight_is_lost() -
 def test_the_nominal_run_tells_what_the_better_solution_is_worth() -> None:
     known = Companion.of(1e-9, 1e-8, 1e-10)
     local = np.array([1e-11, 3.2e-9, 1e-10 * 15.0**5, 1.0])
-    seen = known.error(np.ones(4), np.full(4, 0.25), local)
-    assert seen == pytest.approx(
-        [0.25, 0.25, 1.0 + 0.25 * 0.5, 1.25]
-    )  # a tenth, a fifth, the whole 1.5 times, more
+    near = np.fmin(1.0, 100.0 * local)  # as the nominal run's, and nearer
+    seen = known.error(near, near / 100, local)
+    assert seen / near == pytest.approx(
+        [0.1, 0.2, 1.0 + 0.01 * 0.5, 1.01]
+    )  # a tenth, a fifth, 1.5 times, more
+    assert known.error(4 * near[:2], near[:2] / 100, local[:2]) == pytest.approx(
+        [1.6 * near[0], 3.2 * near[1]]
+    )
+    assert known.error(np.array([1e-6]), np.zeros(1), local[:1]) == [1e-6]  # what has turned, in full
     assert Companion.of(1e-9, 1e-10, 1e-10).share == 1.0
     assert Companion.of(1e-9, np.inf, 1e-10).share == 1.0
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from loops import double_integrator, feedback
 
-from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
+from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError, in_words
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.simulation import Campaign, ClosedLoop, Outcome, Run, RunStatus
 from gnc_opt.simulation.criteria import Criteria
@@ -28,7 +28,6 @@ from gnc_opt.simulation.mission import (
     batches,
     flown_parts,
     halves,
-    in_words,
 )
 from gnc_opt.simulation.monte_carlo import _refuse_total_loss, _shared, _tally, _with_parameters
 from gnc_opt.simulation.run import Logged
@@ -325,7 +324,6 @@ def test_halves():
 def test_errors_in_words_and_parts_of_a_batch():
     assert in_words(ValueError("out of\n  luck")) == "ValueError: out of luck"
     assert in_words(ValueError("x" * 300)) == "ValueError: " + "x" * 200
-    assert in_words(WorkerDied("its process died")) == "its process died"
     flown = [Flown(range(2), None, None)]
     assert flown_parts(Done(range(2), flown)) is flown
     (died,), (raised,) = (

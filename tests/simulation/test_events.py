@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from gnc_opt.control.feedforward import feedforward
 from gnc_opt.control.reference import Reference
-from gnc_opt.errors import ArgumentError, UnknownNameError
+from gnc_opt.errors import ArgumentError, ProblemWarning, UnknownNameError
 from gnc_opt.model.model import Model
 from gnc_opt.simulation import (
     Campaign,
@@ -126,7 +126,8 @@ def test_a_launch_from_the_ground_is_no_touchdown_and_a_fall_from_it_is_one_at_o
     down = loop.simulate([0.0, -3.0], tf=5.0)
     assert (down.outcome.what, down.outcome.time) == ("touchdown", 0.0)
     assert down.states[:, -1] == pytest.approx([0.0, -3.0], abs=1e-15) and np.isfinite(down.applied).all()
-    below = loop.simulate([-1.0, 0.0], tf=0.5)  # never above the ground: it passes nothing
+    with pytest.warns(ProblemWarning, match="begins beyond that"):
+        below = loop.simulate([-1.0, 0.0], tf=0.5)  # never above the ground: it passes nothing
     assert below.outcome.what == "" and below.events == ()
 
 

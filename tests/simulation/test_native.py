@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import pickle
 import shutil
 import subprocess
@@ -22,6 +23,7 @@ from gnc_opt.model.model import Model
 from gnc_opt.simulation import ClosedLoop, Event, Flight, Lag, Noise, RandomHold, monte_carlo
 from gnc_opt.simulation import native as module
 from gnc_opt.simulation.folded import Folded
+from gnc_opt.simulation.lanes import in_lanes
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 
@@ -70,6 +72,81 @@ def test_a_function_is_compiled_once(cache: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(subprocess, "run", lambda *_, **__: pytest.fail("compiled again"))
     assert other.natively(2).library == first
     assert [path.suffix for path in cache.iterdir()] == [".so"]
+
+
+_ONE = (
+    *(
+        ca.sqrt,
+        ca.exp,
+        ca.log,
+        ca.expm1,
+        ca.log1p,
+        ca.sin,
+        ca.cos,
+        ca.tan,
+        ca.asin,
+        ca.acos,
+        ca.atan,
+        ca.sinh,
+        ca.cosh,
+    ),
+    *(
+        ca.tanh,
+        ca.asinh,
+        ca.acosh,
+        ca.atanh,
+        ca.floor,
+        ca.ceil,
+        ca.fabs,
+        ca.sign,
+        lambda a: -a,
+        lambda a: a**2,
+    ),
+    *(lambda a: 2 * a, lambda a: 1 / a, lambda a: a**3.5, ca.logic_not),
+)
+_TWO = (
+    *(lambda a, b: a + b, lambda a, b: a - b, lambda a, b: a * b, lambda a, b: a / b, lambda a, b: a < b),
+    *(
+        lambda a, b: a <= b,
+        lambda a, b: a == b,
+        lambda a, b: a != b,
+        ca.logic_and,
+        ca.logic_or,
+        lambda a, b: ca.if_else(a, b, 0),
+    ),
+    *(ca.copysign, ca.atan2, lambda a, b: a**b, ca.fmin, ca.fmax, ca.hypot, ca.fmod),
+    *(lambda a, b: ca.if_else(a > 0.3, b, np.inf), lambda a, b: ca.if_else(a > 0.3, b, np.nan)),
+)
+_SPECIAL = (0.0, -0.0, 0.5, -0.5, 1.0, 1.5, 7.25, -1e300, 5e-324, np.inf, -np.inf, np.nan)
+
+
+@needs_compiler
+def test_both_halves_of_vectors_have_the_bits_of_the_interpreter() -> None:
+    """Of every operation, with numbers of all kinds; two flights differ, and one alone may be flown."""
+    x, w, c = ca.SX.sym("x", len(_ONE) + len(_TWO)), ca.SX.sym("w", 2), ca.SX.sym("c", 2)
+    a, b = w[0] + c[0] * x[0], w[1] + c[1] * x[0]
+    results = [*(f(a) for f in _ONE), *(f(a, b) for f in _TWO)]
+    step = ca.Function("step", [x, w, c], [ca.vertcat(*results)])
+    assert in_lanes(step)
+    fly = module.loaded(module.native(step))
+    assert fly is not None
+    X, C = np.zeros((2, x.shape[0])), np.array([1.0, 2.0])
+    X[1, 0] = 0.75
+    final = np.empty_like(X)
+    for known in itertools.product(_SPECIAL, _SPECIAL):
+        row = np.array([known])
+        assert fly(X, row, C, final) == 1
+        told = np.column_stack([step(one, row[0], C).full() for one in X]).T
+        assert np.array_equal(final, told, equal_nan=True)
+        assert np.array_equal(np.signbit(final[told == 0]), np.signbit(told[told == 0]))
+        fly(X[1:], row, C, final[:1])
+        assert np.array_equal(final[0], told[1], equal_nan=True)
+
+
+def test_what_takes_more_than_operations_on_scalars_is_left_to_casadi() -> None:
+    x, w, c = (ca.SX.sym(name) for name in "xwc")
+    assert not in_lanes(ca.Function("step", [x, w, c], [ca.erf(x)]))
+    assert not in_lanes(ca.Function("step", [x, w, c], [x, w]))
 
 
 def test_few_steps_are_not_worth_it(cache: Path) -> None:

@@ -69,6 +69,30 @@ def test_limits_of_the_duration_move_with_the_clock() -> None:
     assert rest.initial.lower == pytest.approx([-0.5, 1.0])
 
 
+def test_a_start_a_little_beyond_a_limit_begins_on_it() -> None:
+    """2 % of the range, of the limit where there is but one; a start farther away is left to be refused."""
+    p = stated().with_bounds(q=(-1.0, 1.0), v=(None, 2.0))
+    for given, used in (
+        ([-1.03, 2.03], [-1.0, 2.0]),
+        ([1.03, 1.9], [1.0, 1.9]),
+        ([-1.05, 2.05], [-1.05, 2.05]),
+    ):
+        rest = remaining(p, 0.0, 0.5, {"q": np.array(given[:1]), "v": np.array(given[1:])})
+        assert rest.phases["leg"].numbers.initial.lower == pytest.approx(used, abs=1e-15)
+
+
+def test_a_resolver_without_a_way_is_refused() -> None:
+    """A smooth plan that was refined is solved again from the start, or not at all."""
+    refined = go.solve(stated())
+    with pytest.raises(go.ProblemError, match="nothing would solve variations of 'cart'"):
+        go.Resolver(refined, cold=False)
+
+
+def test_a_plan_whose_rest_is_not_solved_has_no_latency() -> None:
+    with pytest.raises(go.ArgumentError, match=r"rest of its own plan from 0\.25 s on .ProblemError: no"):
+        Replanner(Refusing, every=0.1)
+
+
 def test_seldom_plans_come_when_they_are_due() -> None:
     """More than 1000 control steps lie between two: runs are flown in legs of so many."""
     run = loop(5e-4, every=0.6).simulate([-1.0, 0.0], tf=1.0)
@@ -153,6 +177,11 @@ class Stale:
 
     def solve(self, problem: go.Problem, *, near: Any = None) -> go.Solution:
         return resolver().solution
+
+
+class Refusing(Stale):
+    def solve(self, problem: go.Problem, *, near: Any = None) -> go.Solution:
+        raise go.ProblemError("no.")
 
 
 class Broken(Stale):

@@ -42,7 +42,7 @@ def solved(components: int) -> tuple[Any, Any, Any, Any]:
     return attempt.transcription, point, result, jacobian
 
 
-@pytest.mark.parametrize("drift", [1e4, -1e8])
+@pytest.mark.parametrize("drift", [6e2, 1e4, -1e8])
 def test_what_is_not_determined_is_as_small_as_can_be(drift: float) -> None:
     transcription, point, result, jacobian = solved(2)
     fixed = point.lbx == point.ubx
@@ -68,5 +68,5 @@ def test_large_multipliers_that_are_determined_stay() -> None:
 
 def test_small_ones_are_left_alone() -> None:
     transcription, point, result, _ = solved(2)
-    assert np.max(np.abs(result.lam_g)) < 1e3
+    assert np.max(np.abs(result.lam_g)) < 1e2
     assert least_multipliers(transcription, point, result) is result

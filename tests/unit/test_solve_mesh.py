@@ -145,20 +145,22 @@ def test_where_constraints_are_looked_for(monkeypatch: pytest.MonkeyPatch) -> No
     assert not np.allclose(last.x0, other.x0) and not np.allclose(last.x0, watch.points[1].x0)
 
 
-@pytest.mark.parametrize(("ending", "tries"), [(Status.OPTIMAL, 2), (Status.STEP_TOO_SMALL, 4)])
+@pytest.mark.parametrize(("ending", "tries"), [(Status.OPTIMAL, 3), (Status.STEP_TOO_SMALL, 5)])
 def test_lines_that_lead_on_and_on_give_way_to_a_flight(
     monkeypatch: pytest.MonkeyPatch, ending: Status, tries: int
 ) -> None:
-    """Here after two iterations; what fails from the flight as well has its constraints met in the guessed time,
-    and only if that is lost, too, goes on from the lines."""
-    monkeypatch.setattr(sys.modules[solve_mesh.__module__], "LOST", 2)
-    watch = Stumbling(monkeypatch, None, ending)
+    """Here after two iterations, and two with the adaptive barrier from the same lines; what fails from the flight as
+    well has its constraints met in the guessed time, and only if that is lost, too, goes on from the lines."""
+    for limit in ("LOST", "BRIEF"):
+        monkeypatch.setattr(sys.modules[solve_mesh.__module__], limit, 2)
+    watch = Stumbling(monkeypatch, None, None, ending)
     found = solve_mesh(hasty().with_initial(v=1.0), "3x4")
-    assert watch.results[0].status is Status.INTERRUPTED and watch.costs[:2] == [2, 2]
-    lines, flight, *last = watch.points
+    assert watch.results[0].status is Status.INTERRUPTED and watch.costs[:3] == [2, 2, 2]
+    lines, again, flight, *last = watch.points
+    assert again.x0 == pytest.approx(lines.x0) and watch.ways[:2] == ["cold", "adaptive"]
     assert np.max(np.abs(np.subtract(flight.x0, lines.x0))) > 0.1
     assert len(watch.points) == tries and all(p.x0 == pytest.approx(lines.x0) for p in last)
-    assert [p.p[-1] == 0 for p in last] == [True, False][: tries - 2]
+    assert [p.p[-1] == 0 for p in last] == [True, False][: tries - 3]
     assert found.statistics.iterations == sum(watch.costs)
 
 
@@ -189,12 +191,12 @@ def test_constraints_met_in_the_guessed_times_are_a_start(monkeypatch: pytest.Mo
     times that were held free again, as fast as when much is told. Half of the way takes half of the time, by symmetry.
     """
     monkeypatch.setattr(sys.modules[solve_mesh.__module__], "LOST", 60)
-    watch = Stumbling(monkeypatch, None, Status.STEP_TOO_SMALL)
+    watch = Stumbling(monkeypatch, None, Status.STEP_TOO_SMALL, Status.STEP_TOO_SMALL)
     found = solve_mesh(gate(100.0), "10x4")
-    lines, _, met, there = watch.points
+    lines, _, _, met, there = watch.points
     held = (met.lbx == met.ubx) & (lines.lbx != lines.ubx)
     assert np.sum(held) == 3 and met.p[-1] == 0, "all times, and no cost"
-    assert there.x0 == pytest.approx(watch.results[2].x) and np.array_equal(there.lbx, lines.lbx)
+    assert there.x0 == pytest.approx(watch.results[3].x) and np.array_equal(there.lbx, lines.lbx)
     assert found.status.solved and found.statistics.iterations == sum(watch.costs)
     assert found.objective == pytest.approx(solve_mesh(gate(10.0), "10x4").objective, rel=1e-6)
     assert found.phases["to_gate"].final_time == pytest.approx(found.objective / 2, rel=1e-4)

@@ -19,9 +19,12 @@ from gnc_opt.arrays import Array
 from gnc_opt.control.estimation.measurement import Measurement
 from gnc_opt.control.estimation.space import Space, flat, product
 from gnc_opt.control.steps import whole_steps
-from gnc_opt.errors import ArgumentError, DesignError, unknown_name
+from gnc_opt.errors import ArgumentError, DesignError, in_words, unknown_name
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
+
+_MOST_LATE = 200
+"""Components of late samples at most: what a filter takes grows with the cube of what it estimates."""
 
 
 @dataclass(frozen=True)
@@ -263,14 +266,24 @@ def _channel(model: Model, measurement: Measurement, dt: float) -> Channel:
         raise ArgumentError(
             f"the period {what} is shorter than the control step of {dt:g} s: choose a multiple."
         )
-    return Channel(
-        measurement, variable, space, period, whole_steps(measurement.delay, dt, f"the delay {what}")
-    )
+    delay = whole_steps(measurement.delay, dt, f"the delay {what}")
+    if delay * space.errors > _MOST_LATE:
+        raise ArgumentError(
+            f"the delay {what} is {delay} control steps, and the filter estimates {space.errors} of each: more than "
+            f"{_MOST_LATE} take too long; give a longer control step, or a shorter delay."
+        )
+    return Channel(measurement, variable, space, period, delay)
 
 
 def _with_difference(space: Space, function: Callable[[Any, Any], Any], name: str) -> Space:
     x, ref = ca.SX.sym("x", space.size), ca.SX.sym("x_ref", space.size)
-    found = function(x, ref)
+    try:
+        found = function(x, ref)
+    except Exception as error:
+        raise ArgumentError(
+            f"the difference of the measurement of '{name}' is no function of a sample and what it should be "
+            f"({in_words(error)}): write lambda y, y_hat: ..."
+        ) from error
     if not isinstance(found, ca.SX) or found.shape != (space.errors, 1) or ca.symvar(found) == []:
         shape = getattr(found, "shape", None)
         raise ArgumentError(

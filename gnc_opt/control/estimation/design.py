@@ -80,13 +80,14 @@ class FilterDesign:
                 )
         self.augmented = AugmentedModel(model, given, self.dt)
         sigma0, process_noise = deviations
+        read = _deviations(model, sigma0, f"sigma0 of '{name}'")
         missing = [n for n in model.states.names if n not in sigma0]
         if missing:
             raise ArgumentError(
                 f"sigma0 of '{name}' does not tell how well '{missing[0]}' is known: give every state, 0 if exactly."
             )
         self.limits = read_limits(model, options.limits)
-        self.sigma0 = self.augmented.spread(_deviations(model, sigma0, f"sigma0 of '{name}'"), "bias")
+        self.sigma0 = self.augmented.spread(read, "bias")
         noise = _deviations(model, process_noise, f"process_noise of '{name}'")
         self.noise = self.augmented.spread(noise, "bias_walk")
 

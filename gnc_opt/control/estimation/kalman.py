@@ -14,8 +14,10 @@ from gnc_opt.control.estimation.measurement import Measurement
 from gnc_opt.control.estimation.options import FilterOptions, UnscentedOptions, read_options
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.model import Model
+from gnc_opt.threads import one_thread
 
 
+@one_thread()
 def design_ekf(
     model: Model,
     x0: ArrayLike | Mapping[str, ArrayLike],
@@ -71,6 +73,7 @@ def design_ekf(
     return design.estimator(Tangent(), "extended Kalman filter")
 
 
+@one_thread()
 def design_ukf(
     model: Model,
     x0: ArrayLike | Mapping[str, ArrayLike],

@@ -47,6 +47,7 @@ from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
+from gnc_opt.threads import one_thread
 
 STEADY = 1e-5
 """Change of the gains over their period from which on they are held, by what the noise of a sample moves an error,
@@ -61,6 +62,7 @@ _LONGEST = 1000
 _GAIN, _TIME = "kalman_gain", "predicted_for"
 
 
+@one_thread()
 def design_scheduled_ekf(
     model: Model,
     reference: Reference | ArrayLike,

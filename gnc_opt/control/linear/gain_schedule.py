@@ -40,11 +40,13 @@ from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
+from gnc_opt.threads import one_thread
 
 OperatingPoint: TypeAlias = Callable[..., tuple[ArrayLike, ArrayLike]]
 """``at(*values)`` returns state (n_states,) and control (n_controls,) of the point with these scheduling variables."""
 
 
+@one_thread()
 def design_gain_schedule(
     model: Model,
     reference: Reference | ArrayLike,

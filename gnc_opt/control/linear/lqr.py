@@ -44,12 +44,14 @@ from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, refer
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.model import Model
+from gnc_opt.threads import one_thread
 from gnc_opt.tolerances import alike
 
 _CHECKS = 25
 """Times along a reference at which A and B are compared."""
 
 
+@one_thread()
 def design_lqr(
     model: Model,
     reference: Reference | ArrayLike,

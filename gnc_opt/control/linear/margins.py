@@ -25,6 +25,7 @@ import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.control.poles import continuous_poles
+from gnc_opt.threads import one_thread
 from gnc_opt.tolerances import SAME_TIME, TINY
 
 _POINTS = 2000
@@ -63,6 +64,7 @@ class Margins:
     disk: float
 
 
+@one_thread()
 def margins(a: Array, b: Array, gain: Array, dt: float | None = None) -> Margins:
     """Return the margins of the stable loop ``v = -gain e``; ``dt`` (s) if A, B are those of a sampled plant."""
     omega = _frequencies(a, a - b @ gain, dt)

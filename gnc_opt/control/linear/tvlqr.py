@@ -46,6 +46,7 @@ from gnc_opt.control.reference import Reference
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, reference_times
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
+from gnc_opt.threads import one_thread
 
 _CHECKS = 40
 """Times along a reference at which the largest gain and the eigenvalues of P are looked for."""
@@ -63,6 +64,7 @@ class GainSchedule:
         return np.vstack([self.reference(times, dt), rows])
 
 
+@one_thread()
 def design_tvlqr(
     model: Model,
     reference: Reference,

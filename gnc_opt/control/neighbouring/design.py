@@ -36,6 +36,7 @@ from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
 from gnc_opt.errors import ArgumentError, DesignError, shown
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.solution.solution import Solution
+from gnc_opt.threads import one_thread
 
 OFF = 0.1
 """Share of the accepted errors by which the predicted end of the plan may be off: more steps per arc are taken."""
@@ -94,6 +95,7 @@ class GuidanceOptions:
         read_integer(self.corrections, "the number of corrections of neighbouring-optimal guidance", 1)
 
 
+@one_thread()
 def design_neighbouring_optimal(
     solution: Solution,
     regulator: Controller,

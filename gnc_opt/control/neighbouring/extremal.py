@@ -29,6 +29,7 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.solution.propagation import state_magnitudes
 from gnc_opt.solution.solution import Solution
+from gnc_opt.threads import one_thread
 
 BENT = 0.1
 """Share of the largest deviation by which a flight may differ from its first-order prediction where that is valid."""
@@ -42,6 +43,7 @@ _SMALL = 1e-4
 _STEPS = 100
 
 
+@one_thread()
 def design_neighbouring_extremal(
     solution: Solution, *, last: float, dt: float | None = None, name: str = "neighbouring-extremal feedback"
 ) -> Controller:

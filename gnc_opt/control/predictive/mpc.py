@@ -31,7 +31,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_positive
+from gnc_opt.arguments import expect, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
@@ -56,6 +56,7 @@ from gnc_opt.control.schedule import ReferenceSchedule, reference_signals, refer
 from gnc_opt.errors import ArgumentError, DesignError, did_you_mean, shown, unknown_name
 from gnc_opt.model.layout import Layout, Variable, as_vector
 from gnc_opt.model.model import Model
+from gnc_opt.threads import one_thread
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, alike
 
 QpSolver: TypeAlias = Literal["piqp", "osqp", "daqp"]
@@ -63,6 +64,9 @@ QpSolver: TypeAlias = Literal["piqp", "osqp", "daqp"]
 
 QP_TOLERANCE = 1e-6
 """Largest residual of the optimality conditions, limits scaled to [-1, 1], that counts as solved."""
+
+_MOST_STEPS = 2000
+"""Of a horizon: their matrices are designed one by one, and a programme has unknowns for each."""
 
 _PIQP = {"eps_abs": 1e-13, "eps_rel": 1e-13, "eps_duality_gap_abs": 1e-13, "eps_duality_gap_rel": 1e-13}
 _OPTIONS: dict[str, dict[str, Any]] = {
@@ -72,6 +76,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 }
 
 
+@one_thread()
 def design_mpc(
     model: Model,
     reference: Reference | ArrayLike,
@@ -156,7 +161,8 @@ def design_mpc(
     gains = riccati_gains(deviation, reference, read_cost(model, Q, R, N), dt=dt)
     assert isinstance(gains, SampledGains)
     bounds = read_limits(model, limits)
-    assert bounds is not None
+    if bounds is None:
+        raise ArgumentError("design_mpc() has no limits of the controls: give (lower, upper).")
     end = None
     if not isinstance(terminal, str):
         end = read_weight(terminal, model.errors, "the terminal weight")
@@ -403,6 +409,10 @@ def _steps(horizon: float, dt: float) -> int:
         raise ArgumentError(
             f"a horizon of {horizon:g} s is no whole number of steps of {dt:g} s: give k * dt, k >= 1."
         )
+    if count > _MOST_STEPS:
+        raise ArgumentError(
+            f"a horizon of {horizon:g} s has {count} steps of {dt:g} s: give {_MOST_STEPS} at most."
+        )
     return count
 
 
@@ -437,6 +447,9 @@ def _state_rows(
     lower: list[float] = []
     upper: list[float] = []
     prices: list[float] = []
+    expect(limits, Mapping, "state_limits of design_mpc()", 'write {"v": (-1.0, 1.0)}')
+    if isinstance(hard, str) or not isinstance(hard, Sequence):
+        raise ArgumentError(f"hard of design_mpc() is {shown(hard)}: give a list of states.")
     for name in hard:
         if name not in limits:
             raise unknown_name("limited state", name, "state_limits", limits)
@@ -447,6 +460,8 @@ def _state_rows(
             raise DesignError(
                 f"the error of state '{name}' is not a difference: a limit of it is not linear; leave it to R and Q."
             )
+        if not isinstance(pair, Sequence | np.ndarray) or len(pair) != 2:
+            raise ArgumentError(f"the limits of state '{name}' are {shown(pair)}: give (lower, upper).")
         low, high = (as_vector(v, size, f"the limits of state '{name}'", ArgumentError) for v in pair)
         if not np.all(low < high):
             raise DesignError(

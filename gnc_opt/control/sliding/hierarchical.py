@@ -34,8 +34,10 @@ from gnc_opt.control.sliding.switching import SlidingOptions
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import as_vector
 from gnc_opt.model.model import Model
+from gnc_opt.threads import one_thread
 
 
+@one_thread()
 def design_hierarchical_sliding_mode(
     model: Model,
     reference: Reference | ArrayLike,

@@ -47,11 +47,13 @@ from gnc_opt.control.sliding.reaching import Boundary, Law
 from gnc_opt.control.sliding.switching import SlidingOptions
 from gnc_opt.errors import DesignError, did_you_mean
 from gnc_opt.model.model import Model
+from gnc_opt.threads import one_thread
 from gnc_opt.tolerances import dependent
 
 Projection: TypeAlias = Literal["pseudo-inverse", "transpose"]
 
 
+@one_thread()
 def design_integral_sliding_mode(
     model: Model,
     reference: Reference | ArrayLike,

@@ -31,12 +31,14 @@ from gnc_opt.control.sliding.surface import surface_controller
 from gnc_opt.control.sliding.switching import SlidingOptions
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model import Model
+from gnc_opt.threads import one_thread
 
 Slopes: TypeAlias = float | Sequence[Any] | Mapping[str, Any]
 """lambda (1/s) for all outputs, a sequence with one lambda per output component, or a mapping from outputs to lambda
 or to the r - 1 poles of the surface."""
 
 
+@one_thread()
 def design_sliding_mode(
     model: Model,
     reference: Reference | ArrayLike,

@@ -16,6 +16,7 @@ import numpy as np
 
 from gnc_opt.errors import GncOptError
 from gnc_opt.nlp import SolverOptions, Status
+from gnc_opt.nlp.options import last_barrier
 from gnc_opt.refine.error import NEGLIGIBLE, PhaseError, estimate_errors
 from gnc_opt.refine.hp.remesh import SAFETY, UNRESOLVED, Past, Remesh, known_segments
 from gnc_opt.refine.passes import PassLimits, crawls, pass_meter, pass_record
@@ -27,26 +28,31 @@ from gnc_opt.transcription.mesh import Mesh
 WARM_ITERATIONS = 150
 """A warm start that takes longer has lost its way."""
 
-WARM_MU, LEAST_MU = 1e-6, 1e-10
-"""Barrier parameter of a warm start, per unit of the error that is left, at most and at least: what is nearly right
-must not be pushed off its bounds only to come back in ten iterations."""
+WARM_MU = 1e-6
+"""Barrier parameter of a warm start, per unit of the error that is left: what is nearly right must not be pushed off
+its bounds only to come back in ten iterations. Where no segment is `UNRESOLVED` any more it begins at the last barrier:
+each one before costs two iterations or more."""
 
 MOST_PASSES = 20
 """At most so many solves, if nobody says otherwise."""
 
 STAGE = 1e-4
-"""Each pass aims at this share of the error before it, and at least at this error; ..."""
+"""Each pass aims at this share of the error before it, ..."""
 
 EARLY = 1e-3
-"""... at this share while some segment is hopelessly coarse, and all others still move with it."""
+"""... at this share while some segment is hopelessly coarse, and all others still move with it; ..."""
+
+NEARLY = 30.0
+"""... but at the tolerance itself where that is no further than this: another pass costs more than a few points."""
 
 SOLVED, LAXER = 1e-9, 0.1
 """Tolerance of the solver at most, and in shares of the error that the pass aims at: more digits of a mesh that is
 given up at once are worth nothing."""
 
-ROOMY = 300
+ROOMY, WORTH_MERGING = 300, 0.1
 """Meshes with no more points than this are refined without making them smaller elsewhere: to find out what can go
-takes as long as solving. Where nothing could, they grow by `GROWN` before it is tried again."""
+takes as long as solving. Where less than that share of the segments could, they grow by `GROWN` before it is tried
+again."""
 
 GROWN = 1.5
 """An accurate mesh that is that many times as large as the first one, or not `ROOMY`, ..."""
@@ -165,7 +171,7 @@ class _Refinement:
         self._past: dict[str, Past] = {}
         self._totals: list[float] = []
         self._trimmed_once, self._repairs = False, 0
-        self._lean = 0  # points of the last mesh of which nothing could go
+        self._lean = 0  # points of the last mesh of which hardly anything could go
         self._departure = DEPARTURE * math.sqrt(tol)
         self._confirming = False
         self._begin = time.perf_counter()
@@ -232,10 +238,12 @@ class _Refinement:
         )
         error = min(self._state.finite_error, 1.0)
         stage = max(self._tol, (STAGE if error < UNRESOLVED else EARLY) * error)
+        stage = stage if stage > NEARLY * self._tol else self._tol
         merging = last.points > max(ROOMY, GROWN * self._lean) and not worse
         plan = self._finer(stage, merging)
         if merging:
-            self._lean = 0 if plan[1].merged or plan[1].lowered else last.points
+            gone = plan[1].merged + plan[1].lowered
+            self._lean = 0 if gone > WORTH_MERGING * last.segments else last.points
         while self._too_many(plan[0]):
             stage *= 10.0
             if stage > 0.5 * last.error:
@@ -344,7 +352,8 @@ class _Refinement:
         if not self._asked:
             options = replace(options, tolerance=max(options.tolerance, LAXER * STAGE * left))
         if options.mu_init is None:
-            options = replace(options, mu_init=max(WARM_MU * left, LEAST_MU))
+            last = last_barrier(options.tolerance)
+            options = replace(options, mu_init=last if left <= UNRESOLVED else max(WARM_MU * left, last))
         return options
 
     def _judge(self, solution: Solution, begin: float, actions: Actions) -> _State:

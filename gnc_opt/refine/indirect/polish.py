@@ -27,6 +27,7 @@ from gnc_opt.solution.extract import model_parameters
 from gnc_opt.solution.phase_solution import PhaseSolution, piecewise
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.statistics import Statistics
+from gnc_opt.threads import one_thread
 from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.scheme import GAUSS
 
@@ -42,6 +43,7 @@ FLAT = 1e-8
 """Curvature of H in a direction of the controls, relative to the largest of each, that counts as none."""
 
 
+@one_thread()
 def polish(solution: Solution, *, tol: float = 1e-10) -> Solution:
     """Solve the first-order conditions of a smooth problem as a boundary-value problem, to high accuracy.
 

@@ -27,6 +27,7 @@ from gnc_opt.refine.search.refining import Refining, is_spurious, pass_on_interr
 from gnc_opt.refine.search.reflection import Reflection, Reflections
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
+from gnc_opt.threads import one_thread
 from gnc_opt.transcription.mesh import MeshLike
 from gnc_opt.workers import Done, Shared, WorkerDied, WorkerPool
 
@@ -132,6 +133,7 @@ def _listed(failures: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {name}" for name, count in failures.items()) or "no failures"
 
 
+@one_thread()
 def multistart(
     problem: Problem | Builder,
     *,

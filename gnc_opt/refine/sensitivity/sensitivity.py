@@ -25,6 +25,7 @@ from gnc_opt.solution.extract import model_parameters, state_polynomial
 from gnc_opt.solution.phase_solution import PhaseSolution, Signal, piecewise
 from gnc_opt.solution.polynomial import PiecewisePolynomial
 from gnc_opt.solution.solution import Solution
+from gnc_opt.threads import one_thread
 from gnc_opt.transcription.numbering import PhasePart
 from gnc_opt.transcription.transcription import Transcription
 
@@ -34,6 +35,7 @@ FLAT = 1e-10
 _POINTS: WeakKeyDictionary[Solution, KktPoint] = WeakKeyDictionary()
 
 
+@one_thread()
 def sensitivity(
     solution: Solution,
     parameter: str | None = None,

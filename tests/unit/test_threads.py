@@ -1,0 +1,50 @@
+"""Linear algebra in one thread while gnc_opt computes, and in as many as before afterwards."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.linalg
+from threadpoolctl import threadpool_info, threadpool_limits
+
+import gnc_opt as go
+from gnc_opt.threads import one_thread
+
+
+def counts() -> set[int]:
+    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+
+def test_one_inside_and_as_many_as_before_outside() -> None:
+    with threadpool_limits(2, user_api="blas"):
+        with one_thread():
+            assert counts() == {1}
+        assert counts() == {2}
+        with pytest.raises(ZeroDivisionError), one_thread():
+            _ = 1 / 0
+        assert counts() == {2}
+
+
+def test_a_problem_is_solved_and_judged_in_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[set[int]] = []
+    expm = scipy.linalg.expm
+
+    def seen_expm(matrix: np.ndarray) -> np.ndarray:
+        seen.append(counts())
+        return expm(matrix)
+
+    monkeypatch.setattr(scipy.linalg, "expm", seen_expm)
+    cart = go.Model("double integrator")
+    q, v, a = cart.state("q"), cart.state("v"), cart.control("a")
+    cart.ode({q: v, v: a})
+    ocp = go.Problem("rest to rest with least effort")
+    leg = ocp.phase("leg", cart)
+    leg.time(initial=0.0, final=1.0)
+    leg.initial(q=1.0, v=0.0)
+    leg.final(q=0.0, v=0.0)
+    ocp.minimize(leg.integral(0.5 * a**2))
+    with threadpool_limits(2, user_api="blas"):
+        solution = go.solve(ocp)
+        assert solution.objective == pytest.approx(6.0, rel=1e-9)
+        assert counts() == {2}
+    assert seen and all(each == {1} for each in seen)
