@@ -66,8 +66,16 @@ def test_an_interior_arc_whose_control_stays_on_its_bound_is_none(coarse: go.Sol
     times = (0.0, 0.9, 1.1, 2.0)
     (samples,) = coarse.samples().values()
     mesh = coarse.phase().mesh
-    found, action = unpinned(samples, Plan.on_mesh(structure(coarse, times, HELD, SHORT, SHORT), mesh))
+    found, action = unpinned(samples, Plan.on_mesh(structure(coarse, times, HELD, SHORT, SHORT), mesh), set())
     assert found is not None and action == "a on its bound from 1.1 s"
     assert found.kinds == (HELD, SHORT, BOUND)
-    assert unpinned(samples, Plan.on_mesh(structure(coarse, times, HELD, SHORT, BOUND), mesh)) == (None, "")
+    assert unpinned(samples, Plan.on_mesh(structure(coarse, times, HELD, SHORT, BOUND), mesh), set()) == (
+        None,
+        "",
+    )
     np.testing.assert_array_equal(found.times, times)
+    left = {("leg", found.at(()))}
+    assert unpinned(samples, Plan.on_mesh(structure(coarse, times, HELD, SHORT, SHORT), mesh), left) == (
+        None,
+        "",
+    )

@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gnc_opt.arrays import Indices
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.structure.ends import with_starts_on_limits
@@ -40,6 +41,9 @@ SWINGING = 0.05
 
 EXCEEDED = 1e-8
 """A constraint beyond its limit by this share of what it moves is left."""
+
+OVERRUN = 1e-6
+"""A control that leaves its bound by this share of its range runs into it."""
 
 ODD = 1e-6
 """A push of the wrong direction worth this share of the cost says that there is no contact."""
@@ -188,6 +192,43 @@ def crossed_contact(
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with a contact where a constraint is left, and what was done; None if none is."""
     return _worst_added(constraints, structure, _excesses(constraints, structure))
+
+
+def overrun_bound(
+    samples: PhaseSamples, structure: PhaseStructure, pieces: Indices
+) -> tuple[PhaseStructure | None, str]:
+    """Return the structure in which other controls go on to hold a limit, and what was done; None if they need not.
+
+    Where a control that enters H linearly comes to its bound while it holds a limit, and others that H determines could
+    hold it as well, H goes on without a jump only if they do, for as long as the costate takes for its own: shortly.
+    Without them the control leaves its bound before the limit is left.
+
+    Parameters
+    ----------
+    samples : PhaseSamples
+    structure : PhaseStructure
+    pieces : int array (n_samples,)
+        The piece of every sample.
+    """
+    bounds = samples.leg.control_bounds
+    for boundary in range(1, structure.pieces):
+        state, row = structure.taken_over(boundary) or (0, 0)
+        after = structure.kinds[boundary][state].at_limit
+        piece, kind = boundary - 1 + after, structure.kinds[boundary - after][row]
+        if len(structure.holders[state]) < 2 or structure.kinds[piece][row] is not ArcKind.SINGULAR:
+            continue
+        towards = np.flatnonzero(pieces == piece)[:: -1 if after else 1]
+        limit, times = bounds.upper[row] if kind.sign > 0 else bounds.lower[row], samples.times[towards]
+        beyond = kind.sign * (samples.u_polynomial[row, towards] - limit) / samples.control_scale[row]
+        within = np.flatnonzero(beyond <= 0)
+        if beyond[-1] > OVERRUN and within.size:
+            last = slice(within[-1], within[-1] + 2)
+            ends = sorted((float(np.interp(0.0, beyond[last], times[last])), structure.times[boundary]))
+            label = samples.leg.controls.labels[row]
+            return structure.with_arc(
+                row, ends[0], ends[1], kind
+            ), f"{label} at its bound from {ends[0]:.4g} s"
+    return None, ""
 
 
 def _worst_added(

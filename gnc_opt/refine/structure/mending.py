@@ -12,7 +12,7 @@ from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.structure.carried import Decay, on_carrying_arcs
-from gnc_opt.refine.structure.contacts import crossed_contact, pushed_contact, wrong_touch
+from gnc_opt.refine.structure.contacts import crossed_contact, overrun_bound, pushed_contact, wrong_touch
 from gnc_opt.refine.structure.curvature import affine_channels, curved_channels, linear_limits
 from gnc_opt.refine.structure.detect import SMALL
 from gnc_opt.refine.structure.junctions import move_kinks
@@ -80,9 +80,11 @@ def improve(
         if structure is not None:
             return {**plans, name: plans[name].restructured(structure)}, action
     for name, s in samples.items():
-        structure, action = unpinned(s, plans[name])
-        if structure is None or (name, structure.at(())) in left:
-            structure, action = _saturated(s, plans[name], left)
+        structure, action = _saturated(s, plans[name], left)
+        if structure is None:
+            structure, action = _overrun(s, plans[name])
+        if structure is None:
+            structure, action = unpinned(s, plans[name], left)
         if structure is not None:
             return {**plans, name: plans[name].restructured(structure)}, action
     adjusted = {name: _adjust(c, plans[name], tol) for name, c in constraints.items()}
@@ -294,7 +296,8 @@ def _saturated(
     """
     bounds, pieces = samples.leg.control_bounds, plan.segment_pieces[samples.segments]
     singular = plan.structure.controls == ArcKind.SINGULAR
-    singular = (singular & ~plan.structure.limited_by_paths())[:, pieces]
+    released = plan.structure.beside_takeovers()[: len(singular)]
+    singular = (singular & ~plan.structure.limited_by_paths() & ~released)[:, pieces]
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
     at_lower, at_upper = bounds.near(samples.u_polynomial, SATURATED * samples.control_scale)
     left_open = zip(plan.resolutions, _open_gradient(samples, plan), strict=True)
@@ -313,6 +316,12 @@ def _saturated(
     if structure is None or (samples.leg.name, structure.at(())) in left:
         return None, ""
     return structure, action
+
+
+def _overrun(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None, str]:
+    if np.max(_defects(samples)) > ROUGH:
+        return None, ""
+    return overrun_bound(samples, plan.structure, plan.segment_pieces[samples.segments])
 
 
 def _on_rough_contact(samples: PhaseSamples, plan: Plan) -> Mask:

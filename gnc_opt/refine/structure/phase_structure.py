@@ -243,7 +243,7 @@ class PhaseStructure:
         owner, holders = (limit,) if limit < self._n_free else self.holders[limit], self.holders[state]
         if self.orders[limit] or len(owner) != 1 or owner[0] not in holders:
             return []
-        if holders != owner and not all(self.regular[i] for i in holders):
+        if not all(self.regular[i] for i in holders if i not in owner):
             return []
         kinds = {i: pair[i] for pair, here in zip(beside, held, strict=True) for i in here}
         if len(kinds) != 2:

@@ -19,11 +19,14 @@ NEAR = 1e-3
 """Shares of a control's range up to which the barrier keeps it off its bound where H presses it there."""
 
 
-def unpinned(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None, str]:
+def unpinned(
+    samples: PhaseSamples, plan: Plan, left: set[tuple[str, PhaseStructure]]
+) -> tuple[PhaseStructure | None, str]:
     """Return the structure with such an arc on its bound and what was done, or None if there is none.
 
     An arc between one on a bound and the end of the phase keeps such a place however its ends are moved: the nodes keep
     the control within its bounds, and what is solved is another problem only by the noise that the barrier leaves.
+    Structures that have been left are not tried again: an arc that was just added may be on its bound at first.
     """
     structure, pieces = plan.structure, plan.segment_pieces[samples.segments]
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
@@ -37,6 +40,7 @@ def unpinned(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None, 
         for at_bound, side, kind in ((at_lower[i], 1.0, ArcKind.LOWER), (at_upper[i], -1.0, ArcKind.UPPER)):
             if np.any(strong) and np.all((at_bound & (side * pull > 0))[strong]):
                 begin, end = structure.times[piece : piece + 2]
-                label = samples.leg.controls.labels[i]
-                return structure.with_arc(i, begin, end, kind), f"{label} on its bound from {begin:.4g} s"
+                other, label = structure.with_arc(i, begin, end, kind), samples.leg.controls.labels[i]
+                if (samples.leg.name, other.at(())) not in left:
+                    return other, f"{label} on its bound from {begin:.4g} s"
     return None, ""

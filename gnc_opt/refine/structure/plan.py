@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.model.model import Model
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.constraint_order import constraint_order
 from gnc_opt.problem.held import Junction, Smooth
@@ -316,7 +317,11 @@ class Plan:
             paths=paths if paths.size else None,
             states=states if np.any(states != ArcKind.INTERIOR) else None,
             smooth=self._smooth(),
-            junctions=(*self._junctions(), *self._starts(problem, phase)),
+            junctions=(
+                *self._junctions(),
+                *self._ends_of_segments(problem, phase),
+                *self._starts(problem, phase),
+            ),
         )
 
     def _released(self) -> Mask:
@@ -371,6 +376,28 @@ class Plan:
             for k, i, kind, conditions, tangent in found
         )
 
+    def _ends_of_segments(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
+        """Where segments end along an arc on a limit of first order that a singular control holds beside others.
+
+        Held at the Gauss points of a segment alone, the constraint may leave its limit at the ends: along a polynomial
+        that vanishes at all of them. Of one control nothing is left for that; with another one the cost makes use of
+        it, and errors fall with the third power of the length of segments only.
+        """
+        structure, n_controls = self.structure, len(self.structure.controls)
+        found = []
+        for piece, kinds in enumerate(structure.kinds):
+            held = [
+                row for row in range(n_controls, len(kinds)) if kinds[row].at_limit and structure.orders[row]
+            ]
+            for row in held if len(held) == 1 and structure.orders[held[0]] == 1 else ():
+                free = [i for i in structure.holders[row] if not kinds[i].at_limit]
+                singular = ArcKind.SINGULAR in [kinds[i] for i in free]
+                if len(free) > 1 and singular and _move_apart(problem.phases[phase].model, free):
+                    last = self.piece_ends[piece + 1] + (piece + 1 < structure.pieces)
+                    ends = range(self.piece_ends[piece] + 1, last)
+                    found += [Junction(row - n_controls, k, kinds[row], 1) for k in ends]
+        return tuple(found)
+
     def _starts(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
         """Where path constraints are on their limit from a free start on: a mesh of Gauss points has no row there."""
         leg, n_controls = problem.phases[phase], len(self.structure.controls)
@@ -397,6 +424,12 @@ class Plan:
                 ):
                     found.append(Smooth(i, ends[k], ends[k + 1], r.smooth))
         return tuple(found)
+
+
+def _move_apart(model: Model, controls: list[int]) -> bool:
+    """Whether controls can move the states in more than one direction."""
+    moved = ca.jacobian(model.derivative(), model.arguments()[2])
+    return bool(ca.sprank(moved[:, controls]) > 1)
 
 
 def points_of(mesh: Mesh) -> float:
