@@ -377,7 +377,7 @@ class Plan:
         )
 
     def _ends_of_segments(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
-        """Where segments end along an arc on a limit of first order that a singular control holds beside others.
+        """Where segments end along an arc on a limit of first order that a singular control holds beside regular ones.
 
         Held at the Gauss points of a segment alone, the constraint may leave its limit at the ends: along a polynomial
         that vanishes at all of them. Of one control nothing is left for that; with another one the cost makes use of
@@ -391,8 +391,8 @@ class Plan:
             ]
             for row in held if len(held) == 1 and structure.orders[held[0]] == 1 else ():
                 free = [i for i in structure.holders[row] if not kinds[i].at_limit]
-                singular = ArcKind.SINGULAR in [kinds[i] for i in free]
-                if len(free) > 1 and singular and _move_apart(problem.phases[phase].model, free):
+                singular = [i for i in free if kinds[i] is ArcKind.SINGULAR]
+                if 0 < len(singular) < len(free) and _move_apart(problem.phases[phase].model, free):
                     last = self.piece_ends[piece + 1] + (piece + 1 < structure.pieces)
                     ends = range(self.piece_ends[piece] + 1, last)
                     found += [Junction(row - n_controls, k, kinds[row], 1) for k in ends]
