@@ -16,6 +16,7 @@ from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem.arc import Arc, ArcKind
 from gnc_opt.problem.held import Smooth
 from gnc_opt.refine.passes import PassLimits
+from gnc_opt.refine.structure import finer as f
 from gnc_opt.refine.structure import junctions as j
 from gnc_opt.refine.structure import mending as m
 from gnc_opt.refine.structure import switching as s
@@ -304,7 +305,7 @@ def test_a_kink_that_leaves_hardly_any_piece_drops_it(
     structure = PhaseStructure((80.0, 81.0, 82.0, 84.0), ((LOW,), (FREE,), (UP,)), (True,))
     moved = structure.at((80.0, 82.0 - share * 4 * m.VANISHED, 82.0, 84.0))
     monkeypatch.setattr(m, "move_kinks", lambda *_: moved)
-    monkeypatch.setattr(m, "_finer", lambda *_: None)
+    monkeypatch.setattr(m, "finer", lambda *_: None)
     found, what = m._adjust(SimpleNamespace(samples=LEG), Plan.of(structure, 7.0), 1e-9)  # type: ignore[arg-type]
     assert what == ("piece 2 dropped" if dropped else "kinks moved")
     assert found.structure.pieces == (2 if dropped else 3) and found.points == 7.0
@@ -558,11 +559,11 @@ def plan_of(*resolutions: Resolution, kinds: Any = None) -> Plan:
 
 def test_only_inaccurate_pieces_are_solved_more_finely() -> None:
     plan = plan_of(Resolution(1, 4), Resolution(1, 4))
-    assert m._finer(samples(CART), plan, 1e-9) is None
+    assert f.finer(samples(CART), plan, 1e-9) is None
     bent = samples(CART, lambda t, k: np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2 + 0.4 * k * (t - 0.5)]))
-    found = m._finer(bent, plan, 1e-2)
+    found = f.finer(bent, plan, 1e-2)
     assert found is not None and [r.degree for r in found.resolutions] == [4, 7]
-    assert m._finer(bent, plan, 0.2 / 1.45) is None  # 0.2 m/s beside a size of at least 1.45 m/s
+    assert f.finer(bent, plan, 0.2 / 1.45) is None  # 0.2 m/s beside a size of at least 1.45 m/s
 
 
 def test_costates_count_in_shares_of_the_cost() -> None:
@@ -574,11 +575,11 @@ def test_costates_count_in_shares_of_the_cost() -> None:
     plan = plan_of(Resolution(1, 4), Resolution(1, 4))
     wrong = samples(CART, lam=lam)
     share = 0.25 / 12.25
-    found = m._finer(wrong, plan, 0.99 * share)
+    found = f.finer(wrong, plan, 0.99 * share)
     assert found is not None and [r.degree for r in found.resolutions] == [4, 7]
-    assert m._finer(wrong, plan, 1.01 * share) is None
+    assert f.finer(wrong, plan, 1.01 * share) is None
     pushed = samples(CART, lam=lam, states=lambda t, k: [0.5 * k + 0 * t, 0 * t])
-    assert m._finer(pushed, plan, 1e-9) is None
+    assert f.finer(pushed, plan, 1e-9) is None
 
 
 def test_multipliers_along_a_contact_are_rough_and_do_not_count() -> None:
@@ -592,10 +593,10 @@ def test_multipliers_along_a_contact_are_rough_and_do_not_count() -> None:
     )
     plan = Plan(contact, (Resolution(1, 4), Resolution(1, 4)))
     wrong = samples(CART, lam=lambda t, k: [-12 + t, -6 + 12 * t - 0.5 * t**2])
-    found = m._finer(wrong, plan, 1e-9)
+    found = f.finer(wrong, plan, 1e-9)
     assert found is not None and [r.degree for r in found.resolutions] == [MAX_DEGREE, 4]
     bent = samples(CART, lambda t, k: [3 * t**2 - 2 * t**3, 6 * t - 6 * t**2 + 0.4 * k * (t - 0.5)])
-    found = m._finer(bent, plan, 1e-9)
+    found = f.finer(bent, plan, 1e-9)
     assert found is not None and [r.degree for r in found.resolutions] == [4, MAX_DEGREE]
 
 
@@ -609,12 +610,12 @@ def test_an_open_gradient_of_a_singular_control_asks_for_a_higher_degree() -> No
         CART, lam=lambda t, k: [-12 + 0 * t, -6 + 12 * t + 1e-6 * k], control_bounds=interval(-10.0, 10.0)
     )
     share = 1e-6 * 20 / found.hamiltonian_scale
-    assert m._open_gradient(found, plan) == pytest.approx([0.0, share], rel=1e-3, abs=1e-12)
-    finer = m._finer(found, plan, 1e-3)
+    assert f.open_gradient(found, plan) == pytest.approx([0.0, share], rel=1e-3, abs=1e-12)
+    finer = f.finer(found, plan, 1e-3)
     assert finer is not None and [r.smooth for r in finer.resolutions] == [4, 8]
     assert finer.resolutions[1].gradient == pytest.approx(share, rel=1e-3)
     bang = plan_of(Resolution(1, 4), Resolution(1, 4))
-    assert m._open_gradient(found, bang).tolist() == [0.0, 0.0]
+    assert f.open_gradient(found, bang).tolist() == [0.0, 0.0]
 
 
 TWO_ROWS = PhaseStructure((0.0, 0.5, 1.0), ((LOW,) + (FREE,) * 4, (UP,) + (FREE,) * 4), (), 1, 2)
@@ -835,11 +836,11 @@ def test_what_vanishes_is_mended_first_then_kinks_and_points_then_what_is_missin
     ],
 )
 def test_what_is_worse_is_raised(error: float, gradient: float, wanted: Resolution) -> None:
-    assert m._next_resolution(Resolution(2, 6, 4), np.array([1e-12, error]), gradient, 1e-9) == wanted
+    assert f.next_resolution(Resolution(2, 6, 4), np.array([1e-12, error]), gradient, 1e-9) == wanted
 
 
 def test_errors_that_are_no_numbers_ask_for_the_finest() -> None:
-    found = m._next_resolution(Resolution(2, MAX_DEGREE), np.array([np.nan, 1e-12]), 0.0, 1e-9)
+    found = f.next_resolution(Resolution(2, MAX_DEGREE), np.array([np.nan, 1e-12]), 0.0, 1e-9)
     assert found == Resolution(5, MAX_DEGREE, edges=(0.125, 0.25, 0.375, 0.5))
 
 
@@ -874,7 +875,7 @@ def test_kinks_and_resolutions_are_adjusted_together(
     plan = Plan(THREE, (Resolution(),) * 3, 7.0)
     raised = replace(plan, resolutions=(Resolution(2),) * 3)
     monkeypatch.setattr(m, "move_kinks", lambda *_: None if moved is None else THREE.at(moved))
-    monkeypatch.setattr(m, "_finer", lambda *_: raised if finer else None)
+    monkeypatch.setattr(m, "finer", lambda *_: raised if finer else None)
     constraints: Any = SimpleNamespace(samples=LEG)
     found, what = m._adjust(constraints, plan, 1e-9)
     assert what == action and found.structure.pieces == pieces and found.points == 7.0
@@ -910,7 +911,7 @@ def test_limits_beside_touches_are_released_before_a_mesh_is_refined(
     plan = Plan(structure, (Resolution(),) * 3, 7.0, loose)
     raised = replace(plan, resolutions=(Resolution(2),) * 3)
     monkeypatch.setattr(m, "move_kinks", lambda *_: None if moved is None else structure.at(moved))
-    monkeypatch.setattr(m, "_finer", lambda *_: raised)
+    monkeypatch.setattr(m, "finer", lambda *_: raised)
     found, what = m._adjust(SimpleNamespace(samples=LEG), plan, 1e-9)  # type: ignore[arg-type]
     assert what == action and found.loose is (loose or action.startswith("limits"))
     assert found.resolutions == (plan if action.startswith("limits") else raised).resolutions
@@ -919,7 +920,7 @@ def test_limits_beside_touches_are_released_before_a_mesh_is_refined(
 def test_an_arc_on_a_limit_that_shrinks_to_nothing_leaves_a_touch(monkeypatch: pytest.MonkeyPatch) -> None:
     plan = Plan(replace(TOUCHED, touches=((),) * 4), (Resolution(),) * 3, 7.0)
     monkeypatch.setattr(m, "move_kinks", lambda *_: plan.structure.at((0.0, 1.5, 1.5, 4.0)))
-    monkeypatch.setattr(m, "_finer", lambda *_: None)
+    monkeypatch.setattr(m, "finer", lambda *_: None)
     found, what = m._adjust(SimpleNamespace(samples=LEG), plan, 1e-9)  # type: ignore[arg-type]
     assert what == "piece 2 dropped" and found.points == 7.0
     assert found.structure.touching(1, UP) == [1.5] and found.structure.kinds == ((LOW, FREE),) * 2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,18 +11,17 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.problem.problem import Problem
-from gnc_opt.refine.structure.carried import Decay, on_carrying_arcs
 from gnc_opt.refine.structure.contacts import crossed_contact, overrun_bound, pushed_contact, wrong_touch
 from gnc_opt.refine.structure.curvature import affine_channels, curved_channels, linear_limits
 from gnc_opt.refine.structure.detect import SMALL
+from gnc_opt.refine.structure.finer import ROUGH, defects, finer, open_gradient
 from gnc_opt.refine.structure.junctions import move_kinks
 from gnc_opt.refine.structure.phase_structure import KindArray, PhaseStructure, choose, signs_of
 from gnc_opt.refine.structure.pinned import unpinned
-from gnc_opt.refine.structure.plan import Plan, Resolution
+from gnc_opt.refine.structure.plan import Plan
 from gnc_opt.refine.structure.state_constraints import StateConstraints
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
-from gnc_opt.tolerances import TINY
 from gnc_opt.tolerances import VANISHED as NO_MAGNITUDE
 from gnc_opt.verify.singular import chatters
 
@@ -38,12 +37,6 @@ VANISHED = 1e-7
 PROPPED = 3e-5
 """Share of its phase below which the solver's barrier alone may keep a piece open. Where two switching functions vanish
 at one time its length falls like the square root of the barrier, which ends at 1e-11 and less."""
-
-STATIONARY = 1e-9
-"""First-order gain in H, in shares of H, that may be left along a singular arc."""
-
-ROUGH = 1e-4
-"""Gain in H beyond which the polynomial of a singular control is no guess of it yet."""
 
 CHATTER = 5
 """So many switches of one control where its switching function stays small are no bangs."""
@@ -103,17 +96,17 @@ def improve(
 
 def _adjust(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan, str]:
     """Move kinks and raise resolutions where the solution asks for it."""
-    moved, finer = move_kinks(constraints, plan), _finer(constraints.samples, plan, tol)
+    moved, raised = move_kinks(constraints, plan), finer(constraints.samples, plan, tol)
     if moved is not None:
         emptied = np.flatnonzero(moved.lengths < VANISHED * (moved.times[-1] - moved.times[0]))
         if emptied.size:
             left = plan.structure.emptied(int(emptied[0]))
             return plan.restructured(left), f"piece {emptied[0] + 1} dropped"
-    if finer and not moved and not plan.loose and any(plan.structure.touches):
+    if raised and not moved and not plan.loose and any(plan.structure.touches):
         return replace(plan, loose=True), LOOSENED
-    resolutions = finer.resolutions if finer else plan.resolutions
+    resolutions = raised.resolutions if raised else plan.resolutions
     smoother = any(a.smooth > b.smooth for a, b in zip(resolutions, plan.resolutions, strict=True))
-    actions = (KINKS_MOVED if moved else "", SMOOTHED if smoother else RAISED if finer else "")
+    actions = (KINKS_MOVED if moved else "", SMOOTHED if smoother else RAISED if raised else "")
     return replace(plan, structure=moved or plan.structure, resolutions=resolutions), ", ".join(
         filter(None, actions)
     )
@@ -300,7 +293,7 @@ def _saturated(
     singular = (singular & ~plan.structure.limited_by_paths() & ~released)[:, pieces]
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
     at_lower, at_upper = bounds.near(samples.u_polynomial, SATURATED * samples.control_scale)
-    left_open = zip(plan.resolutions, _open_gradient(samples, plan), strict=True)
+    left_open = zip(plan.resolutions, open_gradient(samples, plan), strict=True)
     stuck = np.array([r.smoother(g).smooth == r.smooth for r, g in left_open])[pieces]
     stuck &= ~_on_rough_contact(samples, plan)
     unseen = (np.abs(gain) > LEFT_OPEN) & _unseen(samples, plan, gain)
@@ -319,7 +312,7 @@ def _saturated(
 
 
 def _overrun(samples: PhaseSamples, plan: Plan) -> tuple[PhaseStructure | None, str]:
-    if np.max(_defects(samples)) > ROUGH:
+    if np.max(defects(samples)) > ROUGH:
         return None, ""
     return overrun_bound(samples, plan.structure, plan.segment_pieces[samples.segments])
 
@@ -330,7 +323,7 @@ def _on_rough_contact(samples: PhaseSamples, plan: Plan) -> Mask:
     There the switching function of a control that holds the constraint is an error of the mesh.
     """
     contact = np.array([plan.structure.on_contact(k) for k in range(plan.structure.pieces)])
-    rough = np.max(_defects(samples), axis=0) > ROUGH
+    rough = np.max(defects(samples), axis=0) > ROUGH
     return np.asarray((contact[plan.segment_pieces] & rough)[samples.segments])
 
 
@@ -412,82 +405,3 @@ def _mended_contacts(
     if added is not None or wrong is None:
         return added, action
     return structure.without_touch(*wrong), f"touch at {structure.times[wrong[0]]:.4g} s dropped"
-
-
-# --- resolution ---------------------------------------------------------------------------------------------
-
-
-def _finer(samples: PhaseSamples, plan: Plan, tol: float) -> Plan | None:
-    """Return higher resolutions where dynamics or costates are not met between the nodes, or None."""
-    errors = _defects(samples)
-    gradient = samples.functions.state_gradient(
-        samples.times, samples.x, samples.u_polynomial, samples.lam, samples.mu
-    )
-    residual = samples.per_segment(samples.lam_rate + gradient + samples.state_multiplier)
-    worth = samples.state_scale[:, None] / samples.cost_scale
-    # Multipliers along a state constraint are differences of what the solver leaves: rougher, the finer the piece.
-    contact = np.array([plan.structure.on_contact(k) for k in range(plan.structure.pieces)])
-    residual = np.where(contact[plan.segment_pieces], 0.0, residual)
-    per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
-    if plan.inherits:
-        return _finer_inherited(samples, plan, per_segment, tol)
-    by_piece = np.split(per_segment, plan.piece_ends[1:-1])
-    wanted = tuple(
-        _next_resolution(r, errors, gradient, tol)
-        for r, errors, gradient in zip(plan.resolutions, by_piece, _open_gradient(samples, plan), strict=True)
-    )
-    return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
-
-
-def _finer_inherited(samples: PhaseSamples, plan: Plan, errors: Array, tol: float) -> Plan | None:
-    """Return the plan with segments made finer that are to blame for errors (K,), or None."""
-    decay = Decay.of(samples)
-    own = decay.own_errors(on_carrying_arcs(plan.structure)[plan.segment_pieces], errors)
-    points = np.ceil(np.log10(np.maximum(own, tol) / tol) / decay.rates)
-    by_piece = np.split(points.astype(int), plan.piece_ends[1:-1])
-    wanted = tuple(r.with_points(more) for r, more in zip(plan.resolutions, by_piece, strict=True))
-    return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
-
-
-def _defects(samples: PhaseSamples) -> Array:
-    """How far the dynamics are off in each segment, in shares of what the states move, (n_states, K)."""
-    rates = samples.functions.rates(samples.times, samples.x, samples.u_polynomial)
-    return np.asarray(samples.per_segment(samples.x_rate - rates) / samples.state_scale[:, None])
-
-
-def _next_resolution(r: Resolution, errors: Array, gradient: float, tol: float) -> Resolution:
-    """Raise what is worse: finer states of a polynomial that cannot be the control are worth nothing.
-
-    Parameters
-    ----------
-    r : Resolution
-    errors : array (segments,)
-        Of states and costates in every segment of the piece.
-    gradient, tol : float
-    """
-    smoother = r.smoother(gradient) if gradient > STATIONARY else r
-    if smoother != r and gradient > max(float(np.max(errors)), ROUGH):
-        return smoother
-    if np.all(errors <= tol):
-        return smoother
-    return r.finer(np.log10(np.clip(np.nan_to_num(errors, nan=np.inf), TINY, 1.0) / tol))
-
-
-def smoother(solution: Solution, plans: Mapping[str, Plan]) -> dict[str, Plan]:
-    """Return the plans with higher degrees where singular controls leave some of dH/du, as far as these help."""
-    found = {}
-    for name, s in solution.samples().items():
-        left_open = zip(plans[name].resolutions, _open_gradient(s, plans[name]), strict=True)
-        smoother = tuple(r.smoother(g) if g > STATIONARY else r for r, g in left_open)
-        found[name] = replace(plans[name], resolutions=smoother)
-    return found
-
-
-def _open_gradient(samples: PhaseSamples, plan: Plan) -> Array:
-    """The largest |dH/du| of singular controls in every piece (A,), in shares of H."""
-    kinds = plan.structure.controls[:, plan.segment_pieces[samples.segments]]
-    gain = np.abs(samples.control_gradient) * samples.control_scale[:, None] / samples.hamiltonian_scale
-    per_sample = np.max(np.where(kinds == ArcKind.SINGULAR, gain, 0.0), axis=0, initial=0.0)
-    worst = np.zeros(plan.structure.pieces)
-    np.maximum.at(worst, plan.segment_pieces[samples.segments], per_sample)
-    return worst

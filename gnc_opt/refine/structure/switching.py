@@ -23,7 +23,8 @@ from gnc_opt.refine.structure.apart import shared, solve_apart
 from gnc_opt.refine.structure.collocated import collocated
 from gnc_opt.refine.structure.curvature import with_arched_times, with_flat_times
 from gnc_opt.refine.structure.detect import structures_of
-from gnc_opt.refine.structure.mending import KINKS_MOVED, RAISED, SMOOTHED, collapsed, improve, smoother
+from gnc_opt.refine.structure.finer import smoother
+from gnc_opt.refine.structure.mending import KINKS_MOVED, RAISED, SMOOTHED, collapsed, improve
 from gnc_opt.refine.structure.newton import settle
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import Plan, points_of
