@@ -5,9 +5,8 @@ from __future__ import annotations
 import inspect
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -21,7 +20,9 @@ from gnc_opt.solution.solve_mesh import solve_mesh
 from gnc_opt.solve import solve
 from gnc_opt.threads import one_thread
 from gnc_opt.transcription.mesh import MeshLike
-from gnc_opt.workers import Shared, WorkerDied, WorkerPool
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
 
 Family: TypeAlias = Callable[..., Problem]
 Output: TypeAlias = Callable[[Solution], float]
@@ -209,6 +210,8 @@ def sweep(
     >>> print(np.round(swept.objective, 4))
     [2. 4.]
     """
+    from gnc_opt.workers import Shared, WorkerDied, WorkerPool
+
     if not callable(problem_of):
         raise ArgumentError("sweep() got no function: write sweep(build, {...}), build returns a problem.")
     axes = _read_grid(grid)

@@ -63,13 +63,15 @@ class Mesh:
             )
         if not np.all((degrees >= 1) & (degrees == np.floor(degrees)) & np.isfinite(degrees)):
             raise ProblemError(f"the degrees of a mesh are {shown(self.degrees)}: give integers >= 1.")
-        movable = np.unique(read_numbers(self.movable, "the movable breaks of a mesh", ProblemError))
-        if not np.all(np.isin(movable, np.arange(1, breaks.size - 1))):
+        movable = set(
+            read_numbers(self.movable, "the movable breaks of a mesh", ProblemError).ravel().tolist()
+        )
+        if not movable <= set(range(1, breaks.size - 1)):
             raise ProblemError(
                 f"the movable breaks of a mesh are {shown(self.movable)}: "
                 f"choose among its interior breaks 1 to {breaks.size - 2}."
             )
-        object.__setattr__(self, "movable", tuple(int(i) for i in movable))
+        object.__setattr__(self, "movable", tuple(sorted(int(i) for i in movable)))
         object.__setattr__(self, "breaks", (0.0, *map(float, breaks[1:-1]), 1.0))
         object.__setattr__(self, "degrees", tuple(int(n) for n in self.degrees))
 

@@ -10,11 +10,10 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Literal, TypeAlias, TypeVar, get_args
+from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar, get_args
 
 from gnc_opt.arguments import expect, read_integer, read_positive
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, did_you_mean
@@ -29,7 +28,11 @@ from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import solve_mesh
 from gnc_opt.threads import one_thread
 from gnc_opt.transcription.mesh import MeshLike
-from gnc_opt.workers import Done, Shared, WorkerDied, WorkerPool
+
+if TYPE_CHECKING:  # executors bring sockets and queues along, which most programs do without
+    from concurrent.futures import Executor
+
+    from gnc_opt.workers import Done, Shared, WorkerPool
 
 ShowEnding: TypeAlias = Callable[["float | None"], None]
 """Shows the objective with which a task ended, None if without one."""
@@ -202,6 +205,8 @@ def multistart(
     >>> print(f"{found.minima[0].objective:.1f}")
     2.0
     """
+    from gnc_opt.workers import WorkerPool
+
     read_integer(n, "the number of starts of multistart()", 1)
     read_integer(seed, "the seed of multistart()", 0)
     read_integer(max_refined, "max_refined of multistart()", 0)
@@ -306,6 +311,8 @@ def _durations(endings: Sequence[_StartEnding]) -> dict[str, float]:
 
 def _shared(problem: Problem | Builder) -> Shared[Problem]:
     """Return the problem for all workers; only a function that builds it can be sent to other processes."""
+    from gnc_opt.workers import Shared
+
     if isinstance(problem, Problem):
         remedy = 'give a function that builds it, e.g. functools.partial(build, case=2), or executor="serial"'
         return Shared(problem, f"problem '{problem.name}', which holds symbols,", remedy)
@@ -324,6 +331,8 @@ def _built(builder: Builder) -> Problem:
 
 def _answer(done: Done[Item, Answer]) -> Answer:
     """Return what a task answered, or raise what prevented it."""
+    from gnc_opt.workers import WorkerDied
+
     error = done.error
     if isinstance(error, WorkerDied):
         raise GncOptError(
