@@ -20,7 +20,7 @@ from gnc_opt.control import design_lqr, design_mpc
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import GncOptError
 from gnc_opt.model.model import Model
-from gnc_opt.simulation import ClosedLoop, Event, Flight, Lag, Noise, RandomHold, monte_carlo
+from gnc_opt.simulation import ClosedLoop, Event, Flight, Lag, Noise, RandomHold, lanes, monte_carlo
 from gnc_opt.simulation import native as module
 from gnc_opt.simulation.folded import Folded
 from gnc_opt.simulation.lanes import in_lanes
@@ -121,8 +121,13 @@ _SPECIAL = (0.0, -0.0, 0.5, -0.5, 1.0, 1.5, 7.25, -1e300, 5e-324, np.inf, -np.in
 
 
 @needs_compiler
-def test_both_halves_of_vectors_have_the_bits_of_the_interpreter() -> None:
+@pytest.mark.parametrize("long", [lanes.LONG, 0])
+def test_both_halves_of_vectors_have_the_bits_of_the_interpreter(
+    long: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of every operation, with numbers of all kinds; two flights differ, and one alone may be flown."""
+    monkeypatch.setattr(lanes, "LONG", long)
+    monkeypatch.setattr(lanes, "PART", 7)
     x, w, c = ca.SX.sym("x", len(_ONE) + len(_TWO)), ca.SX.sym("w", 2), ca.SX.sym("c", 2)
     a, b = w[0] + c[0] * x[0], w[1] + c[1] * x[0]
     results = [*(f(a) for f in _ONE), *(f(a, b) for f in _TWO)]
@@ -141,6 +146,19 @@ def test_both_halves_of_vectors_have_the_bits_of_the_interpreter() -> None:
         assert np.array_equal(np.signbit(final[told == 0]), np.signbit(told[told == 0]))
         fly(X[1:], row, C, final[:1])
         assert np.array_equal(final[0], told[1], equal_nan=True)
+
+
+def test_long_steps_are_many_short_functions() -> None:
+    """A compiler takes far more than twice as long for a function twice as long."""
+    x, w, c = (ca.SX.sym(name) for name in "xwc")
+    y = x
+    for _ in range(lanes.LONG // 2):
+        y = ca.sin(y) * w
+    step = ca.Function("step", [x, w, c], [y])
+    assert step.n_instructions() > lanes.LONG
+    lengths = [part.count(";") for part in in_lanes(step).split("__attribute__((noinline))")[1:]]
+    assert len(lengths) == -(-step.n_instructions() // lanes.PART)
+    assert max(lengths[:-1]) <= lanes.PART
 
 
 def test_what_takes_more_than_operations_on_scalars_is_left_to_casadi() -> None:
