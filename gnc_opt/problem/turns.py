@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.arrays import Array
+from gnc_opt.problem.interval import Interval
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, ROUNDING
 
 PERIODS = np.pi, 180.0, 2 * np.pi, 360.0
@@ -41,6 +42,17 @@ class Turns:
     def free(self) -> Array:
         """Which controls have lost their bounds (n_controls,)."""
         return np.isfinite(self.lower)
+
+    def around(self, bounds: Interval) -> Interval:
+        """Return bounds of controls for a solver: of angles a turn beyond where they are told, to both sides.
+
+        That is room to cross over. Without any bounds steps of a long flight lead many turns away and back: a spiral of
+        a hundred revolutions took fifteen times the iterations.
+        """
+        return Interval(
+            np.where(self.free, self.lower - self.periods, bounds.lower),
+            np.where(self.free, self.upper + self.periods, bounds.upper),
+        )
 
     def within(self, u: Array) -> Array:
         """Return controls (n_controls, ...) with the angles where they are told; what is there by rounding stays."""

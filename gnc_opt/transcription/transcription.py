@@ -353,10 +353,11 @@ class Transcription(Numbering):
 
     def _put_phase_bounds(self, box: Interval, problem: Problem, leg: Phase, part: PhasePart) -> None:
         collocation, numbers = part.collocation, leg.numbers
+        controls = numbers.controls if numbers.turns is None else numbers.turns.around(numbers.controls)
         for places, bounds in (
             (collocation.boundary_states, numbers.states),
             (collocation.point_states, numbers.states),
-            (collocation.point_controls, numbers.controls),
+            (collocation.point_controls, controls),
         ):
             box.lower[places], box.upper[places] = bounds.lower[:, None], bounds.upper[:, None]
         loosen_one_way(box, problem, leg, collocation)

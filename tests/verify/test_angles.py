@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
+from benchmarks.scale import RADIUS, THRUST, spiral
+from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.turns import Turns
 
 
@@ -82,6 +84,12 @@ def test_bounds_of_a_turn_are_no_limit_to_a_heading_that_crosses_them(
     assert go.verify(kept).minimum
 
 
+def test_a_steering_angle_of_a_hundred_revolutions_does_not_turn_away() -> None:
+    """Its bounds of a turn are no limit, but a solver that may go round and round from 4000 points does so."""
+    found = go.solve(spiral(), mesh="1000x4", tol=None, options=go.SolverOptions(max_iterations=60))
+    assert found.objective == pytest.approx((1 - RADIUS**-0.5) / THRUST, rel=1e-4)  # Edelbaum's circles
+
+
 def test_what_leaves_bounds_of_a_turn_is_failed(crossing: go.Solution) -> None:
     t = np.linspace(0.0, crossing.phase("leg").final_time, 81)
     x = {name: crossing.state(name)(t) for name in ("x", "y")}
@@ -122,6 +130,12 @@ def test_azimuth_and_elevation_are_told_within_half_a_turn_of_elevation(turn: fl
     elevation = np.arcsin(away[2] / np.linalg.norm(away)) / (2 * np.pi) * turn
     assert found.control("azimuth")(1.0) == pytest.approx(azimuth, abs=1e-4 * turn)
     assert found.control("elevation")(1.0) == pytest.approx(elevation, abs=1e-4 * turn)
+
+
+def test_a_solver_has_a_turn_of_room_to_both_sides() -> None:
+    turns = Turns(np.array([-180.0, -np.inf]), np.array([180.0, np.inf]), np.array([360.0, 0.0]))
+    box = turns.around(Interval(np.array([-np.inf, 2.0]), np.array([np.inf, 3.0])))
+    assert (box.lower.tolist(), box.upper.tolist()) == ([-540.0, 2.0], [540.0, 3.0])
 
 
 def test_angles_are_told_where_they_are_within_their_bounds_or_as_few_turns_away_as_there_are() -> None:
