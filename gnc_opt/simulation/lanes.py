@@ -45,8 +45,8 @@ _KNOWN = {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, *_OF_VECTORS, *_OF_EACH}
 
 LONG, PART = 8000, 500
 """Operations beyond which a step is written as several functions of so many, whose numbers are in memory. Compilers
-take for one function more than in proportion: for 30 000 operations 54 s, in parts 7 s; for 126 000 over nine minutes.
-Of short steps, whose numbers stay in registers, one function is up to half as fast again."""
+take for one function more than in proportion: for 30 000 operations 54 s, in parts 7; for 126 000 over nine minutes, in
+parts 16 s. Of short steps, whose numbers stay in registers, one function is up to half as fast again."""
 
 _ARGUMENTS = (
     "pair *a, const double *x, const double *x_other, const double *w, const double *c, "

@@ -212,7 +212,10 @@ def overrun_bound(
     """
     bounds = samples.leg.control_bounds
     for boundary in range(1, structure.pieces):
-        state, row = structure.taken_over(boundary) or (0, 0)
+        taken = structure.taken_over(boundary)
+        if not taken:
+            continue
+        state, row = taken
         after = structure.kinds[boundary][state].at_limit
         piece, kind = boundary - 1 + after, structure.kinds[boundary - after][row]
         if len(structure.holders[state]) < 2 or structure.kinds[piece][row] is not ArcKind.SINGULAR:
