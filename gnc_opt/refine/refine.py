@@ -266,8 +266,8 @@ class _Task:
     def _unasked(self, start: Solution, share: float) -> Iterator[RefinementAttempt]:
         """Try a structure that nobody asked for, if there is one: again only with what all that was tried has left.
 
-        On the segments of the mesh, where errors are handed on along its arcs and others had no solution on few, or where
-        few segments would lose what that mesh resolves.
+        On the segments of the mesh, where errors are handed on along its arcs and others had no solution on few, or
+        where few segments would lose what that mesh resolves.
         """
         found = structures_of(start) if self._in_vain else None
         if found and _carried(start, found):
