@@ -259,7 +259,8 @@ def test_flight_code_is_the_same_law(straight, tmp_path):
     assert np.allclose(run(program, times, states), expected, rtol=1e-10, atol=1e-10)
     # lost samples, and states that no switch times bring home
     rng = np.random.default_rng(4)
-    states = states + rng.choice([0.0, 1.0, 1e3, 1e200], (90, 1), p=[0.7, 0.1, 0.1, 0.1]) * rng.normal(size=(90, 2))
+    size = rng.choice([0.0, 1.0, 1e3, 1e200], (90, 1), p=[0.7, 0.1, 0.1, 0.1])
+    states = states + size * rng.normal(size=(90, 2))
     states[rng.random(90) < 0.2, 0] = np.nan
     expected = python(controller, times, states, DT)
     assert np.allclose(run(program, times, states), expected, rtol=1e-10, atol=1e-10)
