@@ -1,8 +1,8 @@
 """Lanes: a step of scalar operations in C that takes two flights at once, one in each half of a vector register.
 
 A run and the flight beside it go through the same operations with the same of what is known: one pass through the code
-does for both. In each half every operation is the interpreter's, so the results have the same bits. What the interpreter
-does to the same numbers more than once is done once.
+does for both. In each half every operation is the interpreter's, so the results have the same bits. What the
+interpreter does to the same numbers more than once is done once.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ _KNOWN = {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, *_OF_VECTORS, *_OF_EACH}
 
 LONG, PART = 10_000, 500
 """Distinct operations beyond which a step is written as several functions of so many, which hand on in memory what the
-next ones need. Compilers take for one function more than in proportion: for 8400 operations 2 s, for 19 400 10 s, in parts
-7; for 126 000 over nine minutes. What it makes of them is an eighth faster than the parts."""
+next ones need. Compilers take for one function more than in proportion: for 8400 operations 2 s, for 19 400 10 s,
+in parts 7; for 126 000 over nine minutes. What it makes of them is an eighth faster than the parts."""
 
 _ARGUMENTS = (
     "pair *a, const double *x, const double *x_other, const double *w, const double *c, "
