@@ -262,7 +262,9 @@ class _Passage:
         put = ca.logic_and(y_after >= 0, ca.fabs(y_after - y) > ca.fabs(y_later - y))
         kept = ca.logic_and(ca.logic_or(armed, put), ca.logic_not(fired))
         w["armed"] = ca.logic_or(kept, y_on > 0)
-        back = ca.logic_and(ca.logic_and(slope_after > 0, slope_on < 0), y_on <= 0)  # within a moment, for ever
+        back = ca.logic_and(
+            ca.logic_and(slope_after > 0, slope_on < 0), y_on <= 0
+        )  # within a moment, for ever
         endless = ca.logic_and(ca.sum1(ca.logic_and(fired, back)) > 0.5, w["stop"] < 0.5)
         w["stop"] = ca.if_else(endless, len(self.events) + 1, w["stop"])
         w["stop time"] = ca.if_else(endless, t + s, w["stop time"])
