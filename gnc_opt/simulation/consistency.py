@@ -209,8 +209,8 @@ def _nees(flown: Run | Campaign, estimator: Estimator, memory: Array) -> tuple[A
     sigma = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
     # what is known better than a state can be computed says nothing of the filter
     least = np.concatenate([
-        np.tile(ROUNDING * np.max(np.abs(truth[estimator.states.slice(name)]), axis=0), (estimator.errors[name].size, 1))
-        for name in shared
+        np.tile(ROUNDING * np.max(np.abs(truth[estimator.states.slice(name)]), axis=0), (size, 1))
+        for name, size in ((name, estimator.errors[name].size) for name in shared)
     ])  # fmt: skip
     exact = sigma <= np.nan_to_num(least.T, posinf=0.0)
     if np.any(exact):

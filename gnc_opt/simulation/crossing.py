@@ -1,11 +1,11 @@
 r"""Crossing: where events lie in the flight of a minor step, and the flight through them.
 
 While the plant is integrated, every integration step is looked at (`Watch`). A row (see `Events`) is *armed* if it has
-been at zero or above since its event last happened, if a reset of another has put it there; armed rows that end the step below zero have crossed it, and those
-that are above zero at both ends and sink to it in between, by the cubic through values and slopes, may have. Only then
-is the minor step flown again with care (`passage`): up to the crossing, whose instant is found by Newton's method
-inside a bracket, with the plant integrated anew from where the leg began to each instant tried, so that the state there
-is as accurate as any; then the resets; then on from there.
+been at zero or above since its event last happened (also where a reset of another has put it); armed rows that end the
+step below zero have crossed it, and those that are above zero at both ends and sink to it in between, by the cubic
+through values and slopes, may have. Only then is the minor step flown again with care (`passage`): up to the crossing,
+whose instant is found by Newton's method inside a bracket, with the plant integrated anew from where the leg began to
+each instant tried, so that the state there is as accurate as any; then the resets; then on from there.
 
 Events whose rows fall through zero within `SAME_TIME` of the minor step are simultaneous: their conditions are judged
 before all resets, and these follow in the order of declaration until one ends the run. A reset after which its row
