@@ -1,14 +1,15 @@
 r"""Crossing: where events lie in the flight of a minor step, and the flight through them.
 
 While the plant is integrated, every integration step is looked at (`Watch`). A row (see `Events`) is *armed* if it has
-been at zero or above since its event last happened; armed rows that end the step below zero have crossed it, and those
-that are above zero at both ends and sink to it in between, by the cubic through values and slopes, may have. Only then
-is the minor step flown again with care (`passage`): up to the crossing, whose instant is found by Newton's method
-inside a bracket, with the plant integrated anew from where the leg began to each instant tried, so that the state there
-is as accurate as any; then the resets; then on from there.
+been at zero or above since its event last happened (also where a reset of another has put it); armed rows that end the
+step below zero have crossed it, and those that are above zero at both ends and sink to it in between, by the cubic
+through values and slopes, may have. Only then is the minor step flown again with care (`passage`): up to the crossing,
+whose instant is found by Newton's method inside a bracket, with the plant integrated anew from where the leg began to
+each instant tried, so that the state there is as accurate as any; then the resets; then on from there.
 
 Events whose rows fall through zero within `SAME_TIME` of the minor step are simultaneous: their conditions are judged
-before all resets, and these follow in the order of declaration until one ends the run.
+before all resets, and these follow in the order of declaration until one ends the run. A reset after which its row
+rises, but falls through zero again within that time, would be followed by others without end: the run ends there.
 """
 
 from __future__ import annotations
@@ -263,8 +264,19 @@ class _Passage:
         w["resets"] += states
         w["instants"] += instants
         w["error at row"] = ca.if_else(fired, total, v["error at row"])
-        above = self.leg(w["x"], w["armed"], s, s + moment, *context)[4] > 0
-        w["armed"] = ca.logic_or(ca.logic_and(armed, ca.logic_not(fired)), above)
+        y_after = self.events.rows(t + s, w["x"], ca.DM.zeros(w["x"].shape[0]), p)[0]
+        slope_after = self.leg(w["x"], w["armed"], s, s, *context)[5]
+        y_on, slope_on = self.leg(w["x"], w["armed"], s, s + moment, *context)[4:6]
+        # a reset may put rows of other events on zero; those that it leaves where they are have only come near it
+        put = ca.logic_and(y_after >= 0, ca.fabs(y_after - y) > ca.fabs(y_later - y))
+        kept = ca.logic_and(ca.logic_or(armed, put), ca.logic_not(fired))
+        w["armed"] = ca.logic_or(kept, y_on > 0)
+        back = ca.logic_and(
+            ca.logic_and(slope_after > 0, slope_on < 0), y_on <= 0
+        )  # within a moment, for ever
+        endless = ca.logic_and(ca.sum1(ca.logic_and(fired, back)) > 0.5, w["stop"] < 0.5)
+        w["stop"] = ca.if_else(endless, len(self.events) + 1, w["stop"])
+        w["stop time"] = ca.if_else(endless, t + s, w["stop time"])
         return ca.Function("happen", given, [self.places.join(w)])
 
     def _improve(self) -> Any:

@@ -223,6 +223,29 @@ def test_a_reset_beyond_zero_of_another_event_makes_that_happen_at_the_same_time
 # --- against SciPy ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("speed", [0.0, -1.0, 1.0])
+def test_a_reset_onto_zero_of_another_event_makes_that_happen_if_it_moves_on_through(speed):
+    """Thrown from 1 m it falls through that at once, thrown up after 2 v / g."""
+    plant, h, v = ball()
+    again = Event("again", h, "falling", reset={h: 1.0, v: speed})
+    run = falling(plant, again, Event("one", h - 1.0, "falling", reset={})).simulate([0.5, 0.0], tf=0.6)
+    first = np.sqrt(2 * 0.5 / G)
+    assert events_of(run) == [
+        ("again", pytest.approx(first, rel=1e-9)),
+        ("one", pytest.approx(first + 2 * max(speed, 0.0) / G, abs=1e-8)),  # at rest it only touches
+    ]
+    assert run.outcome.ok
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.5])
+def test_a_bouncing_ball_at_rest_on_the_ground_stays_there(restitution):
+    """It bounces at once and for ever; it fell through the ground after the first of these."""
+    plant, h, v = ball()
+    run = falling(plant, Event("bounce", h, "falling", reset={v: -restitution * v})).simulate([0, 0], tf=0.5)
+    assert run.outcome.status is RunStatus.STOPPED and "Zeno" in str(run.outcome)
+    assert np.abs(run.states).max() < 1e-9
+
+
 def test_two_stages_with_drag_and_a_lag_equal_scipy():
     """Fuel runs out, a stage is dropped, the rest coasts to its apex: a graph of three modes."""
     rocket = Model("rocket")
