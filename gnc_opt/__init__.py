@@ -221,6 +221,10 @@ class _Package(ModuleType):
         if not (name in _MODULES and isinstance(value, ModuleType)):
             super().__setattr__(name, value)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """What is sent to other processes may refer to the package."""
+        return import_module, (self.__name__,)
+
     def __dir__(self) -> list[str]:
         return sorted({*super().__dir__(), *__all__, *_ROOMS})
 

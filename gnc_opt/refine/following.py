@@ -12,13 +12,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
+from gnc_opt.nlp import SolverOptions
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.attempt import RefinementAttempt, result_of
 from gnc_opt.refine.hp.mesh_refinement import refine_mesh
 from gnc_opt.refine.passes import PassLimits
 from gnc_opt.refine.structure.detect import structures_of
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.switching import optimise_switches
+from gnc_opt.refine.structure.switching import TIGHT, optimise_switches
 from gnc_opt.refine.structure.variation import on_the_way
 from gnc_opt.solution.history import History
 from gnc_opt.solution.solution import Solution
@@ -27,8 +28,11 @@ from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
 WARM_ITERATIONS = 50
 """After which a warm start has lost its way, and the trajectory alone is kept."""
 
-PASSES = 8
+PASSES = 6
 """At most so many solves: where more are needed, little is left of what was known."""
+
+NEARBY = SolverOptions(tolerance=TIGHT, max_iterations=30)
+"""For solves with known arcs: where these have a solution nearby, it takes fewer iterations."""
 
 LEAST_WORK = 1e4
 """What following may cost in any case, in iterations at one collocation point; or as much as refining what is known."""
@@ -80,7 +84,9 @@ class KnownArcs:
 
     def _by_arcs(self, start: Solution, tol: float) -> tuple[Solution, History]:
         left = {name: s.after(start.phases[name].initial_time) for name, s in self.structures.items()}
-        return optimise_switches(start, tol=tol, limits=self._limits, structures=left, segments="kept")
+        return optimise_switches(
+            start, tol=tol, limits=self._limits, structures=left, options=NEARBY, segments="kept"
+        )
 
     def _by_mesh(self, start: Solution, problem: Problem, tol: float) -> tuple[Solution, History] | None:
         meshes = {name: leg.mesh for name, leg in start.phases.items()}

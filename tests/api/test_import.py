@@ -81,6 +81,16 @@ def test_names_are_functions_whichever_module_was_loaded_first(first: str) -> No
     assert printed(again) == ["function"] * 4
 
 
+def test_a_function_of_a_script_that_uses_the_package_can_be_sent_to_a_cluster() -> None:
+    """What is defined in a script is pickled whole, with the modules that it names."""
+    pytest.importorskip("cloudpickle")
+    program = (
+        "import gnc_opt as go, cloudpickle\ndef loaded(): return go.solve.__name__\n"
+        "print(cloudpickle.loads(cloudpickle.dumps(loaded))())"
+    )
+    assert printed(program) == ["solve"]
+
+
 def test_every_public_name_is_there_and_no_other() -> None:
     assert set(gnc_opt._MODULES) == set(gnc_opt.__all__) <= set(dir(gnc_opt))
     assert all(hasattr(gnc_opt, name) for name in gnc_opt.__all__)
