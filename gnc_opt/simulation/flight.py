@@ -466,7 +466,9 @@ class Flight:
         n_state)."""
         final = ends[:, 0].T
         parts = self.kernel.state.split(final)
-        errors, instants = estimates(self.kernel.state, final, ends[:, -1].T, self.growth, self.beside)
+        errors, instants = estimates(
+            self.kernel.state, final, ends[:, -1].T, self.growth, self.beside, float(self.times[-1])
+        )
         outcomes = tuple(
             Outcome(RunStatus.REFUSED, refused[i])
             if i in refused
