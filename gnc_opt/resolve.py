@@ -7,14 +7,12 @@ from gnc_opt.errors import ProblemError
 from gnc_opt.problem.check import check_numbers
 from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
+from gnc_opt.refine.following import WARM_ITERATIONS, KnownArcs
 from gnc_opt.refine.structure.variation import KnownFlight, on_the_way
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
-from gnc_opt.solve import Way, said, solve
+from gnc_opt.solve import Way, reached, said, solve
 from gnc_opt.threads import one_thread
-
-WARM_ITERATIONS = 50
-"""After which a warm start has lost its way, and the trajectory alone is kept."""
 
 
 class Resolver:
@@ -27,14 +25,17 @@ class Resolver:
     ============  ============================================================  ========================================
     SWITCH_TIMES  one phase, every control on a bound, all that is asked of     Newton's method on switch times, arcs
                   the ends an equality                                          dropped and added as signs ask
-    WARM          the solution before was not refined                           its mesh and multipliers, by IPOPT
-    COLD          all else, and where the others give up                        `solve` as if nothing were known
+    WARM          all else                                                      its arcs or mesh, and multipliers, by
+                                                                                IPOPT; refined if it was refined
+    COLD          where the others give up                                      `solve` as if nothing were known
     ============  ============================================================  ========================================
 
     SWITCH_TIMES gives the flight itself, integrated with its switches, and not a collocated solution: its cost is
     right to 1e-9 by an estimate from two grids, switch times to the root of that in shares of the phase, and no
     limit is exceeded, or it gives up.
-    It and WARM find a local minimum, as a rule that next to the known one; COLD may find another. What was compiled,
+    WARM, from a refined solution, is within ``tol``; if the arcs are others or the mesh had to be refined, it also
+    passes the verdict, which it carries then, or it gives up. All else is judged by `verify` only.
+    Both find a local minimum, as a rule that next to the known one; COLD may find another. What was compiled,
     transcribed and differentiated serves all solves. One object must not be used by two threads at once.
 
     Parameters
@@ -51,7 +52,7 @@ class Resolver:
     GncOptError
         The solution has no problem.
     ProblemError
-        It is not solved, or without ``cold`` no way is left: it was refined and is not bang-bang.
+        It is not solved.
 
     Examples
     --------
@@ -71,14 +72,9 @@ class Resolver:
         asked = solution.history.tolerance if tol is None and solution.history is not None else tol
         self.tol = None if asked is None else read_positive(asked, "the tolerance of Resolver()")
         self.solution, self.cold = solution, cold
-        known = KnownFlight.of(solution)
-        self._known = None if known is None else known.differentiated()
-        if self._known is None and self.tol is not None and not cold:
-            raise ProblemError(
-                f"nothing would solve variations of '{solution.problem_name}': its solution was refined and is not "
-                "bang-bang, so that only the start is left, and that is not allowed; solve it on a mesh, "
-                "solve(problem, mesh=..., tol=None), or leave out cold=False."
-            )
+        flight = KnownFlight.of(solution)
+        self._flight = None if flight is None else flight.differentiated()
+        self._arcs = KnownArcs.of(solution) if solution.structure or self.tol is not None else None
 
     @one_thread()
     def solve(self, problem: Problem, *, near: Solution | None = None) -> Solution:
@@ -120,13 +116,16 @@ class Resolver:
 
     def _nearby(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
         """Return the solution of a variation in the form that the known one has, if a fast way leads to it."""
-        if self._known is not None:
-            known = self._known if near is None else KnownFlight.of(near)
-            found = None if known is None else known.vary(problem)
-            return None if found is None else said(found, Way.SWITCH_TIMES)
-        if self.tol is not None:
-            return None
+        if self._flight is not None:
+            flight = self._flight if near is None else KnownFlight.of(near)
+            flown = None if flight is None else flight.vary(problem)
+            if flown is not None:
+                return said(flown, Way.SWITCH_TIMES)
         stated.check()
+        if self._arcs is not None:
+            arcs = self._arcs if near is None else KnownArcs.of(near)
+            found = arcs.vary(problem, reached(self.solution) if self.tol is None else self.tol, "changed")
+            return None if found is None else said(found, Way.WARM)
         start = self.solution if near is None else near
         meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
         guess, scheme, limits = on_the_way(start, problem), self.solution.scheme, SolveLimits(WARM_ITERATIONS)

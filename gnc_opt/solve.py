@@ -12,6 +12,7 @@ from gnc_opt.arguments import expect, read_positive
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
+from gnc_opt.refine.following import KnownArcs
 from gnc_opt.refine.limits import RefinementLimits
 from gnc_opt.refine.refine import StructureChoice, refine
 from gnc_opt.refine.structure.variation import KnownFlight
@@ -24,6 +25,7 @@ from gnc_opt.threads import one_thread
 from gnc_opt.tolerances import SHORTEST
 from gnc_opt.transcription.mesh import MeshLike
 from gnc_opt.transcription.scheme import GAUSS, Scheme, family_of
+from gnc_opt.verify.kept import with_verdicts
 
 
 class Way(Enum):
@@ -66,9 +68,10 @@ def solve(
         Collocation points: Legendre-Gauss, -Radau or -Lobatto.
     guess : Solution, optional
         Start from states, controls and multipliers of an earlier solution, on any mesh; ``provenance["way"]`` of the
-        answer says how. If it is the refined bang-bang solution of a variation (`Problem.with_initial`, ...), and
-        neither mesh nor tolerance nor options are given, that is Newton's method on its switch times where they decide
-        everything: the flight itself, right to 1e-9, see `Resolver`. Without a guess the
+        answer says how. If it is the refined solution of a variation (`Problem.with_initial`, ...), and neither mesh
+        nor options are given, its arcs serve on, to the tolerance it was refined to; without a tolerance and where
+        switch times decide everything that is Newton's method on these: the flight itself, right to 1e-9, see
+        `Resolver`. Without a guess the
         problem's own guess and straight lines are used, from coarser meshes on if there are 60 segments or more;
         where these end as infeasible, the constraints are met first and the cost is lowered afterwards, see
         `gnc_opt.solution.solve_mesh`.
@@ -76,7 +79,7 @@ def solve(
         Refine until the error between the nodes is below this, and judge the result; see `refine`. A solution that
         does not come to rest is compared with another one; see `gnc_opt.solution.solve_mesh`. None: one solve on the
         given mesh, not judged. ``"auto"``: 1e-6 (`TOLERANCE`), but None with a ``guess``: a warm solve is for inner
-        loops, and stays on the mesh that it starts from.
+        loops, and stays on the mesh that it starts from, or with its arcs.
     structure : {"auto", "bang-bang", "none"}
         How to refine; see `refine`.
     options : SolverOptions, optional
@@ -109,20 +112,21 @@ def solve(
     family_of(scheme)
     if guess is not None:
         expect(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
-    as_usual = mesh is None and tol == "auto" and structure == "auto" and options is None
+    as_usual = mesh is None and structure == "auto" and options is None
     options = SolverOptions() if options is None else options
     expect(options, SolverOptions, "the options of solve()", "write options=SolverOptions(tolerance=1e-9)")
+    in_a_loop = tol == "auto" and guess is not None
     if tol == "auto":
-        tol = TOLERANCE if guess is None else None
+        tol = None if in_a_loop else TOLERANCE
     elif tol is not None:
         tol = read_positive(tol, "the tolerance of solve()")
     problem.check()
     problem = restated(problem)
     begin = time.perf_counter()
     if guess is not None and as_usual and scheme == guess.scheme:
-        flown = _varied(problem, guess)
-        if flown is not None:
-            return flown
+        nearby = _varied(problem, guess, tol, in_a_loop)
+        if nearby is not None:
+            return nearby
     solution = solve_mesh(problem, mesh, scheme=scheme, guess=guess, options=options, progress=progress)
     if guess is not None:
         solution = said(solution, Way.WARM)
@@ -149,16 +153,34 @@ def solve(
 
 def said(solution: Solution, way: Way) -> Solution:
     """Return a solution that says how it was found."""
-    return replace(solution, provenance={**solution.provenance, "way": way.value})
+    told = replace(solution, provenance={**solution.provenance, "way": way.value})
+    return with_verdicts(told, solution)
 
 
-def _varied(problem: Problem, known: Solution) -> Solution | None:
-    """Return the solution of a variation by the switch times of a known one; None where they do not decide it all."""
+def _varied(problem: Problem, known: Solution, tol: float | None, in_a_loop: bool) -> Solution | None:
+    """Return the solution of a variation of what is known, to a tolerance, or of an inner loop; None if there is none.
+
+    In a loop it is that by switch times or by arcs, as accurate as the known one, and judged only if its arcs
+    are others.
+    """
     if known.problem is None or known.problem.builds is not problem.builds or not known.status.solved:
         return None
-    flight = KnownFlight.of(known)
-    flown = None if flight is None else flight.vary(problem)
-    return None if flown is None else said(flown, Way.SWITCH_TIMES)
+    if in_a_loop:
+        flight = KnownFlight.of(known)
+        flown = None if flight is None else flight.vary(problem)
+        if flown is not None:
+            return said(flown, Way.SWITCH_TIMES)
+        tol = reached(known) if known.structure else None
+    refined = bool(known.structure) or known.history is not None
+    if tol is None or not refined:
+        return None
+    found = KnownArcs.of(known).vary(problem, tol, "changed" if in_a_loop else "always")
+    return None if found is None else said(found, Way.WARM)
+
+
+def reached(known: Solution) -> float:
+    """Return the tolerance that a solution was refined to."""
+    return TOLERANCE if known.history is None else known.history.tolerance
 
 
 def _stopped(refined: Solution) -> bool:

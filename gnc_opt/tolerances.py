@@ -44,6 +44,9 @@ CONSTANT = 1e-8
 """A and B that change less than this along a reference, relative to their size, count as constant: as good as the
 references that a solver returns."""
 
+GONE = 1e-7
+"""A piece or a segment shorter than this share of its phase has vanished."""
+
 SAME_TIME = 1e-9
 """Times that differ by less than this, relative to the step or the span at hand, are one: a jump and its two sides,
 an end and what rounding makes of it, two lengths of a control step."""

@@ -11,10 +11,15 @@ from gnc_opt.arguments import expect, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.campaign import Campaign
+from gnc_opt.simulation.dispersion import Dispersions, dispersed
 from gnc_opt.simulation.flight import Flight
+from gnc_opt.tolerances import ROUNDING
 
 _LEAST_KURTOSIS = 1.01
 """Of a sample; two values that are equally frequent have 1, and their variance is known at once."""
+
+_REDRAWN = 20
+"""Runs whose parameters are drawn again: few values could be the same by chance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +88,12 @@ class Agreement:
 
 
 def agreement(
-    flight: Flight, nominal: Array, predicted: tuple[Array, Array], campaign: Campaign, confidence: float
+    flight: Flight,
+    dispersions: Dispersions,
+    nominal: Array,
+    predicted: tuple[Array, Array],
+    campaign: Campaign,
+    confidence: float,
 ) -> Agreement:
     """Return how the ends of runs agree with the mean and variance (n_errors,) predicted about a nominal end."""
     expect(campaign, Campaign, "what compare() got", "give what monte_carlo() returned")
@@ -94,6 +104,7 @@ def agreement(
         raise ArgumentError(
             "the campaign flew another loop or span than the linear covariance is of: fly the same."
         )
+    _require_same(dispersions, flight, campaign)
     ends = campaign.states[:, np.isfinite(campaign.states).all(axis=0)]
     runs = ends.shape[1]
     if runs < 2:
@@ -115,3 +126,17 @@ def agreement(
         shift_limit=float(-scipy.special.ndtri(tail)),
         confidence=level,
     )
+
+
+def _require_same(dispersions: Dispersions, flight: Flight, campaign: Campaign) -> None:
+    """Refuse a campaign whose runs have drawn what these dispersions do not: they are drawn again."""
+    names = flight.layout.names
+    for index, drawn in zip(campaign.indices[:_REDRAWN], campaign.parameters.T[:_REDRAWN], strict=True):
+        again = dispersed(dispersions, flight.layout, flight.nominal, campaign.seed, int(index))
+        for name in names:
+            place = flight.layout.slice(name)
+            if not np.allclose(again[place], drawn[place], rtol=ROUNDING, atol=0.0, equal_nan=True):
+                raise ArgumentError(
+                    f"run {index} of the campaign has another '{name}' than the dispersions of the linear covariance "
+                    "draw: give both the same dispersions, initial state and parameters."
+                )

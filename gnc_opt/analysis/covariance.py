@@ -86,6 +86,7 @@ class LinearCovariance(Strict):
         Names, sizes and units: error, command, applied.
     flight : Flight
         What was linearized.
+    dispersions : mapping of str to Dispersion
 
     Examples
     --------
@@ -104,6 +105,7 @@ class LinearCovariance(Strict):
     checked: int
     layouts: Mapping[str, Layout] = field(repr=False)
     flight: Flight = field(repr=False)
+    dispersions: Dispersions = field(repr=False)
 
     def __str__(self) -> str:
         from gnc_opt.report.analysis import covariance_table
@@ -178,10 +180,11 @@ class LinearCovariance(Strict):
         Raises
         ------
         ArgumentError
-            The campaign flew another loop or span, or fewer than two runs ended.
+            The campaign flew another loop or span, drew other numbers, or fewer than two runs ended.
         """
         return agreement(
             self.flight,
+            self.dispersions,
             self.nominal[:, -1],
             (self.mean[:, -1], np.diag(self.parts["error"][:, -1].sum(axis=0))),
             campaign,
@@ -261,7 +264,7 @@ class _Pass:
         self, linearization: Linearization, dispersions: Dispersions, every: int, checks: int, seed: int
     ) -> None:
         self.linearization, self.flight = linearization, linearization.flight
-        self.every, self.seed = every, seed
+        self.every, self.seed, self.dispersions = every, seed, dispersions
         layout, nominal = self.flight.layout, self.flight.nominal
         moments = {name: d.moments(nominal[layout.slice(name)]) for name, d in dispersions.items()}
         self.shift = np.concatenate([np.empty(0), *[mean for mean, _ in moments.values()]])
@@ -356,6 +359,7 @@ class _Pass:
             checked=self.drawn.shape[1],
             layouts={"error": flight.error_layout, "command": flight.commands, "applied": flight.controls},
             flight=flight,
+            dispersions=self.dispersions,
         )
 
     def _bends(self, sigma: dict[str, Array]) -> dict[str, Array]:

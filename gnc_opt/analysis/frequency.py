@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.analysis.linearization import Linearization
 from gnc_opt.arguments import expect, read_integer, read_numbers
 from gnc_opt.arrays import Array
-from gnc_opt.control.linear.margins import Margins, margins
+from gnc_opt.control.linear.margins import Margins, linked, margins
 from gnc_opt.control.poles import continuous_poles
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout
@@ -171,7 +171,8 @@ class LoopResponse(Strict):
                 f"frequencies lie between 0 and pi / dt = {np.pi / self.dt:g} rad/s: give such."
             )
         k = self._instant(index)
-        a, b, c = self.a[k], self.b[k], self.c[k]
+        within = linked(self.a[k], self.b[k], self.c[k])
+        a, b, c = self.a[k][np.ix_(within, within)], self.b[k][within], self.c[k][:, within]
         z = np.exp(1j * w * self.dt)[:, None, None]
         return np.asarray(c @ _solved(z * np.eye(a.shape[0]) - a, np.broadcast_to(b, (w.size, *b.shape))))
 

@@ -13,7 +13,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.control.explanation import Fact
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.schedule import reference_times
-from gnc_opt.errors import ArgumentError, DesignError
+from gnc_opt.errors import ArgumentError, DesignError, warn_user
 from gnc_opt.model.layout import as_vector
 from gnc_opt.model.model import Model
 
@@ -137,6 +137,11 @@ def reference_beyond(reference: Reference, places: Sequence[int], lower: Array, 
         Of the limited states among all.
     lower, upper : array (n_limited,)
         Infinite for none.
+
+    Warns
+    -----
+    ProblemWarning
+        There is such a state: with all of them.
     """
     times, facts = reference_times(reference), []
     for place, low, high in zip(places, lower, upper, strict=True):
@@ -148,4 +153,6 @@ def reference_beyond(reference: Reference, places: Sequence[int], lower: Array, 
             facts.append(
                 Fact(name, float(over[k]), unit, f"at t = {times[k]:.6g} s; it is not followed there")
             )
+    if facts:
+        warn_user("; ".join(map(str, facts)))
     return facts

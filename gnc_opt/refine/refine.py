@@ -24,17 +24,14 @@ from gnc_opt.refine.structure.carried import on_carrying_arcs
 from gnc_opt.refine.structure.curvature import affine_channels, convex_channels, curved_channels
 from gnc_opt.refine.structure.detect import structures_of
 from gnc_opt.refine.structure.ends import with_ends_met
-from gnc_opt.refine.structure.mending import VANISHED
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.resolved import error_at_first
 from gnc_opt.refine.structure.switching import TIGHT, optimise_switches
 from gnc_opt.solution.history import Pass, RefinementStatus, work_of
-from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import LOST, SolveLimits, solve_mesh
+from gnc_opt.solution.start import mesh_at_rest
 from gnc_opt.threads import one_thread
-from gnc_opt.tolerances import SHORTEST
-from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.verify.verify import verify
 
 StructureChoice: TypeAlias = Literal["auto", "bang-bang", "none"]
@@ -195,7 +192,7 @@ def _released(solution: Solution, options: SolverOptions | None, deadline: float
     given = replace(solution, problem=problem.frozen())
     found = solve_mesh(
         given.need_problem("refine"),
-        {name: _at_rest(leg) for name, leg in solution.phases.items()},
+        {name: mesh_at_rest(leg) for name, leg in solution.phases.items()},
         scheme=next(iter(solution.phases.values())).scheme,
         guess=given,
         options=options,
@@ -204,16 +201,6 @@ def _released(solution: Solution, options: SolverOptions | None, deadline: float
     if found.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
     return found if found.status.solved else given
-
-
-def _at_rest(leg: PhaseSolution) -> Mesh:
-    """Return the mesh with its boundaries where they were found, and without segments that have vanished."""
-    if leg.duration < SHORTEST:
-        return replace(leg.mesh, movable=())
-    breaks = (leg.breaks - leg.initial_time) / leg.duration
-    stands = np.diff(breaks) > VANISHED
-    degrees = tuple(n for n, kept in zip(leg.mesh.degrees, stands, strict=True) if kept)
-    return Mesh((0.0, *breaks[:-1][stands][1:], 1.0), degrees)
 
 
 # --- what is tried --------------------------------------------------------------------------------------------
@@ -401,7 +388,7 @@ class _Task:
                 structures=found,
                 options=options,
                 progress=self.progress,
-                on_mesh=on_mesh,
+                segments="mesh" if on_mesh else "few",
             ),
             begun=found,
             on_mesh=on_mesh,

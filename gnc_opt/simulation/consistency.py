@@ -23,6 +23,7 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.run import Run
 from gnc_opt.strict import Strict
+from gnc_opt.tolerances import ROUNDING
 
 Band = tuple[float, float]
 
@@ -206,10 +207,17 @@ def _nees(flown: Run | Campaign, estimator: Estimator, memory: Array) -> tuple[A
     errors = np.asarray(estimator.error(truth, estimate).full())[rows]
     P = estimator.covariance(memory)[:, rows][:, :, rows]
     sigma = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
-    if np.any(sigma <= 0):
-        label = estimator.errors.labels[rows[int(np.flatnonzero(np.any(sigma <= 0, axis=0))[0])]]
+    # what is known better than a state can be computed says nothing of the filter
+    least = np.concatenate([
+        np.tile(ROUNDING * np.max(np.abs(truth[estimator.states.slice(name)]), axis=0), (size, 1))
+        for name, size in ((name, estimator.errors[name].size) for name in shared)
+    ])  # fmt: skip
+    exact = sigma <= np.nan_to_num(least.T, posinf=0.0)
+    if np.any(exact):
+        label = estimator.errors.labels[rows[int(np.flatnonzero(np.any(exact, axis=0))[0])]]
         raise ArgumentError(
-            f"'{estimator.name}' holds '{label}' for exactly known: give sigma0 > 0 to compare errors."
+            f"'{estimator.name}' holds '{label}' for exactly known, to rounding: give sigma0 > 0, and process_noise "
+            "where it decays, to compare errors."
         )
     found = np.full(errors.shape[1], np.nan)
     good = np.all(np.isfinite(errors), axis=0) & np.all(np.isfinite(P), axis=(1, 2))

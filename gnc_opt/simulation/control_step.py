@@ -271,7 +271,10 @@ class ControlStep:
             "blur": state["blur"] + blur,
         }
         new["variation"] += ca.if_else(state["steps"] > 0.5, ca.fabs(u - state["command"]), 0.0)
-        self._watch(new, state, t, ca.vertcat(*watched(self.wiring, y), u, mean, new["plant"]), z)
+        seen = [*watched(self.wiring, y), u, mean, new["plant"]]
+        if self.wiring.events:
+            seen.append(ca.if_else(new["lost"], ca.inf, 0))
+        self._watch(new, state, t, ca.vertcat(*seen), z)
         nothing = {name: ca.SX.zeros(size) for name, size in self.log.parts}
         return self.log.join({**nothing, **told, "error": error + blur})
 
@@ -322,6 +325,7 @@ def watched_labels(wiring: Wiring) -> list[str]:
         ("command", wiring.controller.commands),
         ("applied", wiring.plant.controls),
         ("state", wiring.plant.states),
+        ("event", wiring.events.layout),
     )
     return [f"{kind} '{label}'" for kind, layout in groups for label in layout.labels]
 

@@ -1,14 +1,15 @@
 r"""Crossing: where events lie in the flight of a minor step, and the flight through them.
 
 While the plant is integrated, every integration step is looked at (`Watch`). A row (see `Events`) is *armed* if it has
-been at zero or above since its event last happened; armed rows that end the step below zero have crossed it, and those
-that are above zero at both ends and sink to it in between, by the cubic through values and slopes, may have. Only then
-is the minor step flown again with care (`passage`): up to the crossing, whose instant is found by Newton's method
-inside a bracket, with the plant integrated anew from where the leg began to each instant tried, so that the state there
-is as accurate as any; then the resets; then on from there.
+been at zero or above since its event last happened (also where a reset of another has put it); armed rows that end the
+step below zero have crossed it, and those that are above zero at both ends and sink to it in between, by the cubic
+through values and slopes, may have. Only then is the minor step flown again with care (`passage`): up to the crossing,
+whose instant is found by Newton's method inside a bracket, with the plant integrated anew from where the leg began to
+each instant tried, so that the state there is as accurate as any; then the resets; then on from there.
 
 Events whose rows fall through zero within `SAME_TIME` of the minor step are simultaneous: their conditions are judged
-before all resets, and these follow in the order of declaration until one ends the run.
+before all resets, and these follow in the order of declaration until one ends the run. A reset after which its row
+rises, but falls through zero again within that time, would be followed by others without end: the run ends there.
 """
 
 from __future__ import annotations
@@ -63,12 +64,16 @@ class Watch:
         one did.
     y, slope : SX column
         Rows at the end, and their rates (1/s).
+    lost, lost_inside : SX column
+        Events that could not be noticed at the end of a step, and of one before the last: at the instant of an event,
+        rounding may leave the domain of another one's expression.
     """
 
     def __init__(self, events: Events, armed: Any, parameters: Any, begin: Any, moment: float) -> None:
         self.events, self.armed, self.parameters = events, armed, parameters
         self.found, self.first, self.last = ca.SX(0), ca.SX(begin), ca.SX(begin)
         self.y = self.slope = ca.SX.zeros(armed.shape[0])
+        self.lost = self.lost_inside = ca.SX.zeros(len(events))
         self._now, self._heeded = ca.SX(begin), begin + moment
 
     def __call__(self, length: Any, before: tuple[Any, Any, Any], after: tuple[Any, Any, Any]) -> None:
@@ -92,6 +97,9 @@ class Watch:
         rises = ca.logic_and(y1 > 0, self._now > self._heeded)
         self.armed = ca.if_else(ca.logic_or(self.armed, rises), 1.0, 0.0)
         self.y, self.slope = y1, d1
+        time, x, _ = after
+        self.lost_inside = self.lost
+        self.lost = ca.fmax(self.lost, self.events.lost(time, x, self.parameters, y1))
 
 
 def notes_of(n_states: int) -> tuple[tuple[str, int], ...]:
@@ -107,11 +115,12 @@ def notes_of(n_states: int) -> tuple[tuple[str, int], ...]:
 
 def record_of(events: Events) -> tuple[tuple[str, int], ...]:
     """Return what is kept of events over a run: how often, first when, which one ended it (or one more: Zeno), when;
-    what resets and instants add to the error of the integration, and that when each row was last met.
+    what resets and instants add to the error of the integration, and that when each row was last met; and which events
+    could not be noticed somewhere.
     """
     count, rows = len(events), len(events.owners)
     kept = (("count", count), ("first", count), ("stop", 1), ("stop time", 1))
-    return (*kept, ("resets", 1), ("instants", 1), ("error at row", rows))
+    return (*kept, ("resets", 1), ("instants", 1), ("error at row", rows), ("lost", count))
 
 
 def passage(events: Events, leg: Any, h: float) -> tuple[Any, Places]:
@@ -121,8 +130,8 @@ def passage(events: Events, leg: Any, h: float) -> tuple[Any, Places]:
     ----------
     events : Events
     leg : casadi.Function
-        ``(x, armed, begin, end, *context) -> (x, error, blur, armed, y, dy_dt, found, first, last)``, the plant flown
-        between two times since the minor step began.
+        ``(x, armed, begin, end, *context) -> (x, error, blur, armed, y, dy_dt, found, first, last, lost,
+        lost_inside)``, the plant flown between two times since the minor step began.
     h : float
         Minor step, s.
 
@@ -184,10 +193,10 @@ class _Passage:
         idle = ca.Function("idle", inputs, [inputs[0]])
         q, t, p, *context = inputs
         v = self.places.split(q)
-        x, error, blur, armed, _, _, found, first, last = self.leg(
+        x, error, blur, armed, _, _, found, first, last, lost, _ = self.leg(
             v["x"], v["armed"], v["s"], self.h, *context
         )
-        whole = self.places.join(self._moved(v, x, armed, self.h, error, blur))
+        whole = self.places.join(self._moved(v, self.h, x=x, armed=armed, error=error, blur=blur, lost=lost))
         bounds = [("whole", self.places.size), ("first", 1), ("last", 1)]
         given = self._symbols(("q", self.places.size), *bounds)
         quiet = ca.Function("quiet", given, [given[1]])
@@ -199,9 +208,10 @@ class _Passage:
         choice = ca.Function.if_else("one", fly, idle)
         return ca.Function("one", [q, t, p, *context], [choice(on, q, t, p, *context)])
 
-    def _moved(self, v: dict[str, Any], x: Any, armed: Any, s: Any, error: Any, blur: Any) -> dict[str, Any]:
-        flown = {"x": x, "armed": armed, "s": s, "error": v["error"] + error, "blur": v["blur"] + blur}
-        return {**v, **flown}
+    def _moved(self, v: dict[str, Any], s: Any, **leg: Any) -> dict[str, Any]:
+        """Return what there is at s, with what a leg until then has made or added."""
+        sums = {name: v[name] + leg[name] for name in ("error", "blur")}
+        return {**v, **leg, **sums, "s": s, "lost": ca.fmax(v["lost"], leg["lost"])}
 
     def _meet(self) -> Any:
         """Fly to where a row may have crossed; if one has, through the event."""
@@ -209,9 +219,9 @@ class _Passage:
             ("q", self.places.size), ("whole", self.places.size), ("first", 1), ("last", 1)
         )
         v = self.places.split(q)
-        x, error, blur, armed, y, *_ = self.leg(v["x"], v["armed"], v["s"], last, *context)
+        x, error, blur, armed, y, *_, lost, _ = self.leg(v["x"], v["armed"], v["s"], last, *context)
         crossing = ca.logic_and(armed, y < 0)
-        beyond = self.places.join(self._moved(v, x, armed, last, error, blur))
+        beyond = self.places.join(self._moved(v, last, x=x, armed=armed, error=error, blur=blur, lost=lost))
         more = (("q", self.places.size), ("beyond", self.places.size), ("crossing", self.n_rows))
         given = self._symbols(*more, ("first", 1), ("last", 1))
         go_on = ca.Function("go_on", given, [given[1]])
@@ -236,11 +246,11 @@ class _Passage:
         for _ in range(_ITERATIONS):
             r = improve(r, v["x"], v["armed"], v["s"], crossing, *context)
         s = r[0]
-        x, error, blur, armed, y, slope, *_ = self.leg(v["x"], v["armed"], v["s"], s, *context)
+        x, error, blur, armed, y, slope, *_, inside = self.leg(v["x"], v["armed"], v["s"], s, *context)
         y_later = self.leg(x, armed, s, s + moment, *context)[4]
         least = self.lowest(y, y, crossing)[0]
         fired = ca.logic_and(crossing, ca.logic_or(y_later < 0, y <= least))
-        met = self._moved(v, x, armed, s, error, blur)
+        met = self._moved(v, s, x=x, armed=armed, error=error, blur=blur, lost=inside)
         after, reset = self.effect(self.places.join(met), fired, t, p)
         w, soon = self.places.split(after), _SHORT * self.h
         x_soon, _, _, _, _, slope_soon, *_ = self.leg(x, armed, s, s + soon, *context)
@@ -254,8 +264,19 @@ class _Passage:
         w["resets"] += states
         w["instants"] += instants
         w["error at row"] = ca.if_else(fired, total, v["error at row"])
-        above = self.leg(w["x"], w["armed"], s, s + moment, *context)[4] > 0
-        w["armed"] = ca.logic_or(ca.logic_and(armed, ca.logic_not(fired)), above)
+        y_after = self.events.rows(t + s, w["x"], ca.DM.zeros(w["x"].shape[0]), p)[0]
+        slope_after = self.leg(w["x"], w["armed"], s, s, *context)[5]
+        y_on, slope_on = self.leg(w["x"], w["armed"], s, s + moment, *context)[4:6]
+        # a reset may put rows of other events on zero; those that it leaves where they are have only come near it
+        put = ca.logic_and(y_after >= 0, ca.fabs(y_after - y) > ca.fabs(y_later - y))
+        kept = ca.logic_and(ca.logic_or(armed, put), ca.logic_not(fired))
+        w["armed"] = ca.logic_or(kept, y_on > 0)
+        back = ca.logic_and(
+            ca.logic_and(slope_after > 0, slope_on < 0), y_on <= 0
+        )  # within a moment, for ever
+        endless = ca.logic_and(ca.sum1(ca.logic_and(fired, back)) > 0.5, w["stop"] < 0.5)
+        w["stop"] = ca.if_else(endless, len(self.events) + 1, w["stop"])
+        w["stop time"] = ca.if_else(endless, t + s, w["stop time"])
         return ca.Function("happen", given, [self.places.join(w)])
 
     def _improve(self) -> Any:
@@ -311,7 +332,9 @@ class _Passage:
         holds, _ = self.events.effects(now, x, p)
         for j, event in enumerate(self.events.declared):
             mine = [fired[row] for row, owner in enumerate(self.events.owners) if owner == j]
-            happens = ca.logic_and(ca.logic_and(ca.mmax(ca.vertcat(*mine)), holds[j] != 0), v["stop"] < 0.5)
+            happens = ca.logic_and(
+                ca.logic_and(ca.mmax(ca.vertcat(*mine)), ca.fabs(holds[j]) > 0), v["stop"] < 0.5
+            )
             before, x = x, ca.if_else(happens, self.events.effects(now, x, p)[1][:, j], x)
             here = ca.logic_and(happens, ca.DM(range(MOST)) == v["number"])
             v["codes"] = ca.if_else(here, j + 1, v["codes"])

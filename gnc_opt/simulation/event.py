@@ -178,6 +178,16 @@ class Events:
                 return event, float(value * _SIGNS[event.direction][0])
         return None
 
+    def lost(self, t: Any, x: Any, p: Any, y: Any) -> Any:
+        """Return, by the rows y at (t, x), which events (n_events, 1) cannot be noticed: the condition, or the
+        expression while it holds, is not-a-number; SX."""
+        holds, _ = self.effects(t, x, p)
+        flags = []
+        for j in range(len(self)):
+            blind = ca.logic_and(ca.logic_not(_is_number(y[self.owners.index(j)])), holds[j] != 0)
+            flags.append(ca.logic_or(blind, ca.logic_not(_is_number(holds[j]))))
+        return ca.vertcat(*flags)
+
     @property
     def layout(self) -> Layout:
         """Names of the events."""
@@ -214,6 +224,11 @@ class Events:
             ca.Function("rows", [t, x, rate, p], [y, ca.densify(slope)]),
             ca.Function("effects", [t, x, p], [ca.vertcat(*holds), ca.horzcat(*after)]),
         )
+
+
+def _is_number(value: Any) -> Any:
+    """Return whether it is a number or infinite; "x == x" is true of any symbol."""
+    return ca.fabs(value) <= ca.inf
 
 
 def _moving(event: Event, plant: Model) -> Any:

@@ -92,6 +92,7 @@ class _EventfulStep:
         watch = self.base.watch_rows({"armed": armed}, begin)
         flown, error, blur = self.base.fly(tick.t, x, waves, new, (begin, end), watch)
         seen = [watch.armed, watch.y, watch.slope, watch.found, watch.first, watch.last]
+        seen += [watch.lost, watch.lost_inside]
         context = [column, known, self.P, u]
         leg = ca.Function("leg", [x, armed, begin, end, *context], [flown, error, blur, *seen])
         way, places = passage(wiring.events, leg, h)

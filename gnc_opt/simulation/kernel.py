@@ -145,6 +145,7 @@ class _Builder(ControlStep):
             new["plant"], estimate, blurred = self.fly(tick.t, new["plant"], waves, new, watch=watch)
             if watch is not None:
                 new["armed"], found = watch.armed, ca.fmax(found, watch.found)
+                new["lost"] = ca.fmax(new["lost"], watch.lost)
             error += estimate
             blur += blurred
             mean += applied / wiring.minor_steps

@@ -1,13 +1,15 @@
 """Lanes: a step of scalar operations in C that takes two flights at once, one in each half of a vector register.
 
 A run and the flight beside it go through the same operations with the same of what is known: one pass through the code
-does for both. In each half every operation is the interpreter's, so the results have the same bits.
+does for both. In each half every operation is the interpreter's, so the results have the same bits. What the
+interpreter does to the same numbers more than once is done once.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import casadi as ca
 
@@ -43,10 +45,10 @@ _OF_EACH = {
 """Functions of one half."""
 _KNOWN = {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, *_OF_VECTORS, *_OF_EACH}
 
-LONG, PART = 8000, 500
-"""Operations beyond which a step is written as several functions of so many, whose numbers are in memory. Compilers
-take for one function more than in proportion: for 30 000 operations 54 s, in parts 7; for 126 000 over nine minutes, in
-parts 16 s. Of short steps, whose numbers stay in registers, one function is up to half as fast again."""
+LONG, PART = 10_000, 500
+"""Distinct operations beyond which a step is written as several functions of so many, which hand on in memory what the
+next ones need. Compilers take for one function more than in proportion: for 8400 operations 2 s, for 19 400 10 s,
+in parts 7; for 126 000 over nine minutes. What it makes of them is an eighth faster than the parts."""
 
 _ARGUMENTS = (
     "pair *a, const double *x, const double *x_other, const double *w, const double *c, "
@@ -96,42 +98,100 @@ def in_lanes(step: Any) -> str:
         return ""
     if not _KNOWN.issuperset(step.instruction_id(k) for k in range(step.n_instructions())):
         return ""
-    operations = range(step.n_instructions())
-    alone = len(operations) <= LONG
-    length = LONG if alone else PART
-    parts = [operations[k : k + length] for k in range(0, len(operations), length)]
-    place = "a{}" if alone else "a[{}]"
-    handed = 0 if alone else step.sz_w()
-    own = [f"  pair {', '.join(place.format(i) for i in range(step.sz_w()))};"] if alone else []
-    bodies = [
-        "\n".join([f"{_APART} part{k}({_ARGUMENTS}) {{", *own, *(_line(step, n, place) for n in part), "}"])
-        for k, part in enumerate(parts)
-    ]
-    calls = "\n".join(f"    part{k}(a, x, x_other, w, c, y, y_other);" for k in range(len(parts)))
+    operations = _distinct(step)
+    length = LONG if len(operations) <= LONG else PART
+    parts = [range(k, min(k + length, len(operations))) for k in range(0, len(operations), length)]
+    homes = _homes(operations, parts)
+    bodies, calls = [], []
+    for k, part in enumerate(parts):
+        bodies += [f"{_APART} part{k}({_ARGUMENTS}) {{", *_statements(operations, part, homes), "}"]
+        calls.append(f"    part{k}(a, x, x_other, w, c, y, y_other);")
     leg = _LEG.replace("STATES", str(step.nnz_in(0))).replace("KNOWN", str(step.nnz_in(1)))
-    leg = leg.replace("HANDED", str(handed)).replace("TOGETHER", calls)
+    handed = str(1 + max(homes.values(), default=0))
+    leg = leg.replace("HANDED", handed).replace("TOGETHER", "\n".join(calls))
     return "\n".join([_HEAD, *bodies, leg])
 
 
-def _line(step: Any, k: int, place: str) -> str:
-    """Return the statement of an operation, whose numbers are in such places."""
-    operation = step.instruction_id(k)
-    sources, targets = step.instruction_input(k), step.instruction_output(k)
-    if operation == ca.OP_OUTPUT:
-        name = place.format(sources[0])
-        return f"  y[{targets[1]}] = {name}[0], y_other[{targets[1]}] = {name}[1];"
-    target = place.format(targets[0])
-    if operation == ca.OP_CONST:
-        value = _number(step.instruction_constant(k))
-        return f"  {target} = PAIR({value}, {value});"
-    if operation == ca.OP_INPUT:
-        one, other = (("x", "x_other"), ("w", "w"), ("c", "c"))[sources[0]]
-        return f"  {target} = PAIR({one}[{sources[1]}], {other}[{sources[1]}]);"
-    names = [place.format(i) for i in sources]
-    if operation in _OF_VECTORS:
-        return f"  {target} = {_OF_VECTORS[operation].format(*names)};"
-    each = [f"{_OF_EACH[operation]}({', '.join(f'{name}[{i}]' for name in names)})" for i in (0, 1)]
-    return f"  {target} = PAIR({', '.join(each)});"
+class _Operation(NamedTuple):
+    """An operation on what the operations of these numbers make, and what else it is told: which entry of which input
+    or output, or the number of a constant."""
+
+    code: int
+    reads: tuple[int, ...]
+    place: tuple[int, ...] = ()
+    value: str = ""
+
+
+def _distinct(step: Any) -> list[_Operation]:
+    """Return the operations of a step, in its order, without those that do the same to the same once more."""
+    numbers: dict[_Operation, int] = {}
+    found: dict[int, int] = {}  # by place of the interpreter: the operation whose result is there now
+    for k in range(step.n_instructions()):
+        code, read, made = step.instruction_id(k), step.instruction_input(k), step.instruction_output(k)
+        if code == ca.OP_INPUT:
+            operation = _Operation(code, (), tuple(read))
+        elif code == ca.OP_CONST:
+            operation = _Operation(code, (), value=_number(step.instruction_constant(k)))
+        else:
+            place = tuple(made) if code == ca.OP_OUTPUT else ()
+            operation = _Operation(code, tuple(found[i] for i in read), place)
+        number = numbers.setdefault(operation, len(numbers))
+        if code != ca.OP_OUTPUT:
+            found[made[0]] = number
+    return list(numbers)
+
+
+def _homes(operations: Sequence[_Operation], parts: Sequence[range]) -> dict[int, int]:
+    """Return the places in memory of the results that parts after their own read; they share them one after another."""
+    last = {number: k for k, part in enumerate(parts) for n in part for number in operations[n].reads}
+    homes: dict[int, int] = {}
+    leaving: list[list[int]] = [[] for _ in parts]
+    free: list[int] = []
+    taken = 0
+    for k, part in enumerate(parts):
+        free += leaving[k]
+        for n in part:
+            if last.get(n, k) > k:
+                if not free:
+                    free, taken = [taken], taken + 1
+                homes[n] = free.pop()
+                leaving[last[n]].append(homes[n])
+    return homes
+
+
+def _statements(operations: Sequence[_Operation], part: range, homes: dict[int, int]) -> Iterator[str]:
+    """Yield the statements of a part. Each result is a variable of its own; those of parts before are read from memory
+    once, and those for parts after go there at the end, where what was there has been read."""
+    known: set[int] = set()
+    for n in part:
+        operation = operations[n]
+        for number in operation.reads:
+            if number < part.start and number not in known:
+                known.add(number)
+                yield f"  const pair v{number} = a[{homes[number]}];"
+        if operation.code == ca.OP_OUTPUT:
+            name, i = f"v{operation.reads[0]}", operation.place[1]
+            yield f"  y[{i}] = {name}[0], y_other[{i}] = {name}[1];"
+        else:
+            yield f"  const pair v{n} = {_result(operation)};"
+    for n in part:
+        if n in homes:
+            yield f"  a[{homes[n]}] = v{n};"
+
+
+def _result(operation: _Operation) -> str:
+    """Return the expression of what an operation makes."""
+    code, names = operation.code, [f"v{number}" for number in operation.reads]
+    if code == ca.OP_CONST:
+        return f"PAIR({operation.value}, {operation.value})"
+    if code == ca.OP_INPUT:
+        which, i = operation.place
+        one, other = (("x", "x_other"), ("w", "w"), ("c", "c"))[which]
+        return f"PAIR({one}[{i}], {other}[{i}])"
+    if code in _OF_VECTORS:
+        return _OF_VECTORS[code].format(*names)
+    each = [f"{_OF_EACH[code]}({', '.join(f'{name}[{i}]' for name in names)})" for i in (0, 1)]
+    return f"PAIR({', '.join(each)})"
 
 
 def _number(value: float) -> str:

@@ -16,7 +16,8 @@ class RunStatus(Enum):
     INACCURATE : the integration's own error estimate exceeds the accuracy asked for.
     ALARM : the controller reported that it could not keep its promise.
     DIVERGED : a state left its plausible size, see ``plausible`` of `ClosedLoop`.
-    NOT_FINITE : a measurement, command, applied control or state is not a finite number.
+    NOT_FINITE : a measurement, command, applied control or state is not a finite number, or the expression or
+        condition of an event, or a quantity, is not-a-number.
     STOPPED : an event that is a failure ended the run, or events followed each other faster than time (Zeno).
     REFUSED : a parameter is outside its permitted range; the run was not flown.
     LOST : the process that flew it died, or the run raised an exception.

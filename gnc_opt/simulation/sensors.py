@@ -232,7 +232,8 @@ class Outage(Block):
         s; without them, from the start and for good.
     where : callable, optional
         ``where(t, x)`` of SX, with the time (s) and the plant's states x by name; returns an SX (1, 1), and the sensor
-        fails where that is above zero: a star tracker while the body turns too fast for it, a radar beyond its range.
+        fails where that is above zero or not-a-number: a star tracker while the body turns too fast for it, a radar
+        beyond its range.
 
     Examples
     --------
@@ -253,7 +254,9 @@ class Outage(Block):
         begin, end = (p[name] - SAME_TIME * tick.dt for name in ("begin", "end"))
         out = ca.logic_and(tick.t >= begin, tick.t < end)
         if self.where is not None:
-            out = ca.logic_and(out, self._condition(tick) > 0)
+            out = ca.logic_and(
+                out, ca.logic_not(self._condition(tick) <= 0)
+            )  # not-a-number tells nothing good
         return Step(ca.if_else(out, math.nan, signal), state)
 
     def _condition(self, tick: Tick) -> Any:

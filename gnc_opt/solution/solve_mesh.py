@@ -45,7 +45,13 @@ from gnc_opt.solution.attempt import Attempt
 from gnc_opt.solution.least_multipliers import least_multipliers
 from gnc_opt.solution.quality import worst_defect
 from gnc_opt.solution.solution import Solution
-from gnc_opt.solution.start import ProgramStart, guess_from_solution, program_start, start_from_guess
+from gnc_opt.solution.start import (
+    ProgramStart,
+    guess_from_solution,
+    mesh_at_rest,
+    program_start,
+    start_from_guess,
+)
 from gnc_opt.transcription.mesh import Mesh, MeshLike, read_meshes
 from gnc_opt.transcription.scheme import GAUSS, Scheme
 from gnc_opt.transcription.transcription import Transcription
@@ -150,7 +156,9 @@ def solve_mesh(
     """
     chosen, problem = options or SolverOptions(), restated(problem)
     if mesh is None and guess is not None and set(guess.phases) == set(problem.phases):
-        meshes = {name: guess.phases[name].mesh for name in problem.phases}
+        known = {name: guess.phases[name] for name in problem.phases}
+        # Boundaries that moved with arcs would, without these, move to where the points see least.
+        meshes = {name: mesh_at_rest(leg) if guess.structure else leg.mesh for name, leg in known.items()}
     else:
         meshes = read_meshes(mesh, problem.phases, problem.name)
     task = _Task(problem, meshes, scheme, chosen, progress, limits.deadline, limits.iterations)

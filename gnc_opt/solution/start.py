@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,9 @@ from gnc_opt.solution.covector import point_multipliers
 from gnc_opt.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.solution.polynomial import Side
 from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import GONE, SHORTEST
 from gnc_opt.transcription.collocation import PhaseCollocation
+from gnc_opt.transcription.mesh import Mesh
 from gnc_opt.transcription.numbering import PhasePart
 from gnc_opt.transcription.transcription import Transcription
 
@@ -113,6 +115,16 @@ def start_from_solution(
     box = transcription.variable_interval(problem)
     x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
     return ProgramStart(with_integrals(transcription, problem, x), lam_x, lam_g)
+
+
+def mesh_at_rest(leg: PhaseSolution) -> Mesh:
+    """Return the mesh with its boundaries where they were found, and without segments that have vanished."""
+    if leg.duration < SHORTEST:
+        return replace(leg.mesh, movable=())
+    breaks = (leg.breaks - leg.initial_time) / leg.duration
+    stands = np.diff(breaks) > GONE
+    degrees = tuple(n for n, kept in zip(leg.mesh.degrees, stands, strict=True) if kept)
+    return Mesh((0.0, *breaks[:-1][stands][1:], 1.0), degrees)
 
 
 def _matching(guess: Solution, leg: Phase) -> PhaseSolution:

@@ -32,6 +32,13 @@ def kept_verdict(solution: Solution, tol: float) -> Verdict | None:
     return _kept(solution).get(tol)
 
 
+def with_verdicts(copy: Solution, judged: Solution) -> Solution:
+    """Let a copy that differs in nothing that is judged carry the verdicts of the solution that it was made of."""
+    for tol, verdict in _kept(judged).items():
+        keep_verdict(copy, verdict, tol)
+    return copy
+
+
 def _kept(solution: Solution) -> dict[float, Verdict]:
     problem, digest, kept = vars(solution).get(_PLACE, (None, "", {}))
     valid = bool(kept) and problem is solution.problem and digest == _digest(solution)

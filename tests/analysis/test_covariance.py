@@ -323,3 +323,23 @@ def test_mistakes_with_the_result_are_refused(found, campaign):
         other.compare(campaign)
     with pytest.raises(go.ArgumentError, match=r"number in \(0, 1\)"):
         found.compare(campaign, confidence=1.5)
+
+
+@pytest.mark.parametrize(
+    ("changed", "name"),
+    [
+        ({"dispersions": SPREAD | {"initial.v": Normal(0.2)}}, "initial.v"),
+        ({"dispersions": SPREAD | {"plant.m": Normal(0.1, relative=True)}}, "plant.m"),
+        ({"dispersions": {"initial.q": SPREAD["initial.q"]}}, "initial.v"),
+        ({"x0": [0.6, 0.0]}, "initial.q"),
+    ],
+)
+def test_campaigns_with_other_dispersions_are_refused(changed, name):
+    """However near their variances may be: 20 runs could not tell them apart."""
+    told = go.linear_covariance(
+        go.Experiment(loop_of(), **{**MISSION, "tf": 0.5, "dispersions": SPREAD}), checks=0
+    )
+    flown = {**MISSION, "tf": 0.5, "dispersions": SPREAD, "seed": 3, "executor": "serial"}
+    assert told.compare(go.monte_carlo(loop_of(), 20, **flown)).runs == 20
+    with pytest.raises(go.ArgumentError, match=f"run 0 of the campaign has another '{name}'"):
+        told.compare(go.monte_carlo(loop_of(), 20, **flown | changed))

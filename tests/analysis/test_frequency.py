@@ -54,6 +54,21 @@ def test_a_late_sample_takes_its_delay_from_the_delay_margin(steps):
     assert after.disk < before.disk
 
 
+@pytest.mark.parametrize("steps", [0, 2])
+def test_a_statically_unstable_plant_has_the_gain_margin_down_of_its_response_at_rest(steps):
+    """-1 / L(z = 1) of the sampled pendulum about its upper rest, whatever delays: constants in the loop hid it."""
+    pole = go.Model("pole")
+    q, v, a = pole.state("q"), pole.state("v"), pole.control("a")
+    pole.ode({q: v, v: 4.0 * q + a})
+    law = go.design_lqr(pole, [0.0, 0.0], Q=1, R=1, dt=DT)
+    loop = go.ClosedLoop(pole, law, sensors=[SensorDelay("bus", steps * DT)] if steps else [])
+    response = loop_response(loop, x0=[0.0, 0.0], tf=10 * DT, at=[5 * DT])
+    at_rest = -0.25 * law.explain()["gain"][0, 0]
+    assert response.open_loop([0.0])[0, 0, 0] == pytest.approx(at_rest, rel=1e-9)
+    assert response.margins(0).gain_down == pytest.approx([-1 / at_rest], rel=1e-9)
+    assert law.explain()["gain margin down"] == pytest.approx([-1 / at_rest], rel=1e-9)
+
+
 def test_the_loop_is_lost_where_the_gain_margin_says():
     """A lag and a delay, and the gain of the actuator beyond and below the margin: the loop flown, not linearized."""
     parts, sensors = [Lag("motor", 0.15)], [SensorDelay("bus", 2 * DT)]

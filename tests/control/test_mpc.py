@@ -1,5 +1,7 @@
 """Model predictive control: the regulator where no limit is met, optimality where one is, and failing safely."""
 
+import warnings
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from gnc_opt.control.linear.tvlqr import design_tvlqr
 from gnc_opt.control.predictive.mpc import design_mpc
 from gnc_opt.control.reference import Reference
 from gnc_opt.control.sampling import sample
-from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
+from gnc_opt.errors import ArgumentError, DesignError, ProblemWarning, UnknownNameError
 
 DT = 0.1
 A, B = np.array([[1, DT], [0, 1]]), np.array([DT**2 / 2, DT])
@@ -340,8 +342,12 @@ def test_limits_of_states_that_exclude_the_reference_are_told():
     model, reference = pendulum()
     options = {"Q": 1, "R": 1, "horizon": 1.0, "dt": DT, "limits": (-9, 9)}
     for hard in ([], ["v"]):
-        told = design_mpc(model, reference, **options, state_limits={"v": (-0.9, 0.9)}, hard=hard).explain()
+        with pytest.warns(ProblemWarning, match=r"beyond the limits of v: 0\.0999.* \(at t = 1\.5\d s"):
+            law = design_mpc(model, reference, **options, state_limits={"v": (-0.9, 0.9)}, hard=hard)
+        told = law.explain()
         assert told["reference beyond the limits of v"] == pytest.approx(0.1, abs=1e-3)
     for least in (-np.inf, -1.0, -1.0 + 1e-8):
-        within = design_mpc(model, reference, **options, state_limits={"v": (least, 0.5)}).explain()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            within = design_mpc(model, reference, **options, state_limits={"v": (least, 0.5)}).explain()
         assert not [fact for fact in within if "beyond" in fact.name]

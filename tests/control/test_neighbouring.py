@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 import pytest
-from test_flight_code import compiled, needs_compiler, python, run
+from test_flight_code import needs_compiler, python, run, sanitized
 
 import gnc_opt as go
 from gnc_opt.control import (
@@ -250,12 +250,19 @@ def test_flight_code_is_the_same_law(straight, tmp_path):
     controller = guidance(straight, last=0.5, reserve=0.1)
     code = export_c(controller, tmp_path / "flight")
     assert not re.search(r"\b(?:m|c|re)alloc\b|stdlib", code.source.read_text() + code.header.read_text())
-    program = compiled(code)
+    program = sanitized(code, "-O1")
     times = DT * np.arange(90)
     flight = loop(straight, controller).simulate([4.1, 0.05], tf=4.5)
     states = flight.states[:, :90].T
     expected = python(controller, times, states, DT)
     assert np.array_equal(expected, flight.commands.T) and np.ptp(expected) == 2.0
+    assert np.allclose(run(program, times, states), expected, rtol=1e-10, atol=1e-10)
+    # lost samples, and states that no switch times bring home
+    rng = np.random.default_rng(4)
+    size = rng.choice([0.0, 1.0, 1e3, 1e200], (90, 1), p=[0.7, 0.1, 0.1, 0.1])
+    states = states + size * rng.normal(size=(90, 2))
+    states[rng.random(90) < 0.2, 0] = np.nan
+    expected = python(controller, times, states, DT)
     assert np.allclose(run(program, times, states), expected, rtol=1e-10, atol=1e-10)
 
 

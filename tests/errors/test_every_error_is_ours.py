@@ -57,6 +57,7 @@ def own() -> set[str]:
     return names | {f.name for f in functions if isinstance(f.returns, ast.Name) and f.returns.id in names}
 
 
+@pytest.mark.slow
 def test_the_source_raises_only_errors_of_gnc_opt() -> None:
     strangers = []
     for path, tree in trees().items():

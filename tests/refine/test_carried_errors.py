@@ -57,7 +57,7 @@ def coarse() -> go.Solution:
 
 
 def test_structure_on_the_segments_of_the_mesh(coarse: go.Solution) -> None:
-    found, history = optimise_switches(coarse, tol=1e-8, on_mesh=True)
+    found, history = optimise_switches(coarse, tol=1e-8, segments="mesh")
     assert history.status is RefinementStatus.CONVERGED
     assert found.objective == pytest.approx(COST, rel=1e-9)
     (arc,) = [a for a in found.structure if a.channel == "circle" and a.kind.at_limit]

@@ -10,6 +10,8 @@ import pytest
 import gnc_opt as go
 from gnc_opt.resolve import Resolver, Way
 from gnc_opt.solution.rest import rest_of
+from gnc_opt.verify.kept import kept_verdict
+from gnc_opt.verify.verify import TOLERANCE
 
 
 def cart(cost: str = "time") -> go.Problem:
@@ -180,3 +182,51 @@ def test_what_two_flights_have_in_common_does_not_depend_on_the_way(fast: Resolv
         assert fast.solve(problem.with_initial(q=-distance)).objective == pytest.approx(
             2 * distance**0.5, rel=1e-9
         )
+
+
+@pytest.fixture(scope="module")
+def limited() -> Resolver:
+    """At most 0.8 m/s on the way: bounds, the limit, bounds."""
+    return Resolver(go.solve(cart().with_bounds(v=(-1.0, 0.8)), mesh="6x3", tol=1e-6), cold=False)
+
+
+@pytest.mark.parametrize("distance", [1.01, 1.1, 3.0])
+def test_arcs_on_a_limit_serve_on(limited: Resolver, distance: float) -> None:
+    """0.8 s up and down each, (d - 0.64) / 0.8 between: to all digits, not to those of a mesh."""
+    problem = limited.solution.need_problem("").with_initial(q=-distance)
+    expected = 1.6 + (distance - 0.64) / 0.8
+    for found in (limited.solve(problem), go.solve(problem, guess=limited.solution)):
+        assert found.provenance["way"] == Way.WARM.value
+        assert found.objective == pytest.approx(expected, rel=1e-12)
+        assert [arc.end for arc in found.structure[:2]] == pytest.approx([0.8, expected - 0.8], rel=1e-9)
+        assert go.verify(found).minimum
+
+
+def test_a_tolerance_asks_for_the_verdict_as_well(limited: Resolver) -> None:
+    problem = limited.solution.need_problem("").with_initial(q=-1.2)
+    found = go.solve(problem, guess=limited.solution, tol=1e-8)
+    assert found.history is not None and found.history.converged and found.history.tolerance == 1e-8
+    assert kept_verdict(found, TOLERANCE) is not None and found.objective == pytest.approx(2.3, rel=1e-12)
+
+
+def test_a_start_on_an_arc_on_a_limit_is_solved_from_the_rest(limited: Resolver) -> None:
+    """On the limit at 1 s with 0.3 m more to go than before: 0.375 s more."""
+    known = limited.solution
+    q = known.state("q")(1.0) - 0.3
+    found = limited.solve(known.need_problem("").with_time(initial=1.0).with_initial(q=q, v=0.8))
+    assert found.provenance["way"] == Way.WARM.value
+    assert found.objective == pytest.approx(known.objective + 0.375, rel=1e-12)
+
+
+def test_a_refined_smooth_solution_is_followed_on_its_mesh() -> None:
+    """Least integral of u^2 in 1 s: 12 d^2; on the mesh of what is known, within its tolerance."""
+    first = go.solve(cart("effort"), mesh="4x3")
+    found = Resolver(first, cold=False).solve(first.need_problem("").with_initial(q=-2.0))
+    assert found.provenance["way"] == Way.WARM.value
+    assert found.phase().mesh == first.phase().mesh and found.objective == pytest.approx(48.0, rel=1e-10)
+
+
+def test_boundaries_that_arcs_moved_stand_where_these_are_left_out(limited: Resolver) -> None:
+    """On three segments that may go where they like, points see a limit where it is not exceeded: 1 % too fast."""
+    found = go.solve(limited.solution.need_problem(""), guess=limited.solution, tol=None)
+    assert not found.phase().mesh.movable and found.objective == pytest.approx(2.05, rel=1e-9)

@@ -51,6 +51,9 @@ def test_states_that_are_known_exactly_or_not_there_are_refused():
     singular[1] = singular[:, 1] = 0.0
     with pytest.raises(ArgumentError, match=r"holds 'q\[1\]' for exactly known"):
         c._nees(flown(np.ones((4, 2))), estimator(singular), np.zeros((4, 2)))
+    tiny = np.diag([1.0, 1e-15, 1.0, 1.0])  # of a state of 0.03 that is less than rounding leaves
+    with pytest.raises(ArgumentError, match=r"holds 'q\[1\]' for exactly known, to rounding"):
+        c._nees(flown(np.full((4, 2), 0.03)), estimator(tiny @ COVARIANCE @ tiny), np.zeros((4, 2)))
     other = Layout("state", (Variable("a", 2), Variable("b"), Variable("c")))
     with pytest.raises(ArgumentError, match="no state that 'filter' estimates"):
         c._nees(flown(np.ones((4, 2))), estimator(states=other), np.zeros((4, 2)))

@@ -115,6 +115,7 @@ def test_any_executor(serial, kind):
         assert_same(fly(executor=executor), serial)
 
 
+@pytest.mark.slow
 def test_local_cluster_and_one_without_workers(serial, monkeypatch):
     distributed = pytest.importorskip("distributed")
     options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}

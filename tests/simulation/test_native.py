@@ -149,16 +149,33 @@ def test_both_halves_of_vectors_have_the_bits_of_the_interpreter(
 
 
 def test_long_steps_are_many_short_functions() -> None:
-    """A compiler takes far more than twice as long for a function twice as long."""
+    """A compiler takes far more than twice as long for a function twice as long. In memory is what goes from one to the
+    next, here the last sine, w and nothing else."""
     x, w, c = (ca.SX.sym(name) for name in "xwc")
     y = x
     for _ in range(lanes.LONG // 2):
         y = ca.sin(y) * w
     step = ca.Function("step", [x, w, c], [y])
     assert step.n_instructions() > lanes.LONG
-    lengths = [part.count(";") for part in in_lanes(step).split("__attribute__((noinline))")[1:]]
-    assert len(lengths) == -(-step.n_instructions() // lanes.PART)
-    assert max(lengths[:-1]) <= lanes.PART
+    source = in_lanes(step)
+    bodies = source.split("__attribute__((noinline))")[1:]
+    count = -(-step.n_instructions() // lanes.PART)
+    assert len(bodies) == count
+    assert max(body.count("  const pair v") - body.count("= a[") for body in bodies) <= lanes.PART
+    assert source.count("\n  a[") == count and "malloc((2 + 1)" in source
+
+
+def test_what_is_done_twice_is_written_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """CasADi does not see it; in a function of its own no compiler would, either."""
+    x, w, c = (ca.SX.sym(name) for name in "xwc")
+    twice = ca.sin(x * w) - ca.cos(ca.sin(x * w) + 0.25) * (c + 0.25)
+    step = ca.Function("step", [x, w, c], [twice])
+    for part in (lanes.LONG, 1):
+        monkeypatch.setattr(lanes, "LONG", part)
+        monkeypatch.setattr(lanes, "PART", part)
+        source = in_lanes(step)
+        assert [source.count(f"{name}(v") for name in ("sin", "cos")] == [2, 2]  # one for each flight
+        assert source.count(f"PAIR({(0.25).hex()}") == 1
 
 
 def test_what_takes_more_than_operations_on_scalars_is_left_to_casadi() -> None:

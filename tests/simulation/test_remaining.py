@@ -81,13 +81,6 @@ def test_a_start_a_little_beyond_a_limit_begins_on_it() -> None:
         assert rest.phases["leg"].numbers.initial.lower == pytest.approx(used, abs=1e-15)
 
 
-def test_a_resolver_without_a_way_is_refused() -> None:
-    """A smooth plan that was refined is solved again from the start, or not at all."""
-    refined = go.solve(stated())
-    with pytest.raises(go.ProblemError, match="nothing would solve variations of 'cart'"):
-        go.Resolver(refined, cold=False)
-
-
 def test_a_plan_whose_rest_is_not_solved_has_no_latency() -> None:
     with pytest.raises(go.ArgumentError, match=r"rest of its own plan from 0\.25 s on .ProblemError: no"):
         Replanner(Refusing, every=0.1)

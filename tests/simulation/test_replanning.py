@@ -173,6 +173,7 @@ def test_a_measurement_that_is_lost_leaves_the_plan() -> None:
     assert run.replans and all("not a number" in r.failure for r in run.replans)
 
 
+@pytest.mark.slow
 def test_in_a_campaign(tmp_path: Path) -> None:
     flown = monte_carlo(
         loop(every(), disturbances=[Constant("push", 0.3, on="v")]),

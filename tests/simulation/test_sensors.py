@@ -56,6 +56,7 @@ def test_noise_has_its_spread():
     assert abs(np.corrcoef(error[0, 1:], error[0, :-1])[0, 1]) < 4 / np.sqrt(n)
 
 
+@pytest.mark.slow
 def test_random_walk_grows_with_the_root_of_time():
     run = see([RandomWalk("drift", 0.2)], tf=500.0, size=40, seed=2)
     drift = run.measured - run.states[:, :-1]

@@ -63,6 +63,7 @@ def test_undamped_body_keeps_energy_and_momentum():
     assert np.max(np.abs(momentum / momentum[0] - 1)) < 1e-11
 
 
+@pytest.mark.slow
 def test_damped_body_loses_energy_at_the_rate_of_its_dampers():
     y = flow(rate(ROUNDED), np.concatenate([START, [1, 0, 0, 0]]), np.linspace(0, 200, 2001))
     energy = ROUNDED.energy(*split(y))

@@ -276,7 +276,7 @@ def test_a_piece_without_length_is_dropped(monkeypatch: pytest.MonkeyPatch) -> N
     ):
         assert m.collapsed(LEG, Plan.of(structure), set()) == (None, "")
     for share, dropped in ((0.99, True), (1.01, False)):
-        late = replace(vanished, times=(50.0, 51.0, 51.0 + share * 2 * m.VANISHED, 52.0))
+        late = replace(vanished, times=(50.0, 51.0, 51.0 + share * 2 * m.GONE, 52.0))
         assert (m.collapsed(LEG, Plan.of(late), set())[0] is not None) is dropped
 
 
@@ -303,7 +303,7 @@ def test_a_kink_that_leaves_hardly_any_piece_drops_it(
 ) -> None:
     """By the length of the phase, wherever it begins."""
     structure = PhaseStructure((80.0, 81.0, 82.0, 84.0), ((LOW,), (FREE,), (UP,)), (True,))
-    moved = structure.at((80.0, 82.0 - share * 4 * m.VANISHED, 82.0, 84.0))
+    moved = structure.at((80.0, 82.0 - share * 4 * m.GONE, 82.0, 84.0))
     monkeypatch.setattr(m, "move_kinks", lambda *_: moved)
     monkeypatch.setattr(m, "finer", lambda *_: None)
     found, what = m._adjust(SimpleNamespace(samples=LEG), Plan.of(structure, 7.0), 1e-9)  # type: ignore[arg-type]

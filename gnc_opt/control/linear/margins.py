@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array
+from gnc_opt.arrays import Array, Mask
 from gnc_opt.control.poles import continuous_poles
 from gnc_opt.threads import one_thread
 from gnc_opt.tolerances import SAME_TIME, TINY
@@ -78,6 +78,8 @@ def _channel(
 ) -> tuple[float, float, float, float]:
     others = [j for j in range(b.shape[1]) if j != i]
     rest = a - b[:, others] @ gain[others]
+    within = linked(rest, b[:, [i]], gain[[i]])
+    rest, b, gain = rest[np.ix_(within, within)], b[within], gain[:, within]
     loop = _loop(rest, b[:, [i]], gain[[i]], dt)
 
     def value(w: float) -> complex:
@@ -93,6 +95,23 @@ def _channel(
         min((p for p, _ in phases), default=np.inf),
         min((d for _, d in phases), default=np.inf),
     )
+
+
+def linked(a: Array, b: Array, c: Array) -> Mask:
+    """Return which states (n,) lie on a way from the inputs to the outputs, by which entries are zero.
+
+    Others, such as constants and sums that nothing reads, have no part in the response; their poles would hide what it
+    is at rest.
+    """
+    there = a != 0
+
+    def reached(from_: Mask, ways: Mask) -> Mask:
+        while np.any(more := ways[:, from_].any(axis=1) & ~from_):
+            from_ = from_ | more
+        return from_
+
+    moved, seen = reached(np.any(b != 0, axis=1), there), reached(np.any(c != 0, axis=0), there.T)
+    return np.asarray(moved & seen)
 
 
 def _disk(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> float:

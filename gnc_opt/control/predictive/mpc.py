@@ -140,6 +140,11 @@ def design_mpc(
         As in `design_tvlqr`; limits without room, or that exclude the feedforward; limits of a state whose error is not
         a difference.
 
+    Warns
+    -----
+    ProblemWarning
+        Limits of states exclude the reference.
+
     Examples
     --------
     >>> law = go.design_mpc(

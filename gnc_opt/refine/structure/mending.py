@@ -22,6 +22,7 @@ from gnc_opt.refine.structure.plan import Plan
 from gnc_opt.refine.structure.state_constraints import StateConstraints
 from gnc_opt.solution.samples import PhaseSamples
 from gnc_opt.solution.solution import Solution
+from gnc_opt.tolerances import GONE
 from gnc_opt.tolerances import VANISHED as NO_MAGNITUDE
 from gnc_opt.verify.singular import chatters
 
@@ -30,9 +31,6 @@ SMOOTHED = "singular controls of higher degree"
 
 ROOM = 1e-3
 """Share of the phase that a swapped piece gets to start from."""
-
-VANISHED = 1e-7
-"""A piece shorter than this share of its phase has vanished."""
 
 PROPPED = 3e-5
 """Share of its phase below which the solver's barrier alone may keep a piece open. Where two switching functions vanish
@@ -98,7 +96,7 @@ def _adjust(constraints: StateConstraints, plan: Plan, tol: float) -> tuple[Plan
     """Move kinks and raise resolutions where the solution asks for it."""
     moved, raised = move_kinks(constraints, plan), finer(constraints.samples, plan, tol)
     if moved is not None:
-        emptied = np.flatnonzero(moved.lengths < VANISHED * (moved.times[-1] - moved.times[0]))
+        emptied = np.flatnonzero(moved.lengths < GONE * (moved.times[-1] - moved.times[0]))
         if emptied.size:
             left = plan.structure.emptied(int(emptied[0]))
             return plan.restructured(left), f"piece {emptied[0] + 1} dropped"
@@ -122,7 +120,7 @@ def collapsed(
     structure, lengths = plan.structure, plan.structure.lengths
     shortest = int(np.argmin(lengths))
     share = lengths[shortest] / lengths.sum()
-    gone = share < VANISHED or (share < PROPPED and _propped(samples, plan, shortest))
+    gone = share < GONE or (share < PROPPED and _propped(samples, plan, shortest))
     if structure.pieces == 1 or not gone:
         return None, ""
     other = structure.swapped(shortest)

@@ -58,6 +58,9 @@ TURNING_SEGMENTS = 6
 THINNED = 1.5
 """Points of a finer mesh for one point of the pieces, which converge faster than a mesh that switches fall into."""
 
+MOVED = 1e-3
+"""Share of the phase by which ends of pieces may have moved from the breaks of the mesh that they were refined on."""
+
 SAME = 0.9
 """Share of both that pieces of two structures have in common to be the same."""
 
@@ -205,6 +208,17 @@ class Plan:
         ends = (times - times[0]) / (times[-1] - times[0])
         pieces = itertools.pairwise(map(float, ends))
         return cls(structure, tuple(_inherited(mesh, a, b) for a, b in pieces), points_of(mesh))
+
+    @classmethod
+    def refined(cls, structure: PhaseStructure, mesh: Mesh) -> Plan:
+        """Return a plan with the segments that its pieces have been refined to; with few if the mesh has others."""
+        found, times = cls.of(structure, points_of(mesh)), np.asarray(structure.times)
+        ends, breaks = (times - times[0]) / (times[-1] - times[0]), np.asarray(mesh.breaks)
+        places = np.argmin(np.abs(breaks[:, None] - ends), axis=0)
+        if np.any(np.diff(places) < 1) or np.max(np.abs(breaks[places] - ends)) > MOVED:
+            return found
+        pieces = zip(itertools.pairwise(map(int, places)), found.resolutions, strict=True)
+        return replace(found, resolutions=tuple(_refined(mesh, *piece, first) for piece, first in pieces))
 
     def restructured(self, structure: PhaseStructure) -> Plan:
         """Return the plan of another structure, as coarse as at first; as loose if nothing else is touched.
@@ -448,6 +462,14 @@ def _inherited(mesh: Mesh, start: float, end: float) -> Resolution:
     own = degrees[np.searchsorted(breaks, middles, "right") - 1]
     edges = tuple(float(e) for e in (kept - start) / (end - start))
     return Resolution(own.size, int(own.max()), edges=edges, degrees=tuple(max(FEWEST, int(n)) for n in own))
+
+
+def _refined(mesh: Mesh, first: int, last: int, coarsest: Resolution) -> Resolution:
+    """The segments of a mesh from one break to another, with as smooth a control as they have points for."""
+    breaks, degree = np.asarray(mesh.breaks[first : last + 1]), max(mesh.degrees[first:last])
+    shares = (breaks[1:-1] - breaks[0]) / (breaks[-1] - breaks[0])
+    smooth = min(max(coarsest.smooth, (last - first) * degree // 2), MAX_SINGULAR_DEGREE)
+    return Resolution(last - first, degree, smooth if coarsest.smooth else 0, edges=tuple(map(float, shares)))
 
 
 def _first_resolution(structure: PhaseStructure, piece: int, points: float) -> Resolution:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 from gnc_opt.nlp import SolverOptions
 from gnc_opt.problem.arc import Arc
@@ -59,6 +59,9 @@ TIGHT, MOST_ITERATIONS = 1e-11, 200
 """Of each solve: switch times are as good as the solver's optimality, and a warm start needs few iterations."""
 
 
+Segments: TypeAlias = Literal["few", "mesh", "kept"]
+
+
 def optimise_switches(
     solution: Solution,
     *,
@@ -67,7 +70,7 @@ def optimise_switches(
     structures: Mapping[str, PhaseStructure] | None = None,
     options: SolverOptions | None = None,
     progress: bool = False,
-    on_mesh: bool = False,
+    segments: Segments = "few",
 ) -> tuple[Solution, History]:
     """Return the solution with exact switch times and its `structure`, and the history of the loop.
 
@@ -83,8 +86,8 @@ def optimise_switches(
     options : SolverOptions, optional
     progress : bool
         Show one line per pass.
-    on_mesh : bool
-        Begin with the segments of the solution's mesh. Default: with few.
+    segments : {"few", "mesh", "kept"}
+        Begin with few, with those of the solution's mesh, or with those that these very structures were refined to.
 
     Returns
     -------
@@ -98,13 +101,13 @@ def optimise_switches(
     chosen = options or SolverOptions(tolerance=TIGHT, max_iterations=MOST_ITERATIONS)
     found = structures or structures_of(solution)
     solution = with_magnitudes_at_limits(solution)
-    plans = {name: _first_plan(s, solution.phases[name].mesh, on_mesh) for name, s in found.items()}
+    plans = {name: _first_plan(s, solution.phases[name].mesh, segments) for name, s in found.items()}
     tries: list[_Try] = []
     with pass_meter(solution.problem_name, tol, progress) as show:
         try:
             loop = _Loop(problem, tol, limits or PassLimits(), chosen, show, tries)
             guess, settled, flown = (
-                (solution, plans, None) if on_mesh else _settled(solution, plans, loop.aim)
+                _settled(solution, plans, loop.aim) if segments == "few" else (solution, plans, None)
             )
             status = loop.run(guess, settled, flown)
             if status is RefinementStatus.FAILED and guess is not solution:
@@ -123,8 +126,10 @@ def optimise_switches(
     return replace(solution, structure=_arcs(solution, plans)), history
 
 
-def _first_plan(structure: PhaseStructure, mesh: Mesh, on_mesh: bool) -> Plan:
-    return Plan.on_mesh(structure, mesh) if on_mesh else Plan.of(structure, points_of(mesh))
+def _first_plan(structure: PhaseStructure, mesh: Mesh, segments: Segments) -> Plan:
+    if segments == "few":
+        return Plan.of(structure, points_of(mesh))
+    return Plan.on_mesh(structure, mesh) if segments == "mesh" else Plan.refined(structure, mesh)
 
 
 def _with_unique_costates(
