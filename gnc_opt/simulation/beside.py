@@ -71,7 +71,7 @@ class Companion:
 
 
 def estimates(
-    places: Places, final: Array, others: Array, growth: float, companion: Companion | None
+    places: Places, final: Array, others: Array, growth: float, companion: Companion | None, end: float
 ) -> tuple[Array, Array]:
     """Return the estimated errors of runs whose kernels' states ended so.
 
@@ -87,6 +87,8 @@ def estimates(
         By which local errors have grown until the end of the nominal run.
     companion : Companion or None
         What it tells of flights beside; None: only its growth.
+    end : float
+        Of the flight, s: when runs end that no event does.
 
     Returns
     -------
@@ -101,7 +103,7 @@ def estimates(
     errors, instants = growth * (local + resets) + blur, growth * late
     if companion is None:
         return errors, instants
-    grown = companion.error(apart(places, final, others), errors - blur, local) + blur
+    grown = companion.error(apart(places, final, others, end), errors - blur, local) + blur
     ended = stop > 0
     return (
         np.where(ended, errors, np.maximum(errors, grown)),
@@ -109,18 +111,19 @@ def estimates(
     )
 
 
-def apart(places: Places, final: Array, other: Array) -> Array:
+def apart(places: Places, final: Array, other: Array, end: float) -> Array:
     """Return what two flights are apart at their ends (n,), relative to max(1, \\|x\\|), from their kernels' states.
 
-    Where events end runs, also their instants count.
+    Where events end runs, also their instants count; others end at ``end`` (s), where an event may be that only one
+    of the flights has met.
     """
-    one, two = (_ends(places.split(columns)) for columns in (final, other))
+    one, two = (_ends(places.split(columns), end) for columns in (final, other))
     with np.errstate(invalid="ignore", over="ignore"):
         distance = np.max(np.abs(one - two) / np.maximum(1.0, np.abs(one)), axis=0)
     # a second flight that has left the finite numbers is as far as can be
     return np.asarray(np.where(np.isnan(distance) & np.isfinite(one).all(axis=0), np.inf, distance))
 
 
-def _ends(parts: dict[str, Any]) -> Array:
-    instants = [np.where(parts["stop"] > 0, parts["stop time"], 0.0)] if "stop" in parts else []
+def _ends(parts: dict[str, Any], end: float) -> Array:
+    instants = [np.where(parts["stop"] > 0, parts["stop time"], end)] if "stop" in parts else []
     return np.vstack([parts["plant"], *instants])

@@ -177,7 +177,11 @@ def test_distances_are_relative_and_infinite_where_the_second_flight_is_lost() -
     two = np.array(
         [[10.0, 0.3, 0.0, 9.0], [12.0, 0.2, 1.0, 1.5], [np.nan, 1.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0]]
     ).T
-    assert apart(places, one, two) == pytest.approx([0.2, 0.5, np.inf, np.nan], nan_ok=True)
+    assert apart(places, one, two, 4.0) == pytest.approx([0.2, 0.5, np.inf, np.nan], nan_ok=True)
+    met = np.array(
+        [[10.0, 0.1, 1.0, 3.9]]
+    ).T  # an event that only one of the flights has met ends it so much earlier
+    assert apart(places, met, one[:, :1], 4.0) == pytest.approx([0.1 / 3.9])
 
 
 def test_the_nominal_run_tells_what_the_better_solution_is_worth() -> None:

@@ -212,6 +212,16 @@ def test_an_end_among_simultaneous_events_leaves_out_those_after_it():
     assert [event.name for event in run.events] == ["one", "end"] and run.states[1, -1] == 0.0
 
 
+def test_an_event_at_the_very_end_is_as_exact_as_any():
+    """Whether it is still met is a matter of rounding; when the run ends is not (an error of 1 was printed)."""
+    plant, h, _ = ball()
+    loop = falling(plant, Event("touchdown", h, "falling"))
+    for share in (1.0, 1 - 1e-15, 1 + 1e-15, 1 - 1e-14, 1 + 1e-14):
+        run = loop.simulate([0.5 * G * share, 0.0], tf=1.0)
+        assert run.outcome.ok and run.integration_error < 1e-8
+        assert run.times[-1] == pytest.approx(1.0, abs=1e-12)
+
+
 def test_a_reset_beyond_zero_of_another_event_makes_that_happen_at_the_same_time():
     plant, h, _ = ball()
     trap = Event("trap", h - 5, "falling", reset={h: -1 + 0 * h})
