@@ -15,15 +15,17 @@ from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.attempt import CLOSE, RefinementAttempt, interrupted, result_of
-from gnc_opt.refine.error import estimate_errors
+from gnc_opt.refine.error import estimate_errors, largest_error
 from gnc_opt.refine.hp.mesh_refinement import ROOMY, refine_mesh
+from gnc_opt.refine.hp.remesh import HOPELESS
 from gnc_opt.refine.limits import RefinementLimits
-from gnc_opt.refine.passes import PassLimits, pass_record
+from gnc_opt.refine.passes import PassLimits
 from gnc_opt.refine.structure.carried import on_carrying_arcs
 from gnc_opt.refine.structure.curvature import affine_channels, convex_channels, curved_channels
 from gnc_opt.refine.structure.detect import structures_of
 from gnc_opt.refine.structure.ends import with_ends_met
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.refine.structure.resolved import error_at_first
 from gnc_opt.refine.structure.switching import TIGHT, optimise_switches
 from gnc_opt.solution.history import Pass, RefinementStatus, work_of
 from gnc_opt.solution.solution import Solution
@@ -251,7 +253,8 @@ class _Task:
     def _unasked(self, start: Solution, share: float) -> Iterator[RefinementAttempt]:
         """Try a structure that nobody asked for, if there is one: again only with what all that was tried has left.
 
-        On the segments of the mesh, where errors are handed on along its arcs and others had no solution on few.
+        On the segments of the mesh, where errors are handed on along its arcs and others had no solution on few, or
+        where few segments would lose what that mesh resolves.
         """
         found = structures_of(start) if self._in_vain else None
         if found and _carried(start, found):
@@ -262,7 +265,18 @@ class _Task:
             return
         found = found or structures_of(start)
         if _switches(start, found, at_least=1) and not self._known(found):
+            if self._loses(start, found):
+                work = share * self.max_work
+                yield self._structured(start, found, work, self.options or BRIEF, on_mesh=True)
+                return
             yield from self._by_structure(start, found, share)
+
+    def _loses(self, start: Solution, found: Mapping[str, PhaseStructure]) -> bool:
+        """Whether the few segments that a structure begins with lose what the mesh resolves: thin layers."""
+        errors = estimate_errors(start)
+        if largest_error(errors)[0] > self.tol:
+            return False
+        return any(error_at_first(error, found[name]) > HOPELESS for name, error in errors.items())
 
     @property
     def _in_vain(self) -> bool:
@@ -302,8 +316,7 @@ class _Task:
 
     def _stands(self, solution: Solution) -> bool:
         """Whether a solution on a mesh is within the tolerance and passes the verdict."""
-        error = pass_record(solution, estimate_errors(solution), time.perf_counter(), "").error
-        return error <= self.tol and verify(solution).ok
+        return largest_error(estimate_errors(solution))[0] <= self.tol and verify(solution).ok
 
     def _by_structure(
         self, start: Solution, found: Mapping[str, PhaseStructure], share: float = 1.0

@@ -181,7 +181,7 @@ class Flight:
             )
         final = np.full((P.shape[1], self._flights, self.kernel.state.size), np.nan)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
-        recorder = None if self.quantities is None else Recorder(self.quantities, self.times, P.shape[1])
+        recorder = self._recorder(P.shape[1])
         refused: dict[int, str] = {}
         replans = np.zeros((2, P.shape[1]))
         followed = np.full((self.followed.size, P.shape[1]), np.nan)
@@ -213,7 +213,10 @@ class Flight:
         if self.replanner is None:
             followed = self._followed_at_end(self._course(), final[:, 0].T)
         ending = self._ending(final, refused, followed, replans)
-        return ending if recorder is None else replace(ending, sums=recorder.sums, samples=recorder.samples)
+        if recorder is None:
+            return ending
+        outcomes = recorder.told(ending.outcomes)
+        return replace(ending, outcomes=outcomes, sums=recorder.sums, samples=recorder.samples)
 
     def run(self, P: Array, seed: Any, *, every: int = 1, folder: str | Path | None = None) -> Run:
         """Fly one run and return all of it; its last state has the bits of `final`.
@@ -251,7 +254,7 @@ class Flight:
         log = Log({name: (size, lengths[name]) for name, size in sizes.items()}, folder)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         events: list[Occurrence] = []
-        course, last = self._course(), self.n_steps
+        course, last, recorder = self._course(), self.n_steps, self._recorder(1)
         legs = self.legs(seed, known, course)
         for first, rows in legs:
             if first == 0:
@@ -263,6 +266,8 @@ class Flight:
                 continue
             columns, logs, X = self._folded.logged(X, rows, C)
             parts, told = self.kernel.state.split(columns), self.kernel.log.split(logs)
+            if recorder is not None:
+                recorder.add(0, first, parts, told["applied"], P[self._plant_parameters])
             flown = len(rows) if not self.events.size else int(np.sum(parts["stop"][0, :-1] < 0.5))
             if self.events.size:
                 events += occurrences(told, flown, self.events.names, self.states.size)
@@ -297,7 +302,7 @@ class Flight:
             saturation=ending.saturation_time[:, 0],
             variation=ending.variation[:, 0],
             integration_error=float(ending.integration_error[0]),
-            outcome=ending.outcomes[0],
+            outcome=ending.outcomes[0] if recorder is None else recorder.told(ending.outcomes)[0],
             seed=str(seed),
             events=tuple(events),
             replans=tuple(course.replans),
@@ -382,6 +387,9 @@ class Flight:
         every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
         starts = range(0, self.n_steps, every)
         return [*(k for s in starts for k in range(s, min(s + every, self.n_steps), LEG)), self.n_steps]
+
+    def _recorder(self, runs: int) -> Recorder | None:
+        return None if self.quantities is None else Recorder(self.quantities, self.times, runs)
 
     def _course(self) -> Course:
         return Course(self.replanner, self.times, self.schedule, self.dt, self.followed, self.followed_rows)

@@ -17,7 +17,7 @@ class RunStatus(Enum):
     ALARM : the controller reported that it could not keep its promise.
     DIVERGED : a state left its plausible size, see ``plausible`` of `ClosedLoop`.
     NOT_FINITE : a measurement, command, applied control or state is not a finite number, or the expression or
-        condition of an event is not-a-number, so that it could not be noticed.
+        condition of an event, or a quantity, is not-a-number.
     STOPPED : an event that is a failure ended the run, or events followed each other faster than time (Zeno).
     REFUSED : a parameter is outside its permitted range; the run was not flown.
     LOST : the process that flew it died, or the run raised an exception.

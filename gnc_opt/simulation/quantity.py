@@ -7,7 +7,7 @@ most.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
+from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.plant_expression import plant_expression
 
 SAMPLES = 101
@@ -103,7 +104,7 @@ def sample_steps(n_steps: int) -> Array:
 
 
 class Recorder:
-    """What is kept of the quantities of n runs.
+    """What is kept of the quantities of n runs, and which were not-a-number.
 
     Parameters
     ----------
@@ -118,6 +119,8 @@ class Recorder:
         Largest values, least values and integrals.
     samples : array (n_quantities, n_samples, runs)
         Not-a-number after the end of a run.
+    lost : dict of int to Outcome
+        By run, the first quantity that was not-a-number, and when.
     """
 
     def __init__(self, quantities: Quantities, times: Array, runs: int) -> None:
@@ -125,6 +128,7 @@ class Recorder:
         self._at = sample_steps(times.size - 1)
         self.sums = np.repeat([-np.inf, np.inf, 0.0], n)[:, None] * np.ones(runs)
         self.samples = np.full((n, self._at.size, runs), np.nan)
+        self.lost: dict[int, Outcome] = {}
 
     def add(self, run: int, first: int, parts: Mapping[str, Array], applied: Array, p: Array) -> None:
         """Take in a leg of a run.
@@ -156,5 +160,14 @@ class Recorder:
             self.sums[n : 2 * n, run], np.minimum(starts, ends).min(axis=1)
         )
         self.sums[2 * n :, run] += 0.5 * (starts + ends) @ np.diff(times)
+        unknown = np.isnan(starts) | np.isnan(ends)
+        if unknown.any() and run not in self.lost:
+            step = int(np.argmax(unknown.any(axis=0)))
+            name = self.quantities.layout.names[int(np.argmax(unknown[:, step]))]
+            self.lost[run] = Outcome(RunStatus.NOT_FINITE, f"quantity '{name}'", float(times[step]))
         here = (self._at >= first) & (self._at < first + times.size)
         self.samples[:, here, run] = y[:, self._at[here] - first]
+
+    def told(self, outcomes: Sequence[Outcome]) -> tuple[Outcome, ...]:
+        """Return the outcomes with quantities that were not-a-number, unless the run was not finite anyway."""
+        return tuple(o if o.not_finite else self.lost.get(i, o) for i, o in enumerate(outcomes))

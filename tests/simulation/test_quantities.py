@@ -11,7 +11,7 @@ from loops import double_integrator, feedback
 import gnc_opt as go
 from gnc_opt.analysis import worst_case
 from gnc_opt.plot import plot_envelope
-from gnc_opt.simulation import Campaign, Event, Lag, Noise, Normal, Quantity, Uniform
+from gnc_opt.simulation import Campaign, Event, Lag, Noise, Normal, Quantity, RunStatus, Uniform
 from gnc_opt.simulation.envelope import envelope
 from gnc_opt.simulation.quantity import SAMPLES, sample_steps
 
@@ -156,6 +156,24 @@ def test_fuel_and_plume_follow_what_the_actuators_apply(wall):
         mean = 0.5 * (near[:-1] + near[1:]) * np.diff(run.times)
         assert runs.measure("integral(plume)")[i] == pytest.approx(blown @ mean, rel=1e-12)
     assert np.ptp(runs.measure("max(plume)")) > 0
+
+
+@pytest.mark.parametrize("leg", [1000, 4])
+def test_one_that_is_not_a_number_is_told(leg, monkeypatch):
+    """sqrt(q) of what falls from 1 to -1 at 1 unit/s is none from 1.1 s on; runs that end before are ok."""
+    monkeypatch.setattr("gnc_opt.simulation.flight.LEG", leg)
+    plant = go.Model("even motion")
+    q, u = plant.state("q"), plant.control("u")
+    plant.ode({q: u})
+    law = go.feedforward(go.Reference.constant(plant, [0.0], [-1.0]))
+    known, root = Quantity("known", q**2), Quantity("root", ca.sqrt(q + 1e-6))
+    loop = go.ClosedLoop(plant, law, quantities=[known, root], dt=0.1)
+    blind, fine = (go.monte_carlo(loop, 2, x0=[start], tf=1.9, executor="serial") for start in (1.0, 2.0))
+    run = loop.simulate([1.0], tf=2.0)
+    assert blind.outcomes == (run.outcome,) * 2 and not blind.pass_rate().rate
+    assert (run.outcome.status, run.outcome.what) == (RunStatus.NOT_FINITE, "quantity 'root'")
+    assert run.outcome.time == pytest.approx(1.0)
+    assert all(outcome.ok for outcome in fine.outcomes)
 
 
 def test_files_and_checkpoints_keep_them(campaign, tmp_path):

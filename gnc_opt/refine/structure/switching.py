@@ -238,7 +238,9 @@ class _Loop:
             if resolved and (finer := smoother(solution, current)) != current:
                 plans, resolved, record = finer, False, replace(record, actions=SMOOTHED)
             self._note(_Try(solution, current, record))
-            if not action or resolved or (self.tol >= record.error and _adjusts_mesh(current, record)):
+            # The kinks that a mesh shows have been moved at least once.
+            settled = len(self.records) > 1 and record.error <= self.tol
+            if not action or resolved or (settled and _adjusts_mesh(current, record)):
                 return RefinementStatus.CONVERGED
             changes = set() if _adjusting(record) else _changes(current, plans)
             again, asked = changes & asked, changes | asked
