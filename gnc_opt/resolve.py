@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.errors import ProblemError
+from gnc_opt.nlp import Status
 from gnc_opt.problem.check import check_numbers
 from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
@@ -92,9 +93,12 @@ class Resolver:
         Raises
         ------
         ProblemError
-            The problem is no variation of the one that the resolver knows, or is not well stated.
+            The problem, or what it is to start near, is no variation of the one that the resolver knows; or it is not
+            well stated.
         SolveError
             No way has led to a solution.
+        KeyboardInterrupt
+            Ctrl-C before anything was solved; while it is solved from the start see `solve`.
         """
         expect(problem, Problem, "what Resolver.solve() got", "give problem.with_initial(...), say")
         stated, problem = problem, restated(problem)
@@ -103,6 +107,13 @@ class Resolver:
                 f"problem '{problem.name}' is no variation of the one that the resolver knows: make it by "
                 "with_initial(), with_parameters() or their like, or make a Resolver of its own solution."
             )
+        if near is not None:
+            expect(near, Solution, "the start of Resolver.solve()", "give near=resolver.solve(...), say")
+            if _variables(near) != _variables(self.solution):
+                raise ProblemError(
+                    f"the solution of '{near.problem_name}' has other phases, states or controls than what the "
+                    "resolver knows: give near= a solution of a variation."
+                )
         check_numbers(stated)  # the guess of a variation is used by the last way only, which looks at it
         found = self._nearby(stated, problem, near) if problem.builds is self._problem.builds else None
         if found is not None:
@@ -130,4 +141,13 @@ class Resolver:
         meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
         guess, scheme, limits = on_the_way(start, problem), self.solution.scheme, SolveLimits(WARM_ITERATIONS)
         found = solve_mesh(problem, meshes, scheme=scheme, guess=guess, limits=limits)
+        if found.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
         return said(found, Way.WARM) if found.status.solved else None
+
+
+def _variables(solution: Solution) -> dict[str, tuple[tuple[str, ...], ...]]:
+    """Names of states and controls by phase."""
+    return {
+        name: (tuple(leg.states.labels), tuple(leg.controls.labels)) for name, leg in solution.phases.items()
+    }

@@ -89,7 +89,8 @@ def solve(
     throw : bool
         Raise `SolveError` when no solution was reached; with ``False`` the last iterate is returned, its
         ``status`` says what happened and ``violations`` name the worst constraints. An interrupted solve
-        (Ctrl-C, time limit) never raises; interrupted while refining, the best solution so far is returned.
+        (Ctrl-C, time limit) never raises; interrupted while refining, the best solution so far is returned. Only while
+        the arcs of a guess are followed there is none yet, and Ctrl-C raises ``KeyboardInterrupt``.
 
     Returns
     -------

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
-from gnc_opt.nlp import SolverOptions
+from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.attempt import RefinementAttempt, result_of
 from gnc_opt.refine.hp.mesh_refinement import refine_mesh
@@ -71,13 +71,22 @@ class KnownArcs:
         judged : {"always", "changed"}
             Whether it has to pass the verdict, which it carries then: in any case, or if it has other arcs than the
             known one or its mesh had to be refined.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            Ctrl-C: there is no solution yet.
         """
         begin = time.perf_counter()
         start = replace(on_the_way(self.solution, problem), problem=problem.frozen(), structure=())
         found = self._by_arcs(start, tol) if self.structures else self._by_mesh(start, problem, tol)
-        if found is None or not found[1].converged:
+        if found is None:
             return None
         attempt = RefinementAttempt(*found)
+        if attempt.stopped:
+            raise KeyboardInterrupt
+        if not attempt.history.converged:
+            return None
         if judged == "changed" and self._stands(attempt):
             return replace(attempt.solution, history=None)
         return result_of(start, [attempt], tol, begin) if attempt.final else None
@@ -92,6 +101,8 @@ class KnownArcs:
         meshes = {name: leg.mesh for name, leg in start.phases.items()}
         scheme = next(iter(start.phases.values())).scheme
         found = solve_mesh(problem, meshes, scheme=scheme, guess=start, limits=SolveLimits(WARM_ITERATIONS))
+        if found.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
         return refine_mesh(found, tol=tol, limits=self._limits) if found.status.solved else None
 
     def _stands(self, found: RefinementAttempt) -> bool:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import gnc_opt as go
+from gnc_opt.nlp.solver import NlpSolver
+from gnc_opt.refine.structure.detect import structures_of
+from gnc_opt.refine.structure.plan import Plan, points_of
 from gnc_opt.resolve import Resolver, Way
 from gnc_opt.solution.rest import rest_of
 from gnc_opt.verify.kept import kept_verdict
@@ -230,3 +234,44 @@ def test_boundaries_that_arcs_moved_stand_where_these_are_left_out(limited: Reso
     """On three segments that may go where they like, points see a limit where it is not exceeded: 1 % too fast."""
     found = go.solve(limited.solution.need_problem(""), guess=limited.solution, tol=None)
     assert not found.phase().mesh.movable and found.objective == pytest.approx(2.05, rel=1e-9)
+
+
+def test_what_is_no_start_is_refused(fast: Resolver, limited: Resolver) -> None:
+    problem = fast.solution.need_problem("")
+    other = go.solve(cart("effort"), mesh="4x3", tol=None)
+    with pytest.raises(go.GncOptError, match=r"start of Resolver.solve\(\) is a int"):
+        fast.solve(problem, near=3)  # type: ignore[arg-type]
+    strange = replace(other, phases={"other leg": other.phase()})
+    with pytest.raises(go.ProblemError, match="other phases, states or controls"):
+        limited.solve(limited.solution.need_problem(""), near=strange)
+
+
+def test_arcs_begin_where_the_mesh_ends_them(limited: Resolver) -> None:
+    """Samples show them a little off; on a mesh that has other ends they begin with few segments."""
+    leg = limited.solution.phase()
+    (found,) = structures_of(replace(limited.solution, structure=())).values()
+    first, *inner, last = found.times
+    known = Plan.refined(found.at((first, *(t + 1e-4 * leg.duration for t in inner), last)), leg.mesh)
+    assert known.structure.times == pytest.approx(tuple(leg.breaks), rel=1e-14)
+    assert known.mesh().degrees == leg.mesh.degrees
+    far = found.at((first, *(t + 0.05 * leg.duration for t in inner), last))
+    assert Plan.refined(far, leg.mesh) == Plan.of(far, points_of(leg.mesh))
+
+
+@pytest.mark.parametrize("cost", ["time", "effort"])
+def test_ctrl_c_ends_a_solve_and_begins_no_other(
+    limited: Resolver, cost: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The solver returns what it has; neither arcs nor meshes are left for the start then."""
+    resolver = limited if cost == "time" else Resolver(go.solve(cart("effort"), mesh="4x3", tol=None))
+    attempts, run = [], NlpSolver._run
+
+    def interrupted(solver: NlpSolver, start: Any, arguments: Any, watch: Any) -> Any:
+        attempts.append(solver)
+        watch.stop = True
+        return run(solver, start, arguments, watch)
+
+    monkeypatch.setattr(NlpSolver, "_run", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        resolver.solve(resolver.solution.need_problem("").with_initial(q=-1.3))
+    assert len(attempts) == 1

@@ -58,8 +58,8 @@ TURNING_SEGMENTS = 6
 THINNED = 1.5
 """Points of a finer mesh for one point of the pieces, which converge faster than a mesh that switches fall into."""
 
-MOVED = 1e-3
-"""Share of the phase by which ends of pieces may have moved from the breaks of the mesh that they were refined on."""
+MOVED = 1e-2
+"""Share of the phase by which the ends of pieces that samples show may be off the breaks of their mesh."""
 
 SAME = 0.9
 """Share of both that pieces of two structures have in common to be the same."""
@@ -217,8 +217,15 @@ class Plan:
         places = np.argmin(np.abs(breaks[:, None] - ends), axis=0)
         if np.any(np.diff(places) < 1) or np.max(np.abs(breaks[places] - ends)) > MOVED:
             return found
+        moved = times[0] + breaks[places] * (
+            times[-1] - times[0]
+        )  # detected from samples, known from the mesh
         pieces = zip(itertools.pairwise(map(int, places)), found.resolutions, strict=True)
-        return replace(found, resolutions=tuple(_refined(mesh, *piece, first) for piece, first in pieces))
+        return replace(
+            found,
+            structure=structure.at(tuple(map(float, moved))),
+            resolutions=tuple(_refined(mesh, *piece, first) for piece, first in pieces),
+        )
 
     def restructured(self, structure: PhaseStructure) -> Plan:
         """Return the plan of another structure, as coarse as at first; as loose if nothing else is touched.
