@@ -133,8 +133,8 @@ def occurrences(
         Occurrence(
             names[int(told["codes"][k, step]) - 1],
             float(told["times"][k, step]),
-            told["before"][:, step].reshape(shape)[k],
-            told["after"][:, step].reshape(shape)[k],
+            told["before"][:, step].reshape(shape)[k].copy(),  # views would keep the logs of the whole leg
+            told["after"][:, step].reshape(shape)[k].copy(),
         )
         for step in np.flatnonzero(told["number"][0, :steps])
         for k in range(int(min(told["number"][0, step], MOST)))
