@@ -172,11 +172,12 @@ def _points_and_weights(scheme: Scheme, n: int) -> tuple[Array, Array]:
 @cache
 def _decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers, Numbers]:
     with _many_digits():
-        x = _decimals(family_of(scheme).approximate_points(n))
-        for _ in range(4):  # quadratic from about 1e-14: the third step already reaches the last digit
+        symmetric = family_of(scheme).symmetric
+        x = _decimals(family_of(scheme).approximate_points(n))[(n + 1) // 2 if symmetric else 0 :]
+        for _ in range(3):  # quadratic from about 1e-14: the third step reaches the last digit
             x = _newton_step(scheme, n, x)
-        if family_of(scheme).symmetric:
-            x = (x - x[::-1]) / 2
+        if symmetric:
+            x = np.concatenate([-x[::-1], [Decimal(0)] * (n % 2), x])
         modes = _legendre(x, n - 1)
         return x, 1 / sum(modes[k] ** 2 / g for k, g in enumerate(family_of(scheme).square_norms(n)))
 
