@@ -13,6 +13,8 @@ Dormand and Prince's method of order 5.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from gnc_opt.analysis.linearization import OUTPUTS, Linearization
@@ -24,7 +26,7 @@ from gnc_opt.simulation.flight import Flight
 _STABILITY = (1 / 600, 1 / 120, 1 / 24, 1 / 6, 1 / 2, 1.0, 1.0)
 
 
-def steps_for_modes(modes: Array, length: float, asked: float) -> int:
+def steps_for_modes(modes: Any, length: float, asked: float) -> int:
     """Return how many steps in a length (s) modes (1/s, complex) need, `MAX_SUBSTEPS` at most.
 
     ``asked`` is the error over the length, relative to the larger one of 1 and the size of the mode after it.
@@ -65,4 +67,4 @@ class Resolution:
         if not np.isfinite(a).all():
             return 1  # the linearization itself says what is not finite
         length = self._flight.dt / self._flight.minor_steps
-        return steps_for_modes(np.linalg.eigvals(a), length, self._asked)
+        return steps_for_modes(np.linalg.eigvals(a).astype(complex), length, self._asked)
