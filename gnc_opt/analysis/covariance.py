@@ -33,7 +33,7 @@ import numpy as np
 from gnc_opt.analysis.agreement import Agreement, agreement
 from gnc_opt.analysis.experiment import Experiment
 from gnc_opt.analysis.linearization import Linearization
-from gnc_opt.analysis.resolution import Resolution
+from gnc_opt.analysis.resolution import PlantModes
 from gnc_opt.analysis.scatter import Scatter, Sources
 from gnc_opt.arguments import expect, read_integer, read_positive
 from gnc_opt.arrays import Array
@@ -298,7 +298,7 @@ class _Pass:
         scatter = Scatter.first(self.sources, g, h, n)
         flown, needed = self.flight.n_steps, 1
         looks = max(1, flown // _LOOKS)
-        resolution = Resolution(self.linearization, _FOLLOWED / (flown * self.flight.minor_steps))
+        resolution = PlantModes(self.linearization, _FOLLOWED / (flown * self.flight.minor_steps))
         for k, step in enumerate(self.linearization.steps(X)):
             first = k == 0
             n = n if first else next(numbers)

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.analysis.linearization import Linearization
-from gnc_opt.analysis.resolution import Resolution
+from gnc_opt.analysis.resolution import PlantModes
 from gnc_opt.arguments import expect, read_integer, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.control.linear.margins import Margins, linked, margins
@@ -267,7 +267,7 @@ def _along(
     columns = list(range(flight.layout.size)[flight.layout.slice(f"{_PROBE}.d")])
     linearization = Linearization(flight, opened.wiring, columns)
     rows = linearization.output.split(np.arange(linearization.output.size))["commands"]
-    found, needed, resolution = [], 0, Resolution(linearization, flight.accuracy)
+    found, needed, resolution = [], 0, PlantModes(linearization, flight.accuracy)
     X = linearization.start()[0]
     for k, step in enumerate(linearization.steps(X)):
         if k in wanted:

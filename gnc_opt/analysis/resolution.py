@@ -41,7 +41,7 @@ def steps_for_modes(modes: Any, length: float, asked: float) -> int:
     return MAX_SUBSTEPS
 
 
-class Resolution:
+class PlantModes:
     """What the modes of a plant ask for along its nominal run.
 
     Parameters
