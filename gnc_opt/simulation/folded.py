@@ -85,8 +85,7 @@ class Folded:
         the logs of its steps (n_log, n_steps), and the states of all flights after the last (n_flights, n_state)."""
         count, step = len(rows), self.kernel.step
         columns, logs, final = (
-            np.empty(shape)
-            for shape in ((count + 1, X.shape[1]), (count, self.kernel.log.size), X.shape)
+            np.empty(shape) for shape in ((count + 1, X.shape[1]), (count, self.kernel.log.size), X.shape)
         )
 
         def leg() -> Any:
