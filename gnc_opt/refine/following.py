@@ -12,6 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
+import numpy as np
+
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem.problem import Problem
 from gnc_opt.refine.attempt import RefinementAttempt, result_of
@@ -19,6 +21,7 @@ from gnc_opt.refine.hp.mesh_refinement import refine_mesh
 from gnc_opt.refine.passes import PassLimits
 from gnc_opt.refine.structure.detect import structures_of
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
+from gnc_opt.refine.structure.plan import MOVED
 from gnc_opt.refine.structure.switching import TIGHT, optimise_switches
 from gnc_opt.refine.structure.variation import on_the_way
 from gnc_opt.solution.history import History
@@ -57,7 +60,10 @@ class KnownArcs:
     @classmethod
     def of(cls, solution: Solution) -> KnownArcs:
         """Return what is known of a solution."""
-        return cls(solution, structures_of(replace(solution, structure=())) if solution.structure else {})
+        if not solution.structure:
+            return cls(solution, {})
+        found = structures_of(replace(solution, structure=()))
+        return cls(solution, {name: _without_slivers(s, solution, name) for name, s in found.items()})
 
     def vary(self, problem: Problem, tol: float, judged: Judged) -> Solution | None:
         """Return the solution of a variation within a tolerance, or None if it is not found nearby.
@@ -116,3 +122,21 @@ class KnownArcs:
         history = self.solution.history
         taken = 0.0 if history is None else sum(p.work for p in history.passes)
         return PassLimits(PASSES, work=max(taken, LEAST_WORK))
+
+
+def _without_slivers(structure: PhaseStructure, known: Solution, phase: str) -> PhaseStructure:
+    """Return a detected structure without the pieces between rows that change at one time.
+
+    Samples show the ends of arcs of several rows a little apart.
+    """
+    ends = {t for arc in known.structure if arc.phase == phase for t in (arc.start, arc.end)}
+    while structure.pieces > len(ends) - 1:
+        shortest = int(np.argmin(structure.lengths))
+        fewer = structure.without(shortest)
+        if (
+            structure.lengths[shortest] > MOVED * structure.lengths.sum()
+            or fewer.pieces != structure.pieces - 1
+        ):
+            break
+        structure = fewer
+    return structure

@@ -25,7 +25,8 @@ from gnc_opt.solution.spans import (
     steering,
 )
 from gnc_opt.tolerances import AT_LIMIT, SHORTEST, TINY, magnitude
-from gnc_opt.transcription.quadrature import CollocationRule, gauss_rule
+from gnc_opt.transcription.quadrature import MAX_POINTS, CollocationRule, gauss_rule, points, weights
+from gnc_opt.transcription.scheme import GAUSS
 
 EXTRA = 9
 """Samples per segment beyond the number of collocation points; segment ends come on top."""
@@ -93,7 +94,7 @@ class PhaseSamples:
     @classmethod
     def of(cls, leg: PhaseSolution, functions: PhaseFunctions) -> PhaseSamples:
         """Sample a phase."""
-        places = [_sampled(degree) for degree in leg.mesh.degrees]
+        places = [sampled_places(degree) for degree in leg.mesh.degrees]
         segments = np.repeat(np.arange(len(places)), [tau.size for tau, _ in places])
         tau, weights = (np.concatenate(part) for part in zip(*places, strict=True))
         halves = 0.5 * np.diff(leg.breaks)[segments]
@@ -462,15 +463,15 @@ class PhaseSamples:
 
 
 @cache
-def _sampled(degree: int) -> tuple[Array, Array]:
-    """Places on [-1, 1] of a segment's samples, its ends among them, and their weights."""
-    rule = sampling_rule(degree)
-    return np.concatenate([[-1.0], rule.points, [1.0]]), np.concatenate([[0.0], rule.weights, [0.0]])
+def sampled_places(degree: int) -> tuple[Array, Array]:
+    """Return places on [-1, 1] of a segment's samples, its ends among them, and their weights."""
+    n = min(degree + EXTRA, MAX_POINTS)  # a rule's other tables take as long, and nobody needs them here
+    return np.pad(points(GAUSS, n), 1, constant_values=(-1.0, 1.0)), np.pad(weights(GAUSS, n), 1)
 
 
 def sampling_rule(degree: int) -> CollocationRule:
     """Return the quadrature whose points are the samples within a segment of a given degree."""
-    return gauss_rule(min(degree + EXTRA, 64))
+    return gauss_rule(min(degree + EXTRA, MAX_POINTS))
 
 
 def _largest_finite(values: Array) -> Array:

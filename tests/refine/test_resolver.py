@@ -10,6 +10,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.nlp.solver import NlpSolver
+from gnc_opt.refine.following import _without_slivers
 from gnc_opt.refine.structure.detect import structures_of
 from gnc_opt.refine.structure.plan import Plan, points_of
 from gnc_opt.resolve import Resolver, Way
@@ -275,3 +276,21 @@ def test_ctrl_c_ends_a_solve_and_begins_no_other(
     with pytest.raises(KeyboardInterrupt):
         resolver.solve(resolver.solution.need_problem("").with_initial(q=-1.3))
     assert len(attempts) == 1
+
+
+def test_rows_that_change_at_one_time_have_no_piece_between(limited: Resolver) -> None:
+    """The control leaves its bound where the speed reaches its limit; samples may show the one before the other."""
+    known = limited.solution
+    (found,) = structures_of(replace(known, structure=())).values()
+    begin, reached, left, end = found.times
+    between = (*found.kinds[1][: found.n_controls], *found.kinds[0][found.n_controls :])
+    shown = replace(
+        found,
+        times=(begin, reached, reached + 1e-3, left, end),
+        kinds=(found.kinds[0], between, *found.kinds[1:]),
+        touches=((),) * 5,
+    )
+    mended = _without_slivers(shown, known, "leg")
+    assert mended.kinds == found.kinds and mended.times == pytest.approx(found.times, abs=1e-3)
+    longer = replace(shown, times=(begin, reached, reached + 0.2, left, end))
+    assert _without_slivers(longer, known, "leg") == longer

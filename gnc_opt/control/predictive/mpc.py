@@ -168,6 +168,11 @@ def design_mpc(
     bounds = read_limits(model, limits)
     if bounds is None:
         raise ArgumentError("design_mpc() has no limits of the controls: give (lower, upper).")
+    if not np.all(np.isfinite(bounds)):  # the programme is scaled by their range
+        raise ArgumentError(
+            f"the limits of design_mpc() are {shown(limits)}: give finite ones, beyond what is ever commanded where "
+            "there is none."
+        )
     end = None
     if not isinstance(terminal, str):
         end = read_weight(terminal, model.errors, "the terminal weight")

@@ -19,8 +19,8 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.refine.adjoint import costate_rates, costate_worth, unconstrained
 from gnc_opt.refine.error import PhaseError, SampledPieces, Yardstick
-from gnc_opt.solution.samples import EXTRA
-from gnc_opt.transcription.quadrature import collocation_rule, gauss_rule, interpolation_matrix
+from gnc_opt.solution.samples import sampled_places
+from gnc_opt.transcription.quadrature import collocation_rule, interpolation_matrix
 from gnc_opt.transcription.scheme import Scheme
 
 LADDER = (2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 18, 20, 24)
@@ -231,8 +231,6 @@ class _Tables:
 
 @cache
 def _tables(scheme: Scheme, degree: int) -> _Tables:
-    rule, fine = collocation_rule(scheme, degree), gauss_rule(min(degree + EXTRA, 64))
-    tau = np.concatenate([[-1.0], fine.points, [1.0]])
-    weights = np.concatenate([[0.0], fine.weights, [0.0]])
+    rule, (tau, weights) = collocation_rule(scheme, degree), sampled_places(degree)
     interpolate, integrate = interpolation_matrix(rule.points, tau).T, rule.integrate_to(tau).T
     return _Tables(rule.points, rule.weights, tau, weights, interpolate, integrate)
