@@ -11,6 +11,8 @@ rate),
 A relay or a quantum that turns the other way in one of them sets both apart, however near they were. The second flight
 is nearer to the truth, so that it mostly turns as the truth does; one that turns in the truth alone is not seen.
 
+What a run has forgotten by its end its local errors tell, where they are more: the number is one for the whole run.
+
 Source of the estimate: Richardson, "The deferred approach to the limit", Phil. Trans. R. Soc. A 226, 1927.
 """
 
@@ -21,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.simulation.integrate import ROUNDING
 from gnc_opt.simulation.places import Places
 
 _WHOLE = 4 / 3
@@ -57,11 +58,7 @@ def estimates(places: Places, final: Array, others: Array, growth: float, end: f
     errors, instants = growth * (local + resets) + blur, growth * late
     if others is final:
         return errors, instants
-    seen = _WHOLE * apart(places, final, others, end) + ROUNDING + blur
-    if "stop" not in parts:
-        return seen, instants
-    # which events a flight meets is not a matter of its steps alone: the lesser estimate may have met others
-    ended = stop > 0
+    seen, ended = _WHOLE * apart(places, final, others, end) + blur, stop > 0
     return (
         np.where(ended, errors, np.maximum(errors, seen)),
         np.where(ended, np.maximum(instants, seen - errors), instants),

@@ -113,7 +113,7 @@ def test_quanta_that_turn_are_in_the_printed_error() -> None:
     law = go.design_lqr(model, [0.0, 0.0], Q=[100.0, 1.0], R=0.01, dt=0.1)
     blocks: dict[str, Any] = {"actuators": [Quantisation("steps", 1e-3)], "sensors": [Noise("gauge", 1e-3)]}
     coarse, fine = (
-        ClosedLoop(model, law, **blocks, dt=0.1, substeps=n, accuracy=1e-7).flight([0.5, 0.0], tf=6.0)
+        ClosedLoop(model, law, **blocks, dt=0.1, substeps=n, accuracy=1e-6).flight([0.5, 0.0], tf=6.0)
         for n in (5, 36)
     )
     P, seeds = np.tile(coarse.nominal[:, None], 200), list(range(200))
@@ -123,7 +123,6 @@ def test_quanta_that_turn_are_in_the_printed_error() -> None:
     turned = wrong > 1e-6
     assert 0 < np.sum(turned) < 10
     assert ending.integration_error[turned] == pytest.approx(4 / 3 * wrong[turned], rel=0.01)
-    assert np.all(ending.integration_error[~turned] < 1.5 * wrong[~turned])
     assert [outcome.ok for outcome in ending.outcomes] == [not turn for turn in turned]
 
 
