@@ -55,14 +55,18 @@ class Budget:
 
         def counted(t: float, x: Array) -> Array:
             values = rate(t, x)
-            self.count += 1
             if not np.isfinite(values).all():
                 self._note(t, x, values)
-            if self.count > self.most:
-                raise SpentError(f"{self.most:,} evaluations of the dynamics led to t = {t:.4g} s only")
+            self.spend(t)
             return values
 
         return counted
+
+    def spend(self, t: float, evaluations: int = 1) -> None:
+        """Count evaluations that led to a time; raise `SpentError` when the budget is spent."""
+        self.count += evaluations
+        if self.count > self.most:
+            raise SpentError(f"{self.most:,} evaluations of the dynamics led to t = {t:.4g} s only")
 
     def _note(self, t: float, x: Array, values: Array) -> None:
         self.not_finite += 1

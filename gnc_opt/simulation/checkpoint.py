@@ -28,12 +28,12 @@ def stored(folder: Path, mission: Mission, runs: int) -> list[Flown]:
     Raises
     ------
     GncOptError
-        The folder is of another campaign.
+        The folder is of another campaign, or a file in it is damaged.
     """
     folder.mkdir(parents=True, exist_ok=True)
     found = []
     for path in sorted(folder.glob(_PATTERN)):
-        part = Campaign.load(path)
+        part = _load(path)
         _require_same(part, mission, path)
         count = int(np.sum(part.indices < runs))
         if count:
@@ -44,6 +44,16 @@ def stored(folder: Path, mission: Mission, runs: int) -> list[Flown]:
 def store(folder: Path, part: Campaign) -> None:
     """Write runs with consecutive numbers."""
     part.save(folder / f"runs {part.indices[0]:08d} to {part.indices[-1]:08d}.npz")
+
+
+def _load(path: Path) -> Campaign:
+    try:
+        return Campaign.load(path)
+    except GncOptError as error:
+        raise GncOptError(
+            f"the checkpoint cannot be read: {str(error).partition(';')[0].rstrip('.')}. Delete this file: the same "
+            "call then flies its runs again."
+        ) from error
 
 
 def _require_same(part: Campaign, mission: Mission, path: Path) -> None:

@@ -9,11 +9,13 @@ each instant tried, so that the state there is as accurate as any; then the rese
 
 Events whose rows fall through zero within `SAME_TIME` of the minor step are simultaneous: their conditions are judged
 before all resets, and these follow in the order of declaration until one ends the run. A reset after which its row
-rises, but falls through zero again within that time, would be followed by others without end: the run ends there.
+rises, but falls through zero again within that time, would be followed by others without end: the run ends there. So
+it does where a reset leaves its row at rest on zero and the plant pulls it on through: a contact that nothing keeps.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import casadi as ca
@@ -274,10 +276,22 @@ class _Passage:
         back = ca.logic_and(
             ca.logic_and(slope_after > 0, slope_on < 0), y_on <= 0
         )  # within a moment, for ever
-        endless = ca.logic_and(ca.sum1(ca.logic_and(fired, back)) > 0.5, w["stop"] < 0.5)
-        w["stop"] = ca.if_else(endless, len(self.events) + 1, w["stop"])
-        w["stop time"] = ca.if_else(endless, t + s, w["stop time"])
+        endless = ca.sum1(ca.logic_and(fired, back)) > 0.5
+        sinks = ca.logic_and(slope_on < 0, 2 * ca.fabs(slope_after) <= ca.fabs(slope_on))  # from rest
+        through = ca.logic_and(ca.logic_and(fired, sinks), y_on <= ca.fabs(y))
+        happened = w["count"] - v["count"]
+        for code, ends in ((len(self.events) + 1, endless), *self._unkept(through, happened)):
+            ends = ca.logic_and(ends, w["stop"] < 0.5)
+            w["stop"] = ca.if_else(ends, code, w["stop"])
+            w["stop time"] = ca.if_else(ends, t + s, w["stop time"])
         return ca.Function("happen", given, [self.places.join(w)])
+
+    def _unkept(self, through: Any, happened: Any) -> Iterator[tuple[int, Any]]:
+        """Yield, of each event with a reset, the code and whether it has left a row of its own that falls through."""
+        for j, event in enumerate(self.events.declared):
+            if event.reset:
+                own = [through[row] for row, owner in enumerate(self.events.owners) if owner == j]
+                yield len(self.events) + 2 + j, ca.logic_and(ca.sum1(ca.vertcat(*own)), happened[j])
 
     def _improve(self) -> Any:
         """One step of the search, unless it has ended."""

@@ -21,6 +21,12 @@ _LOST = ": no digit is right"
 _ZENO = f"more than {MOST - 1} events in a control step (Zeno: let what they follow come to rest by another event)"
 """What ended a run whose events do not let time pass."""
 
+_UNKEPT = (
+    "the reset of '{}' leaves it at rest on zero, and the plant pulls it through (let it change a mode, too: a state "
+    "with the rate 0, by which the equations choose what holds it there)"
+)
+"""What ended a run in which something came to rest on what does not bear it."""
+
 
 @dataclass(frozen=True, eq=False)
 class Judge:
@@ -62,7 +68,7 @@ class Judge:
         if alarm:
             return Outcome(RunStatus.ALARM, self.alarms[alarm - 1], float(parts["alarm time"][0, i]))
         name, time = self._stop(parts, i)
-        if name in self.failures or name == _ZENO:
+        if name in self.failures or (name and name not in self.events):
             return Outcome(RunStatus.STOPPED, name, time)
         if not error <= self.accuracy:
             why = _AVERAGED if 2 * float(parts["blur"][0, i]) > error else _LOST if error > 1 else ""
@@ -72,4 +78,5 @@ class Judge:
     def _stop(self, parts: dict[str, Any], i: int) -> tuple[str, float]:
         """Return the event that ended a run, and when."""
         code = int(parts["stop"][0, i]) if self.events else 0
-        return ((*self.events, _ZENO)[code - 1], float(parts["stop time"][0, i])) if code else ("", np.nan)
+        names = (*self.events, _ZENO, *(_UNKEPT.format(event) for event in self.events))
+        return (names[code - 1], float(parts["stop time"][0, i])) if code else ("", np.nan)

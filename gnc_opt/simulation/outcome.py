@@ -18,7 +18,8 @@ class RunStatus(Enum):
     DIVERGED : a state left its plausible size, see ``plausible`` of `ClosedLoop`.
     NOT_FINITE : a measurement, command, applied control or state is not a finite number, or the expression or
         condition of an event, or a quantity, is not-a-number.
-    STOPPED : an event that is a failure ended the run, or events followed each other faster than time (Zeno).
+    STOPPED : an event that is a failure ended the run, or events followed each other faster than time (Zeno),
+        or a reset left its event at rest on zero and the plant would have gone on through.
     REFUSED : a parameter is outside its permitted range; the run was not flown.
     LOST : the process that flew it died, or the run raised an exception.
     """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -13,7 +12,8 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from gnc_opt.arrays import Array
-from gnc_opt.model.integration import Budget, EndedError, Rate, Tolerance, integrate
+from gnc_opt.model.dormand_prince import Controls, carried
+from gnc_opt.model.integration import Budget, EndedError, Tolerance, integrate
 from gnc_opt.problem.functions import PhaseFunctions
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import magnitude
@@ -69,15 +69,14 @@ def propagate(
     signal = leg.flown if control == "flown" else leg.u
     tolerance = Tolerance(rtol, state_magnitudes(leg))
     states = [leg.x(leg.breaks[0])]
-    fast, budget, ended = functions.fast_rates(), Budget(leg.states.labels), ""
+    flight, ended = _Flight(functions, tolerance, Budget(leg.states.labels)), ""
     for left, right in itertools.pairwise(edges):
-        rate = _right_hand_side(fast, signal, left, right, _degree(leg, left, right))
+        controls = _controls(signal, left, right, _degree(leg, left, right))
         try:
-            run = integrate(rate, states[-1], (left, right), tolerance=tolerance, budget=budget)
+            states.append(flight.end(controls, states[-1], (left, right)))
         except EndedError as why:
             ended = str(why)
             break
-        states.append(run.states[:, -1])
         if right in anew:
             gap, states[-1] = states[-1] - leg.x(right, "left"), leg.x(right)
             error = _larger(error, gap)
@@ -108,30 +107,46 @@ def _degree(leg: PhaseSolution, left: float, right: float) -> int:
     return int(np.max(np.asarray(leg.mesh.degrees)[inside], initial=1))
 
 
-def _right_hand_side(
-    fast: Callable[[float, Array, Array], Array],
-    signal: Callable[..., Array],
-    left: float,
-    right: float,
-    degree: int,
-) -> Rate:
-    """Return dx/dt on an interval where the control is a polynomial of at most the given degree."""
+class _Flight:
+    """The dynamics, integrated from one discontinuity of the control to the next."""
+
+    def __init__(self, functions: PhaseFunctions, tolerance: Tolerance, budget: Budget) -> None:
+        self._rates, self._steps = functions.fast_rates(), functions.fast_steps()
+        self._tolerance, self._budget = tolerance, budget
+
+    def end(self, controls: Controls, x: Array, span: tuple[float, float]) -> Array:
+        """Return the state (n,) at the end of a span; raise `EndedError` where there is none."""
+
+        def rate(t: float, x: Array) -> Array:
+            return self._rates(t, x, controls(np.array([t]))[:, 0])
+
+        spent = self._budget.count
+        found = carried(self._steps, rate, controls, x, span, self._tolerance, self._budget)
+        if found is not None:
+            return found
+        self._budget.count = spent
+        run = integrate(
+            rate, x, span, tolerance=self._tolerance, budget=self._budget
+        )  # says what is the matter
+        return run.states[:, -1]
+
+
+def _controls(signal: Callable[..., Array], left: float, right: float, degree: int) -> Controls:
+    """Return the controls on an interval where they are polynomials of at most the given degree."""
     tau, to_coefficients = _fit(degree)
     half, middle = 0.5 * (right - left), 0.5 * (right + left)
     values = signal(middle + half * tau)
     if np.all(values == values[:, :1]):  # on a bound, say: no polynomial to evaluate
-        held = values[:, 0]
-        return lambda t, x: fast(t, x, held)
+        return lambda times: np.broadcast_to(values[:, :1], (values.shape[0], times.size))
     coefficients = values @ to_coefficients
+    orders = np.arange(degree + 1.0)[:, None]
 
-    orders = np.arange(degree + 1.0)
+    def controls(times: Array) -> Array:
+        # Chebyshev's polynomials in one call; Runge-Kutta stages may round beyond the ends.
+        angles = np.arccos(np.minimum(np.maximum((times - middle) / half, -1.0), 1.0))
+        return np.asarray(coefficients @ np.cos(orders * angles))
 
-    def rate(t: float, x: Array) -> Array:
-        # Chebyshev's polynomials at one place, in one call; Runge-Kutta stages may round beyond the ends.
-        angle = math.acos(min(1.0, max(-1.0, (t - middle) / half)))
-        return fast(t, x, coefficients @ np.cos(angle * orders))
-
-    return rate
+    return controls
 
 
 @cache

@@ -125,6 +125,20 @@ def test_another_campaign_is_refused(tmp_path, change, culprit):
         fly(4, checkpoint=tmp_path, **change)
 
 
+@pytest.mark.parametrize("content", [b"", b"torn", None])
+def test_a_damaged_file_is_named_and_can_be_deleted(tmp_path, content):
+    whole = fly(3, checkpoint=tmp_path)
+    path = max(tmp_path.iterdir())
+    bits = bytearray(path.read_bytes())
+    bits[len(bits) // 2] ^= 1
+    path.write_bytes(bytes(bits) if content is None else content)
+    with pytest.raises(GncOptError, match=r"Delete this file") as refusal:
+        fly(3, checkpoint=tmp_path)
+    assert str(path) in str(refusal.value)
+    path.unlink()
+    assert same(fly(3, checkpoint=tmp_path), whole)
+
+
 def test_a_loaded_campaign_refuses_another_loop_or_span(tmp_path, whole):
     path = whole.save(tmp_path / "campaign")
     flight = loop().flight([1.0, 0.0], tf=3.0)

@@ -256,6 +256,41 @@ def test_a_bouncing_ball_at_rest_on_the_ground_stays_there(restitution):
     assert np.abs(run.states).max() < 1e-9
 
 
+@pytest.mark.parametrize(
+    ("start", "direction"),
+    [([10.0, 0.0], "either"), ([10.0, 0.0], "falling"), ([0.0, 0.0], "falling"), ([0.0, 2.0], "falling")],
+)
+def test_what_a_reset_puts_to_rest_does_not_fall_through_the_ground(start, direction):
+    """Nothing bears it there: the run was ok, and ended metres below."""
+    plant, h, v = ball()
+    apex, ground = Event("apex", v, "falling", reset={}), Event("ground", h, direction, reset={v: 0})
+    run = falling(plant, apex, ground).simulate(start, tf=3.0)
+    assert run.outcome.status is RunStatus.STOPPED
+    assert "'ground'" in run.outcome.what and "mode" in run.outcome.what
+    fall = (start[1] + np.sqrt(start[1] ** 2 + 2 * G * start[0])) / G
+    assert run.outcome.time == pytest.approx(fall, abs=1e-7)
+    assert run.states[:, -1] == pytest.approx([0, 0], abs=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["put higher", "pushed back", "slowed down", "held by a mode", "condition"])
+def test_resets_from_which_the_plant_goes_on_are_no_rest_on_the_ground(kind):
+    plant = Model("ball")
+    h, v, mode, a = plant.state("h"), plant.state("v"), plant.state("mode"), plant.control("a")
+    below = G if kind == "pushed back" else 0.0 if kind == "held by a mode" else -G
+    plant.ode({h: v, v: a + ca.if_else(mode > 0.5, below, -G), mode: 0.0})
+    resets = {
+        "put higher": {h: 50.0, v: 0.0},
+        "slowed down": {v: 0.5 * v},
+        "condition": {v: 0.0},
+    }
+    reset = resets.get(kind, {v: 0.0, mode: 1.0})
+    where = v > -1 if kind == "condition" else None
+    run = falling(plant, Event("met", h, "falling", reset=reset, where=where)).simulate(
+        [1.0, -1.0, 0.0], tf=1.5
+    )
+    assert run.outcome.ok and len(run.events) == (kind != "condition")
+
+
 def test_two_stages_with_drag_and_a_lag_equal_scipy():
     """Fuel runs out, a stage is dropped, the rest coasts to its apex: a graph of three modes."""
     rocket = Model("rocket")

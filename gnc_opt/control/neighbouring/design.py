@@ -300,8 +300,13 @@ class _Guidance:
         """Return what the design says of itself."""
         plan, best, ending = self.plan, self.optimum, self.prediction.ending
         labels = ", ".join(plan.reference.states.labels)
+        how = "with the reserve" if ending.reserve else "without a reserve"
+        if f"{best.tau[-1]:.6g}" != f"{max(best.tau[-1], plan.times[-1]):.6g}":  # faster than the fastest
+            how += (
+                f", by a prediction that may miss the end by {OFF:g} of the accepted errors: larger Q, finer"
+            )
         return [
-            Fact("end", best.tau[-1], "s", f"with the reserve; {plan.times[-1]:.6g} s as planned"),
+            Fact("end", best.tau[-1], "s", f"{how}; {plan.times[-1]:.6g} s as planned"),
             Fact("switches", str(len(plan.channels)), "", f"for {best.S.shape[0]} conditions at the end"),
             Fact(
                 "least curvature", best.curvature, "", "of the flight time along what keeps the end, times it"
