@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.analysis.linearization import Linearization
+from gnc_opt.analysis.resolution import PlantModes
 from gnc_opt.arguments import expect, read_integer, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.control.linear.margins import Margins, linked, margins
@@ -256,7 +257,19 @@ def loop_response(
                 "leave it out, or give the loop its period as dt."
             )
     opened = replace(loop, actuators=(_Probe(_PROBE), *loop.actuators))
-    flight = opened.flight(x0, t0=t0, tf=tf, parameters=parameters)
+    run: dict[str, Any] = {"x0": x0, "t0": t0, "tf": tf, "parameters": parameters}
+    response, needed = _along(opened, run, at)
+    if needed and loop.substeps is None:
+        response, _ = _along(replace(opened, substeps=needed), run, at)
+    return response
+
+
+def _along(
+    opened: ClosedLoop, run: Mapping[str, Any], at: Sequence[float] | None
+) -> tuple[LoopResponse, int]:
+    """Return the response of a loop with its probe, and the integration steps per minor step that its modes ask for; 0
+    if it has as many."""
+    flight = opened.flight(**run)
     times = read_numbers([flight.times[0]] if at is None else at, "the times of loop_response()").reshape(-1)
     begin, end = flight.times[[0, -1]]
     if not times.size or not np.all((times >= begin) & (times < end)):
@@ -265,11 +278,15 @@ def loop_response(
     columns = list(range(flight.layout.size)[flight.layout.slice(f"{_PROBE}.d")])
     linearization = Linearization(flight, opened.wiring, columns)
     rows = linearization.output.split(np.arange(linearization.output.size))["commands"]
-    found = []
-    for k, step in enumerate(linearization.steps(linearization.start()[0])):
+    found, needed, resolution = [], 0, PlantModes(linearization, flight.accuracy)
+    X = linearization.start()[0]
+    for k, step in enumerate(linearization.steps(X)):
         if k in wanted:
             found.append((step.a, step.h, step.c[rows]))
+            needed = max(needed, resolution.needed(flight.times[k], X, step.y))
         if k == wanted[-1]:
             break
+        X = step.X_next
     a, b, c = (np.stack(parts) for parts in zip(*found, strict=True))
-    return LoopResponse(flight.times[wanted], a, b, c, loop.dt, flight.commands)
+    response = LoopResponse(flight.times[wanted], a, b, c, opened.dt, flight.commands)
+    return response, needed if needed > flight.substeps else 0
