@@ -12,10 +12,10 @@ from gnc_opt.arguments import expect, read_positive
 from gnc_opt.nlp import SolverOptions, Status
 from gnc_opt.problem.norms import restated
 from gnc_opt.problem.problem import Problem
-from gnc_opt.refine.following import KnownArcs
+from gnc_opt.refine.following import KnownArcs, first_meshes
 from gnc_opt.refine.limits import RefinementLimits
 from gnc_opt.refine.refine import StructureChoice, refine
-from gnc_opt.refine.structure.variation import KnownFlight
+from gnc_opt.refine.structure.variation import KnownFlight, on_the_way
 from gnc_opt.solution.again import another_way, relative_gain
 from gnc_opt.solution.failure import SolveError, failure_message
 from gnc_opt.solution.history import RefinementStatus
@@ -69,17 +69,17 @@ def solve(
     guess : Solution, optional
         Start from states, controls and multipliers of an earlier solution, on any mesh; ``provenance["way"]`` of the
         answer says how. If it is the refined solution of a variation (`Problem.with_initial`, ...), and neither mesh
-        nor options are given, its arcs serve on, to the tolerance it was refined to; without a tolerance and where
-        switch times decide everything that is Newton's method on these: the flight itself, right to 1e-9, see
-        `Resolver`. Without a guess the
-        problem's own guess and straight lines are used, from coarser meshes on if there are 60 segments or more;
-        where these end as infeasible, the constraints are met first and the cost is lowered afterwards, see
-        `gnc_opt.solution.solve_mesh`.
+        nor options are given, its arcs or its mesh serve on, to the tolerance it was refined to; without a tolerance
+        and where switch times decide everything that is Newton's method on these: the flight itself, right to 1e-9,
+        see `Resolver`. Where these lead nowhere, it is refined and judged again, from the mesh that the guess was
+        refined from, and if that does not settle, from the start. Without a guess the problem's own guess and straight
+        lines are used, from coarser meshes on if there are 60 segments or more; where these end as infeasible, the
+        constraints are met first and the cost is lowered afterwards, see `gnc_opt.solution.solve_mesh`.
     tol : float, "auto" or None
         Refine until the error between the nodes is below this, and judge the result; see `refine`. A solution that
         does not come to rest is compared with another one; see `gnc_opt.solution.solve_mesh`. None: one solve on the
-        given mesh, not judged. ``"auto"``: 1e-6 (`TOLERANCE`), but None with a ``guess``: a warm solve is for inner
-        loops, and stays on the mesh that it starts from, or with its arcs.
+        given mesh, not judged. ``"auto"``: 1e-6 (`TOLERANCE`); with a ``guess`` that which a variation was refined
+        to, and None with any other: a warm solve is for inner loops, and stays on the mesh that it starts from.
     structure : {"auto", "bang-bang", "none"}
         How to refine; see `refine`.
     options : SolverOptions, optional
@@ -128,6 +128,10 @@ def solve(
         nearby = _varied(problem, guess, tol, in_a_loop)
         if nearby is not None:
             return nearby
+        if in_a_loop and guess.converged and _is_variation(problem, guess):
+            tol = reached(guess)
+        if tol is not None and guess.converged:
+            return _refined_again(problem, guess, tol, progress, throw)
     solution = solve_mesh(problem, mesh, scheme=scheme, guess=guess, options=options, progress=progress)
     if guess is not None:
         solution = said(solution, Way.WARM)
@@ -161,22 +165,59 @@ def said(solution: Solution, way: Way) -> Solution:
 def _varied(problem: Problem, known: Solution, tol: float | None, in_a_loop: bool) -> Solution | None:
     """Return the solution of a variation of what is known, to a tolerance, or of an inner loop; None if there is none.
 
-    In a loop it is that by switch times or by arcs, as accurate as the known one, and judged only if its arcs
+    In a loop it is that by switch times, by arcs or on the mesh, as accurate as the known one, and judged only if these
     are others.
     """
-    if known.problem is None or known.problem.builds is not problem.builds or not known.status.solved:
+    if not _is_variation(problem, known):
         return None
     if in_a_loop:
         flight = KnownFlight.of(known)
         flown = None if flight is None else flight.vary(problem)
         if flown is not None:
             return said(flown, Way.SWITCH_TIMES)
-        tol = reached(known) if known.structure else None
+        tol = reached(known) if known.structure or known.converged else None
     refined = bool(known.structure) or known.history is not None
     if tol is None or not refined:
         return None
     found = KnownArcs.of(known).vary(problem, tol, "changed" if in_a_loop else "always")
     return None if found is None else said(found, Way.WARM)
+
+
+def _is_variation(problem: Problem, known: Solution) -> bool:
+    """Whether a solution is one of a problem that differs in numbers only."""
+    return known.problem is not None and known.problem.builds is problem.builds and known.status.solved
+
+
+def _refined_again(problem: Problem, known: Solution, tol: float, progress: bool, throw: bool) -> Solution:
+    """Return what refining leads to where arcs and mesh of a known solution are no longer right.
+
+    They are refined for what has changed: from the mesh that they came of the new ones are found sooner. If that
+    does not come to rest, what is known has led astray, and the problem is solved from the start.
+    """
+    meshes, start = first_meshes(known), on_the_way(known, problem)
+    warm = solve_mesh(problem, meshes, scheme=known.scheme, guess=start, progress=progress)
+    if warm.status is Status.INTERRUPTED:
+        return said(warm, Way.WARM)
+    if warm.status.solved:
+        warm = refine(warm, tol=tol, progress=progress)
+        if warm.converged or _stopped(warm):
+            return said(warm, Way.WARM)
+    cold = solve(
+        problem,
+        mesh=meshes,
+        scheme=known.scheme,
+        tol=tol,
+        progress=progress,
+        throw=throw and not warm.status.solved,
+    )
+    return said(warm, Way.WARM) if _is_nearer(warm, cold) else said(cold, Way.COLD)
+
+
+def _is_nearer(warm: Solution, cold: Solution) -> bool:
+    """Whether the one that did not settle is still the better of two."""
+    if cold.converged or warm.history is None:
+        return False
+    return cold.history is None or warm.history.final.error < cold.history.final.error
 
 
 def reached(known: Solution) -> float:

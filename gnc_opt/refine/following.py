@@ -27,6 +27,7 @@ from gnc_opt.refine.structure.variation import on_the_way
 from gnc_opt.solution.history import History
 from gnc_opt.solution.solution import Solution
 from gnc_opt.solution.solve_mesh import SolveLimits, solve_mesh
+from gnc_opt.transcription.mesh import Mesh, read_meshes
 
 WARM_ITERATIONS = 50
 """After which a warm start has lost its way, and the trajectory alone is kept."""
@@ -122,6 +123,16 @@ class KnownArcs:
         history = self.solution.history
         taken = 0.0 if history is None else sum(p.work for p in history.passes)
         return PassLimits(PASSES, work=max(taken, LEAST_WORK))
+
+
+def first_meshes(known: Solution) -> dict[str, Mesh]:
+    """Return the meshes that a solution was refined from; the default where that is not known.
+
+    Its history begins with them, or with boundaries that arcs had moved already.
+    """
+    meshes = {} if known.history is None else known.history.passes[0].meshes
+    given = bool(meshes) and not any(mesh.movable for mesh in meshes.values())
+    return read_meshes(meshes if given else None, known.phases, known.problem_name)
 
 
 def _without_slivers(structure: PhaseStructure, known: Solution, phase: str) -> PhaseStructure:

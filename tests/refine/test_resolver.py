@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
 
 import gnc_opt as go
 from gnc_opt.nlp.solver import NlpSolver
@@ -15,6 +19,7 @@ from gnc_opt.refine.structure.detect import structures_of
 from gnc_opt.refine.structure.plan import Plan, points_of
 from gnc_opt.resolve import Resolver, Way
 from gnc_opt.solution.rest import rest_of
+from gnc_opt.solution.solve_mesh import solve_mesh
 from gnc_opt.verify.kept import kept_verdict
 from gnc_opt.verify.verify import TOLERANCE
 
@@ -176,7 +181,55 @@ def test_a_guess_of_another_problem_or_beyond_a_limit_is_a_start(fast: Resolver)
     assert go.solve(cart(), guess=fast.solution).provenance["way"] == Way.WARM.value
     limited = fast.solution.need_problem("").with_bounds(v=(-1.0, 0.8))
     found = go.solve(limited, guess=fast.solution)
-    assert found.provenance["way"] == Way.WARM.value and found.objective == pytest.approx(2.05, abs=1e-2)
+    assert found.provenance["way"] == Way.WARM.value and found.objective == pytest.approx(2.05, rel=1e-9)
+    assert found.converged and go.verify(found).minimum
+
+
+def test_a_guess_that_leads_astray_is_left(fast: Resolver, monkeypatch: pytest.MonkeyPatch) -> None:
+    limited = fast.solution.need_problem("").with_bounds(v=(-1.0, 0.8))
+    module = importlib.import_module("gnc_opt.solve")
+    usual = solve_mesh
+
+    def lost(problem: go.Problem, mesh: Any = None, *, guess: Any = None, **given: Any) -> go.Solution:
+        brief = {"options": go.SolverOptions(max_iterations=0)} if guess is not None else {}
+        return usual(problem, mesh, guess=guess, **given | brief)
+
+    monkeypatch.setattr(module, "solve_mesh", lost)
+    found = go.solve(limited, guess=fast.solution)
+    assert found.provenance["way"] == Way.COLD.value and found.converged
+    assert found.objective == pytest.approx(2.05, rel=1e-9)
+
+
+@pytest.mark.parametrize("tol", [{}, {"tol": 1e-6}])
+def test_a_limit_that_is_no_longer_met(limited: Resolver, tol: dict[str, float]) -> None:
+    """Half a metre is flown at 0.71 m/s at most: the arc on the limit is gone, and its boundaries with it."""
+    found = go.solve(limited.solution.need_problem("").with_initial(q=-0.5), guess=limited.solution, **tol)
+    assert found.objective == pytest.approx(2**0.5, rel=1e-9) and go.verify(found).minimum
+
+
+def test_a_smooth_guess_is_as_accurate_again() -> None:
+    """Least integral of (q' + q^3)^2 from d to 0 in T: q'^2 - q^6 = E is constant, and the mixed term an exact one.
+
+    From a small d, where nearly nothing bends, the few segments that were enough have to be made more.
+    """
+    start, duration = 2.0, 1.0
+
+    def integral(energy: float, of: Callable[[float], float]) -> float:
+        return float(quad(lambda q: of(q) / np.sqrt(energy + q**6), 0.0, start, epsabs=0.0, epsrel=1e-11)[0])
+
+    energy = brentq(lambda e: integral(e, lambda q: 1.0) - duration, 1e-3, 1e3, xtol=1e-13)
+    cost = integral(energy, lambda q: 2 * q**6 + energy) - start**4 / 2
+    m = go.Model("spring")
+    q, u = m.state("q"), m.control("u")
+    m.ode({q: u - q**3})
+    p = go.Problem("spring")
+    leg = p.phase("leg", m)
+    leg.time(initial=0.0, final=duration)
+    leg.initial(q=0.1)
+    leg.final(q=0.0)
+    p.minimize(leg.integral(u**2))
+    found = go.solve(p.with_initial(q=start), guess=go.solve(p, mesh="2x3"))
+    assert found.converged and found.objective == pytest.approx(cost, rel=1e-8)
 
 
 def test_what_two_flights_have_in_common_does_not_depend_on_the_way(fast: Resolver) -> None:
