@@ -44,6 +44,9 @@ _STABLE = 1.0 + 1e-9
 _LOOKS = np.array([0.01, 0.1, 0.5])
 """Frequencies, as shares of the highest, at which a loop is asked whether it is open."""
 
+_NOTHING_LEFT = 1e-14
+"""Of a disturbance: less of it is rounding, and the open loop infinite."""
+
 _NOTHING = 1e-12
 """Responses to a command that are rounding."""
 
@@ -95,8 +98,12 @@ class LoopResponse(Strict):
     def open_loop(self, omega: ArrayLike, index: int = 0) -> Array:
         """Return L, (n_omega, m, m) complex, at one of the instants."""
         closed = self._closed(omega, index)
-        one = np.eye(closed.shape[1])
-        return _solved((one + closed).transpose(0, 2, 1), -closed.transpose(0, 2, 1)).transpose(0, 2, 1)
+        left = np.eye(closed.shape[1]) + closed
+        if np.any(
+            np.linalg.norm(left, -2, axis=(1, 2)) <= _NOTHING_LEFT * np.linalg.norm(closed, 2, axis=(1, 2))
+        ):
+            raise _at_a_pole()
+        return _solved(left.transpose(0, 2, 1), -closed.transpose(0, 2, 1)).transpose(0, 2, 1)
 
     def sensitivity(self, omega: ArrayLike, index: int = 0) -> Array:
         """Return S, (n_omega, m, m) complex: what of d is left in what the actuators get."""
@@ -195,10 +202,14 @@ def _solved(matrices: Array, columns: Array) -> Array:
     try:
         return np.asarray(np.linalg.solve(matrices, columns))
     except np.linalg.LinAlgError:
-        raise ArgumentError(
-            "the loop has a pole at one of the frequencies, as an integral or a constant has at 0: "
-            "ask beside it, at 1e-6 rad/s, say."
-        ) from None
+        raise _at_a_pole() from None
+
+
+def _at_a_pole() -> ArgumentError:
+    return ArgumentError(
+        "the loop has a pole at one of the frequencies, as an integral or a constant has at 0: "
+        "ask beside it, at 1e-6 rad/s, say."
+    )
 
 
 @one_thread()
