@@ -72,7 +72,10 @@ class Folded:
     ) -> None:
         """Write what a function makes of contiguous arrays to others: no conversion per run."""
         if key not in self._buffers:
-            self._buffers[key] = function().buffer()
+            legs = self.kernel.legs
+            if key not in legs:
+                legs[key] = function()
+            self._buffers[key] = legs[key].buffer()
         buffer, evaluate = self._buffers[key]
         for k, array in enumerate(arguments):
             buffer.set_arg(k, memoryview(array.data))

@@ -12,6 +12,7 @@ step by minor step, through it (`gnc_opt.simulation.crossing`).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -53,6 +54,17 @@ class Kernel:
     state: Places
     known: Places
     log: Places
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in vars(self).items() if k != "legs"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+
+    @cached_property
+    def legs(self) -> dict[Any, Any]:
+        """Functions of many steps, kept for all flights of the loop: one with its log takes 0.2 s to make."""
+        return {}
 
 
 def build_kernel(wiring: Wiring, substeps: int) -> Kernel:
