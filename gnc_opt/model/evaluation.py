@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.arguments import read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.vectorised import FEWEST, Programme
+from gnc_opt.model.vectorised import FEWEST, Operations
 
 BLOCK = 16
 """So many evaluations are one call of CasADi, at most."""
@@ -22,7 +22,7 @@ def evaluate(
     t: ArrayLike,
     x: ArrayLike,
     *others: ArrayLike,
-    programme: Callable[[], Programme | None] | None = None,
+    programme: Callable[[], Operations | None] | None = None,
 ) -> Array:
     """Evaluate a CasADi function of (t, x, ...) at one time or many.
 

@@ -78,7 +78,7 @@ _OPERATIONS: dict[int, Operation] = {
 
 
 @dataclass(frozen=True)
-class Programme:
+class Operations:
     """The operations of a CasADi function of columns with one dense column as its first output.
 
     Attributes
@@ -95,7 +95,7 @@ class Programme:
     steps: tuple[tuple[Operation, int, Sequence[Any]], ...]
 
     @classmethod
-    def of(cls, function: Any) -> Programme | None:
+    def of(cls, function: Any) -> Operations | None:
         """Read a function; None if it is too long, or has operations beyond those known here."""
         if not function.is_a("SXFunction") or not function.sparsity_out(0).is_dense():
             return None

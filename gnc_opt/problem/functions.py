@@ -26,7 +26,7 @@ from gnc_opt.errors import ProblemError
 from gnc_opt.model.dormand_prince import step_function
 from gnc_opt.model.evaluation import evaluate, fast_call
 from gnc_opt.model.symbol import as_expression
-from gnc_opt.model.vectorised import Programme
+from gnc_opt.model.vectorised import Operations
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.problem.symbols import parameter_arguments
@@ -218,11 +218,11 @@ class PhaseFunctions:
         others = costate, multiplier, self.weights, self.p, self.q
         return evaluate(function, t, x, u, *others, programme=lambda: self._programme(name))
 
-    def _programme(self, name: str) -> Programme | None:
+    def _programme(self, name: str) -> Operations | None:
         key = f"{name} by NumPy"
         if key not in self.functions:
-            self.functions[key] = Programme.of(self.functions[name])
-        known: Programme | None = self.functions[key]
+            self.functions[key] = Operations.of(self.functions[name])
+        known: Operations | None = self.functions[key]
         return known
 
 

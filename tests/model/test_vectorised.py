@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from gnc_opt.model.evaluation import evaluate, evaluate_columns
-from gnc_opt.model.vectorised import LONGEST, Programme
+from gnc_opt.model.vectorised import LONGEST, Operations
 
 COLUMNS = 200
 
@@ -37,7 +37,7 @@ A, B = X[0], X[1]
 def test_operations_are_casadis_numbers_that_are_none_included(expression: ca.SX) -> None:
     f = function(expression, of=(T, X, P))
     given = arguments(np.random.default_rng(1))
-    programme = Programme.of(f)
+    programme = Operations.of(f)
     assert programme is not None
     np.testing.assert_allclose(programme(COLUMNS, *given), evaluate_columns(f, COLUMNS, *given), rtol=1e-14)
 
@@ -47,7 +47,7 @@ def test_registers_that_serve_twice_and_derivatives() -> None:
     long = ca.sin(A * B) ** 2 * ca.exp(-T * A) / (1 + B**2) + ca.sqrt(1 + A**4) * ca.cos(P[0] * B)
     f = function(ca.vec(ca.hessian(long, X)[0]), ca.gradient(long, X), of=(T, X, P))
     given = arguments(np.random.default_rng(2))
-    programme = Programme.of(f)
+    programme = Operations.of(f)
     assert programme is not None and programme.registers < len(programme.steps) / 2
     np.testing.assert_allclose(
         programme(COLUMNS, *given), evaluate_columns(f, COLUMNS, *given), rtol=1e-12, atol=1e-14
@@ -59,7 +59,7 @@ def test_what_is_not_read_is_left_to_casadi() -> None:
     endless = A
     for _ in range(LONGEST):
         endless = ca.sin(endless)
-    assert Programme.of(kinked) is None and Programme.of(function(endless, of=(T, X, P))) is None
+    assert Operations.of(kinked) is None and Operations.of(function(endless, of=(T, X, P))) is None
     t, x, p = arguments(np.random.default_rng(3))
-    found = evaluate(kinked, t[0], x, p, programme=lambda: Programme.of(kinked))
+    found = evaluate(kinked, t[0], x, p, programme=lambda: Operations.of(kinked))
     np.testing.assert_array_equal(found[0], np.where(x[0] > 0, x[0], x[1]))
