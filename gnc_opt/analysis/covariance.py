@@ -33,10 +33,11 @@ import numpy as np
 from gnc_opt.analysis.agreement import Agreement, agreement
 from gnc_opt.analysis.experiment import Experiment
 from gnc_opt.analysis.linearization import Linearization
+from gnc_opt.analysis.resolution import PlantModes
 from gnc_opt.analysis.scatter import Scatter, Sources
 from gnc_opt.arguments import expect, read_integer, read_positive
 from gnc_opt.arrays import Array
-from gnc_opt.errors import ArgumentError, unknown_name
+from gnc_opt.errors import ArgumentError, unknown_name, warn_user
 from gnc_opt.model.layout import Layout
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.dispersion import Dispersions, dispersed
@@ -54,6 +55,12 @@ _CHECKS = 30
 
 _HEARD = 0.1
 """Standard deviations that the derivative by a common factor of a filter's covariance may be, if it is held."""
+
+_FOLLOWED = 1e-3
+"""Error of a mode over the run, relative, above which the user is told."""
+
+_LOOKS = 10
+"""Instants of the nominal run, about, at which the modes of the plant are looked at."""
 
 _KINDS = {"command": "commands", "applied": "applied"}
 """Signals beside the errors, and what they are called where they are logged."""
@@ -289,9 +296,14 @@ class _Pass:
         numbers = self._numbers()
         n = next(numbers)
         scatter = Scatter.first(self.sources, g, h, n)
+        flown, needed = self.flight.n_steps, 1
+        looks = max(1, flown // _LOOKS)
+        resolution = PlantModes(self.linearization, _FOLLOWED / (flown * self.flight.minor_steps))
         for k, step in enumerate(self.linearization.steps(X)):
             first = k == 0
             n = n if first else next(numbers)
+            if k % looks == 0:
+                needed = max(needed, resolution.needed(self.flight.times[k], X, step.y))
             if k % self.every == 0:
                 self._keep_state(X, scatter)
                 self._keep_outputs(step.y, scatter.through(step.c, step.d, step.e, n, first=first))
@@ -299,9 +311,18 @@ class _Pass:
             if self._heard(X, step.by_held, scatter):
                 return None
         self._keep_state(X, scatter)
+        self._warn_of_modes(needed)
         return self._collected()
 
     # --- internals ----------------------------------------------------------------------------------------
+
+    def _warn_of_modes(self, needed: int) -> None:
+        if needed > self.flight.substeps:
+            warn_user(
+                f"the nominal run of the covariance has so little in it that {self.flight.substeps} integration steps "
+                f"per minor step do; its modes ask for {needed}, and what is told of them is off: give the loop "
+                f"substeps={needed}, and the runs that are compared with it."
+            )
 
     def _numbers(self) -> Iterator[Array]:
         """Yield the random numbers (n, n_runs) of each step of the runs to compare with."""

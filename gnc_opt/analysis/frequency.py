@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.analysis.linearization import Linearization
+from gnc_opt.analysis.resolution import PlantModes
 from gnc_opt.arguments import expect, read_integer, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.control.linear.margins import Margins, linked, margins
@@ -42,6 +43,9 @@ _STABLE = 1.0 + 1e-9
 
 _LOOKS = np.array([0.01, 0.1, 0.5])
 """Frequencies, as shares of the highest, at which a loop is asked whether it is open."""
+
+_NOTHING_LEFT = 1e-14
+"""Of a disturbance: less of it is rounding, and the open loop infinite."""
 
 _NOTHING = 1e-12
 """Responses to a command that are rounding."""
@@ -94,8 +98,12 @@ class LoopResponse(Strict):
     def open_loop(self, omega: ArrayLike, index: int = 0) -> Array:
         """Return L, (n_omega, m, m) complex, at one of the instants."""
         closed = self._closed(omega, index)
-        one = np.eye(closed.shape[1])
-        return _solved((one + closed).transpose(0, 2, 1), -closed.transpose(0, 2, 1)).transpose(0, 2, 1)
+        left = np.eye(closed.shape[1]) + closed
+        if np.any(
+            np.linalg.norm(left, -2, axis=(1, 2)) <= _NOTHING_LEFT * np.linalg.norm(closed, 2, axis=(1, 2))
+        ):
+            raise _at_a_pole()
+        return _solved(left.transpose(0, 2, 1), -closed.transpose(0, 2, 1)).transpose(0, 2, 1)
 
     def sensitivity(self, omega: ArrayLike, index: int = 0) -> Array:
         """Return S, (n_omega, m, m) complex: what of d is left in what the actuators get."""
@@ -194,10 +202,14 @@ def _solved(matrices: Array, columns: Array) -> Array:
     try:
         return np.asarray(np.linalg.solve(matrices, columns))
     except np.linalg.LinAlgError:
-        raise ArgumentError(
-            "the loop has a pole at one of the frequencies, as an integral or a constant has at 0: "
-            "ask beside it, at 1e-6 rad/s, say."
-        ) from None
+        raise _at_a_pole() from None
+
+
+def _at_a_pole() -> ArgumentError:
+    return ArgumentError(
+        "the loop has a pole at one of the frequencies, as an integral or a constant has at 0: "
+        "ask beside it, at 1e-6 rad/s, say."
+    )
 
 
 @one_thread()
@@ -245,7 +257,19 @@ def loop_response(
                 "leave it out, or give the loop its period as dt."
             )
     opened = replace(loop, actuators=(_Probe(_PROBE), *loop.actuators))
-    flight = opened.flight(x0, t0=t0, tf=tf, parameters=parameters)
+    run: dict[str, Any] = {"x0": x0, "t0": t0, "tf": tf, "parameters": parameters}
+    response, needed = _along(opened, run, at)
+    if needed and loop.substeps is None:
+        response, _ = _along(replace(opened, substeps=needed), run, at)
+    return response
+
+
+def _along(
+    opened: ClosedLoop, run: Mapping[str, Any], at: Sequence[float] | None
+) -> tuple[LoopResponse, int]:
+    """Return the response of a loop with its probe, and the integration steps per minor step that its modes ask for; 0
+    if it has as many."""
+    flight = opened.flight(**run)
     times = read_numbers([flight.times[0]] if at is None else at, "the times of loop_response()").reshape(-1)
     begin, end = flight.times[[0, -1]]
     if not times.size or not np.all((times >= begin) & (times < end)):
@@ -254,11 +278,15 @@ def loop_response(
     columns = list(range(flight.layout.size)[flight.layout.slice(f"{_PROBE}.d")])
     linearization = Linearization(flight, opened.wiring, columns)
     rows = linearization.output.split(np.arange(linearization.output.size))["commands"]
-    found = []
-    for k, step in enumerate(linearization.steps(linearization.start()[0])):
+    found, needed, resolution = [], 0, PlantModes(linearization, flight.accuracy)
+    X = linearization.start()[0]
+    for k, step in enumerate(linearization.steps(X)):
         if k in wanted:
             found.append((step.a, step.h, step.c[rows]))
+            needed = max(needed, resolution.needed(flight.times[k], X, step.y))
         if k == wanted[-1]:
             break
+        X = step.X_next
     a, b, c = (np.stack(parts) for parts in zip(*found, strict=True))
-    return LoopResponse(flight.times[wanted], a, b, c, loop.dt, flight.commands)
+    response = LoopResponse(flight.times[wanted], a, b, c, opened.dt, flight.commands)
+    return response, needed if needed > flight.substeps else 0

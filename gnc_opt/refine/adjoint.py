@@ -41,7 +41,8 @@ def costate_rates(samples: PhaseSamples, times: Array, x: Array, u: Array, lam: 
     """Return -dH_a/dx - z along a trajectory, (n_states, n_times)."""
     leg = samples.leg
     mu = leg.path_multiplier(times) if leg.path_labels else np.zeros((0, times.size))
-    return -samples.functions.state_gradient(times, x, u, lam, mu) - leg.state_multiplier(times)
+    rates = -samples.functions.state_gradient(times, x, u, lam, mu)
+    return rates - leg.state_multiplier(times) if np.any(leg.state_multipliers) else rates
 
 
 def costate_worth(samples: PhaseSamples) -> Array:

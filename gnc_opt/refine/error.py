@@ -179,12 +179,16 @@ class Yardstick:
         costates = (WORTH * pieces.total(adjoint)) ** 2
         return SegmentErrors(dynamics, integrals, np.concatenate(overshoot), costates)
 
-    def stationarity(self, pieces: SampledPieces) -> Array:
-        """Return |dH/du|, path and bound multipliers included, in shares of H: (n_controls, n_samples)."""
+    def stationarity(self, pieces: SampledPieces, lam: Array) -> Array:
+        """Return |dH/du|, path and bound multipliers included, in shares of H, (n_controls, n_samples).
+
+        With costates ``lam`` (n_states, n_samples).
+        """
         leg, times = self.leg, pieces.times
         mu = leg.path_multiplier(times) if leg.path_labels else np.zeros((0, times.size))
-        slope = self.functions.control_gradient(times, pieces.x, pieces.u, leg.lam(times), mu)
-        slope = slope + leg.control_multiplier(times)
+        slope = self.functions.control_gradient(times, pieces.x, pieces.u, lam, mu)
+        if np.any(leg.control_multipliers):
+            slope = slope + leg.control_multiplier(times)
         return np.asarray(np.abs(slope) * self.control[:, None] / self.hamiltonian)
 
 

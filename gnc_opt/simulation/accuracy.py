@@ -54,12 +54,8 @@ class Accuracy:
             raise self._too_fast(f"cannot follow its mode of {fastest:.3g} rad/s")
         return substeps
 
-    def reached(
-        self, flight_with: Callable[[int], Flight], start: Array, substeps: int
-    ) -> tuple[Flight, Ending]:
-        """Return the flight with as many integration steps as its accuracy needs, and how the run ended by these.
-
-        (Its errors before they have grown.)
+    def reached(self, flight_with: Callable[[int], Flight], start: Array, substeps: int) -> Flight:
+        """Return the flight with as many integration steps as its accuracy needs.
 
         Parameters
         ----------
@@ -76,10 +72,10 @@ class Accuracy:
             ending = flight.final(start, [0])
             # a run that leaves the finite numbers is not one whose accuracy could be had by more steps
             if not np.isfinite(ending.integration_error[0]) or ending.outcomes[0].not_finite:
-                return flight, ending
+                return flight
             if substeps >= MAX_SUBSTEPS and ending.outcomes[0].diverged:
-                return flight, ending  # also when integrated as finely as can be: that is what is to be told
-            local = local_error(ending)
+                return flight  # also when integrated as finely as can be: that is what is to be told
+            local = _local_error(ending)
             if before is not None:
                 growth = max(growth, grown(before[0], ending, before[1], before[2] / substeps))
             if local <= self.asked or self.substeps is not None:
@@ -88,9 +84,9 @@ class Accuracy:
             before, flight = (ending, local, substeps), replace(flight, growth=growth)
             error = growth * local
             if error <= self.asked or self.substeps is not None:
-                return flight, ending
+                return flight
             if substeps >= MAX_SUBSTEPS and local <= self.asked:
-                return flight, ending  # errors grow: runs are flagged
+                return flight  # errors grow: runs are flagged
             if substeps >= MAX_SUBSTEPS:
                 raise self._too_fast(f"leave an error of {error:.1e} where {self.asked:.1e} is asked for")
             # the local error of the embedded fourth-order solution, summed over a run, falls with h^4
@@ -104,7 +100,7 @@ class Accuracy:
         )
 
 
-def local_error(ending: Ending) -> float:
+def _local_error(ending: Ending) -> float:
     """Return the sum of the local errors of a run, times its growth."""
     return float((ending.integration_error - ending.averaging_error - ending.instant_error)[0])
 

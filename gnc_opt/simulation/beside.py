@@ -1,30 +1,23 @@
-r"""Beside: a second flight of a run, by the embedded solution of the integration, that shows how its errors have grown.
+r"""Beside: a second flight of a run, with integration steps half as long, that shows what its errors are.
 
-Both flights get the same parameters, random numbers and plans; the second carries on the fourth-order solution of every
-integration step (`gnc_opt.simulation.integrate`), rounded the other way, through its own measurements, commands and
-events. What they are apart at the end is the error of that solution, as the run itself has made it grow or forget,
-whatever the nominal run does.
+Both flights get the same parameters, random numbers and plans; the second halves every integration step, rounds each
+the other way, and goes through its own measurements, commands and events. What they are apart at the end is what the
+run is off by, as it has made its errors grow or forgotten them, but for the errors of the second flight: those are a
+share :math:`2^{-p}` of it, p the order that the steps reach (5 along smooth rates and held inputs, 2 at kinks of a
+rate),
 
-The fifth-order solution is better, by a factor that falls with the step: the nominal run tells it,
-:math:`s_0` = its own estimated error over what its two flights are apart. Local errors :math:`e` that are larger mean
-rates that are faster, :math:`e \sim (\lambda h)^5`, while the ratio of the orders goes with :math:`\lambda h`; so a run
-is off by
+.. math:: |x - x^*| \le \frac{|x - \hat x|}{1 - 2^{-p}} .
 
-.. math:: \min(1, s g)\, |x - \hat x|, \quad s = s_0 \max(1, e / e_0)^{1/5}, \quad
-   g = \max\left(1, \frac{|x - \hat x| / e}{|x_0 - \hat x_0| / e_0}\right) ,
+A relay or a quantum that turns the other way in one of them sets both apart, however near they were. The second flight
+is nearer to the truth, so that it mostly turns as the truth does; one that turns in the truth alone is not seen.
 
-or by its local errors and the growth of the nominal run, if that is more. Where s exceeds 1 the steps are too long for
-orders to tell one solution from the other, and the lesser of the two is added, in full from s = 2 on.
+What a run has forgotten by its end its local errors tell, where they are more: the number is one for the whole run.
 
-A relay or a quantum that turns the other way in the second flight sets both apart, however near they were: the truth
-may have turned like it, and such a run is off by as much; the share is one of errors of steps alone. So flights that
-are apart by more than the nominal one's and their local errors let expect count for more, by the factor g. What turns
-in the truth and not in the second flight is not seen.
+Source of the estimate: Richardson, "The deferred approach to the limit", Phil. Trans. R. Soc. A 226, 1927.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -32,47 +25,11 @@ import numpy as np
 from gnc_opt.arrays import Array
 from gnc_opt.simulation.places import Places
 
-
-@dataclass(frozen=True)
-class Companion:
-    """What the nominal run tells of flights beside others.
-
-    Attributes
-    ----------
-    share : float
-        Its estimated error over what its flights are apart.
-    local : float
-        Sum of its local errors; without any, what flights are apart is added in full.
-    side : int
-        1 where the second flight makes the errors of steps, -1 for the opposite ones.
-    apart : float
-        What its flights are apart.
-    """
-
-    share: float = 1.0
-    local: float = 0.0
-    side: int = 1
-    apart: float = np.inf
-
-    @classmethod
-    def of(cls, error: float, apart: float, local: float) -> Companion:
-        """Return what a run with this error tells."""
-        return cls(error / apart if 0 < error < apart < np.inf else 1.0, local, apart=apart)
-
-    def error(self, apart: Array, known: Array, local: Array) -> Array:
-        """Return the errors of runs (n,) by what their flights are apart, by the growth of the nominal run, and by
-        their local errors."""
-        faster = np.maximum(1.0, local / self.local) ** 0.2 if self.local > 0 else np.full_like(local, 2.0)
-        share = self.share * faster
-        with np.errstate(divide="ignore", invalid="ignore"):
-            farther = np.fmax(1.0, apart * self.local / (self.apart * local))
-        seen = apart * np.minimum(1.0, share * farther)
-        return np.asarray(np.fmax(known, seen) + np.fmin(known, seen) * np.clip(share - 1.0, 0.0, 1.0))
+_WHOLE = 4 / 3
+"""The error over what halving the steps changes, at order 2 and more."""
 
 
-def estimates(
-    places: Places, final: Array, others: Array, growth: float, companion: Companion | None, end: float
-) -> tuple[Array, Array]:
+def estimates(places: Places, final: Array, others: Array, growth: float, end: float) -> tuple[Array, Array]:
     """Return the estimated errors of runs whose kernels' states ended so.
 
     Parameters
@@ -82,11 +39,9 @@ def estimates(
     final : array (n_state, n)
         Ends of the runs.
     others : array (n_state, n)
-        Ends of the flights beside them.
+        Ends of the flights beside them; ``final`` itself without any: then the growth of the nominal run tells.
     growth : float
         By which local errors have grown until the end of the nominal run.
-    companion : Companion or None
-        What it tells of flights beside; None: only its growth.
     end : float
         Of the flight, s: when runs end that no event does.
 
@@ -101,13 +56,12 @@ def estimates(
     local, blur = parts["error"][0], parts["blur"][0]
     resets, late, stop = (parts[k][0] if k in parts else none for k in ("resets", "instants", "stop"))
     errors, instants = growth * (local + resets) + blur, growth * late
-    if companion is None:
+    if others is final:
         return errors, instants
-    grown = companion.error(apart(places, final, others, end), errors - blur, local) + blur
-    ended = stop > 0
+    seen, ended = _WHOLE * apart(places, final, others, end) + blur, stop > 0
     return (
-        np.where(ended, errors, np.maximum(errors, grown)),
-        np.where(ended, np.maximum(instants, grown - errors), instants),
+        np.where(ended, errors, np.maximum(errors, seen)),
+        np.where(ended, np.maximum(instants, seen - errors), instants),
     )
 
 

@@ -16,7 +16,7 @@ from gnc_opt.arguments import read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, shown
 from gnc_opt.model.layout import Layout
-from gnc_opt.simulation.beside import Companion, estimates
+from gnc_opt.simulation.beside import estimates
 from gnc_opt.simulation.course import Course
 from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.event import Occurrence, occurrences
@@ -71,8 +71,8 @@ class Flight:
         Names of the events.
     growth : float
         By how much the errors of single integration steps grow until the end of the nominal run, at least 1.
-    beside : Companion or None
-        How the errors of each run grow is seen from a second flight beside it; None: only the nominal run tells.
+    beside : bool
+        Whether the error of each run is seen from a second flight beside it; if not, the nominal run tells its growth.
     replanner : Replanner or None
     quantities : Quantities or None
         What is kept of the way.
@@ -108,7 +108,7 @@ class Flight:
     judge: Judge
     minor_steps: int
     growth: float = 1.0
-    beside: Companion | None = None
+    beside: bool = False
     events: Layout = field(default_factory=lambda: Layout("event"))
     replanner: Replanner | None = None
     estimates: Any = None
@@ -410,13 +410,12 @@ class Flight:
         """Return X of a run and the flight beside it at the first step (1 or 2, n_state), and the constants of both."""
         X, C = self._folded.begun(known, P)
         both = np.tile(X, (self._flights, 1))
-        if self.beside is not None:
-            both[1, self.kernel.state.slices["beside"]] = self.beside.side
+        both[1:, self.kernel.state.slices["beside"]] = 1.0
         return both, C
 
     @property
     def _flights(self) -> int:
-        return 1 if self.beside is None else 2
+        return 2 if self.beside else 1
 
     def _note(
         self,
@@ -465,10 +464,9 @@ class Flight:
         """Return how runs have ended, from the kernels' states, and those of the flights beside them (n, 1 or 2,
         n_state)."""
         final = ends[:, 0].T
+        others = ends[:, 1].T if self.beside else final
         parts = self.kernel.state.split(final)
-        errors, instants = estimates(
-            self.kernel.state, final, ends[:, -1].T, self.growth, self.beside, float(self.times[-1])
-        )
+        errors, instants = estimates(self.kernel.state, final, others, self.growth, float(self.times[-1]))
         outcomes = tuple(
             Outcome(RunStatus.REFUSED, refused[i])
             if i in refused

@@ -27,7 +27,6 @@ class Folded:
     def __init__(self, kernel: Kernel, library: str = "") -> None:
         self.kernel, self.library = kernel, library
         self._buffers: dict[Any, Any] = {}
-        self._logs: dict[int, Any] = {}
 
     def fly(self, X: Array, rows: Array, C: Array, final: Array) -> None:
         """Write the states after the steps of a leg to ``final``.
@@ -69,28 +68,34 @@ class Folded:
             self._evaluate(len(rows), leg, (x, rows, C), end)
 
     def _evaluate(
-        self, key: Any, function: Callable[[], Any], arguments: tuple[Array, ...], result: Array
+        self, key: Any, function: Callable[[], Any], arguments: tuple[Array, ...], *results: Array
     ) -> None:
-        """Write what a function makes of contiguous arrays to another one: no conversion per run."""
+        """Write what a function makes of contiguous arrays to others: no conversion per run."""
         if key not in self._buffers:
             self._buffers[key] = function().buffer()
         buffer, evaluate = self._buffers[key]
         for k, array in enumerate(arguments):
             buffer.set_arg(k, memoryview(array.data))
-        buffer.set_res(0, memoryview(result.data))
+        for k, result in enumerate(results):
+            buffer.set_res(k, memoryview(result.data))
         evaluate()
 
     def logged(self, X: Array, rows: Array, C: Array) -> tuple[Array, Array, Array]:
         """Return the states of the run, the first flight, before and after the steps of a leg (n_state, n_steps + 1),
         the logs of its steps (n_log, n_steps), and the states of all flights after the last (n_flights, n_state)."""
-        if len(rows) not in self._logs:
-            step = self.kernel.step
-            self._logs[len(rows)] = self._leg(lambda x, w, c, n: list(step.mapaccum(n)(x, w, c)), len(rows))
-        after, logs = (np.asarray(o.full()) for o in self._logs[len(rows)](X[0], rows.T, C))
-        final = np.empty_like(X)
-        final[0] = after[:, -1]
+        count, step = len(rows), self.kernel.step
+        columns, logs, final = (
+            np.empty(shape) for shape in ((count + 1, X.shape[1]), (count, self.kernel.log.size), X.shape)
+        )
+
+        def leg() -> Any:
+            return self._leg(lambda x, w, c, n: [ca.densify(o) for o in step.mapaccum(n)(x, w, c)], count)
+
+        columns[0] = X[0]
+        self._evaluate(("logged", count), leg, (columns[0], rows, C), columns[1:], logs)
+        final[0] = columns[-1]
         self.fly(X[1:], rows, C, final[1:])
-        return np.column_stack([X[0], after]), logs, final
+        return columns.T, logs.T, final
 
     @cached_property
     def _native(self) -> Callable[[Array, Array, Array, Array], int] | None:

@@ -40,8 +40,8 @@ ROUNDING = 2.0**-53
 """Of a sum, relative."""
 
 Stepped: TypeAlias = Callable[[Any, tuple[Any, Any, Any], tuple[Any, Any, Any], Any], Any]
-"""``stepped(length, before, after, error)``: the state to go on with after a step of a length (s), from time, state and
-its rate at both ends, and e with rounding (column, of the sign of e)."""
+"""``stepped(length, before, after, rounding)``: the state to go on with after a step of a length (s), from time, state
+and its rate at both ends, and what rounding may amount to (column, of the sign of e)."""
 
 
 def dormand_prince(
@@ -88,8 +88,8 @@ def dormand_prince(
         error, size = h * _combine(ERROR_WEIGHTS, k), ca.fabs(after)
         total = total + ca.mmax((ca.fabs(error) + ROUNDING * size) / ca.fmax(1.0, size))
         if stepped is not None:
-            error = error + ca.copysign(ROUNDING * size, error)
-            after = stepped(h, (start, x, k[0]), (start + h, after, k[-1]), error)
+            rounding = ca.copysign(ROUNDING * size, error)
+            after = stepped(h, (start, x, k[0]), (start + h, after, k[-1]), rounding)
         # the last stage is the first of the next step, unless the input jumps there
         x, rate = after, k[-1] if u is None else None
     return x, total

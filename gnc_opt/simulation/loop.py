@@ -17,12 +17,10 @@ from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, shown, unknown_name, warn_user
 from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
-from gnc_opt.simulation.accuracy import Accuracy, local_error
-from gnc_opt.simulation.beside import Companion
+from gnc_opt.simulation.accuracy import Accuracy
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.control_step import alarm_labels, watched_labels
 from gnc_opt.simulation.disturbances import Disturbance
-from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.event import Event
 from gnc_opt.simulation.flight import LEG, Flight
 from gnc_opt.simulation.judge import Judge
@@ -247,22 +245,10 @@ class ClosedLoop:
         times = self._times(t0, tf)
         self._warn_of_events(times[0], nominal)
         rows = self._schedule(times)
-        flight, alone = self._accurate(nominal, times, rows)
-        return replace(flight, replanner=self.replanner, beside=self._beside(flight, alone))
+        return replace(self._accurate(nominal, times, rows), replanner=self.replanner, beside=True)
 
-    def _beside(self, flight: Flight, alone: Ending) -> Companion:
-        """Return what the nominal run, as it ended alone, tells of flights beside others."""
-        start, judge = self._generic(flight.nominal)[:, None], replace(flight.judge, accuracy=np.inf)
-        local = local_error(alone)
-        # without a nominal run to compare with, both estimates are added
-        error, total = flight.growth * local, np.inf
-        for side in (1, -1):  # a quantum hardly ever turns on both
-            both = replace(flight, beside=Companion(side=side), judge=judge).final(start, [0])
-            total = min(total, local_error(both))
-        return Companion.of(error, total - error, local)
-
-    def _accurate(self, nominal: Array, times: Array, rows: Array) -> tuple[Flight, Ending]:
-        """Return the flight, as planned, with as many integration steps as its accuracy needs, and its ending."""
+    def _accurate(self, nominal: Array, times: Array, rows: Array) -> Flight:
+        """Return the flight, as planned, with as many integration steps as its accuracy needs."""
         accuracy = Accuracy(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
         first = self.substeps or accuracy.stable_substeps(times[0], *self._at_start(nominal))
         start = self._generic(nominal)[:, None]

@@ -21,6 +21,7 @@ from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.outcome import Outcome, RunStatus
 from gnc_opt.simulation.plant_expression import plant_expression
+from gnc_opt.tolerances import SAME_TIME
 
 SAMPLES = 101
 """Instants of a flight at which quantities are kept, evenly spaced in control steps, ends included."""
@@ -34,7 +35,9 @@ class Quantity:
     """A number that is followed over a run: a distance, a tilt, an excess over a corridor, fuel, a plume.
 
     Campaigns then have the measures ``max(name)``, ``min(name)`` and ``integral(name)`` (over time), and
-    `Campaign.envelope`. A limit on the largest value of ``1 - distance`` is a keep-out of radius 1.
+    `Campaign.envelope`. A limit on the largest value of ``1 - distance`` is a keep-out of radius 1; what passes it
+    within a control step is not seen, but by an `Event` with ``failure=True``, whose instant is found between the
+    steps.
 
     Parameters
     ----------
@@ -165,7 +168,9 @@ class Recorder:
             step = int(np.argmax(unknown.any(axis=0)))
             name = self.quantities.layout.names[int(np.argmax(unknown[:, step]))]
             self.lost[run] = Outcome(RunStatus.NOT_FINITE, f"quantity '{name}'", float(times[step]))
-        here = (self._at >= first) & (self._at < first + times.size)
+        looked = self.times[first : first + times.size] <= times + SAME_TIME * (1 + np.abs(times))
+        last = first + int(np.sum(looked))  # what an event has ended before is over
+        here = (self._at >= first) & (self._at < last)
         self.samples[:, here, run] = y[:, self._at[here] - first]
 
     def told(self, outcomes: Sequence[Outcome]) -> tuple[Outcome, ...]:

@@ -127,8 +127,12 @@ class Wave:
                 far = ca.fmax(far, ca.fabs((y if self.after is None else self.after(y)) - self.mean))
         return Wave(self.mean, blur=far if self.blur is None else far + self.blur)
 
-    def input(self, begin: Any, end: Any, steps: int) -> Input:
-        """Return its values for the integration from ``begin`` to ``end`` (s), between breaks, in equal steps."""
+    def input(self, begin: Any, end: Any, steps: int, halved: Any = 0.0) -> Input:
+        """Return its values for the integration from ``begin`` to ``end`` (s), between breaks, in equal steps.
+
+        Where ``halved`` is 1 and not 0, steps are half as long and lead to the middle; what depends on their lengths
+        alone stays a constant of the run.
+        """
         if self.held:
             return lambda k, node: self.mean
         part, *later = self.parts
@@ -139,10 +143,11 @@ class Wave:
             )
         sigma = (end - begin) / steps
         first = part.value + part.slope * (begin - part.begin)
-        decay = None if self.tau is None else _Decay(part, self.tau, begin, sigma)
+        decay = None if self.tau is None else _Decay(part, self.tau, begin, sigma, halved)
+        step = sigma - halved * (0.5 * sigma)
 
         def value(k: int, node: float) -> Any:
-            y = first + part.slope * sigma * (k + node)
+            y = first + part.slope * step * (k + node)
             y = y if decay is None else y + decay(k, node)
             return y if self.after is None else self.after(y)
 
@@ -200,18 +205,25 @@ def cut(wave: Wave, begin: int, end: int) -> Wave:
 class _Decay:
     """The projected exponential of a part in the integration steps of a piece."""
 
-    def __init__(self, part: Part, tau: Any, begin: Any, sigma: Any) -> None:
+    def __init__(self, part: Part, tau: Any, begin: Any, sigma: Any, halved: Any) -> None:
         self.first = part.decay * ca.exp(-(begin - part.begin) / tau)
-        self.ratio = ca.exp(-sigma / tau)
-        self.coefficients = projection(0.5 * sigma / tau)
+        self.halved = halved
+        lengths = (sigma,) if isinstance(halved, float) else (sigma, 0.5 * sigma)
+        self.ratio = self._of(*(ca.exp(-length / tau) for length in lengths))
+        self.coefficients = [projection(0.5 * length / tau) for length in lengths]
         self.shapes: dict[float, Any] = {}
 
     def __call__(self, k: int, node: float) -> Any:
         if node not in self.shapes:
             z = 2 * node - 1
             legendre = (1.0, z, 0.5 * (3 * z**2 - 1))
-            self.shapes[node] = sum(e * p for e, p in zip(self.coefficients, legendre, strict=True))
+            self.shapes[node] = self._of(
+                *(sum(e * p for e, p in zip(found, legendre, strict=True)) for found in self.coefficients)
+            )
         return self.first * self.ratio**k * self.shapes[node]
+
+    def _of(self, whole: Any, half: Any = None) -> Any:
+        return whole if half is None else whole + self.halved * (half - whole)
 
 
 def projection(xi: Any) -> list[Any]:

@@ -1,5 +1,6 @@
 """Linear covariance: closed forms, 5000 runs, the share of each source, and where a loop is not linear."""
 
+import warnings
 from dataclasses import replace
 
 import casadi as ca
@@ -343,3 +344,20 @@ def test_campaigns_with_other_dispersions_are_refused(changed, name):
     assert told.compare(go.monte_carlo(loop_of(), 20, **flown)).runs == 20
     with pytest.raises(go.ArgumentError, match=f"run 0 of the campaign has another '{name}'"):
         told.compare(go.monte_carlo(loop_of(), 20, **flown | changed))
+
+
+@pytest.mark.parametrize("substeps", [None, 20])
+def test_modes_that_the_nominal_run_does_not_show_are_told(substeps):
+    """A quiet run takes one integration step, which made a light mode a growing one: nine times the deviation."""
+    plant = go.Model("boom")
+    q, r, T = plant.state("q"), plant.state("r"), plant.control("T")
+    plant.ode({q: r, r: -400 * q - 0.2 * r + T})
+    law = go.feedforward(go.Reference.constant(plant, [0, 0], [0]))
+    loop = go.ClosedLoop(plant, law, dt=DT, substeps=substeps)
+    experiment = go.Experiment(loop, x0=[0, 0], tf=10.0, dispersions={"initial.q": Normal(0.1)})
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        std = go.linear_covariance(experiment, checks=0).std("q")[0, -1]
+    truth = 0.1 * abs(scipy.linalg.expm(np.array([[0, 1], [-400, -0.2]]) * 10.0)[0, 0])
+    assert (abs(std / truth - 1) < 1e-3) == (substeps is not None) == (not told)
+    assert substeps or "give the loop substeps=" in str(told[0].message)

@@ -10,9 +10,11 @@ from sled import DT, loop_of, regulator, sled
 
 import gnc_opt as go
 from gnc_opt.analysis import loop_response
+from gnc_opt.analysis.resolution import steps_for_modes
 from gnc_opt.errors import ArgumentError
 from gnc_opt.plot import plot_bode, plot_margins, plot_nyquist, plot_sensitivity
 from gnc_opt.simulation import Event, Lag, Sampling, Saturation, ScaleFactor, SensorDelay
+from gnc_opt.simulation.integrate import dormand_prince
 
 HERE = {"x0": [0.0, 0.0], "tf": 1.0}
 
@@ -44,6 +46,43 @@ def test_the_open_loop_is_that_of_the_sampled_plant():
     assert found.open_loop(omega)[:, 0, 0] == pytest.approx(np.array(expected), rel=1e-9)
     assert found.channel(omega, "F") == pytest.approx(np.array(expected), rel=1e-9)
     assert found.sensitivity(omega)[:, 0, 0] == pytest.approx(1 / (1 + np.array(expected)), rel=1e-9)
+
+
+@pytest.mark.parametrize("frequency", [20.0, 45.0])
+def test_a_light_mode_is_followed_where_the_nominal_run_rests(frequency):
+    """One integration step did for the run at rest, and made of the mode an unstable one, or a heavily damped one."""
+    rigid, hub = go.Model("rigid"), go.Model("hub with a boom")
+    a, w, T = rigid.state("a"), rigid.state("w"), rigid.control("T")
+    rigid.ode({a: w, w: T})
+    law = go.design_lqr(rigid, [0, 0], Q=1, R=1, dt=DT)
+    a, w, q, r, T = *(hub.state(name) for name in ("a", "w", "q", "r")), hub.control("T")
+    hub.ode({a: w, w: T, q: r, r: -(frequency**2) * q - 0.01 * frequency * r + 0.3 * T})
+    A, B = hub.linearize(0.0, np.zeros(4), [0.0])
+    P = scipy.linalg.expm(np.block([[A, B], [np.zeros((1, 5))]]) * DT)
+    K = np.hstack([law.explain()["gain"], np.zeros((1, 2))])
+    expected = np.sort_complex(np.linalg.eigvals(P[:4, :4] - P[:4, 4:] @ K))
+    response = loop_response(go.ClosedLoop(hub, law, dt=DT), x0=np.zeros(4), tf=1.0)
+    poles = response.poles()
+    nearest = [poles[np.argmin(np.abs(poles - z))] for z in expected]
+    assert nearest == pytest.approx(expected, abs=1e-6) and response.stable()
+
+
+@pytest.mark.parametrize(
+    ("modes", "length"), [([20j, -20j], 0.1), ([-30.0], 0.1), ([3.0], 0.5), ([-1 + 5j], 0.2)]
+)
+def test_steps_for_modes_are_those_that_an_integration_needs(modes, length):
+    """The method itself flies the mode: as accurate as asked with as many steps, and not with half of them."""
+    asked, x = 1e-9, ca.SX.sym("x", 2)
+    n = steps_for_modes(np.array(modes), length, asked)
+    a = np.array([[modes[0].real, -modes[0].imag], [modes[0].imag, modes[0].real]])
+    truth = scipy.linalg.expm(a * length)
+
+    def error(steps):
+        flown = dormand_prince(lambda t, x, u: a @ x, 0.0, x, length, steps)[0]
+        found = ca.Function("flown", [x], [ca.jacobian(flown, x)])(0).full()
+        return np.abs(found - truth).max() / max(1.0, np.linalg.norm(truth, 2))
+
+    assert n > 1 and error(n) <= asked * 1.01 and error(n // 2) > asked
 
 
 @pytest.mark.parametrize("steps", [1, 3])

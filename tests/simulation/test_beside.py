@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -13,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 import gnc_opt as go
 from gnc_opt.simulation import ClosedLoop, Event, Flight, Noise, Quantisation
-from gnc_opt.simulation.beside import Companion, apart
+from gnc_opt.simulation.beside import apart
 from gnc_opt.simulation.outcome import RunStatus
 from gnc_opt.simulation.places import Places
 
@@ -107,23 +106,24 @@ def test_what_forgets_its_errors_is_not_held_to_have_kept_them() -> None:
 
 
 def test_quanta_that_turn_are_in_the_printed_error() -> None:
-    """Commands in steps: some second flights round one the other way, which the true way and the run hardly ever do."""
+    """Commands in steps: some true ways round one the other way, and the second flights with them."""
     model = go.Model("swing")
     a, w, u = model.state("a"), model.state("w"), model.control("u")
     model.ode({a: w, w: -40 * ca.sin(a) + u})
     law = go.design_lqr(model, [0.0, 0.0], Q=[100.0, 1.0], R=0.01, dt=0.1)
     blocks: dict[str, Any] = {"actuators": [Quantisation("steps", 1e-3)], "sensors": [Noise("gauge", 1e-3)]}
     coarse, fine = (
-        ClosedLoop(model, law, **blocks, dt=0.1, substeps=n, accuracy=1e-7).flight([0.5, 0.0], tf=6.0)
-        for n in (12, 36)
+        ClosedLoop(model, law, **blocks, dt=0.1, substeps=n, accuracy=1e-6).flight([0.5, 0.0], tf=6.0)
+        for n in (5, 36)
     )
-    P, seeds = np.tile(coarse.nominal[:, None], 60), list(range(60))
+    P, seeds = np.tile(coarse.nominal[:, None], 200), list(range(200))
     ending, truth = coarse.final(P, seeds), fine.final(P, seeds).states
     wrong = np.max(np.abs(ending.states - truth) / np.maximum(1.0, np.abs(truth)), axis=0)
     assert np.all(wrong < ending.integration_error)
-    turned = ending.integration_error > 1e-7
+    turned = wrong > 1e-6
     assert 0 < np.sum(turned) < 10
-    assert np.array_equal(turned, [not outcome.ok for outcome in ending.outcomes])
+    assert ending.integration_error[turned] == pytest.approx(4 / 3 * wrong[turned], rel=0.01)
+    assert [outcome.ok for outcome in ending.outcomes] == [not turn for turn in turned]
 
 
 def test_of_a_turned_quantum_all_is_in_the_printed_error() -> None:
@@ -135,13 +135,12 @@ def test_of_a_turned_quantum_all_is_in_the_printed_error() -> None:
     coarse, fine = (
         ClosedLoop(model, law, [steps], dt=0.1, substeps=n).flight([0.01], tf=1.3) for n in (2, 40)
     )
-    assert coarse.beside is not None and coarse.beside.share < 0.5
     edge = np.mean([flown.run(flown.nominal, 0).commands[0, 12] for flown in (coarse, fine)])
     P = started(coarse, [2 * abs(edge)], "steps.step_size")
-    end, truth = (f.run(P, 0) for f in (replace(coarse, beside=replace(coarse.beside, side=-1)), fine))
+    end, truth = (f.run(P, 0) for f in (coarse, fine))
     assert truth.applied[0, 12] == 0 != end.applied[0, 12]
     wrong = abs(end.states[0, -1] - truth.states[0, -1]) / max(1.0, abs(end.states[0, -1]))
-    assert wrong == pytest.approx(end.integration_error, rel=1e-5)
+    assert end.integration_error == pytest.approx(4 / 3 * wrong, rel=1e-5)
 
 
 def test_a_state_that_has_shrunk_keeps_its_absolute_error() -> None:
@@ -156,7 +155,7 @@ def test_a_state_that_has_shrunk_keeps_its_absolute_error() -> None:
 def test_steps_of_integration_are_those_that_the_nominal_run_needs() -> None:
     """The second flight changes what is told, not how is flown; and not what is told of the nominal run."""
     flown = flight(kepler, [1.0, 0.0, 0.0, 1.0], 12.0, accuracy=1e-6)
-    assert flown.beside is not None
+    assert flown.beside
     run = flown.run(flown.nominal, 0)
     assert run.outcome.ok and run.integration_error <= 1e-6
 
@@ -182,22 +181,6 @@ def test_distances_are_relative_and_infinite_where_the_second_flight_is_lost() -
         [[10.0, 0.1, 1.0, 3.9]]
     ).T  # an event that only one of the flights has met ends it so much earlier
     assert apart(places, met, one[:, :1], 4.0) == pytest.approx([0.1 / 3.9])
-
-
-def test_the_nominal_run_tells_what_the_better_solution_is_worth() -> None:
-    known = Companion.of(1e-9, 1e-8, 1e-10)
-    local = np.array([1e-11, 3.2e-9, 1e-10 * 15.0**5, 1.0])
-    near = np.fmin(1.0, 100.0 * local)  # as the nominal run's, and nearer
-    seen = known.error(near, near / 100, local)
-    assert seen / near == pytest.approx(
-        [0.1, 0.2, 1.0 + 0.01 * 0.5, 1.01]
-    )  # a tenth, a fifth, 1.5 times, more
-    assert known.error(4 * near[:2], near[:2] / 100, local[:2]) == pytest.approx(
-        [1.6 * near[0], 3.2 * near[1]]
-    )
-    assert known.error(np.array([1e-6]), np.zeros(1), local[:1]) == [1e-6]  # what has turned, in full
-    assert Companion.of(1e-9, 1e-10, 1e-10).share == 1.0
-    assert Companion.of(1e-9, np.inf, 1e-10).share == 1.0
 
 
 def test_what_rounding_has_grown_to_is_held_against_the_integration() -> None:

@@ -72,7 +72,7 @@ def test_slow_passages_are_not_more_wrong_than_they_say(
     P[flight.layout.slice("plant.ceiling")] = top - gap
     run, met = flight.run(P, 0), instant(top - gap)
     # what is told of the instant alone, without a second flight that has seen it
-    told = replace(flight, beside=None).run(P, 0).integration_error
+    told = replace(flight, beside=False).run(P, 0).integration_error
     if ends:
         truth = np.array([top - gap, speed(met, UP)])
     else:
@@ -87,7 +87,7 @@ def test_slow_passages_are_not_more_wrong_than_they_say(
 def test_an_instant_is_off_by_the_root_of_an_error_at_most(flights: dict[bool, Flight]) -> None:
     """The nearer the ceiling is to the apex, the slower the passage, without limit; what its instant is off by has one,
     sqrt(2 e / G) of an error e. Without it, it would be sqrt(1000) = 32 times as much."""
-    flight, told = replace(flights[True], beside=None), []
+    flight, told = replace(flights[True], beside=False), []
     for gap in (1e-4, 1e-7):
         P = flight.nominal.copy()
         P[flight.layout.slice("plant.ceiling")] = height(APEX, 0.0, UP) - gap
@@ -107,7 +107,7 @@ def test_what_another_event_met_does_not_make_a_row_forget_what_its_way_was_off_
     told = []
     for events in ([ceiling], [mark, ceiling]):
         loop = ClosedLoop(model, law, events=events, dt=0.25, substeps=1, accuracy=1e-2)
-        run = replace(loop.flight([0.0, UP], tf=2.25), beside=None).run(loop.parameters([0.0, UP]), 0)
+        run = replace(loop.flight([0.0, UP], tf=2.25), beside=False).run(loop.parameters([0.0, UP]), 0)
         told.append(run.integration_error)
     assert told[1] == pytest.approx(told[0], rel=0.2)
 

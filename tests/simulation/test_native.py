@@ -238,7 +238,7 @@ def test_steps_at_which_a_law_asks_its_solver_are_the_interpreters_and_no_others
     interpreted: list[int] = []
     interpret = Folded._interpret
     monkeypatch.setattr(Folded, "_interpret", lambda *a: interpreted.append(len(a[2])) or interpret(*a))
-    replace(quick, beside=None).final(flight.nominal[:, None], [1])
+    replace(quick, beside=False).final(flight.nominal[:, None], [1])
     at_limit = np.sum(np.abs(asked[0]) > 0.5 - 1e-9)
     assert set(interpreted) == {1} and max(3, at_limit) <= len(interpreted) < 60
 

@@ -125,9 +125,26 @@ def test_a_run_that_an_event_ends_is_followed_until_then():
     runs = go.monte_carlo(loop, 2, x0=[0.0, 1.0], tf=5.0, executor="serial")
     assert runs.measure("max(t)") == pytest.approx(2.05) and runs.measure("max(q)") == pytest.approx(2.05)
     assert runs.measure("integral(v)") == pytest.approx(2.05)  # the way
-    assert np.isnan(runs.samples[:, runs.sample_times > 2.2]).all()
+    assert np.isnan(runs.samples[:, runs.sample_times > 2.05]).all()
     assert np.isfinite(runs.samples[:, runs.sample_times < 2.05]).all()
     assert runs.envelope("q").runs[-1] == 0
+
+
+def test_an_envelope_is_of_those_that_still_fly():
+    """Runs that had landed since the sample before were in it, at the height of their landing."""
+    ball = go.Model("ball")
+    h, w, T = ball.state("h", unit="m"), ball.state("w", unit="m/s"), ball.control("T")
+    ball.ode({h: w, w: T - 9.81})
+    law = go.feedforward(go.Reference.constant(ball, [0.0, 0.0], [0.0]))
+    events, quantities = [Event("ground", h, "falling")], [Quantity("height", h, "m")]
+    loop = go.ClosedLoop(ball, law, events=events, quantities=quantities, dt=0.05)
+    spread = {"initial.h": Normal(2.0)}
+    fallen = go.monte_carlo(loop, 100, x0=[10.0, 0.0], tf=1.8, dispersions=spread, executor="serial")
+    told = fallen.envelope("height", levels=(0.5,))
+    heights = fallen.parameter("initial.h")[0] - 9.81 * told.times[:, None] ** 2 / 2
+    assert told.runs.tolist() == np.sum(heights > 0, axis=1).tolist() and 0 < told.runs[-3] < 50
+    median = [np.sort(row[row > 0])[(np.sum(row > 0) - 1) // 2] for row in heights if np.any(row > 0)]
+    assert told.values[0, : len(median)] == pytest.approx(median, abs=1e-9)
 
 
 @pytest.mark.parametrize("wall", [None, 0.3])

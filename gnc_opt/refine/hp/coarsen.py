@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import bisect
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import TypeAlias
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Mask
+from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.refine.adjoint import costate_rates, costate_worth, unconstrained
 from gnc_opt.refine.error import PhaseError, SampledPieces, Yardstick
+from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.samples import sampled_places
 from gnc_opt.transcription.quadrature import collocation_rule, interpolation_matrix
 from gnc_opt.transcription.scheme import Scheme
@@ -148,73 +149,125 @@ def trial_errors(error: PhaseError, trials: Sequence[Piece]) -> tuple[Array, Arr
     neither residual nor cost notice); the largest dH/du (its control could be poor between the points where
     neither dynamics nor cost tell).
     """
-    yardstick = error.yardstick
-    pieces = trial_pieces(yardstick, trials)
-    departures = np.abs(pieces.x - yardstick.leg.x(pieces.times)) / yardstick.state[:, None]
-    slopes = pieces.largest(yardstick.stationarity(pieces))
-    return (
-        yardstick.judge(pieces, _adjoint(error, trials, pieces)).worst,
+    yardstick, places = error.yardstick, _Places.of(error.samples.leg, trials)
+    known = _Known.of(error.samples.leg, places)
+    pieces = _trial_pieces(yardstick, places, known)
+    points = places.points.size
+    departures = np.abs(pieces.x - known.x[:, points:]) / yardstick.state[:, None]
+    slopes = pieces.largest(yardstick.stationarity(pieces, known.lam[:, points:]))
+    against = (
+        yardstick.judge(pieces, _adjoint(error, places, known)).worst,
         np.max(pieces.largest(departures), axis=0),
         np.max(slopes, axis=0, initial=0.0),
     )
+    first, second, third = (values[places.ranks] for values in against)
+    return first, second, third
 
 
-def _adjoint(error: PhaseError, trials: Sequence[Piece], pieces: SampledPieces) -> Array:
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """Where trials collocate and where they are sampled: those of the same degree behind each other, for one product.
+
+    Attributes
+    ----------
+    alike : tuple of (table, widths)
+        By degree; halves of the widths (n_alike,), s.
+    starts : array (n_trials,)
+    points, times : array
+        Collocation points and samples, trial after trial.
+    ranks : int array (n_trials,)
+        The place of each trial as given in this order.
+    """
+
+    alike: tuple[tuple[_Tables, Array], ...]
+    starts: Array
+    points: Array
+    times: Array
+    ranks: Indices
+
+    @classmethod
+    def of(cls, leg: PhaseSolution, trials: Sequence[Piece]) -> _Places:
+        degrees = np.array([t.degree for t in trials])
+        order = np.argsort(degrees, kind="stable")
+        starts, ends = (
+            np.array(values)[order] for values in zip(*((t.start, t.end) for t in trials), strict=True)
+        )
+        found, counts = np.unique(degrees, return_counts=True)
+        alike, points, times, offset = [], [], [], 0
+        for degree, count in zip(found, counts, strict=True):
+            here = slice(offset, offset + int(count))
+            table, offset = _tables(leg.scheme, int(degree)), here.stop
+            first, half = starts[here, None], 0.5 * (ends[here, None] - starts[here, None])
+            alike.append((table, half[:, 0]))
+            points.append((first + half * (1 + table.points)).ravel())
+            times.append((first + half * (1 + table.tau)).ravel())
+        return cls(tuple(alike), starts, np.concatenate(points), np.concatenate(times), np.argsort(order))
+
+    def groups(self, values: Array) -> Iterator[tuple[_Tables, Array, Array]]:
+        """Yield table, halves of the widths and values (n, n_alike, degree) at the points of each degree."""
+        offset = 0
+        for table, halves in self.alike:
+            shape = halves.size, table.points.size
+            here = values[:, offset : offset + shape[0] * shape[1]]
+            yield table, halves, here.reshape(len(values), *shape)
+            offset += here.shape[1]
+
+    def interpolated(self, values: Array) -> Array:
+        """Carry values at the points (n, n_points) to the samples, (n, n_times)."""
+        return np.hstack([_flat(here @ table.interpolate) for table, _, here in self.groups(values)])
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """The trajectory at the trials' points and, after these, at their samples: states, controls, costates."""
+
+    times: Array
+    x: Array
+    u: Array
+    lam: Array
+
+    @classmethod
+    def of(cls, leg: PhaseSolution, places: _Places) -> _Known:
+        times = np.concatenate([places.points, places.times])
+        return cls(times, leg.x(times), leg.u(times), leg.lam(times))
+
+
+def _adjoint(error: PhaseError, places: _Places, known: _Known) -> Array:
     """Return the residual of the costates' equation at the trials' samples, (n_states, n_samples).
 
     A trial's costates follow the interpolant of their known rates.
     """
-    samples, leg = error.samples, error.samples.leg
-    tables = [_tables(leg.scheme, t.degree) for t in trials]
-    points = np.concatenate(
-        [t.start + 0.5 * (t.end - t.start) * (1 + b.points) for t, b in zip(trials, tables, strict=True)]
-    )
-
-    def rates(times: Array) -> Array:
-        return costate_rates(samples, times, leg.x(times), leg.flown.clipped(times), leg.lam(times))
-
-    known, offset, interpolants = rates(points), 0, []
-    for table in tables:
-        interpolants.append(known[:, offset : offset + table.points.size] @ table.interpolate)
-        offset += table.points.size
-    segments = np.clip(np.searchsorted(leg.breaks, pieces.times, "right") - 1, 0, leg.mesh.segments - 1)
+    samples, leg, points = error.samples, error.samples.leg, places.points.size
+    flown = np.clip(known.u, leg.control_bounds.lower[:, None], leg.control_bounds.upper[:, None])
+    rates = costate_rates(samples, known.times, known.x, flown, known.lam)
+    segments = np.clip(np.searchsorted(leg.breaks, places.times, "right") - 1, 0, leg.mesh.segments - 1)
     counts = unconstrained(samples, error.yardstick.pure_paths)[segments]
-    residual = np.abs(np.hstack(interpolants) - rates(pieces.times)) * costate_worth(samples)[:, None]
-    return np.where(counts, residual, 0.0)
+    gaps = places.interpolated(rates[:, :points]) - rates[:, points:]
+    return np.where(counts, np.abs(gaps) * costate_worth(samples)[:, None], 0.0)
 
 
-def trial_pieces(yardstick: Yardstick, trials: Sequence[Piece]) -> SampledPieces:
+def _trial_pieces(yardstick: Yardstick, places: _Places, known: _Known) -> SampledPieces:
     """Return what collocation would make of the known trajectory on each trial segment."""
-    leg, functions = yardstick.leg, yardstick.functions
-    tables = [_tables(leg.scheme, trial.degree) for trial in trials]
-    starts = np.array([t.start for t in trials])
-    halves = np.array([0.5 * (t.end - t.start) for t in trials])
-    points = np.concatenate([s + h * (1 + b.points) for s, h, b in zip(starts, halves, tables, strict=True)])
-    x, u = leg.x(points), leg.u(points)
-    rates, integrands = functions.rates(points, x, u), functions.integrands(points, x, u)
-    first_states = leg.x(starts)
-    x_rates, xs, us, integrals, times, weights = [], [], [], [], [], []
-    offset = 0
-    for k, table in enumerate(tables):
-        at = slice(offset, offset + table.points.size)
-        offset = at.stop
-        half = halves[k]
-        times.append(starts[k] + half * (1 + table.tau))
-        weights.append(half * table.weights)
-        x_rates.append(rates[:, at] @ table.interpolate)
-        xs.append(first_states[:, k : k + 1] + half * (rates[:, at] @ table.integrate))
-        us.append(u[:, at] @ table.interpolate)
-        integrals.append(half * (integrands[:, at] @ table.collocate))
-    sizes = [t.size for t in times]
+    leg, functions, count = yardstick.leg, yardstick.functions, places.points.size
+    at = places.points, known.x[:, :count], known.u[:, :count]
+    rates, integrands = functions.rates(*at), functions.integrands(*at)
+    moved = [_flat(halves[:, None] * (here @ t.integrate)) for t, halves, here in places.groups(rates)]
+    integrals = [halves * (here @ t.collocate) for t, halves, here in places.groups(integrands)]
+    sizes = np.concatenate([np.full(halves.size, t.tau.size) for t, halves in places.alike])
     return SampledPieces(
-        np.concatenate(times),
-        np.concatenate(weights),
+        places.times,
+        np.concatenate([np.outer(halves, t.weights).ravel() for t, halves in places.alike]),
         np.concatenate([[0], np.cumsum(sizes[:-1])]).astype(np.int64),
-        np.hstack(xs),
-        np.hstack(x_rates),
-        np.hstack(us),
-        np.stack(integrals, axis=1),
+        np.repeat(leg.x(places.starts), sizes, axis=1) + np.hstack(moved),
+        places.interpolated(rates),
+        places.interpolated(at[2]),
+        np.hstack(integrals),
     )
+
+
+def _flat(values: Array) -> Array:
+    """Samples (n, n_trials, n_each) behind each other."""
+    return values.reshape(values.shape[0], values.shape[1] * values.shape[2])
 
 
 @dataclass(frozen=True, eq=False)
