@@ -26,6 +26,7 @@ from gnc_opt.errors import ProblemError
 from gnc_opt.model.dormand_prince import step_function
 from gnc_opt.model.evaluation import evaluate, fast_call
 from gnc_opt.model.symbol import as_expression
+from gnc_opt.model.vectorised import Operations
 from gnc_opt.problem.phase import Phase
 from gnc_opt.problem.problem import Problem
 from gnc_opt.problem.symbols import parameter_arguments
@@ -214,7 +215,15 @@ class PhaseFunctions:
         function = self.functions[name]
         costate = np.zeros(function.size1_in(3)) if lam is None else lam
         multiplier = np.zeros(function.size1_in(4)) if mu is None else mu
-        return evaluate(function, t, x, u, costate, multiplier, self.weights, self.p, self.q)
+        others = costate, multiplier, self.weights, self.p, self.q
+        return evaluate(function, t, x, u, *others, programme=lambda: self._programme(name))
+
+    def _programme(self, name: str) -> Operations | None:
+        key = f"{name} by NumPy"
+        if key not in self.functions:
+            self.functions[key] = Operations.of(self.functions[name])
+        known: Operations | None = self.functions[key]
+        return known
 
 
 def phase_functions(problem: Problem, phase: str, p: Array, q: Array, weights: Array) -> PhaseFunctions:

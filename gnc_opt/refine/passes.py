@@ -54,6 +54,8 @@ class PassLimits:
     spare : int
         So many solves more where the last one is not the best yet; if it is not then, refining has stalled. What begins
         anew from the best one would only repeat them.
+    worst : float
+        A structure whose first pass has a larger error is not that of the problem, and is given up.
     known : sequence of Pass
         What has led nowhere already: where a structure comes to the same, it ends.
     """
@@ -63,6 +65,7 @@ class PassLimits:
     work: float = math.inf
     deadline: float = math.inf
     spare: int = 0
+    worst: float = math.inf
     known: Sequence[Pass] = ()
 
     def allowed(self, records: Sequence[Pass]) -> float:

@@ -206,16 +206,23 @@ class ControlStep:
         f, error, held = self._rate(state), ca.SX(0), all(wave.held for wave in waves)
         n, halved = self.substeps, state["beside"]
 
-        def stepped(length: Any, before: tuple[Any, ...], after: tuple[Any, ...], rounding: Any) -> Any:
-            t, x, rate = after
-            x = x - ca.if_else(halved, rounding, 0)  # which may be no number before x is none
-            if watch is not None:
-                watch(length, before, (t, x, rate))
-            return x
-
-        def piece(start: Any, x: Any, length: Any, inputs: list[Input]) -> tuple[Any, Any]:
+        def piece(
+            start: Any, x: Any, length: Any, inputs: list[Input], rest: bool = False
+        ) -> tuple[Any, Any]:
             def u(k: int, node: float) -> Any:
                 return ca.vertcat(*[value(k, node) for value in inputs])
+
+            def stepped(length: Any, before: tuple[Any, ...], after: tuple[Any, ...], rounding: Any) -> Any:
+                t, x, rate = after
+                # chosen, not multiplied: in no time, too, rates may be no numbers, and rounding before x is none
+                x = (
+                    ca.if_else(halved, x - rounding, before[1])
+                    if rest
+                    else x - ca.if_else(halved, rounding, 0)
+                )
+                if watch is not None:
+                    watch(length, before, (t, x, rate))
+                return x
 
             if held:
                 return dormand_prince(lambda t, x, _: f(t, x, mean), start, x, length, n, stepped=stepped)
@@ -231,8 +238,9 @@ class ControlStep:
             most = (end - begin) - rest
             x, estimate = piece(t + begin, x, most, [wave.input(begin, end, n, halved) for wave in waves])
             error += estimate
-            x, estimate = piece(t + begin + most, x, rest, [wave.input(middle, end, n) for wave in waves])
-            error += halved * estimate  # in no time nothing is rounded
+            inputs = [wave.input(middle, end, n) for wave in waves]
+            x, estimate = piece(t + begin + most, x, rest, inputs, rest=True)
+            error += ca.if_else(halved, estimate, 0)
         if all(wave.blur is None for wave in waves):
             return x, error, 0.0
         far = ca.vertcat(*[ca.SX.zeros(w.mean.shape[0]) if w.blur is None else w.blur for w in waves])

@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 import gnc_opt as go
 from gnc_opt.refine.error import estimate_errors, largest_error
+from gnc_opt.refine.hp.coarsen import Piece, trial_errors
 from gnc_opt.refine.hp.kinks import SHARPENING, _closed_in
 from gnc_opt.refine.hp.mesh_refinement import refine_mesh
 from gnc_opt.refine.hp.remesh import UNRESOLVED, Remesh
@@ -488,3 +489,13 @@ def test_what_is_accurate_already_is_left_alone() -> None:
     solution = go.solve(regulator(), mesh="12x6", tol=None)
     same, history = refine_mesh(solution, tol=1e-5)
     assert same is solution and len(history.passes) == 1
+
+
+def test_trials_of_any_degrees_are_judged_together_as_alone() -> None:
+    error = estimate_errors(go.solve(regulator(), mesh="4x8", tol=None))["leg"]
+    ends = ((0.0, 2.5, 6), (2.5, 10.0, 4), (0.0, 5.0, 6), (5.0, 7.5, 9), (1.0, 4.0, 4), (0.0, 10.0, 12))
+    trials = [Piece(*end) for end in ends]
+    alone = [np.concatenate(trial_errors(error, [trial])) for trial in trials]
+    np.testing.assert_allclose(np.stack(trial_errors(error, trials), axis=1), alone, rtol=1e-6, atol=1e-14)
+    worst = np.array(alone)[:, 0]
+    assert worst[1] > worst[4] > worst[5] > worst[3]  # by width and degree

@@ -1,8 +1,13 @@
 """How finely the structure loop begins: coarsely, unless the mesh it got is finer than the default."""
 
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
-from gnc_opt.refine.structure.plan import FIRST_DEGREE, MAX_DEGREE, Plan, points_of
+from gnc_opt.refine.structure.plan import FIRST_DEGREE, MAX_DEGREE, Plan, Resolution, points_of
 from gnc_opt.transcription.mesh import Mesh
 
 LOW, UP = ArcKind.LOWER, ArcKind.UPPER
@@ -22,3 +27,15 @@ def test_long_pieces_of_a_fine_mesh_get_more_segments() -> None:
     assert [(r.segments, r.degree) for r in coarse.resolutions] == [(1, FIRST_DEGREE)] * 2
     assert [(r.segments, r.degree) for r in fine.resolutions] == [(10, MAX_DEGREE), (1, FIRST_DEGREE)]
     assert fine.points == 180.0
+
+
+@pytest.mark.parametrize("smooth", [0, 8])
+def test_segments_that_are_halved_meet_where_they_met(smooth: int) -> None:
+    """Those that a refined mesh left, too, whose boundaries are told one by one."""
+    kept = Resolution(3, MAX_DEGREE, smooth, edges=(0.2, 0.7))
+    finer = kept.finer(np.full(3, 1.0))
+    assert finer.segments == 6 and finer.smooth == smooth
+    assert finer.shares == pytest.approx([0.0, 0.1, 0.2, 0.45, 0.7, 0.85, 1.0])
+    plan = Plan.of(STRUCTURE, 80.0)
+    refined = replace(plan, resolutions=(finer, Resolution()))
+    assert refined.mesh().degrees == (MAX_DEGREE,) * 6 + (FIRST_DEGREE,)

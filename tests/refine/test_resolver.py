@@ -14,9 +14,11 @@ from scipy.optimize import brentq
 
 import gnc_opt as go
 from gnc_opt.nlp.solver import NlpSolver
-from gnc_opt.refine.following import _without_slivers
+from gnc_opt.refine.following import KnownArcs, _without_slivers
+from gnc_opt.refine.passes import PassLimits
 from gnc_opt.refine.structure.detect import structures_of
 from gnc_opt.refine.structure.plan import Plan, points_of
+from gnc_opt.refine.structure.switching import optimise_switches
 from gnc_opt.resolve import Resolver, Way
 from gnc_opt.solution.rest import rest_of
 from gnc_opt.solution.solve_mesh import solve_mesh
@@ -288,6 +290,16 @@ def test_boundaries_that_arcs_moved_stand_where_these_are_left_out(limited: Reso
     """On three segments that may go where they like, points see a limit where it is not exceeded: 1 % too fast."""
     found = go.solve(limited.solution.need_problem(""), guess=limited.solution, tol=None)
     assert not found.phase().mesh.movable and found.objective == pytest.approx(2.05, rel=1e-9)
+
+
+def test_arcs_that_are_far_from_right_are_given_up_at_once(limited: Resolver) -> None:
+    known = KnownArcs.of(limited.solution)
+    for worst, passes in ((1e-30, 1), (0.1, 2)):
+        limits = PassLimits(worst=worst)
+        _, history = optimise_switches(
+            limited.solution, limits=limits, structures=known.structures, segments="few"
+        )
+        assert (history.converged, len(history.passes) <= passes) == (worst > 1e-3, True)
 
 
 def test_what_is_no_start_is_refused(fast: Resolver, limited: Resolver) -> None:

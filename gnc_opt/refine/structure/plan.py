@@ -120,10 +120,8 @@ class Resolution:
         if self.degree < MAX_DEGREE:
             points = STEP if self.smooth else max(STEP, math.ceil(most / GAIN))
             return replace(self, degree=min(self.degree + points, MAX_DEGREE))
-        if self.smooth:
-            return replace(self, segments=min(2 * self.segments, MAX_SEGMENTS))
-        parts = 2 ** np.ceil(np.clip(decades, 0.0, BOLD) / HALVED).astype(int)
-        return self._cut(parts, np.argsort(-decades, kind="stable"))
+        halvings = np.ones_like(decades) if self.smooth else np.ceil(np.clip(decades, 0.0, BOLD) / HALVED)
+        return self._cut(2 ** halvings.astype(int), np.argsort(-decades, kind="stable"))
 
     def with_points(self, more: Indices) -> Resolution:
         """Return the resolution with so many points more in every segment, which is cut where that is too many.
@@ -273,7 +271,9 @@ class Plan:
         shared = np.maximum(np.minimum(times[1:], right) - np.maximum(times[:-1], left), 0.0)
         counts = [r.segments for r in self.resolutions] * shared / self.structure.lengths
         degree = max(r.degree for r in (first, *itertools.compress(self.resolutions, shared > 0)))
-        return replace(first, degree=degree, segments=max(first.segments, math.ceil(np.sum(counts))))
+        wanted = math.ceil(np.sum(counts))
+        finer = replace(first, degree=degree)
+        return finer if wanted <= first.segments else replace(finer, segments=wanted, edges=())
 
     def _smooth_as_now(self, structure: PhaseStructure, piece: int, first: Resolution) -> Resolution:
         """The resolution of the piece of this plan with the kinds of one of another structure, if it is smooth."""

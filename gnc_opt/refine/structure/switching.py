@@ -238,6 +238,8 @@ class _Loop:
             if resolved and (finer := smoother(solution, current)) != current:
                 plans, resolved, record = finer, False, replace(record, actions=SMOOTHED)
             self._note(_Try(solution, current, record))
+            if len(self.records) == 1 and record.error > self.limits.worst:
+                return RefinementStatus.FAILED
             # The kinks that a mesh shows have been moved at least once.
             settled = len(self.records) > 1 and record.error <= self.tol
             if not action or resolved or (settled and _adjusts_mesh(current, record)):

@@ -1,0 +1,65 @@
+"""CasADi functions by NumPy are the same functions."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from gnc_opt.model.evaluation import evaluate, evaluate_columns
+from gnc_opt.model.vectorised import LONGEST, Operations
+
+COLUMNS = 200
+
+
+def function(*expressions: ca.SX, of: tuple[ca.SX, ...]) -> ca.Function:
+    return ca.Function("f", list(of), [ca.densify(ca.vertcat(*expressions))])
+
+
+def arguments(rng: np.random.Generator) -> list[np.ndarray]:
+    return [rng.uniform(-2, 2, (1, COLUMNS)), rng.uniform(-2, 2, (2, COLUMNS)), rng.uniform(-2, 2, 2)]
+
+
+T, X, P = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("p", 2)
+A, B = X[0], X[1]
+
+
+@pytest.mark.parametrize(
+    "expression",
+    [
+        A + B * T - P[0] / B,
+        ca.vertcat(-A, 2 * B, 1 / T, A**2, ca.fabs(B)),
+        ca.vertcat(ca.exp(A), ca.log(B), ca.sqrt(T), A**1.7, A**B, ca.constpow(B, 3)),
+        ca.vertcat(ca.sin(A), ca.cos(B), ca.tan(T), ca.asin(A), ca.acos(B), ca.atan(T), ca.atan2(A, B)),
+        ca.vertcat(ca.sinh(A), ca.cosh(B), ca.tanh(T), ca.fmin(A, B), ca.fmax(A, P[1]), ca.hypot(A, B)),
+        ca.vertcat(0, 3.5, P[1], T),
+    ],
+    ids=str,
+)
+def test_operations_are_casadis_numbers_that_are_none_included(expression: ca.SX) -> None:
+    f = function(expression, of=(T, X, P))
+    given = arguments(np.random.default_rng(1))
+    programme = Operations.of(f)
+    assert programme is not None
+    np.testing.assert_allclose(programme(COLUMNS, *given), evaluate_columns(f, COLUMNS, *given), rtol=1e-14)
+
+
+def test_registers_that_serve_twice_and_derivatives() -> None:
+    """A Hessian of some length, whose intermediate results CasADi keeps in a few places."""
+    long = ca.sin(A * B) ** 2 * ca.exp(-T * A) / (1 + B**2) + ca.sqrt(1 + A**4) * ca.cos(P[0] * B)
+    f = function(ca.vec(ca.hessian(long, X)[0]), ca.gradient(long, X), of=(T, X, P))
+    given = arguments(np.random.default_rng(2))
+    programme = Operations.of(f)
+    assert programme is not None and programme.registers < len(programme.steps) / 2
+    np.testing.assert_allclose(
+        programme(COLUMNS, *given), evaluate_columns(f, COLUMNS, *given), rtol=1e-12, atol=1e-14
+    )
+
+
+def test_what_is_not_read_is_left_to_casadi() -> None:
+    kinked = function(ca.if_else(A > 0, A, B), of=(T, X, P))
+    endless = A
+    for _ in range(LONGEST):
+        endless = ca.sin(endless)
+    assert Operations.of(kinked) is None and Operations.of(function(endless, of=(T, X, P))) is None
+    t, x, p = arguments(np.random.default_rng(3))
+    found = evaluate(kinked, t[0], x, p, programme=lambda: Operations.of(kinked))
+    np.testing.assert_array_equal(found[0], np.where(x[0] > 0, x[0], x[1]))
