@@ -31,6 +31,8 @@ ALLOWED = {
     "integration.py: SpentError": "one of those",
     "refining.py: KeyboardInterrupt": "Ctrl-C, passed on to the search, which keeps what it has found",
     "refine.py: KeyboardInterrupt": "Ctrl-C in an attempt, passed on to the refinement, which keeps the best one",
+    "following.py: KeyboardInterrupt": "Ctrl-C before there is a solution that could be kept",
+    "resolve.py: KeyboardInterrupt": "the same",
     "sweep.py: KeyboardInterrupt": "Ctrl-C, passed on to the sweep, which keeps what it has found",
     "archive.py: _NoArchive": "caught at once and turned into 'is no archive'",
     "archive.py: zipfile.BadZipFile": "caught at once and turned into 'is damaged'",
