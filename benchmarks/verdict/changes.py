@@ -131,7 +131,8 @@ def _integrated(s: Statement, t: Array, u: Array) -> Trajectory:
     states = [state]
     for i in range(t.size - 1):
         if t[i + 1] > t[i]:
-            control = scipy.interpolate.interp1d(t[i : i + 2], u[:, i : i + 2])
+            # stages may round beyond the ends
+            control = scipy.interpolate.interp1d(t[i : i + 2], u[:, i : i + 2], fill_value="extrapolate")
             flown = scipy.integrate.solve_ivp(
                 lambda time, y, c=control: rates(y, c(time)).full().ravel(),
                 t[i : i + 2], state, rtol=1e-9, atol=1e-10,

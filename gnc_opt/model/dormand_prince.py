@@ -44,8 +44,8 @@ def step_function(rates: Any) -> Any:
     Returns
     -------
     casadi.Function
-        Of (t, h, x, dx/dt, the controls at the stages after the first, one after another, ...); in one column the new
-        state, its rate, and the error estimates of order 5 and 3 per second.
+        Of (t, h, x, dx/dt, the controls at the later stages one after another, ...); in one column the new state, its
+        rate, and the error estimates of order 5 and 3 per second.
     """
     method = scipy.integrate.DOP853
     size, channels = rates.size1_in(1), rates.size1_in(2)
@@ -105,8 +105,7 @@ def carried(
         while t < end:
             shortest = FEWEST * np.spacing(abs(t))
             width = min(max(h, shortest), end - t)
-            stages = np.minimum(t + width * places, end)  # rounding may lead beyond it
-            found = step(t, width, x, slope, controls(stages).ravel("F"))
+            found = step(t, width, x, slope, controls(t + width * places).ravel("F"))
             budget.spend(t, STAGES)
             new, new_slope, *errors = found.reshape(4, -1)
             scale = smallest + tolerance.relative * np.maximum(np.abs(x), np.abs(new))

@@ -77,29 +77,3 @@ def test_steps_keep_their_tolerance_and_are_as_many_as_scipys() -> None:
     np.testing.assert_allclose(end, np.cos(2.0), rtol=0, atol=1e-9)
     theirs = scipy.integrate.solve_ivp(right, (0.0, 2.0), [1.0], method="DOP853", rtol=1e-10, atol=1e-10)
     assert 0.8 * theirs.nfev < budget.count < 1.2 * theirs.nfev
-
-
-def test_controls_are_asked_within_the_span_alone() -> None:
-    """Functions of time may have an end; rounding of the last step's length would go beyond it."""
-    f = pendulum()
-    rate, step = fast_call(f), fast_call(step_function(f))
-    asked: list[float] = []
-
-    def seen(times: np.ndarray) -> np.ndarray:
-        asked.extend(times)
-        return control(times)
-
-    numbers = np.random.default_rng(0)
-    for begin, length in numbers.uniform([0.0, 0.1], [1.0, 1.0], (500, 2)):
-        end = begin + length
-        carried(
-            step,
-            lambda t, x: rate(t, x, control(np.array([t]))[:, 0]),
-            seen,
-            np.array([0.4, -0.1]),
-            (begin, end),
-            Tolerance(1e-6, np.ones(2)),
-            Budget(["theta", "omega"]),
-        )
-        assert begin <= min(asked) and max(asked) <= end
-        asked.clear()
