@@ -74,8 +74,8 @@ class ClosedLoop:
         Parts of a control step.
     accuracy : float
         Of the integration over a run, relative to max(1, \\|x\\|) per state: as many integration steps per minor step
-        are taken as the nominal run needs by its own error estimate, a safe one: the true error is often orders of
-        magnitude smaller. Runs that miss it are flagged.
+        are taken as the nominal run needs by the sum of its local errors and their growth, a safe estimate: the true
+        error is mostly a small share of it. Runs that miss it are flagged.
     substeps : int, optional
         Integration steps per minor step; default: chosen by ``accuracy``.
     plausible : float or mapping

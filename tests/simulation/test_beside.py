@@ -11,7 +11,16 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import gnc_opt as go
-from gnc_opt.simulation import ClosedLoop, Event, Flight, Noise, Quantisation
+from gnc_opt.simulation import (
+    ClosedLoop,
+    Delay,
+    Event,
+    Flight,
+    Lag,
+    Noise,
+    Quantisation,
+    RateLimit,
+)
 from gnc_opt.simulation.beside import apart
 from gnc_opt.simulation.outcome import RunStatus
 from gnc_opt.simulation.places import Places
@@ -189,3 +198,31 @@ def test_what_rounding_has_grown_to_is_held_against_the_integration() -> None:
     run = loop.run(loop.nominal, 0)
     wrong = abs(run.states[0, -1] / np.exp(12.0) - 1)
     assert wrong < run.integration_error and run.outcome.status is RunStatus.INACCURATE
+
+
+@pytest.mark.parametrize(
+    "chain",
+    [
+        [],
+        [Lag("lag", 0.04)],
+        [Delay("pipe", 0.03), RateLimit("slew", 40.0), Lag("lag", 0.04)],
+    ],
+)
+def test_the_second_flight_is_the_run_with_twice_the_steps(chain: list[Any]) -> None:
+    """To rounding, whatever the actuators make of commands between samples; no step of the run is halved."""
+    model = go.Model("swing")
+    a, w, u = model.state("a"), model.state("w"), model.control("u")
+    model.ode({a: w, w: -40 * ca.sin(a) + u})
+    law = go.design_lqr(model, [0.0, 0.0], Q=[100.0, 1.0], R=0.01, dt=0.1)
+
+    def ends(substeps: int) -> Any:
+        flown = ClosedLoop(model, law, chain, dt=0.1, substeps=substeps).flight([0.5, 0.0], tf=1.0)
+        _, rows = next(flown.legs(0, np.empty((flown.n_steps, flown.kernel.known.size))))
+        X, C = flown._begun(rows[0], flown.nominal)
+        final = np.empty_like(X)
+        flown._folded.fly(X, rows, C, final)
+        return final[:, flown.kernel.state.slices["plant"]]
+
+    coarse, fine = ends(2), ends(4)
+    assert coarse[1] == pytest.approx(fine[0], abs=1e-13)
+    assert np.max(np.abs(coarse[0] - fine[0])) > 1e-9
