@@ -100,7 +100,9 @@ class Watch:
         self.armed = ca.if_else(ca.logic_or(self.armed, rises), 1.0, 0.0)
         self.y, self.slope = y1, d1
         time, x, _ = after
-        self.lost_inside = self.lost
+        self.lost_inside = ca.if_else(
+            length > 0, self.lost, self.lost_inside
+        )  # steps of no time end where others did
         self.lost = ca.fmax(self.lost, self.events.lost(time, x, self.parameters, y1))
 
 
