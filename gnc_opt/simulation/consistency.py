@@ -131,6 +131,9 @@ class Consistency(Strict):
             f"NEES {self.average:.4g}, {low:.4g} to {high:.4g} expected ({where}; {100 * self.within:.1f} % within)"
         ]
         for name, test in self.innovations.items():
+            if not test.taken:
+                lines.append(f"NIS of {name}: no sample taken ({test.refused} refused)")
+                continue
             low, high = test.band
             lines.append(
                 f"NIS of {name} {test.average:.4g}, {low:.4g} to {high:.4g} expected "
@@ -177,10 +180,14 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
     if not isinstance(flown, (Run, Campaign)):
         expect(flown, Run, "what consistency() got", "give a run or a campaign")
     layout = flown.layouts.get("memory")
-    missing = [n for n in estimator.memory.names if layout is None or n not in layout]
+    missing = [
+        v.name
+        for v in estimator.memory.variables
+        if layout is None or v.name not in layout or layout[v.name].size != v.size
+    ]
     if missing or layout is None or not flown.memory.size:
         raise ArgumentError(
-            f"the loop remembers no '{missing[0] if missing else 'state'}': it had no '{estimator.name}'."
+            f"the loop remembers no '{missing[0] if missing else 'state'}' like it: it had no '{estimator.name}'."
         )
     memory = np.vstack([flown.memory[layout.slice(name)] for name in estimator.memory.names])
     independent = isinstance(flown, Campaign)

@@ -409,6 +409,7 @@ def test_roots_of_singular_covariances():
     ("change", "message"),
     [
         ({"measurements": []}, "measures nothing"),
+        ({"measurements": None}, "is a NoneType where a Measurement is needed"),
         ({"measurements": ["q"]}, "is a str where a Measurement is needed"),
         (
             {"measurements": [Measurement("q", 1), Measurement("q", 2)]},
@@ -434,12 +435,14 @@ def test_roots_of_singular_covariances():
         ({"sigma0": {"q": 1, "v": 1, "w": 1}}, "no state 'w'"),
         ({"process_noise": {"v": np.nan}}, "process_noise of 'EKF' for 'v'"),
         ({"process_noise": [1, 2]}, "where a Mapping is needed"),
+        ({"process_noise": np.eye(2)}, "process_noise of 'EKF' is a ndarray where a Mapping is needed"),
         ({"x0": [0, np.inf]}, "has no finite 'v'"),
         ({"x0": {"q": 0}}, "has no finite 'v'"),
         ({"x0": {"q": 0, "w": 0}}, "no state 'w'"),
         ({"dt": 0}, "control step"),
         ({"options": FilterOptions(substeps=0)}, "substeps"),
         ({"options": FilterOptions(hold=-1)}, "bridges"),
+        ({"options": FilterOptions(t0=np.nan)}, "t0 of 'EKF'"),
         ({"options": FilterOptions(limits=(1, 0))}, "no authority"),
         ({"options": UnscentedOptions(kappa=1)}, "no points to spread"),
         ({"options": {"hold": 1}}, "the options of 'EKF'"),
@@ -562,3 +565,10 @@ def test_samples_are_counted_only_if_not_every_step_brings_one(times, counted):
     model.ode({q: a})
     (channel,) = AugmentedModel(model, [Measurement("q", 1.0, **times)], DT).channels
     assert channel.counted is counted
+
+
+def test_a_memory_of_another_size_is_refused():
+    ekf = design_ekf(cart(), [0, 0], [Measurement("q", 1.0)], **CART)
+    for asked in (ekf.estimate, ekf.covariance, lambda z: ekf(0.0, [0.0], [0.0], z)):
+        with pytest.raises(go.ArgumentError, match=f"it has {ekf.memory.size} rows"):
+            asked(np.zeros(3))

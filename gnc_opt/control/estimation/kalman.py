@@ -69,7 +69,7 @@ def design_ekf(
     told = read_options(options, "EKF")
     if isinstance(told, UnscentedOptions):
         raise ArgumentError("design_ekf() has no points to spread: give FilterOptions(...).")
-    design = FilterDesign(model, x0, measurements, (sigma0, process_noise or {}), dt, told)
+    design = FilterDesign(model, x0, measurements, (sigma0, process_noise), dt, told)
     return design.estimator(Tangent(), "extended Kalman filter")
 
 
@@ -113,5 +113,5 @@ def design_ukf(
     told = read_options(options, "UKF")
     kappa = told.kappa if isinstance(told, UnscentedOptions) else None
     spread = None if kappa is None else read_positive(kappa, "kappa of design_ukf()", or_zero=True)
-    design = FilterDesign(model, x0, measurements, (sigma0, process_noise or {}), dt, told)
+    design = FilterDesign(model, x0, measurements, (sigma0, process_noise), dt, told)
     return design.estimator(Regression(spread), "unscented Kalman filter")
