@@ -116,6 +116,7 @@ class FilterDesign:
             memory=filter_.memory,
             error=ca.Function("error", [x, x_ref], [model.error_expression(x, x_ref)]),
             sizes={c.name: c.space.errors for c in augmented.channels},
+            gates={c.name: c.measurement.gate for c in augmented.channels if c.measurement.gate is not None},
             dt=self.dt,
             explanation=Explanation(f"{title} of '{model.name}'", tuple(self._facts())),
         )

@@ -83,6 +83,8 @@ class Estimator:
         ``(x, x_ref) -> e``, the error of states.
     sizes : mapping of str to int
         Components of each measurement's error.
+    gates : mapping of str to float
+        Of those that have one, the probability with which a right sample passes.
     dt : float
         Control step, s.
     explanation : Explanation
@@ -116,6 +118,7 @@ class Estimator:
     sizes: dict[str, int]
     dt: float
     explanation: Explanation
+    gates: dict[str, float] = field(default_factory=dict)
     signals: Layout = field(default_factory=partial(Layout, "signal"))
     schedule: Schedule | None = None
     span: tuple[float, float] | None = None
