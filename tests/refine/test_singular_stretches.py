@@ -1,9 +1,9 @@
 """Bangs that stand in for singular arcs, beside long bangs whose switching function is small, too.
 
-A planar quadrotor goes round a pole in the least time. Each rotor has a short singular arc next to a bang along which its
-switching function stays below a hundredth of H. With B = -lambda_vx sin(theta) + lambda_vz cos(theta) and
-A = lambda_vx cos(theta) + lambda_vz sin(theta) the switching functions are B / m -+ l lambda_w / J, and their second time
-derivatives vanish where the thrust is
+A planar quadrotor goes round a pole in the least time. Each rotor has a short singular arc next to a bang along which
+its switching function stays below a hundredth of H. With B = -lambda_vx sin(theta) + lambda_vz cos(theta) and
+A = lambda_vx cos(theta) + lambda_vz sin(theta) the switching functions are B / m -+ l lambda_w / J, and their second
+time derivatives vanish where the thrust is
 
     f = +- J / (2 A l) (c B' - w A' + w (lambda_x cos(theta) + lambda_z sin(theta))).
 """

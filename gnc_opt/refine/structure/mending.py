@@ -37,8 +37,8 @@ PROPPED = 3e-5
 at one time its length falls like the square root of the barrier, which ends at 1e-11 and less."""
 
 CHATTER, ALIKE = 5, 30.0
-"""So many switches of one control where its switching function stays small are no bangs. All but one of them at least are
-between bangs that leave no more than so many times the offence."""
+"""So many switches of one control where its switching function stays small are no bangs. All but one of them at least
+are between bangs that leave no more than so many times the offence."""
 
 LEFT_OPEN = 5e-6
 """Gain in H beyond which a singular arc is left open at its ends: half of what `verify` forgives."""
@@ -191,8 +191,8 @@ def _chatter(
 ) -> tuple[int, float, float] | None:
     """Return control, start and end of bangs that stand in for a singular arc, if the worst offence is among them.
 
-    There many bangs in a row leave a small switching function, which asks for ever more of them. Between them it is about
-    as large as the offence; bangs beside the arc leave a larger one. Of second order the arc would meet bangs by
+    There many bangs in a row leave a small switching function, which asks for ever more of them. Between them it is
+    about as large as the offence; bangs beside the arc leave a larger one. Of second order the arc would meet bangs by
     chattering: few of them will do.
     """
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
