@@ -31,7 +31,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_positive
+from gnc_opt.arguments import read_mapping, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
@@ -156,7 +156,8 @@ def design_mpc(
     [-0.2]
     """
     reference = read_plant(model, reference, "design_mpc")
-    solver = solver or ("piqp" if state_limits else "daqp")
+    limited = read_mapping(state_limits, "state_limits of design_mpc()", 'write {"v": (-1.0, 1.0)}')
+    solver = solver or ("piqp" if limited else "daqp")
     if solver not in get_args(QpSolver):
         raise ArgumentError(
             f"there is no QP solver {shown(solver)}: {did_you_mean(str(solver), get_args(QpSolver))}"
@@ -183,7 +184,7 @@ def design_mpc(
     price = read_positive(state_penalty, "the state penalty") * np.diag(gains.costs[-1])
     require_reserve(reference, bounds, reference_times(reference))
     change = None if rate_limits is None else _rates(rate_limits, model, dt)
-    in_x, in_e, *of_states = _state_rows(deviation, state_limits or {}, hard, price)
+    in_x, in_e, *of_states = _state_rows(deviation, limited, hard, price)
     rows = Rows(*bounds, change, in_x, in_e, *of_states)
     beyond = reference_beyond(reference, rows.states, rows.state_lower, rows.state_upper)
     windows = _Windows(gains, count, end)
@@ -462,7 +463,6 @@ def _state_rows(
     lower: list[float] = []
     upper: list[float] = []
     prices: list[float] = []
-    expect(limits, Mapping, "state_limits of design_mpc()", 'write {"v": (-1.0, 1.0)}')
     if isinstance(hard, str) or not isinstance(hard, Sequence):
         raise ArgumentError(f"hard of design_mpc() is {shown(hard)}: give a list of states.")
     for name in hard:
