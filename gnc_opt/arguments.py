@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import keyword
 import numbers
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -23,6 +24,11 @@ def expect(value: Any, kind: type, what: str, remedy: str) -> Any:
             f"{what} is a {type(value).__name__} where a {kind.__name__} is needed: {remedy}."
         )
     return value
+
+
+def read_mapping(value: Any, what: str, remedy: str) -> Mapping[Any, Any]:
+    """Return an optional mapping, empty for ``None``; all else is refused with the remedy."""
+    return {} if value is None else cast(Mapping[Any, Any], expect(value, Mapping, what, remedy))
 
 
 def read_name(name: object, what: str, error: ErrorType = ArgumentError) -> str:

@@ -19,7 +19,7 @@ from gnc_opt.arguments import expect, read_integer
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.criteria import Criteria, Judge
+from gnc_opt.simulation.criteria import Criteria, Judge, read_criteria
 from gnc_opt.simulation.dispersion import Dispersion, Dispersions, check_dispersions
 from gnc_opt.simulation.flight import Flight
 from gnc_opt.simulation.gathering import gathered
@@ -100,7 +100,7 @@ class Experiment:
     @cached_property
     def criteria(self) -> Criteria:
         """What runs are compared with, and one's own measures."""
-        return Criteria(self.target or {}, {}, self.judge or {})
+        return read_criteria(self.target, self.judge)
 
     def require(self, measure: str) -> None:
         """Refuse what is no measure of the runs.

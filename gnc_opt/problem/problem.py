@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer, read_label, read_name, read_numbers
+from gnc_opt.arguments import expect, read_integer, read_label, read_mapping, read_name, read_numbers
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.markup import heading, table
 from gnc_opt.model.layout import Variable, as_vector
@@ -249,7 +249,8 @@ class Problem(Statement):
             raise ProblemError(
                 f"sequence() of problem '{self.name}' got {names}: give two phases or more, each once."
             )
-        durations, drops = durations or {}, drops or {}
+        durations = read_mapping(durations, "durations of sequence()", 'write {"ascent": 100.0}')
+        drops = read_mapping(drops, "drops of sequence()", 'write {"ascent": {"m": 1200.0}}')
         for given, known in ((durations, names), (drops, names[:-1])):
             for name in given:
                 if name not in known:

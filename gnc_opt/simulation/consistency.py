@@ -2,8 +2,13 @@ r"""Consistency: whether an estimator's errors are as large as it says.
 
 The normalised estimation error squared, :math:`\text{NEES} = e^T P^{-1} e`, of a right filter of a linear system is
 chi-square distributed with as many degrees of freedom as e has components, and so is the normalised innovation squared
-(NIS) with those of its measurement. Innovations are independent of each other; estimation errors are so only between
-runs.
+(NIS) with those of its measurement m. Behind a gate at :math:`c` it is so given that it is not above c,
+
+.. math:: E = m \frac{F_{m+2}(c)}{F_m(c)}, \qquad E^{(2)} = m (m + 2) \frac{F_{m+4}(c)}{F_m(c)},
+
+:math:`F_k` the distribution function of chi-square with k degrees of freedom: less than m. The band of its mean is that
+of the chi-square distribution scaled to this mean and variance. Innovations are independent of each other; estimation
+errors are so only between runs.
 
 Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 5.4.2.
 """
@@ -14,6 +19,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from gnc_opt.arguments import expect, read_positive
 from gnc_opt.arrays import Array
@@ -37,7 +43,8 @@ class InnovationTest(Strict):
     average : float
         Mean NIS of the samples taken, over all runs; not-a-number if none was.
     band : tuple of two floats
-        Between which that mean is with the confidence asked for, if the filter is right.
+        Between which that mean is with the confidence asked for, if the filter is right; behind a gate, that of what
+        passes it.
     taken, refused : int
         Samples used, and refused by the gate.
 
@@ -124,6 +131,9 @@ class Consistency(Strict):
             f"NEES {self.average:.4g}, {low:.4g} to {high:.4g} expected ({where}; {100 * self.within:.1f} % within)"
         ]
         for name, test in self.innovations.items():
+            if not test.taken:
+                lines.append(f"NIS of {name}: no sample taken ({test.refused} refused)")
+                continue
             low, high = test.band
             lines.append(
                 f"NIS of {name} {test.average:.4g}, {low:.4g} to {high:.4g} expected "
@@ -170,10 +180,14 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
     if not isinstance(flown, (Run, Campaign)):
         expect(flown, Run, "what consistency() got", "give a run or a campaign")
     layout = flown.layouts.get("memory")
-    missing = [n for n in estimator.memory.names if layout is None or n not in layout]
+    missing = [
+        v.name
+        for v in estimator.memory.variables
+        if layout is None or v.name not in layout or layout[v.name].size != v.size
+    ]
     if missing or layout is None or not flown.memory.size:
         raise ArgumentError(
-            f"the loop remembers no '{missing[0] if missing else 'state'}': it had no '{estimator.name}'."
+            f"the loop remembers no '{missing[0] if missing else 'state'}' like it: it had no '{estimator.name}'."
         )
     memory = np.vstack([flown.memory[layout.slice(name)] for name in estimator.memory.names])
     independent = isinstance(flown, Campaign)
@@ -234,16 +248,27 @@ def _innovations(estimator: Estimator, name: str, ends: Array, confidence: float
     )
     return InnovationTest(
         average=total / taken if taken else float("nan"),
-        band=_band(estimator.sizes[name], int(taken), confidence),
+        band=_band(estimator.sizes[name], int(taken), confidence, estimator.gates.get(name)),
         taken=int(taken),
         refused=int(refused),
     )
 
 
-def _band(components: int, values: int, confidence: float) -> Band:
-    """Return the interval that the mean of independent chi-square values is in with a confidence, equal tails."""
+def _band(components: int, values: int, confidence: float, gate: float | None = None) -> Band:
+    """Return the interval that the mean of independent chi-square values is in with a confidence, equal tails.
+
+    Of those that pass the gate, if there is one.
+    """
     if values < 1:
         return float("nan"), float("nan")
-    freedom = components * values
-    low, high = (chi_square(freedom, p) / values for p in (0.5 - confidence / 2, 0.5 + confidence / 2))
-    return low, high
+    mean, freedom = (components, components) if gate is None else _gated(components, gate)
+    low, high = (chi_square(freedom * values, p) for p in (0.5 - confidence / 2, 0.5 + confidence / 2))
+    return mean * low / (freedom * values), mean * high / (freedom * values)
+
+
+def _gated(components: int, gate: float) -> tuple[float, float]:
+    """Return the mean of a chi-square value that passes a gate, and the degrees of freedom of a scaled one like it."""
+    half, limit = components / 2, chi_square(components, gate) / 2
+    first, second = (float(scipy.special.gammainc(half + k, limit)) / gate for k in (1, 2))
+    mean = components * first
+    return mean, 2 * mean**2 / (components * (components + 2) * second - mean**2)

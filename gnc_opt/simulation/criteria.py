@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_positive
+from gnc_opt.arguments import read_mapping, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, in_words
 from gnc_opt.model.layout import as_vector
@@ -46,9 +47,6 @@ class Criteria:
 
     def check(self, empty: Campaign) -> None:
         """Refuse limits of measures that a campaign (without runs) does not have, and what is no limit or measure."""
-        kinds = {"target": '{"q": 0.0}', "limits": '{"q": 0.05}', "judge": '{"miss": lambda campaign: ...}'}
-        for kind, example in kinds.items():
-            expect(getattr(self, kind), Mapping, f"{kind} of monte_carlo()", f"write {example}")
         for name, value in self.limits.items():
             if name not in self.judge:
                 empty.measure(name)
@@ -67,6 +65,15 @@ class Criteria:
         return replace(
             campaign, measured={name: _measured(name, judge, campaign) for name, judge in self.judge.items()}
         )
+
+
+def read_criteria(target: Any, judge: Any, limits: Any = None) -> Criteria:
+    """Return the criteria of optional mappings; what is none is refused."""
+    return Criteria(
+        read_mapping(target, "the target of runs", 'write {"q": 0.0}'),
+        read_mapping(limits, "the limits of runs", 'write {"q": 0.05}'),
+        read_mapping(judge, "the judge of runs", 'write {"miss": lambda campaign: ...}'),
+    )
 
 
 def _limit(name: str, value: float) -> float:

@@ -16,7 +16,7 @@ from gnc_opt.arguments import expect, read_integer
 from gnc_opt.errors import GncOptError
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.checkpoint import MOST_PER_FILE, store, stored
-from gnc_opt.simulation.criteria import Criteria, Judge
+from gnc_opt.simulation.criteria import Judge, read_criteria
 from gnc_opt.simulation.dispersion import Dispersions, check_dispersions
 from gnc_opt.simulation.gathering import gathered
 from gnc_opt.simulation.loop import ClosedLoop
@@ -102,7 +102,7 @@ def monte_carlo(
     flight = loop.flight(x0, t0=t0, tf=tf, parameters=parameters)
     check_dispersions(dispersions, flight.layout, flight.nominal)
     flight = flight.natively(n)
-    criteria = Criteria(target or {}, limits or {}, judge or {})
+    criteria = read_criteria(target, judge, limits)
     mission = Mission(flight, dict(dispersions), int(seed))
     empty = gathered(flight, [], seed=mission.seed, asked=n, goal=criteria.goal(flight))
     criteria.check(empty)

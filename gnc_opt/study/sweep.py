@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
-from gnc_opt.arguments import expect, read_name, read_numbers
+from gnc_opt.arguments import expect, read_mapping, read_name, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, did_you_mean, shown
 from gnc_opt.nlp import SolverOptions, Status
@@ -216,20 +216,21 @@ def sweep(
         raise ArgumentError("sweep() got no function: write sweep(build, {...}), build returns a problem.")
     axes = _read_grid(grid)
     _check_arguments(problem_of, axes)
-    for name, output in (outputs or {}).items():
+    named = read_mapping(outputs, "outputs of sweep()", 'write {"miss": lambda solution: ...}')
+    for name, output in named.items():
         if not callable(output):
             raise ArgumentError(
                 f"output '{name}' of sweep() is {shown(output)}: give a function of a solution."
             )
     line = _Line(tuple(axes), tuple(axes.values())[-1], mesh, tol, options)
     shared = Shared.picklable(
-        _Functions(problem_of, dict(outputs or {})),
+        _Functions(problem_of, dict(named)),
         "the family of problems, or an output,",
         'define them with def at the top of a module, or use executor="serial"',
     )
     shape = tuple(values.size for values in axes.values())
     solutions, endings = np.full(shape, None, dtype=object), np.full(shape, NOT_REACHED, dtype=object)
-    found = {name: np.full(shape, np.nan) for name in outputs or {}}
+    found = {name: np.full(shape, np.nan) for name in named}
     starts = list(itertools.product(*list(axes.values())[:-1]))
     with WorkerPool(shared, executor, "sweep()") as pool:
         done = pool.run(line, list(enumerate(starts)), lambda _: None)

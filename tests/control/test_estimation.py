@@ -350,6 +350,39 @@ def test_regression_has_the_moments_of_a_square():
     assert [float(v) for v in found] == pytest.approx([0.49 + 0.3, 1.4, 2 * 0.3**2], rel=1e-14)
 
 
+def test_what_directions_leave_is_added_up_and_that_of_a_transform_grows_with_them():
+    """x0^2 of n errors with variances 0.3: beyond the slope its variance is 2 (0.3)^2, (n + kappa - 1) / 2 times that
+    by the unscented transform."""
+    for n in (1, 2, 5):
+        x, P = ca.SX.sym("x", n), ca.SX.sym("P", n, n)
+        for kappa, share in ((None, 1.0), (2.0, (n + 1) / 2), (3.0, (n + 2) / 2)):
+            mean, _, left = Regression(kappa).fit(lambda s: s[0] ** 2, flat(n), flat(1), x, P)
+            found = ca.Function("f", [x, P], [mean, left])(0.7, 0.3 * np.eye(n))
+            assert [float(v) for v in found] == pytest.approx([0.49 + 0.3, 2 * share * 0.3**2], rel=1e-13)
+
+
+@pytest.mark.parametrize("others", [0, 3, 9])
+def test_what_a_range_leaves_does_not_depend_on_what_else_is_estimated(others):
+    """Its innovation has the variance of sqrt(x^2 + y^2), here by quadrature, less what is of higher order."""
+    model = go.Model("seen by a range finder")
+    r, rest = model.state("r", 2), model.state("rest", 1 + others)
+    model.ode({r: [0, 0], rest: ca.DM.zeros(1 + others)})
+    model.output("range", ca.norm_2(r))
+    ukf = design_ukf(
+        model,
+        {"r": [100, 0], "rest": np.zeros(1 + others)},
+        [Measurement("range", 0.01)],
+        sigma0={"r": [0.01, 4.0], "rest": 1.0},
+        dt=1.0,
+    )
+    nis = [float(ukf(0.0, [y], [])[1][ukf.memory.slice("range_nis")][0]) for y in (99.0, 100.0, 101.0)]
+    nodes, weights = np.polynomial.hermite_e.hermegauss(12)
+    weights = np.outer(weights, weights) / np.sum(weights) ** 2
+    ranges = np.hypot(100 + 0.01 * nodes[:, None], 4 * nodes)
+    variance = np.sum(weights * (ranges - np.sum(weights * ranges)) ** 2) + 0.01**2
+    assert 2 / (nis[0] - 2 * nis[1] + nis[2]) == pytest.approx(variance, rel=0.01)
+
+
 def test_roots_of_singular_covariances():
     rng = np.random.default_rng(1)
     A = rng.normal(size=(4, 2))
@@ -376,6 +409,7 @@ def test_roots_of_singular_covariances():
     ("change", "message"),
     [
         ({"measurements": []}, "measures nothing"),
+        ({"measurements": None}, "is a NoneType where a Measurement is needed"),
         ({"measurements": ["q"]}, "is a str where a Measurement is needed"),
         (
             {"measurements": [Measurement("q", 1), Measurement("q", 2)]},
@@ -401,12 +435,14 @@ def test_roots_of_singular_covariances():
         ({"sigma0": {"q": 1, "v": 1, "w": 1}}, "no state 'w'"),
         ({"process_noise": {"v": np.nan}}, "process_noise of 'EKF' for 'v'"),
         ({"process_noise": [1, 2]}, "where a Mapping is needed"),
+        ({"process_noise": np.eye(2)}, "process_noise of 'EKF' is a ndarray where a Mapping is needed"),
         ({"x0": [0, np.inf]}, "has no finite 'v'"),
         ({"x0": {"q": 0}}, "has no finite 'v'"),
         ({"x0": {"q": 0, "w": 0}}, "no state 'w'"),
         ({"dt": 0}, "control step"),
         ({"options": FilterOptions(substeps=0)}, "substeps"),
         ({"options": FilterOptions(hold=-1)}, "bridges"),
+        ({"options": FilterOptions(t0=np.nan)}, "t0 of 'EKF'"),
         ({"options": FilterOptions(limits=(1, 0))}, "no authority"),
         ({"options": UnscentedOptions(kappa=1)}, "no points to spread"),
         ({"options": {"hold": 1}}, "the options of 'EKF'"),
@@ -529,3 +565,10 @@ def test_samples_are_counted_only_if_not_every_step_brings_one(times, counted):
     model.ode({q: a})
     (channel,) = AugmentedModel(model, [Measurement("q", 1.0, **times)], DT).channels
     assert channel.counted is counted
+
+
+def test_a_memory_of_another_size_is_refused():
+    ekf = design_ekf(cart(), [0, 0], [Measurement("q", 1.0)], **CART)
+    for asked in (ekf.estimate, ekf.covariance, lambda z: ekf(0.0, [0.0], [0.0], z)):
+        with pytest.raises(go.ArgumentError, match=f"it has {ekf.memory.size} rows"):
+            asked(np.zeros(3))

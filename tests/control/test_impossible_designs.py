@@ -172,6 +172,16 @@ SEEN = [Measurement("q", 0.1)]
             ),
             "over of design_gain_schedule()",
         ),
+        (
+            lambda: design_lqr(cart(), [0.0, 0.0], **WEIGHTS, dt=0.1, integral=np.ones(2)),
+            "integral of design_lqr()",
+        ),
+        (
+            lambda: design_mpc(
+                cart(), [0.0, 0.0], **WEIGHTS, dt=0.1, horizon=1.0, limits=(-1, 1), state_limits=np.ones(2)
+            ),
+            "state_limits of design_mpc()",
+        ),
         (lambda: feedforward([0.0, 0.0]), "feedforward() got"),
         (lambda: bryson(cart(), q=1.0), "bryson() got"),
         (lambda: bridge_dropouts("law"), "bridge_dropouts() got"),

@@ -16,7 +16,7 @@ from loops import double_integrator, feedback
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError, in_words
 from gnc_opt.model.layout import Layout, Variable
 from gnc_opt.simulation import Campaign, ClosedLoop, Outcome, Run, RunStatus
-from gnc_opt.simulation.criteria import Criteria
+from gnc_opt.simulation.criteria import Criteria, read_criteria
 from gnc_opt.simulation.dispersion import Ball, Choice, Normal, Sphere, Turn, Uniform
 from gnc_opt.simulation.gathering import gathered
 from gnc_opt.simulation.metrics import rotation_angle, settling_time
@@ -284,6 +284,13 @@ def test_the_goal_is_the_reference_at_the_end_unless_a_target_is_given():
     assert np.isnan(Criteria({"n": 2.0}).goal(flight)).tolist() == [True] * 5 + [False]
     with pytest.raises(ArgumentError, match="the target of 'q'"):
         Criteria({"q": [1.0, 2.0, 3.0]}).goal(flight)
+
+
+@pytest.mark.parametrize("kind", ["target", "limits", "judge"])
+def test_criteria_that_are_no_mappings_are_refused(kind):
+    assert read_criteria(None, None) == Criteria()
+    with pytest.raises(ArgumentError, match=f"the {kind} of runs is a ndarray where a Mapping is needed"):
+        read_criteria(**{"target": None, "judge": None, kind: np.zeros(2)})
 
 
 def test_criteria_are_checked_and_applied():

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.special import gammainc
+from scipy.special import gammainc, gammaincinv
 
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.layout import Layout, Variable
@@ -27,7 +27,7 @@ def estimator(covariance=COVARIANCE, states=STATES):
     return SimpleNamespace(
         name="filter", states=states, errors=states, sizes={"gps": 3}, memory=MEMORY,
         estimate=lambda memory: memory[:4].copy(), error=ca.Function("e", [a, b], [a - b]),
-        covariance=lambda memory: np.tile(covariance, (memory.shape[1], 1, 1)),
+        covariance=lambda memory: np.tile(covariance, (memory.shape[1], 1, 1)), gates={},
     )  # fmt: skip
 
 
@@ -70,6 +70,17 @@ def test_a_mean_of_chi_squares_is_within_its_band_as_often_as_promised():
         assert below(low, components, values) == pytest.approx(0.5 - confidence / 2, abs=1e-9)
         assert below(high, components, values) == pytest.approx(0.5 + confidence / 2, abs=1e-9)
     assert np.isnan(c._band(3, 0, 0.95)).all() and np.isfinite(c._band(3, 1, 0.95)).all()
+
+
+@pytest.mark.parametrize(("components", "gate"), [(1, 0.99), (1, 0.8), (3, 0.95)])
+def test_a_mean_behind_a_gate_is_within_its_band_as_often_as_promised(components, gate):
+    rng, values, confidence = np.random.default_rng(3), 40, 0.9
+    draws = rng.chisquare(components, 260_000)
+    passed = draws[draws <= 2 * gammaincinv(components / 2, gate)]
+    means = passed[: passed.size // values * values].reshape(-1, values).mean(axis=1)
+    low, high = c._band(components, values, confidence, gate)
+    assert np.mean(means < low) == pytest.approx(0.05, abs=0.012)
+    assert np.mean(means > high) == pytest.approx(0.05, abs=0.012)
 
 
 def test_innovations_are_averaged_over_all_samples_taken():

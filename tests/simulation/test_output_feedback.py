@@ -297,6 +297,13 @@ def test_consistency_needs_the_estimator_of_the_loop(right, campaign):
         consistency(model, right)
     with pytest.raises(go.ArgumentError, match="give the estimator of the loop"):
         consistency(campaign, model)
+    other = go.Model("cart with a third state")
+    q, v, w, a = other.state("q"), other.state("v"), other.state("w"), other.control("a")
+    other.ode({q: v, v: a, w: -w})
+    given = {"sigma0": {"q": 1.0, "v": 1.0, "w": 1.0}, "dt": right.dt}
+    larger = go.design_ukf(other, [0, 0, 0], [Measurement("q", 0.1)], **given)
+    with pytest.raises(go.ArgumentError, match="it had no 'UKF'"):
+        consistency(campaign, larger)
     known = filter_(model, sigma0=(0.0, 0.0))
     with pytest.raises(go.ArgumentError, match="holds 'q' for exactly known"):
         consistency(loop_of(known).simulate(**MISSION), known)

@@ -52,7 +52,7 @@ class FilterDesign:
         model: Model,
         x0: ArrayLike | Mapping[str, ArrayLike],
         measurements: Sequence[Measurement],
-        deviations: tuple[Deviations, Deviations],
+        deviations: tuple[Deviations, Deviations | None],
         dt: float,
         options: FilterOptions,
     ) -> None:
@@ -66,8 +66,10 @@ class FilterDesign:
         )
         self.x0 = _read_state(model, x0, name)
         self.t0 = float(as_vector(options.t0, 1, f"t0 of '{name}'", ArgumentError)[0])
+        if not np.isfinite(self.t0):
+            raise ArgumentError(f"t0 of '{name}' is {self.t0:g}: give a finite time in s.")
         _check_way_back(model, self.x0)
-        given = [measurements] if isinstance(measurements, Measurement) else list(measurements)
+        given = measurements if isinstance(measurements, Sequence) else [measurements]
         for each in given:
             expect(each, Measurement, f"one of the measurements of '{name}'", 'write Measurement("r", 0.1)')
         if not given:
@@ -88,7 +90,9 @@ class FilterDesign:
             )
         self.limits = read_limits(model, options.limits)
         self.sigma0 = self.augmented.spread(read, "bias")
-        noise = _deviations(model, process_noise, f"process_noise of '{name}'")
+        noise = _deviations(
+            model, {} if process_noise is None else process_noise, f"process_noise of '{name}'"
+        )
         self.noise = self.augmented.spread(noise, "bias_walk")
 
     def estimator(self, linearization: Approximation, title: str) -> Estimator:
@@ -116,6 +120,7 @@ class FilterDesign:
             memory=filter_.memory,
             error=ca.Function("error", [x, x_ref], [model.error_expression(x, x_ref)]),
             sizes={c.name: c.space.errors for c in augmented.channels},
+            gates={c.name: c.measurement.gate for c in augmented.channels if c.measurement.gate is not None},
             dt=self.dt,
             explanation=Explanation(f"{title} of '{model.name}'", tuple(self._facts())),
         )

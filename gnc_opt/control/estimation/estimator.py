@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect
+from gnc_opt.arguments import expect, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, Schedule, first_memory, law
 from gnc_opt.control.estimation.filter import COVARIANCE
@@ -83,6 +83,8 @@ class Estimator:
         ``(x, x_ref) -> e``, the error of states.
     sizes : mapping of str to int
         Components of each measurement's error.
+    gates : mapping of str to float
+        Of those that have one, the probability with which a right sample passes.
     dt : float
         Control step, s.
     explanation : Explanation
@@ -116,6 +118,7 @@ class Estimator:
     sizes: dict[str, int]
     dt: float
     explanation: Explanation
+    gates: dict[str, float] = field(default_factory=dict)
     signals: Layout = field(default_factory=partial(Layout, "signal"))
     schedule: Schedule | None = None
     span: tuple[float, float] | None = None
@@ -143,20 +146,28 @@ class Estimator:
         sample = as_vector(y, self.measured.size, f"the samples given to '{self.name}'", ArgumentError)
         command = as_vector(u, self.commands.size, f"the command given to '{self.name}'", ArgumentError)
         row = np.zeros(0) if self.schedule is None else self.schedule(np.array([float(t)]), self.dt)[:, 0]
-        x, after = self.update(float(t), sample, row, self.first if z is None else z)
+        x, after = self.update(float(t), sample, row, self.first if z is None else self._memory(z))
         return np.asarray(x.full()[:, 0]), np.asarray(self.predict(float(t), command, after).full()[:, 0])
 
     def estimate(self, memory: ArrayLike) -> Array:
         """Return the states of memories (n_memory,) or (n_memory, n), predictions for the times of the memories."""
-        names = [f"{name}_hat" for name in self.states.names]
-        return np.concatenate([np.asarray(memory, dtype=float)[self.memory.slice(n)] for n in names])
+        told, names = self._memory(memory), [f"{name}_hat" for name in self.states.names]
+        return np.concatenate([told[self.memory.slice(n)] for n in names])
 
     def covariance(self, memory: ArrayLike) -> Array:
         """Return the covariance of the errors of the states (n_errors, n_errors) of a memory (n_memory,), or
         (n, n_errors, n_errors) of many (n_memory, n); biases and what else is estimated left out."""
-        return self.covariances.of(np.asarray(memory, dtype=float), self.memory)[
+        return self.covariances.of(self._memory(memory), self.memory)[
             ..., : self.errors.size, : self.errors.size
         ]
+
+    def _memory(self, given: ArrayLike) -> Array:
+        """Return the estimator's rows of a memory, which come first in that of `output_feedback`."""
+        what = f"the memory given to '{self.name}'"
+        memory = read_numbers(given, what)
+        if memory.ndim not in (1, 2) or memory.shape[0] < self.memory.size:
+            raise ArgumentError(f"{what} has the shape {memory.shape}: it has {self.memory.size} rows.")
+        return memory[: self.memory.size]
 
 
 def output_feedback(controller: Controller, estimator: Estimator) -> Controller:

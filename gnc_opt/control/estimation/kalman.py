@@ -69,7 +69,7 @@ def design_ekf(
     told = read_options(options, "EKF")
     if isinstance(told, UnscentedOptions):
         raise ArgumentError("design_ekf() has no points to spread: give FilterOptions(...).")
-    design = FilterDesign(model, x0, measurements, (sigma0, process_noise or {}), dt, told)
+    design = FilterDesign(model, x0, measurements, (sigma0, process_noise), dt, told)
     return design.estimator(Tangent(), "extended Kalman filter")
 
 
@@ -91,7 +91,7 @@ def design_ukf(
     model, x0, measurements, sigma0, dt, process_noise
         As for `design_ekf`.
     options : FilterOptions or UnscentedOptions, optional
-        The latter to choose the spread of the points.
+        The latter for the unscented transform with a kappa of one's own.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def design_ukf(
     True
     """
     told = read_options(options, "UKF")
-    kappa = told.kappa if isinstance(told, UnscentedOptions) else 0.0
-    spread = read_positive(kappa, "kappa of design_ukf()", or_zero=True)
-    design = FilterDesign(model, x0, measurements, (sigma0, process_noise or {}), dt, told)
+    kappa = told.kappa if isinstance(told, UnscentedOptions) else None
+    spread = None if kappa is None else read_positive(kappa, "kappa of design_ukf()", or_zero=True)
+    design = FilterDesign(model, x0, measurements, (sigma0, process_noise), dt, told)
     return design.estimator(Regression(spread), "unscented Kalman filter")

@@ -50,9 +50,11 @@ class UnscentedOptions(FilterOptions):
 
     Attributes
     ----------
-    kappa : float
-        Spread of the points, which lie at sqrt(n + kappa) standard deviations of n errors; >= 0, so that no weight is
-        negative. 0: the cubature filter; 3 - n fits the fourth moments of normal errors.
+    kappa : float, optional
+        Of the transform of Julier and Uhlmann: points at sqrt(n + kappa) standard deviations of n errors; >= 0, so that
+        no weight is negative. 0: the cubature filter. With n it takes more and more for noise what bends: what n
+        directions leave is right for one of them with kappa = 3 - n. Default: points at sqrt(3), and what each
+        direction leaves is added up, whatever n is.
 
     Examples
     --------
@@ -62,7 +64,7 @@ class UnscentedOptions(FilterOptions):
     >>> ukf = go.design_ukf(cart, [1, 0], [Measurement("q", 1e-3)], **about, options=options)
     """
 
-    kappa: float = 0.0
+    kappa: float | None = None
 
 
 def read_options(options: FilterOptions | None, name: str) -> FilterOptions:

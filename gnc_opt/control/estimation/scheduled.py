@@ -128,7 +128,7 @@ def design_scheduled_ekf(
         model,
         first,
         measurements,
-        (sigma0, process_noise or {}),
+        (sigma0, process_noise),
         dt,
         replace(told, t0=path.initial_time),
     )

@@ -27,7 +27,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import read_positive
+from gnc_opt.arguments import read_mapping, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
@@ -177,7 +177,8 @@ def _integrals(
 ) -> _Integrals:
     model = deviation.model
     variables, rows, weights = [], [], []
-    for name, weight in (integral or {}).items():
+    asked = read_mapping(integral, "integral of design_lqr()", 'write {"q": 1.0}, a weight by name')
+    for name, weight in asked.items():
         if name in model.errors:
             variable = model.errors[name]
             matrix = np.eye(model.errors.size)[model.errors.slice(name)]
@@ -203,7 +204,7 @@ def _integrals(
     diagonal = np.concatenate(weights) if weights else np.zeros(0)
     require_definite(np.diag(diagonal), memory.labels, "the weight")
     matrix = np.vstack(rows) if rows else np.zeros((0, model.errors.size))
-    return _Integrals(memory, tuple(integral or {}), matrix, np.diag(diagonal))
+    return _Integrals(memory, tuple(asked), matrix, np.diag(diagonal))
 
 
 def _solve(

@@ -31,7 +31,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_positive
+from gnc_opt.arguments import read_mapping, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, first_memory, law
 from gnc_opt.control.deviation import Deviation
@@ -69,6 +69,7 @@ _MOST_STEPS = 2000
 """Of a horizon: their matrices are designed one by one, and a programme has unknowns for each."""
 
 _PIQP = {"eps_abs": 1e-13, "eps_rel": 1e-13, "eps_duality_gap_abs": 1e-13, "eps_duality_gap_rel": 1e-13}
+_PIQP |= {"delta_init": 1e-8}  # its own 1e-4 holds large multipliers back, until they pass for infeasible
 _OPTIONS: dict[str, dict[str, Any]] = {
     "piqp": {"piqp": {"verbose": False, **_PIQP}},
     "daqp": {"daqp": {"primal_tol": 1e-9, "dual_tol": 1e-9}},
@@ -155,7 +156,8 @@ def design_mpc(
     [-0.2]
     """
     reference = read_plant(model, reference, "design_mpc")
-    solver = solver or ("piqp" if state_limits else "daqp")
+    limited = read_mapping(state_limits, "state_limits of design_mpc()", 'write {"v": (-1.0, 1.0)}')
+    solver = solver or ("piqp" if limited else "daqp")
     if solver not in get_args(QpSolver):
         raise ArgumentError(
             f"there is no QP solver {shown(solver)}: {did_you_mean(str(solver), get_args(QpSolver))}"
@@ -182,7 +184,7 @@ def design_mpc(
     price = read_positive(state_penalty, "the state penalty") * np.diag(gains.costs[-1])
     require_reserve(reference, bounds, reference_times(reference))
     change = None if rate_limits is None else _rates(rate_limits, model, dt)
-    in_x, in_e, *of_states = _state_rows(deviation, state_limits or {}, hard, price)
+    in_x, in_e, *of_states = _state_rows(deviation, limited, hard, price)
     rows = Rows(*bounds, change, in_x, in_e, *of_states)
     beyond = reference_beyond(reference, rows.states, rows.state_lower, rows.state_upper)
     windows = _Windows(gains, count, end)
@@ -365,11 +367,15 @@ def _solution(
     task = _horizon(schedule, rows, matrices, solver).programme(e, u_ff, x_limited, previous)
     shape = {"h": task.h.sparsity(), "a": task.a.sparsity()}
     qp = ca.conic("qp", solver, shape, {**_OPTIONS[solver], "error_on_fail": False})
+    # far outside soft limits multipliers are as large as their prices, which only the interior point minds
+    size = 1 / float(np.max(rows.roots, initial=1.0)) if solver == "piqp" else 1.0
     least = np.full(rest.shape[0], -np.inf)
     least[task.free :] = 0  # slacks are not negative
-    answer = qp(h=task.h, g=task.g, a=task.a, lba=task.low, uba=task.high, lbx=least, x0=x0, lam_a0=lam0)
-    solved = task.optimality_residual(answer["x"], answer["lam_a"], answer["lam_x"]) <= QP_TOLERANCE
-    solve = ca.Function("solve", symbols, [answer["x"], answer["lam_a"], solved])
+    sides = {"a": task.a, "lba": task.low, "uba": task.high, "lbx": least}
+    answer = qp(h=size * task.h, g=size * task.g, **sides, x0=x0, lam_a0=size * lam0)
+    lam_a, lam_x = answer["lam_a"] / size, answer["lam_x"] / size
+    solved = task.optimality_residual(answer["x"], lam_a, lam_x) <= QP_TOLERANCE
+    solve = ca.Function("solve", symbols, [answer["x"], lam_a, solved])
     keep = ca.Function("keep", symbols, [rest, ca.MX.zeros(lam0.shape[0]), ca.MX(1)])
     either = ca.Function.if_else("either", keep, solve)  # calls one of them
     return list(either(inside, *known, regulated))
@@ -457,7 +463,6 @@ def _state_rows(
     lower: list[float] = []
     upper: list[float] = []
     prices: list[float] = []
-    expect(limits, Mapping, "state_limits of design_mpc()", 'write {"v": (-1.0, 1.0)}')
     if isinstance(hard, str) or not isinstance(hard, Sequence):
         raise ArgumentError(f"hard of design_mpc() is {shown(hard)}: give a list of states.")
     for name in hard:

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arguments import expect, read_integer, read_positive
+from gnc_opt.arguments import expect, read_integer, read_mapping, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.evaluation import fast_call
@@ -90,7 +90,7 @@ def simulate_guess(
         tf = t0 + read_positive(duration, "the duration of simulate_guess()")
     law = _law(problem, leg, controls)
     q = np.concatenate([*problem.parameter_guess.values(), np.zeros(0)])
-    p, start = leg.model.parameter_values, _initial(leg, initial or {})
+    p, start = leg.model.parameter_values, _initial(leg, initial)
     arguments = [*leg.model.arguments(), problem.parameter_symbols()]
     rates = ca.Function("rates", arguments, [ca.densify(problem.bind(leg, leg.model.derivative()))])
     fast = fast_call(rates, p, q)
@@ -140,9 +140,9 @@ def _flight(
         return integrate(rate, start, times, tolerance=implicit, budget=budget, stop=stop, dense=True)
 
 
-def _initial(leg: Phase, given: Mapping[str, ArrayLike]) -> Array:
+def _initial(leg: Phase, given: Mapping[str, ArrayLike] | None) -> Array:
     start = end_values(leg)[0].copy()
-    for name, value in given.items():
+    for name, value in read_mapping(given, "initial of simulate_guess()", 'write {"q": 1.0}').items():
         rows = leg.model.states.slice(name)
         start[rows] = as_vector(value, leg.model.states[name].size, f"the initial value of '{name}'")
     return start

@@ -36,8 +36,9 @@ PROPPED = 3e-5
 """Share of its phase below which the solver's barrier alone may keep a piece open. Where two switching functions vanish
 at one time its length falls like the square root of the barrier, which ends at 1e-11 and less."""
 
-CHATTER = 5
-"""So many switches of one control where its switching function stays small are no bangs."""
+CHATTER, ALIKE = 5, 30.0
+"""So many switches of one control where its switching function stays small are no bangs. All but one of them at least
+are between bangs that leave no more than so many times the offence."""
 
 LEFT_OPEN = 5e-6
 """Gain in H beyond which a singular arc is left open at its ends: half of what `verify` forgives."""
@@ -190,21 +191,28 @@ def _chatter(
 ) -> tuple[int, float, float] | None:
     """Return control, start and end of bangs that stand in for a singular arc, if the worst offence is among them.
 
-    There many bangs in a row leave a small switching function, which asks for ever more of them. Of second order the
-    arc would meet bangs by chattering: few of them will do.
+    There many bangs in a row leave a small switching function, which asks for ever more of them. Between them it is
+    about as large as the offence; bangs beside the arc leave a larger one. Of second order the arc would meet bangs by
+    chattering: few of them will do.
     """
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(offence)), offence.shape))
     if offence[i, j] < WRONG_SIGN or i >= samples.leg.controls.size or not affine_channels(samples)[i]:
         return None
     gain = np.abs(samples.control_gradient[i]) * samples.control_scale[i] / samples.hamiltonian_scale
-    large = samples.times[gain > SMALL]
-    first, last = large[large < samples.times[j]], large[large > samples.times[j]]
-    start, end = first[-1] if first.size else -np.inf, last[0] if last.size else np.inf
     switches = [structure.times[k] for k in range(1, structure.pieces) if i in structure.changes(k)]
-    inside = [t for t in switches if start < t < end]
-    if len(inside) < CHATTER or chatters(problem, samples, i):
+    small = _among(switches, samples.times, gain > SMALL, j)
+    alike = _among(switches, samples.times, gain > ALIKE * offence[i, j], j)
+    if len(small) < CHATTER or len(alike) < CHATTER - 1 or chatters(problem, samples, i):
         return None
-    return i, inside[0], inside[-1]
+    return i, alike[0], alike[-1]
+
+
+def _among(switches: Sequence[float], times: Array, large: Mask, j: int) -> list[float]:
+    """Return the switches around the j-th of all times before and after which nothing is large."""
+    here = _around(~large, j)
+    start = times[here.start - 1] if here.start else -np.inf
+    end = times[here.stop] if here.stop < times.size else np.inf
+    return [t for t in switches if start < t < end]
 
 
 def _with_worst(

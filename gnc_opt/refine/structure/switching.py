@@ -268,10 +268,11 @@ class _Loop:
     def _allowed(self) -> float:
         """What all passes may cost: more where the last one is accurate, and only what it leaves idle is taken out.
 
-        And where the next one is accurate if errors go on to fall as they did.
+        And where the one before is, the last one being the first with another structure; or where the next one is
+        accurate if errors go on to fall as they did.
         """
         errors = [r.error for r in self.records[-2:] if r.solved]
-        if not errors or min(errors[-1], errors[-1] ** 2 / errors[0]) > self.tol:
+        if not errors or min(*errors, errors[-1] ** 2 / errors[0]) > self.tol:
             return self.limits.allowed(self.records)
         return FINISHING * self.limits.work
 
