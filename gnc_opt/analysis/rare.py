@@ -149,7 +149,7 @@ def failure_probability(
     >>> asked = {"n": 50, "repetitions": 3, "executor": "serial"}
     >>> rare = failure_probability(experiment, "max(overshoot)", 0.006, **asked)
     >>> print(rare.low < rare.probability < rare.high, rare.runs)
-    True 635
+    True 638
     """
     name = "failure_probability()"
     expect(experiment, Experiment, f"what {name} got", "give an Experiment")
