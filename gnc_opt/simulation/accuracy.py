@@ -12,6 +12,7 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.flight import Flight
+from gnc_opt.simulation.integrate import linear_error
 
 MAX_SUBSTEPS = 64
 """Integration steps per minor step at most; a plant that needs more is too fast for this step."""
@@ -21,6 +22,10 @@ _STABLE = 3.0
 
 _MARGIN = 1.1
 """Integration steps that were reckoned from an estimate of the error are made more numerous by this factor."""
+
+
+_STILL = 0.01
+"""A state that has moved by less, relative to max(1, |x|), may have stood still."""
 
 
 @dataclass(frozen=True)
@@ -43,19 +48,37 @@ class Accuracy:
     asked: float
     substeps: int | None
 
-    def stable_substeps(self, t: float, x: Array, p: Array) -> int:
-        """Return how many integration steps the fastest mode of the plant at the start needs to stay stable."""
+    def modes(self, t: float, x: Array, p: Array) -> Array:
+        """Return the modes of the plant at the start (n_states,), complex, 1/s; none where a rate is not finite."""
         a, _ = self.plant.linearize(t, x, np.zeros(self.plant.controls.size), p)
-        if not np.all(np.isfinite(a)):
-            return 1  # the run itself will say what is not finite
-        fastest = float(np.max(np.abs(np.linalg.eigvals(a))))
+        # the run itself will say what is not finite
+        return np.linalg.eigvals(a).astype(complex) if np.all(np.isfinite(a)) else np.zeros(0, complex)
+
+    def stable_substeps(self, modes: Array) -> int:
+        """Return how many integration steps the fastest mode needs to stay stable."""
+        fastest = float(np.max(np.abs(modes), initial=0.0))
         substeps = max(1, int(np.ceil(fastest * self.step / _STABLE)))
         if substeps > MAX_SUBSTEPS:
             raise self._too_fast(f"cannot follow its mode of {fastest:.3g} rad/s")
         return substeps
 
-    def reached(self, flight_with: Callable[[int], Flight], start: Array, substeps: int) -> Flight:
+    def modal_substeps(self, modes: Array, duration: float) -> int:
+        """Return how many integration steps a mode that is moved by one, relative to max(1, \\|x\\|), needs over a run
+        of this duration (s); 1 if not even the most do."""
+        for substeps in range(1, MAX_SUBSTEPS + 1):
+            h = self.step / substeps
+            decay = np.exp(np.minimum(modes.real, 0.0) * h)
+            count = duration / h
+            lasting = np.where(decay < 1, (1 - decay**count) / np.where(decay < 1, 1 - decay, 1.0), count)
+            if np.max(linear_error(modes * h) * lasting, initial=0.0) <= self.asked:
+                return substeps
+        return 1
+
+    def reached(self, flight_with: Callable[[int], Flight], start: Array, modes: Array) -> Flight:
         """Return the flight with as many integration steps as its accuracy needs.
+
+        Those that the run that is looked at needs; if it ends where it has begun, at rest, say, it tells little, and
+        its modes tell what a motion beside it will need.
 
         Parameters
         ----------
@@ -63,10 +86,11 @@ class Accuracy:
             Returns it with so many integration steps per minor step.
         start : array (n_parameters, 1)
             Of the run that is looked at.
-        substeps : int
-            How many to begin with.
+        modes : array (n_states,)
+            Of the plant at its start, 1/s.
         """
         growth, before = 1.0, None
+        substeps = self.substeps or self.stable_substeps(modes)
         while True:
             flight = flight_with(substeps)
             ending = flight.final(start, [0])
@@ -75,6 +99,12 @@ class Accuracy:
                 return flight
             if substeps >= MAX_SUBSTEPS and ending.outcomes[0].diverged:
                 return flight  # also when integrated as finely as can be: that is what is to be told
+            if before is None and self.substeps is None and _returned(flight, ending, start):
+                duration = float(flight.times[-1] - flight.times[0])
+                needed = self.modal_substeps(modes, duration)
+                if needed > substeps:
+                    substeps = needed
+                    continue
             local = _local_error(ending)
             if before is not None:
                 growth = max(growth, grown(before[0], ending, before[1], before[2] / substeps))
@@ -98,6 +128,13 @@ class Accuracy:
             f"the plant '{self.plant.name}' is too fast for minor steps of {self.step:g} s: "
             f"{MAX_SUBSTEPS} integration steps in each {why}; give more minor_steps, a coarser accuracy, or substeps."
         )
+
+
+def _returned(flight: Flight, ending: Ending, start: Array) -> bool:
+    """Whether a run ends where it has begun."""
+    begun = np.concatenate([start[flight.layout.slice(f"initial.{name}")] for name in flight.states.names])
+    moved = np.abs(ending.states - begun) / np.maximum(1.0, np.abs(begun))
+    return bool(np.max(moved, initial=0.0) < _STILL)
 
 
 def _local_error(ending: Ending) -> float:

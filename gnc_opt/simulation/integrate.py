@@ -19,7 +19,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
 import casadi as ca
+import numpy as np
 
+from gnc_opt.arrays import Array
 from gnc_opt.simulation.wave import Input
 
 NODES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
@@ -141,6 +143,14 @@ def dormand_prince(
         # the last stage is the first of the next step, unless the input jumps there
         x, rate = after, k[-1] if u is None else None
     return x, total
+
+
+def linear_error(z: Array) -> Array:
+    """Return the relative size of e where ``dx/dt = lambda x``, for ``z = h lambda``; complex."""
+    k: list[Any] = []
+    for row in STAGES:
+        k.append(z * (1 + sum(w * rate for w, rate in zip(row, k, strict=True))))
+    return np.asarray(np.abs(_combine(ERROR_WEIGHTS, k)))
 
 
 def _combine(weights: tuple[float, ...], k: list[Any]) -> Any:

@@ -75,7 +75,8 @@ class ClosedLoop:
     accuracy : float
         Of the integration over a run, relative to max(1, \\|x\\|) per state: as many integration steps per minor step
         are taken as the nominal run needs by the sum of its local errors and their growth, a safe estimate: the true
-        error is mostly a small share of it. Runs that miss it are flagged.
+        error is mostly a small share of it. A nominal run that ends where it has begun, at rest, say, tells little:
+        then as many as the plant's modes at its start need, moved by 1. Runs that miss it are flagged.
     substeps : int, optional
         Integration steps per minor step; default: chosen by ``accuracy``.
     plausible : float or mapping
@@ -259,9 +260,9 @@ class ClosedLoop:
     def _accurate(self, nominal: Array, times: Array, rows: Array) -> Flight:
         """Return the flight, as planned, with as many integration steps as its accuracy needs."""
         accuracy = Accuracy(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
-        first = self.substeps or accuracy.stable_substeps(times[0], *self._at_start(nominal))
+        modes = accuracy.modes(times[0], *self._at_start(nominal))
         start = self._generic(nominal)[:, None]
-        return accuracy.reached(lambda n: self._flight(nominal, times, rows, n), start, first)
+        return accuracy.reached(lambda n: self._flight(nominal, times, rows, n), start, modes)
 
     def _warn_of_events(self, t: float, nominal: Array) -> None:
         """Tell of an event that is to end the nominal run and has happened before it begins."""
