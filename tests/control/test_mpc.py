@@ -104,7 +104,7 @@ def test_terminal_weight_of_ones_own():
     v = -np.linalg.solve(s.r + s.b.T @ end @ s.b, (s.b.T @ end @ s.a + s.n.T) @ x)
     assert controller(0.0, x)[0] == pytest.approx(v, rel=1e-10)
     limited = tracker(horizon=DT, rate_limits=2.0, state_limits={"v": (-1, 1)}, terminal=end)
-    assert limited(0.0, [2.0, 0.6])[0] == pytest.approx([-0.2], abs=1e-12)
+    assert limited(0.0, [2.0, 0.6])[0] == pytest.approx([-0.2], abs=1e-10)
 
 
 # --- with limits --------------------------------------------------------------------------------------
@@ -164,6 +164,26 @@ def test_a_state_limit_that_cannot_be_kept_is_left_as_little_as_possible():
     assert z[controller.memory.slice("qp_alarm")] == 0
     assert np.allclose(commands[:14], -1.0)  # with all authority back to the limit
     assert np.max(np.abs(states[16:, 1])) <= 0.5 + 1e-9
+
+
+def test_programmes_far_outside_soft_limits_are_solved():
+    """They always have a solution; the sparse interior point finds that of the dense active set."""
+    rng = np.random.default_rng(4)
+    for _ in range(3):
+        slopes = rng.normal(size=(3, 3))
+        slopes -= (np.max(np.linalg.eigvals(slopes).real) - 0.5) * np.eye(3)  # one mode grows
+        model = go.Model("any")
+        x, u = model.state("x", 3), model.control("u")
+        model.ode({x: ca.DM(slopes) @ x + ca.DM(rng.normal(size=3)) * u})
+        few = {"x": ([-0.3, -np.inf, -np.inf], [0.3, np.inf, np.inf])}
+        task = {"Q": [2, 3, 0.5], "R": 0.3, "horizon": 5.0, "dt": 0.5, "limits": (-1, 1), "state_limits": few}
+        task["state_penalty"] = 1e5
+        sparse, dense = (design_mpc(model, np.zeros(3), **task, solver=solver) for solver in ("piqp", "daqp"))
+        for far in (1.0, 3.0, 10.0):
+            start = far * rng.normal(size=3)
+            (u, z), (expected, _) = sparse(0.0, start), dense(0.0, start)
+            assert z[sparse.memory.slice("qp_alarm")] == 0
+            assert u == pytest.approx(expected, abs=1e-6)
 
 
 def test_prediction_avoids_the_overshoot_of_a_clipped_regulator():

@@ -69,6 +69,7 @@ _MOST_STEPS = 2000
 """Of a horizon: their matrices are designed one by one, and a programme has unknowns for each."""
 
 _PIQP = {"eps_abs": 1e-13, "eps_rel": 1e-13, "eps_duality_gap_abs": 1e-13, "eps_duality_gap_rel": 1e-13}
+_PIQP |= {"delta_init": 1e-8}  # its own 1e-4 holds large multipliers back, until they pass for infeasible
 _OPTIONS: dict[str, dict[str, Any]] = {
     "piqp": {"piqp": {"verbose": False, **_PIQP}},
     "daqp": {"daqp": {"primal_tol": 1e-9, "dual_tol": 1e-9}},
@@ -366,11 +367,15 @@ def _solution(
     task = _horizon(schedule, rows, matrices, solver).programme(e, u_ff, x_limited, previous)
     shape = {"h": task.h.sparsity(), "a": task.a.sparsity()}
     qp = ca.conic("qp", solver, shape, {**_OPTIONS[solver], "error_on_fail": False})
+    # far outside soft limits multipliers are as large as their prices, which only the interior point minds
+    size = 1 / float(np.max(rows.roots, initial=1.0)) if solver == "piqp" else 1.0
     least = np.full(rest.shape[0], -np.inf)
     least[task.free :] = 0  # slacks are not negative
-    answer = qp(h=task.h, g=task.g, a=task.a, lba=task.low, uba=task.high, lbx=least, x0=x0, lam_a0=lam0)
-    solved = task.optimality_residual(answer["x"], answer["lam_a"], answer["lam_x"]) <= QP_TOLERANCE
-    solve = ca.Function("solve", symbols, [answer["x"], answer["lam_a"], solved])
+    sides = {"a": task.a, "lba": task.low, "uba": task.high, "lbx": least}
+    answer = qp(h=size * task.h, g=size * task.g, **sides, x0=x0, lam_a0=size * lam0)
+    lam_a, lam_x = answer["lam_a"] / size, answer["lam_x"] / size
+    solved = task.optimality_residual(answer["x"], lam_a, lam_x) <= QP_TOLERANCE
+    solve = ca.Function("solve", symbols, [answer["x"], lam_a, solved])
     keep = ca.Function("keep", symbols, [rest, ca.MX.zeros(lam0.shape[0]), ca.MX(1)])
     either = ca.Function.if_else("either", keep, solve)  # calls one of them
     return list(either(inside, *known, regulated))
