@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator
+from pathlib import Path
 from typing import TypeAlias
 
 import pytest
@@ -41,15 +42,16 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--first-case", action="store_true", help="run only the first case of each test")
+    parser.addoption("--first-tests", action="store_true", help="run only the first test of each file")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """What is slow is not slowed further, nor what is about problems: hardly a line is covered by nothing else."""
-    if config.getoption("--first-case"):
-        first: dict[str, pytest.Item] = {}
+    if config.getoption("--first-tests"):
+        first: dict[Path, pytest.Item] = {}
         for item in items:
-            first.setdefault(item.nodeid.partition("[")[0], item)
+            if not item.get_closest_marker("slow"):
+                first.setdefault(item.path, item)
         items[:] = first.values()
     for item in items:
         if item.get_closest_marker("slow") or item.path.parent.name == "problems":

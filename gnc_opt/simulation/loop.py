@@ -19,13 +19,13 @@ from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.accuracy import Accuracy
 from gnc_opt.simulation.block import Block
-from gnc_opt.simulation.control_step import alarm_labels, watched_labels
+from gnc_opt.simulation.control_step import ControlStep, alarm_labels, watched_labels
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.event import Event
 from gnc_opt.simulation.flight import LEG, Flight
 from gnc_opt.simulation.judge import Judge
 from gnc_opt.simulation.kernel import Kernel, build_kernel
-from gnc_opt.simulation.quantity import Quantities, Quantity
+from gnc_opt.simulation.quantity import Quantities, Quantity, read_quantities
 from gnc_opt.simulation.replanner import Replanner
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.wiring import Blocks, Wiring, wire
@@ -107,6 +107,7 @@ class ClosedLoop:
     plausible: float | Mapping[str, ArrayLike] = field(default=PLAUSIBLE, kw_only=True)
     wiring: Wiring = field(init=False, repr=False)
     _kernels: dict[int, Kernel] = field(init=False, repr=False, default_factory=dict)
+    _on_the_way: dict[int, Quantities] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         expect(self.plant, Model, "the plant of a closed loop", "give a Model")
@@ -132,7 +133,7 @@ class ClosedLoop:
         )
         quantities = _listed(self.quantities, Quantity, "quantities", "write Quantity(name, expression)")
         set_(self, "quantities", quantities)
-        Quantities.of(self.plant, tuple(self.quantities))
+        read_quantities(self.plant, quantities)
         if self.replanner is not None:
             expect(
                 self.replanner,
@@ -242,7 +243,15 @@ class ClosedLoop:
         times = self._times(t0, tf)
         self._warn_of_events(times[0], nominal)
         rows = self._schedule(times)
-        return replace(self._accurate(nominal, times, rows), replanner=self.replanner, beside=True)
+        flight = self._accurate(nominal, times, rows)
+        followed = self._followed_on_the_way(flight.substeps)
+        return replace(flight, replanner=self.replanner, quantities=followed, beside=True)
+
+    def _followed_on_the_way(self, substeps: int) -> Quantities | None:
+        if self.quantities and substeps not in self._on_the_way:
+            step = ControlStep(self.wiring, substeps)
+            self._on_the_way[substeps] = Quantities.of(step, tuple(self.quantities))
+        return self._on_the_way.get(substeps)
 
     def _accurate(self, nominal: Array, times: Array, rows: Array) -> Flight:
         """Return the flight, as planned, with as many integration steps as its accuracy needs."""
@@ -354,7 +363,6 @@ class ClosedLoop:
             errors=self._error_function(),
             error_layout=self.plant.errors,
             events=self.wiring.events.layout,
-            quantities=Quantities.of(self.plant, tuple(self.quantities)) if self.quantities else None,
             judge=self._judge(),
             minor_steps=self.minor_steps,
             estimates=self._estimates(),

@@ -28,22 +28,28 @@ def printed(program: str) -> list[str]:
     ).stdout.split()
 
 
-@pytest.mark.parametrize(
-    "package",
-    [
-        "gnc_opt.solve",
-        "gnc_opt.resolve",
-        "gnc_opt.study",
-        "gnc_opt.verify",
-        "gnc_opt.control",
-        "gnc_opt.simulation",
-        "gnc_opt.analysis",
-        "gnc_opt.spacecraft",
-        "gnc_opt.report",  # which prints solutions, most of which nobody draws
-    ],
+PACKAGES = (
+    "gnc_opt.solve",
+    "gnc_opt.resolve",
+    "gnc_opt.study",
+    "gnc_opt.verify",
+    "gnc_opt.control",
+    "gnc_opt.simulation",
+    "gnc_opt.analysis",
+    "gnc_opt.spacecraft",
+    "gnc_opt.report",  # which prints solutions, most of which nobody draws
 )
-def test_import_loads_nothing_heavy(package: str) -> None:
-    assert printed(f"import sys, {package}; print(*sorted(set({HEAVY!r}) & set(sys.modules)))") == []
+
+
+def test_import_loads_nothing_heavy() -> None:
+    """One after the other in one process: what any of them loads stays, and is told with its name."""
+    program = f"""
+import importlib, sys
+for package in {PACKAGES!r}:
+    importlib.import_module(package)
+    print(package, *sorted(set({HEAVY!r}) & set(sys.modules)))
+"""
+    assert printed(program) == [*PACKAGES]
 
 
 def test_import_alone_loads_nothing_and_a_name_what_it_needs() -> None:
@@ -72,13 +78,22 @@ def test_import_leaves_the_closed_loop_until_it_is_asked_for() -> None:
 FUNCTIONS_WITH_A_MODULE = ("bound_below", "refine", "solve", "verify")
 
 
-@pytest.mark.parametrize("first", [*FUNCTIONS_WITH_A_MODULE, "study", "report"])
-def test_names_are_functions_whichever_module_was_loaded_first(first: str) -> None:
-    """`import` binds a submodule under its name, after which a package is not asked for that name any more."""
-    names = f"for name in {FUNCTIONS_WITH_A_MODULE!r}: print(type(getattr(gnc_opt, name)).__name__)"
-    assert printed(f"import gnc_opt.{first}\n{names}") == ["function"] * 4
-    again = f"import gnc_opt; gnc_opt.{first}; import gnc_opt.{first}, gnc_opt.resolve\n{names}"
-    assert printed(again) == ["function"] * 4
+def test_names_are_functions_whichever_module_was_loaded_first() -> None:
+    """`import` binds a submodule under its name, after which a package is not asked for that name any more.
+
+    Every case begins with the package forgotten: another process would load NumPy and CasADi anew for each.
+    """
+    program = f"""
+import sys
+for first in {(*FUNCTIONS_WITH_A_MODULE, "study", "report")!r}:
+    for begin in ("import gnc_opt.{{0}}", "import gnc_opt; gnc_opt.{{0}}; import gnc_opt.{{0}}, gnc_opt.resolve"):
+        for name in [name for name in sys.modules if name.partition(".")[0] == "gnc_opt"]:
+            del sys.modules[name]
+        exec(begin.format(first), names := {{}})
+        for name in {FUNCTIONS_WITH_A_MODULE!r}:
+            print(type(getattr(names["gnc_opt"], name)).__name__)
+"""
+    assert printed(program) == ["function"] * (6 * 2 * 4)
 
 
 def test_a_function_of_a_script_that_uses_the_package_can_be_sent_to_a_cluster() -> None:

@@ -11,8 +11,10 @@ import inspect
 import re
 import subprocess
 import sys
+from collections.abc import Callable, Iterable, Iterator
 from importlib import import_module, resources
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -115,11 +117,7 @@ def is_documentable(value: object) -> bool:
     return inspect.isfunction(value) or isinstance(value, kinds) or type(value).__name__ == "cached_property"
 
 
-METHODS = [
-    pytest.param(cls, name, id=f"{cls.__name__}.{name}")
-    for cls in dict.fromkeys(CLASSES.values())
-    for name in own_members(cls)
-]
+METHODS = [(cls, name) for cls in dict.fromkeys(CLASSES.values()) for name in own_members(cls)]
 
 
 def parameters(function: object) -> list[str]:
@@ -153,6 +151,17 @@ def attributes(cls: type) -> set[str]:
 # --- the list -----------------------------------------------------------------------------------------
 
 
+def complaints(rule: Callable[..., Iterator[str]], cases: Iterable[Any]) -> list[str]:
+    """All that a rule has to say of so many cases: one test per rule, for a test of each would cost more than it."""
+    cases = [case if isinstance(case, tuple) else (case,) for case in cases]
+    assert cases
+    return [
+        f"{'.'.join(getattr(c, '__name__', c) for c in case)} {what}"
+        for case in cases
+        for what in rule(*case)
+    ]
+
+
 @pytest.mark.parametrize("package", EXPECTED)
 def test_public_names_are_those_decided_on(package: str) -> None:
     exported = import_module(package).__all__
@@ -167,85 +176,103 @@ def test_star_import_gives_the_public_names_and_nothing_else(package: str) -> No
     assert set(names) - {"__builtins__"} == set(EXPECTED[package].split())
 
 
-@pytest.mark.parametrize("name", PUBLIC)
-def test_public_name_is_ours_and_not_private(name: str) -> None:
-    value, last = PUBLIC[name], name.rpartition(".")[2]
-    assert not last.startswith("_")
-    if name in CONSTANTS:
-        assert isinstance(value, float)
-        return
-    module = value.__module__
-    assert module.partition(".")[0] == "gnc_opt"
-    assert not any(part.startswith("_") for part in module.split("."))
-    assert getattr(import_module(module), last) is value
+def test_public_names_are_ours_and_not_private() -> None:
+    def rule(name: str) -> Iterator[str]:
+        value, last = PUBLIC[name], name.rpartition(".")[2]
+        if last.startswith("_"):
+            yield "is private"
+        if name in CONSTANTS:
+            if not isinstance(value, float):
+                yield "is no number"
+            return
+        room, *folders = value.__module__.split(".")
+        if room != "gnc_opt" or any(folder.startswith("_") for folder in folders):
+            yield f"is of {value.__module__}"
+        elif getattr(import_module(value.__module__), last, None) is not value:
+            yield f"is another one in {value.__module__}"
+
+    assert complaints(rule, PUBLIC) == []
 
 
 # --- documentation ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [*CLASSES, *FUNCTIONS])
-def test_public_name_has_a_docstring_of_its_own(name: str) -> None:
-    doc = vars(PUBLIC[name]).get("__doc__") or PUBLIC[name].__doc__
-    assert doc and len(doc.split()) >= 3, f"{name} has no docstring"
-    assert not doc.startswith(f"{name.rpartition('.')[2]}("), (
-        f"{name} has only the docstring that was made for it"
-    )
+def test_public_names_have_docstrings_of_their_own() -> None:
+    def rule(name: str) -> Iterator[str]:
+        doc = vars(PUBLIC[name]).get("__doc__") or PUBLIC[name].__doc__
+        if not doc or len(doc.split()) < 3:
+            yield "has no docstring"
+        elif doc.startswith(f"{name.rpartition('.')[2]}("):
+            yield "has only the docstring that was made for it"
+
+    assert complaints(rule, [*CLASSES, *FUNCTIONS]) == []
 
 
-@pytest.mark.parametrize("name", CONSTANTS)
-def test_public_constant_has_a_docstring(name: str) -> None:
-    package, _, last = name.rpartition(".")
-    folder = Path(import_module(f"gnc_opt.{package}").__file__ or "").parent
-    assert any(
-        re.search(rf'(?m)^{last} = .*\n"""', path.read_text(encoding="utf-8")) for path in folder.glob("*.py")
-    )
+def test_public_constants_have_docstrings() -> None:
+    def rule(name: str) -> Iterator[str]:
+        package, _, last = name.rpartition(".")
+        folder = Path(import_module(f"gnc_opt.{package}").__file__ or "").parent
+        if not any(
+            re.search(rf'(?m)^{last} = .*\n"""', path.read_text(encoding="utf-8"))
+            for path in folder.glob("*.py")
+        ):
+            yield "has no docstring"
+
+    assert complaints(rule, CONSTANTS) == []
 
 
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_public_function_describes_parameters_and_result(name: str) -> None:
-    function = FUNCTIONS[name]
-    assert described(function.__doc__, "Parameters") == set(parameters(function)), name
-    first = function.__doc__.split()[0]
-    assert first == "Return" or section(function.__doc__, "Returns"), f"{name} does not say what it returns"
+def test_public_functions_describe_parameters_and_result() -> None:
+    def rule(name: str) -> Iterator[str]:
+        function = FUNCTIONS[name]
+        astray = described(function.__doc__, "Parameters") ^ set(parameters(function))
+        if astray:
+            yield f"does not describe {astray}, or has not got them"
+        if function.__doc__.split()[0] != "Return" and not section(function.__doc__, "Returns"):
+            yield "does not say what it returns"
+        if "." not in name and not section(function.__doc__, "Raises"):  # of the first level
+            yield "does not say what it raises"
+
+    assert complaints(rule, FUNCTIONS) == []
 
 
-@pytest.mark.parametrize("name", [n for n in FUNCTIONS if "." not in n])
-def test_function_of_the_first_level_says_what_it_raises(name: str) -> None:
-    assert section(FUNCTIONS[name].__doc__, "Raises"), f"{name} does not say what it raises"
+def test_public_classes_describe_their_fields() -> None:
+    def rule(name: str) -> Iterator[str]:
+        cls = CLASSES[name]
+        if issubclass(cls, (enum.Enum, BaseException)) or cls in MADE_BY_OTHERS:
+            return
+        ours = [base for base in cls.__mro__ if base.__module__.startswith("gnc_opt") and base.__doc__]
+        told = {
+            s: set().union(*(described(base.__doc__, s) for base in ours))
+            for s in ("Parameters", "Attributes")
+        }
+        for missing in set(parameters(cls)) - told["Parameters"] - told["Attributes"]:
+            yield f"does not describe {missing}"
+        for invented in (told["Parameters"] - set(parameters(cls))) | (told["Attributes"] - attributes(cls)):
+            yield f"has no {invented}"
+
+    assert complaints(rule, CLASSES) == []
 
 
-@pytest.mark.parametrize("name", CLASSES)
-def test_public_class_describes_its_fields(name: str) -> None:
-    cls = CLASSES[name]
-    if issubclass(cls, (enum.Enum, BaseException)) or cls in MADE_BY_OTHERS:
-        return
-    ours = [base for base in cls.__mro__ if base.__module__.startswith("gnc_opt") and base.__doc__]
-    told = {
-        s: set().union(*(described(base.__doc__, s) for base in ours)) for s in ("Parameters", "Attributes")
-    }
-    missing = set(parameters(cls)) - told["Parameters"] - told["Attributes"]
-    assert not missing, f"{name} does not describe {missing}"
-    assert told["Parameters"] <= set(parameters(cls)), (
-        f"{name} has no {told['Parameters'] - set(parameters(cls))}"
-    )
-    assert told["Attributes"] <= attributes(cls), f"{name} has no {told['Attributes'] - attributes(cls)}"
+def test_public_methods_are_documented() -> None:
+    """By their own docstrings, or by those of the methods that they override."""
 
+    def rule(cls: type, name: str) -> Iterator[str]:
+        versions = [vars(base)[name] for base in cls.__mro__ if name in vars(base)]
+        functions = [unwrapped(member) for member in versions]
+        doc = " ".join(function.__doc__ or "" for function in functions)
+        if not doc.strip():
+            yield "has no docstring"
+        if not inspect.isfunction(versions[0]) and not isinstance(versions[0], (classmethod, staticmethod)):
+            return
+        classes = " ".join(
+            base.__doc__ or "" for base in cls.__mro__ if base.__module__.startswith("gnc_opt")
+        )
+        told = set(re.findall(r"\w+", f"{doc} {classes}"))
+        silent = [p for p in parameters(functions[0]) if p not in told]
+        if len(silent) > FREE and not re.search(r"(as in|see) ``?[\w.]+``?", doc):
+            yield f"does not describe {silent}"
 
-@pytest.mark.parametrize(("cls", "name"), METHODS)
-def test_public_method_is_documented(cls: type, name: str) -> None:
-    """By its own docstring, or by that of the method that it overrides."""
-    versions = [vars(base)[name] for base in cls.__mro__ if name in vars(base)]
-    functions = [unwrapped(member) for member in versions]
-    doc = " ".join(function.__doc__ or "" for function in functions)
-    assert doc.strip(), f"{cls.__name__}.{name} has no docstring"
-    if not inspect.isfunction(versions[0]) and not isinstance(versions[0], (classmethod, staticmethod)):
-        return
-    classes = " ".join(base.__doc__ or "" for base in cls.__mro__ if base.__module__.startswith("gnc_opt"))
-    told = set(re.findall(r"\w+", f"{doc} {classes}"))
-    silent = [p for p in parameters(functions[0]) if p not in told]
-    assert len(silent) <= FREE or re.search(r"(as in|see) ``?[\w.]+``?", doc), (
-        f"{cls.__name__}.{name} does not describe {silent}"
-    )
+    assert complaints(rule, METHODS) == []
 
 
 def unwrapped(member: object) -> object:
