@@ -154,7 +154,7 @@ class _Points:
         kept = np.ones(errors.size, dtype=bool)
         for name in self.given:
             kept[errors.slice(name)] = False
-        return np.flatnonzero(kept)
+        return np.asarray(np.flatnonzero(kept))
 
     def held(self, values: tuple[float, ...]) -> SampledStep:
         """Return plant and cost over a control step."""
