@@ -29,10 +29,7 @@ from gnc_opt.simulation.quantity import Quantities, Quantity, read_quantities
 from gnc_opt.simulation.replanner import Replanner
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.wiring import Blocks, Wiring, wire
-from gnc_opt.tolerances import STEP_SLACK
-
-PLAUSIBLE = 1e15
-"""Size of a state beyond which a run has diverged, in any unit: a hundred times as far as Neptune, in metres."""
+from gnc_opt.tolerances import PLAUSIBLE, STEP_SLACK
 
 _MAX_STEPS = 2_000_000
 """Control steps of a run at most; with fifty numbers each their log fills a gigabyte."""
