@@ -12,13 +12,7 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.flight import Flight
-from gnc_opt.simulation.integrate import linear_error
-
-MAX_SUBSTEPS = 64
-"""Integration steps per minor step at most; a plant that needs more is too fast for this step."""
-
-_STABLE = 3.0
-"""The Runge-Kutta method damps a real mode up to 3.3 times the inverse of its step."""
+from gnc_opt.simulation.modes import MAX_SUBSTEPS, steps_for_run, steps_to_be_stable
 
 _MARGIN = 1.1
 """Integration steps that were reckoned from an estimate of the error are made more numerous by this factor."""
@@ -54,26 +48,6 @@ class Accuracy:
         # the run itself will say what is not finite
         return np.linalg.eigvals(a).astype(complex) if np.all(np.isfinite(a)) else np.zeros(0, complex)
 
-    def stable_substeps(self, modes: Array) -> int:
-        """Return how many integration steps the fastest mode needs to stay stable."""
-        fastest = float(np.max(np.abs(modes), initial=0.0))
-        substeps = max(1, int(np.ceil(fastest * self.step / _STABLE)))
-        if substeps > MAX_SUBSTEPS:
-            raise self._too_fast(f"cannot follow its mode of {fastest:.3g} rad/s")
-        return substeps
-
-    def modal_substeps(self, modes: Array, duration: float) -> int:
-        """Return how many integration steps a mode that is moved by one, relative to max(1, \\|x\\|), needs over a run
-        of this duration (s); 1 if not even the most do."""
-        for substeps in range(1, MAX_SUBSTEPS + 1):
-            h = self.step / substeps
-            decay = np.exp(np.minimum(modes.real, 0.0) * h)
-            count = duration / h
-            lasting = np.where(decay < 1, (1 - decay**count) / np.where(decay < 1, 1 - decay, 1.0), count)
-            if np.max(linear_error(modes * h) * lasting, initial=0.0) <= self.asked:
-                return substeps
-        return 1
-
     def reached(self, flight_with: Callable[[int], Flight], start: Array, modes: Array) -> Flight:
         """Return the flight with as many integration steps as its accuracy needs.
 
@@ -90,7 +64,9 @@ class Accuracy:
             Of the plant at its start, 1/s.
         """
         growth, before = 1.0, None
-        substeps = self.substeps or self.stable_substeps(modes)
+        substeps = self.substeps or steps_to_be_stable(modes, self.step)
+        if self.substeps is None and substeps > MAX_SUBSTEPS:
+            raise self._too_fast(f"cannot follow its mode of {np.max(np.abs(modes)):.3g} rad/s")
         while True:
             flight = flight_with(substeps)
             ending = flight.final(start, [0])
@@ -101,7 +77,7 @@ class Accuracy:
                 return flight  # also when integrated as finely as can be: that is what is to be told
             if before is None and self.substeps is None and _returned(flight, ending, start):
                 duration = float(flight.times[-1] - flight.times[0])
-                needed = self.modal_substeps(modes, duration)
+                needed = steps_for_run(modes, self.step, duration, self.asked)
                 if needed > substeps:
                     substeps = needed
                     continue

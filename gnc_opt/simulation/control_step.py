@@ -24,10 +24,19 @@ _LARGE = 1e300
 
 
 class ControlStep:
-    """Makes the symbols, then the pieces of a step in order; SX."""
+    """Makes the symbols, then the pieces of a step in order; SX.
 
-    def __init__(self, wiring: Wiring, substeps: int) -> None:
-        self.wiring, self.substeps = wiring, substeps
+    Parameters
+    ----------
+    wiring : Wiring
+    substeps : int
+        Integration steps per minor step.
+    beside : bool
+        Whether another flight can go through the same operations with steps half as long.
+    """
+
+    def __init__(self, wiring: Wiring, substeps: int, beside: bool = True) -> None:
+        self.wiring, self.substeps, self.beside = wiring, substeps, beside
         self.h = wiring.h
         self.P = ca.SX.sym("P", wiring.layout.size)
         self.p = {name: self.P[wiring.layout.slice(name)] for name in wiring.layout.names}
@@ -205,7 +214,7 @@ class ControlStep:
         flies both: the run has each piece between bends and jumps in one half, and no time in the other.
         """
         f, error, held = self._rate(state), ca.SX(0), all(wave.held for wave in waves)
-        n, halved = self.substeps, state["beside"]
+        n, halved = self.substeps, state["beside"] if self.beside else ca.SX(0)
 
         def piece(
             start: Any, x: Any, length: Any, inputs: list[Input], rest: bool = False
@@ -239,7 +248,7 @@ class ControlStep:
             most = (end - begin) - rest
             x, estimate = piece(t + begin, x, most, [wave.input(begin, end, n, halved) for wave in waves])
             error += estimate
-            if halved.is_zero():
+            if not self.beside:
                 continue
             inputs = [wave.input(middle, end, n) for wave in waves]
             x, estimate = piece(t + begin + most, x, rest, inputs, rest=True)

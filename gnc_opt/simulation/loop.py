@@ -107,7 +107,7 @@ class ClosedLoop:
     substeps: int | None = field(default=None, kw_only=True)
     plausible: float | Mapping[str, ArrayLike] = field(default=PLAUSIBLE, kw_only=True)
     wiring: Wiring = field(init=False, repr=False)
-    _kernels: dict[int, Kernel] = field(init=False, repr=False, default_factory=dict)
+    _kernels: dict[tuple[int, bool], Kernel] = field(init=False, repr=False, default_factory=dict)
     _on_the_way: dict[int, Quantities] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -245,17 +245,17 @@ class ClosedLoop:
         self._warn_of_events(times[0], nominal)
         rows = self._schedule(times)
         flight = self._accurate(nominal, times, rows)
-        followed = self._followed_on_the_way(flight.substeps)
-        return replace(flight, replanner=self.replanner, quantities=followed, beside=True)
+        kernel, followed = self.kernel(flight.substeps), self._followed_on_the_way(flight.substeps)
+        return replace(flight, kernel=kernel, replanner=self.replanner, quantities=followed, beside=True)
 
     def _followed_on_the_way(self, substeps: int) -> Quantities | None:
         if self.quantities and substeps not in self._on_the_way:
-            step = ControlStep(self.wiring, substeps)
+            step = ControlStep(self.wiring, substeps, beside=False)
             self._on_the_way[substeps] = Quantities.of(step, tuple(self.quantities))
         return self._on_the_way.get(substeps)
 
     def _accurate(self, nominal: Array, times: Array, rows: Array) -> Flight:
-        """Return the flight, as planned, with as many integration steps as its accuracy needs."""
+        """Return the flight, as planned and alone, with as many integration steps as its accuracy needs."""
         accuracy = Accuracy(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
         modes = accuracy.modes(times[0], *self._at_start(nominal))
         start = self._generic(nominal)[:, None]
@@ -331,22 +331,23 @@ class ClosedLoop:
         flight = self.flight(x0, t0=t0, tf=tf, parameters=parameters)
         return flight.run(flight.nominal, seed, every=every, folder=folder)
 
-    def kernel(self, substeps: int) -> Kernel:
-        """Return the symbolic step with that many integration steps per minor step."""
+    def kernel(self, substeps: int, beside: bool = True) -> Kernel:
+        """Return the symbolic step with that many integration steps per minor step, for runs with a flight beside them
+        or alone."""
         if substeps * self.minor_steps > _MAX_UNROLLED:
             raise ArgumentError(
                 f"a control step of {self.dt:g} s with {self.minor_steps} minor steps of {substeps} integration steps "
                 f"each has more than {_MAX_UNROLLED}: give a shorter dt, fewer minor_steps or a coarser accuracy."
             )
-        if substeps not in self._kernels:
-            self._kernels[substeps] = build_kernel(self.wiring, substeps)
-        return self._kernels[substeps]
+        if (substeps, beside) not in self._kernels:
+            self._kernels[substeps, beside] = build_kernel(self.wiring, substeps, beside)
+        return self._kernels[substeps, beside]
 
     # --- internals ----------------------------------------------------------------------------------------
 
     def _flight(self, nominal: Array, times: Array, rows: Array, substeps: int) -> Flight:
         return Flight(
-            kernel=self.kernel(substeps),
+            kernel=self.kernel(substeps, beside=False),
             substeps=substeps,
             nominal=nominal,
             layout=self.layout,

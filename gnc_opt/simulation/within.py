@@ -35,6 +35,7 @@ def along(step: ControlStep, rows: Any) -> Any:
     Parameters
     ----------
     step : ControlStep
+        With nothing beside.
     rows : casadi SX column
         Of the plant's symbols of time, states, controls and parameters.
 
@@ -80,7 +81,7 @@ def _fly(
     """Fly from the first to the second of three times, and look from there to the third."""
     column, known, u, x = given
     w, state = step.known.split(known), step.state.split(column)
-    new, before = step.pushed(state, w) | {"beside": ca.SX(0)}, state["plant"]
+    new, before = step.pushed(state, w), state["plant"]
     for i in range(step.wiring.minor_steps):
         tick = step.tick_of(i, w, {"plant": before})
         waves, _ = step.actuate(tick, u, new, w, i)
