@@ -76,3 +76,8 @@ def dependent(singular_values: ArrayLike) -> bool:
     """Whether singular values (largest first) are those of a matrix with dependent rows or columns."""
     values = np.asarray(singular_values)
     return bool(values[-1] <= ROUNDING * values[0])
+
+
+PLAUSIBLE = 1e15
+"""Size of a state beyond which a rehearsal or a run has diverged, in any unit: a hundred times as far as Neptune, in
+metres."""

@@ -79,7 +79,7 @@ class FailureProbability:
     >>> experiment = go.Experiment(loop, x0=[1.0, 0.0], tf=8.0, dispersions=spread)
     >>> asked = {"n": 50, "repetitions": 3, "executor": "serial"}
     >>> print(failure_probability(experiment, "max(overshoot)", 0.006, **asked))
-    P(max(overshoot) > 0.006) = 0.000212 (2.1e-05 to 0.0022, 95 %), 635 runs in 3 repetitions
+    P(max(overshoot) > 0.006) = 0.000229 (3e-05 to 0.0017, 95 %), 638 runs in 3 repetitions
     """
 
     measure: str
@@ -149,7 +149,7 @@ def failure_probability(
     >>> asked = {"n": 50, "repetitions": 3, "executor": "serial"}
     >>> rare = failure_probability(experiment, "max(overshoot)", 0.006, **asked)
     >>> print(rare.low < rare.probability < rare.high, rare.runs)
-    True 635
+    True 638
     """
     name = "failure_probability()"
     expect(experiment, Experiment, f"what {name} got", "give an Experiment")

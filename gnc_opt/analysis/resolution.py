@@ -1,44 +1,14 @@
-r"""Resolution: how many integration steps a linearization needs.
-
-How finely a loop is integrated is decided by its nominal run. At rest that run has no error, however few the steps, and
-its derivatives may have a large one: a light mode of 20 rad/s turns into a growing one with one step in 0.1 s. So modes
-are asked themselves: n steps of the Runge-Kutta method in a time h make of :math:`e^{\lambda h}` the power
-:math:`R(\lambda h / n)^n`,
-
-.. math:: R(z) = 1 + z + \frac{z^2}{2} + \frac{z^3}{6} + \frac{z^4}{24} + \frac{z^5}{120} + \frac{z^6}{600} .
-
-Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section IV.2: the stability function of
-Dormand and Prince's method of order 5.
-"""
+"""Resolution: how many integration steps a linearization needs, by the modes of the plant along its nominal run."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
 from gnc_opt.analysis.linearization import OUTPUTS, Linearization
 from gnc_opt.arrays import Array
 from gnc_opt.model.model import Model
-from gnc_opt.simulation.accuracy import MAX_SUBSTEPS
 from gnc_opt.simulation.flight import Flight
-
-_STABILITY = (1 / 600, 1 / 120, 1 / 24, 1 / 6, 1 / 2, 1.0, 1.0)
-
-
-def steps_for_modes(modes: Any, length: float, asked: float) -> int:
-    """Return how many steps in a length (s) modes (1/s, complex) need, `MAX_SUBSTEPS` at most.
-
-    ``asked`` is the error over the length, relative to the larger one of 1 and the size of the mode after it.
-    """
-    z = np.asarray(modes, dtype=complex) * length
-    truth = np.exp(z)
-    for n in range(1, MAX_SUBSTEPS):
-        with np.errstate(over="ignore", invalid="ignore"):
-            error = np.abs(np.polyval(_STABILITY, z / n) ** n - truth)
-        if np.all(error <= asked * np.maximum(1.0, np.abs(truth))):
-            return n
-    return MAX_SUBSTEPS
+from gnc_opt.simulation.modes import steps_for_modes
 
 
 class PlantModes:

@@ -68,7 +68,7 @@ EXPORT Status fmi2DoStep(void *c, double t, double h, int no_return)
     const double margin = 1e-6 * LAW_DT; /* times of co-simulation are sums of steps, and rounded */
     double sample = law->start + law->count * LAW_DT;
     (void)no_return;
-    if (!(h > 0.0) || !(t <= sample + margin))
+    if (!(h > 0.0) || !isfinite(h) || !(t <= sample + margin))
         return ERROR;
     while (sample < t + h - margin) {
         if (!(law->count > 0.0))

@@ -24,7 +24,7 @@ from gnc_opt.control.limits import Authority, saturated
 from gnc_opt.control.reference import Reference
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import as_vector
-from gnc_opt.tolerances import LARGEST, ROUNDING
+from gnc_opt.tolerances import PLAUSIBLE, ROUNDING
 
 Rehearsal: TypeAlias = Callable[[Controller], list[Fact]]
 """Flies a finished law; returns what that shows, or raises `DesignError`."""
@@ -196,7 +196,7 @@ def _left(path: Path, count: int) -> Array:
 
 
 def _require_bounded(path: Path, errors: OutputErrors) -> None:
-    lost = ~(np.abs(path.x) <= LARGEST)
+    lost = ~(np.abs(path.x) <= PLAUSIBLE)
     if not lost.any():
         return
     column = int(np.argmax(lost.any(axis=0)))

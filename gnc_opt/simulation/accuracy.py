@@ -12,15 +12,14 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.ending import Ending
 from gnc_opt.simulation.flight import Flight
-
-MAX_SUBSTEPS = 64
-"""Integration steps per minor step at most; a plant that needs more is too fast for this step."""
-
-_STABLE = 3.0
-"""The Runge-Kutta method damps a real mode up to 3.3 times the inverse of its step."""
+from gnc_opt.simulation.modes import MAX_SUBSTEPS, steps_for_run, steps_to_be_stable
 
 _MARGIN = 1.1
 """Integration steps that were reckoned from an estimate of the error are made more numerous by this factor."""
+
+
+_STILL = 0.01
+"""A state that has moved by less, relative to max(1, |x|), may have stood still."""
 
 
 @dataclass(frozen=True)
@@ -43,19 +42,17 @@ class Accuracy:
     asked: float
     substeps: int | None
 
-    def stable_substeps(self, t: float, x: Array, p: Array) -> int:
-        """Return how many integration steps the fastest mode of the plant at the start needs to stay stable."""
+    def modes(self, t: float, x: Array, p: Array) -> Array:
+        """Return the modes of the plant at the start (n_states,), complex, 1/s; none where a rate is not finite."""
         a, _ = self.plant.linearize(t, x, np.zeros(self.plant.controls.size), p)
-        if not np.all(np.isfinite(a)):
-            return 1  # the run itself will say what is not finite
-        fastest = float(np.max(np.abs(np.linalg.eigvals(a))))
-        substeps = max(1, int(np.ceil(fastest * self.step / _STABLE)))
-        if substeps > MAX_SUBSTEPS:
-            raise self._too_fast(f"cannot follow its mode of {fastest:.3g} rad/s")
-        return substeps
+        # the run itself will say what is not finite
+        return np.linalg.eigvals(a).astype(complex) if np.all(np.isfinite(a)) else np.zeros(0, complex)
 
-    def reached(self, flight_with: Callable[[int], Flight], start: Array, substeps: int) -> Flight:
+    def reached(self, flight_with: Callable[[int], Flight], start: Array, modes: Array) -> Flight:
         """Return the flight with as many integration steps as its accuracy needs.
+
+        Those that the run that is looked at needs; if it ends where it has begun, at rest, say, it tells little, and
+        its modes tell what a motion beside it will need.
 
         Parameters
         ----------
@@ -63,10 +60,13 @@ class Accuracy:
             Returns it with so many integration steps per minor step.
         start : array (n_parameters, 1)
             Of the run that is looked at.
-        substeps : int
-            How many to begin with.
+        modes : array (n_states,)
+            Of the plant at its start, 1/s.
         """
         growth, before = 1.0, None
+        substeps = self.substeps or steps_to_be_stable(modes, self.step)
+        if self.substeps is None and substeps > MAX_SUBSTEPS:
+            raise self._too_fast(f"cannot follow its mode of {np.max(np.abs(modes)):.3g} rad/s")
         while True:
             flight = flight_with(substeps)
             ending = flight.final(start, [0])
@@ -75,6 +75,12 @@ class Accuracy:
                 return flight
             if substeps >= MAX_SUBSTEPS and ending.outcomes[0].diverged:
                 return flight  # also when integrated as finely as can be: that is what is to be told
+            if before is None and self.substeps is None and _returned(flight, ending, start):
+                duration = float(flight.times[-1] - flight.times[0])
+                needed = steps_for_run(modes, self.step, duration, self.asked)
+                if needed > substeps:
+                    substeps = needed
+                    continue
             local = _local_error(ending)
             if before is not None:
                 growth = max(growth, grown(before[0], ending, before[1], before[2] / substeps))
@@ -98,6 +104,13 @@ class Accuracy:
             f"the plant '{self.plant.name}' is too fast for minor steps of {self.step:g} s: "
             f"{MAX_SUBSTEPS} integration steps in each {why}; give more minor_steps, a coarser accuracy, or substeps."
         )
+
+
+def _returned(flight: Flight, ending: Ending, start: Array) -> bool:
+    """Whether a run ends where it has begun."""
+    begun = np.concatenate([start[flight.layout.slice(f"initial.{name}")] for name in flight.states.names])
+    moved = np.abs(ending.states - begun) / np.maximum(1.0, np.abs(begun))
+    return bool(np.max(moved, initial=0.0) < _STILL)
 
 
 def _local_error(ending: Ending) -> float:

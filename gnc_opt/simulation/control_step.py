@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -12,7 +12,7 @@ from gnc_opt.control.steps import in_order
 from gnc_opt.model.layout import Layout
 from gnc_opt.simulation.block import Step, Tick
 from gnc_opt.simulation.crossing import Watch, notes_of, record_of
-from gnc_opt.simulation.integrate import dormand_prince
+from gnc_opt.simulation.integrate import Taken, dormand_prince
 from gnc_opt.simulation.places import Places
 from gnc_opt.simulation.signals import Link, put, put_wave, take, take_wave
 from gnc_opt.simulation.wave import Input, Wave
@@ -24,10 +24,19 @@ _LARGE = 1e300
 
 
 class ControlStep:
-    """Makes the symbols, then the pieces of a step in order; SX."""
+    """Makes the symbols, then the pieces of a step in order; SX.
 
-    def __init__(self, wiring: Wiring, substeps: int) -> None:
-        self.wiring, self.substeps = wiring, substeps
+    Parameters
+    ----------
+    wiring : Wiring
+    substeps : int
+        Integration steps per minor step.
+    beside : bool
+        Whether another flight can go through the same operations with steps half as long.
+    """
+
+    def __init__(self, wiring: Wiring, substeps: int, beside: bool = True) -> None:
+        self.wiring, self.substeps, self.beside = wiring, substeps, beside
         self.h = wiring.h
         self.P = ca.SX.sym("P", wiring.layout.size)
         self.p = {name: self.P[wiring.layout.slice(name)] for name in wiring.layout.names}
@@ -193,18 +202,19 @@ class ControlStep:
         waves: list[Wave],
         state: dict[str, Any],
         span: tuple[Any, Any] | None = None,
-        watch: Watch | None = None,
+        watch: Callable[[Taken, Callable[[Any], Any]], None] | None = None,
     ) -> tuple[Any, Any, Any]:
         """Integrate the plant over a minor step that begins at t, anew wherever an actuator bends or jumps.
 
         ``span`` is the part of it that is flown, two times (s) since it began. Returns the state, the error of the
-        integration, and what waves that were taken at their mean may add to it.
+        integration, and what waves that were taken at their mean may add to it. ``watch`` is told of each integration
+        step, with what is applied at a share (0 to 1) of it; where nothing is flown beside.
 
         The flight beside a run halves every step. Both go through the same operations, so that one pass of machine code
         flies both: the run has each piece between bends and jumps in one half, and no time in the other.
         """
         f, error, held = self._rate(state), ca.SX(0), all(wave.held for wave in waves)
-        n, halved = self.substeps, state["beside"]
+        n, halved = self.substeps, state["beside"] if self.beside else ca.SX(0)
 
         def piece(
             start: Any, x: Any, length: Any, inputs: list[Input], rest: bool = False
@@ -212,16 +222,15 @@ class ControlStep:
             def u(k: int, node: float) -> Any:
                 return ca.vertcat(*[value(k, node) for value in inputs])
 
-            def stepped(length: Any, before: tuple[Any, ...], after: tuple[Any, ...], rounding: Any) -> Any:
-                t, x, rate = after
+            def stepped(taken: Taken) -> Any:
                 # chosen, not multiplied: in no time, too, rates may be no numbers, and rounding before x is none
                 x = (
-                    ca.if_else(halved, x - rounding, before[1])
+                    ca.if_else(halved, taken.after - taken.rounding, taken.x)
                     if rest
-                    else x - ca.if_else(halved, rounding, 0)
+                    else taken.after - ca.if_else(halved, taken.rounding, 0)
                 )
                 if watch is not None:
-                    watch(length, before, (t, x, rate))
+                    watch(taken._replace(after=x), lambda nu: applied((taken.number + nu) * taken.length))
                 return x
 
             if held:
@@ -235,9 +244,12 @@ class ControlStep:
         mean, before = ca.vertcat(*[wave.mean for wave in waves]), x
         for begin, end in itertools.pairwise([first, *breaks, last]):
             middle, rest = 0.5 * (begin + end), halved * (0.5 * (end - begin))
+            applied = _applied(waves, begin, end)
             most = (end - begin) - rest
             x, estimate = piece(t + begin, x, most, [wave.input(begin, end, n, halved) for wave in waves])
             error += estimate
+            if not self.beside:
+                continue
             inputs = [wave.input(middle, end, n) for wave in waves]
             x, estimate = piece(t + begin + most, x, rest, inputs, rest=True)
             error += ca.if_else(halved, estimate, 0)
@@ -315,6 +327,11 @@ class ControlStep:
             fresh = ca.logic_and(state[name] < 0.5, code > 0.5)
             new[name] = ca.if_else(fresh, code, state[name])
             new[f"{name} time"] = ca.if_else(fresh, t, state[f"{name} time"])
+
+
+def _applied(waves: Sequence[Wave], begin: Any, end: Any) -> Callable[[Any], Any]:
+    """Return what is applied so long (s) after the beginning of a piece between breaks."""
+    return lambda late: ca.vertcat(*[wave.at(begin, end, begin + late) for wave in waves])
 
 
 def _distinct(breaks: list[Any]) -> list[Any]:

@@ -3,9 +3,10 @@ r"""Crossing: where events lie in the flight of a minor step, and the flight thr
 While the plant is integrated, every integration step is looked at (`Watch`). A row (see `Events`) is *armed* if it has
 been at zero or above since its event last happened (also where a reset of another has put it); armed rows that end the
 step below zero have crossed it, and those that are above zero at both ends and sink to it in between, by the cubic
-through values and slopes, may have. Only then is the minor step flown again with care (`passage`): up to the crossing,
-whose instant is found by Newton's method inside a bracket, with the plant integrated anew from where the leg began to
-each instant tried, so that the state there is as accurate as any; then the resets; then on from there.
+through values and slopes or by the tangents of both ends, may have. Only then is the minor step flown again with care
+(`passage`): up to the crossing, whose instant is found by Newton's method inside a bracket, with the plant integrated
+anew from where the leg began to each instant tried, so that the state there is as accurate as any; then the resets;
+then on from there.
 
 Events whose rows fall through zero within `SAME_TIME` of the minor step are simultaneous: their conditions are judged
 before all resets, and these follow in the order of declaration until one ends the run. A reset after which its row
@@ -22,6 +23,7 @@ import casadi as ca
 
 from gnc_opt.simulation.event import MOST, Events
 from gnc_opt.simulation.instant import instant_error
+from gnc_opt.simulation.integrate import Taken
 from gnc_opt.simulation.places import Places
 from gnc_opt.tolerances import SAME_TIME
 
@@ -33,6 +35,10 @@ _INSTANT = 1e-13
 
 _ITERATIONS = 60
 """Of Newton's method and bisection; bisection alone would need 44."""
+
+_NARROWED = 12
+"""How often the way to where a row may have crossed is looked at again: a row that only touches zero promises to cross
+it however closely it is looked at."""
 
 _SHORT = 1e-4
 """Of a minor step: over which rates are taken as differences."""
@@ -78,16 +84,21 @@ class Watch:
         self.lost = self.lost_inside = ca.SX.zeros(len(events))
         self._now, self._heeded = ca.SX(begin), begin + moment
 
-    def __call__(self, length: Any, before: tuple[Any, Any, Any], after: tuple[Any, Any, Any]) -> None:
-        """Look at an integration step of a length (s) between two triples of time, state and its rate."""
-        (y0, d0), (y1, d1) = (self.events.rows(*end, self.parameters) for end in (before, after))
+    def __call__(self, taken: Taken, _: Any = None) -> None:
+        """Look at an integration step."""
+        length, time, x = taken.length, taken.time + taken.length, taken.after
+        y0, d0 = self.events.rows(taken.time, taken.x, taken.stages[0], self.parameters)
+        y1, d1 = self.events.rows(time, x, taken.stages[-1], self.parameters)
         a, b = length * d0, length * d1
         # p(nu) = y0 + a nu + c nu^2 + d nu^3, nu from 0 to 1; its minimum by the root of p' without cancellation
         rise = y1 - y0
         c, d = 3 * rise - 2 * a - b, a + b - 2 * rise
         lowest = -a / (c + ca.sqrt(ca.fmax(c**2 - 3 * d * a, 0)))
-        bottom = y0 + lowest * (a + lowest * (c + lowest * d))
-        sinks = ca.logic_and(ca.logic_and(a < 0, b > 0), bottom <= _NEAR * ca.fmax(y0, y1))
+        near = y0 + lowest * (a + lowest * (c + lowest * d)) <= _NEAR * ca.fmax(y0, y1)
+        # what passes far faster than a step is no cubic; if it is convex, it stays above both tangents
+        corner = ca.fmin(ca.fmax((rise - b) / (a - b), 0), 1)
+        sinks = ca.logic_and(ca.logic_and(a < 0, b > 0), ca.logic_or(near, y0 + a * corner <= 0))
+        lowest = ca.if_else(near, lowest, corner)
         crosses = ca.logic_and(self.armed, y1 < 0)
         dips = ca.logic_and(ca.logic_and(self.armed, y1 >= 0), sinks)
         share = ca.mmin(ca.if_else(crosses, 1.0, ca.if_else(dips, lowest, 2.0)))
@@ -99,7 +110,6 @@ class Watch:
         rises = ca.logic_and(y1 > 0, self._now > self._heeded)
         self.armed = ca.if_else(ca.logic_or(self.armed, rises), 1.0, 0.0)
         self.y, self.slope = y1, d1
-        time, x, _ = after
         self.lost_inside = ca.if_else(
             length > 0, self.lost, self.lost_inside
         )  # steps of no time end where others did
@@ -219,10 +229,14 @@ class _Passage:
 
     def _meet(self) -> Any:
         """Fly to where a row may have crossed; if one has, through the event."""
-        q, whole, first, last, t, p, *context = self._symbols(
+        q, _, first, last, t, p, *context = symbols = self._symbols(
             ("q", self.places.size), ("whole", self.places.size), ("first", 1), ("last", 1)
         )
-        v = self.places.split(q)
+        v, narrow = self.places.split(q), self._narrow()
+        r = ca.vertcat(first, last, 0)
+        for _ in range(_NARROWED):
+            r = narrow(r, v["x"], v["armed"], v["s"], *context)
+        first, last, _ = ca.vertsplit(r)
         x, error, blur, armed, y, *_, lost, _ = self.leg(v["x"], v["armed"], v["s"], last, *context)
         crossing = ca.logic_and(armed, y < 0)
         beyond = self.places.join(self._moved(v, last, x=x, armed=armed, error=error, blur=blur, lost=lost))
@@ -231,7 +245,18 @@ class _Passage:
         go_on = ca.Function("go_on", given, [given[1]])
         choice = ca.Function.if_else("meet", self._happen(), go_on)
         met = choice(ca.sum1(crossing) > 0.5, q, beyond, crossing, first, last, t, p, *context)
-        return ca.Function("meet", [q, whole, first, last, t, p, *context], [met])
+        return ca.Function("meet", symbols, [met])
+
+    def _narrow(self) -> Any:
+        """Look again at the way to where a row may have crossed, as long as none has there, but one may before."""
+        sizes = (("r", 3), ("x", self.leg.size1_in(0)), ("armed", self.n_rows), ("s", 1), *self._context())
+        r, x, armed, s, *context = inputs = [ca.MX.sym(name, size) for name, size in sizes]
+        keep = ca.Function("keep", inputs, [r])
+        _, _, _, again, y, _, found, first, last, *_ = self.leg(x, armed, s, r[1], *context)
+        on = ca.logic_and(found, ca.logic_not(ca.sum1(ca.logic_and(again, y < 0)) > 0.5))
+        step = ca.Function("step", inputs, [ca.if_else(on, ca.vertcat(first, last, 0), ca.vertcat(r[:2], 1))])
+        choice = ca.Function.if_else("narrow", keep, step)
+        return ca.Function("narrow", inputs, [choice(r[2], *inputs)])
 
     def _happen(self) -> Any:
         """Find the instant at which the first of the crossing rows is zero, and do what the events do."""

@@ -26,7 +26,8 @@ from gnc_opt.simulation.kernel import Kernel
 from gnc_opt.simulation.log import Log
 from gnc_opt.simulation.native import WORTH, native
 from gnc_opt.simulation.outcome import Outcome, RunStatus
-from gnc_opt.simulation.quantity import Quantities, Recorder
+from gnc_opt.simulation.quantity import Quantities
+from gnc_opt.simulation.recorder import Recorder
 from gnc_opt.simulation.replanner import Replanner
 from gnc_opt.simulation.run import Run
 
@@ -147,7 +148,7 @@ class Flight:
         if self.replanner is not None:
             digest.update(self.replanner.description.encode())
         if self.quantities is not None:
-            digest.update(self.quantities.values.serialize().encode())
+            digest.update(self.quantities.along.serialize().encode())
         return digest.hexdigest()
 
     def natively(self, runs: int) -> Flight:
@@ -202,8 +203,7 @@ class Flight:
                     self._folded.fly(X, rows, C, final[i])
                 else:
                     columns, logs, final[i] = self._folded.logged(X, rows, C)
-                    parts, applied = self.kernel.state.split(columns), self.kernel.log.split(logs)["applied"]
-                    recorder.add(i, first, parts, applied, P[self._plant_parameters, i])
+                    recorder.add(i, first, columns, logs, (rows, P[:, i]))
                 X[:] = final[i]
                 if all(self._stopped(x) for x in X):
                     break
@@ -267,7 +267,7 @@ class Flight:
             columns, logs, X = self._folded.logged(X, rows, C)
             parts, told = self.kernel.state.split(columns), self.kernel.log.split(logs)
             if recorder is not None:
-                recorder.add(0, first, parts, told["applied"], P[self._plant_parameters])
+                recorder.add(0, first, columns, logs, (rows, P))
             flown = len(rows) if not self.events.size else int(np.sum(parts["stop"][0, :-1] < 0.5))
             if self.events.size:
                 events += occurrences(told, flown, self.events.names, self.states.size)
@@ -376,12 +376,6 @@ class Flight:
         return np.ascontiguousarray(self.schedule.T)
 
     @cached_property
-    def _plant_parameters(self) -> list[int]:
-        """Places in P of the plant's parameters."""
-        names = [name for name in self.layout.names if name.startswith("plant.")]
-        return [int(i) for name in names for i in range(self.layout.size)[self.layout.slice(name)]]
-
-    @cached_property
     def _edges(self) -> list[int]:
         """Steps at which a leg ends and another begins: every `LEG` steps, and where a plan may be made."""
         every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
@@ -389,7 +383,7 @@ class Flight:
         return [*(k for s in starts for k in range(s, min(s + every, self.n_steps), LEG)), self.n_steps]
 
     def _recorder(self, runs: int) -> Recorder | None:
-        return None if self.quantities is None else Recorder(self.quantities, self.times, runs)
+        return None if self.quantities is None else Recorder(self.quantities, self.kernel, self.times, runs)
 
     def _course(self) -> Course:
         return Course(self.replanner, self.times, self.schedule, self.dt, self.followed, self.followed_rows)

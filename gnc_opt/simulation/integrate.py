@@ -5,19 +5,23 @@ The fifth-order solution is carried on; its distance to the embedded fourth-orde
 .. math:: e = h \sum_i (b_i - \hat b_i) k_i,
 
 estimates the error of the *fourth*-order solution over one step, and so is a safe estimate of what is carried on. To it
-comes the rounding of the sum, half a unit in the last place of x.
+comes the rounding of the sum, half a unit in the last place of x. Within a step the solution is a polynomial of degree
+four through both ends and their rates, also of fourth order.
 
-Source: Dormand and Prince, "A family of embedded Runge-Kutta formulae", J. Comp. Appl. Math. 6 (1), 19-26, 1980,
-table 2 (RK5(4)7M).
+Sources: Dormand and Prince, "A family of embedded Runge-Kutta formulae", J. Comp. Appl. Math. 6 (1), 19-26, 1980,
+table 2 (RK5(4)7M); within a step, Hairer, Norsett and Wanner, "Solving Ordinary Differential Equations I", 2nd edition,
+1993, section II.6.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import casadi as ca
+import numpy as np
 
+from gnc_opt.arrays import Array
 from gnc_opt.simulation.wave import Input
 
 NODES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
@@ -39,9 +43,56 @@ ERROR_WEIGHTS = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 
 ROUNDING = 2.0**-53
 """Of a sum, relative."""
 
-Stepped: TypeAlias = Callable[[Any, tuple[Any, Any, Any], tuple[Any, Any, Any], Any], Any]
-"""``stepped(length, before, after, rounding)``: the state to go on with after a step of a length (s), from time, state
-and its rate at both ends, and what rounding may amount to (column, of the sign of e)."""
+DENSE_WEIGHTS = (
+    -12715105075 / 11282082432, 0.0, 87487479700 / 32700410799, -10690763975 / 1880347072,
+    701980252875 / 199316789632, -1453857185 / 822651844, 69997945 / 29380423,
+)  # fmt: skip
+"""Of the bubble nu^2 (1 - nu)^2 within a step."""
+
+
+class Taken(NamedTuple):
+    """An integration step that has been taken.
+
+    Attributes
+    ----------
+    number : int
+        Of the step, 0 first.
+    length : SX
+        s.
+    time : SX
+        When it begins, s.
+    x, after : SX column
+        States at its beginning and at its end.
+    stages : list of SX column
+        Rates, the first at the beginning and the last at the end.
+    rounding : SX column
+        What rounding may amount to, of the sign of e.
+    """
+
+    number: int
+    length: Any
+    time: Any
+    x: Any
+    after: Any
+    stages: list[Any]
+    rounding: Any
+
+    def at(self, nu: float) -> tuple[Any, Any]:
+        """Return the state and its rate at ``nu`` (0 to 1) of the step."""
+        k, rest = self.stages, 1 - nu
+        mean = _combine(STAGES[-1], k[:-1])
+        first = k[0] - mean
+        last = mean - k[-1] - first
+        # x + h nu (mean + (1 - nu) (first + nu (last + (1 - nu) bubble))), and its derivative
+        bubble = _combine(DENSE_WEIGHTS, k)
+        inner = last + rest * bubble
+        middle, middle_slope = first + nu * inner, inner - nu * bubble
+        outer, outer_slope = mean + rest * middle, rest * middle_slope - middle
+        return self.x + self.length * (nu * outer), outer + nu * outer_slope
+
+
+Stepped: TypeAlias = Callable[[Taken], Any]
+"""The state to go on with after a step."""
 
 
 def dormand_prince(
@@ -88,11 +139,18 @@ def dormand_prince(
         error, size = h * _combine(ERROR_WEIGHTS, k), ca.fabs(after)
         total = total + ca.mmax((ca.fabs(error) + ROUNDING * size) / ca.fmax(1.0, size))
         if stepped is not None:
-            rounding = ca.copysign(ROUNDING * size, error)
-            after = stepped(h, (start, x, k[0]), (start + h, after, k[-1]), rounding)
+            after = stepped(Taken(i, h, start, x, after, k, ca.copysign(ROUNDING * size, error)))
         # the last stage is the first of the next step, unless the input jumps there
         x, rate = after, k[-1] if u is None else None
     return x, total
+
+
+def linear_error(z: Array) -> Array:
+    """Return the relative size of e where ``dx/dt = lambda x``, for ``z = h lambda``; complex."""
+    k: list[Any] = []
+    for row in STAGES:
+        k.append(z * (1 + sum(w * rate for w, rate in zip(row, k, strict=True))))
+    return np.asarray(np.abs(_combine(ERROR_WEIGHTS, k)))
 
 
 def _combine(weights: tuple[float, ...], k: list[Any]) -> Any:

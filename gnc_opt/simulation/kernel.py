@@ -67,9 +67,10 @@ class Kernel:
         return {}
 
 
-def build_kernel(wiring: Wiring, substeps: int) -> Kernel:
-    """Return the kernel with the plant integrated in ``substeps`` per minor step."""
-    return _Builder(wiring, substeps).kernel()
+def build_kernel(wiring: Wiring, substeps: int, beside: bool = True) -> Kernel:
+    """Return the kernel with the plant integrated in ``substeps`` per minor step, for runs with a flight beside them or
+    alone."""
+    return _Builder(wiring, substeps, beside).kernel()
 
 
 class _Builder(ControlStep):

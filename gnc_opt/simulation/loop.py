@@ -19,20 +19,17 @@ from gnc_opt.model.layout import Layout, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.accuracy import Accuracy
 from gnc_opt.simulation.block import Block
-from gnc_opt.simulation.control_step import alarm_labels, watched_labels
+from gnc_opt.simulation.control_step import ControlStep, alarm_labels, watched_labels
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.event import Event
 from gnc_opt.simulation.flight import LEG, Flight
 from gnc_opt.simulation.judge import Judge
 from gnc_opt.simulation.kernel import Kernel, build_kernel
-from gnc_opt.simulation.quantity import Quantities, Quantity
+from gnc_opt.simulation.quantity import Quantities, Quantity, read_quantities
 from gnc_opt.simulation.replanner import Replanner
 from gnc_opt.simulation.run import Run
 from gnc_opt.simulation.wiring import Blocks, Wiring, wire
-from gnc_opt.tolerances import STEP_SLACK
-
-PLAUSIBLE = 1e15
-"""Size of a state beyond which a run has diverged, in any unit: a hundred times as far as Neptune, in metres."""
+from gnc_opt.tolerances import PLAUSIBLE, STEP_SLACK
 
 _MAX_STEPS = 2_000_000
 """Control steps of a run at most; with fifty numbers each their log fills a gigabyte."""
@@ -75,7 +72,8 @@ class ClosedLoop:
     accuracy : float
         Of the integration over a run, relative to max(1, \\|x\\|) per state: as many integration steps per minor step
         are taken as the nominal run needs by the sum of its local errors and their growth, a safe estimate: the true
-        error is mostly a small share of it. Runs that miss it are flagged.
+        error is mostly a small share of it. A nominal run that ends where it has begun, at rest, say, tells little:
+        then as many as the plant's modes at its start need, moved by 1. Runs that miss it are flagged.
     substeps : int, optional
         Integration steps per minor step; default: chosen by ``accuracy``.
     plausible : float or mapping
@@ -109,7 +107,8 @@ class ClosedLoop:
     substeps: int | None = field(default=None, kw_only=True)
     plausible: float | Mapping[str, ArrayLike] = field(default=PLAUSIBLE, kw_only=True)
     wiring: Wiring = field(init=False, repr=False)
-    _kernels: dict[int, Kernel] = field(init=False, repr=False, default_factory=dict)
+    _kernels: dict[tuple[int, bool], Kernel] = field(init=False, repr=False, default_factory=dict)
+    _on_the_way: dict[int, Quantities] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         expect(self.plant, Model, "the plant of a closed loop", "give a Model")
@@ -135,7 +134,7 @@ class ClosedLoop:
         )
         quantities = _listed(self.quantities, Quantity, "quantities", "write Quantity(name, expression)")
         set_(self, "quantities", quantities)
-        Quantities.of(self.plant, tuple(self.quantities))
+        read_quantities(self.plant, quantities)
         if self.replanner is not None:
             expect(
                 self.replanner,
@@ -245,14 +244,22 @@ class ClosedLoop:
         times = self._times(t0, tf)
         self._warn_of_events(times[0], nominal)
         rows = self._schedule(times)
-        return replace(self._accurate(nominal, times, rows), replanner=self.replanner, beside=True)
+        flight = self._accurate(nominal, times, rows)
+        kernel, followed = self.kernel(flight.substeps), self._followed_on_the_way(flight.substeps)
+        return replace(flight, kernel=kernel, replanner=self.replanner, quantities=followed, beside=True)
+
+    def _followed_on_the_way(self, substeps: int) -> Quantities | None:
+        if self.quantities and substeps not in self._on_the_way:
+            step = ControlStep(self.wiring, substeps, beside=False)
+            self._on_the_way[substeps] = Quantities.of(step, tuple(self.quantities))
+        return self._on_the_way.get(substeps)
 
     def _accurate(self, nominal: Array, times: Array, rows: Array) -> Flight:
-        """Return the flight, as planned, with as many integration steps as its accuracy needs."""
+        """Return the flight, as planned and alone, with as many integration steps as its accuracy needs."""
         accuracy = Accuracy(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
-        first = self.substeps or accuracy.stable_substeps(times[0], *self._at_start(nominal))
+        modes = accuracy.modes(times[0], *self._at_start(nominal))
         start = self._generic(nominal)[:, None]
-        return accuracy.reached(lambda n: self._flight(nominal, times, rows, n), start, first)
+        return accuracy.reached(lambda n: self._flight(nominal, times, rows, n), start, modes)
 
     def _warn_of_events(self, t: float, nominal: Array) -> None:
         """Tell of an event that is to end the nominal run and has happened before it begins."""
@@ -324,22 +331,23 @@ class ClosedLoop:
         flight = self.flight(x0, t0=t0, tf=tf, parameters=parameters)
         return flight.run(flight.nominal, seed, every=every, folder=folder)
 
-    def kernel(self, substeps: int) -> Kernel:
-        """Return the symbolic step with that many integration steps per minor step."""
+    def kernel(self, substeps: int, beside: bool = True) -> Kernel:
+        """Return the symbolic step with that many integration steps per minor step, for runs with a flight beside them
+        or alone."""
         if substeps * self.minor_steps > _MAX_UNROLLED:
             raise ArgumentError(
                 f"a control step of {self.dt:g} s with {self.minor_steps} minor steps of {substeps} integration steps "
                 f"each has more than {_MAX_UNROLLED}: give a shorter dt, fewer minor_steps or a coarser accuracy."
             )
-        if substeps not in self._kernels:
-            self._kernels[substeps] = build_kernel(self.wiring, substeps)
-        return self._kernels[substeps]
+        if (substeps, beside) not in self._kernels:
+            self._kernels[substeps, beside] = build_kernel(self.wiring, substeps, beside)
+        return self._kernels[substeps, beside]
 
     # --- internals ----------------------------------------------------------------------------------------
 
     def _flight(self, nominal: Array, times: Array, rows: Array, substeps: int) -> Flight:
         return Flight(
-            kernel=self.kernel(substeps),
+            kernel=self.kernel(substeps, beside=False),
             substeps=substeps,
             nominal=nominal,
             layout=self.layout,
@@ -357,7 +365,6 @@ class ClosedLoop:
             errors=self._error_function(),
             error_layout=self.plant.errors,
             events=self.wiring.events.layout,
-            quantities=Quantities.of(self.plant, tuple(self.quantities)) if self.quantities else None,
             judge=self._judge(),
             minor_steps=self.minor_steps,
             estimates=self._estimates(),

@@ -135,12 +135,7 @@ class Wave:
         """
         if self.held:
             return lambda k, node: self.mean
-        part, *later = self.parts
-        for other in later:
-            now = 0.5 * (begin + end) > other.begin
-            part = Part(
-                *(ca.if_else(now, b, a) for a, b in zip(_entries(part), _entries(other), strict=True))
-            )
+        part = self._between(begin, end)
         sigma = (end - begin) / steps
         first = part.value + part.slope * (begin - part.begin)
         decay = None if self.tau is None else _Decay(part, self.tau, begin, sigma, halved)
@@ -152,6 +147,23 @@ class Wave:
             return y if self.after is None else self.after(y)
 
         return value
+
+    def at(self, begin: Any, end: Any, s: Any) -> Any:
+        """Return the value at s, between two times between which there is no break (s)."""
+        if self.held:
+            return self.mean
+        y = self._between(begin, end).at(s, self.tau)
+        return y if self.after is None else self.after(y)
+
+    def _between(self, begin: Any, end: Any) -> Part:
+        """Return the part of each component between two times."""
+        part, *later = self.parts
+        for other in later:
+            now = 0.5 * (begin + end) > other.begin
+            part = Part(
+                *(ca.if_else(now, b, a) for a, b in zip(_entries(part), _entries(other), strict=True))
+            )
+        return part
 
 
 def stacked(waves: Sequence[Wave], h: float) -> Wave:

@@ -10,11 +10,11 @@ from sled import DT, loop_of, regulator, sled
 
 import gnc_opt as go
 from gnc_opt.analysis import loop_response
-from gnc_opt.analysis.resolution import steps_for_modes
 from gnc_opt.errors import ArgumentError
 from gnc_opt.plot import plot_bode, plot_margins, plot_nyquist, plot_sensitivity
 from gnc_opt.simulation import Event, Lag, Sampling, Saturation, ScaleFactor, SensorDelay
 from gnc_opt.simulation.integrate import dormand_prince
+from gnc_opt.simulation.modes import steps_for_modes
 
 HERE = {"x0": [0.0, 0.0], "tf": 1.0}
 

@@ -82,6 +82,38 @@ def test_linear_filters_are_the_textbook_one_to_rounding(design):
     assert z[memory.slice("q_taken")] == 34 and z[memory.slice("twice_taken")] == 40
 
 
+@pytest.mark.parametrize("design", DESIGNS)
+def test_linear_filters_of_plants_that_swing_are_the_textbook_one_to_rounding(design):
+    """A damped spring whose place is told two steps late, and whose speed with a drifting error."""
+    model = go.Model("spring")
+    q, v, a = model.state("q"), model.state("v"), model.control("a")
+    model.ode({q: v, v: a - 4 * q - 0.3 * v})
+    sensors = [Measurement("q", 0.05, delay=2 * DT), Measurement("v", 0.1, bias=0.2, bias_walk=0.02)]
+    given = {"sigma0": {"q": 1.0, "v": 2.0}, "process_noise": {"v": 0.3}, "dt": DT}
+    estimator = design(model, [0.5, -0.2], sensors, **given)
+    A, B, density = np.array([[0, 1.0], [-4, -0.3]]), np.array([0, 1.0]), np.diag([0, 0.09])
+    powers = [np.linalg.matrix_power(A, k) / scipy.special.factorial(k) for k in range(5)]
+    moved = sum(DT**k * power for k, power in enumerate(powers))
+    half = sum((DT / 2) ** k * power for k, power in enumerate(powers[:3]))
+    push = sum(DT ** (k + 1) / (k + 1) * power for k, power in enumerate(powers[:4])) @ B
+    # q, v, q one and two steps ago, bias
+    F, Q = np.zeros((5, 5)), np.zeros((5, 5))
+    F[:2, :2], F[2, 0], F[3, 2], F[4, 4] = moved, 1, 1, 1
+    Q[:2, :2] = DT / 6 * (moved @ density @ moved.T + 4 * half @ density @ half.T + density)
+    Q[4, 4] = 0.02**2 * DT
+    other = Kalman([0.5, -0.2, 0.5, 0.5, 0.0], np.diag([1.0, 4.0, 0.0, 0.0, 0.04]))
+    rng, z = np.random.default_rng(2), None
+    for k in range(30):
+        y, u = rng.normal(size=2), rng.normal()
+        if k >= 2:
+            other.update(np.array([[0, 0, 0, 1.0, 0]]), 0.0025, y[:1])
+        other.update(np.array([[0, 1.0, 0, 0, 1]]), 0.01, y[1:])
+        x, z = estimator(k * DT, y, u, z)
+        assert np.allclose(x, other.x[:2], rtol=1e-12, atol=1e-12)
+        other.predict(F, Q, np.r_[push * u, 0, 0, 0])
+    assert np.allclose(estimator.covariance(z), other.P[:2, :2], rtol=1e-11)
+
+
 @pytest.mark.parametrize("bias", [0.0, 0.5])
 @pytest.mark.parametrize("design", DESIGNS)
 def test_a_single_state_is_estimated_as_by_the_textbook(design, bias):
@@ -137,7 +169,7 @@ def test_noise_enters_as_the_exact_integral_of_a_damped_plant():
         van_loan = scipy.linalg.expm(np.block([[-A, np.diag([0, 1.0])], [np.zeros((2, 2)), A.T]]) * 0.2)
         exact = van_loan[2:, 2:].T @ van_loan[:2, 2:]
         errors.append(np.max(np.abs(estimator.covariance(z) / exact - 1)))
-    assert errors[0] < 2e-3 and errors[1] < errors[0] / 6
+    assert errors[0] < 2.5e-3 and errors[1] < errors[0] / 6
 
 
 def test_predictions_follow_the_nonlinear_dynamics_within_the_limits():
@@ -518,7 +550,7 @@ def test_what_is_not_seen_is_told():
 
 
 def test_the_slope_of_moving_dynamics_is_that_of_the_middle_of_a_step():
-    """x' = t^2 x: F = 1 + a h + (a h)^2 / 2 + (a h)^3 / 6 with a = t^2 halfway, and Simpson's rule for the noise."""
+    """x' = t^2 x: F = 1 + a h + ... + (a h)^4 / 24 with a = t^2 halfway, and Simpson's rule for the noise."""
     model = go.Model("moving")
     x = model.state("x")
     model.control("u")
@@ -530,7 +562,7 @@ def test_the_slope_of_moving_dynamics_is_that_of_the_middle_of_a_step():
     found = ca.Function("F", [own, after, u], [*augmented.transition(t, own, after, u, h, ca.SX([density]))])
     whole, early, late = (float(v) for v in found(1.0, 1.4, 0.0))
     rate = (t + h / 2) ** 2
-    full = 1 + rate * h + (rate * h) ** 2 / 2 + (rate * h) ** 3 / 6
+    full = 1 + rate * h + (rate * h) ** 2 / 2 + (rate * h) ** 3 / 6 + (rate * h) ** 4 / 24
     half = 1 + rate * h / 2 + (rate * h / 2) ** 2 / 2
     assert whole == pytest.approx(full, rel=1e-14)
     noise = whole * early * whole + late
@@ -549,7 +581,7 @@ def test_the_slope_of_bent_dynamics_is_that_of_the_middle_between_both_ends():
     step = augmented.transition(0.0, own, after, u, h, ca.SX([density]))
     whole, early, late = (float(v) for v in ca.Function("F", [own, after, u], [*step])(1.0, 0.8, 0.0))
     full, half = -1.8 * h, -0.9 * h
-    assert whole == pytest.approx(1 + full + full**2 / 2 + full**3 / 6, rel=1e-14)
+    assert whole == pytest.approx(1 + full + full**2 / 2 + full**3 / 6 + full**4 / 24, rel=1e-14)
     assert whole == pytest.approx(0.8**2, abs=5e-3)  # x(t) = 1 / (1 + t), dx/dx_0 = x^2
     middle, noise = 1 + half + half**2 / 2, whole * early * whole + late
     assert noise == pytest.approx(h / 6 * density * (whole**2 + 4 * middle**2 + 1), rel=1e-14)

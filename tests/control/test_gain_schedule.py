@@ -91,6 +91,55 @@ def test_an_output_schedules_and_slowest_poles_are_told():
     assert told["slowest pole between them"] < 0
 
 
+def autopilot(mach=None) -> go.Model:
+    """Pitch of a missile; the Mach number is a state that falls by itself, or a number."""
+    model = go.Model("pitch")
+    alpha, q, fin = model.state("alpha"), model.state("q"), model.control("fin")
+    free = mach is None
+    m = model.state("mach") if free else mach
+    stiffness, power = 12 - 6 * m, 9 * m**2
+    motion = {alpha: q - 0.3 * m * (alpha + 0.2 * fin), q: stiffness * m**2 * alpha - q - power * fin}
+    model.ode(motion | ({m: -0.05 * m} if free else {}))
+    model.output("pressure", 0.7 * m**2)
+    return model
+
+
+@pytest.mark.parametrize("over", ["mach", "pressure"])
+def test_what_no_control_moves_is_taken_as_given(over):
+    """Its Mach number is no affair of an autopilot: gains are those of the pitch alone, and none answers to it."""
+    grid = [1.5, 2.5, 4.0]
+    values = grid if over == "mach" else [0.7 * m**2 for m in grid]
+    back = (lambda m: m) if over == "mach" else (lambda p: np.sqrt(p / 0.7))
+    at = lambda v: ([0.0, 0.0, back(v)], [0.0])  # noqa: E731
+    model, weights = autopilot(), {"R": 1.0, "dt": 0.02}
+    glide = lambda t: [0.0, 0.0, 4 * np.exp(-0.05 * t)]  # noqa: E731
+    path = go.Reference.from_functions(model, glide, lambda t: [0.0], 0.0, 15.0)
+    law = design_gain_schedule(model, path, over={over: values}, at=at, Q=[20, 1, 5], **weights)
+    for m in grid:
+        alone = go.design_lqr(autopilot(m), [0.0, 0.0], Q=[20, 1], **weights).explain()["gain"]
+        state = np.array([0.1, -0.2, m])
+        assert law(0.0, state)[0] == pytest.approx(-np.asarray(alone) @ state[:2], rel=1e-9)
+        assert law(0.0, [0.0, 0.0, m])[0] == pytest.approx([0.0], abs=1e-15)
+    assert law.explain()["taken as given"] == "mach"
+    run = go.ClosedLoop(model, law).simulate([0.2, 0.0, 4.0], tf=15.0)
+    assert run.states[2, -1] == pytest.approx(4 * np.exp(-0.75), rel=1e-9)
+    assert np.max(np.abs(run.states[:2, -1])) < 1e-9
+
+
+def test_given_states_that_do_not_schedule_are_refused():
+    model = go.Model("drifting")
+    x, w, m, u = model.state("x"), model.state("w"), model.state("m"), model.control("u")
+    model.ode({x: m * u + w, w: 0.1 * w, m: 0})
+    task = {"over": {"m": [1, 2]}, "Q": 1, "R": 1, "dt": DT, "at": lambda m: ([0, 0, m], [0])}
+    with pytest.raises(DesignError, match=r"no control reaches the mode with eigenvalue 0\.1 1/s in 'w'"):
+        design_gain_schedule(model, [0.0, 0.0, 1.0], **task)
+    still = go.Model("still")
+    m, u = still.state("m"), still.control("u")
+    still.ode({m: -m})
+    with pytest.raises(DesignError, match="no control moves a state of model 'still'"):
+        design_gain_schedule(still, [0.0], **task | {"at": lambda m: ([m], [0])})
+
+
 @needs_compiler
 def test_compiled_schedule_agrees_with_python(tmp_path):
     law = schedule()

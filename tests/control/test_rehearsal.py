@@ -160,6 +160,23 @@ def test_zero_dynamics_that_blow_up_from_a_start_are_refused():
         held(1, [1.5, 0.0], reaching=ConstantRate(1.0))
 
 
+def test_what_a_run_takes_for_diverged_is_refused_though_it_comes_back():
+    """Zero dynamics that grow by exp(3 t) for 20 s and decay afterwards: eta passes 1e25."""
+    model = go.Model("unstable in the middle")
+    y, eta, phase, u = model.state("y"), model.state("eta"), model.state("phase"), model.control("u")
+    model.ode({y: u, eta: (3 - 4 * phase) * eta + y, phase: phase * (1 - phase)})
+    rise = lambda t: 1 / (1 + np.exp(20 - t))  # noqa: E731
+    reference = go.Reference.from_functions(model, lambda t: [0.0, 0.0, rise(t)], lambda t: [0.0], 0.0, 60.0)
+    start = [0.1, 0.0, rise(0.0)]
+    task = {"outputs": "y", "poles": [-1.0], "dt": 0.05}
+    run = go.ClosedLoop(model, design_feedback_linearization(model, reference, **task)).simulate(
+        start, tf=60.0
+    )
+    assert run.outcome.diverged
+    with pytest.raises(DesignError, match=r"'eta' leaves all bounds at t = 12"):
+        design_feedback_linearization(model, reference, **task, start=start)
+
+
 @pytest.mark.parametrize("eta", [0.3, 0.1])
 def test_a_rehearsal_lasts_until_zero_dynamics_have_blown_up(eta):
     """They escape at 1 / (2 eta^2) = 5.56 s and 50 s, however soon the output is where it belongs."""

@@ -74,10 +74,12 @@ def test_the_wheels_limits_are_at_work(campaigns):
     assert fastest == pytest.approx(allowed, rel=2e-3) and np.all(fastest < LIMITS["max(speed)"])
     assert np.all(campaigns["FLC"].measure("max(torque)") > 0.9 * MAX_TORQUE)
     again = campaigns["FLC"].rerun(0)
-    assert peak_speed(again) == pytest.approx(fastest[0], rel=1e-12)
-    assert np.max(np.abs(again.state("motor").values)) == pytest.approx(
-        campaigns["FLC"].measure("max(torque)")[0], rel=1e-12
-    )
+    # measures are of the motion, also between the samples of the run
+    for measured, sampled in (
+        (fastest[0], peak_speed(again)),
+        (campaigns["FLC"].measure("max(torque)")[0], np.max(np.abs(again.state("motor").values))),
+    ):
+        assert sampled * (1 - 1e-12) <= measured <= sampled * (1 + 1e-4)
 
 
 def test_a_wheel_is_braked_before_its_limit():

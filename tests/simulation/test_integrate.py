@@ -3,8 +3,11 @@
 import casadi as ca
 import numpy as np
 import pytest
+from loops import double_integrator, feedback
 
-from gnc_opt.simulation.integrate import ERROR_WEIGHTS, NODES, STAGES, dormand_prince
+import gnc_opt as go
+from gnc_opt.simulation import Normal
+from gnc_opt.simulation.integrate import ERROR_WEIGHTS, NODES, STAGES, dormand_prince, linear_error
 
 
 def _advance(f, x0, length, steps):
@@ -48,3 +51,64 @@ def test_estimate_bounds_the_true_error(steps):
     exact, _ = _advance(_pendulum, [1.0, 0.0], 2.0, 400)
     after, estimate = _advance(_pendulum, [1.0, 0.0], 2.0, steps)
     assert np.max(np.abs(after - exact)) < estimate
+
+
+@pytest.mark.parametrize("z", [0.3, -0.7, 0.2 + 0.9j, -0.4j])
+def test_the_error_of_a_mode_is_that_of_a_step(z):
+    rate, start = np.array([[z.real, -z.imag], [z.imag, z.real]]), np.array([1.0, 0.0])
+    stages = []
+    for row in STAGES:
+        stages.append(rate @ (start + sum((w * k for w, k in zip(row, stages, strict=True)), 0 * start)))
+    told = np.linalg.norm(np.array(ERROR_WEIGHTS) @ np.array(stages))
+    assert linear_error(np.array([complex(z)])) == pytest.approx(told, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("rate", "damping", "step", "duration"), [(3.0, 0.01, 0.1, 20.0), (1.0, 0.0, 0.5, 60.0)]
+)
+def test_dispersed_runs_of_what_stands_still_are_accurate(rate, damping, step, duration):
+    """A nominal run at rest shows no error: one integration step was taken, and 20 of 20 runs beside it flagged."""
+    swing = go.Model("swing")
+    q, v, u = swing.state("q"), swing.state("v"), swing.control("u")
+    swing.ode({q: v, v: u - rate**2 * q - 2 * damping * rate * v})
+    loop = go.ClosedLoop(swing, go.design_lqr(swing, [0, 0], Q=1, R=1, dt=step), dt=step)
+    spread = {"initial.q": Normal(0.3), "initial.v": Normal(0.3)}
+    runs = go.monte_carlo(loop, 20, x0=[0.0, 0.0], tf=duration, dispersions=spread, executor="serial")
+    assert all(outcome.ok for outcome in runs.outcomes)
+    assert loop.flight([0.0, 0.0], tf=duration).substeps <= 3 * loop.flight([1.0, 0.0], tf=duration).substeps
+    held = go.ClosedLoop(
+        swing, go.feedforward(go.Reference.constant(swing, [0, 0], [0])), dt=step, substeps=2
+    )
+    assert held.flight([0.0, 0.0], tf=duration).substeps == 2
+
+
+def test_a_coasting_mass_at_rest_takes_one_step():
+    cart = double_integrator()
+    assert (
+        go.ClosedLoop(cart, feedback(cart, [[0.0, 0.0]]), dt=1.0).flight([0.0, 0.0], tf=1000.0).substeps == 1
+    )
+
+
+def _within(length):
+    """Return state and rate at the ends of a step of the pendulum and at 0.6 of it; its end, first and last stages."""
+    seen, x = [], ca.SX.sym("x", 2)
+    dormand_prince(_pendulum, 0.3, x, length, 1, None, lambda taken: seen.append(taken) or taken.after)
+    (taken,) = seen
+    told = [*taken.at(0.0), *taken.at(0.6), *taken.at(1.0), taken.after, taken.stages[0], taken.stages[-1]]
+    return [v.full()[:, 0] for v in ca.Function("within", [x], told)(_START)]
+
+
+_START = [0.4, -0.2]
+
+
+def test_within_a_step_the_solution_is_of_fourth_order():
+    """Both ends and their rates are kept; halved steps leave 1/32 of the error between."""
+    errors = []
+    for length in (0.4, 0.2, 0.1):
+        first, rate, middle, middle_rate, last, last_rate, *ends = _within(length)
+        assert np.allclose([first, last, rate, last_rate], [_START, *ends], rtol=1e-13, atol=1e-14)
+        truth, _ = _advance(lambda t, y, u: _pendulum(t + 0.3, y, u), _START, 0.6 * length, 20)
+        slope = _pendulum(0.3 + 0.6 * length, ca.DM(truth), None).full()[:, 0]
+        errors.append([np.abs(middle - truth).max(), np.abs(middle_rate - slope).max()])
+    ratios = np.array(errors[:-1]) / errors[1:]
+    assert ratios[1, 0] > 24 and ratios[1, 1] > 12

@@ -141,7 +141,7 @@ class AugmentedModel:
         last, vehicle = self.vehicle.error_slope(end), self.vehicle
         rest = ca.SX.eye(self.errors.size - vehicle.errors)
         one, square = ca.SX.eye(n), A @ A
-        change = one + h * A + h**2 / 2 * square + h**3 / 6 * (square @ A)
+        change = one + h * A + square @ (h**2 / 2 * one + h**3 / 6 * A + h**4 / 24 * square)
         whole = ca.diagcat(last @ change @ vehicle.move_slope(own), rest)
         change = one + h / 2 * A + h**2 / 8 * square  # for the noise, which is small already
         half = ca.diagcat(last @ change @ vehicle.move_slope(middle), rest)

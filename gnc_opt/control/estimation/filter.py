@@ -20,9 +20,9 @@ halfway, R and D of `space`,
 .. math:: F_{h,s} = D_h \, e^{A (h - s)} R_s, \qquad
    P \leftarrow F_{h,0} P F_{h,0}^T + \tfrac{h}{6} \left( F_{h,0} Q F_{h,0}^T + 4\, F_{h,h/2} Q F_{h,h/2}^T + Q \right),
 
-by Simpson's rule with the exponential up to its third power (that from h/2 on, of the noise, up to its second); the
-unscented filter carries its points in place of the first term. Exact for chains of two integrators; of second order in
-h where A changes.
+by Simpson's rule with the exponential up to its fourth power, which is how the Runge-Kutta method moves errors of a
+linear system (that from h/2 on, of the noise, up to its second); the unscented filter carries its points in place of
+the first term. Exact for chains of two integrators; of second order in h where A changes.
 
 References
 ----------

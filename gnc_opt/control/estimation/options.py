@@ -20,7 +20,7 @@ class FilterOptions:
     t0 : float
         Time of the first control step, s; matters for the first value of delayed measurements that depend on time.
     substeps : int
-        Integration steps per control step, each of two Runge-Kutta steps.
+        Runge-Kutta steps of the prediction per control step.
     hold : int
         Control steps in a row that should have brought a sample and brought none for which the prediction is told;
         then what is no number, until the next sample is taken.

@@ -7,7 +7,8 @@ the frozen linear plant is found; in flight
 
 with the weights w of (multi)linear interpolation on the grid, within which the scheduling variables are held.
 :math:`\sigma` are states or outputs of the model. Stability of each frozen loop, also half way between the points, does
-not imply that of a loop whose schedule moves as fast as its errors.
+not imply that of a loop whose schedule moves as fast as its errors. Scheduling states that no control moves, such as
+the Mach number of an autopilot, are taken as given: the regulator is that of the others.
 
 References
 ----------
@@ -35,7 +36,7 @@ from gnc_opt.control.linear.riccati import require_stabilizable, steady
 from gnc_opt.control.linear.weights import QuadraticCost, Weight, read_cost
 from gnc_opt.control.poles import continuous_poles
 from gnc_opt.control.reference import Reference, read_plant
-from gnc_opt.control.sampling import sample
+from gnc_opt.control.sampling import SampledStep, sample
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.layout import Layout, as_vector
@@ -66,7 +67,8 @@ def design_gain_schedule(
         What is followed: states and feedforward; a state is kept, with the control that does so.
     over : mapping
         Grid of each scheduling variable, ``{"speed": [20.0, 30.0, 45.0]}``: a scalar state or output of the model that
-        depends on no control; increasing, two points or more.
+        depends on no control; increasing, two points or more. States behind them that no control moves are taken as
+        given: they have no gain, and their weights count for nothing.
     at : callable
         State and control about which the plant is linearised, from one value of each scheduling variable; it is asked
         between the points of the grid, too.
@@ -99,14 +101,18 @@ def design_gain_schedule(
     reference = read_plant(model, reference, "design_gain_schedule")
     deviation, cost = Deviation(model), read_cost(model, Q, R, None)
     grids = _grids(over)
-    points = _Points(deviation, cost, at, read_positive(dt, "the control step dt"))
+    t, x = ca.SX.sym("t"), ca.SX.sym("x", model.states.size)
+    variables = [_variable(deviation, name, t, x) for name in grids]
+    given = _given(model, x, ca.vertcat(*variables))
+    points = _Points(deviation, cost, at, read_positive(dt, "the control step dt"), given)
+    if not points.steered.size:
+        raise DesignError(f"no control moves a state of model '{model.name}': there is nothing to feed back.")
     corners = list(itertools.product(*grids.values()))
     gains = [points.gain(values) for values in corners]
     facts = _facts(points, grids, corners, gains)
-    t, x = ca.SX.sym("t"), ca.SX.sym("x", model.states.size)
     r = ca.SX.sym("r", x.numel() + model.controls.size)
     x_ref, u_ff = r[: x.numel()], r[x.numel() :]
-    weights = [_weights(grid, _variable(deviation, name, t, x)) for name, grid in grids.items()]
+    weights = [_weights(grid, value) for grid, value in zip(grids.values(), variables, strict=True)]
     gain = ca.SX.zeros(*gains[0].shape)
     for each, values in zip(itertools.product(*weights), gains, strict=True):
         weight = each[0]
@@ -133,15 +139,31 @@ def design_gain_schedule(
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """Operating points: their sampled plants and gains."""
+    """Operating points: their sampled plants and gains, of the errors of states that are not ``given``."""
 
     deviation: Deviation
     cost: QuadraticCost
     at: OperatingPoint
     dt: float
+    given: tuple[str, ...]
+
+    @property
+    def steered(self) -> Array:
+        """Places of the errors that are fed back."""
+        errors = self.deviation.errors
+        kept = np.ones(errors.size, dtype=bool)
+        for name in self.given:
+            kept[errors.slice(name)] = False
+        return np.asarray(np.flatnonzero(kept))
+
+    def held(self, values: tuple[float, ...]) -> SampledStep:
+        """Return plant and cost over a control step."""
+        (a, b), (q, r, n), kept = self.plant(values), self.cost, self.steered
+        square = np.ix_(kept, kept)
+        return sample(a[square], b[kept], q[square], r, n[kept], self.dt)
 
     def plant(self, values: tuple[float, ...]) -> tuple[Array, Array]:
-        """Return A and B, continuous."""
+        """Return A and B of all errors, continuous."""
         model, where = self.deviation.model, _where(values)
         x, u = self.at(*values)
         state = as_vector(x, model.states.size, f"the state {where}", ArgumentError)
@@ -153,20 +175,34 @@ class _Points:
 
     def gain(self, values: tuple[float, ...]) -> Array:
         """Return K (n_controls, n_errors)."""
-        a, b = self.plant(values)
-        labels = self.deviation.errors.labels
+        (a, b), kept = self.plant(values), self.steered
+        labels = tuple(self.deviation.errors.labels[i] for i in kept)
+        gain = np.zeros((b.shape[1], a.shape[0]))
         try:
-            require_stabilizable(a, b, labels)
-            held = sample(a, b, *self.cost, self.dt)
-            return steady(held.a, held.b, held.q, held.r, held.n, labels, sampled=True).gain
+            require_stabilizable(a[np.ix_(kept, kept)], b[kept], labels)
+            held = self.held(values)
+            gain[:, kept] = steady(held.a, held.b, held.q, held.r, held.n, labels, sampled=True).gain
         except DesignError as error:
             raise DesignError(f"{_where(values)}: {error}") from error
+        return gain
 
     def slowest(self, values: tuple[float, ...], gain: Array) -> float:
         """Return the largest real part of the frozen loop's poles, 1/s."""
-        a, b = self.plant(values)
-        held = sample(a, b, *self.cost, self.dt)
-        return float(np.max(continuous_poles(np.linalg.eigvals(held.a - held.b @ gain), self.dt).real))
+        held = self.held(values)
+        closed = held.a - held.b @ gain[:, self.steered]
+        return float(np.max(continuous_poles(np.linalg.eigvals(closed), self.dt).real))
+
+
+def _given(model: Model, x: ca.SX, scheduling: ca.SX) -> tuple[str, ...]:
+    """Return the states behind scheduling variables, expressions of x, that no control moves, however indirectly."""
+    _, states, controls, _ = model.arguments()
+    f = model.derivative()
+    among, by = (np.asarray(ca.DM(ca.jacobian_sparsity(f, v), 1).full()) > 0 for v in (states, controls))
+    moved, behind = by.any(axis=1), np.array(ca.which_depends(scheduling, x, 1, False))
+    for _ in range(moved.size):
+        moved, behind = moved | among[:, moved].any(axis=1), behind | among[behind].any(axis=0)
+    alone = behind & ~moved
+    return tuple(name for name in model.states.names if alone[model.states.slice(name)].all())
 
 
 def _facts(
@@ -190,8 +226,12 @@ def _facts(
             "give the grid more points there."
         )
     told = "frozen, real part"
+    given = (
+        [Fact("taken as given", ", ".join(points.given), "", "no control moves them")] if points.given else []
+    )
     return [
         Fact("operating points", len(corners)),
+        *given,
         Fact("slowest pole at the points", at_points, "1/s", told),
         Fact("slowest pole between them", poles[worst], "1/s", f"{told}, {_where(middles[worst])}"),
     ]

@@ -158,7 +158,9 @@ def _facts(plan: SmoothPlan, found: Feedback, schedule: ExtremalSchedule) -> lis
                 "end by deviation", found.end_gain[0], "", f"s per unit of each state at the start: {states}"
             )
         )
-    remark = f"deviations at the start, each alone and both ways, for which first order is off by {BENT:.0%} at most"
+    remark = (
+        f"deviations at the start, each alone and both ways, whose flights first order tells to {BENT:.0%}"
+    )
     return [*facts, Fact("valid for", validity(plan, schedule), "", f"{remark}: {states}")]
 
 
