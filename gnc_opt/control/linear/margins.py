@@ -119,7 +119,7 @@ def _disk(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> fl
 
     def peaks(log_w: Array) -> Array:
         sensitivity = np.linalg.inv(one + _loop(a, b, gain, np.exp(log_w), dt))
-        return np.linalg.norm(sensitivity - 0.5 * one, 2, axis=(1, 2))
+        return np.asarray(np.linalg.norm(sensitivity - 0.5 * one, 2, axis=(1, 2)))
 
     grid = np.log(omega)
     values = peaks(grid)
