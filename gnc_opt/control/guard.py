@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from gnc_opt.arguments import read_positive
 from gnc_opt.control.controller import Controller, Schedule, first_memory, law
 from gnc_opt.control.dropout import bridge_dropouts
 from gnc_opt.control.explanation import Explanation, Fact, number_text
@@ -87,6 +88,7 @@ def guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) ->
     DesignError
         det E vanishes, changes its sign or falls below ``guard`` times its largest value on the reference.
     """
+    guard = read_positive(guard, "the guard of a design", DesignError, or_zero=True)
     pair, matrix, determinant = errors.pair, errors.decoupling, errors.determinant
     times = reference_times(reference)
     values = np.array([v[0, 0] for v in pair.along(reference, times, determinant)])
