@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy
+from flexible import cross
 
 from gnc_opt.arrays import Array
 from gnc_opt.simulation import Campaign, Run, consistency
@@ -141,10 +142,10 @@ def flown_again(runs: list[Run], steps: int) -> Array:
 
     def rate(t: float, flat: Array, told: Array) -> Array:
         q, omega, h, motor = np.split(flat.reshape(15, -1), [4, 7, 11])
-        twist = np.cross(q[1:], omega, axis=0)
+        twist = cross(q[1:], omega)
         turn = 0.5 * np.vstack([-np.sum(q[1:] * omega, axis=0), q[0] * omega + twist])
         total = inertia * omega + AXES @ h
-        spin = (AXES @ motor + external - np.cross(omega, total, axis=0)) / inertia
+        spin = (AXES @ motor + external - cross(omega, total)) / inertia
         return np.vstack([turn, spin, -motor, (told - motor) / lag]).ravel()
 
     y = np.stack([run.states[:, 0] for run in runs], axis=1).ravel()

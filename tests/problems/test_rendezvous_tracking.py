@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from few_runs import few_runs
+from flexible import cross
 from scipy.integrate import solve_ivp
 
 import gnc_opt as go
@@ -272,11 +273,6 @@ def flown_again(runs: list[Run], steps: int) -> Array:
         y = solve_ivp(rate, (0.0, DT), y, "DOP853", args=(told, gap), rtol=1e-8, atol=1e-9).y[:, -1]
         applied = told + gap * np.exp(-DT / tau)
     return np.asarray(y.reshape(12, -1))
-
-
-def cross(a: Array, b: Array) -> Array:
-    """Return the cross products of columns."""
-    return np.stack([a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)])
 
 
 def test_both_plans_fly_as_their_page_says():
