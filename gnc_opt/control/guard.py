@@ -98,6 +98,14 @@ def guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) ->
     lost = not np.all(np.isfinite(values)) or signed[worst] < guard * scale
     there = pair.along(reference, times[[worst]], matrix)[0]
     if lost or dependent(np.linalg.svd(there, compute_uv=False)):
+        if len(errors.labels) > 1 and all(
+            dependent(np.linalg.svd(each, compute_uv=False)) for each in pair.along(reference, times, matrix)
+        ):
+            raise DesignError(
+                f"the decoupling matrix of outputs {', '.join(errors.labels)} is singular all along the reference: the "
+                "controls that move them first do not tell them apart; make such a control a state and its rate the "
+                "control, or choose other outputs."
+            )
         raise DesignError(
             f"the decoupling matrix of outputs {', '.join(errors.labels)} is singular on the reference: det E = "
             f"{values[worst]:.3g} at t = {times[worst]:.6g} s, where its largest value is {scale:.3g}; "
