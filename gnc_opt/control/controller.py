@@ -16,7 +16,7 @@ from gnc_opt.control.c_numbers import CNumbers
 from gnc_opt.control.explanation import Explanation
 from gnc_opt.control.python_control import sampled_system
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.layout import Layout, as_vector
+from gnc_opt.model.layout import Layout, as_point
 from gnc_opt.tolerances import SAME_TIME
 
 Schedule: TypeAlias = Callable[[Array, float], Array]
@@ -165,7 +165,7 @@ class Controller:
 
     def initial_memory(self, t: float, x: ArrayLike, dt: float | None = None) -> Array:
         """Return the memory (n_memory,) at a first step at t (s) with the measured state x (n_states,)."""
-        state = as_vector(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
+        state = as_point(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
         return np.asarray(self.start(float(t), state, self.signal(t, dt)).full()[:, 0])
 
     def __call__(
@@ -184,7 +184,7 @@ class Controller:
         dt : float, optional
             Length of the step, s; see `step_length`.
         """
-        state = as_vector(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
+        state = as_point(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
         row = self.signal(t, dt)
         if z is not None and np.size(z) != self.memory.size:
             raise ArgumentError(

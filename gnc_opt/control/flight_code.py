@@ -182,6 +182,8 @@ def _read_options(options: CodeOptions | None, form: FlightLaw) -> CodeOptions:
             f"there is no precision {shown(told.precision)}: {did_you_mean(str(told.precision), list(_NUMBERS))}"
         )
     tolerance = read_positive(told.table_tolerance, "the table tolerance of export_c()", or_zero=True)
+    if tolerance >= 1:
+        raise ArgumentError(f"the table tolerance of export_c() is {tolerance:g}: give a share below 1.")
     if tolerance and form.solver is not None:
         raise ArgumentError(
             f"the schedule of '{form.controller.name}' has no gains to interpolate: leave table_tolerance out."

@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from gnc_opt.arguments import read_positive
 from gnc_opt.control.controller import Controller, Schedule, first_memory, law
 from gnc_opt.control.dropout import bridge_dropouts
 from gnc_opt.control.explanation import Explanation, Fact, number_text
@@ -87,6 +88,7 @@ def guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) ->
     DesignError
         det E vanishes, changes its sign or falls below ``guard`` times its largest value on the reference.
     """
+    guard = read_positive(guard, "the guard of a design", DesignError, or_zero=True)
     pair, matrix, determinant = errors.pair, errors.decoupling, errors.determinant
     times = reference_times(reference)
     values = np.array([v[0, 0] for v in pair.along(reference, times, determinant)])
@@ -96,6 +98,14 @@ def guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) ->
     lost = not np.all(np.isfinite(values)) or signed[worst] < guard * scale
     there = pair.along(reference, times[[worst]], matrix)[0]
     if lost or dependent(np.linalg.svd(there, compute_uv=False)):
+        if len(errors.labels) > 1 and all(
+            dependent(np.linalg.svd(each, compute_uv=False)) for each in pair.along(reference, times, matrix)
+        ):
+            raise DesignError(
+                f"the decoupling matrix of outputs {', '.join(errors.labels)} is singular all along the reference: the "
+                "controls that move them first do not tell them apart; make such a control a state and its rate the "
+                "control, or choose other outputs."
+            )
         raise DesignError(
             f"the decoupling matrix of outputs {', '.join(errors.labels)} is singular on the reference: det E = "
             f"{values[worst]:.3g} at t = {times[worst]:.6g} s, where its largest value is {scale:.3g}; "

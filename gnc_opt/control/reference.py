@@ -14,7 +14,7 @@ from gnc_opt.arguments import expect, read_numbers
 from gnc_opt.arrays import Array
 from gnc_opt.control.residual import residual
 from gnc_opt.errors import ArgumentError, did_you_mean, shown, warn_user
-from gnc_opt.model.layout import Layout, as_vector
+from gnc_opt.model.layout import Layout, as_point
 from gnc_opt.model.model import Model
 from gnc_opt.solution.phase_solution import PhaseSolution
 from gnc_opt.solution.solution import Solution
@@ -108,11 +108,11 @@ class Reference(Strict):
             The control there; without it the one that keeps the state at rest.
         """
         expect(model, Model, "the model of a reference", "give the Model of the plant")
-        state = as_vector(x, model.states.size, "the state of a constant reference", ArgumentError)
+        state = as_point(x, model.states.size, "the state of a constant reference", ArgumentError)
         control = (
             trim(model, 0.0, state)
             if u is None
-            else as_vector(u, model.controls.size, "the control of a constant reference", ArgumentError)
+            else as_point(u, model.controls.size, "the control of a constant reference", ArgumentError)
         )
         return cls.from_functions(model, lambda _: state, lambda _: control, 0.0, 0.0, tail="hold")
 
@@ -163,6 +163,11 @@ class Reference(Strict):
             raise ArgumentError(
                 f"a reference from {span[0]} s to {span[1]} s is none: give increasing times."
             )
+        for function, of in ((x, "states"), (u, "controls")):
+            if not callable(function):
+                raise ArgumentError(
+                    f"the {of} of a reference are {shown(function)}: give a function of time."
+                )
         over = _checked if vectorized else _over_times
         reference._set(
             model,
@@ -290,7 +295,7 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
     >>> print(trim(lift, 0.0, [10.0, 0.0]))
     [19.62]
     """
-    state = as_vector(x, model.states.size, "the state to rest at", ArgumentError)
+    state = as_point(x, model.states.size, "the state to rest at", ArgumentError)
     u = np.zeros(model.controls.size)
     for _ in range(20):
         step = np.linalg.lstsq(model.linearize(t, state, u)[1], -model.f(t, state, u), rcond=None)[0]
@@ -337,7 +342,7 @@ def _over_times(function: Callable[[float], ArrayLike], layout: Layout) -> Calla
         values = _block(rows, layout.size)
         if values is None:
             what = f"the {layout.kind}s of a reference"
-            values = np.array([as_vector(row, layout.size, what) for row in rows])
+            values = np.array([as_point(row, layout.size, what) for row in rows])
         return _require_finite(values.T, times, layout)
 
     return many

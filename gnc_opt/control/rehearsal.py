@@ -23,7 +23,7 @@ from gnc_opt.control.lie import OutputErrors
 from gnc_opt.control.limits import Authority, saturated
 from gnc_opt.control.reference import Reference
 from gnc_opt.errors import DesignError
-from gnc_opt.model.layout import as_vector
+from gnc_opt.model.layout import as_point
 from gnc_opt.tolerances import PLAUSIBLE, ROUNDING
 
 Rehearsal: TypeAlias = Callable[[Controller], list[Fact]]
@@ -117,7 +117,7 @@ def rehearse(controller: Controller, trial: Trial, watch: Callable[[Path], objec
     equilibrium: as long as they move away the rehearsal goes on, with acts that are twice as long each time.
     """
     errors, reference, limits, dt = trial.errors, trial.reference, trial.limits, trial.dt
-    x = as_vector(trial.start, errors.pair.x.numel(), "the state at the start", DesignError)
+    x = as_point(trial.start, errors.pair.x.numel(), "the state at the start", DesignError)
     t = reference.initial_time
     count = int(np.clip(np.ceil(trial.span / dt), 100, _MOST_STEPS))
     step = _step(controller, errors, reference, limits, dt, x)

@@ -129,6 +129,13 @@ def as_vector(value: ArrayLike, size: int, what: str, error: ErrorType = Problem
     return array
 
 
+def as_point(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
+    """Return what `as_vector` does of a state or a whole measurement: a list of one number is no list of several."""
+    if size != 1 and np.shape(read_numbers(value, what, error)) == (1,):
+        raise error(f"{what} is given 1 value in a list: give {size} values.")
+    return as_vector(value, size, what, error)
+
+
 def as_magnitudes(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
     """Return typical magnitudes as `as_vector` does; they are positive and finite, or an error is raised."""
     vector = as_vector(value, size, what, error)

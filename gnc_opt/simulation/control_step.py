@@ -183,6 +183,8 @@ class ControlStep:
         plant, links = self.wiring.plant, self.wiring.disturbances
 
         def f(t: Any, x: Any, u: Any) -> Any:
+            if not links:
+                return plant.function(t, x, u, self.plant_p)
             by_name = self.by_state(x)
             extra_u, extra_x = ca.SX.zeros(plant.controls.size), ca.SX.zeros(plant.states.size)
             for i, link in enumerate(links):

@@ -16,6 +16,7 @@ table 2 (RK5(4)7M); within a step, Hairer, Norsett and Wanner, "Solving Ordinary
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple, TypeAlias
 
 import casadi as ca
@@ -134,15 +135,39 @@ def dormand_prince(
         start = t + i * h
         k = [f(start, x, None if u is None else u(i, 0.0)) if rate is None else rate]
         for node, row in zip(NODES[1:], STAGES[1:], strict=True):
-            after = x + h * _combine(row, k)
+            after = _stage(row, x.shape[0])(x, h, *k)
             k.append(f(start + node * h, after, None if u is None else u(i, node)))
-        error, size = h * _combine(ERROR_WEIGHTS, k), ca.fabs(after)
-        total = total + ca.mmax((ca.fabs(error) + ROUNDING * size) / ca.fmax(1.0, size))
+        error, rounding = _judged(x.shape[0])(after, h, *k)
+        total = total + error
         if stepped is not None:
-            after = stepped(Taken(i, h, start, x, after, k, ca.copysign(ROUNDING * size, error)))
+            after = stepped(Taken(i, h, start, x, after, k, rounding))
         # the last stage is the first of the next step, unless the input jumps there
         x, rate = after, k[-1] if u is None else None
     return x, total
+
+
+@cache
+def _stage(row: tuple[float, ...], n: int) -> Any:
+    """Where a stage begins, from x (n,), h and the rates before it.
+
+    As a function: CasADi takes a call apart into the same operations several times as fast as it takes them from Python
+    one by one, and of a control step there are thousands.
+    """
+    x, h, *k = _columns(n, len(row))
+    return ca.Function("stage", [x, h, *k], [x + h * _combine(row, k)])
+
+
+@cache
+def _judged(n: int) -> Any:
+    """The error of a step and what rounding may amount to, from x (n,) after it, h and its rates."""
+    after, h, *k = _columns(n, len(ERROR_WEIGHTS))
+    error, size = h * _combine(ERROR_WEIGHTS, k), ca.fabs(after)
+    largest = ca.mmax((ca.fabs(error) + ROUNDING * size) / ca.fmax(1.0, size))
+    return ca.Function("judged", [after, h, *k], [largest, ca.copysign(ROUNDING * size, error)])
+
+
+def _columns(n: int, rates: int) -> list[Any]:
+    return [ca.SX.sym("x", n), ca.SX.sym("h"), *(ca.SX.sym(f"k{i}", n) for i in range(rates))]
 
 
 def linear_error(z: Array) -> Array:

@@ -15,7 +15,7 @@ from gnc_opt.arguments import expect, read_integer, read_positive
 from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, shown, unknown_name, warn_user
-from gnc_opt.model.layout import Layout, as_vector
+from gnc_opt.model.layout import Layout, as_point, as_vector
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.accuracy import Accuracy
 from gnc_opt.simulation.block import Block
@@ -194,7 +194,7 @@ class ClosedLoop:
         if isinstance(x0, Mapping):
             changes = {**{f"initial.{n}": v for n, v in x0.items()}, **(changes or {})}
         elif x0 is not None:
-            x = as_vector(x0, states.size, "the initial state of a run", ArgumentError)
+            x = as_point(x0, states.size, "the initial state of a run", ArgumentError)
             for name in states.names:
                 P[self.layout.slice(f"initial.{name}")] = x[states.slice(name)]
         for name, value in (changes or {}).items():

@@ -245,10 +245,13 @@ class Outage(Block):
     where: Callable[[Any, Mapping[str, Any]], Any] | None = None
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        return {
-            "begin": (scalar(self.begin, f"the begin of '{self.name}'"), "s"),
-            "end": (scalar(self.end, f"the end of '{self.name}'"), "s"),
-        }
+        begin, end = (
+            scalar(self.begin, f"the begin of '{self.name}'"),
+            scalar(self.end, f"the end of '{self.name}'"),
+        )
+        if end < begin:
+            raise ArgumentError(f"'{self.name}' ends at {end[0]:g} s, before it begins at {begin[0]:g} s.")
+        return {"begin": (begin, "s"), "end": (end, "s")}
 
     def step(self, tick: Tick, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         begin, end = (p[name] - SAME_TIME * tick.dt for name in ("begin", "end"))

@@ -31,7 +31,7 @@ def open_loop(body: FlexibleBody, x0: Array, torque: tuple[float, ...], tf: floa
     """Return the run under a constant torque (N m) in inertial space."""
     model = build_model(body, 0.0)
     hold = feedforward(Reference.constant(model, x0, torque))
-    return ClosedLoop(model, hold, dt=0.1, accuracy=1e-10).simulate(x0, tf=tf)
+    return ClosedLoop(model, hold, dt=0.1, accuracy=1e-8).simulate(x0, tf=tf)
 
 
 OPEN_LOOP = {

@@ -8,6 +8,7 @@ from stepping import step_through
 
 import gnc_opt as go
 from gnc_opt.control import (
+    CodeOptions,
     ConstantRate,
     ExponentialRate,
     FilterOptions,
@@ -33,6 +34,7 @@ from gnc_opt.control import (
     output_feedback,
 )
 from gnc_opt.errors import ArgumentError, DesignError
+from gnc_opt.simulation import Outage
 
 
 def cart() -> go.Model:
@@ -204,6 +206,64 @@ SEEN = [Measurement("q", 0.1)]
 def test_what_a_function_cannot_take_is_named_with_what_it_takes(asked, words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ArgumentError, match=f"^(what|the|one|over|its)?.*{re.escape(words)}"):
+        asked()
+
+
+SLIDING = {"outputs": "q", "reaching": ConstantRate(1.0), "boundary": SaturationLayer(0.1)}
+GRID = {"over": {"v": [-1, 1]}, **WEIGHTS, "dt": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (
+            lambda: Reference.constant(cart(), [0.0]),
+            "the state of a constant reference is given 1 value in a list",
+        ),
+        (lambda: design_lqr(cart(), [0.0], **WEIGHTS), "is given 1 value in a list: give 2 values"),
+        (lambda: LAW(0.0, [0.0]), "the state given to 'LQR' is given 1 value in a list"),
+        (
+            lambda: go.ClosedLoop(cart(), LAW).simulate([1.0], tf=1.0),
+            "initial state of a run is given 1 value in a",
+        ),
+        (
+            lambda: design_sliding_mode(cart(), REST, **SLIDING, slopes=1.0, start=[1.0]),
+            "is given 1 value in a list",
+        ),
+        (
+            lambda: design_sliding_mode(cart(), REST, **SLIDING, slopes="f"),
+            "slope of output 'q' is 'f': give lambda",
+        ),
+        (
+            lambda: design_sliding_mode(cart(), REST, **SLIDING, slopes={"q": "fast"}),
+            "slope of output 'q' is 'fast': give lambda",
+        ),
+        (
+            lambda: design_sliding_mode(cart(), REST, **SLIDING, slopes=1.0, guard=-1.0),
+            "guard of a design is -1",
+        ),
+        (lambda: design_gain_schedule(cart(), REST, at=3, **GRID), "at of design_gain_schedule() is 3"),
+        (lambda: design_gain_schedule(cart(), REST, at=lambda v: [0, v], **GRID), "write (state, control)"),
+        (lambda: Reference.from_functions(cart(), 3, lambda t: [0], 0, 1), "the states of a reference are 3"),
+        (
+            lambda: Reference.from_functions(cart(), lambda t: [0], lambda t: [0], 0, 1),
+            "is given 1 value in a list",
+        ),
+        (
+            lambda: go.export_c(LAW, "folder", options=CodeOptions(table_tolerance=2.0)),
+            "give a share below 1",
+        ),
+        (
+            lambda: go.ClosedLoop(cart(), LAW, sensors=[Outage("fog", 2.0, 1.0)]).simulate(
+                [1.0, 0.0], tf=1.0
+            ),
+            "'fog' ends at 1 s, before it begins at 2 s",
+        ),
+    ],
+)
+def test_what_could_be_taken_for_something_else_is_refused(asked, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(go.GncOptError, match=re.escape(words)):
         asked()
 
 

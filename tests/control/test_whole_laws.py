@@ -19,6 +19,7 @@ from gnc_opt.control.sliding.hierarchical import hierarchical_errors
 from gnc_opt.control.sliding.integral_sliding_mode import design_integral_sliding_mode
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
 from gnc_opt.model.model import Model
+from gnc_opt.simulation import ClosedLoop
 
 
 def cart(**units) -> Model:
@@ -386,6 +387,38 @@ def test_a_singular_matrix_on_the_reference_is_refused(begin, end, guard):
         DesignError, match=r"decoupling matrix of outputs v is singular on the reference: det E ="
     ):
         inverse_on(ca.cos, begin, end, guard)
+
+
+def car(extended: bool) -> Model:
+    """A car steered by the rate of its wheel angle, driven by its acceleration or (extended) by the rate of that."""
+    model = Model("car")
+    x, y, heading, v, wheel = (model.state(k) for k in ("x", "y", "heading", "v", "wheel"))
+    drive, steer = model.control("drive"), model.control("steer")
+    motion = {x: v * ca.cos(heading), y: v * ca.sin(heading), heading: v * ca.tan(wheel), wheel: steer}
+    pull = model.state("pull") if extended else None
+    model.ode(motion | ({v: drive} if pull is None else {v: pull, pull: drive}))
+    return model
+
+
+def test_a_control_that_comes_too_early_is_told_and_its_rate_will_do():
+    """The acceleration enters both positions before the steering does: the textbook's dynamic extension."""
+    for extended in (False, True):
+        model = car(extended)
+        size = model.states.size
+        straight = Reference.from_functions(
+            model, lambda t, n=size: [2 * t, 0, 0, 2, 0, 0][:n], lambda t: [0, 0], 0.0, 5.0
+        )
+        if extended:
+            law = design_feedback_linearization(
+                model, straight, outputs=["x", "y"], poles=[-1, -2, -3], dt=0.05
+            )
+            run = ClosedLoop(model, law).simulate([0.3, -0.4, 0.2, 1.8, 0, 0], tf=5.0)
+            assert run.states[:2, -1] == pytest.approx([10.0, 0.0], abs=0.05)
+        else:
+            with pytest.raises(
+                DesignError, match=r"singular all along the reference: .* make such a control a state"
+            ):
+                design_feedback_linearization(model, straight, outputs=["x", "y"], poles=[-1, -2, -3])
 
 
 def test_a_constant_matrix_is_inverted_once_and_for_all():

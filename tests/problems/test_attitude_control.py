@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy
+from flexible import cross
 
 from gnc_opt.arrays import Array
 from gnc_opt.simulation import Campaign, Run, consistency
@@ -43,7 +44,7 @@ SEED = 3
 
 @pytest.fixture(scope="module")
 def campaigns() -> dict[str, Campaign]:
-    return {name: campaign(name, runs, SEED, "serial") for name, runs in (("least energy", 5), ("FLC", 2))}
+    return {name: campaign(name, runs, SEED, "serial") for name, runs in (("least energy", 3), ("FLC", 2))}
 
 
 @pytest.fixture(scope="module")
@@ -122,8 +123,8 @@ def test_the_filter_finds_the_gyros_bias(run, campaigns):
 
 
 def test_scipy_goes_the_same_way(campaigns):
-    """Body, wheels and motors of five runs written down again, flown with their commands through most of the slew."""
-    runs, steps = [campaigns["least energy"].rerun(i) for i in range(5)], round(2 / 3 * DURATION / DT)
+    """Body, wheels and motors of three runs written down again, flown with their commands through most of the slew."""
+    runs, steps = [campaigns["least energy"].rerun(i) for i in range(3)], round(2 / 3 * DURATION / DT)
     again = np.stack([run.states[:, steps] for run in runs], axis=1)
     assert flown_again(runs, steps) == pytest.approx(again, abs=1e-8)
 
@@ -141,10 +142,10 @@ def flown_again(runs: list[Run], steps: int) -> Array:
 
     def rate(t: float, flat: Array, told: Array) -> Array:
         q, omega, h, motor = np.split(flat.reshape(15, -1), [4, 7, 11])
-        twist = np.cross(q[1:], omega, axis=0)
+        twist = cross(q[1:], omega)
         turn = 0.5 * np.vstack([-np.sum(q[1:] * omega, axis=0), q[0] * omega + twist])
         total = inertia * omega + AXES @ h
-        spin = (AXES @ motor + external - np.cross(omega, total, axis=0)) / inertia
+        spin = (AXES @ motor + external - cross(omega, total)) / inertia
         return np.vstack([turn, spin, -motor, (told - motor) / lag]).ravel()
 
     y = np.stack([run.states[:, 0] for run in runs], axis=1).ravel()

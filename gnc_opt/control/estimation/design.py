@@ -22,7 +22,7 @@ from gnc_opt.control.explanation import Explanation, Fact
 from gnc_opt.control.limits import read_limits
 from gnc_opt.control.linear.riccati import steady, unreached
 from gnc_opt.errors import ArgumentError, DesignError
-from gnc_opt.model.layout import Layout, as_vector
+from gnc_opt.model.layout import Layout, as_point, as_vector
 from gnc_opt.model.model import Model
 
 Deviations: TypeAlias = Mapping[str, ArrayLike]
@@ -216,7 +216,7 @@ def _read_state(model: Model, x0: ArrayLike | Mapping[str, ArrayLike], name: str
             model.states.slice(key)
         x = model.states.stack(x0)
     else:
-        x = as_vector(x0, model.states.size, what, ArgumentError)
+        x = as_point(x0, model.states.size, what, ArgumentError)
     if not np.all(np.isfinite(x)):
         label = model.states.labels[int(np.flatnonzero(~np.isfinite(x))[0])]
         raise ArgumentError(f"{what} has no finite '{label}': give every state.")

@@ -17,7 +17,7 @@ from gnc_opt.control.estimation.filter import COVARIANCE
 from gnc_opt.control.explanation import Explanation
 from gnc_opt.control.schedule import StackedSchedule
 from gnc_opt.errors import ArgumentError, did_you_mean
-from gnc_opt.model.layout import Layout, as_vector
+from gnc_opt.model.layout import Layout, as_point
 
 
 class Covariances(Protocol):
@@ -143,8 +143,8 @@ class Estimator:
         z : array (n_memory,), optional
             Memory; without it the step is the first.
         """
-        sample = as_vector(y, self.measured.size, f"the samples given to '{self.name}'", ArgumentError)
-        command = as_vector(u, self.commands.size, f"the command given to '{self.name}'", ArgumentError)
+        sample = as_point(y, self.measured.size, f"the samples given to '{self.name}'", ArgumentError)
+        command = as_point(u, self.commands.size, f"the command given to '{self.name}'", ArgumentError)
         row = np.zeros(0) if self.schedule is None else self.schedule(np.array([float(t)]), self.dt)[:, 0]
         x, after = self.update(float(t), sample, row, self.first if z is None else self._memory(z))
         return np.asarray(x.full()[:, 0]), np.asarray(self.predict(float(t), command, after).full()[:, 0])

@@ -38,8 +38,8 @@ from gnc_opt.control.poles import continuous_poles
 from gnc_opt.control.reference import Reference, read_plant
 from gnc_opt.control.sampling import SampledStep, sample
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
-from gnc_opt.errors import ArgumentError, DesignError, unknown_name
-from gnc_opt.model.layout import Layout, as_vector
+from gnc_opt.errors import ArgumentError, DesignError, shown, unknown_name
+from gnc_opt.model.layout import Layout, as_point
 from gnc_opt.model.model import Model
 from gnc_opt.threads import one_thread
 
@@ -101,6 +101,10 @@ def design_gain_schedule(
     reference = read_plant(model, reference, "design_gain_schedule")
     deviation, cost = Deviation(model), read_cost(model, Q, R, None)
     grids = _grids(over)
+    if not callable(at):
+        raise ArgumentError(
+            f"at of design_gain_schedule() is {shown(at)}: give a function of the grid's variables."
+        )
     t, x = ca.SX.sym("t"), ca.SX.sym("x", model.states.size)
     variables = [_variable(deviation, name, t, x) for name in grids]
     given = _given(model, x, ca.vertcat(*variables))
@@ -165,9 +169,14 @@ class _Points:
     def plant(self, values: tuple[float, ...]) -> tuple[Array, Array]:
         """Return A and B of all errors, continuous."""
         model, where = self.deviation.model, _where(values)
-        x, u = self.at(*values)
-        state = as_vector(x, model.states.size, f"the state {where}", ArgumentError)
-        control = as_vector(u, model.controls.size, f"the control {where}", ArgumentError)
+        found = self.at(*values)
+        if not isinstance(found, tuple) or len(found) != 2:
+            raise ArgumentError(
+                f"at() of design_gain_schedule() returns {shown(found)}: write (state, control)."
+            )
+        x, u = found
+        state = as_point(x, model.states.size, f"the state {where}", ArgumentError)
+        control = as_point(u, model.controls.size, f"the control {where}", ArgumentError)
         a, b = self.deviation.linearize(0.0, state, control)
         if not (np.all(np.isfinite(a)) and np.all(np.isfinite(b))):
             raise DesignError(f"the plant {where} has no finite linearisation: move the grid, or the point.")

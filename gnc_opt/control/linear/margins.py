@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy
@@ -32,6 +31,8 @@ _POINTS = 2000
 _DECADES = 4.0
 _AT_ZERO = 1e-8
 """Poles this near zero, relative to the largest (sampled: to one), are integrators or delays: no time scale."""
+_ENTRIES = 1_000_000
+"""Of the matrices that are solved with at once, at most."""
 _BESIDE = 1e-6
 """Distance of the nodes on either side of a resonance, relative to its frequency."""
 _ROOT = 1e-12
@@ -80,12 +81,11 @@ def _channel(
     rest = a - b[:, others] @ gain[others]
     within = linked(rest, b[:, [i]], gain[[i]])
     rest, b, gain = rest[np.ix_(within, within)], b[within], gain[:, within]
-    loop = _loop(rest, b[:, [i]], gain[[i]], dt)
 
     def value(w: float) -> complex:
-        return complex(loop(w)[0, 0])
+        return complex(_loop(rest, b[:, [i]], gain[[i]], np.array([w]), dt)[0, 0, 0])
 
-    values = np.array([value(w) for w in omega])
+    values = _loop(rest, b[:, [i]], gain[[i]], omega, dt)[:, 0, 0]
     crossings = [1.0 / -v for v in _met((rest, b[:, i], gain[i]), value, omega, values.imag, dt) if v < 0]
     unit = _roots(lambda w: np.log(abs(value(w))), omega, np.log(np.abs(values) + TINY))
     phases = [(abs(_wrapped(np.angle(-value(w)))), _lag(value(w)) / w) for w in unit]
@@ -115,28 +115,30 @@ def linked(a: Array, b: Array, c: Array) -> Mask:
 
 
 def _disk(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> float:
-    loop, one = _loop(a, b, gain, dt), np.eye(b.shape[1])
+    one = np.eye(b.shape[1])
 
-    def peak(log_w: float) -> float:
-        sensitivity = np.linalg.inv(one + loop(np.exp(log_w)))
-        return float(np.linalg.norm(sensitivity - 0.5 * one, 2))
+    def peaks(log_w: Array) -> Array:
+        sensitivity = np.linalg.inv(one + _loop(a, b, gain, np.exp(log_w), dt))
+        return np.asarray(np.linalg.norm(sensitivity - 0.5 * one, 2, axis=(1, 2)))
 
     grid = np.log(omega)
-    values = np.array([peak(w) for w in grid])
+    values = peaks(grid)
     k = int(np.argmax(values))
     best = scipy.optimize.minimize_scalar(
-        lambda w: -peak(w), bounds=(grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]), method="bounded"
+        lambda w: -float(peaks(np.array([w]))[0]),
+        bounds=(grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]),
+        method="bounded",
     )
     return 1.0 / max(float(values[k]), -float(best.fun))
 
 
-def _loop(a: Array, b: Array, gain: Array, dt: float | None) -> Callable[[float], Any]:
-    one = np.eye(a.shape[0])
-
-    def value(omega: float) -> Any:
-        return gain @ np.linalg.solve(_point(omega, dt) * one - a, b.astype(complex))
-
-    return value
+def _loop(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> Array:
+    """Return L (n_frequencies, m, m): many frequencies at once, but not more than memory has room for."""
+    one, right = np.eye(a.shape[0]), b[None].astype(complex)
+    points = np.array([_point(w, dt) for w in omega])[:, None, None]
+    some = max(1, _ENTRIES // max(a.size, 1))
+    blocks = [points[k : k + some] for k in range(0, points.size, some)]
+    return np.concatenate([gain @ np.linalg.solve(s * one - a, right) for s in blocks])
 
 
 def _point(omega: float, dt: float | None) -> complex:

@@ -29,7 +29,7 @@ from gnc_opt.control.sliding.reaching import Boundary, Law
 from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
 from gnc_opt.control.sliding.surface import surface_controller
 from gnc_opt.control.sliding.switching import SlidingOptions
-from gnc_opt.errors import DesignError
+from gnc_opt.errors import DesignError, shown
 from gnc_opt.model.model import Model
 from gnc_opt.threads import one_thread
 
@@ -126,7 +126,12 @@ def _coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
     found = []
     for i, (label, r) in enumerate(zip(errors.labels, errors.degrees, strict=True)):
         given = _slope_of(errors, slopes, label, i) if r > 1 else []
-        poles = np.asarray(given, dtype=complex)
+        try:
+            poles = np.asarray(given, dtype=complex)
+        except (TypeError, ValueError):
+            raise DesignError(
+                f"the slope of output '{label}' is {shown(given)}: give lambda, in 1/s, or poles."
+            ) from None
         if poles.ndim == 0:
             poles = np.full(r - 1, -poles)
         if poles.shape != (r - 1,):

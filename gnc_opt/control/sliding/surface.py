@@ -32,7 +32,7 @@ from gnc_opt.control.sliding.reaching import ExponentialRate
 from gnc_opt.control.sliding.super_twisting import SuperTwistingObserver
 from gnc_opt.control.sliding.switching import SlidingOptions, Switching
 from gnc_opt.errors import DesignError
-from gnc_opt.model.layout import as_vector
+from gnc_opt.model.layout import as_point
 
 _SETTLED = 40.0
 """An impulse response is integrated over this many time constants of its slowest pole."""
@@ -183,7 +183,7 @@ def _reaching(
     if start is None:
         return None
     t, pair, reaching = reference.initial_time, errors.pair, switching.reaching
-    x = as_vector(start, pair.x.numel(), "the state at the start", DesignError)
+    x = as_point(start, pair.x.numel(), "the state at the start", DesignError)
     first = np.asarray(pair.function(s)(t, x, reference.u(t), reference.x(t), reference.u(t)).full())[:, 0]
     ideal = np.array(
         [reaching.reaching_time(float(v), float(b)) for v, b in zip(first, switching.bounds, strict=True)]
