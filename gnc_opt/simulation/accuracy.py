@@ -18,6 +18,9 @@ _MARGIN = 1.1
 """Integration steps that were reckoned from an estimate of the error are made more numerous by this factor."""
 
 
+_SPARE = 10.0
+"""How many times as large as that of the run that is looked at the error of dispersed ones may be expected."""
+
 _STILL = 0.01
 """A state that has moved by less, relative to max(1, |x|), may have stood still."""
 
@@ -89,15 +92,21 @@ class Accuracy:
                 growth = max(growth, grown(ending, finer, local, substeps / (substeps + 1)))
             before, flight = (ending, local, substeps), replace(flight, growth=growth)
             error = growth * local
-            if error <= self.asked or self.substeps is not None:
+            if self.substeps is not None:
                 return flight
+            if error <= self.asked:
+                spare = self._needed(substeps, _SPARE * error, 1.0)
+                return flight if spare <= substeps else replace(flight_with(spare), growth=growth)
             if substeps >= MAX_SUBSTEPS and local <= self.asked:
                 return flight  # errors grow: runs are flagged
             if substeps >= MAX_SUBSTEPS:
                 raise self._too_fast(f"leave an error of {error:.1e} where {self.asked:.1e} is asked for")
-            # the local error of the embedded fourth-order solution, summed over a run, falls with h^4
-            needed = substeps * (error / self.asked) ** 0.25 * _MARGIN
-            substeps = int(min(MAX_SUBSTEPS, max(substeps + 1, np.ceil(needed))))
+            substeps = max(substeps + 1, self._needed(substeps, error, _MARGIN))
+
+    def _needed(self, substeps: int, error: float, margin: float) -> int:
+        """Return how many integration steps bring an error down to what is asked."""
+        # the local error of the embedded fourth-order solution, summed over a run, falls with h^4
+        return int(min(MAX_SUBSTEPS, np.ceil(substeps * (error / self.asked) ** 0.25 * margin)))
 
     def _too_fast(self, why: str) -> ArgumentError:
         return ArgumentError(

@@ -279,10 +279,10 @@ def test_hardly_more_steps_are_taken_than_the_accuracy_needs(accuracy):
         alone = replace(flight, beside=False)  # by the sum of its local errors, by which steps are chosen
         return float(alone.final(flight.nominal[:, None], [0]).integration_error[0])
 
-    chosen = flight().substeps
-    assert error(flight(chosen)) <= accuracy
+    chosen, spared = flight().substeps, accuracy / 10  # for dispersed runs
+    assert error(flight(chosen)) <= spared
     fewer = int(chosen / 1.6) - 1
-    assert fewer < 1 or error(flight(fewer)) > accuracy
+    assert fewer < 1 or error(flight(fewer)) > spared
 
 
 def test_steps_of_integration_that_are_given_are_taken():
