@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arguments import read_positive
+from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, Schedule, first_memory, law
 from gnc_opt.control.dropout import bridge_dropouts
 from gnc_opt.control.explanation import Explanation, Fact, number_text
