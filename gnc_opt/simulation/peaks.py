@@ -65,7 +65,7 @@ class Nodes:
         found = _highest(length, z[0], slope[0], z[1], slope[1])
         if len(self.switch):
             turns = np.sum(np.sign(switch[0]) != np.sign(switch[1]), axis=0)
-            with np.errstate(invalid="ignore"):  # in no time there are no slopes
+            with np.errstate(invalid="ignore"):  # slopes may be none where rows are numbers
                 leads = np.maximum(*(a + length * np.abs(b) for a, b in zip(z, slope, strict=True)))
             found = np.where(turns > 0, np.fmax(found, leads), found)
             hidden = turns > 1
@@ -79,8 +79,9 @@ class Nodes:
     def integrals(self) -> Array:
         """Return the integrals over time of the cubics between the nodes, (n_rows, n_nodes - 1, n)."""
         length = np.diff(self.s, axis=0)
-        with np.errstate(invalid="ignore"):  # in no time there are no slopes
-            bend = np.where(length > 0, self.slope[:, :-1] - self.slope[:, 1:], 0.0)
+        with np.errstate(invalid="ignore"):
+            bend = self.slope[:, :-1] - self.slope[:, 1:]
+        bend = np.where(np.isfinite(bend), bend, 0.0)  # slopes may be none where rows are numbers
         return np.asarray(0.5 * length * (self.z[:, :-1] + self.z[:, 1:]) + length**2 / 12 * bend)
 
 

@@ -22,6 +22,9 @@ from gnc_opt.simulation.integrate import Taken
 _LOOKS = 8
 """Intervals of a control step that are looked at, at least; of an integration step two at least."""
 
+_SMOOTH = 2
+"""Intervals of an integration step that is as short as those that are looked at."""
+
 _OF_ONE = {ca.OP_FABS, ca.OP_SIGN}
 _OF_TWO = {ca.OP_FMIN, ca.OP_FMAX, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE}
 
@@ -49,7 +52,7 @@ def along(step: ControlStep, rows: Any) -> Any:
     count = -(-_LOOKS // (step.wiring.minor_steps * step.substeps))
     column, known, u, x = _symbols(step)
     begin, end = ca.SX.sym("begin"), ca.SX.sym("end")
-    look = _Look(step, rows, max(2, count))
+    look = _Look(step, rows, max(_SMOOTH, count))
     _fly(step, step, look, (column, known, u, x), (begin, begin, end))
     return ca.Function("along", [column, known, step.P, u, x, begin, end], look.told())
 
@@ -89,7 +92,13 @@ def _fly(
         if span[0] is not span[1]:
             flown, _, _ = step.fly(tick.t, x, waves, new, (begin, first))
             x = ca.if_else(first > begin, flown, x)
-        look.now = i * step.h + first
+        if looking is step and any(wave.tau is not None for wave in waves):
+            # a decay is projected on parabolas in each integration step, and right at its ends
+            looking, look.count = copy.copy(step), _SMOOTH
+            looking.substeps = max(step.substeps, -(-_LOOKS // step.wiring.minor_steps))
+        look.now = ca.fmin(
+            ca.fmax(i * step.h, span[1]), span[2]
+        )  # no time passes in minor steps that are not flown
         flown, _, _ = looking.fly(tick.t, x, waves, new, (first, last), look)
         before = x = ca.if_else(last > first, flown, x)
 
@@ -111,7 +120,8 @@ class _Look:
     def __call__(self, taken: Taken, u: Callable[[Any], Any]) -> None:
         share = ca.SX.sym("nu")
         applied = ca.densify(u(share))
-        course = ca.horzcat(applied, ca.densify(ca.jacobian(applied, share)) / taken.length)
+        bend = ca.if_else(taken.length > 0, ca.densify(ca.jacobian(applied, share)) / taken.length, 0)
+        course = ca.horzcat(applied, bend)
         for j in range(self.count + 1):
             nu = j / self.count
             x, rate = taken.at(nu)

@@ -11,7 +11,18 @@ from loops import double_integrator, feedback
 import gnc_opt as go
 from gnc_opt.analysis import worst_case
 from gnc_opt.plot import plot_envelope
-from gnc_opt.simulation import Campaign, Event, Lag, Noise, Normal, Quantity, RunStatus, Uniform
+from gnc_opt.simulation import (
+    Campaign,
+    Delay,
+    Event,
+    Lag,
+    Noise,
+    Normal,
+    Quantity,
+    RateLimit,
+    RunStatus,
+    Uniform,
+)
 from gnc_opt.simulation.envelope import envelope
 from gnc_opt.simulation.quantity import SAMPLES, sample_steps
 
@@ -247,6 +258,36 @@ def test_an_envelope_is_of_those_that_still_fly():
     assert told.runs.tolist() == np.sum(heights > 0, axis=1).tolist() and 0 < told.runs[-3] < 50
     median = [np.sort(row[row > 0])[(np.sum(row > 0) - 1) // 2] for row in heights if np.any(row > 0)]
     assert told.values[0, : len(median)] == pytest.approx(median, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("actuators", "parts", "bounce"),
+    [
+        ([Lag("valve", 0.07)], 2, False),
+        ([Lag("valve", 0.07)], 1, True),
+        ([Delay("line", 0.05), RateLimit("servo", 3.0), Lag("valve", 0.2)], 3, False),
+    ],
+)
+def test_balances_hold_behind_all_actuators_and_through_events(actuators, parts, bounce):
+    """Force over time is momentum, speed over time the way, power over time energy, but for what bounces take."""
+    cart = double_integrator()
+    q, v, a = (cart.symbol(name) for name in "qva")
+    named = {"force": a, "speed": v, "power": a * v, "place": q}
+    loop = go.ClosedLoop(
+        cart, feedback(cart, [[0.9, 0.8]]), actuators=actuators, minor_steps=parts, dt=0.3,
+        events=[Event("wall", q + 0.02, "falling", reset={v: -0.6 * v})] if bounce else [],
+        quantities=[Quantity(name, y) for name, y in named.items()],
+    )  # fmt: skip
+    runs = go.monte_carlo(loop, 1, x0=[0.5, 0.4], tf=6.0, executor="serial")
+    run, found = runs.rerun(0), {name: runs.measure(f"integral({name})")[0] for name in named}
+    assert run.outcome.ok and bool(run.events) == bounce
+    taken = sum((e.after - e.before for e in run.events), np.zeros(2))
+    lost = sum((e.after[1] ** 2 - e.before[1] ** 2 for e in run.events), 0.0) / 2
+    (q0, v0), (q1, v1) = run.states[:, 0], run.states[:, -1]
+    assert found["force"] == pytest.approx(v1 - v0 - taken[1], abs=1e-6)
+    assert found["speed"] == pytest.approx(q1 - q0, abs=1e-8)
+    assert found["power"] == pytest.approx((v1**2 - v0**2) / 2 - lost, abs=1e-6)
+    assert runs.measure("max(place)")[0] >= run.states[0].max()
 
 
 def lagged(run, tau):
