@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.arguments import read_positive
+from gnc_opt.arrays import Array
 from gnc_opt.control.controller import Controller, Schedule, first_memory, law
 from gnc_opt.control.dropout import bridge_dropouts
 from gnc_opt.control.explanation import Explanation, Fact, number_text
@@ -98,11 +99,9 @@ def guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) ->
     lost = not np.all(np.isfinite(values)) or signed[worst] < guard * scale
     there = pair.along(reference, times[[worst]], matrix)[0]
     if lost or dependent(np.linalg.svd(there, compute_uv=False)):
-        if len(errors.labels) > 1 and all(
-            dependent(np.linalg.svd(each, compute_uv=False)) for each in pair.along(reference, times, matrix)
-        ):
+        if _singular_everywhere(errors, reference, times):
             raise DesignError(
-                f"the decoupling matrix of outputs {', '.join(errors.labels)} is singular all along the reference: the "
+                f"the decoupling matrix of outputs {', '.join(errors.labels)} is singular wherever they are: the "
                 "controls that move them first do not tell them apart; make such a control a state and its rate the "
                 "control, or choose other outputs."
             )
@@ -121,6 +120,19 @@ def guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) ->
         harmless[:, :size] += ca.DM.eye(size)
     safe = ca.if_else(regular, matrix, ca.SX(harmless))
     return Inverse(ca.densify(safe), regular, scale, float(signed[worst]))
+
+
+def _singular_everywhere(errors: OutputErrors, reference: Reference, times: Array) -> bool:
+    """Whether the decoupling matrix of outputs has no rank at points in general position near the reference either."""
+    if len(errors.labels) == 1:
+        return False
+    function, random = errors.pair.function(errors.decoupling), np.random.default_rng(0)
+    for t in times[:: max(1, times.size // 5)]:
+        x, u = reference.x(t), reference.u(t)
+        near = x + 0.1 * random.uniform(-1, 1, x.size) * np.maximum(np.abs(x), 0.1)
+        if not dependent(np.linalg.svd(np.asarray(function(t, near, u, x, u).full()), compute_uv=False)):
+            return False
+    return True
 
 
 def determinant_on(

@@ -101,8 +101,12 @@ def require_reserve(
     """
     if limits is None:
         return []
-    held = dt is not None and reference.duration > 0
-    u = reference.mean_control(times, dt) if held and dt is not None else reference.u(times)
+    if dt is not None and reference.duration > 0:
+        if reference.tail_control is None:  # nothing is known of a step that goes beyond the end
+            times = np.minimum(times, max(reference.final_time - dt, reference.initial_time))
+        u = reference.mean_control(times, dt)
+    else:
+        u = reference.u(times)
     left = _distance(u, limits) - (0.0 if gain is None else gain)
     row, column = np.unravel_index(int(np.argmin(left)), left.shape)
     label, unit = reference.controls.labels[row], reference.controls.units[row]

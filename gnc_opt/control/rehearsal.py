@@ -21,10 +21,10 @@ from gnc_opt.control.deviation import evaluate_columns
 from gnc_opt.control.explanation import Fact
 from gnc_opt.control.lie import OutputErrors
 from gnc_opt.control.limits import Authority, saturated
-from gnc_opt.control.reference import Reference
+from gnc_opt.control.reference import TRIM_TOLERANCE, Reference
 from gnc_opt.errors import DesignError
 from gnc_opt.model.layout import as_point
-from gnc_opt.tolerances import PLAUSIBLE, ROUNDING
+from gnc_opt.tolerances import PLAUSIBLE, ROUNDING, STEP_SLACK
 
 Rehearsal: TypeAlias = Callable[[Controller], list[Fact]]
 """Flies a finished law; returns what that shows, or raises `DesignError`."""
@@ -113,13 +113,15 @@ def rehearse(controller: Controller, trial: Trial, watch: Callable[[Path], objec
 
     Notes
     -----
+    Where the reference does not rest at its end (a vehicle on its way, or no tail), the rehearsal ends with it.
     Zero dynamics with an eigenvalue of zero may decay, rest or escape, and take longer the nearer they are to their
     equilibrium: as long as they move away the rehearsal goes on, with acts that are twice as long each time.
     """
     errors, reference, limits, dt = trial.errors, trial.reference, trial.limits, trial.dt
     x = as_point(trial.start, errors.pair.x.numel(), "the state at the start", DesignError)
     t = reference.initial_time
-    count = int(np.clip(np.ceil(trial.span / dt), 100, _MOST_STEPS))
+    most = _steps_at_most(reference, dt)
+    count = min(int(np.clip(np.ceil(trial.span / dt), 100, _MOST_STEPS)), most)
     step = _step(controller, errors, reference, limits, dt, x)
     act = step.mapaccum(count)
     state = np.concatenate([x, controller.initial_memory(t, x, dt)])
@@ -143,16 +145,31 @@ def rehearse(controller: Controller, trial: Trial, watch: Callable[[Path], objec
         watch(path)
         _require_bounded(path, errors)
         held = path.cut(limits).any() and np.any(_left(path, count) > _SETTLED)
+        most -= count
         if not held:
             if path.times.size > _MOST_STEPS or not np.any(_moving_away(path, errors, reference)):
                 return path
             count = min(2 * count, _MOST_STEPS)
-            act = step.mapaccum(count)
+        if not most:
+            break
+        count = min(count, most)
+        act = step.mapaccum(count)
         state = states[:, -1]
     if not held:
         return path
     assert limits is not None
     raise DesignError(_stuck(path, errors, limits, count))
+
+
+def _steps_at_most(reference: Reference, dt: float) -> int:
+    """Return the control steps for which a reference says what is wanted; without end where it rests at its end."""
+    end, u = reference.final_time, reference.tail_control
+    if u is not None:
+        x = reference.x(end)
+        still = TRIM_TOLERANCE * max(float(np.max(np.abs(x), initial=0.0)), 1.0)
+        if reference.duration <= 0 or np.all(np.abs(reference.model.f(end, x, u)) <= still):
+            return (_ACTS + 1) * _MOST_STEPS
+    return max(1, int((end - reference.initial_time) / dt + STEP_SLACK))
 
 
 def limit_facts(path: Path, limits: Authority | None, dt: float) -> list[Fact]:

@@ -201,6 +201,34 @@ def test_zero_dynamics_that_come_back_are_not_refused(start):
     assert "still moving away" not in str(found) and "reaching time" in str(found)
 
 
+@pytest.mark.parametrize("tail", ["hold", "none"])
+def test_a_reference_that_does_not_rest_is_rehearsed_to_its_end(tail):
+    """A car at 10 m/s: what is held after its end, a place that moves on, would stop it, where it cannot be steered."""
+    model = go.Model("car")
+    x, y, heading, v, wheel, pull = (model.state(k) for k in ("x", "y", "heading", "v", "wheel", "pull"))
+    jerk, steer = model.control("jerk"), model.control("steer")
+    turn = {heading: v * ca.tan(wheel), wheel: steer, v: pull, pull: jerk}
+    model.ode({x: v * ca.cos(heading), y: v * ca.sin(heading)} | turn)
+    straight = go.Reference.from_functions(
+        model, lambda t: [10 * t, 0, 0, 10, 0, 0], lambda t: [0, 0], 0.0, 6.0, tail=tail
+    )
+    start = [2.0, -1.0, 0.05, 9.5, 0.0, 0.0]
+    task = {"outputs": ["x", "y"], "start": start, "limits": ([-20, -1], [20, 1]), "dt": 0.05}
+    law = design_feedback_linearization(model, straight, poles=[-1, -1.5, -2], **task)
+    run = go.ClosedLoop(model, law).simulate(start, tf=5.9)
+    assert run.outcome.ok and np.max(np.abs(run.errors[:2, -1])) < 0.1
+    layer = {"reaching": ExponentialRate(2.0, 1.0), "boundary": SaturationLayer(1.0)}
+    assert np.all(
+        np.isfinite(
+            design_sliding_mode(model, straight, slopes=1.5, **layer, **task).explain()["reaching time"]
+        )
+    )
+    with pytest.raises(DesignError, match=r"limits keep \w from coming down: .* at t = 6 s"):
+        design_feedback_linearization(
+            model, straight, poles=[-1, -1.5, -2], **task | {"limits": (-0.02, 0.02)}
+        )
+
+
 def test_a_long_way_at_the_limits_is_no_failure():
     """1000 m at 0.01 m/s^2 take 2 sqrt(1000 / 0.01) = 632 s, where the poles say 20 s."""
     model = go.Model("cart")
