@@ -78,8 +78,9 @@ class ClosedLoop:
     substeps : int, optional
         Integration steps per minor step; default: chosen by ``accuracy``.
     plausible : float or mapping
-        Size of the plant's states, one for all or by name, beyond which a run counts as *diverged*; default 1e15 in any
-        unit, also for the states that a mapping leaves out.
+        Size of the plant's states, one for all or by name, beyond which a run counts as *diverged* at the end of a
+        control step (a limit on the way is one on a quantity, or an event); default 1e15 in any unit, also for the
+        states that a mapping leaves out.
 
     Raises
     ------

@@ -20,10 +20,7 @@ from gnc_opt.simulation.control_step import ControlStep
 from gnc_opt.simulation.integrate import Taken
 
 _LOOKS = 8
-"""Intervals of a control step that are looked at, at least; of an integration step two at least."""
-
-_SMOOTH = 2
-"""Intervals of an integration step that is as short as those that are looked at."""
+"""Intervals of a control step that are looked at, at least; of an integration step one at least."""
 
 _OF_ONE = {ca.OP_FABS, ca.OP_SIGN}
 _OF_TWO = {ca.OP_FMIN, ca.OP_FMAX, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE}
@@ -52,7 +49,7 @@ def along(step: ControlStep, rows: Any) -> Any:
     count = -(-_LOOKS // (step.wiring.minor_steps * step.substeps))
     column, known, u, x = _symbols(step)
     begin, end = ca.SX.sym("begin"), ca.SX.sym("end")
-    look = _Look(step, rows, max(_SMOOTH, count))
+    look = _Look(step, rows, count)
     _fly(step, step, look, (column, known, u, x), (begin, begin, end))
     return ca.Function("along", [column, known, step.P, u, x, begin, end], look.told())
 
@@ -94,7 +91,7 @@ def _fly(
             x = ca.if_else(first > begin, flown, x)
         if looking is step and any(wave.tau is not None for wave in waves):
             # a decay is projected on parabolas in each integration step, and right at its ends
-            looking, look.count = copy.copy(step), _SMOOTH
+            looking, look.count = copy.copy(step), 2
             looking.substeps = max(step.substeps, -(-_LOOKS // step.wiring.minor_steps))
         look.now = ca.fmin(
             ca.fmax(i * step.h, span[1]), span[2]
