@@ -99,7 +99,9 @@ class Watch:
         corner = ca.fmin(ca.fmax((rise - b) / (a - b), 0), 1)
         sinks = ca.logic_and(ca.logic_and(a < 0, b > 0), ca.logic_or(near, y0 + a * corner <= 0))
         lowest = ca.if_else(near, lowest, corner)
-        crosses = ca.logic_and(self.armed, y1 < 0)
+        # what is below zero a moment after the beginning is what rounding has left of an event there
+        later = self._now + length > self._heeded
+        crosses = ca.logic_and(ca.logic_and(self.armed, later), y1 < 0)
         dips = ca.logic_and(ca.logic_and(self.armed, y1 >= 0), sinks)
         share = ca.mmin(ca.if_else(crosses, 1.0, ca.if_else(dips, lowest, 2.0)))
         fresh = ca.logic_and(self.found < 0.5, share < 1.5)
@@ -107,7 +109,7 @@ class Watch:
         self.last = ca.if_else(fresh, self._now + share * length, self.last)
         self.found = ca.if_else(fresh, 1.0, self.found)
         self._now = self._now + length
-        rises = ca.logic_and(y1 > 0, self._now > self._heeded)
+        rises = ca.logic_and(y1 > 0, later)
         self.armed = ca.if_else(ca.logic_or(self.armed, rises), 1.0, 0.0)
         self.y, self.slope = y1, d1
         self.lost_inside = ca.if_else(

@@ -71,9 +71,10 @@ class ClosedLoop:
         Parts of a control step.
     accuracy : float
         Of the integration over a run, relative to max(1, \\|x\\|) per state: as many integration steps per minor step
-        are taken as the nominal run needs by the sum of its local errors and their growth, a safe estimate: the true
-        error is mostly a small share of it. A nominal run that ends where it has begun, at rest, say, tells little:
-        then as many as the plant's modes at its start need, moved by 1. Runs that miss it are flagged.
+        are taken as the nominal run needs for a tenth of it (dispersed ones are less accurate) by the sum of its local
+        errors and their growth, a safe estimate: the true error is mostly a small share of it. A nominal run that ends
+        where it has begun, at rest, say, tells little: then as many as the plant's modes at its start need, moved by 1.
+        Runs that miss it are flagged.
     substeps : int, optional
         Integration steps per minor step; default: chosen by ``accuracy``.
     plausible : float or mapping
