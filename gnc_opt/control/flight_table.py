@@ -165,7 +165,12 @@ def flight_table(
             "table: give a shorter span."
         )
     times = first + dt * np.append(np.arange(count + 1), count + 1000)
-    rows = controller.schedule(times, dt).T
+    try:
+        rows = controller.schedule(times, dt).T
+    except ArgumentError as error:
+        raise ArgumentError(
+            f"flight code goes on after {last:g} s, where the schedule of '{controller.name}' tells nothing: {error}"
+        ) from error
     change = np.max(np.abs(rows[count:] - rows[count - 1]), initial=0.0)
     if change > _TAIL_TOLERANCE * max(np.max(np.abs(rows[count - 1]), initial=0.0), 1.0):
         raise ArgumentError(

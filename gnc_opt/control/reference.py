@@ -229,11 +229,15 @@ class Reference(Strict):
     def mean_control(self, times: ArrayLike, dt: float) -> Array:
         """Return the mean of the controls over the steps from ``times`` (n,) to ``times + dt``, (n_controls, n).
 
-        A held command with this value has the same impulse as the reference, wherever its switches lie.
+        A held command with this value has the same impulse as the reference, wherever its switches lie. A step in which
+        a reference without a tail ends is finished with its last control.
         """
         starts = np.atleast_1d(read_numbers(times, "the times of a reference"))
         owners, left, right = _pieces(starts, dt, np.unique(np.concatenate([self.jumps, self._breaks])))
         at = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * _NODES
+        if self._tail is None:
+            begun = starts[owners] <= self.final_time + SAME_TIME * max(self.duration, 1.0)
+            at = np.where(begun[:, None], np.minimum(at, self.final_time), at)
         means = (
             self.u(at.ravel()).reshape(self.controls.size, *at.shape) @ _WEIGHTS * (0.5 * (right - left) / dt)
         )

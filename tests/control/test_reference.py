@@ -219,3 +219,19 @@ def test_bad_references_are_refused():
         Reference.from_functions(cart(), lambda t: [0, 0], lambda t: [0], 2, 1)
     with pytest.raises(ArgumentError, match="3 values"):
         Reference.constant(cart(), [1, 2, 3])
+
+
+def test_without_a_tail_a_loop_flies_to_the_very_end(tmp_path):
+    """The step in which the reference ends is finished with its last control: u = t + 1 up to t = 1."""
+    model = cart()
+    path = Reference.from_functions(
+        model, lambda t: [t**3 / 6 + t**2 / 2, t**2 / 2 + t], lambda t: [t + 1.0], 0.0, 1.0, tail="none"
+    )
+    assert path.mean_control([0.8, 0.9, 1.0], 0.2)[0] == pytest.approx([1.9, 1.975, 2.0], rel=1e-12)
+    law = go.design_tvlqr(model, path, Q=1, R=1, dt=0.2)
+    for tf in (1.0, 0.9):
+        assert go.ClosedLoop(model, law).simulate([0.0, 0.0], tf=tf).outcome.ok
+    with pytest.raises(ArgumentError, match=r"from 0 s to 1 s, not at 1\.4"):
+        go.ClosedLoop(model, law).simulate([0.0, 0.0], tf=1.4)
+    with pytest.raises(ArgumentError, match=r"goes on after 1 s, .* tells nothing: .* give it a tail"):
+        go.export_c(law, tmp_path)
