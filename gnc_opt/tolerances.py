@@ -59,6 +59,10 @@ LARGEST = 1e30
 """Measurements above this are taken for none, as those are that are not a number: the powers that a law takes of them
 would leave the range of doubles."""
 
+PLAUSIBLE = 1e15
+"""Size of a state beyond which a rehearsal or a run has diverged, in any unit: a hundred times as far as Neptune, in
+metres."""
+
 
 def magnitude(values: ArrayLike, otherwise: ArrayLike = 1.0) -> Array:
     """Return magnitudes to divide by: the given ones, or others where those have `VANISHED`."""
@@ -76,8 +80,3 @@ def dependent(singular_values: ArrayLike) -> bool:
     """Whether singular values (largest first) are those of a matrix with dependent rows or columns."""
     values = np.asarray(singular_values)
     return bool(values[-1] <= ROUNDING * values[0])
-
-
-PLAUSIBLE = 1e15
-"""Size of a state beyond which a rehearsal or a run has diverged, in any unit: a hundred times as far as Neptune, in
-metres."""

@@ -112,7 +112,8 @@ def agreement(
     errors = np.asarray(flight.errors(ends, np.repeat(nominal[:, None], runs, axis=1)).full())
     mean, variance = predicted
     # what scatters by no more than the integration errs is fixed
-    scatters = np.flatnonzero(variance > (flight.accuracy * (1 + np.max(np.abs(nominal)))) ** 2)
+    erring = float(np.median(np.fmin(campaign.integration_error, flight.accuracy))) + ROUNDING
+    scatters = np.flatnonzero(variance > (erring * error_sizes(flight, nominal[:, None])) ** 2)
     errors, mean, variance = errors[scatters], mean[scatters], variance[scatters]
     kurtosis = np.maximum(scipy.stats.kurtosis(errors, axis=1, fisher=False), _LEAST_KURTOSIS)
     freedom = 2 * (runs - 1) / (kurtosis - 1)
@@ -125,6 +126,22 @@ def agreement(
         shift=(errors.mean(axis=1) - mean) / np.sqrt(variance / runs),
         shift_limit=float(-scipy.special.ndtri(tail)),
         confidence=level,
+    )
+
+
+def magnitudes(values: Array) -> Array:
+    """Return what errors of integration are relative to, (n,), by values over time (n, n_times): 1 or their size."""
+    return np.asarray(np.maximum(1.0, np.max(np.abs(values), axis=1)))
+
+
+def error_sizes(flight: Flight, states: Array) -> Array:
+    """Return the same of each component of the errors, (n_errors,), by states over time (n_states, n_times)."""
+    sizes, places = magnitudes(states), flight.states
+    return np.concatenate(
+        [
+            np.full(error.size, np.max(sizes[places.slice(error.name)]))
+            for error in flight.error_layout.variables
+        ]
     )
 
 

@@ -30,7 +30,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.analysis.agreement import Agreement, agreement
+from gnc_opt.analysis.agreement import Agreement, agreement, error_sizes, magnitudes
 from gnc_opt.analysis.experiment import Experiment
 from gnc_opt.analysis.linearization import Linearization
 from gnc_opt.analysis.resolution import PlantModes
@@ -45,7 +45,7 @@ from gnc_opt.simulation.flight import LEG, Flight
 from gnc_opt.simulation.statistics import CONFIDENCE
 from gnc_opt.strict import Strict
 from gnc_opt.threads import one_thread
-from gnc_opt.tolerances import TINY
+from gnc_opt.tolerances import ROUNDING, TINY
 
 LINEAR = 0.05
 """Share of a standard deviation by which it may be wrong at most, and the loop still counts as linear."""
@@ -390,8 +390,10 @@ class _Pass:
             return {kind: np.full(s.shape, np.nan) for kind, s in sigma.items()}
         nominal = {kind: np.stack(values, axis=1) for kind, values in self.values.items()}
         squares = {kind: np.zeros(s.shape) for kind, s in sigma.items()}
+        erring = ROUNDING
         for i in range(checks):
             run = flight.run(self.drawn[:, i], [self.seed, i], every=self.every)
+            erring = max(erring, float(np.fmin(run.integration_error, flight.accuracy)))
             moved = {kind: getattr(run, name) - nominal[kind] for kind, name in _KINDS.items()}
             moved["error"] = np.asarray(flight.errors(run.states, nominal["state"]).full())
             for kind, deviations in moved.items():
@@ -400,10 +402,8 @@ class _Pass:
         found = {}
         for kind, s in sigma.items():
             apart = np.sqrt(squares[kind] / checks)
-            values = nominal["state" if kind == "error" else kind]
-            quiet = flight.accuracy * (
-                1 + np.max(np.abs(values))
-            )  # what integration may err by is no scatter
+            sizes = error_sizes(flight, nominal["state"]) if kind == "error" else magnitudes(nominal[kind])
+            quiet = erring * sizes[:, None]  # what integration may err by is no scatter
             bent = np.where(apart <= quiet, 0.0, np.inf)
             found[kind] = np.divide(apart, s, out=bent, where=s > quiet)
         return found

@@ -153,6 +153,24 @@ def test_nonlinearity_bounds_the_error_of_the_standard_deviation():
         assert abs(runs.error(name).std() / sigma - 1) < bend + 2 / np.sqrt(2 * 1500)
 
 
+def test_a_large_state_beside_it_hides_no_nonlinearity():
+    """q' = -q^3 / 2 bends by more than a tenth of sigma, whatever else the vehicle carries."""
+    bends = {}
+    for carried in (0.0, 1e12):
+        model = go.Model("a decay and an odometer")
+        q, far, u = model.state("q"), model.state("far", unit="m"), model.control("u")
+        model.ode({q: u - 0.5 * q**3, far: 0.0})
+        law = go.feedforward(go.Reference.constant(model, [0.0, carried], [0.0]))
+        loop = go.ClosedLoop(model, law, dt=DT)
+        about = {"x0": [0.5, carried], "tf": 2.0, "dispersions": {"initial.q": Normal(0.3)}}
+        predicted = go.linear_covariance(go.Experiment(loop, **about))
+        bends[carried] = predicted.nonlinearity("q")[0, -1]
+        assert not predicted.linear("q") and "not linear: q" in str(predicted)
+        runs = go.monte_carlo(loop, 50, **about, seed=1, executor="serial")
+        assert predicted.compare(runs).labels == ("q",)
+    assert bends[1e12] == pytest.approx(bends[0.0], rel=1e-6) and 0.1 < bends[0.0] < 2.0
+
+
 def test_delays_lags_and_an_estimator_are_part_of_the_loop():
     """Sensors, estimator, controller and actuators with memories, against as many runs as tell 5 %."""
     model = sled()
