@@ -13,7 +13,7 @@ import gnc_opt as go
 from benchmarks.closed_loop import AGREEMENT, ATOL, RTOL, plain_inputs, plain_run
 from gnc_opt.arrays import Array
 from gnc_opt.control import feedforward
-from gnc_opt.simulation import Run, consistency
+from gnc_opt.simulation import Quantisation, Run, consistency
 from gnc_opt.spacecraft import MU_EARTH, RADIUS_EARTH, mrp_to_dcm
 from problems.rendezvous import ALTITUDE, MAX_FORCE, MAX_TORQUE
 from problems.rendezvous_tracking import (
@@ -189,6 +189,19 @@ def test_thrusters_round_limit_and_lag_as_stated(flown):
         y = u + (y - u) * left
     np.testing.assert_allclose(flown.applied, np.transpose(means), atol=1e-6)
     assert np.max(np.abs(flown.commands - asked)) > 0.4  # it is rounded, and not to anything finer
+
+
+def test_linear_covariance_tells_what_runs_scatter_by(tracking):
+    """All twelve components; where thrusters have steps, that it cannot."""
+    loop, x0, tf = tracking.loop(tracking.tvlqr), tracking.initial, tracking.end
+    about = {"x0": x0, "tf": tf, "seed": 11, "dispersions": DISPERSIONS}
+    told = go.linear_covariance(go.Experiment(loop, **about), every=50, checks=5)
+    assert not any(told.linear(name) for name in loop.plant.states.names)
+    smooth = replace(loop, actuators=[b for b in loop.actuators if not isinstance(b, Quantisation)])
+    told = go.linear_covariance(go.Experiment(smooth, **about), every=50)
+    assert all(told.linear(name) for name in loop.plant.states.names)
+    agreed = told.compare(go.monte_carlo(smooth, 1000, executor="serial", **about))
+    assert agreed.ok and len(agreed.labels) == 12
 
 
 def test_open_loop_does_not(tracking):
