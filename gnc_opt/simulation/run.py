@@ -86,7 +86,7 @@ class Run(Strict):
         States relative to the reference, by the plant's own difference; not-a-number for states without one.
     parameters : array (n_parameters,)
     effort, energy : array (n_controls,)
-        Integrals of \\|u\\| and u^2 of what was applied, over minor steps.
+        Integrals of \\|u\\| and u^2, u what was applied on average in each minor step.
     saturation, variation : array (n_commands,)
     integration_error : float
         Estimated error of the integration, relative to max(1, \\|x\\|).
