@@ -17,7 +17,6 @@ from gnc_opt.simulation.modes import MAX_SUBSTEPS, steps_for_run, steps_to_be_st
 _MARGIN = 1.1
 """Integration steps that were reckoned from an estimate of the error are made more numerous by this factor."""
 
-
 _SPARE = 10.0
 """How many times as large as that of the run that is looked at the error of dispersed ones may be expected."""
 

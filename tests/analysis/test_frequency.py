@@ -13,8 +13,6 @@ from gnc_opt.analysis import loop_response
 from gnc_opt.errors import ArgumentError
 from gnc_opt.plot import plot_bode, plot_margins, plot_nyquist, plot_sensitivity
 from gnc_opt.simulation import Event, Lag, Sampling, Saturation, ScaleFactor, SensorDelay
-from gnc_opt.simulation.integrate import dormand_prince
-from gnc_opt.simulation.modes import steps_for_modes
 
 HERE = {"x0": [0.0, 0.0], "tf": 1.0}
 
@@ -65,24 +63,6 @@ def test_a_light_mode_is_followed_where_the_nominal_run_rests(frequency):
     poles = response.poles()
     nearest = [poles[np.argmin(np.abs(poles - z))] for z in expected]
     assert nearest == pytest.approx(expected, abs=1e-6) and response.stable()
-
-
-@pytest.mark.parametrize(
-    ("modes", "length"), [([20j, -20j], 0.1), ([-30.0], 0.1), ([3.0], 0.5), ([-1 + 5j], 0.2)]
-)
-def test_steps_for_modes_are_those_that_an_integration_needs(modes, length):
-    """The method itself flies the mode: as accurate as asked with as many steps, and not with half of them."""
-    asked, x = 1e-9, ca.SX.sym("x", 2)
-    n = steps_for_modes(np.array(modes), length, asked)
-    a = np.array([[modes[0].real, -modes[0].imag], [modes[0].imag, modes[0].real]])
-    truth = scipy.linalg.expm(a * length)
-
-    def error(steps):
-        flown = dormand_prince(lambda t, x, u: a @ x, 0.0, x, length, steps)[0]
-        found = ca.Function("flown", [x], [ca.jacobian(flown, x)])(0).full()
-        return np.abs(found - truth).max() / max(1.0, np.linalg.norm(truth, 2))
-
-    assert n > 1 and error(n) <= asked * 1.01 and error(n // 2) > asked
 
 
 @pytest.mark.parametrize("steps", [1, 3])
