@@ -1,0 +1,1 @@
+"""Validation: computed answers against published or independently computed values."""
