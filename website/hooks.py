@@ -32,8 +32,8 @@ FROM_ROOT = {
 }
 """Pages that are files of the root, by their place in the site."""
 
-_REFERENCE_OF_README = "**API reference** with every public name, in the site that `mkdocs build` makes"
-_REFERENCE_OF_SITE = "**[API reference](api/index.md)** with every public name"
+_REFERENCE_OF_README = "**API reference** in the site that `mkdocs build` writes"
+_REFERENCE_OF_SITE = "**[API reference](api/index.md)**"
 
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s:#]+)(#[^)\s]*)?\)")
 _FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
