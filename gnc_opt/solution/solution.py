@@ -31,6 +31,7 @@ from gnc_opt.solution.diagnosis import Violation
 from gnc_opt.solution.export import records
 from gnc_opt.solution.history import Actions, History, Pass, RefinementStatus
 from gnc_opt.solution.lower_bound import LowerBound
+from gnc_opt.solution.objective_error import ObjectiveError, estimate_objective_error
 from gnc_opt.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.solution.polynomial import PiecewisePolynomial, Side
 from gnc_opt.solution.propagation import Propagation, propagate
@@ -223,6 +224,11 @@ class Solution:
     def quality(self) -> Quality:
         """Between-node defect, bound violation and propagation error, computed from the model alone."""
         return measure_quality(self.samples().values())
+
+    @cached_property
+    def objective_error(self) -> ObjectiveError:
+        """Estimated error of the objective; see `gnc_opt.solution.objective_error`. Needs the problem."""
+        return estimate_objective_error(self.samples(), self.objective)
 
     def outside_tables(self) -> list[OutsideTable]:
         """Return where the trajectory is outside of the tables of its models; needs the problem."""
