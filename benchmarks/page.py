@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.peers.compare import ACCURACIES, best
+from gnc_opt.examples import example
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "benchmarks.md"
@@ -71,8 +72,7 @@ def _convergence(told: Any) -> Cells:
 
 def _problem_files(told: Any) -> Cells:
     for row in told:
-        file = f"{row['problem']}.py"
-        place = file if (ROOT / "problems" / file).exists() else row["problem"]
+        place = example(row["problem"]).path.relative_to(ROOT / "problems").as_posix()
         name = f"[`{row['problem']}`](../problems/{place})" + (
             f", {row['variant']}" if row["variant"] else ""
         )

@@ -8,7 +8,6 @@ reference (systems have other ones), and what the verdict finds.
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import multiprocessing
 import time
@@ -19,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import gnc_opt as go
-from gnc_opt.examples import examples
+from gnc_opt.examples import example, examples
 from problems.reference import Reference
 
 LIMIT = 120.0
@@ -28,9 +27,7 @@ LIMIT = 120.0
 
 def cases(names: Sequence[str]) -> list[tuple[str, str]]:
     """Return file and variant (or "") of all that is to be solved."""
-    modules = {
-        name: importlib.import_module(f"problems.{name}") for name in names or [e.name for e in examples()]
-    }
+    modules = {name: example(name).module for name in names or [each.name for each in examples()]}
     solved = {name: module for name, module in modules.items() if hasattr(module, "build")}
     return [(name, variant) for name, module in solved.items() for variant in ("", *_variants(module))]
 
@@ -63,7 +60,7 @@ class Row:
 def measure(name: str, variant: str, tol: float, limit: float) -> Row:
     """Solve, refine and judge one problem."""
     warnings.simplefilter("ignore")
-    module = importlib.import_module(f"problems.{name}")
+    module = example(name).module
     options, reference = _variants(module)[variant] if variant else ({}, getattr(module, "REFERENCE", None))
     problem, start = module.build(**options), time.process_time()
     first = go.solve(problem, mesh=getattr(module, "MESH", None), tol=None, throw=False)

@@ -127,7 +127,7 @@ def examples_command(args: argparse.Namespace) -> int:
     found = examples()
     width = max(len(each.name) for each in found)
     print("\n".join(f"{each.name:{width}}  {each.title}" for each in found))
-    print(f"run one with: gnc-opt examples NAME\nread them in: {found[0].path.parent}")
+    print(f"run one with: gnc-opt examples NAME\nread them in: {found[0].problems}")
     return ExitCode.OK
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 from gnc_opt.errors import GncOptError, unknown_name
 
@@ -18,9 +19,18 @@ _HOLDERS = (Path(__file__).parent / "shipped", Path(__file__).parents[1])
 
 @dataclass(frozen=True)
 class Example:
-    """A problem file, or a system of several files in a folder."""
+    """A problem file in a folder of its trade, or a system of several files in a folder of its own.
+
+    Attributes
+    ----------
+    path : Path
+        Of the file, or of the system's folder.
+    problems : Path
+        The folder of all problems.
+    """
 
     path: Path
+    problems: Path
 
     @property
     def name(self) -> str:
@@ -31,6 +41,19 @@ class Example:
     def is_system(self) -> bool:
         """Whether it is a folder."""
         return self.path.is_dir()
+
+    @property
+    def import_name(self) -> str:
+        """The name of its module, such as ``problems.classics.zermelo``."""
+        return ".".join(("problems", *self.path.relative_to(self.problems).with_suffix("").parts))
+
+    @property
+    def module(self) -> ModuleType:
+        """Its module: those of the problems import each other as parts of the package ``problems``."""
+        holder = str(self.problems.parent)
+        if holder not in sys.path:
+            sys.path.insert(0, holder)
+        return import_module(self.import_name)
 
     @cached_property
     def statement(self) -> str:
@@ -51,10 +74,7 @@ class Example:
         arguments : sequence of str
             Options of the problem's own command line, such as ``--json OUT``.
         """
-        holder = str(self.path.parents[1])
-        if holder not in sys.path:
-            sys.path.insert(0, holder)  # its modules import each other as those of the package `problems`
-        return int(import_module(f"problems.{self.name}").main(arguments))
+        return int(self.module.main(arguments))
 
 
 def examples() -> list[Example]:
@@ -68,10 +88,13 @@ def examples() -> list[Example]:
     for holder in _HOLDERS:
         folder = holder / "problems"
         if (folder / "reference.py").is_file():
-            files = [path for path in sorted(folder.glob("*.py")) if "def build(" in path.read_text("utf-8")]
-            return [
-                Example(path) for path in (*files, *sorted(p.parent for p in folder.glob("*/__main__.py")))
+            systems = sorted(path.parent for path in folder.glob("*/__main__.py"))
+            files = [
+                path
+                for path in folder.glob("*/*.py")
+                if path.parent not in systems and path.name != "__init__.py"
             ]
+            return [Example(path, folder) for path in (*sorted(files, key=lambda path: path.stem), *systems)]
     raise GncOptError("the problems that come with gnc_opt are not beside it: install gnc_opt again.")
 
 

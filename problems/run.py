@@ -115,7 +115,8 @@ def _console() -> Console:
 def _parser(build: Callable[[], go.Problem]) -> argparse.ArgumentParser:
     file = Path(inspect.getfile(build))
     description = (inspect.getmodule(build).__doc__ or "").partition("\n")[0]
-    parser = argparse.ArgumentParser(prog=f"python -m problems.{file.stem}", description=description)
+    program = f"python -m problems.{file.parent.name}.{file.stem}"
+    parser = argparse.ArgumentParser(prog=program, description=description)
     parser.add_argument(
         "--report", type=Path, metavar="DIR", help="write summary, verdict, solution and figures to a folder"
     )

@@ -5,9 +5,7 @@ from __future__ import annotations
 import ast
 import io
 from collections.abc import Callable, Iterator
-from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import gnc_opt as go
@@ -22,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 
 def reference(example: Example) -> Reference | None:
     """Return the known answer; systems compare themselves with their publications instead."""
-    found = getattr(_module(example), "REFERENCE", None)
+    found = getattr(example.module, "REFERENCE", None)
     return found if isinstance(found, Reference) else None
 
 
@@ -59,7 +57,7 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
     yield from _solved(example)
     if (ROOT / "docs" / f"{example.name}.md").exists():
         yield f"Its results: [{example.name.replace('_', ' ')}](../{example.name}.md).\n"
-    yield f"Run it: `gnc-opt examples {example.name}`, or `python -m problems.{example.name}` in the repository.\n"
+    yield f"Run it: `gnc-opt examples {example.name}`, or `python -m {example.import_name}` in the repository.\n"
     if pictures:
         files = {kind: f"{example.name}_{kind}.svg" for kind in shown(example)}
         yield "".join(
@@ -100,7 +98,7 @@ def _without_docstring(code: str) -> str:
 
 def shown(example: Example) -> tuple[str, ...]:
     """Return what there is a picture of."""
-    module = _module(example)
+    module = example.module
     controlled = not hasattr(module, "build") or any(
         p.model.controls.size for p in module.build().phases.values()
     )
@@ -109,17 +107,13 @@ def shown(example: Example) -> tuple[str, ...]:
 
 def pictures(example: Example) -> dict[str, bytes]:
     """Return figures as SVG by their place in the site: of the certified answer, or of a run if there is no problem."""
-    module = _module(example)
+    module = example.module
     if hasattr(module, "build"):
         answer = go.solve(module.build(), mesh=getattr(module, "MESH", None), throw=False)
         draw: dict[str, Callable[[Any], Any]] = {"states": plot_states, "controls": plot_controls}
     else:
         answer, draw = module.example_run(), {"states": plot_run_states, "controls": plot_run_controls}
     return {f"gallery/{example.name}_{kind}.svg": _svg(draw[kind](answer)) for kind in shown(example)}
-
-
-def _module(example: Example) -> ModuleType:
-    return import_module(f"problems.{example.name}")
 
 
 def _svg(figure: object) -> bytes:

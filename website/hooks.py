@@ -102,7 +102,7 @@ def shown_at(path: str) -> str | None:
             return place
     if path.startswith("docs/"):
         return path.removeprefix("docs/")
-    found = re.fullmatch(r"problems/(\w+)(?:\.py|/)?", path)
+    found = re.fullmatch(r"problems/(?:\w+/(?=\w+\.py))?(\w+)(?:\.py|/)?", path)
     return f"gallery/{found[1]}.md" if found else None
 
 

@@ -35,7 +35,7 @@ from typing import Any
 import gnc_opt as go
 from benchmarks import ocp_set
 from benchmarks.ocp_json import read_documents
-from gnc_opt.examples import Example, examples
+from gnc_opt.examples import Example, example, examples
 from problems.reference import Reference
 
 SET_FILE = Path("../shared/ocp/problems.json")
@@ -169,24 +169,18 @@ def _cases_of(group: str, set_file: Path) -> Iterator[Case]:
         references = importlib.import_module("problems.rendezvous").REFERENCE
         yield from (Case(group, "rendezvous", f"{case} {equation}") for case, equation in references)
         return
-    for example in examples():
-        if group_of(example) == group:
-            module = importlib.import_module(module_name(example))
+    for each in examples():
+        if group_of(each) == group:
+            module = each.module
             if hasattr(module, "build"):
-                yield from (Case(group, example.name, v) for v in ("", *getattr(module, "VARIANTS", {})))
+                yield from (Case(group, each.name, v) for v in ("", *getattr(module, "VARIANTS", {})))
 
 
-def group_of(example: Example) -> str:
+def group_of(problem: Example) -> str:
     """Return the group of a problem file or a system."""
-    if example.is_system:
+    if problem.is_system:
         return "gallery"
-    return next((group for group, names in _MEMBERS.items() if example.name in names), "further")
-
-
-def module_name(example: Example) -> str:
-    """Return the name by which a problem is imported."""
-    parts = example.path.with_suffix("").parts
-    return ".".join(parts[len(parts) - 1 - parts[::-1].index("problems") :])
+    return next((group for group, names in _MEMBERS.items() if problem.name in names), "further")
 
 
 # --- one problem ----------------------------------------------------------------------------------------
@@ -217,8 +211,7 @@ def _stated(case: Case) -> tuple[go.Problem, Reference | None]:
         number, equation = case.variant.split()
         reference = module.REFERENCE[int(number), equation]["exact"]
         return module.build(int(number), equation), reference
-    example = next(e for e in examples() if e.name == case.name)
-    module = importlib.import_module(module_name(example))
+    module = example(case.name).module
     options, reference = (
         module.VARIANTS[case.variant] if case.variant else ({}, getattr(module, "REFERENCE", None))
     )

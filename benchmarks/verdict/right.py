@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +12,7 @@ import gnc_opt as go
 from benchmarks.ocp_json import build_problem
 from benchmarks.verdict.extremals import double_well, great_circle, one_switch, repelled
 from benchmarks.verdict.statements import FAMILY, build, frames, in_frame, solved, trajectory
+from gnc_opt.examples import example
 from gnc_opt.solution.history import RefinementStatus
 from problems import rendezvous
 
@@ -101,7 +101,7 @@ def _judged(solution: go.Solution) -> go.Verdict:
 
 
 def _of_file(name: str) -> go.Verdict:
-    module = importlib.import_module(f"problems.{name}")
+    module = example(name).module
     solution = go.solve(module.build(), tol=1e-8)
     if not module.REFERENCE.agrees(solution.objective):
         raise NotRight(f"objective {solution.objective:.10g}, known {module.REFERENCE.value:.10g}")

@@ -24,7 +24,7 @@ import casadi as ca
 from gnc_opt.control import Controller, Explanation, Fact, Reference, bridge_dropouts, first_memory, law
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
 from gnc_opt.model.layout import Layout
-from problems.mars_landing import FULL, GRAVITY
+from problems.landing.mars_landing import FULL, GRAVITY
 from problems.rocket_landing.model import ENGINES, SETTLING, UP, norm
 
 DT = 0.1

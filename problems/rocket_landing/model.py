@@ -12,8 +12,9 @@ ground. The norm of the thrust is rounded by 1 N, so that it has derivatives eve
 
 .. math:: \dot v = \frac{T}{m} - g e_1 - \tfrac12 \rho C_D A \, \|v - w\| \, \frac{v - w}{m} .
 
-The lander, its engines and the gravity of Mars are those of `problems.mars_landing`, from Acikmese and Ploen, Convex
-programming approach to powered descent guidance for Mars landing, J. Guidance, Control, and Dynamics 30 (5), 2007.
+The lander, its engines and the gravity of Mars are those of `problems.landing.mars_landing`, from Acikmese and Ploen,
+Convex programming approach to powered descent guidance for Mars landing, J. Guidance, Control, and Dynamics 30 (5),
+2007.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.control import Reference
-from problems.mars_landing import FULL, GRAVITY, MASS_RATE
+from problems.landing.mars_landing import FULL, GRAVITY, MASS_RATE
 
 START = {"r": [2400.0, 300.0, -2000.0], "v": [-75.0, -20.0, 80.0], "mass": 1905.0}
 """Up, east and north, m and m/s; kg."""

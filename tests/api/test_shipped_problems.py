@@ -12,13 +12,15 @@ import pytest
 import gnc_opt as go
 from gnc_opt import examples
 from gnc_opt.cli import ExitCode, main
-from problems import minimum_fuel
+from problems.classics import minimum_fuel
 
 ROOT = Path(__file__).parents[2]
 
 
 def names() -> set[str]:
-    files = {p.stem for p in (ROOT / "problems").glob("*.py") if "REFERENCE = " in p.read_text("utf-8")}
+    files = {
+        p.stem for p in (ROOT / "problems").glob("*/*.py") if "run(build, REFERENCE" in p.read_text("utf-8")
+    }
     return files | {p.parent.name for p in (ROOT / "problems").glob("*/__main__.py")}
 
 
@@ -27,7 +29,7 @@ def test_every_problem_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
     *listed, _, folder = capsys.readouterr().out.splitlines()
     assert {line.split()[0] for line in listed} == names()
     assert all(len(line.split()) > 3 for line in listed), "each has a title"
-    assert (Path(folder.partition(": ")[2]) / "zermelo.py").is_file()
+    assert (Path(folder.partition(": ")[2]) / "classics" / "zermelo.py").is_file()
 
 
 def test_one_is_run_with_its_own_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

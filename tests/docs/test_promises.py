@@ -20,7 +20,7 @@ from gnc_opt.control.sliding import reaching
 from gnc_opt.problem.arc import ArcKind
 from gnc_opt.report import summary_dict
 from gnc_opt.report.search import search_dict
-from problems import minimum_fuel
+from problems.classics import minimum_fuel
 
 COMMANDS = doc("command_line").text
 JSON = doc("json_summary")
@@ -198,7 +198,9 @@ def test_version_is_the_same_everywhere() -> None:
 
 def test_problems_lists_every_file() -> None:
     table = set(re.findall(r"(?m)^\| \[`(\w+)`\]", doc("problems").text))
-    files = [path for path in (ROOT / "problems").glob("*.py") if "run(build, REFERENCE" in path.read_text()]
+    files = [
+        path for path in (ROOT / "problems").glob("*/*.py") if "run(build, REFERENCE" in path.read_text()
+    ]
     systems = (ROOT / "problems").glob("*/__main__.py")
     assert table == {path.stem for path in files} | {path.parent.name for path in systems}
 

@@ -86,7 +86,12 @@ def test_the_first_page_leads_to_the_reference() -> None:
     [
         ("README.md", "index.md", "[a](docs/verdict.md)", "[a](verdict.md)"),
         ("README.md", "index.md", "![a](docs/rendezvous.svg)", "![a](rendezvous.svg)"),
-        ("docs/problems.md", "problems.md", "[a](../problems/zermelo.py)", "[a](gallery/zermelo.md)"),
+        (
+            "docs/problems.md",
+            "problems.md",
+            "[a](../problems/classics/zermelo.py)",
+            "[a](gallery/zermelo.md)",
+        ),
         ("docs/problems.md", "problems.md", "[`a`](../problems/rendezvous)", "[`a`](gallery/rendezvous.md)"),
         ("docs/learn/a.md", "learn/a.md", "[a](../verdict.md#b)", "[a](../verdict.md#b)"),
         ("docs/learn/a.md", "learn/a.md", "[a](#b)", "[a](#b)"),

@@ -16,7 +16,7 @@ from gnc_opt.problem.guess.trajectory import start_phase
 
 DURATION, LEAST = 3.0, 0.5
 FUEL = DURATION - np.sqrt(DURATION**2 - 4)
-"""Of one unit, rest to rest, with an acceleration of at most 1: two burns of half of it (problems/minimum_fuel.py)."""
+"""Of one unit, rest to rest, acceleration at most 1: two burns of half of it (problems.classics.minimum_fuel)."""
 
 
 def cart(size: int = 2) -> tuple[go.Model, Any]:

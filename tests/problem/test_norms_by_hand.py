@@ -17,7 +17,7 @@ from gnc_opt.problem.norms import restated
 
 DURATION = 3.0
 FUEL = DURATION - np.sqrt(DURATION**2 - 4)
-"""Of one unit, rest to rest, with an acceleration of at most 1: two burns of half of it (problems/minimum_fuel.py)."""
+"""Of one unit, rest to rest, acceleration at most 1: two burns of half of it (problems.classics.minimum_fuel)."""
 
 State = dict[str, float]
 

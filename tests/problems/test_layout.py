@@ -1,4 +1,4 @@
-"""How problems/ is laid out: basic problems in one file each, systems in folders, imports that go one way."""
+"""How problems/ is laid out: basic problems in one file each by trade, systems in folders, imports that go one way."""
 
 from __future__ import annotations
 
@@ -19,8 +19,13 @@ from gnc_opt import cli
 
 FOLDER = Path(problems.__file__).parent
 SHARED = {"all", "campaigns", "comparison", "dispersed", "flown", "fronts", "kept", "reference", "run"}
-BASIC = sorted({path.stem for path in FOLDER.glob("*.py")} - {"__init__", *SHARED})
-SYSTEMS = sorted(path.parent.name for path in FOLDER.glob("*/__init__.py"))
+SYSTEMS = sorted(path.parent.name for path in FOLDER.glob("*/__main__.py"))
+TRADES = sorted({path.parent.name for path in FOLDER.glob("*/__init__.py")} - {*SYSTEMS})
+BASIC = sorted(
+    f"{path.parent.name}.{path.stem}"
+    for path in FOLDER.glob("*/*.py")
+    if path.parent.name in TRADES and path.stem != "__init__"
+)
 
 
 def sources() -> dict[str, str]:
@@ -105,7 +110,7 @@ def test_a_basic_problem_is_one_file(name: str) -> None:
     assert imports(f"problems.{name}", sources()) <= {f"problems.{other}" for other in SHARED}
     module = importlib.import_module(f"problems.{name}")
     assert callable(module.build) and callable(module.main) and module.REFERENCE.source
-    assert not [other for other in BASIC if other.startswith(f"{name}_")]
+    assert name.partition(".")[2] not in TRADES
 
 
 @pytest.mark.parametrize("name", SYSTEMS)

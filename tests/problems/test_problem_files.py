@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import math
 from collections.abc import Callable, Iterable
@@ -16,37 +15,35 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
-from test_layout import SHARED
 
 import gnc_opt as go
 from gnc_opt import cli
-from problems import (
-    bilimoria_wie,
+from gnc_opt.examples import example, examples
+from problems.ascent import delta3, goddard
+from problems.attitude import bilimoria_wie
+from problems.classics import (
     bryson_denham,
     cannonball,
-    delta3,
-    earth_mars,
-    goddard,
     hypersensitive,
-    mars_landing,
     minimum_fuel,
-    moon_landing,
-    robot_arm,
-    shuttle,
     speed_limit,
     tumour,
     van_der_pol,
     zermelo,
 )
+from problems.entry import shuttle
+from problems.landing import mars_landing, moon_landing
+from problems.low_thrust import earth_mars
 from problems.reference import Reference
+from problems.robots import robot_arm
 from problems.run import TOLERANCE, comparison, run
 
 Array = NDArray[np.float64]
 
-FOLDER = Path(goddard.__file__).parent
-NAMES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in SHARED | {"__init__"})
+ROOT = Path(__file__).parents[2]
+NAMES = [each.name for each in examples() if not each.is_system]
 """The basic problems, of one file each; systems are folders with tests of their own."""
-ON_A_MESH = {"climb": "120x6", "low_thrust": "60x8"}
+ON_A_MESH = {"climb": "120x6", "low_thrust_transfer": "60x8"}
 """Solved on this mesh here; ``python -m benchmarks.problem_files`` refines and judges them."""
 COARSE = {
     # Deviation from the reference on 10x3 (or the mesh given), in shares of it: what such a mesh is worth, no more.
@@ -63,7 +60,7 @@ COARSE = {
 }
 """Solved once here; ``python -m benchmarks.problem_files`` refines and judges them, and all the others."""
 REFINED = [name for name in NAMES if name not in {*ON_A_MESH, *COARSE}]
-SLOW = {"delta3", "low_thrust"}
+SLOW = {"delta3", "low_thrust_transfer"}
 """Solved in more than 5 s on a free core."""
 CLOSED = {
     # Tolerances of states, controls and costates: the accuracy asked for, larger where a cost is flat
@@ -92,7 +89,7 @@ def solved(name: str) -> go.Solution:
 
 
 def module(name: str) -> ModuleType:
-    return importlib.import_module(f"problems.{name}")
+    return example(name).module
 
 
 def inner_times(leg: go.PhaseSolution, number: int = 61) -> Array:
@@ -489,15 +486,15 @@ def test_a_nan_agrees_with_nothing() -> None:
 
 def test_problem_files_work_with_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
     for name in NAMES:
-        assert cli.main(["check", str(FOLDER / f"{name}.py")]) == 0
+        assert cli.main(["check", str(example(name).path)]) == 0
     assert capsys.readouterr().out.count("well stated") == len(NAMES)
-    file = str(FOLDER / "minimum_fuel.py")
+    file = str(example("minimum_fuel").path)
     assert cli.main(["solve", file, "--tol", "1e-8", "--set", "duration=2.5", "--quiet"]) == 0
 
 
 @pytest.mark.parametrize("name", [*NAMES])
 def test_the_index_lists_every_file(name: str) -> None:
-    index = (FOLDER.parent / "docs" / "problems.md").read_text(encoding="utf-8")
+    index = (ROOT / "docs" / "problems.md").read_text(encoding="utf-8")
     row = next(line for line in index.splitlines() if line.startswith(f"| [`{name}`]"))
     value = module(name).REFERENCE.value
     shown = row.split("|")[4].split()[0]

@@ -8,7 +8,7 @@ import scipy
 
 from gnc_opt.arrays import Array
 from gnc_opt.simulation import Run
-from problems.mars_landing import FULL, GRAVITY, MASS_RATE
+from problems.landing.mars_landing import FULL, GRAVITY, MASS_RATE
 from problems.rocket_landing import DISPERSIONS, LATEST, START, Landing, resolver, table
 from problems.rocket_landing.flown import GUST, GUST_RATE, HARD
 from problems.rocket_landing.laws import DT

@@ -8,7 +8,8 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.problem.arc import ArcKind
-from problems import quadrotor, reorientation
+from problems.attitude import reorientation
+from problems.robots import quadrotor
 
 LENGTH, BELOW, RADIUS = 6.0, 0.4, 1.0
 """The way; how far below its middle the disc's centre lies, and its radius, m."""

@@ -22,7 +22,7 @@ from gnc_opt.refine.hp.mesh_refinement import refine_mesh
 from gnc_opt.refine.passes import PassLimits
 from gnc_opt.solution.history import History
 from gnc_opt.verify.verdict import Condition, Verdict
-from problems import van_der_pol
+from problems.classics import van_der_pol
 
 
 def rest_to_rest() -> go.Problem:

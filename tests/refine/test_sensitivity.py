@@ -14,7 +14,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.refine.refine import refine
-from problems import bryson_denham
+from problems.classics import bryson_denham
 from tests.properties.nonlinear import orbit_raising, reorientation, van_der_pol
 
 OPTIONS = go.SolverOptions(tolerance=1e-11)

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
 import gnc_opt as go
-from problems import van_der_pol
+from problems.classics import van_der_pol
 
 TIGHT = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-14}
 

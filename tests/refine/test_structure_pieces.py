@@ -17,7 +17,7 @@ from gnc_opt.refine.structure.detect import detect, switching
 from gnc_opt.refine.structure.phase_structure import PhaseStructure
 from gnc_opt.refine.structure.plan import MAX_DEGREE, MAX_SEGMENTS, Resolution
 from gnc_opt.refine.structure.resolved import FEWEST
-from problems import van_der_pol
+from problems.classics import van_der_pol
 
 LOW, FREE, UP = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER
 

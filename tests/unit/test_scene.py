@@ -4,7 +4,6 @@ import base64
 import gzip
 import json
 import re
-from importlib import import_module
 
 import casadi as ca
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 from browser import BROWSER, PHONE, browser
 
 import gnc_opt as go
-from gnc_opt.examples import examples
+from gnc_opt.examples import example, examples
 from gnc_opt.plot import Thruster, View
 from gnc_opt.plot.dispersion_tube import tube
 from gnc_opt.plot.scene import scene_html
@@ -187,11 +186,9 @@ def test_without_plotly_the_page_says_how_to_get_it(solution, monkeypatch):
     assert "pip install &#x27;gnc_opt[report]&#x27;" in told and "<script" not in told
 
 
-@pytest.mark.parametrize(
-    "name", [e.name for e in examples() if hasattr(import_module(f"problems.{e.name}"), "VIEW")]
-)
+@pytest.mark.parametrize("name", [each.name for each in examples() if hasattr(each.module, "VIEW")])
 def test_views_of_the_problems_name_what_there_is(name):
-    file = import_module(f"problems.{name}")
+    file = example(name).module
     leg = next(iter(file.build().phases.values()))
     view, model = file.VIEW, leg.model
     known = {*model.states.names, *model.controls.names, *model.composed_controls}

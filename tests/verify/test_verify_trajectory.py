@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import gnc_opt as go
-from problems import interior_point, zermelo
+from problems.classics import interior_point, zermelo
 from tests.verify.wrong import design_problem, double_integrator
 
 Array = NDArray[np.float64]

@@ -1,0 +1,1 @@
+"""Aircraft: climb, turns, soaring, abort landing."""

@@ -1,0 +1,1 @@
+"""Ascent: launchers and sounding rockets."""

@@ -1,0 +1,1 @@
+"""Attitude: reorientation and momentum."""

@@ -1,0 +1,1 @@
+"""Classics: textbook problems, most of them with closed forms."""

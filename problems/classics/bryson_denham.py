@@ -1,0 +1,79 @@
+r"""Bryson-Denham: throw a mass back with the least effort, without its touching a wall at l = 1/9 m.
+
+Teaches a state constraint of second order: the control appears only in the second derivative of x <= l. Where the
+trajectory meets the limit and where it leaves it, lam_x jumps, by 18 down each time, while the control stays
+continuous. And it warns of constraints that are enforced at the nodes only: one segment of degree 8 gives
+J = 3.982, half a percent *better* than the optimum, with an ODE residual of zero. A cost that is too good is as
+wrong as one that is too high; only a look between the nodes tells.
+
+States: ``x`` (m), ``v`` (m/s). Control: ``a`` (m/s^2).
+
+.. math::
+   \dot x = v, \qquad \dot v = a, \qquad J = \tfrac12 \int_0^1 a^2\,dt, \qquad x \le l
+
+Closed form (l <= 1/6): on the limit from 3 l to 1 - 3 l; before, with z = 1 - t / (3 l), x = l (1 - z^3), v = z^2,
+a = -2 z / (3 l), lam_x = 2 / (9 l^2), lam_v = -a; afterwards mirrored. J = 4 / (9 l).
+
+Source: Bryson and Ho, Applied Optimal Control, 1975, page 120.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+import gnc_opt as go
+from problems.reference import Array, Extremal, Reference
+from problems.run import run
+
+LIMIT = 1 / 9
+"""l, m."""
+
+
+def build(limit: float = LIMIT) -> go.Problem:
+    """Return the problem.
+
+    Parameters
+    ----------
+    limit : float
+        Of x, m: an arc on it up to 1/6, a touch up to 1/4, beyond that none.
+    """
+    mass = go.Model("double integrator")
+    x = mass.state("x", unit="m")
+    v = mass.state("v", unit="m/s")
+    a = mass.control("a", unit="m/s^2")
+    mass.ode({x: v, v: a})
+
+    problem = go.Problem("Bryson-Denham")
+    bounce = problem.phase("bounce", mass)
+    bounce.time(initial=0.0, final=1.0)
+    bounce.initial(x=0.0, v=1.0)
+    bounce.final(x=0.0, v=-1.0)
+    bounce.bounds(x=(None, limit))
+    problem.minimize(bounce.integral(a**2 / 2, "effort"))
+    return problem
+
+
+def closed_form(t: Array) -> Extremal:
+    """Return the optimum and its costates (constraint adjoined directly) at times t (s)."""
+    z = np.maximum(1 - np.minimum(t, 1 - t) / (3 * LIMIT), 0.0)  # 0 on the limit
+    side = np.where(z > 0, np.sign(0.5 - t), 0.0)
+    a = -2 * z / (3 * LIMIT)
+    return Extremal(
+        states={"x": LIMIT * (1 - z**3), "v": side * z**2},
+        controls={"a": a},
+        costates={"x": side * 2 / (9 * LIMIT**2), "v": -a},
+    )
+
+
+REFERENCE = Reference(4 / (9 * LIMIT), "closed form: 4 / (9 l)", 1e-10, "m^2/s^3")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Solve, compare with the closed form, judge; see ``python -m problems.classics.bryson_denham --help``."""
+    return run(build, REFERENCE, arguments)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,83 @@
+r"""Speed limit: 1 m from rest to rest in the least time, no faster than 0.5 m/s.
+
+Teaches the simplest state constraint. Its first time derivative holds the control (order one), so on the limit
+the control is what keeps the speed, zero, and neither bang nor singular in the usual sense: the multiplier of
+the limit does the work that the switching function does elsewhere. Each m/s of limit that is missing below 1
+m/s costs more than the last.
+
+States: ``x`` (m), ``v`` (m/s, at most 0.5). Control: ``a`` (m/s^2, -1 to 1).
+
+.. math::
+   \dot x = v, \qquad \dot v = a, \qquad |v| \le v_{max}
+
+Closed form: a = 1, 0, -1 with switches at v_max and t_f - v_max; lam_x = -1 / v_max, lam_v rises from -1 to 0 on the
+first arc, is 0 on the limit, and rises to +1 on the last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+import gnc_opt as go
+from problems.reference import Array, Extremal, Reference
+from problems.run import run
+
+LIMIT = 0.5
+"""v_max, m/s; below 1 it matters."""
+LEAST_TIME = 1 / LIMIT + LIMIT
+"""s."""
+
+
+def build(limit: float = LIMIT) -> go.Problem:
+    """Return the problem.
+
+    Parameters
+    ----------
+    limit : float
+        Of the speed, m/s.
+    """
+    cart = go.Model("double integrator")
+    x = cart.state("x", unit="m")
+    v = cart.state("v", unit="m/s")
+    a = cart.control("a", unit="m/s^2")
+    cart.ode({x: v, v: a})
+
+    problem = go.Problem("minimum time with a speed limit")
+    move = problem.phase("move", cart)
+    move.time(initial=0.0, final=(0.5, 10.0))
+    move.initial(x=0.0, v=0.0)
+    move.final(x=1.0, v=0.0)
+    move.bounds(v=(-limit, limit), a=(-1.0, 1.0))
+    problem.minimize(move.final_time)
+    return problem
+
+
+def closed_form(t: Array) -> Extremal:
+    """Return the optimal move and its costates at times t (s)."""
+    left = LEAST_TIME - t
+    arcs = [t < LIMIT, left < LIMIT]
+    return Extremal(
+        states={
+            "x": np.select(arcs, [t**2 / 2, 1 - left**2 / 2], LIMIT**2 / 2 + LIMIT * (t - LIMIT)),
+            "v": np.select(arcs, [t, left], LIMIT),
+        },
+        controls={"a": np.select(arcs, [1.0, -1.0], 0.0)},
+        costates={
+            "x": np.full_like(t, -1 / LIMIT),
+            "v": np.select(arcs, [t / LIMIT - 1, 1 - left / LIMIT], 0.0),
+        },
+    )
+
+
+REFERENCE = Reference(LEAST_TIME, "closed form: 1/v_max + v_max", 1e-7, "s")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Solve, compare with the closed form, judge; see ``python -m problems.classics.speed_limit --help``."""
+    return run(build, REFERENCE, arguments)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

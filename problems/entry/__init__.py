@@ -1,0 +1,1 @@
+"""Entry: flight from orbit into an atmosphere."""

@@ -1,0 +1,1 @@
+"""Landing: powered descent."""

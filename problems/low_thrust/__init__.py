@@ -1,0 +1,1 @@
+"""Low thrust: orbit transfers with long burns."""

@@ -1,0 +1,1 @@
+"""Proximity operations: rendezvous, docking, station keeping."""

@@ -1,0 +1,1 @@
+"""Robots: arms, quadrotors, vehicles."""
