@@ -1,4 +1,4 @@
-"""Benchmarks: each prints a table and can write JSON; run them as ``python -m benchmarks.NAME``."""
+"""Measurements: `performance` answers what users ask, `validation` whether the results are right."""
 
 import os
 

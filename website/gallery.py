@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import gnc_opt as go
-from benchmarks.page import numbers
+from benchmarks.performance.page import numbers
 from gnc_opt.examples import Example, examples
 from gnc_opt.plot import plot_controls, plot_run_controls, plot_run_states, plot_states
 from problems.reference import Reference
@@ -74,7 +74,7 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
 
 
 def _solved(example: Example) -> Iterator[str]:
-    """What `benchmarks.problem_files` has measured."""
+    """What `benchmarks.performance.problem_files` has measured."""
     kept = numbers("problem_files")
     rows = [row for row in kept["told"] if row["problem"] == example.name]
     for row in rows:

@@ -1,1 +1,9 @@
-"""Validation: computed answers against published or independently computed values."""
+"""Whether the results are right: ``python -m benchmarks.validation.NAME``.
+
+* `regression`: has any answer moved since the last accepted state (``baseline.json``)?
+* `engine`: status, accuracy, verdict and time of every known answer;
+* `problem_set`: a set of problems in JSON with independent references;
+* `verdict`: planted wrong answers and right ones, and what the verification reports;
+* `random_rendezvous`, `lower_bounds`: rendezvous between random boundary values, and bounds of their cost;
+* `cluster`: a campaign on a Dask cluster that loses workers and its scheduler.
+"""

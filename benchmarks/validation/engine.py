@@ -33,8 +33,8 @@ from pathlib import Path
 from typing import Any
 
 import gnc_opt as go
-from benchmarks import ocp_set
-from benchmarks.ocp_json import read_documents
+from benchmarks.validation.problem_set import solve as problem_set
+from benchmarks.validation.problem_set.reader import read_documents
 from gnc_opt.examples import Example, example, examples
 from problems.reference import Reference
 
@@ -245,12 +245,12 @@ def _judged(row: Row, solution: go.Solution, begin: float) -> Row:
 
 
 def _from_set(row: Row, case: Case, set_file: Path, begin: float) -> Row:
-    """Solve a problem of the set; what it counts as right is decided by `benchmarks.ocp_set`."""
+    """Solve a problem of the set; what it counts as right is decided by `benchmarks.validation.problem_set`."""
     document = next(d for d in read_documents(set_file) if d["name"] == case.name)
-    outcome, solution = ocp_set.run(document, set_file.parent / "solutions", tol=TOLERANCES["set"])
+    outcome, solution = problem_set.run(document, set_file.parent / "solutions", tol=TOLERANCES["set"])
     reference = outcome.reference
     if reference is not None and not outcome.expect:
-        accepted = document.get("accept_rel_tol", ocp_set.ACCEPT)
+        accepted = document.get("accept_rel_tol", problem_set.ACCEPT)
         row = replace(row, reference=reference, tolerance=accepted * (abs(reference) or 1.0))
     if solution is None or outcome.expect:
         cpu_s = time.process_time() - begin

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from closed_form import SCHEMES
 
-from benchmarks.convergence import Case, Row, brachistochrone, figure, main, measure, regulator
+from benchmarks.performance.convergence import Case, Row, brachistochrone, figure, main, measure, regulator
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

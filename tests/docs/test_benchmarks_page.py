@@ -9,24 +9,27 @@ import types
 import pytest
 from pages import ROOT
 
-from benchmarks import page
+from benchmarks.performance import page
 from gnc_opt.examples import examples
 
 
 def test_the_page_shows_the_kept_numbers() -> None:
     text = page.PAGE.read_text(encoding="utf-8")
-    assert text == page.written(text), "run python -m benchmarks.page"
-    assert set(re.findall(r"<!-- table of benchmarks\.(\w+) -->", text)) == set(page.BENCHMARKS)
+    assert text == page.written(text), "run python -m benchmarks.performance.page"
+    assert set(re.findall(r"<!-- table of benchmarks\.\w+\.(\w+) -->", text)) == set(page.BENCHMARKS)
 
 
 @pytest.mark.parametrize("name", page.BENCHMARKS)
 def test_every_table_has_its_origin(name: str) -> None:
     if page.numbers(name) is None:
-        assert page.markdown(name).startswith(f"Not measured yet: `python -m benchmarks.page {name}")
+        assert page.markdown(name).startswith(
+            f"Not measured yet: `python -m benchmarks.performance.page {name}"
+        )
         return
     table, origin = page.markdown(name).split("\n\n")
     assert len({line.count("|") for line in table.splitlines()}) == 1 and table.count("\n") > 1
-    wanted = rf"Measured by `python -m benchmarks\.{name}.*` on \d{{4}}-\d\d-\d\d: .+ cores, .*; .*gnc_opt \d"
+    module = re.escape(page.module_of(name))
+    wanted = rf"Measured by `python -m {module}.*` on \d{{4}}-\d\d-\d\d: .+ cores, .*; .*gnc_opt \d"
     assert re.match(wanted, origin)
 
 
@@ -45,7 +48,9 @@ def test_measuring_keeps_numbers_with_machine_and_date(tmp_path, monkeypatch) ->
         return 1  # a target that is missed is no reason to lose the numbers
 
     fake = types.SimpleNamespace(main=main)
-    monkeypatch.setattr(page.importlib, "import_module", lambda name: {"benchmarks.fake": fake}[name])
+    monkeypatch.setattr(
+        page.importlib, "import_module", lambda name: {"benchmarks.performance.fake": fake}[name]
+    )
     monkeypatch.setattr(page, "NUMBERS", tmp_path / "numbers")
     monkeypatch.setattr(page, "version", lambda package: "1")
     monkeypatch.setattr(page, "PAGE", tmp_path / "page.md")
@@ -53,11 +58,13 @@ def test_measuring_keeps_numbers_with_machine_and_date(tmp_path, monkeypatch) ->
         ("--runs", "2"), ("size", "spent"), lambda told: [(str(r["size"]), str(r["spent"])) for r in told]
     )
     monkeypatch.setattr(page, "BENCHMARKS", {"fake": rows})
-    page.PAGE.write_text("before\n<!-- table of benchmarks.fake -->\nold\n<!-- end of the table -->\nafter\n")
+    page.PAGE.write_text(
+        "before\n<!-- table of benchmarks.performance.fake -->\nold\n<!-- end of the table -->\nafter\n"
+    )
     assert page.main(["fake"]) == 0
     text = page.PAGE.read_text()
     assert "| size | spent |\n| --- | --: |\n| 0.1 | 3 |\n" in text and "old" not in text
-    assert "Measured by `python -m benchmarks.fake --runs 2` on " in text
+    assert "Measured by `python -m benchmarks.performance.fake --runs 2` on " in text
     assert text.startswith("before") and text.endswith("after\n")
     assert page.main([]) == 0 and page.PAGE.read_text() == text  # the same without measuring
     with pytest.raises(SystemExit):
@@ -75,12 +82,14 @@ def test_what_was_just_told_is_not_measured_twice_and_shows_no_folder(  # type: 
     monkeypatch.setattr(page, "NUMBERS", tmp_path / "numbers")
     monkeypatch.setattr(page, "version", lambda package: "1")
     monkeypatch.setattr(page, "PAGE", tmp_path / "page.md")
-    page.PAGE.write_text("<!-- table of benchmarks.fake -->\n<!-- end of the table -->\n")
+    page.PAGE.write_text("<!-- table of benchmarks.performance.fake -->\n<!-- end of the table -->\n")
     assert page.main([]) == 0
-    assert "Not measured yet: `python -m benchmarks.page fake -- FILE.json`" in page.PAGE.read_text()
+    assert (
+        "Not measured yet: `python -m benchmarks.performance.page fake -- FILE.json`" in page.PAGE.read_text()
+    )
     assert page.main(["fake", "--told", str(told), "--", str(problems)]) == 0
     text = page.PAGE.read_text()
-    assert "| 1 |\n| 2 |\n" in text and "`python -m benchmarks.fake problems.json`" in text
+    assert "| 1 |\n| 2 |\n" in text and "`python -m benchmarks.performance.fake problems.json`" in text
     assert str(tmp_path) not in text
     for wrong in (["fake"], ["--told", str(told)]):
         with pytest.raises(SystemExit):
@@ -116,10 +125,13 @@ def test_what_became_of_a_problem_is_told_in_words() -> None:
         "passed": True,
     }
     ended = row | {"objective": None, "relative_error": None, "status": "input_error", "iterations": None}
-    (told, refused) = page.BENCHMARKS["ocp_set"].rows([row, ended])
+    (told, refused) = page.BENCHMARKS["problem_set"].rows([row, ended])
     assert told == ("a", "1e-09", "", "12", "3", "0.5", "fails stationarity", "yes")
     assert refused == ("a", "", "", "", "3", "0.5", "input error", "yes")
 
 
 def test_pages_are_in_the_repository() -> None:
-    assert page.PAGE == ROOT / "docs" / "benchmarks.md" and page.NUMBERS == ROOT / "benchmarks" / "numbers"
+    assert (
+        page.PAGE == ROOT / "docs" / "benchmarks.md"
+        and page.NUMBERS == ROOT / "benchmarks" / "performance" / "numbers"
+    )

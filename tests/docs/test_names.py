@@ -128,12 +128,18 @@ def subcommands() -> dict[str, str]:
     return {name: parser.format_help() for name, parser in subparsers(_parser()).items()}
 
 
+def _program(module: str) -> str:
+    """The module that ``python -m`` runs: of a package its ``__main__``."""
+    is_package = getattr(importlib.import_module(module), "__path__", None)
+    return f"{module}.__main__" if is_package else module
+
+
 @cache
 def help_of(module: str) -> str:
     """What ``python -m MODULE --help`` prints."""
     stream = io.StringIO()
     with contextlib.redirect_stdout(stream), pytest.raises(SystemExit) as leaving:
-        importlib.import_module(module).main(["--help"])
+        importlib.import_module(_program(module)).main(["--help"])
     assert not leaving.value.code
     return stream.getvalue()
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.peers.compare import ahead, best
+from benchmarks.performance.peers.compare import ahead, best
 from problems.rendezvous import CASES, build, chaser_model
 
-PLAIN = Path(__file__).parents[2] / "benchmarks" / "peers" / "plain.py"
+PLAIN = Path(__file__).parents[2] / "benchmarks" / "performance" / "peers" / "plain.py"
 
 
 @pytest.fixture(scope="module")

@@ -44,7 +44,7 @@ ROOT = Path(__file__).parents[2]
 NAMES = [each.name for each in examples() if not each.is_system]
 """The basic problems, of one file each; systems are folders with tests of their own."""
 ON_A_MESH = {"climb": "120x6", "low_thrust_transfer": "60x8"}
-"""Solved on this mesh here; ``python -m benchmarks.problem_files`` refines and judges them."""
+"""Solved on this mesh here; ``python -m benchmarks.performance.problem_files`` refines and judges them."""
 COARSE = {
     # Deviation from the reference on 10x3 (or the mesh given), in shares of it: what such a mesh is worth, no more.
     "mars_landing": 1e-4,
@@ -58,7 +58,7 @@ COARSE = {
     "two_link_arm": 5e-4,
     "cannonball": 1e-6,
 }
-"""Solved once here; ``python -m benchmarks.problem_files`` refines and judges them, and all the others."""
+"""Solved once here; ``python -m benchmarks.performance.problem_files`` refines and judges them, and all the others."""
 REFINED = [name for name in NAMES if name not in {*ON_A_MESH, *COARSE}]
 SLOW = {"delta3", "low_thrust_transfer"}
 """Solved in more than 5 s on a free core."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.random_rendezvous import SAME, Outcome, draw, false_alarm
+from benchmarks.validation.random_rendezvous import SAME, Outcome, draw, false_alarm
 
 
 def test_what_is_drawn() -> None:

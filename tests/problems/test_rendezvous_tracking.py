@@ -10,7 +10,7 @@ from flexible import cross
 from scipy.integrate import solve_ivp
 
 import gnc_opt as go
-from benchmarks.closed_loop import AGREEMENT, ATOL, RTOL, plain_inputs, plain_run
+from benchmarks.performance.closed_loop import AGREEMENT, ATOL, RTOL, plain_inputs, plain_run
 from gnc_opt.arrays import Array
 from gnc_opt.control import feedforward
 from gnc_opt.simulation import Quantisation, Run, consistency

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from benchmarks.verdict import command, table
-from benchmarks.verdict.cases import Case, Outcome, cases, judged
-from benchmarks.verdict.changes import changes, off_by
-from benchmarks.verdict.extremals import great_circle
-from benchmarks.verdict.pairs import Pair, pairs
-from benchmarks.verdict.statements import FAMILY, build, frames, in_frame, solved, trajectory
+from benchmarks.validation.verdict import __main__ as command
+from benchmarks.validation.verdict.cases import Case, Outcome, cases, judged
+from benchmarks.validation.verdict.non_minimal_extremals import great_circle
+from benchmarks.validation.verdict.pairs import Pair, pairs
+from benchmarks.validation.verdict.statements import FAMILY, build, frames, in_frame, solved, trajectory
+from benchmarks.validation.verdict.wrong_answers import changes, off_by
 
 ENERGY = FAMILY[0]
 
@@ -121,7 +121,7 @@ def outcome(kind: str, told: Any, wrong: bool = True) -> Outcome:
 def test_classes_are_counted_and_shown(tmp_path: Path) -> None:
     told = [outcome("a", t) for t in ("failed", "failed", "passed", "not found", "crash")]
     told += [outcome("right: b", t, wrong=False) for t in ("passed", "failed", "untold")]
-    rows = table.count(told)
+    rows = command.count(told)
     assert [rows["a"][c] for c in ("planted", "failed", "passed wrongly", "crash", "not found")] == [
         4,
         2,
@@ -132,21 +132,22 @@ def test_classes_are_counted_and_shown(tmp_path: Path) -> None:
     assert [rows["right: b"][c] for c in ("planted", "failed", "false alarm", "untold")] == [3, 0, 1, 1]
     assert rows["all wrong ones"] == rows["a"] and rows["all right ones"] == rows["right: b"]
     page, numbers = tmp_path / "page.md", tmp_path / "numbers.json"
-    page.write_text("before\n<!-- table of benchmarks.verdict -->\nstale\n<!-- end of the table -->\nafter\n")
+    place = "<!-- table of benchmarks.validation.verdict -->\nstale\n<!-- end of the table -->"
+    page.write_text(f"before\n{place}\nafter\n")
     for _ in range(2):  # again, it replaces the table
-        table.write(rows, page, numbers)
+        command.write_page(rows, page, numbers)
     text = page.read_text()
     assert "| a | 4 | 2 | 1 |  |  | 1 |  | 1 |\n" in text and "stale" not in text
     assert text.startswith("before\n") and text.endswith("<!-- end of the table -->\nafter\n")
     assert json.loads(numbers.read_text()) == rows
     page.write_text("no place")
     with pytest.raises(ValueError, match="no place for the table"):
-        table.write(rows, page, numbers)
+        command.write_page(rows, page, numbers)
 
 
 def test_the_page_shows_the_numbers_of_the_last_run_and_nothing_passed_wrongly() -> None:
-    rows = json.loads(table.NUMBERS.read_text(encoding="utf-8"))
-    assert table.markdown(rows) in (ROOT / "docs" / "verdict.md").read_text(encoding="utf-8")
+    rows = json.loads(command.NUMBERS.read_text(encoding="utf-8"))
+    assert command.markdown(rows) in (ROOT / "docs" / "verdict.md").read_text(encoding="utf-8")
     assert rows["all wrong ones"]["planted"] >= 400 and rows["all right ones"]["planted"] >= 100
     assert rows["all wrong ones"]["passed wrongly"] == rows["all wrong ones"]["crash"] == 0
     planned = {c.kind for c in cases([], seed=0)}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import gnc_opt as go
-from benchmarks.scale import RADIUS, THRUST, spiral
+from benchmarks.performance.scale import RADIUS, THRUST, spiral
 from gnc_opt.problem.interval import Interval
 from gnc_opt.problem.turns import Turns
 

@@ -1,0 +1,302 @@
+"""Speed: a campaign of the followed rendezvous against a straightforward Python loop over scipy's solve_ivp.
+
+    python -m benchmarks.performance.closed_loop [--runs 1000] [--plain-runs 5] [--seed 1] [--json OUT]
+
+Workload: `problems.rendezvous_tracking`, case 1, TVLQR, all dispersions, noise, actuators and the disturbance. The
+plain loop states the same closed loop in NumPy, step by step, and integrates the plant over each control step by
+solve_ivp (RK45). It gets the same gains, parameters and random numbers, so the states at the end have to agree; both
+sides have an error per step far below the tolerance of that comparison.
+
+Five questions:
+
+1. Processor time per run, plain loop over campaign. The plain loop's time leaves design, gains and random
+   numbers out; the campaign's has random numbers and parameters in. With building the loop, too: "built".
+2. Do the states at the end agree?
+3. How many runs a second does one processor fly, design, building and compiling not counted (TVLQR, integral sliding
+   mode, predictive control)?
+4. How long do the campaigns take with one process per processor, everything included (TVLQR, integral sliding mode,
+   open loop), and do they have the bits of the campaign on one?
+5. How many times as long does a run take behind a filter, one that makes its gains in flight and one before it?
+
+Exit code 1 if a target is missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import time
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from scipy.integrate import solve_ivp
+
+from gnc_opt.arrays import Array
+from gnc_opt.simulation import Campaign, Flight
+from gnc_opt.spacecraft import (
+    RADIUS_EARTH,
+    apply,
+    hill_acceleration,
+    lvlh_rate,
+    mean_motion,
+    mrp_difference,
+    mrp_rate,
+    mrp_to_dcm,
+    relative_angular_acceleration,
+    transpose,
+)
+from problems.rendezvous import ALTITUDE, MAX_FORCE, MAX_TORQUE
+from problems.rendezvous_tracking import DISPERSIONS, DT, FORCE_STEP, NOISE, TORQUE_STEP, Tracking, plan
+from problems.rendezvous_tracking.measured import Filtered
+from problems.rendezvous_tracking.report import FILTERS
+
+SPEED_UP = 50.0
+"""Least accepted ratio of times per run."""
+RATES = {"TVLQR": 800.0, "integral sliding mode": 300.0, "MPC": 30.0}
+"""Least accepted runs per second of processor time."""
+DEAREST = {"scheduled EKF": 1.5}
+"""Most accepted time of a run of the TVLQR behind a filter, over one without."""
+LONGEST = 60.0
+"""Of the campaigns together, s."""
+AGREEMENT = 1e-6
+"""Of the states at the end, in their units."""
+RTOL, ATOL = 1e-8, 1e-9
+"""Of solve_ivp, where its time is taken."""
+TIGHT = 1e-11
+"""Both of them, where the states are compared: commands are rounded to steps of the thrusters, and an error of 1e-8 m
+rounds one of them to the other side in every tenth run."""
+TOGETHER = ("open loop", "TVLQR", "integral sliding mode")
+
+_LIMIT = np.repeat([MAX_TORQUE, MAX_FORCE], 3)
+_STEP = np.repeat([TORQUE_STEP, FORCE_STEP], 3)
+_N = mean_motion(RADIUS_EARTH + ALTITUDE)
+
+
+def plain_run(
+    flight: Flight,
+    parameters: dict[str, Array],
+    normal: dict[str, Array],
+    rows: Array,
+    rtol: float = TIGHT,
+    atol: float = TIGHT,
+) -> Array:
+    """Fly one run in plain Python; return the state at the end (n_states,).
+
+    Parameters
+    ----------
+    flight : Flight
+        For the times of the steps alone.
+    parameters : mapping
+        Of the run, by dotted name.
+    normal : mapping
+        Standard normal numbers by sensor, (3, n_steps).
+    rows : array (n_signals, n_steps)
+        Reference states (12), feedforward (6), gains row by row (72).
+    rtol, atol : float
+        Of solve_ivp.
+    """
+    x = np.concatenate([parameters[f"initial.{name}"] for name in ("omega", "sigma", "v_L", "r_L")])
+    tau = np.concatenate([parameters["torque lag.tau"], parameters["force lag.tau"]])
+    push = parameters["differential force.level"]
+    inertia, mass = parameters["plant.inertia"], parameters["plant.mass"][0]
+    decay = np.exp(-DT / tau)
+    lagged = np.zeros(6)
+
+    def rate(t: float, x: Array, u: Array, gap: Array, begin: float) -> Array:
+        applied = u + gap * np.exp(-(t - begin) / tau)
+        omega, sigma, v, r = x[:3], x[3:6], x[6:9], x[9:]
+        dcm = mrp_to_dcm(sigma)
+        spin = relative_angular_acceleration(inertia, omega, apply(dcm, lvlh_rate(_N)), applied[:3])
+        force = apply(transpose(dcm), applied[3:]) / mass
+        return np.concatenate(
+            [spin, mrp_rate(sigma, omega), force + hill_acceleration(r, v, _N) + push, v]
+        ).astype(float)
+
+    for k, t in enumerate(flight.times[:-1]):
+        seen = x + np.concatenate(
+            [
+                NOISE["omega"] * normal["sensor 0"][:, k],
+                mrp_rate(x[3:6], NOISE["sigma"] * normal["sensor 1"][:, k]),
+                NOISE["v_L"] * normal["sensor 2"][:, k],
+                NOISE["r_L"] * normal["sensor 3"][:, k],
+            ]
+        )
+        x_ref, u_ff, gain = rows[:12, k], rows[12:18, k], rows[18:, k].reshape(6, 12)
+        error = seen - x_ref
+        error[3:6] = mrp_difference(seen[3:6], x_ref[3:6])
+        u = np.clip(_STEP * np.floor((u_ff - gain @ error) / _STEP + 0.5), -_LIMIT, _LIMIT)
+        gap = lagged - u
+        lagged = u + gap * decay
+        found = solve_ivp(rate, (t, t + DT), x, args=(u, gap, t), rtol=rtol, atol=atol)
+        x = found.y[:, -1]
+    return np.asarray(x)
+
+
+def plain_inputs(campaign: Campaign, flight: Flight, index: int) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return the parameters and the random numbers of a run of the campaign."""
+    layout = flight.layout
+    column = campaign.parameters[:, index]
+    parameters = {name: column[layout.slice(name)] for name in layout.names}
+    first = 1 + flight.schedule.shape[0]
+    generator = np.random.Generator(np.random.Philox(np.random.SeedSequence([campaign.seed, index])))
+    known = np.zeros((flight.kernel.known.size, flight.n_steps))
+    known[first:] = generator.standard_normal((flight.n_steps, known.shape[0] - first)).T
+    return parameters, flight.kernel.known.split(known)
+
+
+def measure(runs: int, plain_runs: int, seed: int) -> dict[str, Any]:
+    """Return all measurements as plain numbers."""
+    tracking = Tracking(plan())
+    begin = time.process_time()
+    serial = tracking.campaign("TVLQR", runs, seed, "serial")
+    built = time.process_time() - begin
+    assert serial.flight is not None
+    flight = serial.flight
+    begin = time.process_time()
+    flight.final(serial.parameters, [[seed, i] for i in range(runs)])
+    spent = time.process_time() - begin
+
+    rows, seconds, apart = flight.schedule, [], 0.0
+    for index in range(min(plain_runs, runs)):
+        parameters, normal = plain_inputs(serial, flight, index)
+        begin = time.process_time()
+        plain_run(flight, parameters, normal, rows, RTOL, ATOL)
+        seconds.append(time.process_time() - begin)
+        end = plain_run(flight, parameters, normal, rows)
+        apart = max(apart, float(np.max(np.abs(end - serial.states[:, index]))))
+
+    rates = {name: rate(tracking, name, runs, seed) for name in RATES}
+    campaigns, same = {}, True
+    for name in TOGETHER:
+        begin = time.perf_counter()
+        found = tracking.campaign(name, runs, seed)
+        campaigns[name] = time.perf_counter() - begin
+        if name == "TVLQR":
+            same = bool(np.array_equal(found.states, serial.states))
+    plain = float(np.median(seconds))
+    return {
+        "runs": runs,
+        "control_steps": flight.n_steps,
+        "dispersions": len(DISPERSIONS),
+        "plain_s_per_run": plain,
+        "campaign_s_per_run": spent / runs,
+        "built_s_per_run": built / runs,
+        "speed_up": plain * runs / spent,
+        "speed_up_built": plain * runs / built,
+        "apart": apart,
+        "runs_per_s": rates,
+        "filtered_over_plain": filter_costs(tracking, runs, seed),
+        "campaigns_s": campaigns,
+        "together_s": sum(campaigns.values()),
+        "same_bits": same,
+        "pass_rate": serial.pass_rate().rate,
+        "processors": os.cpu_count(),
+        "python": platform.python_version(),
+        "versions": {name: version(name) for name in ("casadi", "numpy", "scipy")},
+    }
+
+
+def flying(tracking: Tracking, name: str, runs: int, seed: int) -> tuple[int, Callable[[], float]]:
+    """Return how many runs a function flies whenever it is called, and that function, which tells the time it took."""
+    few = tracking.campaign(name, min(runs, 20), seed, "serial")
+    assert few.flight is not None
+    flight, P = few.flight.natively(1000), np.tile(few.parameters, 5)
+
+    def fly() -> float:
+        begin = time.process_time()
+        flight.final(P, [[seed, i] for i in range(P.shape[1])])
+        return time.process_time() - begin
+
+    return P.shape[1], fly
+
+
+def rate(tracking: Tracking, name: str, runs: int, seed: int) -> float:
+    """Return how many runs are flown in a second of processor time."""
+    n, fly = flying(tracking, name, runs, seed)
+    return n / float(np.median([fly() for _ in range(7)]))
+
+
+def filter_costs(tracking: Tracking, runs: int, seed: int) -> dict[str, float]:
+    """Return the times of runs of the TVLQR behind filters over those without, flown in turns."""
+    filtered = Filtered(tracking.solution)
+    flown = [flying(filtered, name, runs, seed)[1] for name in FILTERS]
+    plain = flying(tracking, "TVLQR", runs, seed)[1]
+    turns = np.array([[fly() for fly in (plain, *flown)] for _ in range(7)])
+    return dict(zip(FILTERS, np.median(turns[:, 1:] / turns[:, :1], axis=0).tolist(), strict=True))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, print the table; 1 if a target is missed."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.performance.closed_loop", description="Speed of campaigns."
+    )
+    parser.add_argument("--runs", type=int, default=1000)
+    parser.add_argument("--plain-runs", type=int, default=5, help="of the plain loop, median taken")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--json", type=Path, metavar="OUT")
+    options = parser.parse_args(arguments)
+    told = measure(options.runs, options.plain_runs, options.seed)
+    targets = {
+        "times per run, plain / campaign": (
+            told["speed_up"],
+            f">= {SPEED_UP:g}",
+            told["speed_up"] >= SPEED_UP,
+        ),
+        **{
+            f"{name}, runs per second": (
+                told["runs_per_s"][name],
+                f">= {least:g}",
+                told["runs_per_s"][name] >= least,
+            )
+            for name, least in RATES.items()
+        },
+        **{
+            f"{name}, times as long as without": (
+                told["filtered_over_plain"][name],
+                f"<= {most:g}",
+                told["filtered_over_plain"][name] <= most,
+            )
+            for name, most in DEAREST.items()
+        },
+        "states at the end apart by": (told["apart"], f"<= {AGREEMENT:g}", told["apart"] <= AGREEMENT),
+        "campaigns together (s)": (told["together_s"], f"<= {LONGEST:g}", told["together_s"] <= LONGEST),
+        "same bits on all processors": (float(told["same_bits"]), "1", told["same_bits"]),
+    }
+    rows = [
+        ("plain loop, s per run", told["plain_s_per_run"]),
+        ("campaign on one processor, s per run", told["campaign_s_per_run"]),
+        ("the same with design and building", told["built_s_per_run"]),
+        ("times per run, plain / built", told["speed_up_built"]),
+        *[
+            (f"{name}, times as long as without", ratio)
+            for name, ratio in told["filtered_over_plain"].items()
+            if name not in DEAREST
+        ],
+        *[(f"{name}, all processors (s)", spent) for name, spent in told["campaigns_s"].items()],
+    ]
+    table = Table(
+        title=f"Closed loop, {told['runs']} runs of {told['control_steps']} control steps",
+        box=box.SIMPLE_HEAD,
+    )
+    for heading in ("", "measured", "target", ""):
+        table.add_column(heading, no_wrap=True)
+    for label, value in rows:
+        table.add_row(label, f"{value:.3g}", "", "")
+    for label, (value, target, met) in targets.items():
+        table.add_row(label, f"{value:.3g}", target, "met" if met else "MISSED")
+    Console(highlight=False).print(table)
+    if options.json is not None:
+        options.json.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+    return 0 if all(met for _, _, met in targets.values()) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

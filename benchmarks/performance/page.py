@@ -1,0 +1,356 @@
+"""The tables of docs/benchmarks.md; ``python -m benchmarks.performance.page [NAME ...]`` measures the named ones.
+
+Results are stored in ``numbers/NAME.json`` with command, date, machine and versions, and the page shows them
+all. Without a NAME nothing is measured anew. What a benchmark needs to know of this machine follows behind two dashes,
+and what it has just written with its own ``--json`` need not be measured twice:
+
+    python -m benchmarks.performance.page problem_set -- FILE.json
+    python -m benchmarks.performance.page peers --told peers.json -- --environments DIR
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import importlib
+import json
+import os
+import platform
+import re
+import shlex
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from benchmarks.performance.peers.compare import ACCURACIES, best
+from gnc_opt.examples import example
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "benchmarks.md"
+NUMBERS = Path(__file__).parent / "numbers"
+_PACKAGES = ("gnc_opt", "casadi", "numpy", "scipy")
+_PLACE = re.compile(r"(<!-- table of benchmarks\.\w+\.(\w+) -->\n).*?(<!-- end of the table -->)", re.DOTALL)
+
+Cells = Iterable[Sequence[str]]
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """What is called, and how its numbers become rows below a heading.
+
+    Attributes
+    ----------
+    arguments : tuple of str
+    heading : tuple of str
+    rows : callable
+        Of what it told.
+    needs : str
+        What it must be told of the machine; "" for nothing.
+    """
+
+    arguments: tuple[str, ...]
+    heading: tuple[str, ...]
+    rows: Callable[[Any], Cells]
+    needs: str = ""
+
+
+def _certified(told: Any) -> Cells:
+    for row in told:
+        parts = (f"{row['mean_s'][part]:.2f}" for part in ("solve", "refine", "verify", "all"))
+        yield row["mesh"], *parts, _error(row["largest_error"]), f"{row['minima']} of {len(row['cases'])}"
+
+
+def _convergence(told: Any) -> Cells:
+    rows = [row for row in told["rows"] if row["scheme"] == "LG" and row["degree"] % 4 == 0]
+    for row in rows:
+        yield row["case"], str(row["degree"]), *(_error(row[key]) for key in ("state", "control", "costate"))
+
+
+def _problem_files(told: Any) -> Cells:
+    for row in told:
+        place = example(row["problem"]).path.relative_to(ROOT / "problems").as_posix()
+        name = f"[`{row['problem']}`](../problems/{place})" + (
+            f", {row['variant']}" if row["variant"] else ""
+        )
+        word = row["verdict"].partition(":")[0]
+        yield (
+            name,
+            f"{row['first_s']:.2f}",
+            f"{row['cpu_s']:.1f}",
+            _error(row["off"]),
+            row["status"].replace("_", " "),
+            word,
+        )
+
+
+def _resolve(told: Any) -> Cells:
+    for row in told:
+        spent = (f"{row[key]:.0f}" for key in ("median_ms", "p99_ms", "max_ms"))
+        others = f"{row['other_minima']} of {row['compared']}"
+        yield f"{100 * row['size']:g} %", str(row["runs"]), *spent, _error(row["largest_difference"]), others
+
+
+def _speed(told: Any) -> Cells:
+    for row in told["build_and_solve"]:
+        for name, run in row["medians"].items():
+            yield f"{name}, {row['mesh']}", f"{run['cpu_s']:.2f}", f"{run['iterations']:.0f}"
+
+
+def _scale(told: Any) -> Cells:
+    for row in told:
+        each = row.get("per_segment_ms")
+        yield (
+            row["what"],
+            str(row["iterations"]),
+            f"{row['all_s']:.1f}" if "all_s" in row else "",
+            "" if each is None else f"{each:.2f}",
+            f"{100 * row['functions']:.0f} %",
+            f"{row['memory_mb']:.0f}",
+        )
+
+
+def _refinement(told: Any) -> Cells:
+    yield "by refinement", str(told["points"])
+    yield f"smallest by hand: {told['hand_mesh']}", str(told["hand_points"])
+
+
+def _closed_loop(told: Any) -> Cells:
+    yield "plain loop by SciPy (s per run)", f"{told['plain_s_per_run']:.2f}"
+    yield "campaign (s per run)", f"{told['campaign_s_per_run']:.4f}"
+    yield "times as fast", f"{told['speed_up']:.0f}"
+    yield "times as fast, with design and building", f"{told['speed_up_built']:.0f}"
+    for law, rate in told["runs_per_s"].items():
+        yield f"{law} (runs per s, one processor)", f"{rate:.0f}"
+    for name, ratio in told.get("filtered_over_plain", {}).items():
+        yield f"TVLQR behind the {name}, times as long as without", f"{ratio:.1f}"
+    yield "states at the end apart by", _error(told["apart"])
+    yield "runs within all limits", f"{100 * told['pass_rate']:.1f} %"
+    yield "same bits on all processors", "yes" if told["same_bits"] else "no"
+
+
+def _problem_set(told: Any) -> Cells:
+    for row in told:
+        counts = (str(row[key]) if row[key] is not None else "" for key in ("iterations", "refinements"))
+        errors = (_error(row[key]) for key in ("relative_error", "costate_error"))
+        yield (
+            row["name"],
+            *errors,
+            *counts,
+            f"{row['seconds']:.1f}",
+            _ending(row),
+            "yes" if row["passed"] else "no",
+        )
+
+
+def _ending(row: Any) -> str:
+    """What a solve ended with, or what its verdict leaves."""
+    if row["objective"] is None:
+        return str(row["status"]).replace("_", " ")
+    words = [] if row["verdict_ok"] else [f"fails {', '.join(row['failed'])}"] if row["failed"] else []
+    words += [f"cannot tell {', '.join(row['untold'])}"] if row["untold"] else []
+    return "; ".join(words) or "ok"
+
+
+def _peers(told: Any) -> Cells:
+    found = {
+        program: {way: {int(case): ran for case, ran in cases.items()} for way, cases in ways.items()}
+        for program, ways in told.items()
+    }
+    cases = sorted({case for ways in found.values() for ran in ways.values() for case in ran})
+    for some in ([cases[0]], cases) if len(cases) > 1 else (cases,):
+        which = f"case {some[0]}" if len(some) == 1 else f"mean of {len(some)} cases"
+        for program, ways in found.items():
+            cells = (best(ways, some, accuracy) for accuracy in ACCURACIES)
+            yield f"{program}, {which}", *("never" if cell is None else f"{cell[0]:.2g}" for cell in cells)
+
+
+def _error(value: float | None) -> str:
+    return "" if value is None else f"{abs(value):.0e}" if value else "0"
+
+
+BENCHMARKS = {
+    "certified": Benchmark(
+        ("--runs", "7"),
+        (
+            "first mesh",
+            "solve (s)",
+            "refine (s)",
+            "verify (s)",
+            "all (s)",
+            "off the references (s)",
+            "minima",
+        ),
+        _certified,
+    ),
+    "resolve": Benchmark(
+        ("--runs", "1000"),
+        (
+            "start moved by",
+            "runs",
+            "median (ms)",
+            "99 % (ms)",
+            "longest (ms)",
+            "off the answer from the start",
+            "another minimum",
+        ),
+        _resolve,
+    ),
+    "speed": Benchmark(("--quick",), ("program, mesh", "built and solved (s)", "iterations"), _speed),
+    "scale": Benchmark(
+        (),
+        (
+            "problem, mesh",
+            "iterations",
+            "built and solved (s)",
+            "per iteration and segment (ms)",
+            "functions' share",
+            "most memory (MB)",
+        ),
+        _scale,
+    ),
+    "refinement": Benchmark((), ("mesh of the hyper-sensitive problem", "points"), _refinement),
+    "convergence": Benchmark((), ("problem", "points", "state", "control", "costate"), _convergence),
+    "problem_files": Benchmark(
+        (),
+        ("problem", "first solve (s)", "refined and judged (s)", "off the reference", "ended", "verdict"),
+        _problem_files,
+    ),
+    "closed_loop": Benchmark(("--runs", "1000"), ("rendezvous followed by TVLQR", ""), _closed_loop),
+    "problem_set": Benchmark(
+        (),
+        (
+            "problem",
+            "off the reference",
+            "costates off",
+            "iterations",
+            "passes",
+            "solved (s)",
+            "verdict or ending",
+            "as it should",
+        ),
+        _problem_set,
+        needs="FILE.json",
+    ),
+    "peers": Benchmark(
+        (),
+        ("program", *(f"to {accuracy:g} s" for accuracy in ACCURACIES)),
+        _peers,
+        needs="--environments DIR",
+    ),
+}
+"""Those that the page shows, by the name of their module."""
+
+
+def module_of(name: str) -> str:
+    """Return the module that measures a table."""
+    return f"benchmarks.{'validation' if name == 'problem_set' else 'performance'}.{name}"
+
+
+def measure(name: str, more: Sequence[str] = (), told: Path | None = None) -> None:
+    """Run a benchmark and keep its numbers, with what they depend on.
+
+    Parameters
+    ----------
+    name : str
+    more : sequence of str
+        Further arguments of the benchmark; of files and folders the page shows the last part.
+    told : Path, optional
+        What it has just written here, with these arguments: then it is not run again.
+    """
+    NUMBERS.mkdir(exist_ok=True)
+    load = os.getloadavg()[0]
+    arguments = BENCHMARKS[name].arguments
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "out.json" if told is None else told
+        if told is None:
+            main_of = importlib.import_module(module_of(name)).main
+            main_of([*arguments, *more, "--json", str(out)])
+        numbers = json.loads(out.read_text(encoding="utf-8"))
+    shown = [Path(each).name if Path(each).exists() else each for each in more]
+    about = {
+        "load": round(load),
+        "command": shlex.join(["python", "-m", module_of(name), *arguments, *shown]),
+        "date": datetime.date.today().isoformat(),
+        "machine": machine(),
+        "versions": {"python": platform.python_version()}
+        | {package: version(package) for package in _PACKAGES},
+        "told": numbers,
+    }
+    (NUMBERS / f"{name}.json").write_text(
+        json.dumps(about, indent=1, allow_nan=False) + "\n", encoding="utf-8"
+    )
+
+
+def machine() -> str:
+    """Return processor and number of cores."""
+    found = re.search(r"model name\s*:\s*(.+)", _text("/proc/cpuinfo"))
+    processor = found[1].strip() if found else platform.processor() or platform.machine()
+    return f"{processor}, {os.cpu_count()} cores, {platform.system()}"
+
+
+def _text(path: str) -> str:
+    return Path(path).read_text(encoding="utf-8") if Path(path).exists() else ""
+
+
+def numbers(name: str) -> Any:
+    """Return what is kept of a benchmark; None if it was never measured."""
+    path = NUMBERS / f"{name}.json"
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
+
+
+def markdown(name: str) -> str:
+    """Return the table of a benchmark with its origin, or how to get it."""
+    kept, benchmark = numbers(name), BENCHMARKS[name]
+    if kept is None:
+        needs = f" -- {benchmark.needs}" if benchmark.needs else ""
+        return (
+            f"Not measured yet: `python -m benchmarks.performance.page {name}{needs}` puts the table here.\n"
+        )
+    busy = f", {kept['load']} other programs at work" if kept["load"] else ""
+    versions = ", ".join(f"{package} {number}" for package, number in kept["versions"].items())
+    origin = f"Measured by `{kept['command']}` on {kept['date']}: {kept['machine']}{busy}; {versions}."
+    return f"{_table(benchmark.heading, benchmark.rows(kept['told']))}\n{origin}\n"
+
+
+def _table(heading: Sequence[str], rows: Cells) -> str:
+    rules = ("---", *["--:"] * (len(heading) - 1))
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in (heading, rules, *rows))
+
+
+def written(text: str) -> str:
+    """Return a page with each table between its two comments as the numbers have it."""
+    return _PLACE.sub(lambda found: f"{found[1]}{markdown(found[2])}{found[3]}", text)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure what is named and write the page."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    split = given.index("--") if "--" in given else len(given)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.performance.page",
+        description="The tables of docs/benchmarks.md.",
+        epilog="What stands behind -- goes to the benchmark that is named: "
+        + ", ".join(f"{name} -- {each.needs}" for name, each in BENCHMARKS.items() if each.needs),
+    )
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"measured anew: {', '.join(BENCHMARKS)}")
+    parser.add_argument("--told", type=Path, metavar="FILE", help="what it has just written by its --json")
+    options, more = parser.parse_args(given[:split]), given[split + 1 :]
+    for name in options.names:
+        if name not in BENCHMARKS:
+            parser.error(f"the page has no table of {name}: choose among {', '.join(BENCHMARKS)}")
+        if BENCHMARKS[name].needs and not more:
+            parser.error(f"{name} needs to be told {BENCHMARKS[name].needs}: write it behind --")
+    if (more or options.told) and len(options.names) != 1:
+        parser.error("--told and what stands behind -- are for one benchmark: name one")
+    for name in options.names:
+        measure(name, more, options.told)
+    PAGE.write_text(written(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,177 @@
+"""All cases: what is judged, what the truth is, and by how much a wrong answer is wrong."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import gnc_opt as go
+from benchmarks.validation.verdict.attacks import attacks
+from benchmarks.validation.verdict.closed_forms import closed_forms
+from benchmarks.validation.verdict.correct_answers import NotRight, right
+from benchmarks.validation.verdict.degenerate import degenerate
+from benchmarks.validation.verdict.limits import limits
+from benchmarks.validation.verdict.non_minimal_extremals import extremals
+from benchmarks.validation.verdict.pairs import SCALES, Pair, pairs
+from benchmarks.validation.verdict.several import several
+from benchmarks.validation.verdict.statements import FAMILY, Frame, Statement, build, frames, in_frame
+from benchmarks.validation.verdict.thresholds import members
+from benchmarks.validation.verdict.uncommon import uncommon
+from benchmarks.validation.verdict.unusual import unusual
+from benchmarks.validation.verdict.wrong_answers import LEAST, Planted, changes, forged, off_by
+
+Told = Literal["failed", "passed", "untold", "not planted", "not found", "crash"]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One answer to be judged.
+
+    Attributes
+    ----------
+    kind, name, why : str
+    wrong : bool
+    first_order : bool
+        Of a wrong one: whether necessary conditions of the first order tell. Where only sufficient ones do, a
+        verdict that claims no more than the former is untold, not a wrong pass.
+    judge : callable
+        () -> (Verdict, by how much the answer is wrong).
+    """
+
+    kind: str
+    name: str
+    why: str
+    wrong: bool
+    first_order: bool
+    judge: Callable[[], tuple[go.Verdict, float]]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the verdict said.
+
+    Attributes
+    ----------
+    kind, name, why : str
+    wrong : bool
+    told : str
+        "failed", "passed", "untold"; "not planted" if the answer is off by too little to count, "not found" if the
+        solver did not find the right answer, "crash" if judging ended in an error.
+    off : float or None
+    conditions : tuple of str
+        Those that fail ("FAIL name value at place") or cannot be told ("? name at place").
+    seconds : float
+        Processor time, the solve included.
+    """
+
+    kind: str
+    name: str
+    why: str
+    wrong: bool
+    told: Told
+    off: float | None
+    conditions: tuple[str, ...]
+    seconds: float
+
+    @property
+    def word(self) -> str:
+        """What is amiss: "passed wrongly", "false alarm", "untold", "crash"; or nothing."""
+        if self.told in ("untold", "crash"):
+            return self.told
+        if self.wrong:
+            return "passed wrongly" if self.told == "passed" else ""
+        return "false alarm" if self.told == "failed" else ""
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON values."""
+        return asdict(self) | {"word": self.word}
+
+
+def cases(documents: Sequence[Mapping[str, Any]], seed: int) -> Iterator[Case]:
+    """Yield every case."""
+    for s in FAMILY:
+        for k, planted in enumerate(changes(s)):
+            framed = frames(s, seed)
+            for frame in (framed[0], framed[1 + k % (len(framed) - 1)]):
+                name = f"{s.name}, {frame.name}: {planted.why}"
+                yield Case(planted.kind, name, planted.why, True, True, _sampled(s, planted, frame))
+    for e in extremals():
+        yield Case(e.kind, e.name, e.why, True, e.first_order, lambda e=e: (e.judge(), e.off))
+    for f in forged():
+        yield Case("forged file", f.name, f.why, True, True, lambda f=f: (f.judge(), f.off))
+    for pair in (
+        *pairs(),
+        *closed_forms(),
+        *limits(),
+        *degenerate(),
+        *several(),
+        *attacks(),
+        *unusual(),
+        *uncommon(),
+    ):
+        for scale in SCALES:
+            name = f"{pair.name}, unit {scale[0]:g}, cost {scale[1]:g}"
+            yield Case(pair.kind, name, pair.why, True, pair.first_order, _paired(pair, scale, True))
+            yield Case("right: closed forms", name, "", False, True, _paired(pair, scale, False))
+    for m in members():
+        kind = "beyond a threshold" if m.wrong else "right: before a threshold"
+        yield Case(
+            kind, m.name, m.why, m.wrong, m.first_order, lambda m=m: (m.judge(), 1.0 if m.wrong else 0.0)
+        )
+    for r in right(documents, seed):
+        yield Case(f"right: {r.kind}", r.name, "", False, True, lambda r=r: (r.judge(), 0.0))
+
+
+def _sampled(s: Statement, planted: Planted, frame: Frame) -> Callable[[], tuple[go.Verdict, float]]:
+    def judge() -> tuple[go.Verdict, float]:
+        wrong = planted.make()
+        off = off_by(s, wrong)
+        return go.verify_trajectory(build(s, frame), *in_frame(s, wrong, frame)), off
+
+    return judge
+
+
+def _paired(pair: Pair, scale: tuple[float, float], wrong: bool) -> Callable[[], tuple[go.Verdict, float]]:
+    return lambda: (pair.make(*scale, wrong).judge(), pair.off if wrong else 0.0)
+
+
+def judged(case: Case) -> Outcome:
+    """Return what the verdict says about a case; errors end in the outcome."""
+    begin = time.process_time()
+
+    def outcome(told: Told, off: float | None, conditions: tuple[str, ...]) -> Outcome:
+        return Outcome(
+            case.kind, case.name, case.why, case.wrong, told, off, conditions, time.process_time() - begin
+        )
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            verdict, off = case.judge()
+    except NotRight as error:
+        return outcome("not found", None, (str(error),))
+    except go.SolveError as error:
+        return outcome("not found", None, (str(error).partition("\n")[0],))
+    except Exception as error:  # one case must not stop the others
+        return outcome("crash", None, (f"{type(error).__name__}: {error}",))
+    if case.wrong and not off >= LEAST:
+        return outcome("not planted", off, ())
+    return outcome(_told(case, verdict), off, _conditions(verdict))
+
+
+def _told(case: Case, verdict: go.Verdict) -> Told:
+    if verdict.failed:
+        return "failed"
+    if case.wrong:
+        if not verdict.ok:
+            return "failed" if verdict.not_judged else "untold"  # it claims nothing
+        return "passed" if verdict.minimum or case.first_order else "untold"
+    return "passed" if verdict.minimum else "untold"
+
+
+def _conditions(verdict: go.Verdict) -> tuple[str, ...]:
+    failed = [f"FAIL {c.name} {c.value:.1e} at {c.where}" for c in verdict.failed]
+    return (*failed, *(f"? {c.name} at {c.where}" for c in verdict.untold))

@@ -1,0 +1,470 @@
+"""Extremals that are no minima, and answers that go past a limit, as default calls or given arrays yield them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy
+
+import gnc_opt as go
+from benchmarks.validation.verdict.statements import Array
+
+UNBOUNDED = float("inf")
+
+
+@dataclass(frozen=True)
+class Extremal:
+    """A wrong answer.
+
+    Attributes
+    ----------
+    kind, name, why : str
+    off : float
+        What is lost at least, relative to the cost (UNBOUNDED where there is no least cost), or a distance.
+    judge : callable
+        () -> Verdict.
+    first_order : bool
+        Whether the first order tells (a limit that is crossed, a shallower well of H); else only sufficient
+        conditions do.
+    """
+
+    kind: str
+    name: str
+    why: str
+    off: float
+    judge: Callable[[], go.Verdict]
+    first_order: bool = False
+
+
+def extremals() -> Iterator[Extremal]:
+    """Yield all of them."""
+    yield from _conjugate_points()
+    yield from _double_wells()
+    yield from _catenaries()
+    yield from _switch_maxima()
+    yield from _narrow_wells()
+    yield from _singular_maxima()
+    yield from _keep_outs()
+
+
+def _default(problem: go.Problem, tol: float | None = None) -> go.Verdict:
+    return go.verify(go.solve(problem, tol=tol))
+
+
+def _model(
+    states: str, controls: str, rates: Callable[..., list[Any]]
+) -> tuple[go.Model, list[Any], list[Any]]:
+    model = go.Model("system")
+    x, u = [model.state(n) for n in states.split()], [model.control(n) for n in controls.split()]
+    model.ode(dict(zip(x, rates(*x, *u), strict=True)))
+    return model, x, u
+
+
+# --- conjugate points --------------------------------------------------------------------------------------
+
+
+def _conjugate_points() -> Iterator[Extremal]:
+    for degrees in (190, 225, 270, 320, 350):
+        arc = np.radians(degrees)
+        yield Extremal(
+            "conjugate point", f"great circle, {degrees} degrees", "over a pole it is never more than 180 degrees",
+            1 - (np.pi / arc) ** 2, lambda a=arc: _default(great_circle(a)),
+        )  # fmt: skip
+        yield Extremal(
+            "conjugate point", f"great circle, {degrees} degrees, as samples",
+            "over a pole it is never more than 180 degrees", 1 - (np.pi / arc) ** 2, lambda a=arc: _equator(a),
+        )  # fmt: skip
+    for last, end in ((3.3, 0.0), (4.0, 0.2), (5.0, 0.5), (6.0, -0.3), (7.0, 0.3)):
+        yield Extremal(
+            "conjugate point", f"u^2 - x^2 over {last} s to {end}", "beyond pi there is no least cost",
+            UNBOUNDED, lambda t=last, e=end: _swung(t, e),
+        )  # fmt: skip
+    for depth in (0.7, 0.8, 0.9):
+        yield Extremal(
+            "conjugate point", f"straight through a disc {100 * depth:.0f} % slower", "round it is faster",
+            _saved_round_the_disc(depth), lambda d=depth: _straight_through(d),
+        )  # fmt: skip
+    for last in (3.3, 4.0, 5.0):
+        yield Extremal(
+            "conjugate point", f"two oscillators over {last} s", "beyond pi the first one has no least cost",
+            UNBOUNDED, lambda t=last: _two_oscillators(t),
+        )  # fmt: skip
+
+
+def great_circle(arc: float) -> go.Problem:
+    """The shortest path along the equator of a unit sphere, over an arc (rad)."""
+    model, (theta, _), (a, b) = _model("theta phi", "a b", lambda x, y, u, w: [u, w])
+    problem = go.Problem("great circle")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(theta=np.pi / 2, phi=0.0)
+    leg.final(theta=np.pi / 2, phi=arc)
+    problem.minimize(leg.integral(0.5 * (a**2 + ca.sin(theta) ** 2 * b**2)))
+    return problem
+
+
+def repelled(last: float, end: float) -> go.Problem:
+    """min of the integral of (u^2 - x^2) / 2: a minimum up to pi."""
+    model, (x,), (u,) = _model("x", "u", lambda x, u: [u])
+    problem = go.Problem("repelled")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, last)
+    leg.initial(x=0.2)
+    leg.final(x=end)
+    problem.minimize(leg.integral(0.5 * (u**2 - x**2)))
+    return problem
+
+
+def _equator(arc: float) -> go.Verdict:
+    t = np.linspace(0.0, 1.0, 41)
+    level, rate = 0 * t + np.pi / 2, 0 * t + arc
+    return go.verify_trajectory(great_circle(arc), t, [level, arc * t], [0 * t, rate])
+
+
+def _swung(last: float, end: float) -> go.Verdict:
+    t = np.linspace(0.0, last, 121)
+    x, u = _swing(t, 0.2, end)
+    return go.verify_trajectory(repelled(last, end), t, x, u)
+
+
+def _swing(t: Array, start: float, end: float) -> tuple[Array, Array]:
+    """The extremal of u^2 - x^2 between two values, and its rate."""
+    b = (end - start * np.cos(t[-1])) / np.sin(t[-1])
+    return start * np.cos(t) + b * np.sin(t), -start * np.sin(t) + b * np.cos(t)
+
+
+def _two_oscillators(last: float) -> go.Verdict:
+    model, (x, y), (u, w) = _model("x y", "u w", lambda x, y, u, w: [u, w])
+    problem = go.Problem("two oscillators")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, last)
+    leg.initial(x=0.1, y=1.0)
+    leg.final(x=0.1, y=0.5)
+    problem.minimize(leg.integral(0.5 * (u**2 + w**2 - x**2 + y**2)))
+    t = np.linspace(0.0, last, 121)
+    swing, b = _swing(t, 0.1, 0.1), (0.5 - np.cosh(last)) / np.sinh(last)
+    falls = np.cosh(t) + b * np.sinh(t), np.sinh(t) + b * np.cosh(t)
+    return go.verify_trajectory(problem, t, [swing[0], falls[0]], [swing[1], falls[1]])
+
+
+def slow_disc(depth: float) -> go.Problem:
+    """Least time from (-1, 0) to (1, 0) through a disc at the origin where speed is lost."""
+    model = go.Model("slow disc")
+    x, y, h = model.state("x"), model.state("y"), model.control("h")
+    speed = 1 - depth * ca.exp(-4 * (x**2 + y**2))
+    model.ode({x: speed * ca.cos(h), y: speed * ca.sin(h)})
+    problem = go.Problem("slow disc")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, (0.1, 20.0))
+    leg.initial(x=-1.0, y=0.0)
+    leg.final(x=1.0, y=0.0)
+    leg.bounds(h=(-1.5, 1.5))
+    problem.minimize(leg.final_time)
+    return problem
+
+
+def _saved_round_the_disc(depth: float) -> float:
+    """Share of the time that a parabola past the disc saves; integrated."""
+    around = min(_duration(depth, h, 1.0) for h in np.linspace(0.1, 1.2, 23))
+    return 1 - around / _duration(depth, 0.0, 1.0)
+
+
+def _duration(depth: float, height: float, end: float) -> float:
+    """Time from (-1, 0) to x = end along a parabola."""
+
+    def slowness(x: float) -> float:
+        y, slope = height * (1 - x**2), -2 * height * x
+        return float(np.sqrt(1 + slope**2) / (1 - depth * np.exp(-4 * (x**2 + y**2))))
+
+    return float(scipy.integrate.quad(slowness, -1.0, end, epsabs=1e-12, epsrel=1e-12)[0])
+
+
+def _straight_through(depth: float) -> go.Verdict:
+    x = np.linspace(-1.0, 1.0, 161)
+    t = np.array([_duration(depth, 0.0, end) for end in x])
+    return go.verify_trajectory(slow_disc(depth), t, [x, 0 * x], 0 * x)
+
+
+def _double_wells() -> Iterator[Extremal]:
+    for stiffness, last in ((2.0, 2.0), (1.0, 4.0), (3.0, 1.5), (4.0, 2.5)):
+        bump = _well_cost(stiffness, last, 0.3 * np.sqrt(stiffness))
+        yield Extremal(
+            "conjugate point", f"on the ridge of a double well, {stiffness} for {last} s", "down and back costs less",
+            -bump, lambda k=stiffness, t=last: _on_the_ridge(k, t),
+        )  # fmt: skip
+
+
+def double_well(stiffness: float, last: float) -> go.Problem:
+    """min of the integral of u^2 / 2 - (k x)^2 / 2 + x^4 / 4 from 0 to 0: x = 0 is no minimum beyond pi / k."""
+    model, (x,), (u,) = _model("x", "u", lambda x, u: [u])
+    problem = go.Problem("double well")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, last)
+    leg.initial(x=0.0)
+    leg.final(x=0.0)
+    problem.minimize(leg.integral(0.5 * u**2 - 0.5 * (stiffness * x) ** 2 + 0.25 * x**4))
+    return problem
+
+
+def _on_the_ridge(stiffness: float, last: float) -> go.Verdict:
+    t = np.linspace(0.0, last, 61)
+    return go.verify_trajectory(double_well(stiffness, last), t, 0 * t, 0 * t)
+
+
+def _well_cost(k: float, last: float, height: float) -> float:
+    t = np.linspace(0.0, last, 4001)
+    best = 0.0
+    for h in height * np.linspace(0.2, 3.0, 29):
+        x, u = h * np.sin(np.pi * t / last), h * np.pi / last * np.cos(np.pi * t / last)
+        best = min(best, float(np.trapezoid(0.5 * u**2 - 0.5 * (k * x) ** 2 + 0.25 * x**4, t)))
+    return best
+
+
+def _catenaries() -> Iterator[Extremal]:
+    for width in (0.6, 0.8, 1.0):
+        deep, shallow = _hanging(width, 0.02, 0.25), _hanging(width, 0.5, 1.0)
+        saved = 1 - _area(shallow, width) / _area(deep, width)
+        yield Extremal(
+            "conjugate point", f"deep catenary, {width} wide", "the shallow one has less area", saved,
+            lambda w=width, c=deep: _catenary(w, c),
+        )  # fmt: skip
+
+
+def _hanging(width: float, least: float, most: float) -> float:
+    """The c of y = c cosh(t / c) with y = 1 at both ends."""
+    return float(scipy.optimize.brentq(lambda c: c * np.cosh(width / (2 * c)) - 1, least, most))
+
+
+def _area(c: float, width: float) -> float:
+    """Integral of y sqrt(1 + y'^2)."""
+    return float(c / 2 * (width + c * np.sinh(width / c)))
+
+
+def _catenary(width: float, c: float) -> go.Verdict:
+    model, (y,), (u,) = _model("y", "u", lambda y, u: [u])
+    problem = go.Problem("soap film")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, width)
+    leg.initial(y=1.0)
+    leg.final(y=1.0)
+    problem.minimize(leg.integral(y * ca.sqrt(1 + u**2)))
+    s = np.sinh(width / (2 * c))
+    t = width / 2 + c * np.arcsinh(np.linspace(-s, s, 241))
+    t[[0, -1]] = 0.0, width
+    return go.verify_trajectory(problem, t, c * np.cosh((t - width / 2) / c), np.sinh((t - width / 2) / c))
+
+
+# --- maxima and saddles of switch times --------------------------------------------------------------------
+
+
+def _switch_maxima() -> Iterator[Extremal]:
+    for bend in (1.2, 1.5, 2.5):
+        for what, more in (
+            ("alone", None), ("with an idle constraint", "constraint"), ("with an idle end bound", "bound"),
+        ):  # fmt: skip
+            yield Extremal(
+                "switch times", f"one switch, bend {bend}, {what}", "the cost has a maximum over the switch time",
+                _bent_by(bend), lambda b=bend, m=more: _one_switch(b, m),
+            )  # fmt: skip
+    for weight in (0.5, 2.0):
+        yield Extremal(
+            "switch times", f"a parameter at a maximum, weight {weight}", "any other value costs less",
+            weight * 0.25, lambda w=weight: _one_switch(0.5, "parameter", w),
+        )  # fmt: skip
+    for kappa in (1.5, 2.0, 3.0):
+        yield Extremal(
+            "switch times", f"two switches at once, kappa {kappa}", "one earlier and the other later costs less",
+            _split_pair(kappa), lambda k=kappa: _pair(k),
+        )  # fmt: skip
+
+
+def one_switch(bend: float, more: str | None = None, weight: float = 1.0) -> go.Problem:
+    """Over 2 s, |u| <= 1, x = 0 at the start; u = 1 up to 1 s, then -1, is a minimum for bend < 1 only."""
+    model, (x,), _ = _model("x", "u", lambda x, u: [u])
+    problem = go.Problem("one switch")
+    parameter = problem.parameter("k", lower=-1.0, upper=1.0, guess=0.0) if more == "parameter" else 0.0
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=(-1.0, 1.0))
+    end = leg.final_state("x")
+    problem.minimize(leg.integral((bend / 3 - 1) * x - bend / 3 * x**2) + end - weight * parameter**2)
+    if more == "constraint":
+        problem.constrain("far", end, upper=100.0)
+    elif more == "bound":
+        leg.final(x=(-50.0, 50.0))
+    return problem
+
+
+def _switch_cost(bend: float, switch: float) -> float:
+    t = np.linspace(0.0, 2.0, 20001)
+    x = np.where(t < switch, t, 2 * switch - t)
+    return float(np.trapezoid((bend / 3 - 1) * x - bend / 3 * x**2, t) + x[-1])
+
+
+def _bent_by(bend: float) -> float:
+    at = _switch_cost(bend, 1.0)
+    return (at - min(_switch_cost(bend, s) for s in (0.8, 0.9, 1.1, 1.2))) / abs(at)
+
+
+def _one_switch(bend: float, more: str | None, weight: float = 1.0) -> go.Verdict:
+    t = np.array([0.0, 0.25, 0.5, 0.75, 1.0, 1.0, 1.25, 1.5, 1.75, 2.0])
+    u = np.where(np.arange(t.size) < 5, 1.0, -1.0)
+    p = [0.0] if more == "parameter" else None
+    return go.verify_trajectory(one_switch(bend, more, weight), t, np.minimum(t, 2 - t), u, p)
+
+
+def pair(kappa: float) -> go.Problem:
+    """Two integrators that gain by switching at 1 s, and by ending far from each other: a minimum for kappa < 1."""
+    model, (x, y), _ = _model("x y", "u w", lambda x, y, u, w: [u, w])
+    problem = go.Problem("pair")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 2.0)
+    leg.initial(x=0.0, y=0.0)
+    leg.bounds(u=(-1.0, 1.0), w=(-1.0, 1.0))
+    ends = leg.final_state("x"), leg.final_state("y")
+    problem.minimize(ends[0] + ends[1] - leg.integral(x + y) - kappa / 8 * (ends[0] - ends[1]) ** 2)
+    return problem
+
+
+def _split_pair(kappa: float) -> float:
+    def cost(a: float, b: float) -> float:
+        t = np.linspace(0.0, 2.0, 20001)
+        x, y = (np.where(t < s, t, 2 * s - t) for s in (a, b))
+        return float(x[-1] + y[-1] - np.trapezoid(x + y, t) - kappa / 8 * (x[-1] - y[-1]) ** 2)
+
+    return (cost(1.0, 1.0) - cost(0.8, 1.2)) / abs(cost(1.0, 1.0))
+
+
+def _pair(kappa: float) -> go.Verdict:
+    t = np.array([0.0, 0.25, 0.5, 0.75, 1.0, 1.0, 1.25, 1.5, 1.75, 2.0])
+    x, u = np.minimum(t, 2 - t), np.where(np.arange(t.size) < 5, 1.0, -1.0)
+    return go.verify_trajectory(pair(kappa), t, [x, x], [u, u])
+
+
+# --- wells of H --------------------------------------------------------------------------------------------
+
+
+def _narrow_wells() -> Iterator[Extremal]:
+    t = np.linspace(0.0, 1.0, 21)
+    for center, width in (
+        (0.73, 0.05),
+        (-0.41, 0.02),
+        (0.613, 0.01),
+        (0.333, 0.005),
+        (-0.87, 0.003),
+        (0.05, 0.002),
+        (0.21, 0.0005),
+    ):
+        model, _, (u,) = _model("x", "u", lambda x, u: [u])
+        problem = go.Problem("narrow well")
+        leg = problem.phase("leg", model)
+        leg.time(0.0, 1.0)
+        leg.initial(x=0.0)
+        leg.bounds(u=(-1.0, 1.0))
+        problem.minimize(leg.integral(1 + (u + 0.5) ** 2 - 3 * ca.exp(-(((u - center) / width) ** 2))))
+        yield Extremal(
+            "well of H", f"{width} wide at {center}", "u in the narrow well costs less than u = -0.5",
+            3 - (center + 0.5) ** 2, lambda p=problem: go.verify_trajectory(p, t, -0.5 * t, 0 * t - 0.5), True,
+        )  # fmt: skip
+    for stiffness in (1e2, 1e4, 1e6):
+        model, _, (u, w) = _model("x y", "u w", lambda x, y, u, w: [u, w])
+        problem = go.Problem("coupled wells")
+        leg = problem.phase("leg", model)
+        leg.time(0.0, 1.0)
+        leg.initial(x=0.0, y=0.0)
+        leg.bounds(u=(-2.0, 2.0), w=(-2.0, 2.0))
+        d = u - w
+        problem.minimize(leg.integral(1 + stiffness * (u + w) ** 2 + (d**2 - 1) ** 2 + 0.2 * d))
+        high = float(np.max(np.roots([4.0, 0.0, -4.0, 0.2]).real))
+        yield Extremal(
+            "well of H", f"coupled actuators, stiffness {stiffness:g}", "the other valley of u - w is deeper",
+            0.39, lambda p=problem, h=high: go.verify_trajectory(
+                p, t, [t * h / 2, -t * h / 2], [0 * t + h / 2, 0 * t - h / 2]), True,
+        )  # fmt: skip
+
+
+# --- singular maxima ---------------------------------------------------------------------------------------
+
+
+def _singular_maxima() -> Iterator[Extremal]:
+    t = np.linspace(0.0, 2.0, 41)
+    for weight in (0.1, 1.0, 10.0):
+        model, (x,), _ = _model("x", "u", lambda x, u: [u])
+        problem = go.Problem("singular maximum")
+        leg = problem.phase("leg", model)
+        leg.time(0.0, 2.0)
+        leg.initial(x=0.0)
+        leg.final(x=0.0)
+        leg.bounds(u=(-1.0, 1.0))
+        problem.minimize(leg.integral(1 - weight * x**2))
+        yield Extremal(
+            "singular arc", f"x = 0 with -{weight} x^2", "Kelley's condition has the wrong sign",
+            weight / 6, lambda p=problem: go.verify_trajectory(p, t, 0 * t, 0 * t),
+        )  # fmt: skip
+    for skew in (0.5, 2.0):
+        model, (x, y, _), _ = _model("x y z", "u w", lambda x, y, z, u, w: [u, w, x * w - y * u])
+        problem = go.Problem("Goh")
+        leg = problem.phase("leg", model)
+        leg.time(0.0, 2.0)
+        leg.initial(x=0.0, y=0.0, z=0.0)
+        leg.final(x=0.0, y=0.0)
+        leg.bounds(u=(-1.0, 1.0), w=(-1.0, 1.0))
+        problem.minimize(leg.integral(1 + x**2 + y**2) + skew * 20 * leg.final_state("z"))
+        yield Extremal(
+            "singular arc", f"at rest though turning gains, {skew}", "Goh's condition fails: a small loop lowers z",
+            skew * 0.05, lambda p=problem: go.verify_trajectory(p, t, np.zeros((3, 41)), np.zeros((2, 41))),
+        )  # fmt: skip
+    for power in (1.0, 3.0):
+        model, _, (u,) = _model("x", "u", lambda x, u: [u**2])
+        problem = go.Problem("abnormal")
+        leg = problem.phase("leg", model)
+        leg.time(0.0, 1.0)
+        leg.initial(x=0.0)
+        leg.final(x=0.0)
+        problem.minimize(leg.integral((u - power) ** 2))
+        yield Extremal(
+            "abnormal", f"x' = u^2 back to 0, u = {power:g} wanted", "no finite multiplier explains it",
+            1.0, lambda p=problem: go.verify_trajectory(p, np.linspace(0, 1, 21), np.zeros(21), np.zeros(21)),
+        )  # fmt: skip
+
+
+# --- limits crossed between samples ------------------------------------------------------------------------
+
+
+def _keep_outs() -> Iterator[Extremal]:
+    for radius, way, unit in ((10.0, 5000.0, 1.0), (1.0, 1000.0, 1.0), (10.0, 5000.0, 1e3), (50.0, 2e4, 1.0)):
+        yield Extremal(
+            "keep-out crossed", f"through the middle of {radius:g} m on {2 * way:g} m, unit {unit:g} m",
+            "it goes through what it must keep out of", 1.0,
+            lambda r=radius, w=way, u=unit: _default(fly_by(r / u, w / u)), True,
+        )  # fmt: skip
+    for radius, way in ((10.0, 5000.0), (2.0, 3000.0)):
+        yield Extremal(
+            "keep-out crossed", f"through {radius:g} m on {2 * way:g} m, distance stated as a root",
+            "it goes through what it must keep out of", 1.0,
+            lambda r=radius, w=way: _default(fly_by(r, w, root=True)), True,
+        )  # fmt: skip
+
+
+def fly_by(radius: float, way: float, *, root: bool = False) -> go.Problem:
+    """Least effort from rest to rest past a sphere on the straight line between them."""
+    model = go.Model("chaser")
+    r, v, a = model.state("r", 3), model.state("v", 3), model.control("a", 3)
+    model.ode({r: v, v: a})
+    problem = go.Problem("fly-by")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1000.0)
+    leg.initial(r=[-way, 0, 0], v=0.0)
+    leg.final(r=[way, 0, 0], v=0.0)
+    square = r[0] ** 2 + r[1] ** 2 + r[2] ** 2
+    if root:
+        leg.path("keep_out", ca.sqrt(square + 1e-12), lower=radius)
+    else:
+        leg.path("keep_out", square, lower=radius**2)
+    problem.minimize(leg.integral(a[0] ** 2 + a[1] ** 2 + a[2] ** 2))
+    return problem

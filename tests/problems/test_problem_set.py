@@ -1,0 +1,656 @@
+"""Problems in JSON: reading expressions, building through the public API, solving, judging, reporting."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import gnc_opt as go
+from benchmarks.validation.problem_set import solve as problem_set
+from benchmarks.validation.problem_set.reader import (
+    ExpressionError,
+    build_problem,
+    evaluate,
+    read_constants,
+    read_documents,
+)
+from benchmarks.validation.problem_set.references import (
+    closed_form_costate_error,
+    costate_error_along,
+    initial_costate_error,
+    relative_error,
+)
+
+Document = dict[str, Any]
+
+
+def state(name: str, x0: Any, xf: Any = None, lb: Any = None, ub: Any = None, **more: Any) -> Document:
+    return {"name": name, "x0": x0, "xf": xf, "lb": lb, "ub": ub, **more}
+
+
+def control(name: str, lb: Any = None, ub: Any = None, **more: Any) -> Document:
+    return {"name": name, "lb": lb, "ub": ub, **more}
+
+
+def phase(
+    t0: Any, tf: Any, states: list[Document], controls: list[Document], ode: Document, **more: Any
+) -> Document:
+    return {"t0": t0, "tf": tf, "tguess": None, "states": states, "controls": controls, "ode": ode, **more}
+
+
+def document(name: str, objective: str, *phases: Document, **more: Any) -> Document:
+    return {"name": name, "sense": "min", "phases": list(phases), "objective": objective, **more}
+
+
+# --- expressions ----------------------------------------------------------------------------------------
+
+FORMULAS = [
+    "x**2-3*x/(1+x)", "-x+ +2", "2**-x", "1.5e-3*x", "sin(x)+cos(x)*tan(x)", "exp(-x)*log(x)+sqrt(x)",
+    "asin(x/3)+acos(x/3)+atan(x)", "atan2(x,-2)", "sinh(x)-cosh(x)/tanh(x)", "abs(x-5)+pi",
+    "min(x,2,1)+max(x,0.5)", "1 if x<=1 else 2", "x if x>2 else (3*x if x>=1 else 0)",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("formula", FORMULAS)
+@pytest.mark.parametrize("x", [0.7, 1.0, 1.9])
+def test_expressions_mean_what_python_means(formula: str, x: float) -> None:
+    names = {name: getattr(math, name) for name in dir(math)}
+    wanted = eval(formula, {"abs": abs, "min": min, "max": max, **names, "x": x})
+    assert evaluate(formula, {"x": x}, "it") == pytest.approx(wanted, rel=1e-15)
+    symbol = ca.SX.sym("x")
+    function = ca.Function("f", [symbol], [evaluate(formula, {"x": symbol}, "it")])
+    assert float(function(x)) == pytest.approx(wanted, rel=1e-14)
+
+
+def test_numbers_stand_for_themselves() -> None:
+    assert evaluate(3, {}, "it") == 3.0
+    assert math.isnan(evaluate("(-1)**0.5", {}, "it"))  # not complex
+
+
+@pytest.mark.parametrize(
+    ("formula", "culprit"),
+    [
+        ("u-k*x", "the name 'k'"),
+        ("foo(x)", "the function 'foo'"),
+        ("sine(x)", "did you mean 'sin'"),
+        ("x.real", "'x.real'"),
+        ("x[0]", "'x\\[0\\]'"),
+        ("__import__('os').system('true')", "not part of a formula"),
+        ("(lambda: 1)()", "not part of a formula"),
+        ("'a'", "not part of a formula"),
+        ("x<u<1", "not part of a formula"),
+        ("sin(x, u)", "sin\\(\\) with 2 arguments"),
+        ("1/0", "division by zero"),
+        ("9**9**9", "cannot be evaluated"),
+        ("x = 1", "not a Python expression"),
+        ("", "not a Python expression"),
+        (None, "neither a number nor an expression"),
+    ],
+)
+def test_what_is_no_formula_is_refused_by_name(formula: Any, culprit: str) -> None:
+    with pytest.raises(ExpressionError, match=culprit) as caught:
+        evaluate(formula, {"x": 1.0, "u": 2.0}, "the rate of 'x'")
+    assert str(caught.value).startswith("the rate of 'x', ")
+
+
+# --- documents ------------------------------------------------------------------------------------------
+
+
+def everything() -> Document:
+    """Uses every feature of the format once."""
+    return document(
+        "everything",
+        "k*t_f2+E_2+vy__f2",
+        phase(
+            "-half",
+            ["half/2", None],
+            [
+                state("x", "2*half", ["half", None], -5, None, guess=["half", 0.25], scale="4*half"),
+                state("vy_", None, None, None, "cap", guess=0.5),
+            ],
+            [control("u", "-cap", "cap", guess="cap/2", scale=2), control("w")],
+            {"x": "vy_*push", "vy_": "w-k*x+0*t"},
+            tguess=[0, "2*half"],
+            aux={"twice": "2*u", "push": "twice/2+0*cap"},
+            path=[
+                {"expr": "x+u", "lb": None, "ub": "3*cap", "scale": 7},
+                {"expr": "u*w", "lb": 0.25, "ub": 0.25},
+                {"expr": "w", "lb": None, "ub": None},
+            ],
+        ),
+        phase(
+            [0, 3], 4, [state("vy_", None, 0)], [control("w", -1, 1)], {"vy_": "w"}, integrals={"E": "w**2"}
+        ),
+        constants={"half": 0.5, "cap": "4*half-1+pi-pi"},
+        parameters=[{"name": "k", "lb": "half/5", "ub": 3, "guess": "2*half"}],
+        events=[
+            {"expr": "vy__f1-vy__i2", "lb": 0, "ub": 0},
+            {"expr": "t_i2-t_f1-x_f1*cap", "lb": "half", "ub": None},
+            {"expr": "x_i1", "lb": None, "ub": None},
+        ],
+    )
+
+
+def test_build_states_everything_that_the_document_says() -> None:
+    problem = build_problem(everything())
+    assert problem.sense == 1.0
+    first, second = problem.phases.values()
+    assert first.model.states.names == ("x", "vy_")
+    assert first.model.controls.names == ("u", "w")
+    numbers = first.numbers
+    assert numbers.initial_time is not None and numbers.final_time is not None
+    assert (numbers.initial_time.lower[0], numbers.initial_time.upper[0]) == (-0.5, -0.5)
+    assert (numbers.final_time.lower[0], numbers.final_time.upper[0]) == (0.25, np.inf)
+    np.testing.assert_array_equal(numbers.initial.lower, [1.0, -np.inf])
+    np.testing.assert_array_equal(numbers.final.lower, [0.5, -np.inf])
+    np.testing.assert_array_equal(numbers.final.upper, [np.inf, np.inf])
+    np.testing.assert_array_equal(numbers.states.lower, [-5.0, -np.inf])
+    np.testing.assert_array_equal(numbers.states.upper, [np.inf, 1.0])
+    np.testing.assert_array_equal(numbers.controls.lower, [-1.0, -np.inf])
+    assert numbers.guess.time is not None
+    np.testing.assert_array_equal(numbers.guess.time, [0.0, 1.0])
+    assert numbers.guess.values == {"x": (0.5, 0.25), "vy_": 0.5, "u": 0.5}
+    assert {name: float(value[0]) for name, value in numbers.scales.items()} == {"x": 2.0, "u": 2.0}
+    np.testing.assert_array_equal(first.path_interval().lower, [-np.inf, 0.25])  # the third has no limit
+    np.testing.assert_array_equal(first.path_interval().upper, [3.0, 0.25])
+    assert list(second.integrands) == ["E"]
+    assert problem.parameters.names == ("k",)
+    assert (problem.parameter_interval().lower[0], problem.parameter_guess["k"][0]) == (0.1, 1.0)
+    np.testing.assert_array_equal(problem.constraint_interval().lower, [0.0, 0.5])
+    np.testing.assert_array_equal(problem.constraint_interval().upper, [0.0, np.inf])
+    # t, x, u and p of the dynamics; aux and parameter are inside.
+    np.testing.assert_allclose(first.model.f(0.0, [2.0, 3.0], [0.4, 0.7], [1.5]), [1.2, 0.7 - 3.0])
+
+
+def test_build_maximises_on_request() -> None:
+    assert build_problem({**everything(), "sense": "max"}).sense == -1.0
+
+
+def test_constants_use_earlier_ones_only() -> None:
+    assert read_constants({"constants": {"a": 2, "b": "a**2/pi"}})["b"] == pytest.approx(4 / math.pi)
+    with pytest.raises(ExpressionError, match="constant 'b', 'a\\*2', uses the name 'a'"):
+        read_constants({"constants": {"b": "a*2", "a": 2}})
+
+
+@pytest.mark.parametrize(
+    ("place", "culprit"),
+    [
+        (("phases", 0, "ode", "x"), "the derivative of 'x' in phase 1"),
+        (("phases", 0, "aux", "twice"), "aux 'twice' in phase 1"),
+        (("phases", 0, "path", 0, "expr"), "path 1 in phase 1"),
+        (("phases", 1, "integrals", "E"), "integral 'E' in phase 2"),
+        (("phases", 0, "states", 0, "x0"), "x0 of 'x' in phase 1"),
+        (("phases", 1, "tf"), "tf in phase 2"),
+        (("events", 0, "expr"), "event 1"),
+        (("objective",), "the objective"),
+        (("parameters", 0, "ub"), "ub of 'k'"),
+    ],
+)
+def test_an_unknown_name_is_reported_with_its_place(place: tuple[Any, ...], culprit: str) -> None:
+    broken: Any = everything()
+    inner = broken
+    for key in place[:-1]:
+        inner = inner[key]
+    inner[place[-1]] = "stranger+1"
+    with pytest.raises(ExpressionError, match="'stranger', which is not defined") as caught:
+        build_problem(broken)
+    assert culprit in str(caught.value)
+
+
+# --- closed forms ---------------------------------------------------------------------------------------
+
+DI = {"x": "v", "v": "u"}
+
+CLOSED_FORM: list[Document] = [
+    document(
+        "lq_scalar",
+        "J_1",
+        phase(0, 1, [state("x", 1)], [control("u")], {"x": "u"}, integrals={"J": "0.5*(x**2+u**2)"}),
+        ref_expr="0.5*tanh(1)",
+        dJ_dx0={"x": "tanh(1)"},
+        closed={"x": "cosh(1-t)/cosh(1)", "u": "-sinh(1-t)/cosh(1)", "lam_x": "sinh(1-t)/cosh(1)"},
+    ),
+    document(
+        "di_min_energy",
+        "J_1",
+        phase(0, 1, [state("x", 0, 1), state("v", 0, 0)], [control("u")], DI, integrals={"J": "u**2/2"}),
+        ref_expr="6",
+        dJ_dx0={"x": "-12", "v": "-6"},
+        closed={"x": "3*t**2-2*t**3", "u": "6-12*t", "lam_x": "-12", "lam_v": "12*t-6"},
+    ),
+    document(
+        "periodic_lq",
+        "J_1",
+        phase(
+            0, "2*pi", [state("x", None)], [control("u")], {"x": "-x+u+sin(t)"}, integrals={"J": "0.5*(x**2+u**2)"}
+        ),
+        events=[{"expr": "x_f1-x_i1", "lb": 0, "ub": 0}],
+        ref_expr="pi/6",
+        closed={"x": "(sin(t)-cos(t))/3", "u": "-sin(t)/3", "lam_x": "sin(t)/3"},
+    ),
+    document(
+        "isoperimetric",
+        "J_1",
+        phase(0, 1, [state("x", 0, 0)], [control("u")], {"x": "u"}, integrals={"J": "0.5*u**2", "A": "x"}),
+        events=[{"expr": "A_1", "lb": 1, "ub": 1}],
+        ref_expr="6",
+        dJ_dx0={"x": "-6"},
+        closed={"x": "6*t*(1-t)", "u": "6-12*t", "lam_x": "12*t-6"},
+    ),
+    document(
+        "free_initial_time",
+        "J_1",
+        phase(
+            [-3, 0.9], 1, [state("x", 0, 1)], [control("u")], {"x": "u"}, tguess=[-1, 1], integrals={"J": "0.5*u**2+2"}
+        ),
+        ref_expr="2",
+        dJ_dx0={"x": "-2"},
+        closed={"x": "2*(t-0.5)", "u": "2", "lam_x": "-2"},
+    ),
+    document(
+        "interior_point",
+        "J_1+J_2",
+        phase(0, 0.75, [state("x", 1, 0.9)], [control("u", -1, 1)], {"x": "u"}, integrals={"J": "x**2+u**2"}),
+        phase(
+            0.75, 1, [state("x", None, 0.75, guess=[0.9, 0.75])], [control("u", -1, 1)], {"x": "u"},
+            integrals={"J": "x**2+u**2"},
+        ),
+        events=[{"expr": "x_f1-x_i2", "lb": 0, "ub": 0}],
+        ref_expr="(1.81*cosh(0.75)-1.8)/sinh(0.75)+((0.9**2+0.75**2)*cosh(0.25)-2*0.9*0.75)/sinh(0.25)",
+        dJ_dx0={"x": "2*(cosh(0.75)-0.9)/sinh(0.75)"},
+        closed={"x": "(sinh(0.75-t)+0.9*sinh(t))/sinh(0.75)", "u": "(0.9*cosh(t)-cosh(0.75-t))/sinh(0.75)"},
+    ),
+    document(
+        "cake_eating",
+        "W_1",
+        phase(
+            0, 10, [state("k", 1, 0, 0, 10)], [control("c", 0.001, 10, guess=0.15)], {"k": "0.1*k-c"},
+            integrals={"W": "exp(-0.05*t)*log(c)"},
+        ),
+        sense="max",
+        constants={"c0": "0.05/(1-exp(-0.5))"},
+        ref_expr="log(c0)/c0+0.05*(1-1.5*exp(-0.5))/0.05**2",
+        dJ_dx0={"k": "1/c0"},
+        closed={"c": "c0*exp(0.05*t)", "lam_k": "exp(-0.1*t)/c0"},
+    ),
+    document(
+        "free_parameter",  # x(1) = 2 by a bought drift k and a control u: k + u = 2, cost k^2 + u^2
+        "k**2+J_1",
+        phase(0, 1, [state("x", 0, 2)], [control("u")], {"x": "k+u"}, integrals={"J": "u**2"}),
+        parameters=[{"name": "k", "lb": -5, "ub": 5, "guess": -2}],
+        ref_expr="2",
+        dJ_dx0={"x": "-2"},
+        closed={"x": "2*t", "u": "1", "lam_x": "-2"},
+    ),
+    document(
+        "di_time_asym",
+        "t_f1",
+        phase(0, [1, 100], [state("x", 0, 300), state("v", 0, 0)], [control("u", -2, 1)], DI, tguess=[0, 20]),
+        ref_expr="30",
+        dJ_dx0={"x": "-1/20", "v": "-1"},
+        closed={"x": "0.5*t**2 if t<=20 else 300-(30-t)**2", "v": "t if t<=20 else 2*(30-t)"},
+        accept_rel_tol=1e-3,
+        tolerance=5e-3,  # a bang-bang problem on a mesh with no node on its switch: tests the piecewise forms
+    ),
+]  # fmt: skip
+
+
+def with_numbers(problem: Document) -> Document:
+    """Put numbers where the documents above have formulas."""
+    names = read_constants(problem)
+    numbers = {"reference": evaluate(problem["ref_expr"], names, "the reference")}
+    if "dJ_dx0" in problem:
+        numbers["dJ_dx0"] = {k: evaluate(v, names, "dJ_dx0") for k, v in problem["dJ_dx0"].items()}
+    return {"accept_rel_tol": 1e-9, **problem, **numbers}
+
+
+@pytest.mark.parametrize("problem", CLOSED_FORM, ids=lambda p: p["name"])
+def test_closed_forms_from_the_straight_line_guess(problem: Document, tmp_path: Path) -> None:
+    """Objective, costates at the start, and all closed forms along the first phase, with default settings."""
+    full = with_numbers(problem)
+    outcome, solution = problem_set.run(full, tmp_path)
+    assert outcome.passed, outcome
+    assert solution is not None
+    smooth = "tolerance" not in problem
+    assert outcome.verdict_ok
+    # 1e-6: costates converge half as fast as the objective, which is right to 1e-9 here.
+    tolerance = 1e-6 if smooth else problem["tolerance"]
+    if "dJ_dx0" in full:
+        assert outcome.worst_costate_error is not None
+        assert outcome.worst_costate_error < tolerance
+    leg, constants = solution.phase("phase_1"), read_constants(problem)
+    sign = -1.0 if solution.maximised else 1.0
+    for name, expression in problem["closed"].items():
+        wanted, found = [], []
+        for t in np.linspace(leg.initial_time, leg.final_time, 23):
+            wanted.append(evaluate(expression, {**constants, "t": float(t)}, name))
+            found.append((sign if name.startswith("lam_") else 1.0) * leg_value(leg, name, float(t)))
+        scale = max(1.0, float(np.max(np.abs(wanted))))
+        np.testing.assert_allclose(found, wanted, atol=5 * tolerance * scale, err_msg=name)
+
+
+def leg_value(leg: go.PhaseSolution, name: str, t: float) -> float:
+    """Value of a state, a control or, by the name of ``lam_<state>``, a costate."""
+    if name.startswith("lam_"):
+        return float(leg.costate(name[4:])(t))
+    return float((leg.state if name in leg.states else leg.control)(name)(t))
+
+
+# --- judging --------------------------------------------------------------------------------------------
+
+
+def test_a_wrong_reference_does_not_pass(tmp_path: Path) -> None:
+    full = with_numbers(CLOSED_FORM[0])
+    full["reference"] *= 1 + 1e-8
+    outcome, _ = problem_set.run(full, tmp_path)
+    assert not outcome.passed
+    assert outcome.verdict_ok
+
+
+def test_relative_error_is_absolute_at_zero() -> None:
+    assert relative_error(1.5, 1.0) == 0.5
+    assert relative_error(-1e-3, 0.0) == 1e-3
+
+
+def test_costates_of_a_payoff_keep_its_sign(tmp_path: Path) -> None:
+    """The reference of a maximised problem is dW/dx0; a sign taken the other way is an error of 2."""
+    full = with_numbers(CLOSED_FORM[6])
+    assert full["sense"] == "max"
+    _, solution = problem_set.run(full, tmp_path)
+    assert solution is not None
+    assert initial_costate_error(full, solution) == pytest.approx(0.0, abs=1e-7)
+    wrong = {"dJ_dx0": {"k": -full["dJ_dx0"]["k"]}}
+    assert initial_costate_error(wrong, solution) == pytest.approx(2.0, abs=1e-6)
+    assert initial_costate_error({"dJ_dx0": {"k": None}}, solution) is None
+
+
+def test_costates_along_a_reference_trajectory(tmp_path: Path) -> None:
+    """Compared at the same fraction of the phase, in shares of the largest costate, mean over time."""
+    t = np.linspace(0.0, 1.0, 61)
+    lam = {"x": np.full(61, -12.0).tolist(), "v": (12 * t - 6 + 0.3).tolist()}
+    path = tmp_path / "di_min_energy.json"
+    path.write_text(json.dumps({"phases": [{"t": t.tolist(), "lam": lam}]}))
+    outcome, solution = problem_set.run(with_numbers(CLOSED_FORM[1]), tmp_path)
+    assert solution is not None
+    assert outcome.costate_error_along == pytest.approx(0.3 / 6.3, rel=1e-6)
+    assert costate_error_along(tmp_path / "none.json", solution) is None
+
+
+def test_a_costate_of_zero_is_compared_with_the_others(tmp_path: Path) -> None:
+    """x is free at the end and in no cost: its costate is exactly 0, the solver's 1e-12 is no error."""
+    idle = copy.deepcopy(CLOSED_FORM[1])
+    idle["phases"][0]["states"][0]["xf"] = None
+    idle["phases"][0]["states"][1]["xf"] = 1
+    full = {**idle, "reference": 0.5, "dJ_dx0": {"x": 0.0, "v": -1.0}, "accept_rel_tol": 1e-9}
+    outcome, _ = problem_set.run(full, tmp_path)
+    assert outcome.passed
+    assert outcome.worst_costate_error is not None and outcome.worst_costate_error < 1e-6
+
+
+BASE = phase(0, 1, [state("x", 0, 1)], [control("u", -2, 2)], {"x": "u"}, integrals={"J": "u**2"})
+
+
+def ill_posed(name: str, category: str, objective: str = "J_1", **changes: Any) -> Document:
+    return document(name, objective, {**BASE, **changes}, category=["ill-posed", category], expect="a report")
+
+
+ILL_POSED: list[tuple[Document, str]] = [
+    (ill_posed("too far", "infeasible", states=[state("x", 0, 9)]), "infeasible"),
+    (ill_posed("bounds", "infeasible", states=[state("x", 1, None, 0, 0.5)]), "input_error"),
+    (
+        {
+            **ill_posed("no bound", "unbounded", "x_f1", states=[state("x", 0)], controls=[control("u")]),
+            "sense": "max",
+        },
+        "unbounded",
+    ),
+    (
+        ill_posed("nan", "nan", states=[state("x", 1, 0.5, guess=[-1, -0.5])], ode={"x": "u*log(x)"}),
+        "input_error",
+    ),
+    (
+        {
+            **ill_posed("unknown", "input-error", ode={"x": "u-k*x"}),
+            "expect": "input error naming the symbol (k)",
+        },
+        "input_error",
+    ),
+    (
+        ill_posed(
+            "chatter",
+            "not-attained",
+            states=[state("x", 0, 0, -1, 1)],
+            controls=[control("u", -2, 2, guess=0.5)],
+            integrals={"J": "x**2+(u**2-1)**2"},
+        ),
+        "optimal",
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("problem", "status"), ILL_POSED, ids=lambda p: p["name"] if isinstance(p, dict) else p
+)
+def test_ill_posed_problems_end_with_the_report_that_is_asked_for(
+    problem: Document, status: str, tmp_path: Path
+) -> None:
+    outcome, _ = problem_set.run(problem, tmp_path, mesh="6x4")
+    assert outcome.status == status
+    assert outcome.passed
+    assert outcome.objective is None or outcome.verdict_ok is False
+
+
+def test_ill_posed_problems_that_are_reported_solved_do_not_pass(tmp_path: Path) -> None:
+    """A well-posed problem with the label of an ill-posed one stands for a tool that finds a false solution."""
+    for category in ("infeasible", "unbounded", "not-attained", "input-error", "nan"):
+        outcome, _ = problem_set.run(ill_posed("fine", category), tmp_path, mesh="4x4")
+        assert outcome.verdict_ok
+        assert not outcome.passed, category
+
+
+def test_the_report_must_name_the_symbol(tmp_path: Path) -> None:
+    problem = {**ill_posed("unknown", "input-error", ode={"x": "u-k*x"}), "expect": "naming the symbol (q)"}
+    assert not problem_set.run(problem, tmp_path)[0].passed
+
+
+def test_a_crash_never_passes_and_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def crash(*_: Any, **__: Any) -> None:
+        raise ZeroDivisionError("deep inside")
+
+    monkeypatch.setattr(go, "solve", crash)
+    outcome, solution = problem_set.run(ill_posed("crash", "infeasible"), tmp_path)
+    assert (outcome.status, outcome.passed, solution) == ("crash", False, None)
+    assert outcome.message == "ZeroDivisionError: deep inside"
+
+
+def test_a_missing_key_is_named(tmp_path: Path) -> None:
+    broken = copy.deepcopy(CLOSED_FORM[0])
+    del broken["phases"][0]["ode"]
+    outcome, _ = problem_set.run(broken, tmp_path)
+    assert (outcome.status, outcome.passed) == ("input_error", False)
+    assert "'ode'" in outcome.message
+
+
+# --- the command ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def collection(tmp_path: Path) -> Path:
+    documents = [{**with_numbers(CLOSED_FORM[0]), "core": True}, ILL_POSED[0][0], ILL_POSED[4][0]]
+    documents[1] = {**documents[1], "expect": None, "reference": 1.0}  # listed as a failure, stops nothing
+    path = tmp_path / "set.json"
+    path.write_text(json.dumps(documents))
+    return path
+
+
+def test_command_lists_every_problem_and_writes_json(
+    collection: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    out = tmp_path / "out.json"
+    assert problem_set.main([str(collection), "--mesh", "6x4", "--scheme", "LGR", "--json", str(out)]) == 1
+    printed = capsys.readouterr().out
+    assert "2 of 3 problems pass" in printed
+    assert "too far: Near the last iterate" in printed  # the failure is told in words
+    results = json.loads(out.read_text())
+    assert [r["name"] for r in results] == ["lq_scalar", "too far", "unknown"]
+    assert [r["passed"] for r in results] == [True, False, True]
+    for key in ("reference", "objective", "relative_error", "status", "verdict_ok", "seconds", "iterations",
+                "refinements", "costate_error"):  # fmt: skip
+        assert key in results[0]
+    assert results[0]["status"] == "optimal"
+    assert results[0]["worst_costate_error"] < 1e-6
+    assert results[1]["objective"] is None
+    assert results[2]["expect"] == "input error naming the symbol (k)"
+
+
+def test_command_chooses(collection: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert problem_set.main([str(collection), "--core"]) == 0
+    assert problem_set.main([str(collection), "--only", "unknown", "lq_scalar"]) == 0
+    assert "too far" not in capsys.readouterr().out
+    assert problem_set.main([str(collection), "--only", "nobody"]) == 1
+    assert "no problem named nobody" in capsys.readouterr().out
+
+
+def test_verdict_column_is_short() -> None:
+    outcome = problem_set.Outcome(
+        "a", 1.0, 1.0, 0.0, "acceptable", False, failed=("Hamiltonian",), untold=("singular arcs",)
+    )
+    assert problem_set._verdict(outcome) == "acceptable; H ?sing"
+    good = problem_set.Outcome("a", 1.0, 1.0, 0.0, "optimal", True)
+    assert problem_set._verdict(good) == "ok"
+
+
+@pytest.mark.parametrize("content", ['{"name": "one"}', "[1, 2]", "[{", "\udcff", None])
+def test_a_file_that_is_no_collection_is_a_listed_failure(
+    content: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = tmp_path / "bad.json", tmp_path / "out.json"
+    if content is not None:
+        path.write_text(content, encoding="utf-8", errors="surrogateescape")
+        with pytest.raises(ValueError, match=r"not a list of problems|not JSON"):
+            read_documents(path)
+    assert problem_set.main([str(path), "--json", str(out)]) == 1
+    assert "0 of 1 problems pass" in capsys.readouterr().out
+    (result,) = json.loads(out.read_text())
+    assert (result["name"], result["status"], result["passed"]) == ("bad.json", "input_error", False)
+    assert "bad.json" in result["message"]
+
+
+ILL_FORMED: list[Document] = [
+    {"name": None},
+    {"phases": None},
+    {"phases": ["leg"]},
+    {"phases": []},
+    {"objective": ["J_1"]},
+    {"reference": "four"},
+    {"reference": float("nan")},
+    {"accept_rel_tol": None, "category": None},
+    {"category": 3},
+    {"expect": 7, "category": ["input-error"]},
+    {"expect": "a report", "category": 3},
+    {"dJ_dx0": {"stranger": 1.0}},
+    {"dJ_dx0": {"x": "many"}},
+    {"closed": {"lam_x": "t +"}},
+    {"closed": {"lam_x": 5, "lam_stranger": "t"}},
+    {"phases": [{**CLOSED_FORM[0]["phases"][0], "states": [{"x0": 1}]}]},
+    {"phases": [{**CLOSED_FORM[0]["phases"][0], "t0": [0]}]},
+    {"phases": [{**CLOSED_FORM[0]["phases"][0], "tf": "later"}]},
+]
+
+
+def test_ill_formed_documents_are_listed_like_the_rest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sound = with_numbers(CLOSED_FORM[0])
+    path, out = tmp_path / "set.json", tmp_path / "out.json"
+    path.write_text(json.dumps([*({**sound, **changes} for changes in ILL_FORMED), sound]))
+    problem_set.main([str(path), "--mesh", "4x4", "--json", str(out)])
+    *broken, other = json.loads(out.read_text())
+    assert other["passed"]
+    for changes, one in zip(ILL_FORMED, broken, strict=True):
+        assert one["passed"] or one["message"] or one["objective"] is not None, changes
+    assert f"of {len(ILL_FORMED) + 1} problems pass" in capsys.readouterr().out
+
+
+def test_an_entry_without_a_name_is_called_by_its_place(tmp_path: Path) -> None:
+    path, out = tmp_path / "set.json", tmp_path / "out.json"
+    path.write_text("[{}]")
+    assert problem_set.main([str(path), "--json", str(out)]) == 1
+    (result,) = json.loads(out.read_text())
+    assert (result["name"], result["status"]) == ("problem 1", "input_error")
+
+
+def test_a_collection_of_nothing_does_not_pass(tmp_path: Path) -> None:
+    path = tmp_path / "set.json"
+    path.write_text("[]")
+    assert problem_set.main([str(path)]) == 1
+
+
+# --- the effort and the costates --------------------------------------------------------------------------
+
+
+def test_closed_forms_of_costates_are_compared_in_every_phase(tmp_path: Path) -> None:
+    full = with_numbers(CLOSED_FORM[5])
+    slope = "2*((%g)*cosh(%g-t)-(%g)*cosh(t-%g))/sinh(%g)"  # -2 dx/dt: the costate of a quadratic cost
+    closed = {
+        "phase1.lam_x": slope % (1.0, 0.75, 0.9, 0.0, 0.75),
+        "phase2.lam_x": slope % (0.9, 1.0, 0.75, 0.75, 0.25),
+    }
+    outcome, solution = problem_set.run({**full, "closed": closed}, tmp_path)
+    assert solution is not None
+    assert outcome.closed_form_costate_error is not None and outcome.closed_form_costate_error < 1e-6
+    wrong = {**closed, "phase2.lam_x": f"2*{closed['phase2.lam_x']}"}
+    assert closed_form_costate_error({"closed": wrong}, solution) == pytest.approx(
+        0.5 * mean_share(solution.phase("phase_2").costate("x"), 0.75, 1.0), rel=1e-5
+    )
+    assert closed_form_costate_error({}, solution) is None
+
+
+def mean_share(signal: Any, start: float, end: float) -> float:
+    """Mean of a signal's magnitude over its largest one."""
+    values = np.abs(signal(np.linspace(start, end, 61)))
+    return float(np.mean(values) / np.max(values))
+
+
+def test_the_worst_costate_error_and_the_effort_are_told(tmp_path: Path) -> None:
+    outcome, solution = problem_set.run(with_numbers(CLOSED_FORM[0]), tmp_path)
+    assert solution is not None and solution.history is not None
+    assert outcome.costate_error == max(outcome.worst_costate_error, outcome.closed_form_costate_error)  # type: ignore[type-var]
+    assert outcome.refinements == len(solution.history.passes)
+    assert outcome.iterations == sum(p.iterations for p in solution.history.passes)
+    coarse, _ = problem_set.run(with_numbers(CLOSED_FORM[0]), tmp_path, mesh="6x4")
+    assert coarse.refinements == 0 and coarse.iterations is not None and coarse.iterations > 0
+
+
+def test_a_search_leaves_a_local_minimum(tmp_path: Path) -> None:
+    """Where the sheet speaks of local minima: (z^2 - 1)^2 + z/10 + x'^2/50, guessed in the shallow well."""
+    wells = document(
+        "wells",
+        "(x_f1**2-1)**2+0.1*x_f1+0.02*J_1",
+        phase(
+            0, 1, [state("x", 0, None, guess=[0, 1])], [control("u", -3, 3, guess=1)], {"x": "u"},
+            integrals={"J": "u**2"},
+        ),
+        category=["local-minima"],
+        accept_rel_tol=1e-7,
+    )  # fmt: skip
+    z = np.roots([4.0, 0.0, 0.04 - 4.0, 0.1]).real
+    depths = sorted((z**2 - 1) ** 2 + 0.1 * z + 0.02 * z**2)
+    wells["reference"] = depths[0]
+    alone, _ = problem_set.run(wells, tmp_path)
+    searched, _ = problem_set.run(wells, tmp_path, multistart=True)
+    assert (alone.passed, searched.passed) == (False, True)
+    assert alone.objective == pytest.approx(depths[1], abs=1e-7)
+    shallow = {**wells, "reference": depths[1]}
+    beaten, _ = problem_set.run(shallow, tmp_path, multistart=True)
+    assert beaten.better and beaten.passed and not searched.better
+    plain, _ = problem_set.run({**wells, "category": []}, tmp_path, multistart=True)
+    assert not plain.passed  # no search without local minima in the sheet

@@ -1,0 +1,163 @@
+"""The drift check: what moved is named, what did not is not, and the baseline knows the rendezvous."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.validation import regression
+from benchmarks.validation.regression import BASELINE, Record, compare, read_baseline
+from problems import rendezvous
+
+STILL = Record(
+    "p", "optimal", 2.0, {"q": 1.0, "v": 0.0}, {"q": 1.0, "v": 0.5}, 20, 3, ("bounds",), ("second order",)
+)
+
+
+def moves(before: Record, now: Record) -> list[regression.Move]:
+    return compare({before.name: before}, {now.name: now})
+
+
+# --- comparing ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("now", "what"),
+    [
+        (replace(STILL, objective=2.0 * (1 + 2e-9)), "objective, by 2.0e-09"),
+        (replace(STILL, objective=float("nan")), "objective"),
+        (replace(STILL, status="infeasible", objective=None), "status"),
+        (replace(STILL, failed=()), "verdict"),
+        (replace(STILL, untold=()), "verdict"),
+        (replace(STILL, failed=("second order",), untold=("bounds",)), "verdict"),
+    ],
+)
+def test_what_matters_counts(now: Record, what: str) -> None:
+    found = moves(STILL, now)
+    assert [move.what[: len(what)] for move in found if move.counts] == [what]
+
+
+@pytest.mark.parametrize(
+    ("now", "what"),
+    [
+        (replace(STILL, costates={"q": 1.0 + 2e-6, "v": 0.0}), "costate of q"),
+        (replace(STILL, costates={"q": 1.0, "v": 1e-8}), "costate of v"),
+        (replace(STILL, costates={"r": 1.0, "v": 0.0}), "costates"),
+        (replace(STILL, iterations=25), "iterations"),
+        (replace(STILL, iterations=15), "iterations"),
+        (replace(STILL, passes=4), "passes"),
+    ],
+)
+def test_costates_and_effort_are_shown_only(now: Record, what: str) -> None:
+    (move,) = moves(STILL, now)
+    assert move.what.startswith(what) and not move.counts
+
+
+@pytest.mark.parametrize(
+    "now",
+    [
+        STILL,
+        replace(STILL, objective=2.0 * (1 + 5e-10)),
+        replace(
+            STILL, costates={"q": 1.0 + 5e-7, "v": 1e-10}
+        ),  # v counts with a thousandth of the share of q
+        replace(STILL, iterations=24),
+        replace(STILL, iterations=16),
+    ],
+)
+def test_rounding_does_not_move(now: Record) -> None:
+    assert moves(STILL, now) == []
+
+
+def test_objectives_of_zero_have_a_yardstick() -> None:
+    zero = replace(STILL, objective=0.0)
+    assert moves(zero, replace(zero, objective=1e-13)) == []
+    assert moves(zero, replace(zero, objective=1e-11))[0].what.startswith("objective")
+
+
+def test_a_problem_on_one_side_only_counts() -> None:
+    other = replace(STILL, name="other")
+    found = compare({"p": STILL}, {"other": other})
+    assert [(move.name, move.now, move.counts) for move in found] == [
+        ("p", "missing", True),
+        ("other", "new", True),
+    ]
+
+
+# --- the program --------------------------------------------------------------------------------------
+
+
+def quadratic(name: str) -> dict[str, Any]:
+    """min 1/2 int x^2 + u^2 from x(0) = 1 over 1 s."""
+    state = {"name": "x", "x0": 1.0, "xf": None, "lb": None, "ub": None}
+    phase = {
+        "t0": 0, "tf": 1, "states": [state], "controls": [{"name": "u", "lb": None, "ub": None}],
+        "ode": {"x": "u"}, "integrals": {"J": "(x**2+u**2)/2"},
+    }  # fmt: skip
+    return {"name": name, "sense": "min", "phases": [phase], "objective": "J_1"}
+
+
+@pytest.fixture
+def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Path]:
+    """A set of one problem, without the rendezvous, and a baseline of it."""
+    monkeypatch.setattr(regression, "rendezvous_documents", list)
+    problems, baseline = tmp_path / "set.json", tmp_path / "baseline.json"
+    problems.write_text(json.dumps([quadratic("one")]))
+    assert regression.main([str(problems), "--baseline", str(baseline), "--write"]) == 0
+    return str(problems), baseline
+
+
+def test_a_second_run_moves_nothing(files: tuple[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    problems, baseline = files
+    kept = read_baseline(baseline)["one"]
+    assert kept.objective == pytest.approx(0.5 * 0.7615941559557649, abs=1e-9)  # tanh(1) / 2
+    assert kept.costates == pytest.approx({"x": 0.7615941559557649}, abs=1e-6)
+    assert kept.magnitudes == pytest.approx({"x": 1.0})
+    assert (kept.status, kept.failed) == ("optimal", ())
+    assert regression.main([problems, "--baseline", str(baseline)]) == 0
+    assert "1 problems compared: nothing moved" in capsys.readouterr().out
+
+
+def test_what_moved_is_named(files: tuple[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    problems, baseline = files
+    text = baseline.read_text()
+    told = json.loads(text)
+    told["problems"][0]["objective"] *= 1 + 1e-8
+    baseline.write_text(json.dumps(told))
+    assert regression.main([problems, "--baseline", str(baseline)]) == 1
+    out = capsys.readouterr().out
+    assert "1 moved" in out and "objective, by 1.0e-08" in out and "MOVED" in out
+    told = json.loads(text)
+    told["problems"][0]["iterations"] += 10
+    baseline.write_text(json.dumps(told))
+    assert regression.main([problems, "--baseline", str(baseline)]) == 0
+    assert "shown only" in capsys.readouterr().out
+
+
+def test_writing_one_problem_leaves_the_others(files: tuple[str, Path], tmp_path: Path) -> None:
+    _, baseline = files
+    two = tmp_path / "two.json"
+    two.write_text(json.dumps([quadratic("one"), quadratic("two")]))
+    assert regression.main([str(two), "--baseline", str(baseline)]) == 1  # new
+    assert regression.main([str(two), "--baseline", str(baseline), "--only", "two", "--write"]) == 0
+    assert list(read_baseline(baseline)) == ["one", "two"]
+    assert regression.main([str(two), "--baseline", str(baseline), "--only", "one"]) == 0
+
+
+# --- the baseline -------------------------------------------------------------------------------------
+
+
+def test_the_baseline_holds_the_ten_optima_of_the_rendezvous() -> None:
+    kept = read_baseline(BASELINE)
+    documents = regression.rendezvous_documents()
+    assert len(documents) == 10
+    for document in documents:
+        found = kept[document["name"]]
+        known = rendezvous.REFERENCE[document["case"], document["equation"]]["exact"]
+        assert found.objective == pytest.approx(known.value, abs=1e-10)
+        assert (found.status, found.failed, found.untold) == ("optimal", (), ())
+        assert found.costates is not None and len(found.costates) == 12
