@@ -87,7 +87,7 @@ def examples() -> list[Example]:
     """
     for holder in _HOLDERS:
         folder = holder / "problems"
-        if (folder / "reference.py").is_file():
+        if (folder / "_example.py").is_file():
             systems = sorted(path.parent for path in folder.glob("*/__main__.py"))
             files = [
                 path

@@ -12,7 +12,7 @@ import gnc_opt as go
 from benchmarks.performance.page import numbers
 from gnc_opt.examples import Example, examples
 from gnc_opt.plot import plot_controls, plot_run_controls, plot_run_states, plot_states
-from problems.reference import Reference
+from problems._example import Reference
 from website.sphinx_math import module_page
 
 ROOT = Path(__file__).parents[1]

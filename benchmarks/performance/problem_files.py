@@ -19,7 +19,7 @@ from typing import Any
 
 import gnc_opt as go
 from gnc_opt.examples import example, examples
-from problems.reference import Reference
+from problems._example import Reference
 
 LIMIT = 120.0
 """CPU time that one may take, roughly, s."""

@@ -36,7 +36,7 @@ import gnc_opt as go
 from benchmarks.validation.problem_set import solve as problem_set
 from benchmarks.validation.problem_set.reader import read_documents
 from gnc_opt.examples import Example, example, examples
-from problems.reference import Reference
+from problems._example import Reference
 
 SET_FILE = Path("../shared/ocp/problems.json")
 """Default file of the problem set."""

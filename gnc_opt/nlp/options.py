@@ -27,7 +27,7 @@ _IPOPT_LINEAR_SOLVERS = (
 )  # fmt: skip
 
 # By default MUMPS permutes and scales all matrices by the numbers of the first one. Where these are untypical, later
-# factorisations fill up: on some problems of benchmarks.validation.problem_set.solve iterations then take 10 to 100 times as long. Without,
+# factorisations fill up: on some problems of the benchmarks iterations then take 10 to 100 times as long. Without,
 # badly scaled problems need pivots better than IPOPT's 1e-6. On ordinary problems the two cost about 5 %.
 _MUMPS = {"mumps_permuting_scaling": 0, "mumps_pivtol": 1e-4}
 

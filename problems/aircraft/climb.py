@@ -29,8 +29,7 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.model.pieces import Method
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 MACH = np.array([0.0, 0.4, 0.8, 0.9, 1.0, 1.2, 1.4, 1.6, 1.8])
 LIFT_SLOPE = np.array([3.44, 3.44, 3.44, 3.58, 4.44, 3.44, 3.01, 2.86, 2.44])

@@ -23,8 +23,7 @@ from typing import Any
 import casadi as ca
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 MASS, AREA, DENSITY, GRAVITY = 100.0, 14.0, 1.13, 9.80665
 """kg, m^2, kg/m^3, m/s^2."""

@@ -30,8 +30,7 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.plot import View
 from gnc_opt.spacecraft.vector import cross
-from problems.reference import Array, Reference
-from problems.run import run
+from problems._example import Array, Reference, run
 
 MU = 3.986012e14
 """m^3/s^2."""

@@ -27,8 +27,7 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.plot import View
 from gnc_opt.spacecraft import quaternion_rate
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 EIGENAXIS_TIME = 2 * np.sqrt(np.pi)
 """Of the turn about one axis only, s."""

@@ -23,8 +23,7 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.plot import View
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 INERTIA = np.array([5621.0, 4547.0, 2364.0])
 """kg m^2."""

@@ -8,10 +8,10 @@ import numpy as np
 from rich.console import Console
 
 from gnc_opt.simulation import Campaign, consistency
+from problems._campaign_table import kept_in, parser, table, wide_console, write
 from problems.attitude_control.board import LAWS, estimator
 from problems.attitude_control.flown import LIMITS, campaign
 from problems.attitude_control.model import slew
-from problems.campaigns import kept_in, parser, table, wide_console, write
 
 DEMANDED = 0.99
 """Share of the runs in which the regulator along the slew has to meet all limits."""

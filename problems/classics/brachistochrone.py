@@ -25,8 +25,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 import gnc_opt as go
-from problems.reference import Array, Extremal, Reference
-from problems.run import run
+from problems._example import Array, Extremal, Reference, run
 
 GRAVITY = 9.8
 """m/s^2."""

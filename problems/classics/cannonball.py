@@ -22,8 +22,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 GRAVITY, IRON, DRAG_COEFFICIENT = 9.80665, 7870.0, 0.5
 """m/s^2, kg/m^3, -."""

@@ -20,8 +20,7 @@ from collections.abc import Sequence
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Array, Extremal, Reference
-from problems.run import run
+from problems._example import Array, Extremal, Reference, run
 
 FIRST, WAYPOINT, LAST = 1.0, 0.9, 0.75
 """x at 0, `PASSAGE` and 1 s."""

@@ -21,8 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Array, Extremal, Reference
-from problems.run import run
+from problems._example import Array, Extremal, Reference, run
 
 DURATION = 3.0
 """T, s; at least 2."""

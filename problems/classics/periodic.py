@@ -20,8 +20,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Array, Extremal, Reference
-from problems.run import run
+from problems._example import Array, Extremal, Reference, run
 
 
 def build() -> go.Problem:

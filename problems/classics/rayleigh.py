@@ -19,8 +19,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 
 def build(limit: float = 0.0) -> go.Problem:

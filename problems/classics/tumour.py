@@ -21,8 +21,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 XI, B, D, G, MU = 0.084, 5.85, 0.00873, 0.15, 0.02
 """Per day; D per day and mm^2, G per dose."""

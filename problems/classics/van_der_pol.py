@@ -20,8 +20,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import gnc_opt as go
-from problems.reference import Array, Reference
-from problems.run import run
+from problems._example import Array, Reference, run
 
 SWITCH_TIMES = (1.3667400311, 2.4608743843)
 """By shooting with the feedback law, s: y(4) = 0, and lam_y = 0 at the first switch."""

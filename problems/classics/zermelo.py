@@ -26,8 +26,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import fsolve
 
 import gnc_opt as go
-from problems.reference import Array, Extremal, Reference
-from problems.run import run
+from problems._example import Array, Extremal, Reference, run
 
 START = (3.66, -1.86)
 """x and y, m."""

@@ -25,6 +25,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.control import Controller, bryson, design_tvlqr, feedforward
 from gnc_opt.simulation import Run
 from gnc_opt.spacecraft import quaternion_angle
+from problems._example import Reference
 from problems.comparison import Row, compare, remark, require
 from problems.flexible_spacecraft.laws import INERTIAL_ROBUST, quasi_sliding_mode
 from problems.flexible_spacecraft.model import (
@@ -48,7 +49,6 @@ from problems.flexible_spacecraft.runs import (
     standard,
 )
 from problems.fronts import Front, certified
-from problems.reference import Reference
 
 MESH = go.Mesh.uniform(60, 3)
 """For the time-optimal slew: modes of 2 s and arcs of 0.3 s in 33 s."""

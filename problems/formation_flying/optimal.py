@@ -21,13 +21,13 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.arrays import Array
+from problems._example import Reference
 from problems.comparison import Row, compare, require
 from problems.formation_flying.laws import delta_v
 from problems.formation_flying.model import PERIOD, START, build_model, circle, circle_state
 from problems.formation_flying.published import run
 from problems.fronts import Front, certified
 from problems.kept import kept
-from problems.reference import Reference
 
 LIMIT = 3e-3
 """Thrust acceleration, m/s^2: near the largest that the optimal sliding mode asks for, 3.1e-3."""

@@ -25,8 +25,7 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.plot import View
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 START = {"r": [1500.0, 0.0, 2000.0], "v": [-75.0, 0.0, 100.0], "mass": 1905.0}
 GRAVITY = 3.7114

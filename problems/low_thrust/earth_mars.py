@@ -24,8 +24,7 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.plot import View
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 MU = 132712440018.0
 """Of the Sun, km^3/s^2."""

@@ -30,8 +30,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 MU = 1.407645794e16
 """Of the Earth, ft^3/s^2."""

@@ -22,8 +22,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 ACCELERATION, MASS_RATE = 0.1405, 0.0749
 """Thrust and mass flow, per initial mass."""

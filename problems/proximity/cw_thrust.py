@@ -21,8 +21,7 @@ import casadi as ca
 
 import gnc_opt as go
 from gnc_opt.plot import View
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 RATE = 0.00113
 """Of the orbit, rad/s."""

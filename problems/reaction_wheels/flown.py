@@ -16,6 +16,7 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.simulation import Constant, Noise, Saturation, Turn, Uniform, WheelArray
 from gnc_opt.spacecraft import quaternion_angle, quaternion_product
+from problems._example import Array
 from problems.comparison import Row, at_most, require
 from problems.dispersed import Rivals
 from problems.flown import Flight, flight_rows, with_settings
@@ -42,7 +43,6 @@ from problems.reaction_wheels.optimal import (
     published_peak_torque,
 )
 from problems.reaction_wheels.runs import SETTLED
-from problems.reference import Array
 
 MEASURES = ("to 2 % of the angle (s)", "integral of sum T^2 (N^2 m^2 s)", "angle after 60 s (deg)")
 

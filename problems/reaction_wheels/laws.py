@@ -36,8 +36,8 @@ from gnc_opt.control.linear.riccati import steady
 from gnc_opt.control.schedule import ReferenceSchedule, reference_signals
 from gnc_opt.model.layout import Layout
 from gnc_opt.spacecraft import quaternion_error
+from problems._example import Array
 from problems.reaction_wheels.model import REST, resting, wheel_model
-from problems.reference import Array
 
 Law: TypeAlias = Literal["FLC", "LQR"]
 Output: TypeAlias = Literal["absolute", "error"]

@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 
 import gnc_opt as go
 from gnc_opt.simulation import WheelArray
+from problems._example import Array
 from problems.kept import kept
 from problems.reaction_wheels.laws import Law, Linear, design_flc, design_quaternion_lqr, flc_output
 from problems.reaction_wheels.model import (
@@ -28,7 +29,6 @@ from problems.reaction_wheels.model import (
     wheel_model,
 )
 from problems.reaction_wheels.runs import Slew, fly
-from problems.reference import Array
 
 Balance: TypeAlias = Literal["none", "momentum"]
 

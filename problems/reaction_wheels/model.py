@@ -38,7 +38,7 @@ from gnc_opt.spacecraft import (
     wheel_body_acceleration,
     wheel_pyramid,
 )
-from problems.reference import Array
+from problems._example import Array
 
 Drive: TypeAlias = Literal["wheels", "body"]
 

@@ -28,6 +28,7 @@ import gnc_opt as go
 from gnc_opt.control.deviation import Deviation
 from gnc_opt.control.linear.riccati import steady
 from gnc_opt.errors import did_you_mean
+from problems._example import Reference
 from problems.comparison import Row, at_most, compare, require
 from problems.fronts import Front, certified
 from problems.reaction_wheels.laws import PRINTED_FLC
@@ -45,7 +46,6 @@ from problems.reaction_wheels.model import (
     wheel_model,
 )
 from problems.reaction_wheels.runs import published_slew
-from problems.reference import Reference
 
 Goal: TypeAlias = Literal["energy", "time"]
 Name: TypeAlias = Literal["energy", "energy, half the time", "time, small", "time, speed limit"]

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gnc_opt.plot.style import QUIET, legend_above, line_look, new_figure, save_figure, style
+from problems._example import Array
 from problems.reaction_wheels.flown import FLOWN, flight, plan
 from problems.reaction_wheels.laws import Law
 from problems.reaction_wheels.model import (
@@ -22,7 +23,6 @@ from problems.reaction_wheels.model import (
 )
 from problems.reaction_wheels.optimal import MANOEUVRE, SLEWS, Name, optimal_slew
 from problems.reaction_wheels.runs import Slew, published_slew
-from problems.reference import Array
 
 WHEELS = tuple(f"wheel {i}" for i in range(1, 5))
 QUATERNION = ("$q_1$", "$q_2$", "$q_3$", "$q_4$")

@@ -18,6 +18,7 @@ from scipy.integrate import solve_ivp, trapezoid
 import gnc_opt as go
 from gnc_opt.simulation.metrics import settling_time
 from gnc_opt.spacecraft import quaternion_angle, quaternion_to_rotation, total_momentum
+from problems._example import Array
 from problems.reaction_wheels.laws import Law, design_flc, design_quaternion_lqr
 from problems.reaction_wheels.model import (
     AXES,
@@ -33,7 +34,6 @@ from problems.reaction_wheels.model import (
     target_quaternion,
     wheel_model,
 )
-from problems.reference import Array
 
 STEP = 0.005
 """Of the grid of the results, s."""

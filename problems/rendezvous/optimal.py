@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gnc_opt as go
-from problems.reference import Reference
+from problems._example import Reference
 from problems.rendezvous.model import CASES, EQUATIONS, Equation, check_case
 
 

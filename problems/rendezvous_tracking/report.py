@@ -19,7 +19,7 @@ from rich.table import Table
 from gnc_opt.errors import GncOptError
 from gnc_opt.report.campaign import campaign_dict
 from gnc_opt.simulation import Campaign
-from problems.campaigns import kept_in
+from problems._campaign_table import kept_in
 from problems.flown import with_settings
 from problems.rendezvous import CASES
 from problems.rendezvous_tracking.guided import Guided

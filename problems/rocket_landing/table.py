@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gnc_opt.simulation import Campaign
-from problems.campaigns import kept_in, parser, table, wide_console, write
+from problems._campaign_table import kept_in, parser, table, wide_console, write
 from problems.rocket_landing.flown import CONTROLLERS, LIMITS, Landing
 from problems.rocket_landing.model import PLANNED, START
 

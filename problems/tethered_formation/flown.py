@@ -15,11 +15,11 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.simulation import Noise, Saturation, Uniform
 from gnc_opt.spacecraft import TetheredPair
+from problems._example import Array
 from problems.comparison import Row, at_most, compare, remark, require
 from problems.dispersed import Rivals
 from problems.flown import Flight, flight_rows, with_settings
 from problems.kept import kept
-from problems.reference import Array
 from problems.tethered_formation.laws import (
     STEP,
     Gains,

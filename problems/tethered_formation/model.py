@@ -32,7 +32,7 @@ from scipy.integrate import solve_ivp
 
 import gnc_opt as go
 from gnc_opt.spacecraft import TetheredPair, TetherMotion
-from problems.reference import Array
+from problems._example import Array
 
 Gravity: TypeAlias = Literal["first order", "exact"]
 

@@ -20,9 +20,9 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.errors import did_you_mean
 from gnc_opt.spacecraft import TetheredPair
+from problems._example import Array, Reference
 from problems.comparison import Row, compare, require
 from problems.fronts import Front, certified
-from problems.reference import Array, Reference
 from problems.tethered_formation.laws import STEP, design_swing_law
 from problems.tethered_formation.model import (
     DURATION,

@@ -14,8 +14,8 @@ from scipy.integrate import solve_ivp
 
 from gnc_opt.control import SuperTwistingObserver
 from gnc_opt.spacecraft import TetheredPair, TetherMotion
+from problems._example import Array
 from problems.comparison import Claim, Row, at_most, compare, printed, remark
-from problems.reference import Array
 from problems.tethered_formation.laws import STEP, Gains, predictive, surface
 from problems.tethered_formation.model import (
     DURATION,

@@ -9,7 +9,7 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.spacecraft import TetheredPair, TetherMotion
-from problems.reference import Array
+from problems._example import Array
 from problems.tethered_formation.laws import (
     STEP,
     Gains,

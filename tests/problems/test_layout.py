@@ -18,7 +18,7 @@ import problems
 from gnc_opt import cli
 
 FOLDER = Path(problems.__file__).parent
-SHARED = {"all", "campaigns", "comparison", "dispersed", "flown", "fronts", "kept", "reference", "run"}
+SHARED = {"_campaign_table", "_example", "all", "comparison", "dispersed", "flown", "fronts", "kept"}
 SYSTEMS = sorted(path.parent.name for path in FOLDER.glob("*/__main__.py"))
 TRADES = sorted({path.parent.name for path in FOLDER.glob("*/__init__.py")} - {*SYSTEMS})
 BASIC = sorted(

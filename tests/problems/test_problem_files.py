@@ -19,6 +19,7 @@ from scipy.integrate import solve_ivp
 import gnc_opt as go
 from gnc_opt import cli
 from gnc_opt.examples import example, examples
+from problems._example import TOLERANCE, Reference, comparison, run
 from problems.ascent import delta3, goddard
 from problems.attitude import bilimoria_wie
 from problems.classics import (
@@ -34,9 +35,7 @@ from problems.classics import (
 from problems.entry import shuttle
 from problems.landing import mars_landing, moon_landing
 from problems.low_thrust import earth_mars
-from problems.reference import Reference
 from problems.robots import robot_arm
-from problems.run import TOLERANCE, comparison, run
 
 Array = NDArray[np.float64]
 
@@ -471,7 +470,9 @@ def test_a_failing_condition_counts_unless_it_is_explained(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     spoilt = go.Condition("adjoint equation", go.Result.FAIL, 1.0, 1e-5, "everywhere", "It does not hold.")
-    monkeypatch.setattr("problems.run.go.verify", lambda _: go.Verdict("soft landing on the Moon", (spoilt,)))
+    monkeypatch.setattr(
+        "problems._example.go.verify", lambda _: go.Verdict("soft landing on the Moon", (spoilt,))
+    )
     assert run(moon_landing.build, moon_landing.REFERENCE, []) == 1
     assert "It does not hold." in capsys.readouterr().out
     explained = {"adjoint equation": "Known."}
