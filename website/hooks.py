@@ -10,6 +10,7 @@ import html
 import posixpath
 import re
 import sys
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # for problems/ and website/, which are not installed
 
 from gnc_opt.examples import examples  # noqa: E402
-from website import api, gallery  # noqa: E402
+from website import api, gallery, redirects  # noqa: E402
 
 FROM_ROOT = {
     "index.md": "README.md",
@@ -42,16 +43,24 @@ _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """List what is generated in the navigation."""
-    assert config.nav is not None
-    sections = {
-        title: pages for entry in config.nav if isinstance(entry, dict) for title, pages in entry.items()
-    }
-    sections["Gallery"].insert(0, "gallery/index.md")
-    sections["Gallery"].extend({gallery.heading(e): f"gallery/{e.name}.md"} for e in examples())
-    sections["API reference"].append("api/index.md")
-    sections["API reference"].extend({room: f"api/{room}.md"} for room in api.entries())
-    sections["Development"].extend(place for place in FROM_ROOT if place.startswith("development/"))
+    sections = dict(_sections(config.nav))
+    sections["Examples"].insert(0, "gallery/index.md")
+    sections["Examples"].append(
+        {"Problems": [{gallery.heading(e): f"gallery/{e.name}.md"} for e in examples()]}
+    )
+    sections["API"].append("api/index.md")
+    sections["API"].extend({package: f"api/{package}.md"} for package in api.entries())
+    sections["Project"].extend(place for place in FROM_ROOT if place.startswith("development/"))
     return config
+
+
+def _sections(entries: Any) -> Iterator[tuple[str, list[Any]]]:
+    """Yield title and pages of every section of the navigation, nested ones too."""
+    for entry in entries or ():
+        for title, pages in entry.items() if isinstance(entry, dict) else ():
+            if isinstance(pages, list):
+                yield title, pages
+                yield from _sections(pages)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -114,3 +123,8 @@ def on_page_content(content: str, **more: Any) -> str:
         return str(convert(latex, display="inline" if found[1] == "span" else "block"))
 
     return _FORMULA.sub(formula, content)
+
+
+def on_post_build(config: MkDocsConfig) -> None:
+    """Let the addresses of pages that have moved lead to the new ones."""
+    redirects.write(Path(config.site_dir))

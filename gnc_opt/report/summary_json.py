@@ -1,4 +1,4 @@
-"""The summary of a solution that a program reads; docs/json_summary.md documents it."""
+"""The summary of a solution that a program reads; docs/reference/json_summary.md documents it."""
 
 from __future__ import annotations
 

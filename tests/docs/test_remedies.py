@@ -1,4 +1,4 @@
-"""What to do when it does not solve: a page for every ending and every condition, for nothing else, and it shows it.
+"""The reference of statuses, outcomes and conditions has a section for each, with an example that ends so and a remedy.
 
 That the examples end so is tested with those of all pages (`test_examples`).
 """
@@ -8,50 +8,63 @@ from __future__ import annotations
 import re
 
 import pytest
-from pages import DOCS, ROOT, Page, doc
+from pages import FENCE, Page, doc
 
 import gnc_opt as go
+from website import redirects
 
-INDEX = doc("when_it_does_not_solve")
 CONDITIONS = re.findall(r"(?m)^### (.+)$", doc("verdict").text)
 """Compared with the code elsewhere."""
-ENDINGS = {
-    "status": ("How a solve ends", [status.value for status in go.Status]),
-    "refinement": ("How a refinement ends", [status.value for status in go.RefinementStatus]),
-    "conditions": ("Conditions of the verdict", CONDITIONS),
-    "continuation": ("How a continuation ends", [status.value for status in go.ContinuationStatus]),
-    "runs": ("What becomes of a run", [status.value for status in go.RunStatus]),
+
+REFERENCES = {
+    "Solve": ("statuses", [status.value for status in go.Status]),
+    "Refinement": ("statuses", [status.value for status in go.RefinementStatus]),
+    "Continuation": ("statuses", [status.value for status in go.ContinuationStatus]),
+    "outcomes": ("outcomes", [status.value for status in go.RunStatus]),
+    "conditions": ("conditions", CONDITIONS),
 }
-"""By the folder of their pages: section of the index and names."""
+"""Page and names, in their order, by the section of the page or the page."""
+
+HEADING = re.compile(r"(?m)^(#+) (.+?)(?: \{ #([\w-]+) \})?$")
+
+INCONCLUSIVE = ("tables", "smoothness", "singular arcs", "strict switches")
+"""Conditions whose examples are inconclusive, since they do not fail."""
 
 
-def pages_of(folder: str) -> dict[str, Page]:
-    """Pages of a folder by their title."""
-    there = [page for page in DOCS if page.path.parent == ROOT / "docs" / "howto" / folder]
-    return {page.text.partition("\n")[0].removeprefix("# "): page for page in there}
+def sections(reference: str) -> dict[str, str]:
+    """Return the text of each section of a reference by its name."""
+    name, _ = REFERENCES[reference]
+    page = doc(name)
+    text = page.section(reference) if reference in ("Solve", "Refinement", "Continuation") else page.text
+    level = "##" if name == "outcomes" else "###"
+    found = re.split(rf"(?m)^{level} (.+?)(?: \{{ #[\w-]+ \}})?$", text)
+    return dict(zip(found[1::2], found[2::2], strict=True))
 
 
-@pytest.mark.parametrize("folder", ENDINGS)
-def test_every_ending_has_its_page(folder: str) -> None:
-    _, names = ENDINGS[folder]
-    assert set(pages_of(folder)) == set(names)
+@pytest.mark.parametrize("reference", REFERENCES)
+def test_every_name_has_its_section(reference: str) -> None:
+    assert list(sections(reference)) == REFERENCES[reference][1]
 
 
-@pytest.mark.parametrize("folder", ENDINGS)
-def test_the_index_leads_to_every_page(folder: str) -> None:
-    """The conditions in the order of the verdict: the page tells to begin with the first that fails."""
-    heading, names = ENDINGS[folder]
-    listed = re.findall(rf"(?m)^\| \[(.+?)\]\({folder}/(\w+)\.md\) \| \S", INDEX.section(heading))
-    assert [name for name, _ in listed] == list(names)
-    assert [stem for _, stem in listed] == [pages_of(folder)[name].path.stem for name in names]
+@pytest.mark.parametrize("reference", REFERENCES)
+def test_every_section_shows_its_example_and_the_remedy(reference: str) -> None:
+    for name, text in sections(reference).items():
+        printed = "".join(fence[2] for fence in FENCE.finditer(text) if fence[1] == "text")
+        word = "CANNOT TELL" if name in INCONCLUSIVE else "FAIL"
+        wanted = f"{word} {name}" if reference == "conditions" else name
+        assert re.search(rf"(?m)^{wanted}\b", printed), f"{reference}: {name} is not shown"
+        assert "**Remedy.**" in text, name
 
 
-@pytest.mark.parametrize("folder", ENDINGS)
-def test_every_page_shows_its_ending_and_says_what_to_do(folder: str) -> None:
-    for name, page in pages_of(folder).items():
-        (example,) = page.code("python")
-        never_fail = ("tables", "smoothness", "singular arcs", "strict switches")
-        word = "CANNOT TELL" if name in never_fail else "FAIL"
-        wanted = f"{word} {name}" if folder == "conditions" else name
-        assert re.search(rf"(?m)^{wanted}\b", example.prints or ""), f"{page.name} does not show '{wanted}'"
-        assert "**What to do.**" in page.text
+def anchors(page: Page) -> set[str]:
+    """Return the anchors of a page's headings, as the site makes them."""
+    found = HEADING.findall(FENCE.sub("", page.text))
+    return {
+        anchor or re.sub(r"[^\w\s-]", "", text).strip().lower().replace(" ", "-") for _, text, anchor in found
+    }
+
+
+def test_old_addresses_lead_to_sections() -> None:
+    for new in redirects.targets().values():
+        page, _, anchor = new.partition(".html")
+        assert not anchor or anchor[1:] in anchors(doc(page.rpartition("/")[2])), new
