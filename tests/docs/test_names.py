@@ -28,6 +28,8 @@ NOT_OURS = {
     "docs/coming_from/casadi_opti.md": {"Opti"},
     "docs/reference/command_line.md": {"report.html"},
     "docs/howto/results.md": {"report.html"},
+    "docs/reference/solver_options.md": {"nlpsol"},
+    "docs/start/installation.md": {"cc", "data", "dev", "docs", "report", "test", "to_control"},
     "docs/learn/campaigns.md": {"plant.mass", "initial.q"},  # what a dispersion is called
     "docs/control.md": {
         "SeedSequence([seed, i])",
