@@ -78,6 +78,7 @@ def run(
     arguments: Sequence[str] | None = None,
     *,
     explained: Mapping[str, str] | None = None,
+    tol: float = TOLERANCE,
 ) -> int:
     """Solve a problem at default settings, refine, and say how the answer compares.
 
@@ -91,6 +92,8 @@ def run(
     explained : mapping, optional
         Conditions of the verdict that are known to fail, with the reason. They are shown as failed, with
         the reason beside them, but do not count in the exit code.
+    tol : float
+        Of the refinement.
 
     Returns
     -------
@@ -100,7 +103,7 @@ def run(
     options = _parser(build).parse_args(arguments)
     console = _console()
     try:
-        solution = go.solve(build(), tol=TOLERANCE)
+        solution = go.solve(build(), tol=tol)
     except go.SolveError as error:
         print(error, file=sys.stderr)
         return 1

@@ -261,10 +261,8 @@ def _from_set(row: Row, case: Case, set_file: Path, begin: float) -> Row:
 
 def estimated_error(solution: go.Solution) -> float | None:
     """Return the solution's own estimate of the error of its objective, in its unit, or None if it has none."""
-    accuracy = getattr(solution, "accuracy", None)
-    for name in ("objective_error", "objective"):
-        accuracy = getattr(accuracy, name, accuracy)
-    return float(accuracy) if isinstance(accuracy, (int, float)) else None
+    error = getattr(solution, "objective_error", None)
+    return float(error.value) if hasattr(error, "value") else None
 
 
 def stage(solution: go.Solution) -> str:

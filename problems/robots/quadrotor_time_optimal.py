@@ -1,0 +1,69 @@
+r"""Quadrotor in space: 5 m to the side in the least time with limits of tilt and of attitude rates.
+
+Teaches bangs that are shorter than a segment: thrust and two attitude rates switch at their bounds while the tilt
+limit holds, and the order of the switches is found by refinement alone.
+
+States: ``p`` (m), ``v`` (m/s), roll ``phi``, pitch ``theta`` (rad). Controls: specific thrust ``a`` (m/s^2), rates
+``dphi``, ``dtheta`` (rad/s).
+
+.. math::
+   \dot p = v, \quad
+   \dot v = a \, (\sin\theta \cos\phi, \; -\sin\phi, \; \cos\theta \cos\phi)^T - g e_z, \qquad
+   \cos\theta \cos\phi \ge \cos 0.55
+
+Source: the problem ``quadrotor`` of OptimalControlProblems.jl, from A. Sathya and others, arXiv 2303.16746.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+import gnc_opt as go
+from problems.reference import Reference
+from problems.run import run
+
+GRAVITY = 9.81
+"""m/s^2."""
+MAX_THRUST, MAX_RATE, MAX_TILT = 5 * 9.18, 3.0, 0.55
+"""m/s^2, rad/s, rad."""
+
+
+def build() -> go.Problem:
+    """Return the problem."""
+    quadrotor = go.Model("quadrotor")
+    p = quadrotor.state("p", 3, unit="m")
+    v = quadrotor.state("v", 3, unit="m/s")
+    phi = quadrotor.state("phi", unit="rad")
+    theta = quadrotor.state("theta", unit="rad")
+    a = quadrotor.control("a", unit="m/s^2")
+    dphi = quadrotor.control("dphi", unit="rad/s")
+    dtheta = quadrotor.control("dtheta", unit="rad/s")
+    upright = ca.cos(theta) * ca.cos(phi)
+    axis = ca.vertcat(ca.sin(theta) * ca.cos(phi), -ca.sin(phi), upright)
+    quadrotor.ode({p: v, v: a * axis - ca.DM([0.0, 0.0, GRAVITY]), phi: dphi, theta: dtheta})
+
+    problem = go.Problem("quadrotor in space")
+    flight = problem.phase("flight", quadrotor)
+    flight.time(initial=0.0, final=(0.5, 10.0))
+    flight.initial(p=[0.0, 0.0, 2.5], v=np.zeros(3), phi=0.0, theta=0.0)
+    flight.final(p=[0.01, 5.0, 2.5], v=np.zeros(3))
+    flight.bounds(a=(0.0, MAX_THRUST), dphi=(-MAX_RATE, MAX_RATE), dtheta=(-MAX_RATE, MAX_RATE))
+    flight.bounds(phi=(-np.pi / 2, np.pi / 2), theta=(-np.pi / 2, np.pi / 2))
+    flight.path("tilt", upright, lower=np.cos(MAX_TILT))
+    problem.minimize(flight.final_time)
+    return problem
+
+
+REFERENCE = Reference(1.492142, "independent Radau collocation, 300 x 3 points", 4.5e-6, "s")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Solve, compare, check; see ``python -m problems.robots.quadrotor_time_optimal --help``."""
+    return run(build, REFERENCE, arguments, tol=1e-6)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
