@@ -52,8 +52,8 @@ CPU_LIMIT_S = 200.0
 SLOW_CPU_S = 15.0
 """Problems that take longer are counted."""
 
-ERROR_RESOLUTION = 1e-12
-"""Relative error of an objective below which rounding prevents a comparison with its estimate."""
+KNOWN_SHARE_OF_TOLERANCE = 0.1
+"""True errors below this share of the tolerance of the reference are not compared with estimates."""
 
 _MEMBERS: dict[str, list[str]] = json.loads(
     Path(__file__).with_name("engine_groups.json").read_text(encoding="utf-8")
@@ -120,9 +120,10 @@ class Row:
 
     @property
     def estimate_ratio(self) -> float | None:
-        """Estimated over true error, None where rounding or the tolerance of the reference hides the true one."""
-        error = self.relative_error
-        if self.estimated is None or error is None or self.true is None or error < ERROR_RESOLUTION:
+        """Estimated over true error, None where the tolerance of the reference hides the true one."""
+        if self.estimated is None or self.true is None or self.tolerance is None:
+            return None
+        if self.true <= KNOWN_SHARE_OF_TOLERANCE * self.tolerance:
             return None
         return self.estimated / self.true
 

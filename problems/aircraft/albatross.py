@@ -26,8 +26,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 MASS, AREA, GRAVITY, DENSITY = 8.5, 0.65, 9.81, 1.225
 """kg, m^2, m/s^2, kg/m^3."""

@@ -24,8 +24,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 POUND, POUND_FORCE, FOOT = 0.45359237, 4.4482216152605, 0.3048
 """kg, N, m."""

@@ -25,8 +25,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 MASS, AREA, GRAVITY = 12000.0, 28.0, 9.81
 """kg, m^2, m/s^2."""

@@ -26,8 +26,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 MASS, GRAVITY, AREA = 1005.0, 9.81, 0.3376
 """kg, m/s^2, m^2."""

@@ -31,8 +31,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 GRAVITY = 32.172
 """ft/s^2."""

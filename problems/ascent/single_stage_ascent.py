@@ -21,8 +21,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 THRUST, ISP, GRAVITY = 2.1e6, 265.2, 9.80665
 """N, s, m/s^2."""

@@ -27,8 +27,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 G0, EARTH_RADIUS, MU = 9.80665, 6371e3, 3.986004418e14
 """m/s^2, m, m^3/s^2."""

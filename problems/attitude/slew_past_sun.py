@@ -23,8 +23,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 INERTIA = np.array([120.0, 150.0, 90.0])
 """kg m^2."""

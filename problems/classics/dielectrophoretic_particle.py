@@ -16,8 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 
 def build() -> go.Problem:

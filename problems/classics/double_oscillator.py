@@ -21,8 +21,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 FIRST_MASS, SECOND_MASS, FIRST_SPRING, SECOND_SPRING, DAMPER = 100.0, 2.0, 100.0, 3.0, 0.5
 """kg, kg, N/m, N/m, N s/m."""

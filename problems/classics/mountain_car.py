@@ -19,8 +19,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 SWINGS = 2.25
 """Of the guess."""

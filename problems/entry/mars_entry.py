@@ -28,8 +28,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 MU, RADIUS = 4.282829e13, 3396e3
 """m^3/s^2, m."""

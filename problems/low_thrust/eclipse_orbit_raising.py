@@ -24,8 +24,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 ACCELERATION = 0.015
 """In units of gravity at the surface."""

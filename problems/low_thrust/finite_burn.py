@@ -23,8 +23,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 EXHAUST_SPEED, FIRST_ACCELERATION, TARGET_RADIUS = 1.5, 0.1, 3.0
 ANGLES = {"first_burn": np.radians(30.0), "coast": None, "second_burn": np.radians(90.0)}

@@ -31,8 +31,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 MU, GRAVITY, EARTH_RADIUS = 1.407645794e16, 32.174, 20925662.73
 """ft^3/s^2, ft/s^2, ft."""

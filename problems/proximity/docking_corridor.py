@@ -21,8 +21,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 MEAN_MOTION, MAX_ACCELERATION = 0.0011, 0.01
 """rad/s, m/s^2."""

@@ -24,8 +24,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 PULL = 0.0017
 """Drift acceleration by the Earth's ellipticity, degrees/day^2."""

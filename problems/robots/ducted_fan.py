@@ -21,8 +21,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 MASS, WEIGHT, INERTIA, ARM = 2.2, 4.0, 0.05, 0.2
 """kg, N (less than m g: the stand carries the rest), kg m^2, m."""

@@ -24,8 +24,7 @@ from typing import Any
 import casadi as ca
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 MASSES, INERTIAS = (40.0, 4.0, 3.0), (6.667, 0.333, 0.25)
 """Of base, first and second link; kg, kg m^2."""

@@ -26,8 +26,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from problems.reference import Reference
-from problems.run import run
+from problems._example import Reference, run
 
 WHEELBASE, FIRST_TRAILER, SECOND_TRAILER = 0.4, 1.1, 0.8
 """L_0, L_1, L_2, m."""

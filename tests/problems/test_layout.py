@@ -156,4 +156,4 @@ def test_every_problem_runs_by_its_name(
     with pytest.raises(SystemExit) as left:
         runpy.run_module(f"problems.{name}", run_name="__main__", alter_sys=True)
     assert left.value.code == 0
-    assert capsys.readouterr().out.startswith(f"usage: python -m problems.{name} ")
+    assert capsys.readouterr().out.split("\n")[0].startswith(f"usage: python -m problems.{name}")

@@ -58,7 +58,25 @@ COARSE = {
     "cannonball": 1e-6,
 }
 """Solved once here; ``python -m benchmarks.performance.problem_files`` refines and judges them, and all the others."""
-REFINED = [name for name in NAMES if name not in {*ON_A_MESH, *COARSE}]
+FLAGSHIP = {
+    *(
+        "aeroassisted_plane_change",
+        "dielectrophoretic_particle",
+        "double_oscillator",
+        "ducted_fan",
+        "finite_burn",
+    ),
+    *("heading_reversal", "missile_terminal_burn", "mountain_car", "single_stage_ascent", "slew_past_sun"),
+    *("space_robot", "albatross", "mars_entry"),
+}
+"""Published problems that the default call solves within 5 s; the others are solved by the benchmark."""
+LARGER = {
+    *("balanced_field", "docking_corridor", "eclipse_orbit_raising", "fermentor", "geo_station_keeping"),
+    *("gto_to_geo", "no_fly_zones", "quadrotor_time_optimal", "six_dof_landing", "truck_trailers"),
+    *("two_burn_transfer", "two_stage_ascent", "wind_shear_landing"),
+}
+"""Solved by ``python -m benchmarks.validation.engine`` only."""
+REFINED = [name for name in NAMES if name not in {*ON_A_MESH, *COARSE, *FLAGSHIP, *LARGER}]
 SLOW = {"delta3", "low_thrust_transfer"}
 """Solved in more than 5 s on a free core."""
 CLOSED = {
@@ -126,6 +144,13 @@ def test_reference_on_a_fine_mesh(name: str) -> None:
     assert reference.tolerance <= 1e-6 * max(1.0, abs(reference.value))
     assert solution.quality.terminal_error < 1e-7
     assert solution.outside_tables() == []
+
+
+@pytest.mark.parametrize("name", sorted(FLAGSHIP))
+def test_reference_by_the_default_call(name: str) -> None:
+    solution, reference = go.solve(module(name).build()), module(name).REFERENCE
+    assert solution.objective == pytest.approx(reference.value, rel=0, abs=reference.tolerance)
+    assert reference.tolerance <= 3e-6 * abs(reference.value)
 
 
 @cache
