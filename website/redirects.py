@@ -36,6 +36,11 @@ _SECTIONS = {
 _PAGES = {
     "howto/command_line": "reference/command_line",
     "json_summary": "reference/json_summary",
+    "howto/flight_computer": "control/c_code",
+    "control": "control/overview",
+    "sliding_mode": "control/sliding_mode",
+    "estimation": "control/estimation",
+    "analysis": "analysis/covariance",
 }
 """Old page: new page."""
 

@@ -26,7 +26,7 @@ class Quality:
         the state moves.
     max_bound_violation : float
         Farthest that states and controls are beyond a bound or path constraint, at nodes and between, as a share of
-        the flight's size or of the limit's own width (docs/conventions.md, "How far beyond a limit").
+        the flight's size or of the limit's own width (docs/theory/scales.md, "How far beyond a limit").
     terminal_error : float
         Largest miss at the end of a phase when the flown control is integrated from its initial state, in shares of
         what the controls move the state.

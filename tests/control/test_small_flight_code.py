@@ -161,7 +161,7 @@ def test_refusals(tmp_path, monkeypatch):
 
 @needs_compiler
 def test_the_task_of_the_page_compiles(tmp_path):
-    page = (Path(__file__).parents[2] / "docs/howto/flight_computer.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs/control/c_code.md").read_text(encoding="utf-8")
     task = re.search(r"```c\n(.*?)```", page, re.DOTALL)
     code = go.export_c(follower(0.1), tmp_path, name="cart", options=CodeOptions(precision="float32"))
     board = "double wait_for_next_step(void);\nvoid read_sensors(float *x);\nvoid send_commands(const float *u);\n"

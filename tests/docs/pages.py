@@ -127,6 +127,7 @@ DOCS = [Page(path) for path in sorted((ROOT / "docs").rglob("*.md"))]
 PAGES = [README, CONTRIBUTING, *DOCS]
 
 
-def doc(name: str) -> Page:
+def doc(name: str, folder: str | None = None) -> Page:
     """The page of this name in ``docs/`` or a folder there."""
-    return next(page for page in DOCS if page.path.stem == name)
+    found = (page for page in DOCS if page.path.stem == name)
+    return next(page for page in found if folder is None or page.path.parent.name == folder)

@@ -31,12 +31,13 @@ NOT_OURS = {
     "docs/reference/solver_options.md": {"nlpsol"},
     "docs/start/installation.md": {"cc", "data", "dev", "docs", "report", "test", "to_control"},
     "docs/learn/campaigns.md": {"plant.mass", "initial.q"},  # what a dispersion is called
-    "docs/control.md": {
-        "SeedSequence([seed, i])",
+    "docs/control/campaigns.md": {"plant.mass", "initial.q", "motor.tau", "SeedSequence([seed, i])"},
+    "docs/control/fmu.md": {"fmi2DoStep(t, h)"},
+    "docs/control/linear.md": {
         "StateSpace",
-        "fmi2DoStep(t, h)",
         "control.feedback(plant, law.linearize(z, x), sign=1)",
     },
+    "docs/theory/simulation_accuracy.md": {"SeedSequence([seed, i])"},
     "docs/formation_flying.md": {"J2 = 0"},
     "docs/rendezvous.md": {"minima.txt"},  # what a command writes
     "docs/reference/json_summary.md": set(
