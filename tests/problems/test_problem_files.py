@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 import gnc_opt as go
+from benchmarks.validation.engine import group_of
 from gnc_opt import cli
 from gnc_opt.examples import example, examples
 from problems._example import TOLERANCE, Reference, comparison, run
@@ -58,24 +59,14 @@ COARSE = {
     "cannonball": 1e-6,
 }
 """Solved once here; ``python -m benchmarks.performance.problem_files`` refines and judges them, and all the others."""
-FLAGSHIP = {
-    *(
-        "aeroassisted_plane_change",
-        "dielectrophoretic_particle",
-        "double_oscillator",
-        "ducted_fan",
-        "finite_burn",
-    ),
-    *("heading_reversal", "missile_terminal_burn", "mountain_car", "single_stage_ascent", "slew_past_sun"),
-    *("space_robot", "albatross", "mars_entry"),
-}
-"""Published problems that the default call solves within 5 s; the others are solved by the benchmark."""
 LARGER = {
     *("balanced_field", "docking_corridor", "eclipse_orbit_raising", "fermentor", "geo_station_keeping"),
     *("gto_to_geo", "no_fly_zones", "quadrotor_time_optimal", "six_dof_landing", "truck_trailers"),
     *("two_burn_transfer", "two_stage_ascent", "wind_shear_landing"),
 }
-"""Solved by ``python -m benchmarks.validation.engine`` only."""
+"""Published problems that take more than 5 s: solved by ``python -m benchmarks.validation.engine`` only."""
+FLAGSHIP = {e.name for e in examples() if group_of(e) in ("flagship", "further")} - LARGER
+"""Published problems that are solved here by the default call, to 1e-6."""
 REFINED = [name for name in NAMES if name not in {*ON_A_MESH, *COARSE, *FLAGSHIP, *LARGER}]
 SLOW = {"delta3", "low_thrust_transfer"}
 """Solved in more than 5 s on a free core."""

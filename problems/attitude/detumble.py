@@ -1,0 +1,68 @@
+r"""Detumbling: a rigid satellite stops all rotation in the least time with a torque of limited magnitude.
+
+Teaches a time that is known beforehand: a torque opposed to the angular momentum lowers its magnitude at the highest
+rate whatever the inertia, so that the time is :math:`\|J \omega_0\| / T`. The components of the torque in the body
+follow a tumbling momentum.
+
+States: ``w`` (body rates, rad/s). Control: vector ``u`` (N m).
+
+.. math:: J \dot\omega = -\omega \times J \omega + u, \qquad \|u\| \le T
+
+Source: M. Athans, P. L. Falb and R. T. Lacoss, Time-, fuel-, and energy-optimal control of nonlinear norm-invariant
+systems, IEEE Trans. Automatic Control 8 (1963) 196-202.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+import gnc_opt as go
+from problems._example import Reference, run
+
+INERTIA = np.array([1200.0, 900.0, 600.0])
+"""kg m^2."""
+FIRST_RATES = np.radians([4.0, -3.0, 8.0])
+"""rad/s."""
+MAX_TORQUE = 2.0
+"""N m."""
+
+
+def build(max_torque: float = MAX_TORQUE) -> go.Problem:
+    """Return the problem.
+
+    Parameters
+    ----------
+    max_torque : float
+        N m.
+    """
+    satellite = go.Model("satellite")
+    w = satellite.state("w", 3, unit="rad/s")
+    u, _ = satellite.vector_control("u", 3, unit="N m")
+    inertia = ca.DM(INERTIA)
+    satellite.ode({w: (u - ca.cross(w, inertia * w)) / inertia})
+
+    problem = go.Problem("detumbling")
+    stop = problem.phase("stop", satellite)
+    stop.time(initial=0.0, final=(5.0, 500.0))
+    stop.initial(w=FIRST_RATES)
+    stop.final(w=np.zeros(3))
+    stop.bounds_norm(u=(0.0, max_torque))
+    problem.minimize(stop.final_time)
+    return problem
+
+
+REFERENCE = Reference(
+    float(np.linalg.norm(INERTIA * FIRST_RATES)) / MAX_TORQUE, "closed form: momentum over torque", 5e-5, "s"
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Solve, compare, check; see ``python -m problems.attitude.detumble --help``."""
+    return run(build, REFERENCE, arguments, tol=1e-6)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
